@@ -1,0 +1,149 @@
+"""The event: eight integers that one time stamp T1..T4 leaves in a trace, as record, bytes and columns.
+
+The layout is `docs/trace-format.md`; other programs depend on every name here.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, fields
+from enum import Enum
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+EVENT_SCHEMA_NAME = "dds_trace_msgs/msg/TraceEvent"
+EVENT_DEFINITION = """\
+uint64 run_id
+uint64 sequence
+int64 monotonic_ns
+int64 scheduled_ns
+int64 source_ns
+int64 received_ns
+uint32 payload_bytes
+uint32 relay_id
+"""
+
+CDR_HEADER = b"\x00\x01\x00\x00"  # XCDR1, little endian
+
+EVENT_DTYPE = np.dtype(
+    [
+        ("run_id", "<u8"),
+        ("sequence", "<u8"),
+        ("monotonic_ns", "<i8"),
+        ("scheduled_ns", "<i8"),
+        ("source_ns", "<i8"),
+        ("received_ns", "<i8"),
+        ("payload_bytes", "<u4"),
+        ("relay_id", "<u4"),
+    ],
+)
+"""One event without its CDR header: 56 bytes, no padding."""
+
+EVENT_CDR_BYTES = len(CDR_HEADER) + EVENT_DTYPE.itemsize
+EVENT_STRUCT = struct.Struct("<QQqqqqII")
+
+
+class Stage(Enum):
+    """Which of the four time stamps an event is, by the paper's names."""
+
+    T1 = "t1"
+    T2 = "t2"
+    T3 = "t3"
+    T4 = "t4"
+
+    @property
+    def topic(self) -> str:
+        """The MCAP topic that holds the events of this stage."""
+        return f"/dds_trace/{self.value}"
+
+
+STAGE_OF_TOPIC = {stage.topic: stage for stage in Stage}
+SESSION_TOPIC = "/dds_trace/session"
+RUN_TOPIC = "/dds_trace/run"
+HOST_TOPIC = "/dds_trace/host"
+
+
+def pack_event(
+    run_id: int,
+    sequence: int,
+    monotonic_ns: int,
+    scheduled_ns: int = 0,
+    source_ns: int = 0,
+    received_ns: int = 0,
+    payload_bytes: int = 0,
+    relay_id: int = 0,
+) -> bytes:
+    """One event as little-endian CDR, 60 bytes."""
+    return CDR_HEADER + EVENT_STRUCT.pack(
+        run_id,
+        sequence,
+        monotonic_ns,
+        scheduled_ns,
+        source_ns,
+        received_ns,
+        payload_bytes,
+        relay_id,
+    )
+
+
+def unpack_event(data: bytes | memoryview) -> tuple[int, ...]:
+    """The eight fields of one serialized event, in the order of `EVENT_DTYPE`.
+
+    Raises:
+        ValueError: `data` is not 60 bytes of little-endian CDR.
+    """
+    if len(data) != EVENT_CDR_BYTES or bytes(data[:2]) != CDR_HEADER[:2]:
+        raise ValueError(f"an event is {EVENT_CDR_BYTES} bytes of little-endian CDR, this is {len(data)} bytes")
+    return EVENT_STRUCT.unpack_from(data, len(CDR_HEADER))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EventColumns:
+    """The events of one stage as columns, in file order; all arrays are one-dimensional of equal length.
+
+    Attributes:
+        run_id: uint64, the run (one cell of a sweep) as drawn by its ping.
+        sequence: uint64, the message's number within the run.
+        monotonic_ns: int64, CLOCK_MONOTONIC of the recording device.
+        scheduled_ns: int64, T0 on the same clock (T1 only, else 0).
+        source_ns: int64, the middleware's source time stamp, ns since 1970; 0 if unknown.
+        received_ns: int64, the middleware's reception time stamp, ns since 1970; 0 if unknown.
+        payload_bytes: uint32, application bytes of the message.
+        relay_id: uint32, the relay that handled the message; 0 on T1.
+    """
+
+    run_id: np.ndarray[Any, np.dtype[np.uint64]]
+    sequence: np.ndarray[Any, np.dtype[np.uint64]]
+    monotonic_ns: np.ndarray[Any, np.dtype[np.int64]]
+    scheduled_ns: np.ndarray[Any, np.dtype[np.int64]]
+    source_ns: np.ndarray[Any, np.dtype[np.int64]]
+    received_ns: np.ndarray[Any, np.dtype[np.int64]]
+    payload_bytes: np.ndarray[Any, np.dtype[np.uint32]]
+    relay_id: np.ndarray[Any, np.dtype[np.uint32]]
+
+    def __len__(self) -> int:
+        return len(self.run_id)
+
+    @classmethod
+    def from_records(cls, records: np.ndarray[Any, Any]) -> EventColumns:
+        """Columns copied out of an array of `EVENT_DTYPE` records (or of one with the same field names)."""
+        return cls(**{name: np.ascontiguousarray(records[name]) for name in EVENT_DTYPE.names or ()})
+
+    @classmethod
+    def empty(cls) -> EventColumns:
+        """No event at all."""
+        return cls.from_records(np.empty(0, EVENT_DTYPE))
+
+    @classmethod
+    def concatenate(cls, parts: Iterable[EventColumns]) -> EventColumns:
+        """The events of `parts`, one after the other."""
+        held = list(parts) or [cls.empty()]
+        return cls(**{f.name: np.concatenate([getattr(p, f.name) for p in held]) for f in fields(cls)})
+
+    def take(self, index: np.ndarray[Any, Any]) -> EventColumns:
+        """The events at `index` (integer positions or a boolean mask)."""
+        return EventColumns(**{f.name: getattr(self, f.name)[index] for f in fields(self)})

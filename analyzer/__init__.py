@@ -1,0 +1,1 @@
+"""Traces in, one frozen `Analysis` out."""

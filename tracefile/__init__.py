@@ -1,0 +1,1 @@
+"""The contract between the devices that record and the machine that analyzes: one `.mcap` file."""

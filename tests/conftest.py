@@ -1,0 +1,60 @@
+"""Fixtures that every room's tests share."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+# The tools themselves default to the subnet; tests never leave this machine.
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+
+FIRST_DOMAIN, LAST_DOMAIN = 20, 99  # 5 and 10 are the demo's; above 101 ports meet the ephemeral range
+
+
+class DomainLease:
+    """Domain ids that no other test on this machine uses at the moment, held by locked files."""
+
+    def __init__(self) -> None:
+        self._folder = Path(tempfile.gettempdir()) / "dds-trace-test-domains"
+        self._folder.mkdir(exist_ok=True)
+        self._held: list[int] = []
+
+    def take(self) -> int:
+        """A domain id of our own until `release`."""
+        for domain_id in range(FIRST_DOMAIN, LAST_DOMAIN + 1):
+            descriptor = os.open(self._folder / str(domain_id), os.O_CREAT | os.O_RDWR)
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                os.close(descriptor)
+            else:
+                self._held.append(descriptor)
+                return domain_id
+        raise RuntimeError("all test domains are in use on this machine")
+
+    def release(self) -> None:
+        """Give all domains back."""
+        for descriptor in self._held:
+            os.close(descriptor)
+
+
+@pytest.fixture
+def domains() -> Iterator[DomainLease]:
+    """As many own domain ids as the test takes."""
+    lease = DomainLease()
+    yield lease
+    lease.release()
+
+
+@pytest.fixture
+def domain_id(domains: DomainLease) -> int:
+    """One domain id of the test's own."""
+    return domains.take()

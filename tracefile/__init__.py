@@ -1,1 +1,52 @@
 """The contract between the devices that record and the machine that analyzes: one `.mcap` file."""
+
+from tracefile.descriptions import FORMAT_VERSION, Qos, Run, Session
+from tracefile.errors import (
+    BackendUnavailableError,
+    MissingEventsError,
+    NoEchoError,
+    OptionError,
+    OutputError,
+    OutputExistsError,
+    TraceError,
+    TraceFormatError,
+)
+from tracefile.events import (
+    CDR_HEADER,
+    EVENT_DTYPE,
+    HOST_TOPIC,
+    RUN_TOPIC,
+    SESSION_TOPIC,
+    EventColumns,
+    Stage,
+    pack_event,
+    unpack_event,
+)
+from tracefile.trace import Trace
+from tracefile.version import __version__
+
+__all__ = [
+    "CDR_HEADER",
+    "EVENT_DTYPE",
+    "FORMAT_VERSION",
+    "HOST_TOPIC",
+    "RUN_TOPIC",
+    "SESSION_TOPIC",
+    "BackendUnavailableError",
+    "EventColumns",
+    "MissingEventsError",
+    "NoEchoError",
+    "OptionError",
+    "OutputError",
+    "OutputExistsError",
+    "Qos",
+    "Run",
+    "Session",
+    "Stage",
+    "Trace",
+    "TraceError",
+    "TraceFormatError",
+    "__version__",
+    "pack_event",
+    "unpack_event",
+]

@@ -1,0 +1,128 @@
+"""What a recorder may ask of the system for quieter numbers: fixed CPUs, a real-time priority, locked memory.
+
+Who asks and is refused gets an error that says how to be permitted: numbers recorded under other
+conditions than those asked for would be wrong without a sign of it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import re
+from pathlib import Path
+from typing import Any
+
+from tracefile import OptionError
+
+_MCL_CURRENT, _MCL_FUTURE = 1, 2  # <sys/mman.h>, equal on x86_64 and aarch64
+
+_HOW_TO_BE_PERMITTED = (
+    "run as root, or add 'USER - rtprio 99' and 'USER - memlock unlimited' to "
+    "/etc/security/limits.conf and log in again, or leave --realtime out"
+)
+
+
+def apply_privileges(cpu_affinity: str | None = None, realtime_priority: int | None = None) -> dict[str, Any]:
+    """Gives this process its CPUs and its real-time priority; threads started later inherit both.
+
+    Call it before the middleware starts its threads.
+
+    Args:
+        cpu_affinity: CPUs as `--cpu-affinity` names them: `3`, `0,2`, `2-3`.
+        realtime_priority: 1 (lowest) to 99 for SCHED_FIFO; all memory is locked as well.
+
+    Returns:
+        What holds now, for the session's extra fields: `cpu_affinity` (list of CPU numbers),
+        `realtime_priority`, `memory_locked`; only what was asked for.
+
+    Raises:
+        OptionError: a value that cannot be meant on this machine, or the system does not permit it.
+    """
+    applied: dict[str, Any] = {}
+    if cpu_affinity is not None:
+        applied["cpu_affinity"] = pin_cpus(cpu_affinity)
+    if realtime_priority is not None:
+        lock_memory()
+        set_realtime(realtime_priority)
+        applied |= {"realtime_priority": realtime_priority, "memory_locked": True}
+    return applied
+
+
+def parse_cpus(text: str) -> list[int]:
+    """The CPU numbers in `0,2-3`, sorted.
+
+    Raises:
+        OptionError: not a list of numbers and ranges.
+    """
+    cpus: set[int] = set()
+    for part in text.split(","):
+        bounds = re.fullmatch(r"\s*(\d+)(?:-(\d+))?\s*", part)
+        if bounds is None:
+            raise OptionError(
+                f"--cpu-affinity {text!r}: give CPU numbers and ranges, such as 3 or 0,2 or 2-3"
+            )
+        cpus.update(range(int(bounds[1]), int(bounds[2] or bounds[1]) + 1))
+    if not cpus:
+        raise OptionError(f"--cpu-affinity {text!r}: a range goes from the lower CPU number to the higher")
+    return sorted(cpus)
+
+
+def pin_cpus(text: str) -> list[int]:
+    """Lets every thread of this process run on these CPUs only, and gives their numbers.
+
+    Raises:
+        OptionError: no such list, or a CPU that this process may not use.
+    """
+    wanted = parse_cpus(text)
+    allowed = os.sched_getaffinity(0)
+    missing = [cpu for cpu in wanted if cpu not in allowed]
+    if missing:
+        raise OptionError(
+            f"--cpu-affinity {text}: CPU {missing[0]} is not among those this process may use "
+            f"({', '.join(map(str, sorted(allowed)))})",
+        )
+    # Libraries that are loaded already have started threads of their own; the call alone moves one thread.
+    for thread in Path("/proc/self/task").iterdir():
+        with contextlib.suppress(ProcessLookupError):
+            os.sched_setaffinity(int(thread.name), wanted)
+    return wanted
+
+
+def set_realtime(priority: int) -> None:
+    """Runs the calling thread, and those it starts, under SCHED_FIFO.
+
+    Raises:
+        OptionError: no such priority, or the system does not permit it.
+    """
+    lowest, highest = os.sched_get_priority_min(os.SCHED_FIFO), os.sched_get_priority_max(os.SCHED_FIFO)
+    if not lowest <= priority <= highest:
+        raise OptionError(f"--realtime {priority}: a SCHED_FIFO priority is {lowest} to {highest}")
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except OSError as err:
+        raise OptionError(
+            f"--realtime {priority}: SCHED_FIFO is not permitted ({err.strerror}): {_HOW_TO_BE_PERMITTED}",
+        ) from err
+
+
+def lock_memory() -> None:
+    """Keeps every page of this process in memory, now and later, so that no page fault delays a stamp.
+
+    Raises:
+        OptionError: the system does not permit it.
+    """
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:
+        reason = os.strerror(ctypes.get_errno())
+        raise OptionError(f"--realtime: locking memory is not permitted ({reason}): {_HOW_TO_BE_PERMITTED}")
+
+
+def run_in_background() -> None:
+    """Puts the calling thread back under the ordinary scheduler, for work that must not delay a stamp.
+
+    A thread inherits SCHED_FIFO from the one that starts it. Never raises: without the right to change
+    it, there was no real-time priority to inherit.
+    """
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

@@ -1,0 +1,178 @@
+"""Load of the host once a second: CPU, memory, network, Wi-Fi signal, and the share of named processes."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import psutil
+
+from recorder.host import read_text, wifi_signals
+from recorder.privileges import run_in_background
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from types import TracebackType
+
+    from typing_extensions import Self
+
+# Datagrams that the kernel threw away: the usual cause of loss and of slow reliable delivery of large messages.
+_UDP_COUNTERS = ("InErrors", "RcvbufErrors", "SndbufErrors")
+_IP_COUNTERS = ("ReasmFails", "ReasmTimeout", "FragFails")
+
+
+@dataclass(slots=True)
+class HostSampler:
+    """Hands one sample a second to a callback, on a thread of its own, from `start` to `stop`.
+
+    A sample is a JSON object:
+        `monotonic_ns`; `host` (`cpu_percent`, `cpu_percent_each`, `cpu_mhz`, `memory_used_bytes`,
+        `memory_available_bytes`, `load_1min`, `temperature_c`); `network` (interface -> `sent_bytes`,
+        `received_bytes`, `sent_packets`, `received_packets`, `dropped`, `errors`: totals since boot);
+        `udp` (kernel totals such as `RcvbufErrors`); `wifi` (interface -> `signal_dbm` ...);
+        `processes` (name -> `pid`, `cpu_percent` of one core, `memory_bytes` resident, `threads`,
+        `involuntary_switches`); `sampling_cpu_ns`, the CPU time that the sample before this one took.
+
+    Attributes:
+        write: gets each sample; `functools.partial(sink.write_json, HOST_TOPIC)`, say.
+        processes: further processes to follow, name -> pid (`{"bridge": 4711}`); this one is `self`. May be
+            changed while running by replacing the mapping.
+        period_s: time between two samples.
+    """
+
+    write: Callable[[Mapping[str, Any]], None]
+    processes: Mapping[str, int] = field(default_factory=dict)
+    period_s: float = 1.0
+    _stop: threading.Event = field(default_factory=threading.Event, init=False)
+    _thread: threading.Thread | None = field(default=None, init=False)
+    _followed: dict[int, psutil.Process] = field(default_factory=dict, init=False)
+    _sampling_cpu_ns: int = field(default=0, init=False)
+
+    def start(self) -> Self:
+        """Starts the thread; the first sample comes one period later, as CPU shares need an interval."""
+        self._thread = threading.Thread(target=self._run, name="host-sampler", daemon=True)
+        self._thread.start()
+        return self
+
+    def stop(self) -> None:
+        """Takes one last sample, so that a run shorter than a period has one, and ends the thread."""
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+
+    def __enter__(self) -> Self:
+        return self.start()
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.stop()
+
+    def _run(self) -> None:
+        run_in_background()
+        self.sample()  # psutil's shares are since its call before; what this one says is dropped
+        while not self._stop.wait(self.period_s):
+            self.write(self.sample())
+        self.write(self.sample())
+
+    def sample(self) -> dict[str, Any]:
+        """One sample now; shares of CPU are since the call before."""
+        began_ns = time.thread_time_ns()
+        sample = {
+            "monotonic_ns": time.monotonic_ns(),
+            "host": _host_load(),
+            "network": _network_totals(),
+            "udp": _kernel_totals(),
+            "wifi": wifi_signals(),
+            "processes": self._process_loads(),
+            "sampling_cpu_ns": self._sampling_cpu_ns,
+        }
+        self._sampling_cpu_ns = time.thread_time_ns() - began_ns
+        return sample
+
+    def _process_loads(self) -> dict[str, dict[str, float]]:
+        loads = {
+            name: self._process_load(pid) for name, pid in {"self": os.getpid(), **self.processes}.items()
+        }
+        return {name: load for name, load in loads.items() if load is not None}
+
+    def _process_load(self, pid: int) -> dict[str, float] | None:
+        try:
+            if pid not in self._followed:
+                self._followed[pid] = psutil.Process(pid)
+            process = self._followed[pid]
+            with process.oneshot():
+                return {
+                    "pid": pid,
+                    "cpu_percent": process.cpu_percent(),
+                    "memory_bytes": process.memory_info().rss,
+                    "threads": process.num_threads(),
+                    "involuntary_switches": process.num_ctx_switches().involuntary,
+                }
+        except psutil.Error:  # it has ended, and that is for its supervisor to say
+            self._followed.pop(pid, None)
+            return None
+
+
+def _host_load() -> dict[str, Any]:
+    each = psutil.cpu_percent(percpu=True)
+    memory = psutil.virtual_memory()
+    return {
+        "cpu_percent": round(sum(each) / max(len(each), 1), 1),
+        "cpu_percent_each": each,
+        "cpu_mhz": _cpu_mhz(),
+        "memory_used_bytes": memory.total - memory.available,
+        "memory_available_bytes": memory.available,
+        "load_1min": os.getloadavg()[0],
+        "temperature_c": _temperature_c(),
+    }
+
+
+def _cpu_mhz() -> float | None:
+    khz = read_text("/sys/devices/system/cpu/cpu0/cpufreq/scaling_cur_freq")
+    return int(khz) / 1000 if khz and khz.isdigit() else None
+
+
+def _temperature_c() -> float | None:
+    """Of the first thermal zone: on a Raspberry Pi the SoC, which throttles at 80 degrees."""
+    millidegrees = read_text("/sys/class/thermal/thermal_zone0/temp")
+    return int(millidegrees) / 1000 if millidegrees and millidegrees.lstrip("-").isdigit() else None
+
+
+def _network_totals() -> dict[str, dict[str, int]]:
+    try:
+        totals = psutil.net_io_counters(pernic=True)
+    except OSError:
+        return {}
+    return {
+        interface: {
+            "sent_bytes": total.bytes_sent,
+            "received_bytes": total.bytes_recv,
+            "sent_packets": total.packets_sent,
+            "received_packets": total.packets_recv,
+            "dropped": total.dropin + total.dropout,
+            "errors": total.errin + total.errout,
+        }
+        for interface, total in totals.items()
+    }
+
+
+def _kernel_totals() -> dict[str, int]:
+    """Counters of `/proc/net/snmp`, where each protocol has a line of names and a line of values."""
+    lines = [line.split() for line in (read_text("/proc/net/snmp") or "").splitlines()]
+    totals: dict[str, int] = {}
+    for names, values in zip(lines[::2], lines[1::2], strict=False):
+        if names[0] in ("Udp:", "Ip:"):
+            totals |= {
+                name: int(value)
+                for name, value in zip(names[1:], values[1:], strict=False)
+                if name in _UDP_COUNTERS + _IP_COUNTERS
+            }
+    return totals

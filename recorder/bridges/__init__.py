@@ -1,0 +1,29 @@
+"""The bridges between two DDS domains: one file for each, launched and supervised, never imported by a role."""
+
+from recorder.bridges.bridge import (
+    BRIDGED_TOPICS,
+    Bridge,
+    BridgedTopic,
+    BridgeError,
+    BridgeOptions,
+    Half,
+    split_halves,
+)
+from recorder.bridges.registry import BRIDGE_MODULES, load_bridge
+from recorder.bridges.running import BridgeState, RunningBridge, find_program, open_bridge
+
+__all__ = [
+    "BRIDGED_TOPICS",
+    "BRIDGE_MODULES",
+    "Bridge",
+    "BridgeError",
+    "BridgeOptions",
+    "BridgeState",
+    "BridgedTopic",
+    "Half",
+    "RunningBridge",
+    "find_program",
+    "load_bridge",
+    "open_bridge",
+    "split_halves",
+]

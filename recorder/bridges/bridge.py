@@ -1,0 +1,209 @@
+"""What every bridge between the ping's and the relay's domain offers: configuration text and how to run its program.
+
+Same names in the same order in every file of `recorder/bridges/`. Nothing here starts anything.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from typing import TYPE_CHECKING, ClassVar, Protocol
+
+from recorder.backend import Discovery
+from tracefile import OptionError, Qos, TraceError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+LOCAL_LINK = "127.0.0.1:7447"
+"""Where the two halves of a bridge meet when both run on this machine and no other address is given."""
+
+LAST_DOMAIN_ID = 231
+"""The highest DDS domain whose ports exist (see `docs/bridges.md`)."""
+
+
+class BridgeError(TraceError):
+    """A bridge's program failed: it ended, never came up, or cannot be started; the text holds its last line."""
+
+    exit_code: ClassVar[int] = 9
+
+
+class Half(Enum):
+    """Which part of a bridge runs here; a bridge of one program knows `BOTH` alone."""
+
+    BOTH = "both"
+    PING = "ping"
+    RELAY = "relay"
+
+
+@dataclass(frozen=True, slots=True)
+class BridgedTopic:
+    """A topic that crosses from the ping's domain to the relay's; its `_relay` twin crosses back.
+
+    Attributes:
+        name: ROS name without slash.
+        type_name: for example `sensor_msgs/msg/Image`.
+    """
+
+    name: str
+    type_name: str
+
+    @property
+    def reply_name(self) -> str:
+        """Name of the topic of the way back."""
+        return f"{self.name}_relay"
+
+    @property
+    def dds_type_name(self) -> str:
+        """The type's name on the DDS wire: `sensor_msgs::msg::dds_::Image_`."""
+        package, kind, name = self.type_name.split("/")
+        return f"{package}::{kind}::dds_::{name}_"
+
+
+BRIDGED_TOPICS = (
+    BridgedTopic("binary_image", "sensor_msgs/msg/Image"),
+    BridgedTopic("string_data", "std_msgs/msg/String"),
+    BridgedTopic("imu_data", "sensor_msgs/msg/Imu"),
+)
+"""All that may cross a bridge, each with its `_relay` twin."""
+
+
+@dataclass(frozen=True, slots=True)
+class BridgeOptions:
+    """All that a bridge's configuration depends on.
+
+    Attributes:
+        ping_domain_id: where the ping is; `topics` are taken from here.
+        relay_domain_id: where the relay is; the `_relay` topics are taken from here.
+        topics: what crosses; nothing else does.
+        qos: of every bridged topic on both sides, so that the bridge asks for no more than the nodes offer.
+        discovery: how far the bridge looks for nodes.
+        half: which part runs here, for bridges that have one on each device.
+        listen: `HOST:PORT` where this half waits for the other.
+        peers: `HOST:PORT` of each other half that this one connects to.
+
+    Raises:
+        OptionError: the two domains are one, or one of them does not exist, or an address is no HOST:PORT.
+    """
+
+    ping_domain_id: int = 5
+    relay_domain_id: int = 10
+    topics: tuple[BridgedTopic, ...] = BRIDGED_TOPICS
+    qos: Qos = field(default_factory=Qos)
+    discovery: Discovery = Discovery.SUBNET
+    half: Half = Half.BOTH
+    listen: str | None = None
+    peers: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for domain_id in (self.ping_domain_id, self.relay_domain_id):
+            if not 0 <= domain_id <= LAST_DOMAIN_ID:
+                raise OptionError(f"there is no domain {domain_id}; choose one from 0 to {LAST_DOMAIN_ID}")
+        if self.ping_domain_id == self.relay_domain_id:
+            raise OptionError(
+                f"a bridge joins two domains, both ends are {self.ping_domain_id}; "
+                "give two different ones or leave the bridge out",
+            )
+        for address in (self.listen, *self.peers):
+            if address is not None:
+                split_address(address)
+
+    def sides(self) -> tuple[BridgeSide, ...]:
+        """The domains that this process joins, with what it takes out of each and what it puts in."""
+        there = tuple(topic.name for topic in self.topics)
+        back = tuple(topic.reply_name for topic in self.topics)
+        both = {
+            Half.PING: BridgeSide(self.ping_domain_id, takes=there, puts=back),
+            Half.RELAY: BridgeSide(self.relay_domain_id, takes=back, puts=there),
+        }
+        return tuple(both.values()) if self.half is Half.BOTH else (both[self.half],)
+
+    def type_of(self, name: str) -> str:
+        """Type of a bridged topic or of its `_relay` twin."""
+        return next(topic.type_name for topic in self.topics if name in (topic.name, topic.reply_name))
+
+
+@dataclass(frozen=True, slots=True)
+class BridgeSide:
+    """One domain that a bridge joins; what it puts in is never what it takes out, so nothing circles.
+
+    Attributes:
+        takes: names of the topics that leave this domain through the bridge.
+        puts: names of the topics that come in.
+    """
+
+    domain_id: int
+    takes: tuple[str, ...]
+    puts: tuple[str, ...]
+
+
+class Bridge(Protocol):
+    """One bridging program; each file of `recorder/bridges/` has one, named `BRIDGE`."""
+
+    @property
+    def name(self) -> str:
+        """As given to `--bridge` and written to the run."""
+
+    @property
+    def install(self) -> str:
+        """How to get the program, one line."""
+
+    @property
+    def has_halves(self) -> bool:
+        """Whether it runs as one process for each domain, joined by a link of their own."""
+
+    @property
+    def suffix(self) -> str:
+        """Of its configuration file: `.json5`, `.yaml`, `.xml`."""
+
+    @property
+    def up_pattern(self) -> str | None:
+        """Regular expression of the log line that says it serves; None if it says nothing of the kind."""
+
+    def configuration(self, options: BridgeOptions) -> str:
+        """The configuration file's text, from `options` alone."""
+
+    def find(self) -> Path | None:
+        """The program on this machine, None if there is none."""
+
+    def version(self, program: Path) -> str:
+        """The program's version as it reports it, empty if it does not."""
+
+    def command(self, program: Path, configuration: Path, options: BridgeOptions) -> Sequence[str]:
+        """The command line that serves until SIGINT."""
+
+    def environment(self, program: Path, options: BridgeOptions) -> Mapping[str, str]:
+        """Variables that the program needs beyond those of this process."""
+
+
+def split_halves(bridge: Bridge, options: BridgeOptions) -> tuple[BridgeOptions, ...]:
+    """The options of each process to start here: two when both halves of a bridge run on this machine.
+
+    Raises:
+        OptionError: a half or a peer is asked of a bridge that has none.
+    """
+    if bridge.has_halves and options.half is Half.BOTH:
+        link = options.listen or LOCAL_LINK
+        return (
+            replace(options, half=Half.PING, listen=link),
+            replace(options, half=Half.RELAY, listen=None, peers=(link,)),
+        )
+    if not bridge.has_halves and (options.half is not Half.BOTH or options.listen or options.peers):
+        raise OptionError(
+            f"{bridge.name} is one program that joins both domains and has no halves; "
+            "run it on one device, without --half, --listen and --peer",
+        )
+    return (options,)
+
+
+def split_address(address: str) -> tuple[str, int]:
+    """Host and port of `HOST:PORT` (`[::1]:7447` for IPv6).
+
+    Raises:
+        OptionError: it is none.
+    """
+    host, colon, port = address.rpartition(":")
+    if not (colon and host and port.isdigit() and 0 < int(port) < 65536):
+        raise OptionError(f"{address!r} is no address; write HOST:PORT, for example 192.168.0.5:7447")
+    return host.strip("[]"), int(port)

@@ -1,0 +1,84 @@
+"""`builtin`: our own bridge, two ROS 2 contexts in one process, raw forwarding in both directions.
+
+Run as `python -m recorder.bridges.builtin CONFIGURATION` it serves until SIGINT or SIGTERM.
+"""
+
+from __future__ import annotations
+
+import sys
+from contextlib import ExitStack
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from recorder.bridges.builtin_common import (
+    INSTALL_ROS2,
+    UP_LINE,
+    forward,
+    open_side,
+    options_from_json,
+    options_to_json,
+    run,
+    serve,
+)
+from tracefile import __version__
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from recorder.bridges.bridge import BridgeOptions
+
+
+@dataclass(frozen=True, slots=True)
+class BuiltinBridge:
+    """Two ROS 2 nodes in one process; see `Bridge` for the names."""
+
+    name: str = "builtin"
+    install: str = INSTALL_ROS2
+    has_halves: bool = False
+    suffix: str = ".json"
+    up_pattern: str | None = f"^{UP_LINE}"
+
+    def configuration(self, options: BridgeOptions) -> str:
+        """The options as JSON; the program needs nothing else."""
+        return options_to_json(options)
+
+    def find(self) -> Path | None:
+        """This Python, if it has rclpy."""
+        return Path(sys.executable) if find_spec("rclpy") else None
+
+    def version(self, program: Path) -> str:
+        """Ours."""
+        del program
+        return __version__
+
+    def command(self, program: Path, configuration: Path, options: BridgeOptions) -> Sequence[str]:
+        """This module."""
+        del options
+        return (str(program), "-m", __name__, str(configuration))
+
+    def environment(self, program: Path, options: BridgeOptions) -> Mapping[str, str]:
+        """Nothing; the nodes set their discovery range themselves."""
+        del program, options
+        return {}
+
+
+BRIDGE = BuiltinBridge()
+
+
+def main(configuration: Path) -> None:
+    """Serve what the file `configuration` says."""
+    options = options_from_json(configuration)
+    sides = options.sides()
+    with ExitStack() as stack:
+        nodes = [stack.enter_context(open_side(side, options)) for side in sides]
+        for side, here, there in zip(sides, nodes, reversed(nodes), strict=True):
+            for name in side.takes:
+                type_name = options.type_of(name)
+                here.create_subscription(name, type_name, forward(there.create_publisher(name, type_name)))
+        serve(nodes, f"domains {options.ping_domain_id} and {options.relay_domain_id}")
+
+
+if __name__ == "__main__":
+    run(main)

@@ -1,0 +1,118 @@
+"""What our own two bridge programs share: their configuration file, their ROS 2 nodes, how they serve."""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from recorder.backend import Discovery, NodeOptions
+from recorder.backends import open_node
+from recorder.bridges.bridge import BridgedTopic, BridgeOptions, Half
+from tracefile import Qos, TraceError, TraceFormatError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from recorder.backend import Node, Publisher, Receive
+    from recorder.bridges.bridge import BridgeSide
+
+INSTALL_ROS2 = "it needs ROS 2's rclpy: pip install 'dds-trace[ros2]', or source /opt/ros/DISTRO/setup.bash"
+UP_LINE = "bridging"
+LOOK_AT_NODES_S = 0.5
+
+
+def options_to_json(options: BridgeOptions) -> str:
+    """The part of `options` that our own bridge programs read, as indented JSON."""
+    return (
+        json.dumps(
+            {
+                "ping_domain_id": options.ping_domain_id,
+                "relay_domain_id": options.relay_domain_id,
+                "half": options.half.value,
+                "listen": options.listen,
+                "peers": options.peers,
+                "discovery": options.discovery.value,
+                "qos": options.qos.to_dict(),
+                "topics": {topic.name: topic.type_name for topic in options.topics},
+            },
+            indent=2,
+        )
+        + "\n"
+    )
+
+
+def options_from_json(path: Path) -> BridgeOptions:
+    """The options that `options_to_json` wrote to `path`.
+
+    Raises:
+        TraceFormatError: the file holds something else.
+    """
+    try:
+        found: dict[str, Any] = json.loads(path.read_text())
+        return BridgeOptions(
+            ping_domain_id=found["ping_domain_id"],
+            relay_domain_id=found["relay_domain_id"],
+            topics=tuple(BridgedTopic(name, type_name) for name, type_name in found["topics"].items()),
+            qos=Qos(**found["qos"]),
+            discovery=Discovery(found["discovery"]),
+            half=Half(found["half"]),
+            listen=found["listen"],
+            peers=tuple(found["peers"]),
+        )
+    except (OSError, ValueError, KeyError, TypeError) as err:
+        raise TraceFormatError(path, f"is no configuration of a bridge of ours ({err})") from err
+
+
+def open_side(side: BridgeSide, options: BridgeOptions) -> Node:
+    """A ROS 2 node in the domain of `side`, not started yet."""
+    return open_node(
+        "ros2",
+        NodeOptions(
+            domain_id=side.domain_id,
+            name=f"dds_trace_bridge_{side.domain_id}",
+            discovery=options.discovery,
+            qos=options.qos,
+        ),
+    )
+
+
+def forward(publisher: Publisher) -> Receive:
+    """A callback that hands each serialized message on as it is."""
+    publish = publisher.publish
+
+    def receive(message: Any, source_ns: int = 0, received_ns: int = 0, /) -> None:
+        del source_ns, received_ns
+        publish(message)
+
+    return receive
+
+
+def serve(nodes: Sequence[Node], what: str) -> None:
+    """Start the nodes, say so, and wait for SIGINT or SIGTERM.
+
+    Raises:
+        BaseException: whatever ended a node's thread.
+    """
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    for node in nodes:
+        node.start()
+    print(f"{UP_LINE} {what}", flush=True)
+    while not stop.wait(LOOK_AT_NODES_S):
+        for node in nodes:
+            if node.error is not None:
+                raise node.error
+
+
+def run(main: Callable[[Path], None]) -> None:
+    """Call `main` with the configuration file named on the command line; an error of ours is one line."""
+    try:
+        main(Path(sys.argv[1]))
+    except TraceError as error:
+        print(error, file=sys.stderr)
+        sys.exit(error.exit_code)

@@ -1,0 +1,28 @@
+"""Which bridges there are, and the file that each is described in."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from tracefile import OptionError
+
+if TYPE_CHECKING:
+    from recorder.bridges.bridge import Bridge
+
+BRIDGE_MODULES = {
+    "builtin": "recorder.bridges.builtin",
+}
+"""Name of each bridge and the module that holds its `BRIDGE`."""
+
+
+def load_bridge(name: str) -> Bridge:
+    """The bridge called `name`.
+
+    Raises:
+        OptionError: there is no such bridge.
+    """
+    if name not in BRIDGE_MODULES:
+        raise OptionError(f"there is no bridge {name!r}; choose one of {', '.join(BRIDGE_MODULES)}")
+    bridge: Bridge = import_module(BRIDGE_MODULES[name]).BRIDGE
+    return bridge

@@ -1,0 +1,241 @@
+"""A bridge around a run: `open_bridge` starts what belongs on this machine and ends it again, whatever happens."""
+
+from __future__ import annotations
+
+import shutil
+import socket
+import sys
+import tempfile
+import time
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from recorder.bridges.bridge import BridgeError, BridgeOptions, Half, split_halves
+from recorder.bridges.registry import load_bridge
+from recorder.bridges.supervise import SupervisedProgram, program_environment
+from tracefile import BackendUnavailableError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from recorder.bridges.bridge import Bridge
+
+UP_TIMEOUT_S = 20.0
+"""How long a program may take until it says that it serves; ROS 2 on a small board needs seconds to start."""
+
+
+class BridgeState(Enum):
+    """How far a bridge got."""
+
+    STARTING = "starting"
+    READY = "ready"  # an echo has come back through it
+    STOPPED = "stopped"  # it was ready, and served until it was told to stop
+    NEVER_READY = "never_ready"  # it was told to stop before any echo
+    DIED = "died"  # it ended by itself
+
+
+@dataclass(frozen=True, slots=True)
+class _RunningHalf:
+    """One of a bridge's programs with what it was started with."""
+
+    half: Half
+    version: str
+    configuration: str
+    program: SupervisedProgram
+
+    @property
+    def label(self) -> str:
+        return "bridge" if self.half is Half.BOTH else f"bridge_{self.half.value}"
+
+
+class RunningBridge:
+    """A bridge whose programs run. It counts as ready when the caller has seen an echo and says so."""
+
+    def __init__(self, bridge: Bridge, options: BridgeOptions, halves: tuple[_RunningHalf, ...]) -> None:
+        self.name = bridge.name
+        self.options = options
+        self._halves = halves
+        self._ready = False
+        self._tails: dict[Half, str] = {}
+        self._stopped = False
+
+    def mark_ready(self) -> None:
+        """An echo has come back through the bridge."""
+        self._ready = True
+
+    @property
+    def state(self) -> BridgeState:
+        """How far it got."""
+        if self.failure is not None:
+            return BridgeState.DIED
+        if self._stopped:
+            return BridgeState.STOPPED if self._ready else BridgeState.NEVER_READY
+        return BridgeState.READY if self._ready else BridgeState.STARTING
+
+    @property
+    def failure(self) -> str | None:
+        """One line naming the program that ended by itself and what it said last; None while all is well."""
+        for half in self._halves:
+            report = half.program.report
+            if report is not None and not report.asked:
+                return f"the bridge {self.name} ended with status {report.exit_code}: {self._last_line(half)}"
+        return None
+
+    def check(self) -> None:
+        """Say so if a program has ended; cheap enough to call between two messages.
+
+        Raises:
+            BridgeError: it has.
+        """
+        if (failure := self.failure) is not None:
+            raise BridgeError(f"{failure}; see `dds-bridge {self.name}` for its whole log")
+
+    @property
+    def processes(self) -> Mapping[str, int]:
+        """Pid of each program by the name it has in host samples (`bridge`, or `bridge_ping`, `bridge_relay`)."""
+        return {half.label: half.program.pid for half in self._halves}
+
+    def describe(self) -> dict[str, Any]:
+        """What runs, with what configuration, and how it ended, as a JSON object for the trace.
+
+        `bridge`, `state` (see `BridgeState`), `ping_domain_id`, `relay_domain_id`, `failure` (a line or null) and
+        `programs`: for each `half`, `version`, `command`, `configuration`, `log_tail` and, once it has ended,
+        `exit_code`, `asked`, `left_behind`, `log_bytes`.
+        """
+        return {
+            "bridge": self.name,
+            "state": self.state.value,
+            "ping_domain_id": self.options.ping_domain_id,
+            "relay_domain_id": self.options.relay_domain_id,
+            "failure": self.failure,
+            "programs": [
+                {
+                    "half": half.half.value,
+                    "version": half.version,
+                    "command": list(half.program.command),
+                    "configuration": half.configuration,
+                    "log_tail": self.log_tail(half.half),
+                    **(asdict(half.program.report) if half.program.report else {}),
+                }
+                for half in self._halves
+            ],
+        }
+
+    def sample(self) -> dict[str, Any]:
+        """CPU and memory of each program and its children now, as a JSON object for the trace.
+
+        `monotonic_ns`, `bridge` and `programs`: label -> `cpu_percent` of one core since the sample before,
+        `memory_bytes` resident, `processes`.
+        """
+        return {
+            "monotonic_ns": time.monotonic_ns(),
+            "bridge": self.name,
+            "programs": {half.label: asdict(half.program.load()) for half in self._halves},
+        }
+
+    def log_tail(self, half: Half | None = None) -> str:
+        """The last lines of a program's log, of the first one unless said."""
+        wanted = half or self._halves[0].half
+        return self._tails.get(wanted) or next(
+            each.program.log_tail() for each in self._halves if each.half is wanted
+        )
+
+    def wait_until_up(self, timeout_s: float) -> None:
+        """Wait until each program's log says that it serves, where it says such a thing.
+
+        Raises:
+            BridgeError: a program ended or did not get that far in time.
+        """
+        deadline = time.monotonic() + timeout_s
+        for half in self._halves:
+            while not half.program.is_up:
+                self.check()
+                if time.monotonic() > deadline:
+                    raise BridgeError(
+                        f"the bridge {self.name} did not come up within {timeout_s:g} s: {self._last_line(half)}",
+                    )
+                time.sleep(0.02)
+        self.check()
+
+    def stop(self) -> None:
+        """End all programs and keep the tails of their logs. May be repeated."""
+        for half in self._halves:
+            half.program.stop()
+            self._tails.setdefault(half.half, half.program.log_tail())
+        self._stopped = True
+
+    def _last_line(self, half: _RunningHalf) -> str:
+        return half.program.last_line()
+
+
+@contextmanager
+def open_bridge(
+    name: str, options: BridgeOptions, *, up_timeout_s: float = UP_TIMEOUT_S
+) -> Iterator[RunningBridge]:
+    """Run the bridge called `name` while the block runs; all its processes are gone after it.
+
+    The yielded bridge's programs run, but nothing has come through yet: wait for an echo, then `mark_ready`.
+
+    Raises:
+        OptionError: there is no such bridge, or it cannot do what the options ask.
+        BackendUnavailableError: its program is not on this machine, and how to install it.
+        BridgeError: a program ended at once or did not come up within `up_timeout_s`.
+    """
+    bridge = load_bridge(name)
+    program = find_program(bridge)
+    folder = Path(tempfile.mkdtemp(prefix="dds-trace-bridge-"))
+    halves: list[_RunningHalf] = []
+    running: RunningBridge | None = None
+    try:
+        version = bridge.version(program)
+        for half_options in split_halves(bridge, _with_free_link(bridge, options)):
+            halves.append(_start_half(bridge, program, version, half_options, folder))  # noqa: PERF401 - a failing start leaves the ones before it in the list
+        running = RunningBridge(bridge, options, tuple(halves))
+        running.wait_until_up(up_timeout_s)
+        yield running
+    finally:
+        for half in halves:
+            half.program.stop()
+        if running is not None:
+            running.stop()
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def find_program(bridge: Bridge) -> Path:
+    """The bridge's program.
+
+    Raises:
+        BackendUnavailableError: it is not on this machine; the message says how to install it.
+    """
+    program = bridge.find()
+    if program is None:
+        raise BackendUnavailableError(f"the bridge {bridge.name} is not installed; {bridge.install}")
+    return program
+
+
+def _start_half(
+    bridge: Bridge, program: Path, version: str, options: BridgeOptions, folder: Path
+) -> _RunningHalf:
+    own = folder / options.half.value
+    own.mkdir()
+    text = bridge.configuration(options)
+    file = own / f"configuration{bridge.suffix}"
+    file.write_text(text)
+    environment = program_environment(
+        bridge.environment(program, options),
+        foreign=program != Path(sys.executable),
+    )
+    started = SupervisedProgram(bridge.command(program, file, options), own, environment, bridge.up_pattern)
+    return _RunningHalf(options.half, version, text, started)
+
+
+def _with_free_link(bridge: Bridge, options: BridgeOptions) -> BridgeOptions:
+    """When both halves run here, a port of their own, so that two bridges can run side by side."""
+    if not bridge.has_halves or options.half is not Half.BOTH or options.listen:
+        return options
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return replace(options, listen=f"127.0.0.1:{probe.getsockname()[1]}")

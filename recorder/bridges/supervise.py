@@ -1,0 +1,202 @@
+"""A bridge's program as a supervised child: started, watched, sampled, ended, never orphaned.
+
+`guard.py` stands between this process and the program; closing the pipe to it is how the program is stopped, and the
+kernel closes it when this process dies, however it dies.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import psutil
+
+from recorder.bridges.bridge import BridgeError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+STOP_PATIENCE_S = 4.0
+"""How long a program has to act on SIGINT, then on SIGTERM, before it is killed."""
+
+LAST_LINES = 40
+"""Lines of the log's tail that go into messages and traces."""
+
+LAST_LINES_BYTES = 8 * 1024
+"""Most that those lines may take together."""
+
+_WHEELS_GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
+
+
+@dataclass(frozen=True, slots=True)
+class GuardReport:
+    """How a program ended.
+
+    Attributes:
+        asked: it was still running when it was told to stop.
+        exit_code: its exit code, or 128 + signal.
+        left_behind: processes of its that outlived it and had to be ended.
+        log_bytes: all that it wrote, kept or not.
+    """
+
+    asked: bool
+    exit_code: int
+    left_behind: int
+    log_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """What a program and its children use at the moment.
+
+    Attributes:
+        cpu_percent: of one core, since the sample before; 0 in the first one.
+        memory_bytes: resident.
+        processes: how many there are.
+    """
+
+    cpu_percent: float
+    memory_bytes: int
+    processes: int
+
+
+class SupervisedProgram:
+    """One program from its start to its end.
+
+    Args:
+        command: program and arguments.
+        folder: holds its log, `log` and `log.1`; removed by the guard if this process dies.
+        environment: all variables of the program.
+        up_pattern: regular expression of the line that says it serves, None if it says nothing of the kind.
+
+    Raises:
+        BridgeError: the program cannot be started.
+    """
+
+    def __init__(
+        self, command: Sequence[str], folder: Path, environment: Mapping[str, str], up_pattern: str | None
+    ) -> None:
+        self.command = tuple(command)
+        self._folder = folder
+        self._up_pattern = up_pattern
+        self._report: GuardReport | None = None
+        self._stopping = False
+        self._followed: dict[int, psutil.Process] = {}
+        guard = Path(__file__).with_name("guard.py")
+        # -I -S: the guard needs the standard library alone, and nothing of ours may keep it from starting.
+        self._guard = subprocess.Popen(
+            [
+                sys.executable,
+                "-I",
+                "-S",
+                str(guard),
+                str(folder),
+                up_pattern or "",
+                str(STOP_PATIENCE_S),
+                *self.command,
+            ],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env=dict(environment),
+            start_new_session=True,  # Ctrl-C is for the recorder, which stops the bridge when it is done with it
+        )
+        assert self._guard.stdin is not None
+        assert self._guard.stdout is not None
+        self.pid = int(self._guard.stdout.readline() or 0)
+        if not self.pid:
+            self.stop()
+            raise BridgeError(f"cannot start {self.command[0]}: {self.last_line()}")
+
+    @property
+    def report(self) -> GuardReport | None:
+        """How it ended, None while it runs."""
+        if self._guard.poll() is None:
+            return None
+        return self._keep_report()
+
+    @property
+    def is_up(self) -> bool:
+        """Whether it has said that it serves; without a pattern, that it runs has to do."""
+        return self._up_pattern is None or (self._folder / "up").exists()
+
+    def log_tail(self, lines: int = LAST_LINES) -> str:
+        """The last lines of all that the program wrote, at most 8 KiB."""
+        held = b""
+        for name in ("log.1", "log"):
+            with contextlib.suppress(FileNotFoundError):  # it never wrote that much, or they are just swapped
+                held += (self._folder / name).read_bytes()
+        text = held[-LAST_LINES_BYTES:].decode(errors="replace")
+        return "\n".join(text.splitlines()[-lines:])
+
+    def last_line(self) -> str:
+        """The last line of its log that is not empty."""
+        return next(
+            (line for line in reversed(self.log_tail().splitlines()) if line.strip()), "it said nothing"
+        )
+
+    def load(self) -> Load:
+        """What the program and its children use now."""
+        loads = []
+        for pid in self._pids():
+            with contextlib.suppress(psutil.Error):  # it ended meanwhile
+                process = self._followed.setdefault(pid, psutil.Process(pid))
+                loads.append((process.cpu_percent(), process.memory_info().rss))
+        return Load(sum(cpu for cpu, _ in loads), sum(memory for _, memory in loads), len(loads))
+
+    def stop(self) -> None:
+        """End the program, its children and the guard. May be repeated."""
+        assert self._guard.stdin is not None
+        self._stopping = True
+        with contextlib.suppress(BrokenPipeError):  # it has ended by itself
+            if not self._guard.stdin.closed:
+                self._guard.stdin.write(b"stop\n")
+                self._guard.stdin.close()
+        try:
+            self._guard.wait(5 * STOP_PATIENCE_S + 5)  # the program's three signals, its children's two
+        except subprocess.TimeoutExpired:
+            self._guard.kill()  # the program is told by the kernel to go with it
+            self._guard.wait()
+        self._keep_report()
+
+    def _pids(self) -> list[int]:
+        try:
+            return [child.pid for child in psutil.Process(self._guard.pid).children(recursive=True)]
+        except psutil.Error:
+            return []
+
+    def _keep_report(self) -> GuardReport:
+        """What the guard said last, read once; it has ended."""
+        if self._report is None:
+            assert self._guard.stdout is not None
+            line = self._guard.stdout.read()
+            self._guard.stdout.close()
+            # Without a line the guard itself was killed, and the kernel has killed the program with it.
+            self._report = (
+                GuardReport(**json.loads(line))
+                if line.startswith(b"{")
+                else GuardReport(self._stopping, 128 - self._guard.returncode, left_behind=0, log_bytes=0)
+            )
+        return self._report
+
+
+def program_environment(extra: Mapping[str, str], *, foreign: bool) -> dict[str, str]:
+    """The variables that a bridge's program starts with.
+
+    Args:
+        extra: what it needs beyond those of this process.
+        foreign: the program brings libraries of its own, so the search path that the ROS 2 wheels made for
+            themselves (see `docs/bridges.md`) must not reach it.
+    """
+    variables = {**os.environ, **extra}
+    if foreign and variables.pop(_WHEELS_GUARD, ""):
+        paths = variables.pop("LD_LIBRARY_PATH", "").split(os.pathsep)
+        ours = [path for path in paths if path and not Path(path).is_relative_to(sys.prefix)]
+        if ours:
+            variables["LD_LIBRARY_PATH"] = os.pathsep.join(ours)
+    return variables

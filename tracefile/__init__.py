@@ -22,6 +22,7 @@ from tracefile.events import (
     pack_event,
     unpack_event,
 )
+from tracefile.sink import ClosedTrace, TraceDestination, TraceSink
 from tracefile.trace import Trace
 from tracefile.version import __version__
 
@@ -33,6 +34,7 @@ __all__ = [
     "RUN_TOPIC",
     "SESSION_TOPIC",
     "BackendUnavailableError",
+    "ClosedTrace",
     "EventColumns",
     "MissingEventsError",
     "NoEchoError",
@@ -44,8 +46,10 @@ __all__ = [
     "Session",
     "Stage",
     "Trace",
+    "TraceDestination",
     "TraceError",
     "TraceFormatError",
+    "TraceSink",
     "__version__",
     "pack_event",
     "unpack_event",

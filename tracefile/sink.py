@@ -1,1 +1,316 @@
-"""Where a recording node puts its events: `TraceSink` (interface frozen here; the inside is issue 3's)."""
+"""Where a recording node puts its events: `TraceSink`.
+
+The hot path packs an event into a ring file (`tracefile.ring`) and returns. A thread of the sink's own moves
+what is in the ring to the trace, a chunk every `chunk_seconds` or whenever a quarter of the ring is used. A
+slot is used again only after its chunk is in the file, so at every instant an event is in the file or in the
+ring, and a process killed at any instruction loses none (`tracefile.recovery`).
+"""
+
+from __future__ import annotations
+
+import json
+import queue
+import struct
+import threading
+import time
+from collections import deque
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from tracefile.errors import OutputError, OutputExistsError
+from tracefile.events import RUN_TOPIC, SESSION_TOPIC
+from tracefile.ring import SLOT_BYTES, SLOT_STRUCT, STAGE_MARKS, Ring, ring_path
+from tracefile.rosbag2 import METADATA_NAME, write_metadata
+from tracefile.writer import MAX_CHUNK_EVENTS, TraceWriter, output_error
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from pathlib import Path
+
+    from tracefile.descriptions import Run, Session
+
+
+_pack_into = SLOT_STRUCT.pack_into
+
+
+@dataclass(frozen=True, slots=True)
+class TraceDestination:
+    """Where and how a trace is written.
+
+    Attributes:
+        path: a `.mcap` file; any other name is a rosbag2 folder NAME with NAME/NAME_0.mcap and its metadata.
+        force: overwrite what is there.
+        fsync: each chunk is on the disk, not only in the page cache, within `chunk_seconds`.
+        chunk_seconds: the longest that an event waits in the ring.
+        ring_slots: events that the ring holds (64 bytes each) before further ones are dropped.
+    """
+
+    path: Path
+    force: bool = False
+    fsync: bool = False
+    chunk_seconds: float = 1.0
+    ring_slots: int = 1 << 16
+
+    @property
+    def is_bag(self) -> bool:
+        """Whether a rosbag2 folder is written."""
+        return self.path.suffix != ".mcap"
+
+    @property
+    def trace_path(self) -> Path:
+        """The MCAP file itself."""
+        return self.path / f"{self.path.name}_0.mcap" if self.is_bag else self.path
+
+
+@dataclass(frozen=True, slots=True)
+class ClosedTrace:
+    """What a sink leaves behind.
+
+    Attributes:
+        path: the file or rosbag2 folder.
+        events: events in the file.
+        dropped_events: events that could not be kept.
+        bytes: length of the MCAP file.
+        error: why writing failed; None if everything is in a closed file.
+        ring_events: events that stayed in the ring beside the file because of `error`; a reader of the trace
+            uses them, `recover` joins both.
+    """
+
+    path: Path
+    events: int
+    dropped_events: int
+    bytes: int
+    error: OutputError | None
+    ring_events: int = 0
+
+
+class TraceSink:
+    """One trace while it is recorded.
+
+    Args:
+        destination: where to.
+        session: the recording process, in state `open`; written before this returns.
+        clock_ns: the monotonic clock that the events are stamped with.
+
+    Raises:
+        OutputExistsError: something is there already and `force` was not given.
+        OutputError: the file cannot be made.
+    """
+
+    def __init__(
+        self,
+        destination: TraceDestination,
+        session: Session,
+        *,
+        clock_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self._destination = destination
+        self._session = session
+        self._clock_ns = clock_ns
+        self._error: OutputError | None = None
+        self._closed: ClosedTrace | None = None
+        self._texts: deque[tuple[str, str, int]] = deque()  # topic, JSON, log time: not yet in the file
+        trace = destination.trace_path
+        _make_room(destination)
+        self._writer = TraceWriter(trace, session, fsync=destination.fsync)
+        try:
+            self._writer.write_text(SESSION_TOPIC, session.to_json(), session.wall_ns(clock_ns()))
+            self._ring = Ring(ring_path(trace), destination.ring_slots, session)
+        except (OutputError, OSError) as err:
+            self._writer.abandon()
+            trace.unlink(missing_ok=True)
+            raise (err if isinstance(err, OutputError) else output_error(ring_path(trace), err)) from err
+
+        self._view = self._ring.view
+        self._slot_count = destination.ring_slots
+        self._head = 0  # ticket of the next event; all below are packed
+        self._drained = 0  # all tickets below are in the file
+        self._limit = self._slot_count  # the ring is full when the head is here
+        self._attention = self._slot_count // 4  # the head is next looked at here; never above the limit
+        self._dropped = 0
+        self._record_lock = threading.Lock()
+        self._write_lock = threading.Lock()
+        self._wake: queue.SimpleQueue[bool] = queue.SimpleQueue()  # True: drain now; False: the end
+        self._thread = threading.Thread(target=self._drain, name="trace-sink", daemon=True)
+        self._thread.start()
+
+    def record(
+        self,
+        stage: int,
+        run_id: int,
+        sequence: int,
+        monotonic_ns: int,
+        scheduled_ns: int = 0,
+        source_ns: int = 0,
+        received_ns: int = 0,
+        payload_bytes: int = 0,
+        relay_id: int = 0,
+    ) -> None:
+        """Keep one event, or count it as dropped: when the ring is full, the sink closed, or a value out of range.
+
+        Never raises and never waits for the disk. The lock makes ticket, slot and mark one step, so that the
+        ring has no holes; it is only ever held by a thread that runs or waits for the GIL, so that waiting
+        for it is waiting for the GIL, as every Python call does.
+
+        Args:
+            stage: 1 to 4, for T1 to T4.
+            run_id: the run, drawn by its ping.
+            sequence: the message's number in the run.
+            monotonic_ns: when, on this device's monotonic clock.
+            scheduled_ns: T0 on the same clock (T1 only).
+            source_ns: the middleware's source time stamp, ns since 1970; 0 if unknown.
+            received_ns: the middleware's reception time stamp, ns since 1970; 0 if unknown.
+            payload_bytes: application bytes of the message.
+            relay_id: the relay that handled the message; 0 on T1.
+        """
+        with self._record_lock:
+            head = self._head
+            if head >= self._attention and not self._has_room(head):
+                return
+            try:
+                _pack_into(
+                    self._view,
+                    head % self._slot_count * SLOT_BYTES,
+                    run_id,
+                    sequence,
+                    monotonic_ns,
+                    scheduled_ns,
+                    source_ns,
+                    received_ns,
+                    payload_bytes,
+                    relay_id,
+                    STAGE_MARKS[stage] + head,
+                )
+            except (struct.error, LookupError, TypeError):
+                self._drop()
+            else:
+                self._head = head + 1
+
+    def _has_room(self, head: int) -> bool:
+        """Wake the draining thread; whether there is a free slot. Called with the record lock."""
+        if head >= self._limit:
+            self._drop()
+            return False
+        self._wake.put(True)
+        self._attention = self._limit
+        return True
+
+    def _drop(self) -> None:
+        self._dropped += 1
+        if self._closed is None:
+            self._ring.note_dropped(self._dropped)
+
+    def write_run(self, run: Run) -> None:
+        """Write a run's description; it is in the file, with all events before it, when this returns."""
+        self._write(RUN_TOPIC, run.to_json())
+
+    def write_json(self, topic: str, value: Mapping[str, Any]) -> None:
+        """Write `value` as JSON in a `std_msgs/msg/String`, likewise at once."""
+        self._write(topic, json.dumps(value))
+
+    def _write(self, topic: str, text: str) -> None:
+        with self._write_lock:
+            if self._closed is None:
+                self._texts.append((topic, text, self._session.wall_ns(self._clock_ns())))
+                self._flush()
+
+    @property
+    def dropped_events(self) -> int:
+        """Events that could not be kept so far."""
+        return self._dropped
+
+    @property
+    def error(self) -> OutputError | None:
+        """Why writing failed, the first time that it did. What was written stays; the ring goes on to fill."""
+        return self._error
+
+    def close(self, **session_extra: Any) -> ClosedTrace:
+        """Write what is pending, the closed session with `session_extra`, the summary; delete the ring.
+
+        Where that fails, the ring stays beside the file, and the two together are still a whole trace.
+        """
+        if self._closed is not None:
+            return self._closed
+        self._wake.put(False)
+        self._thread.join()
+        with self._write_lock:
+            with self._record_lock:  # from here on every event is dropped, and counted
+                self._limit = self._attention = self._head
+                self._session = self._session.closed(self._dropped, **session_extra)
+            self._texts.append(
+                (SESSION_TOPIC, self._session.to_json(), self._session.wall_ns(self._clock_ns()))
+            )
+            self._flush()
+            self._finish()
+            pending = self._head - self._drained
+            with self._record_lock:
+                self._closed = ClosedTrace(
+                    path=self._destination.path,
+                    events=self._drained,
+                    dropped_events=self._dropped,
+                    bytes=self._writer.bytes_written,
+                    error=self._error,
+                    ring_events=pending,
+                )
+                self._ring.close(delete=not pending)
+        return self._closed
+
+    def _finish(self) -> None:
+        """Close the file: with its summary if everything is in it."""
+        if self._head > self._drained or self._texts:
+            self._writer.abandon()
+            return
+        try:
+            self._writer.finish()
+            if self._destination.is_bag:
+                write_metadata(self._writer.path, self._writer.topics, self._writer.time_range_ns)
+        except OutputError as err:
+            self._error = self._error or err
+            self._writer.abandon()
+        except OSError as err:
+            self._error = self._error or output_error(self._writer.path.with_name(METADATA_NAME), err)
+
+    def _drain(self) -> None:
+        """The draining thread: a chunk every `chunk_seconds`, or when a quarter of the ring is used."""
+        going_on = True
+        while going_on:
+            with suppress(queue.Empty):
+                going_on = self._wake.get(timeout=self._destination.chunk_seconds)
+            with self._write_lock:
+                self._flush()
+
+    def _flush(self) -> None:
+        """Move what is in the ring, then the texts, to the file. Called with the write lock."""
+        head = self._head
+        try:
+            while self._drained < head:
+                slots = self._ring.pending(self._drained, min(head, self._drained + MAX_CHUNK_EVENTS))
+                self._writer.write_events(slots)
+                self._drained += len(slots)
+                self._limit = self._drained + self._slot_count
+                self._attention = self._drained + self._slot_count // 4
+            while self._texts:
+                self._writer.write_text(*self._texts[0])
+                self._texts.popleft()
+        except OutputError as err:
+            self._error = self._error or err
+
+
+def _make_room(destination: TraceDestination) -> None:
+    """Make the folder that the trace goes to; refuse, or with `force` remove, what is there already."""
+    trace = destination.trace_path
+    ours = (
+        [trace, ring_path(trace), trace.with_name(METADATA_NAME)]
+        if destination.is_bag
+        else [trace, ring_path(trace)]
+    )
+    found = [path for path in (destination.path, *ours) if path.exists()]
+    if found and not destination.force:
+        raise OutputExistsError(f"{found[0]} is there already; choose another name or use --force")
+    try:
+        for path in ours:
+            path.unlink(missing_ok=True)
+        trace.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as err:
+        raise output_error(destination.path, err) from err

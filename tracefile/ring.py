@@ -1,0 +1,239 @@
+r"""The ring file: what was stamped and is not yet in the trace, in memory that outlives the process.
+
+`NAME.mcap.ring` lies beside `NAME.mcap` while it is recorded and is deleted at a clean close. The mapping is
+shared with the page cache, so that a killed process loses nothing that it packed. All numbers little-endian:
+
+    offset  type      field
+    0       8 bytes   magic b"DDSRING\n", written last: a ring without it holds no event yet
+    8       uint32    version of this layout: 1
+    12      uint32    bytes of a slot: 64
+    16      uint64    slots
+    24      uint64    offset of the first slot, a multiple of 4096
+    32      uint64    events dropped so far because no slot was free
+    40      uint64    bytes of the JSON text
+    48      UTF-8     {"format": 1, "session": {...}, "topics": {"1": "/dds_trace/t1", ...}}
+
+A slot is one event and its mark:
+
+    0       56 bytes  the event without its CDR header (`EVENT_DTYPE`)
+    56      uint64    ticket + (stage << 56); stage 1..4, the key of its topic
+
+Tickets count the events of a session: 0, 1, 2 ... Ticket t lies in slot t modulo slots. The mark is packed
+last and the packer zeroes a slot first, so a slot is an event exactly if its mark names a stage and the ticket
+belongs there. Events go to the trace in order of their tickets, in whole chunks; if the complete chunks of the
+trace hold n events then these are tickets 0..n-1, and what the ring adds is every ticket from n on. No counter
+has to agree with the file: a kill between a chunk and its bookkeeping neither doubles nor loses an event.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import mmap
+import os
+import struct
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tracefile.descriptions import Session
+from tracefile.errors import TraceFormatError
+from tracefile.events import EVENT_DTYPE, Stage
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+RING_SUFFIX = ".ring"
+RING_MAGIC = b"DDSRING\n"
+RING_VERSION = 1
+"""Version 1: first version (2026)."""
+
+RING_HEADER = struct.Struct("<8sIIQQQQ")
+DROPPED_AT = 32
+SLOT_BYTES = 64
+SLOT_STRUCT = struct.Struct("<QQqqqqIIQ")
+SLOT_DTYPE = np.dtype(
+    {
+        "names": ["event", "monotonic_ns", "mark", "stage"],
+        "formats": [f"V{EVENT_DTYPE.itemsize}", "<i8", "<u8", "u1"],
+        "offsets": [0, 16, 56, 63],
+        "itemsize": SLOT_BYTES,
+    },
+)
+"""Views of one slot: the event's bytes, its monotonic time (part of them), its mark, the mark's stage byte."""
+
+STAGE_MARKS = (0, *(number << 56 for number in range(1, len(Stage) + 1)))
+TICKET_MASK = (1 << 56) - 1
+STAGE_NUMBERS = dict(enumerate(Stage, start=1))
+
+Slots = np.ndarray[Any, Any]
+"""One-dimensional array of `SLOT_DTYPE`."""
+
+
+def ring_path(trace: Path) -> Path:
+    """Where the ring of a trace lies."""
+    return trace.with_name(trace.name + RING_SUFFIX)
+
+
+class Ring:
+    """A ring that this process writes.
+
+    Attributes:
+        view: the bytes of all slots, to pack into.
+        slots: the same memory as an array of `SLOT_DTYPE`.
+
+    Raises:
+        OSError: the file cannot be made whole (disk full, read-only folder).
+    """
+
+    __slots__ = ("_descriptor", "_map", "path", "slots", "view")
+
+    def __init__(self, path: Path, slot_count: int, session: Session) -> None:
+        self.path = path
+        text = json.dumps(
+            {
+                "format": RING_VERSION,
+                "session": json.loads(session.to_json()),
+                "topics": {str(number): stage.topic for number, stage in STAGE_NUMBERS.items()},
+            },
+        ).encode()
+        slots_at = -(-(RING_HEADER.size + len(text)) // mmap.PAGESIZE) * mmap.PAGESIZE
+        self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+        try:
+            with suppress(OSError):  # a file system without locks: recovery then cannot see that we live
+                fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            _fill(self._descriptor, slots_at + slot_count * SLOT_BYTES)
+            self._map = mmap.mmap(self._descriptor, 0)
+        except OSError:
+            os.close(self._descriptor)
+            path.unlink(missing_ok=True)
+            raise
+        header = RING_HEADER.pack(b"", RING_VERSION, SLOT_BYTES, slot_count, slots_at, 0, len(text))
+        self._map[: len(header)] = header
+        self._map[RING_HEADER.size : RING_HEADER.size + len(text)] = text
+        self._map[: len(RING_MAGIC)] = RING_MAGIC
+        self.view = memoryview(self._map)[slots_at:]
+        self.slots: Slots = np.frombuffer(self.view, SLOT_DTYPE)
+
+    def pending(self, first: int, end: int) -> Slots:
+        """The slots of tickets `first` up to `end`, or fewer where the ring's end comes between; no copy."""
+        start = first % len(self.slots)
+        return self.slots[start : min(start + end - first, len(self.slots))]
+
+    def note_dropped(self, dropped: int) -> None:
+        """Leave the number of dropped events where recovery finds it."""
+        struct.pack_into("<Q", self._map, DROPPED_AT, dropped)
+
+    def close(self, *, delete: bool) -> None:
+        """Unmap the ring; nothing may be packed any more. `delete` once every event is in the trace."""
+        self.slots = self.slots[:0].copy()
+        self.view.release()
+        self._map.close()
+        if delete:
+            self.path.unlink(missing_ok=True)
+        os.close(self._descriptor)
+
+
+def _fill(descriptor: int, size: int) -> None:
+    """Write `size` zeros.
+
+    A mapped page without a block on disk kills the process (SIGBUS) when the disk is full, so every block is
+    taken now. Written rather than only allocated: the first store to a page then changes no extent on disk.
+    """
+    zeros = bytes(1 << 20)
+    while size > 0:
+        size -= os.write(descriptor, zeros[:size])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RingContents:
+    """What a ring file holds beyond the trace beside it.
+
+    Attributes:
+        session: the recording process, as it described itself at its start.
+        slots: the events whose ticket is not in the trace, ordered by ticket; array of `SLOT_DTYPE`.
+        missing_events: tickets between the trace's last event and the ring's last that are in neither. None
+            is missing after a killed process; a power failure may lose pages of either file.
+        dropped_events: events that found no free slot.
+        recording: the recording process is still alive.
+    """
+
+    session: Session
+    slots: Slots
+    missing_events: int
+    dropped_events: int
+    recording: bool
+
+    def of_stage(self, stage: Stage) -> np.ndarray[Any, Any]:
+        """The events of one stage in order of their tickets: array of `EVENT_DTYPE`."""
+        number = next(number for number, known in STAGE_NUMBERS.items() if known is stage)
+        taken = self.slots["event"][self.slots["stage"] == number]
+        return np.frombuffer(taken.tobytes(), EVENT_DTYPE)
+
+
+def read_ring(path: Path, events_in_trace: int) -> RingContents | None:
+    """What the ring at `path` adds to a trace whose complete chunks hold `events_in_trace` events.
+
+    Args:
+        path: the ring file, `ring_path(trace)`.
+        events_in_trace: messages on the four event topics in the complete chunks of the trace, together. A
+            reader that also uses part of a torn chunk must leave that chunk out of both, or keep both.
+
+    Returns:
+        None if the recorder was killed before the ring was complete: it then holds no event.
+
+    Raises:
+        TraceFormatError: this is no ring, or one of another version.
+        OSError: the file cannot be read.
+    """
+    with path.open("rb") as stream:
+        recording = _is_locked(stream.fileno())
+        content = stream.read()
+    if len(content) < RING_HEADER.size or not any(content[: len(RING_MAGIC)]):
+        return None
+    magic, version, slot_bytes, slot_count, slots_at, dropped, text_bytes = RING_HEADER.unpack_from(content)
+    if magic != RING_MAGIC:
+        raise TraceFormatError(path, "this is no ring file of dds-trace")
+    if version != RING_VERSION or slot_bytes != SLOT_BYTES:
+        raise TraceFormatError(
+            path, f"ring of version {version}, this version reads {RING_VERSION}; update dds-trace"
+        )
+    if len(content) < slots_at + slot_count * SLOT_BYTES or RING_HEADER.size + text_bytes > slots_at:
+        raise TraceFormatError(path, "the ring file is shorter than its header says")
+    session = _session(content[RING_HEADER.size : RING_HEADER.size + text_bytes], path)
+    every = np.frombuffer(content, SLOT_DTYPE, slot_count, slots_at)
+    tickets = every["mark"] & TICKET_MASK
+    is_event = (every["stage"] >= 1) & (every["stage"] <= len(Stage))
+    is_event &= tickets % max(slot_count, 1) == np.arange(slot_count, dtype=np.uint64)
+    pending = np.flatnonzero(is_event & (tickets >= events_in_trace))
+    pending = pending[np.argsort(tickets[pending])]
+    end = int(tickets[pending[-1]]) + 1 if len(pending) else events_in_trace
+    return RingContents(
+        session=session,
+        slots=every[pending],
+        missing_events=end - events_in_trace - len(pending),
+        dropped_events=dropped,
+        recording=recording,
+    )
+
+
+def _session(text: bytes, path: Path) -> Session:
+    try:
+        described = json.loads(text)["session"]
+    except (ValueError, KeyError, TypeError) as err:
+        raise TraceFormatError(path, f"the ring's header names no session ({err})", RING_HEADER.size) from err
+    return Session.from_json(json.dumps(described), path)
+
+
+def _is_locked(descriptor: int) -> bool:
+    """Whether a living recorder holds the ring."""
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    fcntl.flock(descriptor, fcntl.LOCK_UN)
+    return False

@@ -1,0 +1,90 @@
+"""The `metadata.yaml` that makes a folder with one MCAP file a rosbag2 bag."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from tracefile.writer import TopicCount
+
+METADATA_NAME = "metadata.yaml"
+BAG_VERSION = 9
+"""ROS 2 Jazzy's. Version 7 brought type hashes, 8 the distribution, 9 QoS profiles as YAML, not as text."""
+
+
+def write_metadata(trace: Path, topics: Sequence[TopicCount], time_range_ns: tuple[int, int]) -> None:
+    """Write `metadata.yaml` beside the one MCAP file of a bag.
+
+    No QoS profile is offered: nothing was received over these topics, so a player uses its default.
+
+    Args:
+        trace: the closed MCAP file.
+        topics: its topics.
+        time_range_ns: its earliest and latest log time.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    start_ns, end_ns = time_range_ns
+    count = sum(topic.messages for topic in topics)
+    name = json.dumps(trace.name)  # a JSON string is a YAML string, whatever is in it
+    per_topic = "".join(
+        _TOPIC.format(
+            topic=json.dumps(topic.topic),
+            schema_name=topic.schema_name,
+            type_hash=topic.type_hash,
+            messages=topic.messages,
+        )
+        for topic in topics
+    )
+    text = _METADATA.format(
+        version=BAG_VERSION,
+        name=name,
+        start_ns=start_ns,
+        duration_ns=end_ns - start_ns,
+        count=count,
+        topics=per_topic or " []\n",
+    )
+    path = trace.with_name(METADATA_NAME)
+    unfinished = path.with_suffix(".yaml.tmp")
+    unfinished.write_text(text, encoding="utf-8")
+    unfinished.replace(path)
+
+
+_TOPIC = """
+    - topic_metadata:
+        name: {topic}
+        type: {schema_name}
+        serialization_format: cdr
+        offered_qos_profiles: []
+        type_description_hash: {type_hash}
+      message_count: {messages}"""
+
+_METADATA = """\
+rosbag2_bagfile_information:
+  version: {version}
+  storage_identifier: mcap
+  duration:
+    nanoseconds: {duration_ns}
+  starting_time:
+    nanoseconds_since_epoch: {start_ns}
+  message_count: {count}
+  topics_with_message_count:{topics}
+  compression_format: ""
+  compression_mode: ""
+  relative_file_paths:
+    - {name}
+  files:
+    - path: {name}
+      starting_time:
+        nanoseconds_since_epoch: {start_ns}
+      duration:
+        nanoseconds: {duration_ns}
+      message_count: {count}
+  custom_data: ~
+  ros_distro: dds-trace
+"""

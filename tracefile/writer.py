@@ -1,0 +1,313 @@
+"""The MCAP file of a trace: grows by whole chunks, readable after each, closed with summary and statistics."""
+
+from __future__ import annotations
+
+import errno
+import os
+import struct
+import zlib
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Channel,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    Message,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+
+from tracefile.descriptions import STRING_DEFINITION, STRING_SCHEMA_NAME
+from tracefile.errors import OutputError
+from tracefile.event_chunks import Chunk, EventChunkBuilder
+from tracefile.events import CDR_HEADER, EVENT_DEFINITION, EVENT_SCHEMA_NAME, RUN_TOPIC, SESSION_TOPIC, Stage
+from tracefile.version import __version__
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
+
+    from mcap.records import McapRecord
+
+    from tracefile.descriptions import Session
+    from tracefile.ring import Slots
+
+MAGIC = b"\x89MCAP0\r\n"
+MAX_CHUNK_EVENTS = 1 << 14
+"""1.5 MB before compression: long enough to compress well, short enough to read one at a time."""
+
+ZSTD_LEVEL = 1  # level 3 makes events 5 % smaller and takes twice the time
+
+EVENT_SCHEMA = Schema(id=1, name=EVENT_SCHEMA_NAME, encoding="ros2msg", data=EVENT_DEFINITION.encode())
+STRING_SCHEMA = Schema(id=2, name=STRING_SCHEMA_NAME, encoding="ros2msg", data=STRING_DEFINITION.encode())
+TYPE_HASHES = {
+    EVENT_SCHEMA_NAME: "RIHS01_bda991ead4fe8ce479c129efc17c1affed4da47fbc0d1731d7bad959cf922db2",
+    STRING_SCHEMA_NAME: "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18",
+}
+"""What ROS 2 calls the type description hash (REP 2016); computed once by rosbags from the definitions."""
+
+EVENT_TOPICS = tuple(stage.topic for stage in Stage)
+"""Channel ids 1..4: the stage's number in the ring."""
+TEXT_TOPICS = (SESSION_TOPIC, RUN_TOPIC)
+
+_CHUNK_HEADER = struct.Struct("<BQQQQI")  # opcode, length, start, end, uncompressed size, CRC of that
+_INDEX_HEADER = struct.Struct("<BQHI")  # opcode, length, channel id, bytes of entries
+_COMPRESSION = b"\x04\x00\x00\x00zstd"
+
+
+@dataclass(frozen=True, slots=True)
+class TopicCount:
+    """A topic of the file: its type, that type's hash, and how many messages it has."""
+
+    topic: str
+    schema_name: str
+    type_hash: str
+    messages: int
+
+
+class TraceWriter:
+    """Writes one trace. Every method leaves a readable file behind, also where it fails.
+
+    Args:
+        path: the `.mcap` file, which must not exist.
+        session: whose clock anchor makes the log times.
+        fsync: each chunk is on the disk when its call returns, not only in the page cache.
+
+    Raises:
+        OutputError: the file cannot be made; later, by each method: it cannot be written.
+    """
+
+    def __init__(self, path: Path, session: Session, *, fsync: bool = False) -> None:
+        self.path = path
+        self._fsync = fsync
+        self._compressor = zstandard.ZstdCompressor(level=ZSTD_LEVEL)
+        self._builder = EventChunkBuilder(session.wall_ns(0), MAX_CHUNK_EVENTS)
+        self._channels: dict[str, Channel] = {}
+        self._declared: set[int] = set()  # channel ids that are in the file, and the schemas with them
+        self._counts: dict[int, int] = {}
+        self._chunks: list[ChunkIndex] = []
+        self._last_ns = 0
+        self._end = 0
+        for topic in EVENT_TOPICS:
+            self._channel(topic, EVENT_SCHEMA)
+        for topic in TEXT_TOPICS:
+            self._channel(topic, STRING_SCHEMA)
+        try:
+            self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+        except OSError as err:
+            raise output_error(path, err) from err
+        try:
+            self._append([MAGIC, _record(Header(profile="ros2", library=f"dds-trace {__version__}"))])
+        except OutputError:
+            os.close(self._descriptor)
+            path.unlink(missing_ok=True)
+            raise
+
+    @property
+    def bytes_written(self) -> int:
+        """Length of the file."""
+        return self._end
+
+    @property
+    def events(self) -> int:
+        """Events in the file."""
+        return sum(self._counts.get(self._channels[topic].id, 0) for topic in EVENT_TOPICS)
+
+    @property
+    def topics(self) -> list[TopicCount]:
+        """The topics that have messages."""
+        return [
+            TopicCount(c.topic, _schema_of(c).name, c.metadata["topic_type_hash"], self._counts[c.id])
+            for c in self._channels.values()
+            if c.id in self._counts
+        ]
+
+    @property
+    def time_range_ns(self) -> tuple[int, int]:
+        """Earliest and latest log time."""
+        return min((chunk.message_start_time for chunk in self._chunks), default=0), self._last_ns
+
+    def write_events(self, slots: Slots) -> None:
+        """Append a chunk of events (one to `MAX_CHUNK_EVENTS`) in the order of `slots`."""
+        used = [self._channels[EVENT_TOPICS[number - 1]] for number in np.unique(slots["stage"])]
+        declarations = self._declare(used)
+        self._write_chunk(self._builder.build(slots, declarations, self._counts, self._last_ns), used)
+
+    def write_text(self, topic: str, text: str, time_ns: int) -> None:
+        """Append a chunk with one `std_msgs/msg/String`, so that it is not lost with what comes later.
+
+        Args:
+            topic: a topic that is no event's.
+            text: the string's data.
+            time_ns: its log time, moved up to that of the file's last message if it is earlier.
+        """
+        channel = self._channel(topic, STRING_SCHEMA)
+        log_time = max(time_ns, self._last_ns)
+        data = text.encode() + b"\0"
+        message = Message(
+            channel_id=channel.id,
+            log_time=log_time,
+            publish_time=log_time,
+            sequence=self._counts.get(channel.id, 0),
+            data=CDR_HEADER + struct.pack("<I", len(data)) + data,
+        )
+        declarations = self._declare([channel])
+        content = memoryview(declarations + _record(message))
+        index = np.array([[log_time, len(declarations)]], np.uint64)
+        self._write_chunk(Chunk(content, log_time, log_time, {channel.id: index}), [channel])
+
+    def finish(self) -> None:
+        """Close the data section, write summary and footer, close the file."""
+        summary_start = self._end + len(_record(DataEnd(0)))
+        channels = [channel for channel in self._channels.values() if channel.id in self._declared]
+        schemas = {channel.schema_id: _schema_of(channel) for channel in channels}
+        start_ns, end_ns = self.time_range_ns
+        statistics = Statistics(
+            message_count=sum(self._counts.values()),
+            schema_count=len(schemas),
+            channel_count=len(channels),
+            attachment_count=0,
+            metadata_count=0,
+            chunk_count=len(self._chunks),
+            message_start_time=start_ns,
+            message_end_time=end_ns,
+            channel_message_counts=self._counts,
+        )
+        groups: list[tuple[Opcode, Iterable[McapRecord]]] = [
+            (Opcode.SCHEMA, schemas.values()),
+            (Opcode.CHANNEL, channels),
+            (Opcode.STATISTICS, [statistics]),
+            (Opcode.CHUNK_INDEX, self._chunks),
+        ]
+        summary = offsets = b""
+        for opcode, records in groups:
+            group = b"".join(map(_record, records))
+            if group:
+                offsets += _record(SummaryOffset(opcode, summary_start + len(summary), len(group)))
+            summary += group
+        offsets_start = summary_start + len(summary)
+        footer = _record(Footer(summary_start, offsets_start, 0))[:-4]  # its CRC covers all but itself
+        summary += offsets + footer
+        self._append([_record(DataEnd(0)), summary, struct.pack("<I", zlib.crc32(summary)), MAGIC])
+        self.abandon()
+
+    def abandon(self) -> None:
+        """Close the file as it is, without summary."""
+        os.close(self._descriptor)
+
+    def _channel(self, topic: str, schema: Schema) -> Channel:
+        if topic not in self._channels:
+            self._channels[topic] = Channel(
+                id=len(self._channels) + 1,
+                topic=topic,
+                message_encoding="cdr",
+                metadata={"topic_type_hash": TYPE_HASHES[schema.name]},
+                schema_id=schema.id,
+            )
+        return self._channels[topic]
+
+    def _declare(self, channels: Sequence[Channel]) -> bytes:
+        """Records of those channels, and their schemas, that the file does not have yet."""
+        known = {c.schema_id for c in self._channels.values() if c.id in self._declared}
+        fresh = [channel for channel in channels if channel.id not in self._declared]
+        schemas = {c.schema_id: _schema_of(c) for c in fresh if c.schema_id not in known}
+        return b"".join(map(_record, [*schemas.values(), *fresh]))
+
+    def _write_chunk(self, chunk: Chunk, channels: Sequence[Channel]) -> None:
+        """Append the chunk and its message indexes; only then is it part of what `self` knows of the file."""
+        compressed = self._compressor.compress(chunk.content)
+        size = len(chunk.content)
+        body = _CHUNK_HEADER.size - 9 + len(_COMPRESSION) + 8 + len(compressed)
+        header = _CHUNK_HEADER.pack(
+            Opcode.CHUNK, body, chunk.start_ns, chunk.end_ns, size, zlib.crc32(chunk.content)
+        )
+        parts: list[bytes | memoryview] = [
+            header + _COMPRESSION + struct.pack("<Q", len(compressed)),
+            compressed,
+        ]
+        chunk_length = 9 + body
+        index_at = self._end + chunk_length
+        offsets = {}
+        for channel_id, entries in chunk.index.items():
+            offsets[channel_id] = index_at
+            parts += [
+                _INDEX_HEADER.pack(Opcode.MESSAGE_INDEX, 6 + entries.nbytes, channel_id, entries.nbytes),
+                entries.data.cast("B"),
+            ]
+            index_at += _INDEX_HEADER.size + entries.nbytes
+        description = ChunkIndex(
+            message_start_time=chunk.start_ns,
+            message_end_time=chunk.end_ns,
+            chunk_start_offset=self._end,
+            chunk_length=chunk_length,
+            message_index_offsets=offsets,
+            message_index_length=index_at - self._end - chunk_length,
+            compression="zstd",
+            compressed_size=len(compressed),
+            uncompressed_size=size,
+        )
+        self._append(parts)
+        self._chunks.append(description)
+        self._declared.update(channel.id for channel in channels)
+        for channel_id, entries in chunk.index.items():
+            self._counts[channel_id] = self._counts.get(channel_id, 0) + len(entries)
+        self._last_ns = chunk.end_ns
+
+    def _append(self, parts: Sequence[bytes | memoryview]) -> None:
+        """Write `parts` at the end, all or nothing: what fits only in part is cut off again."""
+        end = self._end
+        try:
+            if os.fstat(self._descriptor).st_nlink == 0:
+                raise FileNotFoundError(errno.ENOENT, "deleted")
+            end += os.pwritev(self._descriptor, parts, end)
+            rest = memoryview(b"")
+            if end - self._end < sum(map(len, parts)):  # a disk fills up in the middle of a write
+                rest = memoryview(b"".join(parts))[end - self._end :]
+            while rest:
+                written = os.pwrite(self._descriptor, rest, end)
+                end, rest = end + written, rest[written:]
+            if self._fsync:
+                os.fsync(self._descriptor)
+        except OSError as err:
+            with suppress(OSError):
+                os.ftruncate(self._descriptor, self._end)
+            raise output_error(self.path, err) from err
+        self._end = end
+
+
+_ADVICE = {
+    errno.ENOSPC: "the disk is full; free space or record to another disk",
+    errno.EDQUOT: "the disk quota is used up; free space or record to another disk",
+    errno.EFBIG: "the file may not grow further; raise the file size limit (ulimit -f)",
+    errno.EROFS: "the file system is read-only; choose another --out",
+    errno.EACCES: "no permission to write here; choose another --out",
+    errno.EPERM: "no permission to write here; choose another --out",
+    errno.ENOENT: "the file or its folder was deleted or moved; record to a folder that stays",
+    errno.ENOTDIR: "a part of the path is no folder; choose another --out",
+}
+
+
+def output_error(path: Path, err: OSError) -> OutputError:
+    """What a failed write means for the user, from the system's error number."""
+    advice = _ADVICE.get(err.errno or 0, f"{err.strerror}; check the disk")
+    return OutputError(f"{path}: cannot write the trace: {advice}")
+
+
+def _record(record: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)
+    data: bytes = builder.end()  # type: ignore[no-untyped-call]  # mcap leaves it open
+    return data
+
+
+def _schema_of(channel: Channel) -> Schema:
+    return EVENT_SCHEMA if channel.schema_id == EVENT_SCHEMA.id else STRING_SCHEMA

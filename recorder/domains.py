@@ -1,0 +1,82 @@
+"""The guard of DDS domain ids: which ports a domain has on this machine, and who is in them already.
+
+Ports are 7400 + 250 * domain, then 10 + 2 * participant for discovery (DDSI-RTPS 2.5, section 9.6.2.3). The
+discovery port of participant 120 is the first port of the next domain; nothing in DDS says so.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tracefile import OptionError
+
+LAST_DOMAIN = 231
+"""Of domain 232 even the first participant has no ports below 65536."""
+
+PARTICIPANTS_PER_DOMAIN = 120
+_PORT_BASE, _DOMAIN_GAIN, _FIRST_PARTICIPANT = 7400, 250, 10
+_PROC = Path("/proc")
+
+
+def check_domain(domain_id: int, proc: Path = _PROC) -> list[str]:
+    """Warnings about joining `domain_id` now, counted on the running system; empty if nothing speaks against it.
+
+    Args:
+        domain_id: the domain to join.
+        proc: where the kernel shows its sockets.
+
+    Raises:
+        OptionError: there is no such domain, or one more participant would use the next domain's ports.
+    """
+    if not 0 <= domain_id <= LAST_DOMAIN:
+        raise OptionError(f"--domain {domain_id}: a DDS domain id is 0 to {LAST_DOMAIN}")
+    ports = bound_udp_ports(proc)
+    if len(participants_in(domain_id, ports)) >= PARTICIPANTS_PER_DOMAIN:
+        raise OptionError(
+            f"--domain {domain_id}: {PARTICIPANTS_PER_DOMAIN} participants of this machine are in it already, and "
+            f"the next one would use the ports of domain {domain_id + 1}; end some of them or choose another domain"
+        )
+    warnings = []
+    if domain_id > 0 and len(participants_in(domain_id - 1, ports)) >= PARTICIPANTS_PER_DOMAIN:
+        warnings.append(
+            f"domain {domain_id - 1} is full on this machine: its next participants use ports of domain {domain_id}"
+        )
+    last_port = first_port(domain_id) + _DOMAIN_GAIN - 1
+    ephemeral = first_ephemeral_port(proc)
+    if ephemeral is not None and last_port >= ephemeral:
+        warnings.append(
+            f"the ports of domain {domain_id} ({first_port(domain_id)} to {last_port}) reach into those that the "
+            f"kernel gives to any program (from {ephemeral}); a domain up to 101 is safe on a stock Linux"
+        )
+    return warnings
+
+
+def first_port(domain_id: int) -> int:
+    """The first of the 250 ports of a domain."""
+    return _PORT_BASE + _DOMAIN_GAIN * domain_id
+
+
+def participants_in(domain_id: int, ports: set[int]) -> list[int]:
+    """Numbers of the participants of this machine whose discovery port is among `ports`."""
+    first = first_port(domain_id) + _FIRST_PARTICIPANT
+    return [number for number in range(PARTICIPANTS_PER_DOMAIN) if first + 2 * number in ports]
+
+
+def bound_udp_ports(proc: Path = _PROC) -> set[int]:
+    """Local ports of all UDP sockets in this network namespace."""
+    ports: set[int] = set()
+    for name in ("net/udp", "net/udp6"):
+        try:
+            lines = (proc / name).read_text().splitlines()[1:]
+        except OSError:  # no such protocol here
+            continue
+        ports.update(int(line.split()[1].rpartition(":")[2], 16) for line in lines)
+    return ports
+
+
+def first_ephemeral_port(proc: Path = _PROC) -> int | None:
+    """The lowest port that the kernel hands out by itself, None if it does not tell."""
+    try:
+        return int((proc / "sys/net/ipv4/ip_local_port_range").read_text().split()[0])
+    except (OSError, ValueError, IndexError):
+        return None

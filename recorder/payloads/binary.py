@@ -1,0 +1,67 @@
+"""Binary data: a `sensor_msgs/msg/Image` of one row of random bytes, which no layer can compress away."""
+
+from __future__ import annotations
+
+import random
+import struct
+from typing import TYPE_CHECKING, Any
+
+from recorder.backend import Serialization
+from recorder.cdr import CdrWriter
+from recorder.payload import DataType, Message, Payload
+from recorder.stamp import RAW_HEADER_STAMP, TYPED_HEADER_STAMP, stamp_text
+from tracefile import OptionError
+
+if TYPE_CHECKING:
+    from recorder.backend import RawMessage
+
+DEFAULT_BYTES = 33_000
+MAX_BYTES = (1 << 32) - 1  # width, step and the length of `data` are uint32
+_UINT32 = struct.Struct("<I")
+_ENCODING_OFFSET = (
+    72  # of its length: encapsulation 4, time 8, frame_id with our stamp 4 + 47 + 1, height, width
+)
+
+
+def make_payload(size_bytes: int | None, seed: int) -> Payload:
+    """One image of `size_bytes` random bytes (33 KB by default).
+
+    Raises:
+        OptionError: an image cannot have that size.
+    """
+    size = DEFAULT_BYTES if size_bytes is None else size_bytes
+    if not 1 <= size <= MAX_BYTES:
+        raise OptionError(f"--size {size}: a binary payload has 1 to {MAX_BYTES} bytes")
+    writer = CdrWriter()
+    writer.header(stamp_text(0, 0))
+    writer.uint32(1)  # height
+    writer.uint32(size)  # width
+    writer.string(b"mono8")
+    writer.uint8(0)  # is_bigendian
+    writer.uint32(size)  # step
+    writer.octets(random.Random(seed).randbytes(size))  # noqa: S311 - reproducible noise, no secret
+    return Payload(BINARY, (Message(writer.message(), size),), size)
+
+
+def payload_bytes_of(message: RawMessage) -> int:
+    """Length of `data` in a serialized image; it lies behind the encoding's name and the step."""
+    (encoding_bytes,) = _UINT32.unpack_from(message, _ENCODING_OFFSET)
+    step_offset = _ENCODING_OFFSET + 4 + encoding_bytes + 1  # is_bigendian is one byte
+    step_offset += -step_offset % 4
+    (found,) = _UINT32.unpack_from(message, step_offset + 4)
+    return int(found)
+
+
+def typed_payload_bytes_of(message: Any) -> int:
+    """Length of `data` of an image object."""
+    return len(message.data)
+
+
+BINARY = DataType(
+    name="binary",
+    topic="binary_image",
+    type_name="sensor_msgs/msg/Image",
+    stamps={Serialization.RAW: RAW_HEADER_STAMP, Serialization.TYPED: TYPED_HEADER_STAMP},
+    make=make_payload,
+    payload_bytes_of={Serialization.RAW: payload_bytes_of, Serialization.TYPED: typed_payload_bytes_of},
+)

@@ -1,0 +1,57 @@
+"""Inertial data: a full `sensor_msgs/msg/Imu`, every one of its 37 numbers set."""
+
+from __future__ import annotations
+
+import random
+from typing import TYPE_CHECKING, Any
+
+from recorder.backend import Serialization
+from recorder.cdr import CdrWriter
+from recorder.payload import DataType, Message, Payload
+from recorder.stamp import RAW_HEADER_STAMP, TYPED_HEADER_STAMP, stamp_text
+from tracefile import OptionError
+
+if TYPE_CHECKING:
+    from recorder.backend import RawMessage
+
+# orientation, angular velocity and linear acceleration, each with its 3 x 3 covariance
+FIELDS = (4, 9, 3, 9, 3, 9)
+PAYLOAD_BYTES = 8 * sum(FIELDS)
+
+
+def make_payload(size_bytes: int | None, seed: int) -> Payload:
+    """One message of random numbers; its size is 296 bytes.
+
+    Raises:
+        OptionError: another size was asked for.
+    """
+    if size_bytes not in (None, PAYLOAD_BYTES):
+        raise OptionError(
+            f"--size {size_bytes}: an IMU message always has {PAYLOAD_BYTES} bytes; leave --size out"
+        )
+    draw = random.Random(seed)  # noqa: S311 - reproducible noise, no secret
+    writer = CdrWriter()
+    writer.header(stamp_text(0, 0))
+    for length in FIELDS:
+        writer.float64s([draw.uniform(-1.0, 1.0) for _ in range(length)])
+    return Payload(IMU, (Message(writer.message(), PAYLOAD_BYTES),), PAYLOAD_BYTES)
+
+
+def payload_bytes_of(_message: RawMessage) -> int:
+    """The same for every IMU message."""
+    return PAYLOAD_BYTES
+
+
+def typed_payload_bytes_of(_message: Any) -> int:
+    """The same for every IMU message."""
+    return PAYLOAD_BYTES
+
+
+IMU = DataType(
+    name="imu",
+    topic="imu_data",
+    type_name="sensor_msgs/msg/Imu",
+    stamps={Serialization.RAW: RAW_HEADER_STAMP, Serialization.TYPED: TYPED_HEADER_STAMP},
+    make=make_payload,
+    payload_bytes_of={Serialization.RAW: payload_bytes_of, Serialization.TYPED: typed_payload_bytes_of},
+)

@@ -1,0 +1,42 @@
+"""Which pairs of a publisher and a subscription can never match, said in words."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from recorder.backend import Endpoint
+    from tracefile import Qos
+
+# A publisher must offer at least what a subscription requests (DDS 1.4, section 2.2.3). From weak to strong.
+RANKS = {
+    "reliability": ("best_effort", "reliable"),
+    "durability": ("volatile", "transient_local", "transient", "persistent"),
+}
+
+
+def mismatches(offered: Qos, requested: Qos) -> list[str]:
+    """The policies in which `offered` falls short of `requested`; a value that is unknown is no mismatch."""
+    found = []
+    for policy, ranks in RANKS.items():
+        offers, requests = getattr(offered, policy), getattr(requested, policy)
+        if offers in ranks and requests in ranks and ranks.index(offers) < ranks.index(requests):
+            found.append(f"{policy} ({offers} offered, {requests} requested)")
+    return found
+
+
+def incompatible_pairs(
+    topic: str, publishers: Iterable[Endpoint], subscriptions: Iterable[Endpoint], own_name: str
+) -> Iterator[str]:
+    """One line for each pair on `topic` that will never match and of which one side is the node `own_name`."""
+    held = list(subscriptions)
+    for publisher in publishers:
+        for subscription in held:
+            names = publisher.node_name, subscription.node_name
+            if own_name not in names or publisher.qos is None or subscription.qos is None:
+                continue
+            found = mismatches(publisher.qos, subscription.qos)
+            if found:
+                yield f"{topic}: publisher of {names[0]} and subscription of {names[1]} differ in {', '.join(found)}"

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import TYPE_CHECKING, ClassVar, Protocol
 
-from recorder.backend import Discovery
+from recorder.backend import Discovery, Transport
 from tracefile import OptionError, Qos, TraceError
 
 if TYPE_CHECKING:
@@ -79,6 +79,8 @@ class BridgeOptions:
         topics: what crosses; nothing else does.
         qos: of every bridged topic on both sides, so that the bridge asks for no more than the nodes offer.
         discovery: how far the bridge looks for nodes.
+        transport: of our own bridges' nodes, as of the roles' own (`NodeOptions`).
+        tuned: likewise.
         half: which part runs here, for bridges that have one on each device.
         listen: `HOST:PORT` where this half waits for the other.
         peers: `HOST:PORT` of each other half that this one connects to.
@@ -92,6 +94,8 @@ class BridgeOptions:
     topics: tuple[BridgedTopic, ...] = BRIDGED_TOPICS
     qos: Qos = field(default_factory=Qos)
     discovery: Discovery = Discovery.SUBNET
+    transport: Transport = Transport.DEFAULT
+    tuned: bool = False
     half: Half = Half.BOTH
     listen: str | None = None
     peers: tuple[str, ...] = ()
@@ -193,6 +197,11 @@ def split_halves(bridge: Bridge, options: BridgeOptions) -> tuple[BridgeOptions,
         raise OptionError(
             f"{bridge.name} is one program that joins both domains and has no halves; "
             "run it on one device, without --half, --listen and --peer",
+        )
+    if bridge.has_halves and not (options.listen or options.peers):
+        raise OptionError(
+            f"this half of {bridge.name} would never meet the other one; give --listen HOST:PORT here "
+            "and --peer HOST:PORT with the same address there, or the other way round",
         )
     return (options,)
 

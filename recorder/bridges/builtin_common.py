@@ -9,7 +9,7 @@ import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from recorder.backend import Discovery, NodeOptions
+from recorder.backend import Discovery, NodeOptions, Transport
 from recorder.backends import open_node
 from recorder.bridges.bridge import BridgedTopic, BridgeOptions, Half
 from tracefile import Qos, TraceError, TraceFormatError
@@ -36,6 +36,8 @@ def options_to_json(options: BridgeOptions) -> str:
                 "listen": options.listen,
                 "peers": options.peers,
                 "discovery": options.discovery.value,
+                "transport": options.transport.value,
+                "tuned": options.tuned,
                 "qos": options.qos.to_dict(),
                 "topics": {topic.name: topic.type_name for topic in options.topics},
             },
@@ -59,6 +61,8 @@ def options_from_json(path: Path) -> BridgeOptions:
             topics=tuple(BridgedTopic(name, type_name) for name, type_name in found["topics"].items()),
             qos=Qos(**found["qos"]),
             discovery=Discovery(found["discovery"]),
+            transport=Transport(found["transport"]),
+            tuned=found["tuned"],
             half=Half(found["half"]),
             listen=found["listen"],
             peers=tuple(found["peers"]),
@@ -76,6 +80,8 @@ def open_side(side: BridgeSide, options: BridgeOptions) -> Node:
             name=f"dds_trace_bridge_{side.domain_id}",
             discovery=options.discovery,
             qos=options.qos,
+            transport=options.transport,
+            tuned=options.tuned,
         ),
     )
 

@@ -1,0 +1,85 @@
+"""Real ROS 2 nodes that show which topics cross between two domains.
+
+`watch_crossing` runs this file as a process of its own, because rclpy's wheels start Python anew on import. In it, a
+sender in the first domain publishes on every topic, a listener there hears it (the control), an echoer in the second
+domain answers on the `_relay` twin, and the sender counts the answers.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from threading import Event
+
+CDR_HEADER = b"\x00\x01\x00\x00"
+TIMEOUT_S = 60.0
+
+
+@dataclass(frozen=True)
+class Crossing:
+    """Messages of each topic: `heard` in the sender's own domain, `crossed` to the other, `echoed` back."""
+
+    heard: dict[str, int]
+    crossed: dict[str, int]
+    echoed: dict[str, int]
+
+
+def watch_crossing(first, second, topics, *, until, count=5):
+    """Counts once `count` messages of each topic named in `until` ("heard" or "echoed") were seen.
+
+    Args:
+        topics: name -> type name.
+        until: ("echoed", names) or ("heard", names).
+    """
+    order = json.dumps({"first": first, "second": second, "topics": topics, "until": until, "count": count})
+    ran = subprocess.run(
+        [sys.executable, __file__, order], capture_output=True, text=True, timeout=TIMEOUT_S + 30, check=False
+    )
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    return Crossing(**json.loads(ran.stdout))
+
+
+def main(first, second, topics, until, count):
+    from recorder.backend import Discovery, NodeOptions
+    from recorder.backends import open_node
+
+    seen = {kind: dict.fromkeys(topics, 0) for kind in ("heard", "crossed", "echoed")}
+    kind, names = until
+    with (
+        open_node("ros2", NodeOptions(first, "sender", Discovery.LOCALHOST)) as sender,
+        open_node("ros2", NodeOptions(first, "listener", Discovery.LOCALHOST)) as listener,
+        open_node("ros2", NodeOptions(second, "echoer", Discovery.LOCALHOST)) as echoer,
+    ):
+
+        def on(kind, topic, answer=None):
+            def receive(message, *_):
+                seen[kind][topic] += 1
+                if answer is not None:
+                    answer.publish(message)
+
+            return receive
+
+        publishers = []
+        for topic, type_name in topics.items():
+            publishers.append(sender.create_publisher(topic, type_name))
+            listener.create_subscription(topic, type_name, on("heard", topic))
+            answer = echoer.create_publisher(f"{topic}_relay", type_name)
+            echoer.create_subscription(topic, type_name, on("crossed", topic, answer))
+            sender.create_subscription(f"{topic}_relay", type_name, on("echoed", topic))
+        for node in (sender, listener, echoer):
+            node.start()
+        pause = Event()
+        deadline = time.monotonic() + TIMEOUT_S
+        while any(seen[kind][name] < count for name in names):
+            assert time.monotonic() < deadline, f"not seen in time: {seen}"
+            for publisher in publishers:
+                publisher.publish(CDR_HEADER + bytes(64))
+            pause.wait(0.05)
+    print(json.dumps(seen))
+
+
+if __name__ == "__main__":
+    main(**json.loads(sys.argv[1]))

@@ -1,0 +1,285 @@
+"""Clock fits on timelines whose truth is known: hand-drawn ones, and drawn ones with offset, drift and steps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import polars as pl
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from roundtrip_frames import MS, S, roundtrips
+
+from analyzer.clocks import align_clocks, clock_table, fit_clock, ping_boots
+from tracefile.descriptions import Run, Session
+
+START_NS = (
+    40 * 24 * 3600 * S
+)  # forty days after boot: an int64 that a float32 or a careless float64 would spoil
+
+
+@dataclass(frozen=True)
+class Truth:
+    """A relay whose clock is `offset_ns` ahead, gains `drift_ppb` and jumps by `step_ns` at `step_at_ns`."""
+
+    offset_ns: int = 0
+    drift_ppb: int = 0
+    step_ns: int = 0
+    step_at_ns: int = 0
+
+    def theta_ns(self, true_ns):
+        since = true_ns - START_NS
+        drifted = np.rint(self.drift_ppb * since / 1e9).astype(np.int64)
+        return self.offset_ns + drifted + np.where(since >= self.step_at_ns, self.step_ns, 0)
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """Stamps T1..T4 of drawn messages, with the one-way times that nobody can see."""
+
+    t1: np.ndarray
+    t3: np.ndarray
+    t4: np.ndarray
+    t2: np.ndarray
+    outbound_ns: np.ndarray
+    theta_ns: np.ndarray
+
+    @property
+    def stamps(self):
+        return self.t1, self.t3, self.t4, self.t2
+
+
+def draw(truth: Truth, *, messages=600, rate_hz=20, floor_ns=100_000, slow_return=3.0, seed=0) -> Drawn:
+    """Messages with exponential jitter that is `slow_return` times larger on the way back."""
+    generator = np.random.default_rng(seed)
+    t1 = START_NS + np.arange(messages, dtype=np.int64) * (S // rate_hz)
+    outbound = floor_ns + generator.exponential(200_000, messages).astype(np.int64)
+    relay = generator.exponential(100_000, messages).astype(np.int64)
+    back = floor_ns + generator.exponential(200_000 * slow_return, messages).astype(np.int64)
+    arrived, left = t1 + outbound, t1 + outbound + relay
+    t2 = left + back
+    t3, t4 = arrived + truth.theta_ns(arrived), left + truth.theta_ns(left)
+    return Drawn(t1, t3, t4, t2, outbound, truth.theta_ns((t1 + t2) // 2))
+
+
+def test_one_message_says_its_middle_and_half_of_what_it_was_under_way():
+    # ping's clock:  T1=0 ........................ T2=300      under way 200 of 300
+    # relay's clock:      T3=1100 ... T4=1200
+    # theta is between T4-T2 = 900 and T3-T1 = 1100.
+    fit, offsets = fit_clock(*(np.array([t], np.int64) for t in (0, 1100, 1200, 300)))
+    assert offsets.offset_ns.tolist() == [1000]
+    assert offsets.bound_ns.tolist() == [101]  # 100, and the rounding
+    assert [s.messages for s in fit.segments] == [1]
+    assert fit.segments[0].offset_ns == 1000
+    assert fit.steps == ()
+
+
+def test_a_slow_message_borrows_the_bound_of_its_fast_neighbour():
+    # theta = 1000 throughout. Fast message at 0: 100 out, 100 back. Slow one 1 ms later: 9900 out, 100 back.
+    t1 = np.array([0, 1_000_000], np.int64)
+    outbound, back = np.array([100, 9900]), np.array([100, 100])
+    t3, t4 = t1 + outbound + 1000, t1 + outbound + 1000
+    fit, offsets = fit_clock(t1, t3, t4, t1 + outbound + back)
+    # In 1 ms clocks part by at most 500 ns, so theta is in [900 - 500, 1100 + 500] by the fast one; the slow
+    # one's way back says theta >= 900, and the lines through both leave [900, 1600] and a little slack.
+    assert abs(int(offsets.offset_ns[1]) - 1250) <= 3
+    assert 350 <= offsets.bound_ns[1] <= 356
+    assert len(fit.segments) == 1
+
+
+@given(
+    offset_ns=st.integers(-(10**15), 10**15),
+    drift_ppb=st.integers(-200_000, 200_000),
+    slow_return=st.floats(0.1, 10),
+    rate_hz=st.sampled_from([1, 10, 100]),
+    messages=st.integers(1, 400),
+    seed=st.integers(0, 2**32),
+)
+@settings(max_examples=60, deadline=None)
+def test_a_known_offset_and_drift_come_back_within_the_bound(
+    *, offset_ns, drift_ppb, slow_return, rate_hz, messages, seed
+):
+    drawn = draw(
+        Truth(offset_ns, drift_ppb),
+        messages=messages,
+        rate_hz=rate_hz,
+        slow_return=slow_return,
+        seed=seed,
+    )
+    fit, offsets = fit_clock(*drawn.stamps)
+    assert np.all(np.abs(offsets.offset_ns - drawn.theta_ns) <= offsets.bound_ns)
+    half_under_way = ((drawn.t2 - drawn.t1) - (drawn.t4 - drawn.t3)) / 2
+    assert np.all(offsets.bound_ns <= half_under_way * 1.01 + (drawn.t2 - drawn.t1) * 0.001 + 2)
+    (segment,) = fit.segments
+    assert segment.messages == messages
+    assert abs(segment.drift_ppb - drift_ppb) <= segment.drift_bound_ppb + 1
+    for knot in segment.knots:
+        true = offset_ns + drift_ppb * (knot.at_ns - START_NS) / 1e9
+        assert abs(knot.offset_ns - true) <= knot.bound_ns + 1
+
+
+@given(
+    step_ns=st.integers(3 * MS, 10**13),
+    backwards=st.booleans(),
+    drift_ppb=st.integers(-100_000, 100_000),
+    step_at_ms=st.integers(2_000, 28_000),
+    seed=st.integers(0, 2**32),
+)
+@settings(max_examples=60, deadline=None)
+def test_a_step_is_found_and_splits_the_fit(*, step_ns, backwards, drift_ppb, step_at_ms, seed):
+    jump = -step_ns if backwards else step_ns
+    drawn = draw(Truth(10**9, drift_ppb, jump, step_at_ms * MS), seed=seed)
+    keep = (drawn.t2 - drawn.t1) >= (
+        drawn.t4 - drawn.t3
+    )  # the message under way during the step may be absurd
+    fit, offsets = fit_clock(*(stamp[keep] for stamp in drawn.stamps))
+    touched = (drawn.t1 < START_NS + step_at_ms * MS) & (drawn.t2 >= START_NS + step_at_ms * MS)
+    wrong = np.abs(offsets.offset_ns - drawn.theta_ns[keep]) > offsets.bound_ns
+    assert not np.any(wrong & ~touched[keep])
+    sizes = [s for s in fit.steps if abs(s.size_ns) > MS]
+    total = sum(s.size_ns for s in sizes)
+    assert abs(total - jump) <= sum(s.bound_ns for s in sizes)
+    assert sizes[0].after_ns - START_NS <= step_at_ms * MS + 50 * MS
+    assert sizes[-1].before_ns - START_NS >= step_at_ms * MS
+    assert len(fit.segments) == len(fit.steps) + 1
+
+
+def test_a_suspended_relay_is_a_step_back_by_the_time_it_slept():
+    # The relay sleeps one hour between message 299 and 300; its monotonic clock stands still meanwhile.
+    t1 = START_NS + np.arange(600, dtype=np.int64) * 50 * MS
+    t1[300:] += 3600 * S
+    asleep = np.where(np.arange(600) >= 300, 3600 * S, 0)
+    t3, t4, t2 = t1 + 200_000 - asleep, t1 + 250_000 - asleep, t1 + 450_000
+    fit, offsets = fit_clock(t1, t3, t4, t2)
+    assert [s.messages for s in fit.segments] == [300, 300]
+    (step,) = fit.steps
+    assert abs(step.size_ns + 3600 * S) <= step.bound_ns
+    assert (step.after_ns, step.before_ns) == (int(t1[299] + 225_000), int(t1[300] + 225_000))
+    assert np.array_equal(offsets.offset_ns, -asleep)
+
+
+def test_a_slewed_clock_bends_the_fit_without_a_step():
+    # 400 ppm for five of twenty seconds: 2 ms in all, with messages whose own bound is 50 us.
+    t1 = START_NS + np.arange(2000, dtype=np.int64) * 10 * MS
+    slewed = np.clip((t1 - START_NS - 7 * S) * 400 // 1_000_000, 0, 2 * MS)
+    t3, t4, t2 = t1 + 50_000 + slewed, t1 + 60_000 + slewed, t1 + 110_000
+    fit, offsets = fit_clock(t1, t3, t4, t2)
+    assert fit.steps == ()
+    assert len(fit.segments[0].knots) > 2
+    assert fit.segments[0].residual_ns > 100_000
+    assert np.all(np.abs(offsets.offset_ns - slewed) <= offsets.bound_ns + 10)
+
+
+def test_on_one_machine_the_fit_is_zero_within_its_bound():
+    drawn = draw(Truth(), slow_return=6)
+    fit, _ = fit_clock(*drawn.stamps, ping_device="a", relay_device="b")
+    assert not fit.same_clock  # two names: the method must do without knowing
+    for knot in fit.segments[0].knots:
+        assert abs(knot.offset_ns) <= knot.bound_ns
+    assert abs(fit.segments[0].drift_ppb) <= fit.segments[0].drift_bound_ppb
+    known, offsets = fit_clock(*drawn.stamps, ping_device="pi", relay_device="pi")
+    assert known.same_clock
+    assert not offsets.offset_ns.any()
+    assert not offsets.bound_ns.any()
+
+
+def test_two_devices_of_one_name_are_not_taken_for_one_machine():
+    fit, _ = fit_clock(
+        *draw(Truth(offset_ns=5 * S)).stamps, ping_device="raspberrypi", relay_device="raspberrypi"
+    )
+    assert not fit.same_clock
+
+
+def test_nothing_to_fit_gives_no_segment():
+    nothing = np.empty(0, np.int64)
+    fit, offsets = fit_clock(nothing, nothing, nothing, nothing)
+    assert fit.segments == fit.steps == ()
+    assert len(offsets.offset_ns) == 0
+
+
+def test_a_message_longer_in_the_relay_than_under_way_is_refused():
+    with pytest.raises(ValueError, match="leave it out"):
+        fit_clock(*(np.array([t], np.int64) for t in (0, 10, 90, 20)))
+
+
+def test_one_way_times_of_a_frame():
+    frame = roundtrips(
+        [
+            {"publish_ns": 0, "relay_in_ns": 1100, "relay_out_ns": 1200, "receive_ns": 300},
+            {"publish_ns": 1000, "relay_in_ns": 2100},  # lost on the way back
+            {
+                "publish_ns": 2000,
+                "relay_in_ns": 3100,
+                "relay_out_ns": 3900,
+                "receive_ns": 2500,
+            },  # 800 in 500 ns
+        ],
+    )
+    aligned = align_clocks(frame)
+    assert aligned.roundtrips["outbound_ns"].to_list() == [100, None, None]
+    assert aligned.roundtrips["return_ns"].to_list() == [100, None, None]
+    assert aligned.roundtrips["clock_bound_ns"].to_list() == [101, None, None]
+    assert aligned.roundtrips.select(frame.columns).equals(frame)
+    (fit,) = aligned.fits
+    assert (fit.ping_device, fit.relay_device) == ("ping-pi", "relay-pi")
+    table = clock_table(aligned.fits)
+    assert table.select("segment", "at_ns", "offset_ns", "bound_ns").rows() == [(0, 150, 1000, 101)]
+
+
+def test_device_pairs_and_boots_are_fitted_apart():
+    message = {"publish_ns": 0, "relay_in_ns": 1100, "relay_out_ns": 1200, "receive_ns": 300}
+    later = {**message, "relay_in_ns": 5_001_100, "relay_out_ns": 5_001_200}
+    frame = pl.concat(
+        [
+            roundtrips([message], run_id=1),
+            roundtrips([later], run_id=2),
+            roundtrips([message], run_id=3, relay_device="third"),
+        ],
+    )
+    aligned = align_clocks(frame, {1: 100, 2: 900})
+    assert [(f.relay_device, f.boot, f.segments[0].offset_ns) for f in aligned.fits] == [
+        ("relay-pi", 100, 1000),
+        ("relay-pi", 900, 5_001_000),
+        ("third", 0, 1000),
+    ]
+    assert aligned.roundtrips["outbound_ns"].to_list() == [100, 100, 100]
+
+
+def test_frames_without_a_pair_have_the_columns_all_the_same():
+    frame = roundtrips([{"publish_ns": 0}], relay_device=None)
+    aligned = align_clocks(frame)
+    assert aligned.fits == ()
+    assert aligned.roundtrips["outbound_ns"].to_list() == [None]
+    assert aligned.roundtrips["clock_bound_ns"].dtype == pl.Int64
+    assert align_clocks(frame.clear()).roundtrips.columns == aligned.roundtrips.columns
+    assert clock_table(()).is_empty()
+
+
+def test_boots_are_told_apart_by_the_wall_clock_at_monotonic_zero():
+    def session(number, device, wall_s, monotonic_s):
+        return Session(
+            number, "ping", device, "ros2", "fastdds", None, 5, None, "wired", wall_s * S, monotonic_s * S
+        )
+
+    def run(number, session_id):
+        return Run(number, "binary", 1, 1.0, 1, 0, extra={"session_id": f"{session_id:016x}"})
+
+    sessions = [
+        session(1, "a", 1000, 100),
+        session(2, "a", 1501, 600),  # same boot, wall clock one second on
+        session(3, "a", 5000, 50),  # after a reboot
+        session(4, "b", 1000, 100),
+    ]
+    boots = ping_boots(sessions, [run(10, 1), run(20, 2), run(30, 3), run(40, 4), run(50, 77)])
+    assert boots == {10: 900, 20: 900, 30: 4950, 40: 900, 50: 0}
+    assert ping_boots([], [Run(1, "binary", 1, 1.0, 1, 0)]) == {1: 0}
+
+
+def test_a_long_campaign_has_a_knot_every_ten_seconds():
+    drawn = draw(Truth(drift_ppb=20_000), messages=4000, rate_hz=20)
+    fit, _ = fit_clock(*drawn.stamps)
+    (segment,) = fit.segments
+    assert len(segment.knots) == 20
+    assert segment.drift_bound_ppb < 2_000  # twice 0.2 ms over 200 s
+    assert segment.residual_ns < 50_000

@@ -1,6 +1,7 @@
 """The contract between the devices that record and the machine that analyzes: one `.mcap` file."""
 
 from tracefile.descriptions import FORMAT_VERSION, Qos, Run, Session
+from tracefile.discovery import find_traces
 from tracefile.errors import (
     BackendUnavailableError,
     MissingEventsError,
@@ -22,6 +23,7 @@ from tracefile.events import (
     pack_event,
     unpack_event,
 )
+from tracefile.reader import iter_event_batches, read_descriptions, read_trace
 from tracefile.sink import ClosedTrace, TraceDestination, TraceSink
 from tracefile.trace import Trace
 from tracefile.version import __version__
@@ -51,6 +53,10 @@ __all__ = [
     "TraceFormatError",
     "TraceSink",
     "__version__",
+    "find_traces",
+    "iter_event_batches",
     "pack_event",
+    "read_descriptions",
+    "read_trace",
     "unpack_event",
 ]

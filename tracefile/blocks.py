@@ -1,0 +1,208 @@
+"""A MCAP file cut into blocks of about a megabyte, each a job that unpacks, checks and sorts what it holds.
+
+There is one way for every file: the headers of its records are walked from front to back. That takes microseconds a
+chunk, needs no index, and no index can lead it astray. The summary serves only to go on behind a damaged record.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect
+from dataclasses import dataclass, field
+from functools import partial
+from typing import TYPE_CHECKING
+
+from tracefile.event_scan import Scan, group_by_channel, scan_records
+from tracefile.packed_chunks import DamagedChunkError, PackedChunk
+from tracefile.records import MAGIC, MAX_RECORD_BYTES, Opcode, TornRecordError, record_name
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Container, Iterator
+
+    from tracefile.event_scan import Index, Records
+    from tracefile.records import RecordFile, RecordHeader
+    from tracefile.summary import Summary
+
+BLOCK_BYTES = 1 << 20
+"""Small chunks are handled together up to this size, so that their number costs no more than their bytes."""
+
+_OUTSIDE_CHUNKS = frozenset({Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL})
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Records of a file taken apart: those of neighbouring chunks, or some that lie outside of chunks.
+
+    Attributes:
+        data: the records' bytes.
+        scan: what lies where in `data`.
+        places: (position in `data`, offset in the file) of the first byte of each chunk, or of the only stretch.
+        chunked: whether `places` are those of chunks, inside of which the file has no offsets.
+        events: the events, of all channels.
+        groups: for each channel id the positions of its events in `events`.
+        notes: which chunks had to be left out, and why.
+    """
+
+    data: bytes
+    scan: Scan
+    places: list[tuple[int, int]]
+    chunked: bool
+    events: Records
+    groups: list[tuple[int, Index]]
+    notes: list[str] = field(default_factory=list)
+
+    def offset(self, position: int) -> int:
+        """Where in the file the byte at `position` of `data` lies, or else the chunk that holds it."""
+        start, offset = self.places[bisect(self.places, position, key=lambda place: place[0]) - 1]
+        return offset if self.chunked else offset + position - start
+
+
+@dataclass(slots=True)
+class BlockJobs:
+    """The blocks of `file` in order, each still to be made.
+
+    Attributes:
+        passed_over: offsets of chunks that need not be unpacked.
+        notes: damage met between the blocks; complete after the last one.
+        truncated: why the file ends early; known after the last block.
+    """
+
+    file: RecordFile
+    summary: Summary | None
+    passed_over: Container[int] = frozenset()
+    notes: list[str] = field(default_factory=list)
+    truncated: str | None = None
+    _chunks: list[PackedChunk] = field(default_factory=list)
+    _at: int = 0
+
+    def __iter__(self) -> Iterator[tuple[int, Callable[[], Block]]]:
+        """Each block's size in bytes, and the job that makes it, to be called in any thread.
+
+        A job raises `TraceFormatError` where the file can no longer be read.
+        """
+        for header in self._headers():
+            if header.opcode == Opcode.CHUNK:
+                yield from self._add_chunk(header)
+            elif header.opcode in _OUTSIDE_CHUNKS:
+                yield from self._chunks_so_far()
+                yield from self._outside(header)
+        yield from self._chunks_so_far()
+
+    def _headers(self) -> Iterator[RecordHeader]:
+        """The records of the data section; `_at` may be moved on by whoever has read more than the one at hand."""
+        self._at = len(MAGIC)
+        data_ended = False
+        while True:
+            header = self._next_header()
+            if header is None:
+                return
+            self._at = header.end
+            if header.opcode == Opcode.FOOTER:
+                self._check_end(header.end)
+                return
+            data_ended = data_ended or header.opcode == Opcode.DATA_END
+            if not data_ended:
+                yield header
+
+    def _next_header(self) -> RecordHeader | None:
+        """The record at `_at`, or behind damage there; None at the end of all that can be read."""
+        while True:
+            try:
+                return self.file.header_at(self._at)
+            except TornRecordError as torn:
+                resumed_at = self._behind(torn)
+            if resumed_at is None:
+                return None
+            self._at = resumed_at
+
+    def _outside(self, header: RecordHeader) -> Iterator[tuple[int, Callable[[], Block]]]:
+        """The record and as many as follow it outside of chunks, up to a block."""
+        if header.length > MAX_RECORD_BYTES:
+            name = record_name(header.opcode)
+            self.notes.append(
+                f"the {name} record of {header.length} bytes at byte {header.offset} is left out"
+            )
+            return
+        size = max(header.end - header.offset, min(BLOCK_BYTES, self.file.size - header.offset))
+        data = self.file.read(header.offset, size)
+        scan = scan_records(data, 0, len(data), _OUTSIDE_CHUNKS)
+        self._at = header.offset + scan.end
+        yield len(data), partial(_take_apart, data, scan, [(0, header.offset)], chunked=False)
+
+    def _add_chunk(self, header: RecordHeader) -> Iterator[tuple[int, Callable[[], Block]]]:
+        if header.offset in self.passed_over:
+            return
+        try:
+            chunk = PackedChunk.at(self.file, header)
+        except DamagedChunkError as err:
+            self.notes.append(_left_out(header.offset, err))
+            return
+        if sum(held.unpacked_bytes for held in self._chunks) + chunk.unpacked_bytes > BLOCK_BYTES:
+            yield from self._chunks_so_far()
+        self._chunks.append(chunk)
+
+    def _chunks_so_far(self) -> Iterator[tuple[int, Callable[[], Block]]]:
+        if self._chunks:
+            yield sum(held.unpacked_bytes for held in self._chunks), partial(_unpack, self.file, self._chunks)
+            self._chunks = []
+
+    def _behind(self, torn: TornRecordError) -> int | None:
+        """Where to go on behind a record that is none; None if that is nowhere."""
+        if self.summary is None:
+            self.truncated = f"ends early, {torn}; all that was complete before is used"
+            return None
+        resumed_at = self.summary.chunk_behind(torn.offset)
+        end = self.summary.data_end if resumed_at is None else resumed_at
+        self.notes.append(f"damaged at {torn}; nothing is read from there up to byte {end}")
+        return resumed_at
+
+    def _check_end(self, at: int) -> None:
+        if self.file.read(at, min(len(MAGIC), self.file.size - at)) != MAGIC:
+            self.truncated = f"ends early, byte {at}: the closing magic bytes are not there; every record is"
+        elif at + len(MAGIC) < self.file.size:
+            self.notes.append(
+                f"the bytes from {at + len(MAGIC)} on lie behind the end of the MCAP file; not read"
+            )
+
+
+def _unpack(file: RecordFile, chunks: list[PackedChunk]) -> Block:
+    """The records of `chunks`, those of a damaged chunk left out."""
+    parts: list[bytes] = []
+    kept: list[PackedChunk] = []
+    notes: list[str] = []
+    for chunk in chunks:
+        try:
+            part = chunk.unpack(file)
+        except DamagedChunkError as err:
+            notes.append(_left_out(chunk.offset, err))
+            continue
+        parts.append(part)
+        kept.append(chunk)
+    data = parts[0] if len(parts) == 1 else b"".join(parts)
+    scan, places, start = Scan(), [(0, 0)], 0
+    for chunk, part in zip(kept, parts, strict=True):
+        stop = start + len(part)
+        found = scan_records(data, start, stop)
+        if found.end == stop:
+            scan.extend(found)
+            places.append((start, chunk.offset))
+        else:
+            why = f"{stop - found.end} bytes in it are no records"
+            notes.append(_left_out(chunk.offset, why))
+        start = stop
+    return _take_apart(data, scan, places, chunked=True, notes=notes)
+
+
+def _take_apart(
+    data: bytes,
+    scan: Scan,
+    places: list[tuple[int, int]],
+    *,
+    chunked: bool,
+    notes: list[str] | None = None,
+) -> Block:
+    events = scan.events(data)
+    return Block(data, scan, places, chunked, events, group_by_channel(events), notes or [])
+
+
+def _left_out(offset: int, why: object) -> str:
+    return f"the chunk at byte {offset} is damaged and left out: {why}"

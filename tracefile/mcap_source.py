@@ -1,0 +1,192 @@
+"""The messages of one MCAP file as batches: blocks made on all cores, put in order, channels turned into topics."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from typing import TYPE_CHECKING
+
+from tracefile.batches import TOPIC_PREFIX, Batch, Text, event_batch, plain
+from tracefile.blocks import BlockJobs
+from tracefile.channels import ChannelTable
+from tracefile.event_scan import EVENT_RECORD_BYTES, MESSAGE_HEADER
+from tracefile.events import Stage
+from tracefile.packed_chunks import DamagedChunkError, PackedChunk
+from tracefile.records import MAGIC, Opcode, RecordFile, TornRecordError
+from tracefile.summary import read_summary
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from concurrent.futures import Executor, Future
+    from pathlib import Path
+
+    from tracefile.blocks import Block
+
+_BLOCKS_AHEAD = 4
+_BYTES_AHEAD = 32 << 20  # chunks larger than usual are unpacked one after the other
+_NOTES = 20  # nobody reads more lines about one file
+_DECLARATIONS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL})
+
+
+class McapSource:
+    """One MCAP file as a `Source`.
+
+    Args:
+        path: the file.
+        pool: unpacks and checks.
+        shown_as: its name in messages, where `path` is an unpacked copy.
+        texts_only: pass over the chunks that hold nothing but events, where the chunk index says so.
+
+    Raises:
+        TraceFormatError: no MCAP file, or it cannot be read.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        pool: Executor,
+        *,
+        shown_as: Path | None = None,
+        texts_only: bool = False,
+    ) -> None:
+        self._path = shown_as or path
+        self._pool = pool
+        self._file = RecordFile(path, shown_as)
+        self._channels = ChannelTable(self._path)
+        self._summary = read_summary(self._file)
+        if self._summary is not None:
+            for opcode, start, length in self._summary.found:
+                if opcode in _DECLARATIONS:
+                    content = memoryview(self._summary.data)[start : start + length]
+                    self._channels.declare(opcode, content, self._summary.offset(start))
+        self._jobs = BlockJobs(
+            self._file, self._summary, self._chunks_without_texts() if texts_only else frozenset()
+        )
+        self._messages = Counter[int]()  # by channel id
+
+    def close(self) -> None:
+        """Give the file back."""
+        self._file.close()
+
+    @property
+    def topics(self) -> frozenset[str]:
+        """All topics declared so far, ours or not."""
+        return frozenset(channel.topic for _, channel in self._channels.items())
+
+    def expected_events(self) -> dict[Stage, int]:
+        """How many events the statistics claim for each stage, or else as many as the chunks have room for."""
+        counts = self._summary.message_counts() if self._summary else None
+        most = self._file.size  # a larger claim than one event per packed byte is not believed beforehand
+        if counts is None:
+            return dict.fromkeys(Stage, min(most, self._room_for_events()))
+        expected = Counter[Stage]()
+        for channel_id, channel in self._channels.items():
+            if channel.stage:
+                expected[channel.stage] += counts.get(channel_id, 0)
+        return {stage: min(most, count) for stage, count in expected.items()}
+
+    def batches(self) -> Iterator[Batch]:
+        """All messages in file order; the last batch tells how the file ended.
+
+        Raises:
+            TraceFormatError: the device fails, or the file contradicts itself.
+        """
+        ahead: deque[tuple[int, Future[Block]]] = deque()
+        for size, job in self._jobs:
+            while ahead and (
+                len(ahead) >= _BLOCKS_AHEAD or size + sum(held for held, _ in ahead) > _BYTES_AHEAD
+            ):
+                yield from self._batches_of(ahead.popleft()[1].result())
+            ahead.append((size, self._pool.submit(job)))
+        while ahead:
+            yield from self._batches_of(ahead.popleft()[1].result())
+        yield Batch(notes=self._closing_notes(), truncated=self._jobs.truncated)
+
+    def _batches_of(self, block: Block) -> Iterator[Batch]:
+        batch = Batch(block.events, notes=block.notes)
+        singles: list[tuple[Stage, bytes]] = []
+        for opcode, start, length in block.scan.others:
+            content = memoryview(block.data)[start : start + length]
+            if opcode in _DECLARATIONS:
+                self._channels.declare(opcode, content, block.offset(start))
+            elif opcode == Opcode.MESSAGE and length >= MESSAGE_HEADER.size:
+                self._add_single(content, block.offset(start), batch, singles)
+        for channel_id, index in block.groups:
+            self._messages[channel_id] += len(index)
+            channel = self._channels.get(channel_id)
+            if channel and channel.fault:
+                batch.unreadable += len(index)
+            elif channel and channel.stage:
+                batch.groups.append((channel.stage, index))
+        yield batch
+        if singles:
+            yield event_batch(singles)
+
+    def _add_single(
+        self,
+        content: memoryview,
+        offset: int,
+        batch: Batch,
+        singles: list[tuple[Stage, bytes]],
+    ) -> None:
+        """One message that has not the shape of an event: a text, or an event that was packed on its own, or neither."""
+        channel_id, _, log_time_ns, _ = MESSAGE_HEADER.unpack_from(content)
+        self._messages[channel_id] += 1
+        channel = self._channels.get(channel_id)
+        if channel is None or not channel.topic.startswith(TOPIC_PREFIX):
+            return
+        data = bytes(content[MESSAGE_HEADER.size :])
+        if channel.fault:
+            batch.unreadable += 1
+        elif channel.stage:
+            singles.append((channel.stage, plain(data)))
+        else:
+            batch.texts.append(Text(channel.topic, log_time_ns, plain(data), self._path, offset))
+
+    def _closing_notes(self) -> list[str]:
+        notes = list(self._jobs.notes)
+        for channel_id, count in sorted(self._messages.items()):
+            channel = self._channels.get(channel_id)
+            if channel is None:
+                notes.append(
+                    f"{count} messages belong to channel {channel_id}, which is nowhere declared; not used"
+                )
+            elif channel.fault:
+                notes.append(f"{count} messages of {channel.topic} are not used: {channel.fault}")
+        if self._summary is None or self._jobs.passed_over:
+            return notes
+        for channel_id, claimed in (self._summary.message_counts() or {}).items():
+            channel = self._channels.get(channel_id)
+            if channel and channel.stage and claimed != self._messages[channel_id]:
+                found = self._messages[channel_id]
+                notes.append(
+                    f"the statistics claim {claimed} messages of {channel.topic}, {found} were found"
+                )
+        return notes
+
+    def _room_for_events(self) -> int:
+        """Events that the file's chunks, or its bytes outside of chunks, have room for."""
+        room, at = 0, len(MAGIC)
+        while True:
+            try:
+                header = self._file.header_at(at)
+                if header.opcode == Opcode.CHUNK:
+                    room += PackedChunk.at(self._file, header).unpacked_bytes
+            except DamagedChunkError:
+                pass
+            except TornRecordError:
+                return room // EVENT_RECORD_BYTES
+            if header.opcode == Opcode.MESSAGE:
+                return (room + self._file.size - at) // EVENT_RECORD_BYTES
+            at = header.end
+
+    def _chunks_without_texts(self) -> frozenset[int]:
+        if self._summary is None:
+            return frozenset()
+        texts = {
+            channel_id
+            for channel_id, channel in self._channels.items()
+            if channel.topic.startswith(TOPIC_PREFIX) and not channel.stage
+        }
+        # An empty index says nothing: it is what a writer without message indexes leaves.
+        chunks = self._summary.chunk_channels().items()
+        return frozenset(offset for offset, channels in chunks if channels and not channels & texts)

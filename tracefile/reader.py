@@ -1,0 +1,145 @@
+"""A trace read back: all of it, or batch by batch, or only its descriptions.
+
+Whatever the file is (ours, another tool's, unindexed, cut off, damaged, a rosbag2 folder), the same events come out.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from tracefile.batches import TOPIC_PREFIX
+from tracefile.columns import ColumnsBuilder, columns_at
+from tracefile.errors import TraceFormatError
+from tracefile.events import EventColumns, Stage
+from tracefile.storage import open_source, storage_files
+from tracefile.texts import TextCollector
+from tracefile.trace import Trace
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from pathlib import Path
+
+    from tracefile.batches import Batch, Source
+
+_MOST_WORKERS = 4  # beyond that, memory is what is waited for
+
+
+def read_trace(path: Path) -> Trace:
+    """Everything that a trace holds.
+
+    Args:
+        path: a `.mcap` file (with the ring beside it, if a killed recorder left one) or a rosbag2 folder.
+
+    Raises:
+        TraceFormatError: it is no trace, or a description in it cannot be read. A file that ends early or is
+            damaged is no error: see `Trace.truncated` and `Trace.notes`.
+    """
+    gathered = _Gathered(path)
+    with _workers() as pool, ExitStack() as opened:
+        sources = [opened.enter_context(open_source(file, pool)) for file in storage_files(path)]
+        expected = Counter[Stage]()
+        for source in sources:
+            expected.update(source.expected_events())
+        columns = ColumnsBuilder(pool, expected)
+        for source in sources:
+            for batch in source.batches():
+                for stage, index in batch.groups:
+                    columns.append(stage, batch.records, index)
+                gathered.add(batch)
+            gathered.add_topics(source)
+        return gathered.trace(columns.finish())
+
+
+def iter_event_batches(path: Path) -> Iterator[tuple[Stage, EventColumns]]:
+    """The events of a trace about a megabyte at a time, each stage's in file order; memory follows the chunk.
+
+    Descriptions, notes and counts of what could not be used come from `read_descriptions` or `read_trace`.
+
+    Raises:
+        TraceFormatError: as `read_trace`, as soon as it is met.
+    """
+    gathered = _Gathered(path)
+    with _workers() as pool:
+        for file in storage_files(path):
+            with open_source(file, pool) as source:
+                for batch in source.batches():
+                    for stage, index in batch.groups:
+                        yield stage, columns_at(batch.records, index)
+                gathered.add_topics(source)
+    gathered.check()
+
+
+def read_descriptions(path: Path) -> Trace:
+    """The trace without its events: every stage is empty; sessions, runs, host samples are there.
+
+    Chunks that hold only events are not unpacked where an index tells so.
+
+    Raises:
+        TraceFormatError: as `read_trace`.
+    """
+    gathered = _Gathered(path)
+    with _workers() as pool:
+        for file in storage_files(path):
+            with open_source(file, pool, texts_only=True) as source:
+                for batch in source.batches():
+                    gathered.add(batch)
+                gathered.add_topics(source)
+    return gathered.trace({stage: EventColumns.empty() for stage in Stage})
+
+
+def _workers() -> ThreadPoolExecutor:
+    """Threads that unpack chunks and fill columns: zstandard, lz4, zlib and numpy let each other run."""
+    cores = len(os.sched_getaffinity(0))
+    return ThreadPoolExecutor(min(_MOST_WORKERS, cores), thread_name_prefix="read_trace")
+
+
+@dataclass(slots=True)
+class _Gathered:
+    """All of a trace but its events."""
+
+    path: Path
+    texts: TextCollector = field(default_factory=TextCollector)
+    topics: set[str] = field(default_factory=set)
+    unreadable: int = 0
+    notes: list[str] = field(default_factory=list)
+    truncated: list[str] = field(default_factory=list)
+
+    def add(self, batch: Batch) -> None:
+        self.unreadable += batch.unreadable
+        for text in batch.texts:
+            self.texts.add(text)
+        self.notes += batch.notes
+        if batch.truncated:
+            self.truncated.append(batch.truncated)
+
+    def add_topics(self, source: Source) -> None:
+        self.topics |= source.topics
+
+    def check(self) -> None:
+        """Raise an error if this is no trace. A file that was cut off before its first topic may be one."""
+        ours = any(topic.startswith(TOPIC_PREFIX) for topic in self.topics)
+        if not ours and (self.topics or not self.truncated):
+            found = ", ".join(sorted(self.topics)[:3]) or "none"
+            raise TraceFormatError(
+                self.path, f"no trace: it has no topic {TOPIC_PREFIX}* (its topics: {found})"
+            )
+
+    def trace(self, events: Mapping[Stage, EventColumns]) -> Trace:
+        self.check()
+        if self.texts.unreadable_samples:
+            self.notes.append(f"{self.texts.unreadable_samples} host samples are no JSON objects; not used")
+        return Trace(
+            path=self.path,
+            sessions=self.texts.sessions,
+            runs=self.texts.runs,
+            events=events,
+            host_samples=self.texts.host_samples,
+            truncated="; ".join(self.truncated) or None,
+            unreadable_messages=self.unreadable,
+            notes=tuple(self.notes),
+        )

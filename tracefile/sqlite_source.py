@@ -1,0 +1,145 @@
+"""The messages of one rosbag2 SQLite file (`.db3`) as batches."""
+
+from __future__ import annotations
+
+import sqlite3
+from contextlib import closing
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+
+from tracefile.batches import TOPIC_PREFIX, Batch, Text, event_batch, plain
+from tracefile.errors import TraceFormatError
+from tracefile.events import EVENT_SCHEMA_NAME, STAGE_OF_TOPIC, Stage
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+_BATCH_ROWS = 8192
+_BATCH_BYTES = 4 << 20
+
+# These four columns are there in every version of rosbag2's schema. A view in place of a table is not read.
+_TABLES = "SELECT count(*) FROM sqlite_master WHERE type = 'table' AND name IN ('topics', 'messages')"
+_TOPICS = "SELECT id, name, type, serialization_format FROM topics"
+_LAST_ROW = "SELECT max(id) FROM messages"
+_MESSAGES = (
+    "SELECT topic_id, timestamp, CASE WHEN length(data) <= {limit} THEN data END"
+    " FROM messages WHERE topic_id IN ({ids}) ORDER BY id"
+)
+
+
+class SqliteSource:
+    """One `.db3` file as a `Source`.
+
+    Args:
+        path: the database.
+        shown_as: its name in messages, where `path` is an unpacked copy.
+        texts_only: pass over the events.
+
+    Raises:
+        TraceFormatError: no database of rosbag2, or it cannot be read.
+    """
+
+    def __init__(self, path: Path, shown_as: Path | None = None, *, texts_only: bool = False) -> None:
+        self._shown_as = shown_as or path
+        self._texts_only = texts_only
+        self._size = path.stat().st_size
+        try:
+            self._database = sqlite3.connect(f"file:{quote(str(path))}?mode=ro", uri=True)
+            self._database.execute("PRAGMA trusted_schema = OFF")
+            tables = self._one(_TABLES)
+            self._topics: list[tuple[int, str, str, str]] = (
+                self._database.execute(_TOPICS).fetchall() if tables == 2 else []
+            )
+            self._last_row = self._one(_LAST_ROW) if tables == 2 else 0
+        except (sqlite3.Error, ValueError) as err:
+            raise TraceFormatError(self._shown_as, f"no rosbag2 database ({err})") from err
+        if tables != 2:
+            self.close()
+            raise TraceFormatError(
+                self._shown_as, "no rosbag2 database: it has no tables 'topics' and 'messages'"
+            )
+
+    def close(self) -> None:
+        """Give the file back."""
+        self._database.close()
+
+    @property
+    def topics(self) -> frozenset[str]:
+        """All topics, ours or not."""
+        return frozenset(name for _, name, *_ in self._topics if isinstance(name, str))
+
+    def expected_events(self) -> dict[Stage, int]:
+        """As many events for every stage as the table can have rows."""
+        last_row = self._last_row if isinstance(self._last_row, int) else 0
+        return dict.fromkeys(Stage, max(0, min(self._size, last_row)))
+
+    def batches(self) -> Iterator[Batch]:
+        """All messages in the order in which they were stored; a damaged page ends them."""
+        names = {topic_id: name for topic_id, name, *_ in self._topics if isinstance(name, str)}
+        ours = {topic_id: name for topic_id, name in names.items() if name.startswith(TOPIC_PREFIX)}
+        faults = self._faults()
+        if self._texts_only:
+            ours = {topic_id: name for topic_id, name in ours.items() if name not in STAGE_OF_TOPIC}
+        wanted = ",".join(str(int(topic_id)) for topic_id in ours)
+        last = Batch(
+            notes=[f"messages of {names[topic_id]} are not used: {why}" for topic_id, why in faults.items()]
+        )
+        rows = _Rows(self._shown_as)
+        try:
+            with closing(self._database.execute(_MESSAGES.format(limit=_BATCH_BYTES, ids=wanted))) as cursor:
+                for topic_id, timestamp, data in cursor:
+                    rows.add(ours[topic_id], timestamp, data, faulty=topic_id in faults)
+                    if rows.full:
+                        yield from rows.batches()
+                        rows = _Rows(self._shown_as)
+        except sqlite3.Error as err:
+            last.truncated = f"ends early, the database is damaged ({err}); all rows before are used"
+        yield from rows.batches()
+        yield last
+
+    def _faults(self) -> dict[int, str]:
+        """Why the messages of some event topics cannot be events, by topic id."""
+        faults = {}
+        for topic_id, name, kind, encoding in self._topics:
+            if name in STAGE_OF_TOPIC and encoding != "cdr":
+                faults[topic_id] = f"they are encoded as {encoding!r}, not 'cdr'"
+            elif name in STAGE_OF_TOPIC and kind != EVENT_SCHEMA_NAME:
+                faults[topic_id] = f"their type is {kind!r}, not {EVENT_SCHEMA_NAME!r}"
+        return faults
+
+    def _one(self, query: str) -> Any:
+        return self._database.execute(query).fetchone()[0]
+
+
+class _Rows:
+    """Rows that will be a batch."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._events: list[tuple[Stage, bytes]] = []
+        self._texts: list[Text] = []
+        self._unreadable = 0
+        self._bytes = 0
+
+    def add(self, topic: str, timestamp: object, data: object, *, faulty: bool) -> None:
+        """One row; what a database may hold but rosbag2 never writes is unreadable."""
+        stage = STAGE_OF_TOPIC.get(topic)
+        if not isinstance(data, bytes) or not isinstance(timestamp, int) or faulty:
+            self._unreadable += stage is not None
+            return
+        self._bytes += len(data)
+        if stage:
+            self._events.append((stage, plain(data)))
+        else:
+            self._texts.append(Text(topic, timestamp, plain(data), self._path, None))
+
+    @property
+    def full(self) -> bool:
+        return len(self._events) >= _BATCH_ROWS or self._bytes >= _BATCH_BYTES
+
+    def batches(self) -> Iterator[Batch]:
+        batch = event_batch(self._events)
+        batch.texts = self._texts
+        batch.unreadable += self._unreadable
+        yield batch

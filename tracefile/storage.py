@@ -1,0 +1,121 @@
+"""Which files a trace consists of, and how each is opened: a `.mcap` file, or those of a rosbag2 folder."""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import zstandard
+
+from tracefile.errors import TraceFormatError
+from tracefile.mcap_source import McapSource
+from tracefile.sqlite_source import SqliteSource
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from concurrent.futures import Executor
+
+    from tracefile.batches import Source
+
+BAG_METADATA = "metadata.yaml"
+ZSTD_SUFFIX = ".zstd"
+_COPY_BYTES = 1 << 20
+_LARGEST_RATIO = 1000  # events pack 5 to 20 times; a frame that grows without end must not fill the disk
+
+
+def _open_mcap(path: Path, shown_as: Path, pool: Executor, texts_only: bool) -> Source:
+    return McapSource(path, pool, shown_as=shown_as, texts_only=texts_only)
+
+
+def _open_sqlite(path: Path, shown_as: Path, _pool: Executor, texts_only: bool) -> Source:
+    return SqliteSource(path, shown_as=shown_as, texts_only=texts_only)
+
+
+_OPENERS: dict[str, Callable[[Path, Path, Executor, bool], Source]] = {
+    ".mcap": _open_mcap,
+    ".db3": _open_sqlite,
+}
+
+
+def storage_files(path: Path) -> list[Path]:
+    """The files that hold the messages of a trace, in the order in which they were recorded.
+
+    rosbag2 numbers the parts of a split bag; `bag_10.mcap` comes after `bag_9.mcap`. A file that was packed as a
+    whole has `.zstd` behind its name, and may have been unpacked beside it by a player: then it counts once.
+
+    Raises:
+        TraceFormatError: `path` is a folder without such files, or nothing at all.
+    """
+    if not path.is_dir():
+        return [path]
+    found = [file for file in path.iterdir() if _opener_suffix(file) and file.is_file()]
+    files = [file for file in found if file.suffix != ZSTD_SUFFIX or file.with_suffix("") not in found]
+    if not files:
+        raise TraceFormatError(path, "no rosbag2 folder: no .mcap or .db3 file is in it")
+    return sorted(
+        files,
+        key=lambda file: [
+            (len(part), part) if part.isdigit() else (0, part) for part in re.split(r"(\d+)", file.name)
+        ],
+    )
+
+
+def is_bag(folder: Path) -> bool:
+    """Whether a folder is a rosbag2 folder: `metadata.yaml` is there, and a storage file."""
+    return (folder / BAG_METADATA).is_file() and any(_opener_suffix(file) for file in folder.iterdir())
+
+
+@contextmanager
+def open_source(file: Path, pool: Executor, *, texts_only: bool = False) -> Iterator[Source]:
+    """One storage file, open as long as the context lasts.
+
+    Raises:
+        TraceFormatError: it is not what its name says, or cannot be read.
+    """
+    opener = _OPENERS.get(_opener_suffix(file) or ".mcap", _open_mcap)
+    if file.suffix == ZSTD_SUFFIX:
+        with tempfile.NamedTemporaryFile(prefix="dds-trace-") as copy:
+            _unpack_file(file, copy)
+            source = opener(Path(copy.name), file, pool, texts_only)
+            try:
+                yield source
+            finally:
+                source.close()
+        return
+    source = opener(file, file, pool, texts_only)
+    try:
+        yield source
+    finally:
+        source.close()
+
+
+def _opener_suffix(file: Path) -> str | None:
+    """The suffix that says how a file is stored; None if it is no storage file."""
+    suffix = file.with_suffix("").suffix if file.suffix == ZSTD_SUFFIX else file.suffix
+    return suffix if suffix in _OPENERS else None
+
+
+def _unpack_file(packed: Path, copy: Any) -> None:
+    """Unpack what can be unpacked: a file that was cut off gives a cut off file, which its reader says."""
+    limit = packed.stat().st_size * _LARGEST_RATIO
+    with packed.open("rb") as stream, zstandard.ZstdDecompressor().stream_reader(stream) as reader:
+        written = 0
+        while True:
+            try:
+                data = reader.read(_COPY_BYTES)
+            except zstandard.ZstdError as err:
+                if not written:
+                    raise TraceFormatError(packed, f"cannot be unpacked ({err})", 0) from err
+                break
+            written += len(data)
+            if not data:
+                break
+            if written > limit:
+                raise TraceFormatError(
+                    packed, f"unpacks to more than {_LARGEST_RATIO} times its size; not read"
+                )
+            copy.write(data)
+        copy.flush()

@@ -1,0 +1,88 @@
+"""What the end of a MCAP file says about the rest: claims, useful beforehand, and never a reason to trust a byte."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from tracefile.event_scan import scan_records
+from tracefile.records import LAYOUTS, MAGIC, MAX_RECORD_BYTES, RECORD_HEADER, Opcode, RecordLayout
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from tracefile.records import RecordFile
+
+_FOOTER_LENGTH = 20
+_FOOTER_BYTES = RECORD_HEADER.size + _FOOTER_LENGTH
+_CRC_BYTES = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """The records between the data and the footer.
+
+    Attributes:
+        data_end: where the data section must have ended.
+        data: the summary's bytes.
+        found: (opcode, byte offset of the content in `data`, its length) of each record.
+    """
+
+    data_end: int
+    data: bytes = b""
+    found: list[tuple[int, int, int]] = field(default_factory=list)
+
+    def offset(self, position: int) -> int:
+        """Where in the file the byte at `position` of `data` lies."""
+        return self.data_end + position
+
+    def parsed(self, opcode: Opcode) -> Iterator[dict[str, Any]]:
+        """The fields of each record of one kind; those that are damaged are left out."""
+        layout: RecordLayout = LAYOUTS[opcode]
+        for kind, start, length in self.found:
+            if kind == opcode:
+                try:
+                    yield layout.parse(memoryview(self.data)[start : start + length])
+                except ValueError:
+                    continue
+
+    def message_counts(self) -> dict[int, int] | None:
+        """Messages of each channel as the statistics have them; None without statistics."""
+        for statistics in self.parsed(Opcode.STATISTICS):
+            counts: dict[int, int] = statistics["channel_message_counts"]
+            return counts
+        return None
+
+    def chunk_channels(self) -> dict[int, frozenset[int]]:
+        """The channels that each chunk has messages of, by the chunk's offset; chunks without index are left out."""
+        return {
+            index["chunk_start_offset"]: frozenset(index["message_index_offsets"])
+            for index in self.parsed(Opcode.CHUNK_INDEX)
+        }
+
+    def chunk_behind(self, offset: int) -> int | None:
+        """Offset of the first chunk behind `offset`, if the chunk index names one."""
+        starts = (index["chunk_start_offset"] for index in self.parsed(Opcode.CHUNK_INDEX))
+        return min((start for start in starts if offset < start < self.data_end), default=None)
+
+
+def read_summary(file: RecordFile) -> Summary | None:
+    """The summary of a file that ends as a finished file does, else None.
+
+    A finished file without summary section, or with one that does not match its CRC, has an empty one.
+    """
+    footer_at = file.size - _FOOTER_BYTES - len(MAGIC)
+    if footer_at < len(MAGIC):
+        return None
+    end = file.read(footer_at, _FOOTER_BYTES + len(MAGIC))
+    if end[_FOOTER_BYTES:] != MAGIC or RECORD_HEADER.unpack_from(end) != (Opcode.FOOTER, _FOOTER_LENGTH):
+        return None
+    footer = LAYOUTS[Opcode.FOOTER].parse(end[RECORD_HEADER.size : _FOOTER_BYTES])
+    start, crc = footer["summary_start"], footer["summary_crc"]
+    if not len(MAGIC) <= start < footer_at or footer_at - start > MAX_RECORD_BYTES:
+        return Summary(footer_at)
+    data = file.read(start, footer_at - start)
+    if crc and zlib.crc32(end[: _FOOTER_BYTES - _CRC_BYTES], zlib.crc32(data)) != crc:
+        return Summary(footer_at)
+    return Summary(start, data, scan_records(data, 0, len(data)).others)

@@ -1,0 +1,161 @@
+"""Checks of the groups of the summary: losses, order, impossible times, samples too few for a percentile."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from typing import TYPE_CHECKING
+
+import polars as pl
+
+from analyzer.analysis import Finding, Severity
+from analyzer.evidence import exchange_name, percent, some
+from analyzer.metrics import METRICS
+from analyzer.pair import Outcome
+from analyzer.statistics import PERCENTILES
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from analyzer.evidence import Evidence
+    from analyzer.statistics import Percentile
+
+_LOSSES = tuple(outcome.value for outcome in Outcome if outcome is not Outcome.COMPLETED)
+
+
+def losses(evidence: Evidence) -> Iterator[Finding]:
+    """Groups that lost messages."""
+    for name, row in zip(evidence.group_names(), evidence.summary.frame.iter_rows(named=True), strict=True):
+        published, received = row["published"], row["received"]
+        lost = ", ".join(f"{row[outcome]} {outcome}" for outcome in _LOSSES if row[outcome])
+        if published and not received:
+            yield Finding(
+                Severity.ERROR,
+                "nothing_received",
+                name,
+                f"None of {published} messages came back ({lost}).",
+                "Check domain, bridge and middleware of both sides; there is nothing to compare here.",
+            )
+        elif lost:
+            yield Finding(
+                Severity.WARNING,
+                "loss",
+                name,
+                f"{published - received} of {published} messages ({percent(published - received, published)}) "
+                f"did not come back: {lost}.",
+                "Read percentiles here as those of the messages that survived; look at reliability, "
+                "socket buffers and rate.",
+            )
+
+
+def unmeasured_groups(evidence: Evidence) -> Iterator[Finding]:
+    """Groups all of whose messages were warm-up."""
+    for name, published in zip(evidence.group_names(), evidence.summary.frame["published"], strict=True):
+        if not published:
+            yield Finding(
+                Severity.WARNING,
+                "nothing_counted",
+                name,
+                "All messages were warm-up; nothing is counted.",
+                "Record more messages than warm-up messages.",
+            )
+
+
+def duplicates(evidence: Evidence) -> Iterator[Finding]:
+    """Groups in which replies came more than once."""
+    for name, count in zip(evidence.group_names(), evidence.summary.frame["duplicates"], strict=True):
+        if count:
+            yield Finding(
+                Severity.WARNING,
+                "duplicates",
+                name,
+                f"{count} replies came more than once; the first one counts.",
+                "Look for a second bridge or route between the two sides.",
+            )
+
+
+def reordering(evidence: Evidence) -> Iterator[Finding]:
+    """Groups in which replies overtook each other."""
+    columns = evidence.summary.frame.select("reordered", "received").iter_rows()
+    for name, (count, received) in zip(evidence.group_names(), columns, strict=True):
+        if count:
+            yield Finding(
+                Severity.WARNING,
+                "reordering",
+                name,
+                f"{count} of {received} replies came after the reply to a later message.",
+                "With reliable QoS on one topic this should not happen: look for several routes or relays.",
+            )
+
+
+def impossible_times(evidence: Evidence) -> Iterator[Finding]:
+    """Times below zero: a clock stepped, or stamps do not belong together."""
+    below_zero = [
+        (pl.col(f"{metric}_ns") < 0).sum().alias(metric) for metric in METRICS if metric != "response"
+    ]
+    for _, exchange, rows in evidence.rows_by_exchange():
+        found = {metric: n for metric, n in rows.select(below_zero).row(0, named=True).items() if n}
+        if found:
+            counts = ", ".join(f"{metric} of {n} messages" for metric, n in found.items())
+            yield Finding(
+                Severity.ERROR,
+                "negative_times",
+                exchange_name(exchange),
+                f"Below zero: {counts}. They are in the statistics as computed.",
+                "Do not use these numbers: check that stamps are CLOCK_MONOTONIC of one device each, and that no "
+                "two relays share a relay_id.",
+            )
+
+
+def mixed_labels(evidence: Evidence) -> Iterator[Finding]:
+    """Groups that put runs with different labels together, as labels are no parameter column."""
+    names = evidence.group_names()
+    for group, members in enumerate(evidence.grouping.members()):
+        values: dict[str, set[str | None]] = defaultdict(set)
+        runs = [evidence.roundtrips.exchanges[member].run for member in members]
+        for label in {label for run in runs for label in run.labels}:
+            values[label] = {run.labels.get(label) for run in runs}
+        mixed = {label: found for label, found in sorted(values.items()) if len(found) > 1}
+        if mixed:
+            listed = "; ".join(
+                f"{label}: {some(sorted(map(str, found)), 5)}" for label, found in mixed.items()
+            )
+            yield Finding(
+                Severity.WARNING,
+                "mixed_labels",
+                names[group],
+                f"Runs with different labels are summarized together ({listed}).",
+                "Analyze them as separate folders, or compare them by run in roundtrips.parquet.",
+            )
+
+
+def few_samples(evidence: Evidence) -> Iterator[Finding]:
+    """Percentiles that are null because the sample cannot support them; groups that lack the same share a finding."""
+    names, samples = evidence.group_names(), evidence.summary.samples
+    lacking: dict[tuple[tuple[int, ...], tuple[str, ...]], list[Percentile]] = defaultdict(list)
+    for percentile in PERCENTILES:
+        alike: dict[tuple[int, ...], list[str]] = defaultdict(list)
+        for metric in METRICS:
+            # Without any sample, another finding says why (a loss, a missing relay trace).
+            groups = tuple(
+                group for group, n in enumerate(samples[metric].tolist()) if 0 < n < percentile.needs
+            )
+            alike[groups].append(metric)
+        for groups, together in alike.items():
+            if groups:
+                lacking[groups, tuple(together)].append(percentile)
+    for (groups, metrics), percentiles in lacking.items():
+        counts = sorted(int(samples[metric][group]) for metric in metrics for group in groups)
+        held = f"{counts[0]}" if counts[0] == counts[-1] else f"{counts[0]} to {counts[-1]}"
+        wanted = ", ".join(f"{_shown(p)} (takes {p.needs})" for p in percentiles)
+        everywhere = len(groups) == len(names) and len(groups) > 1
+        yield Finding(
+            Severity.INFO,
+            "few_samples",
+            f"all {len(groups)} groups" if everywhere else some(names[group] for group in groups),
+            f"Null for want of samples: {wanted} of {', '.join(metrics)}; there are {held} samples.",
+            f"Record at least {percentiles[-1].needs} messages a group to see all of them.",
+        )
+
+
+def _shown(percentile: Percentile) -> str:
+    return percentile.name.replace("_", ".")

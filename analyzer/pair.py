@@ -1,0 +1,202 @@
+"""Pairing: the events T1..T4 of one exchange, each in its own arrays, become one row per published message.
+
+The index is dense, not a join: sequence numbers are 0, 1, 2 ... within a run, so a message's row is its
+sequence number less the first one counted. Only where T1 events are missing or sequence numbers are absurd is
+a row looked up by bisection instead; nothing is ever allocated by the size of a number that a file claims.
+
+The result does not depend on the order of events or files: of several events for one message the earliest
+counts, and events that agree in message and instant are one event.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from tracefile import EventColumns
+
+
+MISSING = np.iinfo(np.int64).min
+"""Stands for null in an int64 column until the frame is made; no clock reads it."""
+
+_NEVER = np.iinfo(np.int64).max
+
+
+class Outcome(Enum):
+    """What became of a published message on its way to one relay and back."""
+
+    COMPLETED = "completed"
+    LOST_OUTBOUND = "lost_outbound"
+    LOST_IN_RELAY = "lost_in_relay"
+    LOST_RETURN = "lost_return"
+    LOST_UNKNOWN = "lost_unknown"
+
+
+OUTCOMES = tuple(Outcome)
+_CODE = {outcome: np.uint8(code) for code, outcome in enumerate(OUTCOMES)}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Published:
+    """The counted messages of a run (warm-up left out), one row each, by rising sequence number.
+
+    Attributes:
+        sequence: uint64, strictly rising.
+        publish_ns: int64, T1.
+        scheduled_ns: int64, T0, or MISSING throughout if the run had no schedule.
+        warmup_messages: messages below this sequence number are not counted.
+        repeated: T1 events beyond the first of their message, which a sound trace never has.
+    """
+
+    sequence: NDArray[np.uint64]
+    publish_ns: NDArray[np.int64]
+    scheduled_ns: NDArray[np.int64]
+    warmup_messages: int
+    repeated: int
+
+    def __len__(self) -> int:
+        return len(self.sequence)
+
+    def rows(self, sequence: NDArray[np.uint64]) -> NDArray[np.int64]:
+        """The row of each sequence number, -1 where no counted message has it."""
+        if not len(self):
+            return np.full(len(sequence), -1, np.int64)
+        first = self.sequence[0]
+        if int(self.sequence[-1]) - int(first) == len(self) - 1:
+            offset = sequence - first  # below `first` this wraps to something huge
+            return np.where(offset < len(self), offset.astype(np.int64), -1)
+        row = np.minimum(np.searchsorted(self.sequence, sequence), len(self) - 1)
+        return np.where(self.sequence[row] == sequence, row, -1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RoundTripArrays:
+    """Rows of one exchange, one per counted message in the order of `Published`, and what has no row.
+
+    Attributes:
+        receive_ns: int64, T2, MISSING if lost.
+        relay_in_ns: int64, T3, MISSING if not seen.
+        relay_out_ns: int64, T4, MISSING if not seen.
+        outcome: uint8, position in `OUTCOMES`.
+        duplicates: uint16, T2 events beyond the first.
+        reordered: bool, T2 came after the T2 of a later sequence.
+        orphans: counted-range events (T2, T3, T4) whose message has no T1.
+    """
+
+    receive_ns: NDArray[np.int64]
+    relay_in_ns: NDArray[np.int64]
+    relay_out_ns: NDArray[np.int64]
+    outcome: NDArray[np.uint8]
+    duplicates: NDArray[np.uint16]
+    reordered: NDArray[np.bool_]
+    orphans: int
+
+
+def published_messages(t1: EventColumns, warmup_messages: int) -> Published:
+    """The messages of a run that count, from its T1 events in any order."""
+    sequence, publish_ns, scheduled_ns = t1.sequence, t1.monotonic_ns, t1.scheduled_ns
+    # Two messages cannot both be planned for the boot of the device: a recorder without a schedule left zeros.
+    if len(t1) > 1 and not scheduled_ns.any():
+        scheduled_ns = np.full(len(t1), MISSING)
+    if not _strictly_rising(sequence):
+        order = np.lexsort((scheduled_ns, publish_ns, sequence))
+        sequence, publish_ns, scheduled_ns = sequence[order], publish_ns[order], scheduled_ns[order]
+        first = _is_new(sequence)
+        distinct = first | _is_new(publish_ns)
+        repeated = int(np.count_nonzero(distinct) - np.count_nonzero(first))
+        sequence, publish_ns, scheduled_ns = sequence[first], publish_ns[first], scheduled_ns[first]
+    else:
+        repeated = 0
+    counted = slice(int(np.searchsorted(sequence, np.uint64(warmup_messages))), None)
+    return Published(sequence[counted], publish_ns[counted], scheduled_ns[counted], warmup_messages, repeated)
+
+
+def pair_messages(
+    published: Published, t2: EventColumns, t3: EventColumns, t4: EventColumns
+) -> RoundTripArrays:
+    """The round trip of every published message through one relay.
+
+    Args:
+        published: the run's counted messages.
+        t2: replies, as the ping recorded them, that name this run and relay; any order, warm-up included.
+        t3: arrivals at the relay, likewise.
+        t4: departures from the relay, likewise.
+    """
+    receive_ns, extra, orphan_replies = _earliest(published, t2)
+    relay_in_ns, _, orphan_arrivals = _earliest(published, t3)
+    relay_out_ns, _, orphan_departures = _earliest(published, t4)
+    return RoundTripArrays(
+        receive_ns=receive_ns,
+        relay_in_ns=relay_in_ns,
+        relay_out_ns=relay_out_ns,
+        outcome=_outcomes(receive_ns, relay_in_ns, relay_out_ns, relay_recorded=len(t3) + len(t4) > 0),
+        duplicates=extra,
+        reordered=_reordered(receive_ns),
+        orphans=orphan_replies + orphan_arrivals + orphan_departures,
+    )
+
+
+def _earliest(
+    published: Published, events: EventColumns
+) -> tuple[NDArray[np.int64], NDArray[np.uint16], int]:
+    """For each published message its earliest event and how many others it has; and the events without one."""
+    earliest = np.full(len(published), MISSING)
+    extra = np.zeros(len(published), np.uint16)
+    row, instant_ns = published.rows(events.sequence), events.monotonic_ns
+    unplaced = row < 0
+    orphans = 0
+    if unplaced.any():
+        orphans = int(np.count_nonzero(events.sequence[unplaced] >= np.uint64(published.warmup_messages)))
+        row, instant_ns = row[~unplaced], instant_ns[~unplaced]
+    earliest[row] = instant_ns
+    if np.count_nonzero(earliest != MISSING) < len(row):  # some message has several events
+        order = np.lexsort((instant_ns, row))
+        row, instant_ns = row[order], instant_ns[order]
+        first = _is_new(row)
+        earliest[row[first]] = instant_ns[first]
+        distinct = first | _is_new(instant_ns)
+        count = np.bincount(row[distinct & ~first], minlength=len(published))
+        extra = np.minimum(count, np.iinfo(np.uint16).max).astype(np.uint16)
+    return earliest, extra, orphans
+
+
+def _outcomes(
+    receive_ns: NDArray[np.int64],
+    relay_in_ns: NDArray[np.int64],
+    relay_out_ns: NDArray[np.int64],
+    *,
+    relay_recorded: bool,
+) -> NDArray[np.uint8]:
+    """The later a message was seen, the later it was lost; a T4 without T3 (dropped by the recorder) counts."""
+    unseen = Outcome.LOST_OUTBOUND if relay_recorded else Outcome.LOST_UNKNOWN
+    return np.select(
+        [receive_ns != MISSING, relay_out_ns != MISSING, relay_in_ns != MISSING],
+        [_CODE[Outcome.COMPLETED], _CODE[Outcome.LOST_RETURN], _CODE[Outcome.LOST_IN_RELAY]],
+        _CODE[unseen],
+    )
+
+
+def _reordered(receive_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Whether a later sequence was received before: its T2 is above the minimum of those that follow."""
+    received = np.where(receive_ns == MISSING, _NEVER, receive_ns)
+    minimum_from_here = np.minimum.accumulate(received[::-1])[::-1]
+    reordered = np.zeros(len(received), np.bool_)
+    reordered[:-1] = (minimum_from_here[1:] < received[:-1]) & (receive_ns[:-1] != MISSING)
+    return reordered
+
+
+def _strictly_rising(values: NDArray[np.uint64]) -> bool:
+    return bool((values[1:] > values[:-1]).all())
+
+
+def _is_new(values: NDArray[Any]) -> NDArray[np.bool_]:
+    """Whether each value differs from the one before it."""
+    new = np.ones(len(values), np.bool_)
+    new[1:] = values[1:] != values[:-1]
+    return new

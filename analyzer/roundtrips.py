@@ -1,0 +1,124 @@
+"""The frame `roundtrips`: one row per published message and relay that took part in its run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+
+from analyzer.columns import KEY_COLUMNS, PARAMETER_COLUMNS, ROUNDTRIP_COLUMNS, schema_of
+from analyzer.metrics import with_metrics
+from analyzer.pair import MISSING, OUTCOMES, Published, pair_messages, published_messages
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from analyzer.exchanges import Exchange
+
+
+_STAMPS = ("scheduled_ns", "publish_ns", "receive_ns", "relay_in_ns", "relay_out_ns")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RoundTrips:
+    """Paired events of all exchanges.
+
+    Attributes:
+        frame: the columns of `columns.ROUNDTRIP_COLUMNS`; rows by exchange, then by sequence.
+        exchanges: in the order of their rows.
+        bounds: int64, exchange i has the rows `bounds[i]` to `bounds[i + 1]` (not included).
+        repeated: int64, T1 events of each exchange's run beyond the first of their message.
+        orphans: int64, T2, T3 and T4 events of each exchange whose message has no T1.
+    """
+
+    frame: pl.DataFrame
+    exchanges: tuple[Exchange, ...]
+    bounds: NDArray[np.int64]
+    repeated: NDArray[np.int64]
+    orphans: NDArray[np.int64]
+
+    def exchange_of_row(self) -> pl.Series:
+        """u32, for each row the position of its exchange."""
+        lengths = np.diff(self.bounds)
+        return pl.Series("exchange", np.repeat(np.arange(len(lengths), dtype=np.uint32), lengths))
+
+
+def pair_exchanges(exchanges: Sequence[Exchange]) -> RoundTrips:
+    """Pair the events of every exchange and compute the metrics of every round trip."""
+    published = _published_by_run(exchanges)
+    counted = [published[exchange.run.run_id] for exchange in exchanges]
+    bounds = np.concatenate([[0], np.cumsum([len(p) for p in counted])]).astype(np.int64)
+    rows = int(bounds[-1])
+    orphans = np.zeros(len(exchanges), np.int64)
+
+    # Filled exchange by exchange: the frame's memory once, whatever the number of runs.
+    sequence = np.empty(rows, np.uint64)
+    stamps = {name: np.empty(rows, np.int64) for name in _STAMPS}
+    outcome = np.empty(rows, np.uint8)
+    duplicates = np.empty(rows, np.uint16)
+    reordered = np.empty(rows, np.bool_)
+    for position, (exchange, of_run) in enumerate(zip(exchanges, counted, strict=True)):
+        here = slice(*bounds[position : position + 2])
+        paired = pair_messages(of_run, exchange.t2, exchange.t3, exchange.t4)
+        sequence[here] = of_run.sequence
+        stamps["scheduled_ns"][here] = of_run.scheduled_ns
+        stamps["publish_ns"][here] = of_run.publish_ns
+        stamps["receive_ns"][here] = paired.receive_ns
+        stamps["relay_in_ns"][here] = paired.relay_in_ns
+        stamps["relay_out_ns"][here] = paired.relay_out_ns
+        outcome[here] = paired.outcome
+        duplicates[here] = paired.duplicates
+        reordered[here] = paired.reordered
+        orphans[position] = paired.orphans
+
+    frame = with_metrics(
+        _described_rows(exchanges, bounds).with_columns(
+            pl.Series("sequence", sequence),
+            *(_null_where_missing(name, values) for name, values in stamps.items()),
+            _outcome_names(outcome),
+            pl.Series("duplicates", duplicates),
+            pl.Series("reordered", reordered),
+        )
+    )
+    return RoundTrips(
+        frame=frame.select(column.name for column in ROUNDTRIP_COLUMNS),
+        exchanges=tuple(exchanges),
+        bounds=bounds,
+        repeated=np.array([p.repeated for p in counted], np.int64),
+        orphans=orphans,
+    )
+
+
+def _published_by_run(exchanges: Sequence[Exchange]) -> dict[int, Published]:
+    """A run's messages are the same for each of its relays."""
+    published: dict[int, Published] = {}
+    for exchange in exchanges:
+        run = exchange.run
+        if run.run_id not in published:
+            published[run.run_id] = published_messages(exchange.t1, run.warmup_messages)
+    return published
+
+
+def _described_rows(exchanges: Sequence[Exchange], bounds: NDArray[np.int64]) -> pl.DataFrame:
+    """run_id, relay_id and the parameter columns, repeated for every row of their exchange."""
+    described = pl.DataFrame(
+        [(e.run.run_id, e.relay_id, *e.parameters()) for e in exchanges],
+        schema=schema_of((*KEY_COLUMNS[:2], *PARAMETER_COLUMNS)),
+        orient="row",
+    )
+    return described[np.repeat(np.arange(len(exchanges), dtype=np.uint32), np.diff(bounds))]
+
+
+def _null_where_missing(name: str, values: NDArray[np.int64]) -> pl.Series:
+    series = pl.Series(name, values)
+    missing = values == MISSING
+    return series.set(pl.Series(missing), None) if missing.any() else series
+
+
+def _outcome_names(codes: NDArray[np.uint8]) -> pl.Series:
+    names = pl.Series([outcome.value for outcome in OUTCOMES])
+    return names.gather(codes.astype(np.uint32)).alias("outcome")

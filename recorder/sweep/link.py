@@ -1,0 +1,83 @@
+"""A link between two network namespaces: its presets, and which part of the system applies what of it."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, fields
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """One emulated link, equal in both directions; a field left at its default is not applied.
+
+    Attributes:
+        name: of the preset, or `custom`; the trace's `connectivity` is `emulated-NAME`.
+        rate_mbit_s: line rate of each direction, 0 for as fast as the machine is.
+        delay_ms: one way.
+        jitter_ms: standard deviation of the delay (normal, never below zero); packets keep their order.
+        loss_percent: of IP fragments, each by itself, before the receiver reassembles.
+        outage_every_s: a link that goes away regularly: time from the start of one outage to the next.
+        outage_ms: how long each lasts; everything sent meanwhile is lost.
+        queue_ms: what waits longer than this before a full line is dropped (tail drop).
+    """
+
+    name: str = "custom"
+    rate_mbit_s: float = 0.0
+    delay_ms: float = 0.0
+    jitter_ms: float = 0.0
+    loss_percent: float = 0.0
+    outage_every_s: float = 0.0
+    outage_ms: float = 0.0
+    queue_ms: float = 100.0
+
+    @property
+    def connectivity(self) -> str:
+        """The session's `connectivity`: it says that the link is emulated."""
+        return f"emulated-{self.name}"
+
+    @property
+    def needs_only_rate(self) -> bool:
+        """Whether a queue discipline for the rate is all there is to apply."""
+        return not (self.delay_ms or self.jitter_ms or self.loss_percent or self.outage_ms)
+
+    def to_dict(self) -> dict[str, Any]:
+        """As written to the trace."""
+        return asdict(self)
+
+    def __str__(self) -> str:
+        parts = [
+            f"{self.rate_mbit_s:g} Mbit/s" if self.rate_mbit_s else "",
+            f"delay {self.delay_ms:g} ms" if self.delay_ms else "",
+            f"jitter {self.jitter_ms:g} ms" if self.jitter_ms else "",
+            f"loss {self.loss_percent:g} %" if self.loss_percent else "",
+            f"outage {self.outage_ms:g} ms every {self.outage_every_s:g} s" if self.outage_ms else "",
+        ]
+        return f"{self.name} ({', '.join(part for part in parts if part) or 'nothing shaped'})"
+
+
+PRESETS: Mapping[str, Link] = {
+    link.name: link
+    for link in (
+        Link("ethernet-1g", rate_mbit_s=1000),
+        Link("ethernet-100m", rate_mbit_s=100, delay_ms=0.1),
+        # 802.11g/a at its highest rate: the medium's rate is shared by both directions in the air and is
+        # each direction's own here, so two-way load sees more than real Wi-Fi would give it.
+        Link("wifi-54", rate_mbit_s=54, delay_ms=1, jitter_ms=0.5, loss_percent=0.1),
+        Link(
+            "wifi-poor",
+            rate_mbit_s=12,
+            delay_ms=5,
+            jitter_ms=5,
+            loss_percent=2,
+            outage_every_s=10,
+            outage_ms=300,
+        ),
+        Link("5g", rate_mbit_s=100, delay_ms=10, jitter_ms=3, loss_percent=0.01),
+    )
+}
+"""Typical links by name; a plan's `[link]` may change single values of one. They are examples, not standards."""
+
+LINK_KEYS = tuple(f.name for f in fields(Link) if f.name != "name")

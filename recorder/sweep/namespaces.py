@@ -1,0 +1,299 @@
+"""Two network namespaces on this machine that stand for two devices, joined by a link; nothing of them outlives the sweep."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import itertools
+import json
+import os
+import re
+import struct
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tracefile import BackendUnavailableError, OptionError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from types import TracebackType
+
+    from typing_extensions import Self
+
+    from recorder.sweep.link import Link
+
+INTERFACE = "link0"
+"""The link's device in either namespace."""
+
+_NAME = re.compile(r"ddstrace-(\d+)-\d+-(?:ping|relay)")
+_ROLES = ("ping", "relay")
+_counter = itertools.count()
+
+# <linux/if_tun.h>
+_TUNSETIFF = 0x400454CA
+_IFF_TAP, _IFF_NO_PI = 0x0002, 0x1000
+
+_TBF_BURST_FRAMES_BYTES = 2 * 1514
+_TBF_BURST_S = 0.0002
+"""How much of the rate a token bucket may save up: as little as the kernel's timers allow, and two frames at least."""
+
+
+@dataclass(frozen=True, slots=True)
+class Side:
+    """One of the two namespaces.
+
+    Attributes:
+        namespace: its name, as `ip netns` lists it.
+        address: its IPv4 address on the link.
+    """
+
+    namespace: str
+    address: str
+
+    @property
+    def prefix(self) -> list[str]:
+        """What stands before a command that is to run in this namespace."""
+        return ["ip", "netns", "exec", self.namespace]
+
+
+class NamespacePair:
+    """The namespaces `ping` and `relay` and the link between them, from `__enter__` to `__exit__`.
+
+    Args:
+        link: what to emulate; None for a bare veth, which is as fast as the machine.
+
+    Raises:
+        BackendUnavailableError: not root, or `ip` and `tc` are not installed, or the kernel refuses.
+    """
+
+    def __init__(self, link: Link | None) -> None:
+        self.link = link
+        number = self._number = next(_counter)
+        self.ping, self.relay = (
+            Side(f"ddstrace-{os.getpid()}-{number}-{role}", f"10.213.0.{host}")
+            for host, role in enumerate(_ROLES, 1)
+        )
+        self.applied_by = ""
+        self.commands: list[str] = []
+        self._forwarder: subprocess.Popen[str] | None = None
+        self._taps: list[int] = []
+        self._counted: dict[str, dict[str, int]] = {}
+
+    def __enter__(self) -> Self:
+        require_root()
+        remove_stale()
+        try:
+            self._create()
+        except BaseException:
+            self._remove()
+            raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._remove()
+
+    def measure(self) -> dict[str, Any]:
+        """What the link did since the call before, as it is written to the trace.
+
+        Returns:
+            `link` (the emulated values), `applied_by`, `commands` (of `tc`), for each role `sent_bytes`,
+            `sent_packets` and `dropped_packets` of its end of the link, and `forwarder`, how well the user-space
+            wire held (frames by fate, lateness in microseconds), null if the kernel did it all.
+        """
+        counters = {
+            role: self._counters(side) for role, side in zip(_ROLES, (self.ping, self.relay), strict=True)
+        }
+        before, self._counted = self._counted, counters
+        since = {
+            role: {name: count - before.get(role, {}).get(name, 0) for name, count in counted.items()}
+            for role, counted in counters.items()
+        }
+        return {
+            "link": self.link.to_dict() if self.link else None,
+            "applied_by": self.applied_by,
+            "commands": self.commands,
+            **since,
+            "forwarder": self._ask_forwarder(),
+        }
+
+    def _create(self) -> None:
+        sides = (self.ping, self.relay)
+        for side in sides:
+            ip("netns", "add", side.namespace)
+            ip("-n", side.namespace, "link", "set", "lo", "up")
+        needs_forwarder = self.link is not None and not self.link.needs_only_rate
+        if needs_forwarder and self.link and not self.link.outage_ms and self._has_netem():
+            needs_forwarder = False
+        if needs_forwarder:
+            self._taps = [
+                open_tap(f"ddt{os.getpid()}.{self._number}{role[0]}", side)
+                for role, side in zip(_ROLES, sides, strict=True)
+            ]
+        else:
+            ip("-n", sides[0].namespace, "link", "add", INTERFACE, "type", "veth",
+               "peer", "name", INTERFACE, "netns", sides[1].namespace)  # fmt: skip
+        for side in sides:
+            ip("-n", side.namespace, "address", "add", f"{side.address}/24", "dev", INTERFACE)
+            ip("-n", side.namespace, "link", "set", INTERFACE, "up")
+            # DDS discovery and Zenoh scouting send to groups; without the route the kernel has nowhere to send them.
+            ip("-n", side.namespace, "route", "add", "224.0.0.0/4", "dev", INTERFACE)
+        applied = ["tap_forwarder" if needs_forwarder else "veth"]
+        if self.link is not None:
+            disciplines = queue_disciplines(self.link, kernel_does_all=not needs_forwarder)
+            applied += [discipline[discipline.index("handle") + 2] for discipline in disciplines]
+            for side, discipline in itertools.product(sides, disciplines):
+                tc("-n", side.namespace, "qdisc", "add", "dev", INTERFACE, *discipline)
+            self.commands = [
+                "tc qdisc add dev " + " ".join([INTERFACE, *discipline]) for discipline in disciplines
+            ]
+        self.applied_by = "+".join(applied)
+        if needs_forwarder and self.link:
+            self._forwarder = start_forwarder(self._taps, self.link)
+        self.measure()
+
+    def _has_netem(self) -> bool:
+        try:
+            tc("-n", self.ping.namespace, "qdisc", "add", "dev", "lo", "root", "netem", "delay", "1ms")
+        except BackendUnavailableError:
+            return False
+        tc("-n", self.ping.namespace, "qdisc", "del", "dev", "lo", "root")
+        return True
+
+    def _ask_forwarder(self) -> Any:
+        if self._forwarder is None or self._forwarder.stdin is None or self._forwarder.stdout is None:
+            return None
+        try:
+            self._forwarder.stdin.write("report\n")
+            self._forwarder.stdin.flush()
+            return json.loads(self._forwarder.stdout.readline())
+        except (OSError, ValueError) as err:
+            raise BackendUnavailableError("the emulated link ended by itself; run the sweep again") from err
+
+    @staticmethod
+    def _counters(side: Side) -> dict[str, int]:
+        shown = json.loads(ip("-n", side.namespace, "-s", "-j", "link", "show", "dev", INTERFACE))
+        sent = shown[0]["stats64"]["tx"]
+        disciplines = json.loads(
+            tc("-n", side.namespace, "-s", "-j", "qdisc", "show", "dev", INTERFACE) or "[]"
+        )
+        return {
+            "sent_bytes": sent["bytes"],
+            "sent_packets": sent["packets"],
+            "dropped_packets": sent["dropped"]
+            + sum(discipline.get("drops", 0) for discipline in disciplines),
+        }
+
+    def _remove(self) -> None:
+        if self._forwarder is not None:
+            self._forwarder.communicate()  # closes its input, at which it ends
+            self._forwarder = None
+        for descriptor in self._taps:
+            os.close(descriptor)
+        self._taps = []
+        for side in (self.ping, self.relay):
+            with contextlib.suppress(BackendUnavailableError):  # creating it may have failed
+                ip("netns", "delete", side.namespace)
+
+
+def queue_disciplines(link: Link, *, kernel_does_all: bool) -> list[list[str]]:
+    """What follows `tc qdisc add dev DEVICE` for a link: the token bucket, and netem below it if the kernel does it."""
+    disciplines: list[list[str]] = []
+    parent = ["root"]
+    if link.rate_mbit_s:
+        burst_bytes = max(_TBF_BURST_FRAMES_BYTES, round(link.rate_mbit_s * 1e6 / 8 * _TBF_BURST_S))
+        disciplines.append(
+            [*parent, "handle", "1:", "tbf", "rate", f"{link.rate_mbit_s:g}mbit", "burst", f"{burst_bytes}b",
+             "latency", f"{link.queue_ms:g}ms"],
+        )  # fmt: skip
+        parent = ["parent", "1:1"]
+    if kernel_does_all and not link.needs_only_rate:
+        # netem's limit counts packets and holds those in flight; its default of 1000 would drop at 12 MB/s and 1 s.
+        disciplines.append(
+            [*parent, "handle", "10:", "netem", "delay", f"{link.delay_ms:g}ms", f"{link.jitter_ms:g}ms",
+             "distribution", "normal", "loss", f"{link.loss_percent:g}%", "limit", "50000"],
+        )  # fmt: skip
+    return disciplines
+
+
+def open_tap(name: str, side: Side) -> int:
+    """A TAP device in the namespace, under the name of the link; its open file descriptor, non-blocking."""
+    try:
+        descriptor = os.open("/dev/net/tun", os.O_RDWR | os.O_NONBLOCK)
+        fcntl.ioctl(descriptor, _TUNSETIFF, struct.pack("16sH14x", name.encode(), _IFF_TAP | _IFF_NO_PI))
+    except OSError as err:
+        raise BackendUnavailableError(
+            f"/dev/net/tun: {err.strerror}; this kernel has no netem, and without TAP devices (modprobe tun) "
+            "a link can only have a rate",
+        ) from err
+    ip("link", "set", name, "netns", side.namespace, "name", INTERFACE)
+    return descriptor
+
+
+def start_forwarder(taps: Sequence[int], link: Link) -> subprocess.Popen[str]:
+    """The process that carries frames between the two TAP devices."""
+    program = Path(__file__).with_name("tap_forwarder.py")
+    # -I -S: it needs the standard library alone, and starts at once.
+    return subprocess.Popen(
+        [sys.executable, "-I", "-S", str(program), *map(str, taps), json.dumps(link.to_dict())],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        pass_fds=taps,
+        start_new_session=True,  # Ctrl-C is for the sweep, which still needs the link to end a run cleanly
+    )
+
+
+def remove_stale() -> list[str]:
+    """Removes namespaces that a killed sweep left behind, and gives their names."""
+    stale = [
+        found[0]
+        for found in map(_NAME.match, ip("netns", "list").splitlines())
+        if found and not Path("/proc", found[1]).exists()
+    ]
+    for name in stale:
+        ip("netns", "delete", name)
+    return stale
+
+
+def require_root() -> None:
+    """Lets only a user pass who may make network namespaces.
+
+    Raises:
+        OptionError: this one may not.
+    """
+    if os.geteuid() != 0:
+        raise OptionError(
+            "[network] and [link] need root to make network namespaces; run dds-sweep with sudo"
+        )
+
+
+def ip(*arguments: str) -> str:
+    """Output of the system's `ip`; errors as for `NamespacePair`."""
+    return _system("ip", *arguments)
+
+
+def tc(*arguments: str) -> str:
+    """Output of the system's `tc`; errors as for `NamespacePair`."""
+    return _system("tc", *arguments)
+
+
+def _system(program: str, *arguments: str) -> str:
+    variables = {**os.environ, "PATH": os.environ.get("PATH", "") + ":/usr/sbin:/sbin"}
+    try:
+        return subprocess.run(
+            [program, *arguments], capture_output=True, text=True, check=True, env=variables
+        ).stdout
+    except FileNotFoundError as err:
+        raise BackendUnavailableError(f"{program} is not installed; apt install iproute2") from err
+    except subprocess.CalledProcessError as err:
+        raise BackendUnavailableError(
+            f"{program} {' '.join(arguments)}: {err.stderr.strip() or err.returncode}",
+        ) from err

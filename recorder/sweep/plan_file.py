@@ -1,0 +1,304 @@
+"""A plan's TOML file read into a frozen `Plan`; whatever cannot be meant is an error naming key and remedy."""
+
+from __future__ import annotations
+
+import difflib
+import itertools
+import sys
+from dataclasses import dataclass, fields, replace
+from enum import Enum
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+
+from recorder.sizes import parse_size
+from recorder.sweep.cells import AXES, Cell
+from recorder.sweep.link import LINK_KEYS, PRESETS, Link
+from recorder.sweep.plan import DeviceSettings, Exclusion, Plan, RunSettings, Search
+from tracefile import OptionError
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Iterator, Mapping
+    from pathlib import Path
+
+    FindInstalled: TypeAlias = Callable[[], Collection[tuple[str, str | None]]]
+
+INSTALLED = "installed"
+"""As `backend`: every middleware that this machine has."""
+
+
+def read_plan(path: Path, installed: FindInstalled = tuple) -> Plan:
+    """The plan in a TOML file.
+
+    Args:
+        path: the file.
+        installed: gives (backend, rmw) of every middleware of this machine; called where the plan asks for it.
+
+    Raises:
+        OptionError: there is no such file, it is no TOML, or something in it cannot be meant.
+    """
+    try:
+        text = path.read_text()
+    except OSError as err:
+        raise OptionError(
+            f"{path}: {err.strerror}; give the path of a plan such as plans/quick.toml"
+        ) from err
+    return parse_plan(text, path.stem, str(path), installed)
+
+
+def parse_plan(
+    text: str,
+    name: str,
+    where: str,
+    installed: FindInstalled = tuple,
+) -> Plan:
+    """The plan in a TOML text; `where` goes into the error messages, which are those of `read_plan`."""
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as err:
+        raise OptionError(f"{where}: {err}") from err
+    root = _Table(table, where, "")
+    root.allow(
+        "name", "description", "axes", "matrix", "exclude", "run", "devices", "network", "link", "search"
+    )
+    axes = _axis_values(root.table("axes"))
+    matrices = [_axis_values(matrix) for matrix in root.tables("matrix")] or [{}]
+    exclusions = [
+        Exclusion(
+            values={axis: tuple(values) for axis, values in _axis_values(rule, ignore=("reason",)).items()},
+            reason=str(rule.values.get("reason", "")),
+        )
+        for rule in root.tables("exclude")
+    ]
+    listed = [cell for matrix in matrices for cell in _cells({**axes, **matrix}, installed)]
+    if not listed:
+        raise OptionError(f"{where}: the plan has no cell; give [axes] or [[matrix]] some values")
+    cells, excluded = _apply(exclusions, listed)
+    _check_names(cells, where)
+    link = _link(root.table("link"))
+    devices = root.table("devices")
+    devices.allow("ping", "relay", "connectivity")
+    relay = _record(DeviceSettings, devices.table("relay"))
+    network = _record(_Network, root.table("network"))
+    plan = Plan(
+        name=root.take("name", str, name),
+        description=root.take("description", str, ""),
+        cells=tuple(cells),
+        excluded=tuple(excluded),
+        run=_record(RunSettings, root.table("run")),
+        ping=_record(DeviceSettings, devices.table("ping")),
+        relay=relay,
+        namespaces=network.namespaces or link is not None,
+        link=link,
+        connectivity=devices.take("connectivity", str, _connectivity(link, network.namespaces, relay)),
+        search=_record(Search, root.table("search")),
+    )
+    _check(plan, where)
+    return plan
+
+
+@dataclass(frozen=True, slots=True)
+class _Network:
+    """The plan's `[network]`."""
+
+    namespaces: bool = False
+
+
+def _connectivity(link: Link | None, namespaces: bool, relay: DeviceSettings) -> str:
+    if link is not None:
+        return link.connectivity
+    return "wired" if namespaces or relay.ssh else "loopback"
+
+
+def _cells(axes: Mapping[str, list[Any]], installed: FindInstalled) -> Iterator[Cell]:
+    """Every combination of the values, the axis that is written last running fastest."""
+    if axes.get("backend") == [INSTALLED]:
+        others = {axis: values for axis, values in axes.items() if axis not in ("backend", "rmw")}
+        for backend, rmw in installed():
+            yield from _cells({"backend": [backend], "rmw": [rmw], **others}, installed)
+        return
+    for values in itertools.product(*axes.values()):
+        yield Cell(**dict(zip(axes, values, strict=True)))
+
+
+def _apply(exclusions: list[Exclusion], listed: list[Cell]) -> tuple[list[Cell], list[tuple[Cell, str]]]:
+    kept: list[Cell] = []
+    excluded: list[tuple[Cell, str]] = []
+    for cell in listed:
+        rule = next((rule for rule in exclusions if rule.covers(cell)), None)
+        if rule is None:
+            kept.append(cell)
+        else:
+            excluded.append((cell, rule.reason))
+    return kept, excluded
+
+
+def _check_names(cells: list[Cell], where: str) -> None:
+    seen: set[str] = set()
+    for cell in cells:
+        if cell.name in seen:
+            raise OptionError(f"{where}: the cell {cell.name} is there twice; two [[matrix]] overlap")
+        seen.add(cell.name)
+
+
+def _check(plan: Plan, where: str) -> None:
+    """Rules that concern more than one key.
+
+    Raises:
+        OptionError: one of them is broken.
+    """
+    run, relay = plan.run, plan.relay
+    rules = (
+        (
+            (run.messages > 0) == (run.seconds > 0),
+            "[run] takes either messages or seconds, and it is above zero",
+        ),
+        (
+            run.warmup < 0 or run.repeats < 1 or run.attempts < 1,
+            "[run] counts messages, repeats and attempts",
+        ),
+        (any(cell.rate <= 0 for cell in plan.cells), "a rate is above zero"),
+        (run.discovery not in (None, "localhost", "subnet"), "[run] discovery is localhost or subnet"),
+        (
+            any(cell.crosses_domains for cell in plan.cells) and run.domain == run.ping_domain,
+            "[run] domain and ping_domain are the same, and a bridge joins two",
+        ),
+        (relay.ssh is not None and plan.namespaces, "[link] and [network] need both devices on this machine"),
+        (plan.ping.ssh is not None, "the ping is always on this machine; give [devices.relay] the ssh"),
+        (plan.search.resolution <= 1, "[search] resolution is a factor above 1"),
+        (not 0 < plan.search.min_rate < plan.search.max_rate, "[search] min_rate is below max_rate"),
+    )
+    for broken, rule in rules:
+        if broken:
+            raise OptionError(f"{where}: {rule}")
+
+
+def _link(table: _Table) -> Link | None:
+    if not table.values:
+        return None
+    preset = table.take("preset", str, None)
+    table.allow("preset", "name", *LINK_KEYS)
+    if preset is not None and preset not in PRESETS:
+        raise OptionError(f"{table.where}: there is no link {preset!r}{_nearest(preset, PRESETS)}")
+    values = {key: table.take(key, float, None) for key in LINK_KEYS}
+    changed = {key: value for key, value in values.items() if value is not None}
+    base = PRESETS[preset] if preset else Link()
+    # A preset with other values is no longer that preset, and the trace should not call it so.
+    name = table.take("name", str, f"{base.name}-changed" if preset and changed else base.name)
+    link = replace(base, name=name, **changed)
+    if (
+        min(changed.values(), default=0) < 0
+        or link.loss_percent > 100
+        or (link.outage_ms > 0) != (link.outage_every_s > 0)
+    ):
+        raise OptionError(
+            f"{table.where}: no value is below zero, loss_percent not above 100, and an outage has both "
+            "outage_every_s and outage_ms",
+        )
+    return link
+
+
+def _axis_values(table: _Table, ignore: Collection[str] = ()) -> dict[str, list[Any]]:
+    """Axis -> its values as `Cell` holds them, in the order in which the plan has them."""
+    table.allow(*AXES, *ignore)
+    return {
+        axis: [
+            _axis_value(table, axis, value) for value in (listed if isinstance(listed, list) else [listed])
+        ]
+        for axis, listed in table.values.items()
+        if axis not in ignore
+    }
+
+
+def _axis_value(table: _Table, axis: str, value: object) -> Any:
+    if axis == "size":
+        if not isinstance(value, (str, int)) or isinstance(value, bool):
+            raise OptionError(f"{table.where}: size is {value!r}; write bytes or one like 33KB")
+        return parse_size(str(value))
+    if value == "" and AXES[axis].default is None:
+        return None
+    return table.check(axis, value, AXES[axis].metadata["kind"])
+
+
+_T = TypeVar("_T")
+
+
+def _record(kind: type[_T], table: _Table) -> _T:
+    """The dataclass `kind` filled from a table, its defaults where the table says nothing."""
+    defaults = kind()
+    named = [f.name for f in fields(kind)]  # type: ignore[arg-type]  # every kind here is a dataclass
+    table.allow(*named)
+    values = {
+        name: _field_value(table, name, getattr(defaults, name)) for name in named if name in table.values
+    }
+    return kind(**values)
+
+
+def _field_value(table: _Table, name: str, default: object) -> Any:
+    value = table.values[name]
+    if isinstance(default, Enum):
+        choices = {choice.value: choice for choice in type(default)}
+        if value not in choices:
+            raise OptionError(f"{table.where}: {name} is {value!r}{_nearest(str(value), choices)}")
+        return choices[value]
+    if isinstance(default, tuple):
+        items = value if isinstance(value, list) else [value]
+        return tuple(table.check(name, item, str) for item in items)
+    return table.check(name, value, str if default is None else type(default))
+
+
+@dataclass(frozen=True, slots=True)
+class _Table:
+    """One table of the TOML, with its place for the error messages."""
+
+    values: dict[str, Any]
+    path: str
+    key: str
+
+    @property
+    def where(self) -> str:
+        return f"{self.path}: [{self.key}]" if self.key else self.path
+
+    def table(self, key: str) -> _Table:
+        return _Table(self.take(key, dict, {}), self.path, f"{self.key}.{key}".lstrip("."))
+
+    def tables(self, key: str) -> list[_Table]:
+        return [
+            _Table(self.check(f"{key} number {i}", table, dict), self.path, f"[{key}]")
+            for i, table in enumerate(self.take(key, list, []), 1)
+        ]
+
+    def take(self, key: str, kind: type, default: Any) -> Any:
+        return self.check(key, self.values[key], kind) if key in self.values else default
+
+    def check(self, key: str, value: Any, kind: type) -> Any:
+        if kind is float and isinstance(value, int) and not isinstance(value, bool):
+            return float(value)
+        if not isinstance(value, kind) or (kind is not bool and isinstance(value, bool)):
+            raise OptionError(f"{self.where}: {key} is {value!r}, not {_KIND_NAMES[kind]}")
+        return value
+
+    def allow(self, *keys: str) -> None:
+        for key in self.values:
+            if key not in keys:
+                raise OptionError(f"{self.where}: there is no {key!r}{_nearest(key, keys)}")
+
+
+_KIND_NAMES = {
+    str: "a text",
+    int: "a whole number",
+    float: "a number",
+    bool: "true or false",
+    dict: "a table",
+    list: "a list of tables",
+}
+
+
+def _nearest(word: str, choices: Collection[str]) -> str:
+    """What a message adds after a word that is none of `choices`."""
+    near = difflib.get_close_matches(word, choices, n=1)
+    listed = ", ".join(choices)
+    return f"; did you mean {near[0]!r}?" if near else f"; choose one of {listed}"

@@ -1,0 +1,102 @@
+"""A `dds-record` process of a sweep: started, waited for, stopped; it goes with the sweep even when that is killed."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tracefile import BackendUnavailableError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+STOP_PATIENCE_S = 20.0
+"""A recorder closes its trace and stops its bridge before it ends."""
+
+LAST_WORDS_BYTES = 4096
+
+
+def local_program(name: str) -> list[str]:
+    """The command `name` of this installation, wherever it was started from."""
+    beside = Path(sys.executable).with_name(name)
+    return [str(beside if beside.exists() else shutil.which(name) or name)]
+
+
+class Program:
+    """One running program; its output goes to a log file.
+
+    Args:
+        command: program and arguments.
+        log: file for all that it says; its folder exists.
+        held: file descriptor of a lock that is not to be free before the program has ended.
+        stops_by_input: it ends when its standard input closes (a program on another device), else by SIGTERM.
+
+    Raises:
+        BackendUnavailableError: there is no such program.
+    """
+
+    def __init__(
+        self,
+        command: Sequence[str],
+        log: Path,
+        *,
+        stops_by_input: bool = False,
+        held: int | None = None,
+    ) -> None:
+        self.command = list(command)
+        self.log = log
+        self._stops_by_input = stops_by_input
+        try:
+            with log.open("wb") as output:
+                self._process = subprocess.Popen(
+                    [*_dying_with_us(), *command],
+                    stdin=subprocess.PIPE if stops_by_input else subprocess.DEVNULL,
+                    stdout=output,
+                    stderr=subprocess.STDOUT,
+                    pass_fds=() if held is None else (held,),
+                    start_new_session=True,  # Ctrl-C is for the sweep, which ends its programs in order
+                )
+        except FileNotFoundError as err:
+            raise BackendUnavailableError(f"{command[0]} is not installed") from err
+
+    @property
+    def exit_code(self) -> int | None:
+        """Its exit code (negative for a signal), None while it runs."""
+        return self._process.poll()
+
+    def wait(self, timeout_s: float) -> int | None:
+        """Its exit code, None if it still runs after `timeout_s`."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            return self._process.wait(timeout_s)
+        return None
+
+    def stop(self, patience_s: float = STOP_PATIENCE_S) -> int:
+        """Asks it to end, then makes it; its exit code. May be repeated."""
+        if self._process.stdin is not None:
+            with contextlib.suppress(BrokenPipeError):
+                self._process.stdin.close()
+        if self._process.poll() is None and not self._stops_by_input:
+            self._process.terminate()
+        if self.wait(patience_s) is None:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(self._process.pid, signal.SIGKILL)
+        return self._process.wait()
+
+    def last_words(self) -> str:
+        """The last line that it said: a recorder that fails says why in one line."""
+        with self.log.open("rb") as file:
+            file.seek(max(0, self.log.stat().st_size - LAST_WORDS_BYTES))
+            lines = file.read().decode(errors="replace").replace("\r", "\n").splitlines()
+        return next((line.strip() for line in reversed(lines) if line.strip()), "it said nothing")
+
+
+def _dying_with_us() -> list[str]:
+    """Lets the kernel end a program when the sweep is killed, so that it does not go on into the next one's cells."""
+    setpriv = shutil.which("setpriv")  # util-linux, on every Debian and its relatives
+    return [setpriv, "--pdeathsig", "TERM", "--"] if setpriv else []

@@ -1,0 +1,109 @@
+"""What a cell's ping trace says in a few numbers: for progress, the state file and the search of rates.
+
+The analyzer's figures are the ones to publish; these are here so that a sweep knows whether a cell is whole.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tracefile import Stage, TraceFormatError, read_trace
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tracefile import EventColumns, Run, Trace
+
+    Times = np.ndarray[Any, np.dtype[np.int64]]
+
+PERCENTILES = (50.0, 95.0, 99.0)
+
+
+@dataclass(frozen=True, slots=True)
+class CellResult:
+    """One run as its ping saw it; warm-up left out of every number.
+
+    Attributes:
+        run_id: 16 hex digits.
+        planned: messages that the schedule held.
+        published: messages handed to the middleware.
+        received: published messages whose reply came.
+        achieved_rate_hz: of publishing, None with fewer than two messages.
+        rtt_ms: percentile (`p50`, `p95`, `p99`) -> T2 - T1, None without replies.
+        response_ms: likewise T2 - T0.
+        dropped_events: events that the recorder could not keep.
+        cut_off: the run was ended before its schedule was through.
+    """
+
+    run_id: str
+    planned: int
+    published: int
+    received: int
+    achieved_rate_hz: float | None
+    rtt_ms: dict[str, float] | None
+    response_ms: dict[str, float] | None
+    dropped_events: int
+    cut_off: bool
+
+    @property
+    def loss_percent(self) -> float:
+        """Published messages without a reply; 100 if nothing was published."""
+        return 100.0 * (1 - self.received / self.published) if self.published else 100.0
+
+    def __str__(self) -> str:
+        loss = f", {self.loss_percent:.2g} % lost" if self.received < self.published else ""
+        cut = f", cut off after {self.published} of {self.planned}" if self.cut_off else ""
+        rtt = (
+            f"RTT p50 {self.rtt_ms['p50']:.2f} p99 {self.rtt_ms['p99']:.2f} ms" if self.rtt_ms else "no reply"
+        )
+        return f"{rtt}, {self.received}/{self.published} messages{loss}{cut}"
+
+
+def read_result(path: Path) -> CellResult:
+    """The result of the one run in a ping's trace.
+
+    Raises:
+        TraceFormatError: no trace, or it does not hold exactly one finished run.
+    """
+    trace = read_trace(path)
+    if len(trace.runs) != 1:
+        raise TraceFormatError(path, f"holds {len(trace.runs)} runs where a cell has one")
+    run = trace.runs[0]
+    if run.state != "finished":
+        raise TraceFormatError(path, "the run was not finished")
+    sent = _of_run(trace, Stage.T1, run)
+    replies = _of_run(trace, Stage.T2, run)
+    # The first reply of each message counts; further ones are duplicates.
+    answered, first = np.unique(replies.sequence, return_index=True)
+    receive_ns = replies.monotonic_ns[first]
+    both, in_sent, in_answered = np.intersect1d(sent.sequence, answered, return_indices=True)
+    span_ns = int(sent.monotonic_ns[-1] - sent.monotonic_ns[0]) if len(sent) > 1 else 0
+    return CellResult(
+        run_id=f"{run.run_id:016x}",
+        planned=run.planned_messages,
+        published=len(sent),
+        received=len(both),
+        achieved_rate_hz=(len(sent) - 1) / (span_ns / 1e9) if span_ns else None,
+        rtt_ms=_percentiles(receive_ns[in_answered] - sent.monotonic_ns[in_sent]),
+        response_ms=_percentiles(receive_ns[in_answered] - sent.scheduled_ns[in_sent]),
+        dropped_events=sum(session.dropped_events for session in trace.sessions),
+        cut_off=len(sent) < run.planned_messages,
+    )
+
+
+def _of_run(trace: Trace, stage: Stage, run: Run) -> EventColumns:
+    columns = trace.events[stage]
+    return columns.take((columns.run_id == run.run_id) & (columns.sequence >= run.warmup_messages))
+
+
+def _percentiles(times_ns: Times) -> dict[str, float] | None:
+    if not len(times_ns):
+        return None
+    values_ms = np.percentile(times_ns, PERCENTILES) / 1e6
+    return {
+        f"p{percentile:g}": round(float(value), 4)
+        for percentile, value in zip(PERCENTILES, values_ms, strict=True)
+    }

@@ -45,7 +45,7 @@ class BoundedLog:
     def __init__(self, folder: Path, up_pattern: str) -> None:
         self._path = folder / "log"
         self._up = folder / "up"
-        self._up_pattern = re.compile(up_pattern.encode(), re.MULTILINE)
+        self._up_pattern = re.compile(up_pattern.encode(), re.MULTILINE) if up_pattern else None
         self._before = b""
         self._file = self._path.open("wb", buffering=0)
         self.total_bytes = 0
@@ -53,16 +53,21 @@ class BoundedLog:
     def write(self, data: bytes) -> None:
         """Append; the older half goes when the newer is full."""
         self.total_bytes += len(data)
-        if not self._up.exists():
-            self._before = (self._before + data)[-READ_BYTES - 1024 :]  # the line may come in two pieces
-            if self._up_pattern.search(self._before):
-                self._up.touch()
         with contextlib.suppress(OSError):  # a full disk costs the log, not the bridge
+            self._look_for_up(data)
             if self._file.tell() + len(data) > LOG_LIMIT_BYTES:
                 self._file.close()
                 self._path.replace(self._path.with_name("log.1"))
                 self._file = self._path.open("wb", buffering=0)
             self._file.write(data)
+
+    def _look_for_up(self, data: bytes) -> None:
+        if self._up_pattern is None:
+            return
+        self._before = (self._before + data)[-READ_BYTES - 1024 :]  # the line may come in two pieces
+        if self._up_pattern.search(self._before):
+            self._up.touch()
+            self._up_pattern = None
 
 
 def descendants() -> list[int]:

@@ -12,6 +12,8 @@ if TYPE_CHECKING:
 
 BRIDGE_MODULES = {
     "builtin": "recorder.bridges.builtin",
+    "builtin-zenoh": "recorder.bridges.builtin_zenoh",
+    "zenoh-bridge-dds": "recorder.bridges.zenoh_bridge_dds",
 }
 """Name of each bridge and the module that holds its `BRIDGE`."""
 

@@ -44,6 +44,7 @@ class _RunningHalf:
     half: Half
     version: str
     configuration: str
+    environment: Mapping[str, str]
     program: SupervisedProgram
 
     @property
@@ -102,7 +103,8 @@ class RunningBridge:
         """What runs, with what configuration, and how it ended, as a JSON object for the trace.
 
         `bridge`, `state` (see `BridgeState`), `ping_domain_id`, `relay_domain_id`, `failure` (a line or null) and
-        `programs`: for each `half`, `version`, `command`, `configuration`, `log_tail` and, once it has ended,
+        `programs`: for each `half`, `version`, `command`, `configuration`, `environment` (what was added to it),
+        `log_tail` and, once it has ended,
         `exit_code`, `asked`, `left_behind`, `log_bytes`.
         """
         return {
@@ -117,6 +119,7 @@ class RunningBridge:
                     "version": half.version,
                     "command": list(half.program.command),
                     "configuration": half.configuration,
+                    "environment": dict(half.environment),
                     "log_tail": self.log_tail(half.half),
                     **(asdict(half.program.report) if half.program.report else {}),
                 }
@@ -224,12 +227,10 @@ def _start_half(
     text = bridge.configuration(options)
     file = own / f"configuration{bridge.suffix}"
     file.write_text(text)
-    environment = program_environment(
-        bridge.environment(program, options),
-        foreign=program != Path(sys.executable),
-    )
-    started = SupervisedProgram(bridge.command(program, file, options), own, environment, bridge.up_pattern)
-    return _RunningHalf(options.half, version, text, started)
+    added = bridge.environment(program, options)
+    variables = program_environment(added, foreign=program != Path(sys.executable))
+    started = SupervisedProgram(bridge.command(program, file, options), own, variables, bridge.up_pattern)
+    return _RunningHalf(options.half, version, text, added, started)
 
 
 def _with_free_link(bridge: Bridge, options: BridgeOptions) -> BridgeOptions:

@@ -1,0 +1,83 @@
+"""`zenoh-bridge-dds`: Eclipse zenoh's bridge for DDS, the paper's choice for Cyclone DDS; one half for each domain.
+
+The same bridge comes as a program, `zenoh-bridge-dds`, and as a plugin of zenoh's router: `zenohd` with
+`libzenoh_plugin_dds.so` beside it, which is what `just install-zenoh-bridge` builds. One configuration fits both.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from recorder.backend import Discovery
+from recorder.bridges.programs import reported_version
+from recorder.bridges.zenoh_link import zenoh_environment, zenoh_link
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from recorder.bridges.bridge import BridgeOptions
+
+PLUGIN = "libzenoh_plugin_dds.so"
+
+
+@dataclass(frozen=True, slots=True)
+class ZenohBridgeDds:
+    """Eclipse zenoh's bridge for DDS; see `Bridge` for the names."""
+
+    name: str = "zenoh-bridge-dds"
+    install: str = (
+        "build it with `just install-zenoh-bridge` (needs cargo), or get zenoh-bridge-dds from "
+        "https://download.eclipse.org/zenoh/zenoh-plugin-dds/latest/"
+    )
+    has_halves: bool = True
+    suffix: str = ".json5"
+    up_pattern: str | None = None
+
+    def configuration(self, options: BridgeOptions) -> str:
+        """JSON, which is JSON5: the domain, the allowed topics, and where the halves meet."""
+        (side,) = options.sides()
+        names = sorted((*side.takes, *side.puts))
+        dds = {
+            "domain": side.domain_id,
+            "localhost_only": options.discovery is Discovery.LOCALHOST,
+            # The expression is searched for anywhere in the name, and `rt/` is ROS 2's prefix of topics.
+            "allow": f"^rt/({'|'.join(names)})$",
+            "reliable_routes_blocking": True,
+        }
+        return json.dumps({"plugins": {"dds": dds}, **zenoh_link(options, mode="router")}, indent=2) + "\n"
+
+    def find(self) -> Path | None:
+        """`zenoh-bridge-dds` on the PATH, else `zenohd` with the plugin where our recipe puts them."""
+        if found := shutil.which("zenoh-bridge-dds"):
+            return Path(found)
+        router = installed_folder() / "zenohd"
+        return router if router.is_file() and router.with_name(PLUGIN).is_file() else None
+
+    def version(self, program: Path) -> str:
+        """As `--version` says it."""
+        return reported_version(program, "--version")
+
+    def command(self, program: Path, configuration: Path, options: BridgeOptions) -> Sequence[str]:
+        """The program, or the router with the plugin that must load."""
+        del options
+        plugin = ("-P", f"dds:{program.with_name(PLUGIN)}") if program.name == "zenohd" else ()
+        return (str(program), *plugin, "-c", str(configuration))
+
+    def environment(self, program: Path, options: BridgeOptions) -> Mapping[str, str]:
+        """Settings of the Cyclone DDS inside."""
+        del program
+        return zenoh_environment(options)
+
+
+BRIDGE = ZenohBridgeDds()
+
+
+def installed_folder() -> Path:
+    """Where `just install-zenoh-bridge` puts its two files."""
+    data = os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share"
+    return Path(data) / "dds-trace" / "zenoh-bridge-dds"

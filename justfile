@@ -2,7 +2,7 @@
 
 set shell := ["bash", "-euo", "pipefail", "-c"]
 
-python := env("DDS_TRACE_PYTHON", "3.11")
+python := env("DDS_TRACE_PYTHON", ">=3.10,<3.14")
 venv := justfile_directory() / ".venv"
 bin := venv / "bin"
 
@@ -14,8 +14,13 @@ _default:
 
 # Make .venv with all extras (quick when nothing changed)
 setup:
-    @test -x {{bin}}/python || uv venv --quiet --python {{python}} {{venv}}
-    @uv pip install --quiet --python {{bin}}/python -e '.[ros2,analyze,test,check]'
+    @test -x {{bin}}/python || uv venv --quiet --python '{{python}}' {{venv}}
+    @uv pip install --quiet --python {{bin}}/python -e '.[ros2,cyclonedds,zenoh,analyze,test,check]'
+
+# The main job on this machine: real ROS 2, same domain and domains 5 and 10 through the builtin bridge
+demo: setup
+    {{bin}}/dds-sweep plans/quick.toml --out out/demo
+    {{bin}}/dds-analyze out/demo --report terminal --report html
 
 # Lint, format, types, import directions
 check: setup
@@ -32,3 +37,15 @@ fix: setup
 # All tests that end within minutes
 test *args: setup
     {{bin}}/pytest -m 'not slow' -n 4 {{args}}
+
+# Tests that take longer than a minute each (kills, long sweeps)
+test-slow *args: setup
+    {{bin}}/pytest -m slow {{args}}
+
+# Record sample_traces/ anew
+samples: setup
+    DDS_TRACE_BIN={{bin}} sample_traces/record.sh
+
+# All benchmarks: ratios measured side by side in one run
+bench: setup
+    for script in benchmarks/bench_*.py; do {{bin}}/python $script; done

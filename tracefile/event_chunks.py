@@ -34,7 +34,8 @@ MESSAGE_DTYPE = np.dtype(
 MESSAGES_AT = 4096
 """Where messages start in the builder's buffer: room for the schemas and channels that come before."""
 
-Index = np.ndarray[Any, Any]
+Positions = np.ndarray[Any, np.dtype[np.intp]]
+Index = np.ndarray[Any, np.dtype[np.uint64]]
 """uint64 array of shape (messages, 2): log time, offset in the chunk; the body of a MessageIndex record."""
 
 
@@ -55,6 +56,13 @@ class Chunk:
     index: Mapping[int, Index]
 
 
+def positions_by_channel(slots: Slots) -> dict[int, Positions]:
+    """Where in `slots` the events of each channel are; the channel ids are the numbers of the stages."""
+    stages = slots["stage"].copy()
+    found = {number: np.flatnonzero(stages == number) for number in range(1, len(Stage) + 1)}
+    return {number: positions for number, positions in found.items() if len(positions)}
+
+
 class EventChunkBuilder:
     """Builds chunks of events in one buffer that is used again (fresh memory is slow at its first touch).
 
@@ -72,7 +80,12 @@ class EventChunkBuilder:
         self._messages["cdr_header"] = np.void(CDR_HEADER)
 
     def build(
-        self, slots: Slots, declarations: bytes, written: Mapping[int, int], not_before_ns: int
+        self,
+        slots: Slots,
+        by_channel: Mapping[int, Positions],
+        declarations: bytes,
+        written: Mapping[int, int],
+        not_before_ns: int,
     ) -> Chunk:
         """The chunk of `slots` in their order; valid until the next call.
 
@@ -82,6 +95,7 @@ class EventChunkBuilder:
 
         Args:
             slots: one to `max_events` events.
+            by_channel: their positions, from `positions_by_channel`.
             declarations: schema and channel records that the chunk starts with, at most `MESSAGES_AT` bytes.
             written: messages that the file already has, by channel id.
             not_before_ns: log time of the file's last message.
@@ -93,18 +107,14 @@ class EventChunkBuilder:
         np.maximum.accumulate(times, out=times)
         messages["event"] = slots["event"]
         messages["times_ns"] = times[:, None]
-        stages = slots["stage"].copy()
-        messages["channel_id"] = stages
+        messages["channel_id"] = slots["stage"]
         index: dict[int, Index] = {}
-        for channel_id in range(1, len(Stage) + 1):
-            chosen = np.flatnonzero(stages == channel_id)
-            if not len(chosen):
-                continue
+        for channel_id, positions in by_channel.items():
             first = written.get(channel_id, 0)
-            messages["number"][chosen] = np.arange(first, first + len(chosen))
-            entries = np.empty((len(chosen), 2), np.uint64)
-            entries[:, 0] = times[chosen]
-            entries[:, 1] = chosen * MESSAGE_DTYPE.itemsize + len(declarations)
+            messages["number"][positions] = np.arange(first, first + len(positions))
+            entries = np.empty((len(positions), 2), np.uint64)
+            entries[:, 0] = times[positions]
+            entries[:, 1] = positions * MESSAGE_DTYPE.itemsize + len(declarations)
             index[channel_id] = entries
         start = MESSAGES_AT - len(declarations)
         self._buffer[start:MESSAGES_AT] = np.frombuffer(declarations, np.uint8)

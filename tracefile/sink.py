@@ -11,10 +11,11 @@ from __future__ import annotations
 import json
 import queue
 import struct
+import sys
 import threading
 import time
 from collections import deque
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -25,11 +26,13 @@ from tracefile.rosbag2 import METADATA_NAME, write_metadata
 from tracefile.writer import MAX_CHUNK_EVENTS, TraceWriter, output_error
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
     from tracefile.descriptions import Run, Session
 
+
+BUSY_SWITCH_INTERVAL_S = 1e-4
 
 _pack_into = SLOT_STRUCT.pack_into
 
@@ -122,12 +125,14 @@ class TraceSink:
             trace.unlink(missing_ok=True)
             raise (err if isinstance(err, OutputError) else output_error(ring_path(trace), err)) from err
 
-        self._view = self._ring.view
+        self._memory = self._ring.memory
+        self._slots_at = self._ring.slots_at
         self._slot_count = destination.ring_slots
         self._head = 0  # ticket of the next event; all below are packed
         self._drained = 0  # all tickets below are in the file
         self._limit = self._slot_count  # the ring is full when the head is here
-        self._attention = self._slot_count // 4  # the head is next looked at here; never above the limit
+        self._quarter = self._slot_count // 4
+        self._attention = self._quarter  # the head is next looked at here; never above the limit
         self._dropped = 0
         self._record_lock = threading.Lock()
         self._write_lock = threading.Lock()
@@ -170,8 +175,8 @@ class TraceSink:
                 return
             try:
                 _pack_into(
-                    self._view,
-                    head % self._slot_count * SLOT_BYTES,
+                    self._memory,
+                    self._slots_at + head % self._slot_count * SLOT_BYTES,
                     run_id,
                     sequence,
                     monotonic_ns,
@@ -284,17 +289,40 @@ class TraceSink:
         """Move what is in the ring, then the texts, to the file. Called with the write lock."""
         head = self._head
         try:
-            while self._drained < head:
-                slots = self._ring.pending(self._drained, min(head, self._drained + MAX_CHUNK_EVENTS))
-                self._writer.write_events(slots)
-                self._drained += len(slots)
-                self._limit = self._drained + self._slot_count
-                self._attention = self._drained + self._slot_count // 4
+            with _quick_switches(only_if=head - self._drained >= self._quarter):
+                self._drain_to(head)
             while self._texts:
                 self._writer.write_text(*self._texts[0])
                 self._texts.popleft()
         except OutputError as err:
             self._error = self._error or err
+
+    def _drain_to(self, head: int) -> None:
+        while self._drained < head:
+            slots = self._ring.pending(self._drained, min(head, self._drained + MAX_CHUNK_EVENTS))
+            self._writer.write_events(slots)
+            self._drained += len(slots)
+            self._limit = self._drained + self._slot_count
+            self._attention = self._drained + self._quarter
+
+
+@contextmanager
+def _quick_switches(*, only_if: bool) -> Iterator[None]:
+    """Let this thread have the GIL soon while a busy one fills the ring.
+
+    A thread that computes without pause gives the GIL up only every switch interval (5 ms), and a chunk takes
+    it some twenty times between its array operations: 100 ms, in which 65536 slots fill. With 0.1 ms it is
+    10 ms. A recorder that is not hammered never comes here and keeps its interval.
+    """
+    if not only_if:
+        yield
+        return
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(min(interval, BUSY_SWITCH_INTERVAL_S))
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(interval)
 
 
 def _make_room(destination: TraceDestination) -> None:

@@ -1,0 +1,200 @@
+"""A closed trace made of what a killed recorder left: its file, cut off anywhere, and the ring beside it."""
+
+from __future__ import annotations
+
+import os
+from contextlib import closing
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from tracefile.descriptions import Session
+from tracefile.errors import OptionError, OutputExistsError, TraceFormatError
+from tracefile.events import SESSION_TOPIC
+from tracefile.records import RecordFile
+from tracefile.ring import read_ring, ring_path
+from tracefile.rosbag2 import write_metadata
+from tracefile.salvage import Salvage, SalvagedText
+from tracefile.writer import MAX_CHUNK_EVENTS, TraceWriter, output_error
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tracefile.ring import RingContents, Slots
+
+KILLED_SUFFIX = ".killed"
+UNFINISHED_SUFFIX = ".recovering"
+
+
+@dataclass(frozen=True, slots=True)
+class RecoveryReport:
+    """What was found, and where it is now.
+
+    Attributes:
+        path: the trace that was looked at.
+        recovered: the closed trace that was written; None if `path` was closed and whole.
+        originals: where the cut off file and its ring are now.
+        file_events: events in the complete chunks of the file.
+        ring_events: events that only the ring had.
+        missing_events: events that were in neither (only a power failure or a bad disk does that).
+        dropped_events: events that the recorder could not keep while it ran.
+        torn_bytes: bytes at the file's end that were no complete record.
+        damaged_chunks: chunks left out because their content is not what was written.
+    """
+
+    path: Path
+    recovered: Path | None
+    originals: tuple[Path, ...] = ()
+    file_events: int = 0
+    ring_events: int = 0
+    missing_events: int = 0
+    dropped_events: int = 0
+    torn_bytes: int = 0
+    damaged_chunks: int = 0
+
+    def lines(self) -> list[str]:
+        """The report for a terminal."""
+        if self.recovered is None:
+            return [f"{self.path} is closed and whole ({self.file_events} events); nothing to recover"]
+        return [
+            f"{self.file_events} events in the file, {self.ring_events} more in the ring",
+            f"{self.missing_events} events missing, {self.dropped_events} dropped while recording",
+            f"{self.torn_bytes} bytes of an unfinished record and {self.damaged_chunks} damaged chunks left out",
+            *(f"The original is kept as {original}" for original in self.originals),
+        ]
+
+
+def recover(path: Path, destination: Path | None = None) -> RecoveryReport:
+    """Make a closed trace of a cut off one and its ring; not a byte of the originals is changed.
+
+    Args:
+        path: a `.mcap` file, or a rosbag2 folder of ours, that was not closed.
+        destination: the new `.mcap` file. Without it the new file takes the old one's name, so that a folder of
+            traces can be analyzed as it is, and the old one is kept as `NAME.mcap.killed`, its ring as
+            `NAME.mcap.killed.ring`. A kill at any moment of this leaves a readable trace.
+
+    Raises:
+        TraceFormatError: no trace of ours, or neither file nor ring names a session.
+        OptionError: the trace is still being recorded.
+        OutputExistsError: `destination` is there already.
+        OutputError: the new file cannot be written.
+    """
+    trace = path / f"{path.name}_0.mcap" if path.is_dir() else path
+    if destination is not None and destination.exists():
+        raise OutputExistsError(f"{destination} is there already; choose another name")
+    found = _look_at(trace)
+    if found.is_whole:
+        # Killed between the footer and the deletion of the ring: every event is in the file.
+        ring_path(trace).unlink(missing_ok=True)
+        return RecoveryReport(path, None, file_events=found.file.events)
+    ring = found.ring
+    report = RecoveryReport(
+        path=path,
+        recovered=destination or path,
+        originals=(trace,) if ring is None else (trace, ring_path(trace)),
+        file_events=found.file.events,
+        ring_events=len(ring.slots) if ring else 0,
+        missing_events=found.file.tickets - found.file.events + (ring.missing_events if ring else 0),
+        dropped_events=max(found.session.dropped_events, ring.dropped_events if ring else 0),
+        torn_bytes=found.file.torn_bytes,
+        damaged_chunks=found.file.damaged_chunks,
+    )
+    unfinished = destination or trace.with_name(trace.name + UNFINISHED_SUFFIX)
+    try:
+        unfinished.unlink(missing_ok=True)
+        writer = _write(unfinished, found, report)
+        if destination is not None:
+            return report
+        originals = _take_place(trace, unfinished)
+        if path != trace:
+            write_metadata(trace, writer.topics, writer.time_range_ns)
+    except OSError as err:
+        raise output_error(unfinished, err) from err
+    return replace(report, originals=originals)
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """A trace looked through once: the figures of its file, its session, its ring."""
+
+    trace: Path
+    file: Salvage
+    session: Session
+    ring: RingContents | None
+
+    @property
+    def is_whole(self) -> bool:
+        return self.file.closed and (self.ring is None or not len(self.ring.slots))
+
+
+def _look_at(trace: Path) -> _Found:
+    with closing(RecordFile(trace)) as file:
+        salvage = Salvage(file)
+        sessions = [
+            Session.from_json(item.text, trace)
+            for item in salvage
+            if isinstance(item, SalvagedText) and item.topic == SESSION_TOPIC
+        ]
+    beside = ring_path(trace)
+    ring = read_ring(beside, salvage.tickets) if beside.exists() else None
+    if ring is not None and ring.recording:
+        raise OptionError(f"{trace} is still being recorded; stop the recorder first")
+    if ring is not None and sessions and sessions[-1].session_id != ring.session.session_id:
+        raise TraceFormatError(
+            beside, f"this ring belongs to another recording than {trace.name}; move one of them away"
+        )
+    if ring is None and not sessions:
+        raise TraceFormatError(
+            trace, "ends before its session description and has no ring: it holds no event"
+        )
+    return _Found(trace, salvage, sessions[-1] if sessions or ring is None else ring.session, ring)
+
+
+def _write(unfinished: Path, found: _Found, report: RecoveryReport) -> TraceWriter:
+    """Write the closed trace: the file's content, the ring's, and the session as it was, with the figures."""
+    writer = TraceWriter(unfinished, found.session, fsync=False)
+    with closing(RecordFile(found.trace)) as file:
+        for item in Salvage(file):
+            if isinstance(item, SalvagedText):
+                writer.write_text(item.topic, item.text, item.log_time_ns)
+            else:
+                _write_events(writer, item)
+    if found.ring is not None:
+        _write_events(writer, found.ring.slots)
+    figures = {
+        "file_events": report.file_events,
+        "ring_events": report.ring_events,
+        "missing_events": report.missing_events,
+    }
+    extra = {**found.session.extra, "recovered": figures}
+    session = replace(found.session, dropped_events=report.dropped_events, extra=extra)
+    writer.write_text(SESSION_TOPIC, session.to_json(), writer.time_range_ns[1])
+    writer.finish()
+    return writer
+
+
+def _write_events(writer: TraceWriter, slots: Slots) -> None:
+    for start in range(0, len(slots), MAX_CHUNK_EVENTS):
+        writer.write_events(slots[start : start + MAX_CHUNK_EVENTS])
+
+
+def _take_place(trace: Path, unfinished: Path) -> tuple[Path, ...]:
+    """Give the new file the old one's name; the old one stays under another, and there is always one.
+
+    The ring goes last: beside the new file it adds nothing, since its events are all in there.
+    """
+    with unfinished.open("rb") as stream:
+        os.fsync(stream.fileno())
+    kept = trace.with_name(trace.name + KILLED_SUFFIX)
+    number = 1
+    while kept.exists():
+        number += 1
+        kept = trace.with_name(f"{trace.name}{KILLED_SUFFIX}{number}")
+    try:
+        os.link(trace, kept)
+    except OSError:  # a file system without hard links (FAT): for a moment only the kept name is there
+        trace.rename(kept)
+    unfinished.replace(trace)
+    ring = ring_path(trace)
+    if not ring.exists():
+        return (kept,)
+    return (kept, ring.rename(ring_path(kept)))

@@ -1,0 +1,115 @@
+"""What of a cut off trace is complete: its events and texts in file order, chunk by chunk."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tracefile.channels import ChannelTable
+from tracefile.event_chunks import MESSAGE_DTYPE
+from tracefile.event_scan import MESSAGE_HEADER, scan_records
+from tracefile.packed_chunks import DamagedChunkError, PackedChunk
+from tracefile.records import MAGIC, Opcode, TornRecordError
+from tracefile.ring import SLOT_DTYPE, STAGE_NUMBERS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from tracefile.records import RecordFile, RecordHeader
+    from tracefile.ring import Slots
+
+_NUMBER_OF_STAGE = {stage: number for number, stage in STAGE_NUMBERS.items()}
+_CHANNEL_IDS = 1 << 16
+
+
+@dataclass(frozen=True, slots=True)
+class SalvagedText:
+    """One `std_msgs/msg/String` of the file."""
+
+    topic: str
+    text: str
+    log_time_ns: int
+
+
+class Salvage:
+    """Iterates once over what is complete in `file`, as arrays of `SLOT_DTYPE` (marks without tickets) and texts.
+
+    Attributes (final after the last item):
+        closed: the file has its footer.
+        events: events handed out.
+        torn_bytes: bytes at the end that are no complete record.
+        damaged_chunks: chunks left out because their content is not what was written.
+    """
+
+    def __init__(self, file: RecordFile) -> None:
+        self._file = file
+        self._channels = ChannelTable(file.path)
+        self._stages = np.zeros(_CHANNEL_IDS, np.uint8)  # by channel id
+        self._next_number: dict[int, int] = {}
+        self.closed = False
+        self.events = 0
+        self.torn_bytes = 0
+        self.damaged_chunks = 0
+
+    @property
+    def tickets(self) -> int:
+        """Events that the recorder had put into the file, those of damaged chunks included."""
+        return sum(self._next_number.values())  # MCAP sequences count the messages of a channel
+
+    def __iter__(self) -> Iterator[Slots | SalvagedText]:
+        at = len(MAGIC)
+        while not self.closed:
+            try:
+                header = self._file.header_at(at)
+            except TornRecordError:
+                self.torn_bytes = max(self._file.size - at, 0)
+                break
+            if header.opcode == Opcode.CHUNK:
+                yield from self._chunk(header)
+            self.closed = header.opcode == Opcode.FOOTER
+            at = header.end
+
+    def _chunk(self, header: RecordHeader) -> Iterator[Slots | SalvagedText]:
+        try:
+            data = PackedChunk.at(self._file, header).unpack(self._file)
+        except DamagedChunkError:
+            self.damaged_chunks += 1
+            return
+        scan = scan_records(data, 0, len(data))
+        others = {content: (opcode, length) for opcode, content, length in scan.others}
+        runs = dict(scan.runs)
+        for at in sorted([*others, *runs]):
+            if at in runs:
+                yield self._slots(np.frombuffer(data, MESSAGE_DTYPE, runs[at], at))
+                continue
+            opcode, length = others[at]
+            content = memoryview(data)[at : at + length]
+            if opcode == Opcode.MESSAGE:
+                yield from self._text(content)
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                self._channels.declare(opcode, content, header.offset)
+                for channel_id, channel in self._channels.items():
+                    if channel.stage:
+                        self._stages[channel_id] = _NUMBER_OF_STAGE[channel.stage]
+
+    def _slots(self, messages: np.ndarray[tuple[int], np.dtype[np.void]]) -> Slots:
+        slots = np.zeros(len(messages), SLOT_DTYPE)
+        slots["event"] = messages["event"]
+        slots["stage"] = self._stages[messages["channel_id"]]
+        messages, slots = messages[slots["stage"] > 0], slots[slots["stage"] > 0]
+        for number in np.unique(slots["stage"]):
+            highest = int(messages["number"][slots["stage"] == number].max())
+            self._next_number[int(number)] = max(self._next_number.get(int(number), 0), highest + 1)
+        self.events += len(slots)
+        return slots
+
+    def _text(self, content: memoryview) -> Iterator[SalvagedText]:
+        channel_id, _, log_time_ns, _ = MESSAGE_HEADER.unpack_from(content)
+        channel = self._channels.get(channel_id)
+        data = content[MESSAGE_HEADER.size :]
+        if channel is not None and len(data) > 8:
+            yield SalvagedText(
+                channel.topic, bytes(data[8:]).rstrip(b"\0").decode(errors="replace"), log_time_ns
+            )

@@ -44,12 +44,16 @@ def make_payload(size_bytes: int | None, seed: int) -> Payload:
 
 
 def payload_bytes_of(message: RawMessage) -> int:
-    """Length of `data` in a serialized image; it lies behind the encoding's name and the step."""
-    (encoding_bytes,) = _UINT32.unpack_from(message, _ENCODING_OFFSET)
-    step_offset = _ENCODING_OFFSET + 4 + encoding_bytes + 1  # is_bigendian is one byte
-    step_offset += -step_offset % 4
-    (found,) = _UINT32.unpack_from(message, step_offset + 4)
-    return int(found)
+    """Length of `data` in a serialized image, which lies behind the encoding's name; 0 if it is no image of ours."""
+    try:
+        (encoding_bytes,) = _UINT32.unpack_from(message, _ENCODING_OFFSET)
+        step_offset = _ENCODING_OFFSET + 4 + encoding_bytes + 1  # is_bigendian is one byte
+        data_offset = step_offset + -step_offset % 4 + 4
+        (found,) = _UINT32.unpack_from(message, data_offset)
+    except struct.error:
+        return 0
+    padding = len(message) - (data_offset + 4 + found)  # some vendors fill up to four bytes
+    return int(found) if 0 <= padding < 4 else 0
 
 
 def typed_payload_bytes_of(message: Any) -> int:

@@ -1,0 +1,25 @@
+"""The one place that turns a `TraceError` into a line on stderr and an exit code."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tracefile import TraceError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+def run_command(command: Callable[[], object]) -> None:
+    """Call a command's app; an error that a user can act on ends the process with one clear message.
+
+    Args:
+        command: takes its arguments from the command line, as a `typer.Typer` does when called.
+    """
+    try:
+        command()
+    except TraceError as error:
+        print(f"{Path(sys.argv[0]).name}: {error}", file=sys.stderr)
+        sys.exit(error.exit_code)

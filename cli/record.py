@@ -1,0 +1,376 @@
+"""`dds-record`: record one role of a measurement, as a ping or as a relay, into a trace."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import threading
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from cli.errors import run_command
+from recorder import (
+    DEFAULT_MESSAGES,
+    DEFAULT_WARMUP,
+    Discovery,
+    ExecutorKind,
+    NodeOptions,
+    PingOptions,
+    RecordOptions,
+    Serialization,
+    parse_size,
+    record,
+)
+from tracefile import OptionError, Qos, TraceDestination
+
+if TYPE_CHECKING:
+    from recorder import Recorded
+
+DEFAULT_DOMAIN = 10
+BRIDGED_PING_DOMAIN = 5
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich")
+
+
+class Role(str, Enum):
+    """Which end of the measurement this process is."""
+
+    PING = "ping"
+    RELAY = "relay"
+
+
+class DataName(str, Enum):
+    """What a ping sends."""
+
+    BINARY = "binary"
+    STRING = "string"
+    IMU = "imu"
+
+
+class Reliability(str, Enum):
+    """QoS reliability."""
+
+    RELIABLE = "reliable"
+    BEST_EFFORT = "best_effort"
+
+
+class Durability(str, Enum):
+    """QoS durability."""
+
+    VOLATILE = "volatile"
+    TRANSIENT_LOCAL = "transient_local"
+
+
+class History(str, Enum):
+    """QoS history."""
+
+    KEEP_LAST = "keep_last"
+    KEEP_ALL = "keep_all"
+
+
+def _panel(title: str) -> Any:
+    def option(*names: str, help: str, **more: Any) -> Any:  # noqa: A002 - typer's word
+        return typer.Option(*names, help=help, rich_help_panel=title, show_default=False, **more)
+
+    return option
+
+
+_role, _message, _schedule = _panel("Role and output"), _panel("Message (ping)"), _panel("Schedule (ping)")
+_middleware, _description = _panel("Middleware"), _panel("Description in the trace")
+
+
+@app.command(context_settings={"help_option_names": ["-h", "--help"]})
+def main_command(  # noqa: PLR0917 - the options of a command line
+    role: Annotated[Role, _role("--role", help="Send messages, or send them back.")],
+    out: Annotated[
+        Path,
+        _role(
+            "--out", help="Where to write: a [bold].mcap[/bold] file, or a folder name for a rosbag2 folder."
+        ),
+    ],
+    force: Annotated[bool, _role("--force", help="Overwrite what is there.")] = False,
+    duration: Annotated[
+        float | None,
+        _role("--duration", metavar="SECONDS", help="End after so long. A relay goes on until stopped."),
+    ] = None,
+    as_json: Annotated[bool, _role("--json", help="Print the result as JSON.")] = False,
+    data: Annotated[
+        DataName | None, _message("--data", help="What to send. [dim]Default: binary[/dim]")
+    ] = None,
+    size: Annotated[
+        str | None,
+        _message(
+            "--size",
+            metavar="SIZE",
+            help="Bytes of a message: 33KB, 4MB (1000), 1KiB (1024), or a number. "
+            "[dim]Default: 33KB; string 91; imu always 296[/dim]",
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None, _message("--seed", help="Of the random content. [dim]Default: drawn[/dim]")
+    ] = None,
+    rate: Annotated[
+        float | None, _schedule("--rate", metavar="HZ", help="Messages a second. [dim]Default: 10[/dim]")
+    ] = None,
+    messages: Annotated[
+        int | None,
+        _schedule(
+            "--messages",
+            help=f"Messages to measure. [dim]Default: {DEFAULT_MESSAGES}, or what fits --duration[/dim]",
+        ),
+    ] = None,
+    warmup: Annotated[
+        int | None,
+        _schedule(
+            "--warmup", help=f"Messages before them that do not count. [dim]Default: {DEFAULT_WARMUP}[/dim]"
+        ),
+    ] = None,
+    wait: Annotated[
+        float | None,
+        _schedule(
+            "--wait", metavar="SECONDS", help="How long to wait for a first echo. [dim]Default: 20[/dim]"
+        ),
+    ] = None,
+    domain: Annotated[
+        int | None,
+        _middleware(
+            "--domain",
+            help="DDS domain id. [dim]Default: ROS_DOMAIN_ID, else 10; a ping with --bridge: 5[/dim]",
+        ),
+    ] = None,
+    bridge: Annotated[
+        str | None,
+        _middleware(
+            "--bridge",
+            metavar="NAME",
+            help="Start this bridge to the relay's domain: [bold]builtin[/bold] ...",
+        ),
+    ] = None,
+    relay_domain: Annotated[
+        int | None,
+        _middleware(
+            "--relay-domain", help="Domain behind the bridge. [dim]Default: ROS_DOMAIN_ID, else 10[/dim]"
+        ),
+    ] = None,
+    discovery: Annotated[
+        Discovery | None,
+        _middleware(
+            "--discovery",
+            help="How far to look. [dim]Default: ROS_AUTOMATIC_DISCOVERY_RANGE, else subnet[/dim]",
+        ),
+    ] = None,
+    reliability: Annotated[
+        Reliability, _middleware("--reliability", help="Same on both sides. [dim]Default: reliable[/dim]")
+    ] = Reliability.RELIABLE,
+    durability: Annotated[
+        Durability, _middleware("--durability", help="Same on both sides. [dim]Default: volatile[/dim]")
+    ] = Durability.VOLATILE,
+    history: Annotated[
+        History, _middleware("--history", help="[dim]Default: keep_last[/dim]")
+    ] = History.KEEP_LAST,
+    depth: Annotated[
+        int, _middleware("--depth", help="Messages kept, for keep_last. [dim]Default: 10[/dim]")
+    ] = 10,
+    serialization: Annotated[
+        Serialization,
+        _middleware(
+            "--serialization",
+            help="Pass the client library bytes or message objects. [dim]Default: raw[/dim]",
+        ),
+    ] = Serialization.RAW,
+    executor: Annotated[
+        ExecutorKind, _middleware("--executor", help="Of rclpy. [dim]Default: the best that is there[/dim]")
+    ] = ExecutorKind.AUTO,
+    device: Annotated[
+        str | None, _description("--device", help="Name of this device. [dim]Default: its host name[/dim]")
+    ] = None,
+    connectivity: Annotated[
+        str | None,
+        _description(
+            "--connectivity", help="loopback, wired, wireless, or your word. [dim]Default: looked up[/dim]"
+        ),
+    ] = None,
+    label: Annotated[
+        list[str] | None,
+        _description("--label", metavar="KEY=VALUE", help="Kept with a ping's run; repeatable."),
+    ] = None,
+    relay_id: Annotated[
+        int | None,
+        _description("--relay-id", help="A relay's number in the trace. [dim]Default: drawn[/dim]"),
+    ] = None,
+) -> None:
+    """Record latency of ROS 2 / DDS messages as a ping or as a relay.
+
+    A ping sends messages on a fixed schedule, a relay sends them back; each writes a trace of its time stamps.
+    Start one of each, on one device or on two, then run [bold]dds-analyze[/bold] on the folder with the traces:
+
+    [bold]dds-record --role relay --out relay.mcap[/bold]
+
+    [bold]dds-record --role ping  --out ping.mcap[/bold]
+    """
+    of_ping = {
+        "--data": data,
+        "--size": size,
+        "--seed": seed,
+        "--rate": rate,
+        "--messages": messages,
+        "--warmup": warmup,
+        "--wait": wait,
+        "--bridge": bridge,
+        "--relay-domain": relay_domain,
+        "--label": label or None,
+    }
+    of_relay = {"--relay-id": relay_id}
+    _refuse_others(role, of_relay if role is Role.PING else of_ping)
+    is_bridged = bridge not in (None, "none")
+    if domain is None:
+        domain = BRIDGED_PING_DOMAIN if is_bridged else default_domain()
+    if is_bridged and relay_domain is None:
+        relay_domain = default_domain()
+    rate_hz = 10.0 if rate is None else rate
+    warmup = DEFAULT_WARMUP if warmup is None else warmup
+    ping = PingOptions(
+        data_type="binary" if data is None else data.value,
+        size_bytes=None if size is None else parse_size(size),
+        rate_hz=rate_hz,
+        messages=_messages(messages, duration, rate_hz, warmup),
+        warmup=warmup,
+        wait_s=20.0 if wait is None else wait,
+        seed=seed,
+        bridge=bridge or "none",
+        relay_domain_id=relay_domain,
+        labels=parse_labels(label or []),
+    )
+    options = RecordOptions(
+        destination=TraceDestination(out, force=force),
+        node=NodeOptions(
+            domain_id=domain,
+            discovery=discovery or default_discovery(),
+            qos=Qos(reliability.value, durability.value, history.value, depth),
+            executor=executor,
+        ),
+        ping=ping if role is Role.PING else None,
+        serialization=serialization,
+        relay_id=relay_id,
+        device=device,
+        connectivity=connectivity,
+        duration_s=duration,
+    )
+    _report(_record(options), as_json=as_json)
+
+
+def _refuse_others(role: Role, others: dict[str, Any]) -> None:
+    """An option of the other role would be ignored, and its user believes otherwise."""
+    given = [name for name, value in others.items() if value is not None]
+    if given:
+        raise OptionError(f"{', '.join(given)} cannot be given to a {role.value}, only to the other role")
+
+
+def _messages(messages: int | None, duration_s: float | None, rate_hz: float, warmup: int) -> int:
+    """As many as were asked for, or as fit the duration."""
+    if messages is not None:
+        return messages
+    if duration_s is None:
+        return DEFAULT_MESSAGES
+    return max(round(duration_s * rate_hz) - warmup, 1)
+
+
+def default_domain() -> int:
+    """ROS_DOMAIN_ID, else 10.
+
+    Raises:
+        OptionError: the variable is set to no number.
+    """
+    text = os.environ.get("ROS_DOMAIN_ID", "").strip()
+    if not text:
+        return DEFAULT_DOMAIN
+    if not text.isdecimal():
+        raise OptionError(f"ROS_DOMAIN_ID is {text!r}, which is no domain id; set a number or unset it")
+    return int(text)
+
+
+def default_discovery() -> Discovery:
+    """What the environment of ROS 2 says, else the subnet."""
+    is_local = (
+        os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper() == "LOCALHOST"
+        or os.environ.get("ROS_LOCALHOST_ONLY") == "1"
+    )
+    return Discovery.LOCALHOST if is_local else Discovery.SUBNET
+
+
+def parse_labels(texts: list[str]) -> dict[str, str]:
+    """The labels in `KEY=VALUE` texts.
+
+    Raises:
+        OptionError: one of them has no key or no `=`.
+    """
+    labels = {}
+    for text in texts:
+        key, equals, value = text.partition("=")
+        if not key or not equals:
+            raise OptionError(f"--label {text!r}: write KEY=VALUE")
+        labels[key] = value
+    return labels
+
+
+def _record(options: RecordOptions) -> Recorded:
+    """Record until done; Ctrl-C and SIGTERM end it with a closed trace, however often they come."""
+    from cli.progress import TerminalWatch
+
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    with TerminalWatch() as watch:
+        return record(options, stop, watch)
+
+
+def _report(recorded: Recorded, *, as_json: bool) -> None:
+    """Print what was written.
+
+    Raises:
+        OutputError: not all of it could be.
+    """
+    from cli.progress import describe_progress
+
+    trace = recorded.trace
+    if as_json:
+        print(json.dumps(_result(recorded)))
+    else:
+        print(f"Wrote {trace.path}")
+        print(
+            f"{describe_progress(recorded.progress)}; {trace.events} events, {trace.dropped_events} dropped"
+        )
+    if trace.error is not None:
+        raise trace.error
+
+
+def _result(recorded: Recorded) -> dict[str, Any]:
+    """The JSON object of `--json`."""
+    from dataclasses import asdict
+
+    session, run, trace = recorded.session, recorded.run, recorded.trace
+    return {
+        "path": str(trace.path),
+        "role": session.role,
+        "session_id": f"{session.session_id:016x}",
+        "run_id": None if run is None else f"{run.run_id:016x}",
+        "relay_id": session.relay_id,
+        "events": trace.events,
+        "dropped_events": trace.dropped_events,
+        "bytes": trace.bytes,
+        "error": None if trace.error is None else str(trace.error),
+        **asdict(recorded.progress),
+    }
+
+
+def main() -> None:
+    """The entry point of `dds-record`."""
+    run_command(app)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,92 @@
+"""Why no echo came: what a ping looked for, what it sees there, and what to try."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from recorder.backend import Endpoint, Node
+    from recorder.payload import DataType
+    from recorder.ping import RunPlan
+
+
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """What a ping sees of relays for its data type.
+
+    Attributes:
+        subscriptions: of others on the topic of the way out.
+        publishers: of others on the topic of the way back.
+        incompatible: one line for each pair, on both topics, whose quality of service can never match.
+    """
+
+    subscriptions: tuple[Endpoint, ...]
+    publishers: tuple[Endpoint, ...]
+    incompatible: tuple[str, ...]
+
+    @property
+    def is_hopeless(self) -> bool:
+        """Whether relays are in sight and none of them can ever match."""
+        found = len(self.incompatible)
+        return found > 0 and found >= max(len(self.subscriptions), len(self.publishers))
+
+
+def look_for_relays(node: Node, data_type: DataType) -> Sight:
+    """What `node` sees of relays of `data_type` at the moment."""
+    there, back = node.look_at(data_type.topic), node.look_at(data_type.relay_topic)
+    own = node.options.name
+    return Sight(
+        tuple(endpoint for endpoint in there.subscriptions if endpoint.node_name != own),
+        tuple(endpoint for endpoint in back.publishers if endpoint.node_name != own),
+        there.incompatible + back.incompatible,
+    )
+
+
+def explain_silence(node: Node, plan: RunPlan, waited_s: float) -> str:
+    """The message of a `NoEchoError`: looked for, saw, try."""
+    options, middleware, data_type = node.options, node.middleware, plan.payload.data_type
+    sight = look_for_relays(node, data_type)
+    through = (
+        ""
+        if plan.bridge == "none"
+        else f", through the bridge {plan.bridge} to domain {plan.relay_domain_id}"
+    )
+    count = node.count_participants()
+    saw = [
+        f"{'an unknown number of' if count is None else count - 1} other nodes in domain {options.domain_id}",
+        f"{_listed(sight.subscriptions)} subscribed to {data_type.topic}",
+        f"{_listed(sight.publishers)} publishing {data_type.relay_topic}",
+        *sight.incompatible,
+    ]
+    return (
+        f"no echo within {waited_s:g} s\n"
+        f"  looked for: a relay of {data_type.topic} ({data_type.type_name}) in domain {options.domain_id}{through}; "
+        f"middleware {middleware.rmw or middleware.vendor}, discovery range {options.discovery.value}\n"
+        f"  saw: {'; '.join(saw)}\n"
+        f"  try: {_advice(sight, node, plan)}"
+    )
+
+
+def _advice(sight: Sight, node: Node, plan: RunPlan) -> str:
+    data_type = plan.payload.data_type
+    if sight.incompatible:
+        return "give ping and relay the same --reliability and --durability"
+    types = {endpoint.type_name for endpoint in sight.subscriptions} - {data_type.type_name, ""}
+    if types:
+        return f"another program uses {data_type.topic} with {', '.join(sorted(types))}; stop it"
+    if sight.subscriptions:
+        return (
+            "a relay is in sight, so the messages do not get through: look at firewalls between the devices, try a "
+            "smaller --size or a longer --wait"
+        )
+    return (
+        f"start `dds-record --role relay --domain {plan.relay_domain_id} --discovery {node.options.discovery.value} "
+        "--out relay.mcap`; if it runs, check that both have the same domain and discovery range, and that the "
+        "network lets multicast through"
+    )
+
+
+def _listed(endpoints: tuple[Endpoint, ...]) -> str:
+    names = sorted({f"{endpoint.node_name or 'unnamed'} ({endpoint.type_name})" for endpoint in endpoints})
+    return ", ".join(names) or "nobody"

@@ -1,0 +1,105 @@
+"""What is asked of one recording, and what can be refused before anything is opened."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from recorder.backend import NodeOptions, Serialization
+from tracefile import OptionError, OutputExistsError, TraceDestination
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+MAX_RELAY_ID = (1 << 32) - 1
+MAX_RATE_HZ = 1e6
+DEFAULT_MESSAGES = 400
+"""A two-sided 95 % interval for p99 takes 368 (order statistics, binomial)."""
+DEFAULT_WARMUP = 10
+
+
+@dataclass(frozen=True, slots=True)
+class PingOptions:
+    """What a ping sends.
+
+    Attributes:
+        data_type: `binary`, `string`, `imu`.
+        size_bytes: application bytes of a message, None for the type's default.
+        rate_hz: messages a second.
+        messages: messages that count, warm-up not included.
+        warmup: messages before them.
+        wait_s: how long to wait for an echo.
+        seed: of the payload's random content, drawn if None.
+        bridge: `none`, or the bridge to the relay's domain, started and ended with the recording.
+        relay_domain_id: the domain of the relay, the ping's own if None.
+    """
+
+    data_type: str = "binary"
+    size_bytes: int | None = None
+    rate_hz: float = 10.0
+    messages: int = DEFAULT_MESSAGES
+    warmup: int = DEFAULT_WARMUP
+    wait_s: float = 20.0
+    seed: int | None = None
+    bridge: str = "none"
+    relay_domain_id: int | None = None
+    labels: Mapping[str, str] = field(default_factory=dict)
+
+    def check(self) -> None:
+        """Refuse what cannot be meant.
+
+        Raises:
+            OptionError: naming the option.
+        """
+        if not 0 < self.rate_hz <= MAX_RATE_HZ:
+            raise OptionError(
+                f"--rate {self.rate_hz:g}: give more than 0 and at most {MAX_RATE_HZ:.0f} a second"
+            )
+        if self.messages < 1:
+            raise OptionError(f"--messages {self.messages}: give at least one message to measure")
+        if self.warmup < 0:
+            raise OptionError(f"--warmup {self.warmup}: give 0 or more")
+
+
+@dataclass(frozen=True, slots=True)
+class RecordOptions:
+    """One recording. With `ping` it is a ping, without one a relay.
+
+    Attributes:
+        node: how to join; its `name` and `listens` are set by the role.
+        relay_id: of a relay, drawn if None.
+        device: the device's name, by default its host name.
+        connectivity: how it reaches the others, by default looked up (`session.default_connectivity`).
+        duration_s: end after so many seconds; a relay without it goes on until stopped.
+    """
+
+    destination: TraceDestination
+    node: NodeOptions
+    ping: PingOptions | None = None
+    backend: str = "ros2"
+    serialization: Serialization = Serialization.RAW
+    relay_id: int | None = None
+    device: str | None = None
+    connectivity: str | None = None
+    duration_s: float | None = None
+
+    def check(self) -> None:
+        """Refuse what cannot be meant, and an output that is there already.
+
+        Raises:
+            OptionError: naming the option.
+            OutputExistsError: now, instead of after the wait for an echo.
+        """
+        destination = self.destination
+        if destination.path.exists() and not destination.force:
+            raise OutputExistsError(
+                f"{destination.path} is there already; choose another name or use --force"
+            )
+        if self.relay_id is not None and not 1 <= self.relay_id <= MAX_RELAY_ID:
+            raise OptionError(f"--relay-id {self.relay_id}: a relay's id is 1 to {MAX_RELAY_ID}")
+        if self.duration_s is not None and self.duration_s <= 0:
+            raise OptionError(f"--duration {self.duration_s:g}: give more than 0 seconds")
+        if self.node.qos.depth < 1:
+            raise OptionError(f"--depth {self.node.qos.depth}: at least one message must be kept")
+        if self.ping is not None:
+            self.ping.check()

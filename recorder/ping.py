@@ -1,0 +1,247 @@
+"""The ping role: sends on an open-loop schedule, stamps T1 and T2, and waits for late replies at the end."""
+
+from __future__ import annotations
+
+import secrets
+import threading
+from array import array
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from recorder.backend import Serialization
+from recorder.clock import SystemClock, sharpen_sleep
+from recorder.progress import PingProgress, rtt_percentiles_ns
+from recorder.stamp import PROBE_RUN_ID
+from recorder.steady import steady_interpreter
+from tracefile import Qos, Run
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from recorder.backend import Node
+    from recorder.clock import Clock
+    from recorder.payload import Payload
+    from tracefile import TraceSink
+
+SECOND_NS = 1_000_000_000
+LEAD_NS = SECOND_NS // 20
+"""From the end of the preparations to the first planned send."""
+PROBE_PERIODS_NS = (SECOND_NS // 10, SECOND_NS // 5, SECOND_NS // 2, SECOND_NS)
+"""Between readiness probes; the last one repeats. They are as large as the messages, so they must not pile up."""
+SETTLE_NS = SECOND_NS // 5
+"""No echo of a probe for so long: the run may begin."""
+DRAIN_NS = 2 * SECOND_NS
+"""Without a reply for so long, or for twice the longest round trip, what is missing is given up."""
+LOOK_NS = SECOND_NS // 50
+T1, T2 = 1, 2
+
+
+@dataclass(frozen=True, slots=True)
+class RunPlan:
+    """One run of a ping.
+
+    Attributes:
+        payload: what is sent.
+        rate_hz: messages a second.
+        messages: messages that count.
+        warmup: messages sent before them on the same schedule, kept out of every statistic.
+        extra: further fields for the trace's description of the run.
+    """
+
+    payload: Payload
+    rate_hz: float
+    messages: int
+    warmup: int = 0
+    qos: Qos = field(default_factory=Qos)
+    serialization: Serialization = Serialization.RAW
+    bridge: str = "none"
+    relay_domain_id: int | None = None
+    labels: Mapping[str, str] = field(default_factory=dict)
+    extra: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def total(self) -> int:
+        """Messages of the schedule, warm-up included."""
+        return self.warmup + self.messages
+
+    def scheduled_ns(self, start_ns: int, sequence: int) -> int:
+        """T0 of message `sequence`: known before the run, whatever happens in it."""
+        return start_ns + round(sequence * SECOND_NS / self.rate_hz)
+
+    def describe(self, run_id: int) -> Run:
+        """The trace's description of the run at its start."""
+        return Run(
+            run_id=run_id,
+            data_type=self.payload.data_type.name,
+            payload_bytes=self.payload.payload_bytes,
+            rate_hz=self.rate_hz,
+            planned_messages=self.messages,
+            warmup_messages=self.warmup,
+            bridge=self.bridge,
+            relay_domain_id=self.relay_domain_id,
+            serialization=self.serialization.value,
+            qos=self.qos,
+            labels=self.labels,
+            extra=self.extra,
+        )
+
+
+class Ping:
+    """One run on one node: `wait_for_echo`, then `run`, then `close`.
+
+    Args:
+        node: where to publish; its thread calls `_receive`.
+        plan: what to send.
+        clock: this device's time.
+    """
+
+    def __init__(self, node: Node, plan: RunPlan, clock: Clock | None = None) -> None:
+        self.plan = plan
+        self.run_id = secrets.randbits(64) or 1
+        self._clock = clock or SystemClock()
+        self._now = self._clock.monotonic_ns
+        data_type, typed = plan.payload.data_type, plan.serialization is Serialization.TYPED
+        self._stamps = data_type.stamps[plan.serialization]
+        self._sizes = [message.payload_bytes for message in plan.payload.messages]
+        self._messages = [
+            node.message_from_cdr(data_type.type_name, message.data) if typed else message.data
+            for message in plan.payload.messages
+        ]
+
+        self._nonces: dict[int, int] = {}  # of a probe -> when it was sent
+        self._echoed_ns = 0
+        self._record: Any = None
+        self._published = 0
+        self._publish_ns = array("q", bytes(8 * plan.total))
+        self._rtt_ns = array("q", bytes(8 * plan.total))  # of the first reply; 0 while there is none
+        self._received = 0
+        self._highest = -1
+        self._last_reply_ns = 0
+        self._replies: dict[int, int] = {}  # relay -> messages that it has answered
+        self._answered: dict[int, bytearray] = {}  # relay -> a byte for each message, 1 if answered
+
+        self._subscription = node.create_subscription(
+            data_type.relay_topic, data_type.type_name, self._receive, qos=plan.qos, typed=typed
+        )
+        self._publisher = node.create_publisher(
+            data_type.topic, data_type.type_name, qos=plan.qos, typed=typed
+        )
+
+    def close(self) -> None:
+        """Take the endpoints off their topics."""
+        self._publisher.close()
+        self._subscription.close()
+
+    def _receive(self, message: Any, source_ns: int = 0, received_ns: int = 0, /) -> None:
+        receive_ns = self._now()
+        stamp = self._stamps.read(message)
+        if stamp is None:
+            return
+        run_id, sequence, relay_id = stamp
+        if run_id != self.run_id or sequence >= self.plan.total:
+            if run_id == PROBE_RUN_ID and sequence in self._nonces:
+                self._echoed_ns = receive_ns
+            return
+        self._record(
+            T2,
+            run_id,
+            sequence,
+            receive_ns,
+            0,
+            source_ns,
+            received_ns,
+            self._sizes[sequence % len(self._sizes)],
+            relay_id,
+        )
+        answered = self._answered.get(relay_id)
+        if answered is None:
+            answered = self._answered[relay_id] = bytearray(self.plan.total)
+            self._replies[relay_id] = 0
+        if not answered[sequence]:
+            answered[sequence] = 1
+            self._replies[relay_id] += 1
+        if not self._rtt_ns[sequence]:
+            self._rtt_ns[sequence] = receive_ns - self._publish_ns[sequence]
+            self._received += 1
+            self._highest = max(self._highest, sequence)
+        self._last_reply_ns = receive_ns
+
+    def wait_for_echo(self, timeout_s: float, stop: threading.Event) -> bool:
+        """Send probes until one comes back and all is quiet again; False if none did in `timeout_s` or `stop` was set."""
+        began_ns = next_ns = self._now()
+        message, nonce = self._messages[0], secrets.randbits(63)
+        while not stop.is_set():
+            now_ns = self._now()
+            if self._echoed_ns:
+                if now_ns - self._echoed_ns >= SETTLE_NS:
+                    return True
+            elif now_ns - began_ns > timeout_s * SECOND_NS:
+                return False
+            elif now_ns >= next_ns:
+                self._stamps.write(message, PROBE_RUN_ID, nonce + len(self._nonces))
+                self._nonces[nonce + len(self._nonces)] = now_ns
+                self._publisher.publish(message)
+                next_ns = now_ns + PROBE_PERIODS_NS[min(len(self._nonces), len(PROBE_PERIODS_NS)) - 1]
+            self._clock.wait_until(now_ns + LOOK_NS, stop)
+        return False
+
+    def run(self, sink: TraceSink, stop: threading.Event) -> Run:
+        """Send the plan on this thread and collect the replies; the run as it was finished.
+
+        Args:
+            sink: where events and the run's description go.
+            stop: ends the sending early; replies are waited for all the same.
+        """
+        description = self.plan.describe(self.run_id)
+        sink.write_run(description)
+        self._record = sink.record
+        sharpen_sleep()
+        with steady_interpreter():
+            self._send(stop)
+            self._drain()
+        finished = description.finished(self._published)
+        sink.write_run(finished)
+        return finished
+
+    def _send(self, stop: threading.Event) -> None:
+        plan, run_id, record, now = self.plan, self.run_id, self._record, self._now
+        stamps, publish, wait_until = self._stamps, self._publisher.publish, self._clock.wait_until
+        wall_offset_ns = self._clock.anchor().offset_ns
+        start_ns = now() + LEAD_NS
+        for sequence in range(plan.total):
+            position = sequence % len(self._messages)
+            message = self._messages[position]
+            scheduled_ns = plan.scheduled_ns(start_ns, sequence)
+            stamps.write(message, run_id, sequence)
+            if not wait_until(scheduled_ns, stop):
+                break
+            self._publish_ns[sequence] = publish_ns = now()
+            stamps.write_time(message, publish_ns + wall_offset_ns)
+            publish(message)
+            record(T1, run_id, sequence, publish_ns, scheduled_ns, 0, 0, self._sizes[position], 0)
+            self._published = sequence + 1
+
+    def _drain(self) -> None:
+        began_ns, patience = self._now(), threading.Event()  # a wait that nobody cuts short
+        while not self._all_answered():
+            quiet_ns = self._now() - max(began_ns, self._last_reply_ns)
+            if quiet_ns > max(DRAIN_NS, 2 * max(self._rtt_ns, default=0)):
+                break
+            self._clock.wait_until(self._now() + LOOK_NS, patience)
+
+    def _all_answered(self) -> bool:
+        """Whether every relay that has answered anything has answered everything."""
+        counts = list(self._replies.values())
+        return self._published == 0 or (bool(counts) and min(counts) >= self._published)
+
+    def progress(self) -> PingProgress:
+        """How far the run is; may be called from any thread."""
+        p50_ns, p99_ns = rtt_percentiles_ns(self._rtt_ns)
+        received = self._received
+        lost = max(self._highest + 1 - received, 0)
+        return PingProgress(self.plan.total, self._published, received, lost, p50_ns, p99_ns)
+
+    @property
+    def relay_ids(self) -> tuple[int, ...]:
+        """Relays that have answered a message of the run."""
+        return tuple(self._replies)

@@ -1,0 +1,221 @@
+"""`record`: one recording from its options to a closed trace, for the command line and for sweeps."""
+
+from __future__ import annotations
+
+import secrets
+import threading
+from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from recorder.backends import open_node
+from recorder.clock import SystemClock
+from recorder.domains import check_domain
+from recorder.echo import explain_silence, look_for_relays
+from recorder.payloads import DATA_TYPES, data_type_called
+from recorder.ping import Ping, RunPlan
+from recorder.relay import Relay
+from recorder.session import describe_session
+from recorder.steady import collect_young, steady_interpreter
+from tracefile import NoEchoError, TraceSink
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from recorder.backend import Node
+    from recorder.bridges import RunningBridge
+    from recorder.options import PingOptions, RecordOptions
+    from recorder.progress import PingProgress, RelayProgress, Watch
+    from tracefile import ClosedTrace, Run, Session
+
+LOOK_S = 0.5
+"""Between two looks at a role while it runs."""
+QUIET_LOOKS = 10
+"""A relay that had nothing to do for so many looks has time for housekeeping."""
+HOPELESS_S = 3.0
+"""After so long without an echo, quality of service that can never match ends the wait."""
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """What a recording left behind; `run` is None for a relay and for a ping that was stopped before its echo."""
+
+    trace: ClosedTrace
+    session: Session
+    progress: PingProgress | RelayProgress
+    run: Run | None = None
+
+
+def record(options: RecordOptions, stop: threading.Event, watch: Watch) -> Recorded:
+    """Record as a ping or as a relay until it is done or `stop` is set.
+
+    Raises:
+        OptionError: something that cannot be meant.
+        BackendUnavailableError: the middleware or the bridge is not on this machine.
+        NoEchoError: no relay answered; nothing is written then.
+        OutputExistsError: there is a trace already.
+        OutputError: the trace cannot be written.
+    """
+    options.check()
+    for warning in check_domain(options.node.domain_id):
+        watch.note(warning)
+    recording = _Recording(options, stop, watch)
+    return recording.relay() if options.ping is None else recording.ping(options.ping)
+
+
+class _Recording:
+    """The two roles with what both need."""
+
+    def __init__(self, options: RecordOptions, stop: threading.Event, watch: Watch) -> None:
+        self.options = options
+        self.stop = stop
+        self.watch = watch
+        self.clock = SystemClock()
+        self.session_id = secrets.randbits(64)
+
+    def relay(self) -> Recorded:
+        options = self.options
+        relay_id = options.relay_id or secrets.randbits(32) or 1
+        with self._open_node("relay") as node, steady_interpreter():
+            session = self._describe("relay", node, relay_id)
+            with self._open_trace(session) as sink:
+                relay = Relay(
+                    node,
+                    sink,
+                    relay_id,
+                    data_types=DATA_TYPES.values(),
+                    qos=options.node.qos,
+                    serialization=options.serialization,
+                )
+                node.start()
+                self.watch.note(
+                    f"relay {relay_id:08x} serves domain {options.node.domain_id} until it is stopped"
+                )
+                self._watch_relay(relay, node)
+                relay.close()
+                return Recorded(sink.close(), session, relay.progress())
+
+    def ping(self, asked: PingOptions) -> Recorded:
+        with ExitStack() as stack:
+            node = stack.enter_context(self._open_node("ping"))
+            ping = Ping(node, self._plan(asked), self.clock)
+            node.start()
+            bridge = self._open_bridge(asked, stack)
+            self._wait_for_echo(ping, node, asked.wait_s, bridge)
+            session = self._describe("ping", node)
+            sink = stack.enter_context(self._open_trace(session))
+            run = None if self.stop.is_set() else self._run(ping, node, sink)
+            trace = sink.close(**({} if bridge is None else {"bridge": bridge.describe()}))
+            return Recorded(trace, session, ping.progress(), run)
+
+    def _open_node(self, role: str) -> Node:
+        # A name of its own, by which the node tells its endpoints from those of others.
+        name = f"dds_trace_{role}_{self.session_id:016x}"
+        return open_node(self.options.backend, replace(self.options.node, name=name, listens=role == "relay"))
+
+    def _describe(self, role: str, node: Node, relay_id: int | None = None) -> Session:
+        return describe_session(
+            node,
+            self.clock.anchor(),
+            role=role,
+            session_id=self.session_id,
+            device=self.options.device,
+            connectivity=self.options.connectivity,
+            relay_id=relay_id,
+        )
+
+    @contextmanager
+    def _open_trace(self, session: Session) -> Iterator[TraceSink]:
+        """A sink that is closed whatever happens."""
+        sink = TraceSink(self.options.destination, session)
+        try:
+            yield sink
+        finally:
+            sink.close()
+
+    def _plan(self, asked: PingOptions) -> RunPlan:
+        own_domain_id = self.options.node.domain_id
+        seed = secrets.randbits(32) if asked.seed is None else asked.seed
+        return RunPlan(
+            payload=data_type_called(asked.data_type).make(asked.size_bytes, seed),
+            rate_hz=asked.rate_hz,
+            messages=asked.messages,
+            warmup=asked.warmup,
+            qos=self.options.node.qos,
+            serialization=self.options.serialization,
+            bridge=asked.bridge,
+            relay_domain_id=own_domain_id if asked.relay_domain_id is None else asked.relay_domain_id,
+            labels=asked.labels,
+            extra={"session_id": f"{self.session_id:016x}", "seed": seed},
+        )
+
+    def _open_bridge(self, asked: PingOptions, stack: ExitStack) -> RunningBridge | None:
+        if asked.bridge == "none":
+            return None
+        from recorder.bridges import BridgeOptions, open_bridge  # noqa: PLC0415 - nothing else needs it loaded
+
+        node = self.options.node
+        relay_domain_id = node.domain_id if asked.relay_domain_id is None else asked.relay_domain_id
+        wanted = BridgeOptions(node.domain_id, relay_domain_id, qos=node.qos, discovery=node.discovery)
+        return stack.enter_context(open_bridge(asked.bridge, wanted))
+
+    def _wait_for_echo(self, ping: Ping, node: Node, wait_s: float, bridge: RunningBridge | None) -> None:
+        data_type = ping.plan.payload.data_type
+        self.watch.note(f"waiting for an echo of {data_type.topic} in domain {node.options.domain_id}")
+        waited_s = min(HOPELESS_S, wait_s)
+        came = ping.wait_for_echo(waited_s, self.stop)
+        if not came and not look_for_relays(node, data_type).is_hopeless:
+            came = ping.wait_for_echo(wait_s - waited_s, self.stop)
+            waited_s = wait_s
+        _raise_error_of(node)
+        if bridge is not None:
+            bridge.check()
+        if not came and not self.stop.is_set():
+            raise NoEchoError(explain_silence(node, ping.plan, waited_s))
+        if came and bridge is not None:
+            bridge.mark_ready()
+
+    def _run(self, ping: Ping, node: Node, sink: TraceSink) -> Run:
+        """The run on a thread of its own; this one looks at it now and then."""
+        end_ns, enough = self._end_ns(), threading.Event()
+        with ThreadPoolExecutor(1, thread_name_prefix="ping") as pool:
+            future = pool.submit(ping.run, sink, enough)
+            while not future.done():
+                wait(
+                    [future], timeout=LOOK_S if enough.is_set() else max(min(LOOK_S, self._left_s(end_ns)), 0)
+                )
+                if self.stop.is_set() or node.error is not None or self._left_s(end_ns) <= 0:
+                    enough.set()
+                self.watch.progress(ping.progress())
+            run = future.result()
+        _raise_error_of(node)
+        return run
+
+    def _watch_relay(self, relay: Relay, node: Node) -> None:
+        end_ns, told, quiet, relayed = self._end_ns(), set[str](), 0, 0
+        while (left_s := self._left_s(end_ns)) > 0 and not self.stop.wait(min(LOOK_S, left_s)):
+            _raise_error_of(node)
+            progress = relay.progress()
+            self.watch.progress(progress)
+            quiet = quiet + 1 if progress.relayed == relayed else 0
+            relayed = progress.relayed
+            if quiet % QUIET_LOOKS == QUIET_LOOKS - 1:
+                collect_young()
+                lines = {line for topic in relay.topics for line in node.look_at(topic).incompatible}
+                for line in sorted(lines - told):
+                    self.watch.note(f"these will never meet: {line}")
+                told |= lines
+
+    def _end_ns(self) -> int | None:
+        duration_s = self.options.duration_s
+        return None if duration_s is None else self.clock.monotonic_ns() + round(duration_s * 1e9)
+
+    def _left_s(self, end_ns: int | None) -> float:
+        return float("inf") if end_ns is None else (end_ns - self.clock.monotonic_ns()) / 1e9
+
+
+def _raise_error_of(node: Node) -> None:
+    """An error in a callback is ours, and ends the recording; the trace is closed on the way out."""
+    if node.error is not None:
+        raise node.error

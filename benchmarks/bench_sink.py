@@ -1,0 +1,191 @@
+"""The event sink against python `mcap` writing inline, side by side in one process: three ratios with their bars.
+
+    python benchmarks/bench_sink.py [--rounds 5] [--json]
+
+Exit code 1 if a bar is missed or a file is refused by the public reader. Absolute times are this machine's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import sys
+import tempfile
+import time
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mcap.records import Message
+from mcap.stream_reader import StreamReader
+from mcap.writer import Writer
+
+from tracefile.cost import measure_timer_ns, nobodys_session, time_paced_events, worst_stall_ns
+from tracefile.events import EVENT_DEFINITION, EVENT_SCHEMA_NAME, Stage, pack_event
+from tracefile.sink import TraceDestination, TraceSink
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    Record = Callable[[int, int, int, int], object]
+    Recorder = Callable[[Path], AbstractContextManager[Record]]
+
+BURST_EVENTS = 500
+BURSTS = 40
+PACED_EVENTS = 2_500
+BEFORE_PACED_EVENTS = 10_500  # python mcap closes a chunk each 11,500 events; let it come in the paced part
+SUSTAINED_EVENTS = 300_000
+
+
+@contextmanager
+def sink(path: Path) -> Iterator[Record]:
+    """Our sink."""
+    opened = TraceSink(TraceDestination(path), nobodys_session())
+    yield opened.record
+    opened.close()
+
+
+@contextmanager
+def inline(path: Path) -> Iterator[Record]:
+    """Python `mcap`, called where the event happens, with its defaults."""
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros2", library="benchmark")
+        schema_id = writer.register_schema(EVENT_SCHEMA_NAME, "ros2msg", EVENT_DEFINITION.encode())
+        channels = [0, *(writer.register_channel(stage.topic, "cdr", schema_id) for stage in Stage)]
+        add_message = writer.add_message
+
+        def record(stage: int, run_id: int, sequence: int, monotonic_ns: int) -> None:
+            data = pack_event(run_id, sequence, monotonic_ns)
+            add_message(channels[stage], monotonic_ns, data, monotonic_ns, sequence)
+
+        yield record
+        writer.finish()
+
+
+RECORDERS: dict[str, Recorder] = {"sink": sink, "inline": inline}
+
+
+def hot_path_ns(recorder: Recorder, path: Path) -> float:
+    """Mean time of an event, the time stamp itself left out; bursts of events with pauses, as messages come."""
+    now = time.monotonic_ns
+    spent = 0
+    with recorder(path) as record:
+        for burst in range(BURSTS):
+            begin = now()
+            for sequence in range(burst * BURST_EVENTS, (burst + 1) * BURST_EVENTS):
+                record(1, 1, sequence, now())
+            spent += now() - begin
+            time.sleep(0.002)
+    return spent / (BURSTS * BURST_EVENTS) - measure_timer_ns()
+
+
+def stall_ns(recorder: Recorder, path: Path) -> float:
+    """The worst ten consecutive events at 1 kHz, the time stamps themselves left out."""
+    now = time.monotonic_ns
+    with recorder(path) as record:
+        for sequence in range(BEFORE_PACED_EVENTS):
+            record(1, 1, sequence, now())
+        times = time_paced_events(record, PACED_EVENTS)
+    return worst_stall_ns(times - measure_timer_ns())
+
+
+def sustained_per_s(recorder: Recorder, path: Path) -> float:
+    """Events per second that end up in the file, as fast as they can be recorded, closing included."""
+    now = time.monotonic_ns
+    begin = now()
+    with recorder(path) as record:
+        for sequence in range(SUSTAINED_EVENTS):
+            record(1, 1, sequence, now())
+    seconds = (now() - begin) / 1e9
+    return count_events(path) / seconds
+
+
+def count_events(path: Path) -> int:
+    """Events that the public reader finds, every CRC checked."""
+    with path.open("rb") as stream:
+        records = StreamReader(stream, validate_crcs=True).records
+        return sum(isinstance(record, Message) and len(record.data) == 60 for record in records)
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A figure of both recorders and the ratio that it must reach."""
+
+    name: str
+    unit: str
+    measure: Callable[[Recorder, Path], float]
+    at_most: float | None = None
+    at_least: float | None = None
+
+    def holds(self, ratio: float) -> bool:
+        """Whether the ratio sink / inline is good enough."""
+        return (self.at_most is None or ratio <= self.at_most) and (
+            self.at_least is None or ratio >= self.at_least
+        )
+
+
+BARS = [
+    Bar("hot path, mean", "ns", hot_path_ns, at_most=1 / 5),
+    Bar("worst stall of ten events at 1 kHz", "ns", stall_ns, at_most=1 / 20),
+    Bar("sustained", "events/s", sustained_per_s, at_least=3),
+]
+
+
+@dataclass(frozen=True)
+class Result:
+    """Medians over the rounds; `ratio` is the median of the rounds' ratios."""
+
+    name: str
+    unit: str
+    sink: float
+    inline: float
+    ratio: float
+    bar: str
+    holds: bool
+
+
+def run_bar(bar: Bar, rounds: int, folder: Path) -> Result:
+    """Measure both recorders in turn, so that what else the machine does meets both."""
+    figures: dict[str, list[float]] = {name: [] for name in RECORDERS}
+    for number in range(rounds):
+        for name, recorder in RECORDERS.items():
+            path = folder / f"{name}{number}.mcap"
+            figures[name].append(bar.measure(recorder, path))
+            count_events(path)
+            path.unlink()
+    ratio = statistics.median(ours / theirs for ours, theirs in zip(*figures.values(), strict=True))
+    limit = f"<= 1/{1 / bar.at_most:.0f}" if bar.at_most is not None else f">= {bar.at_least}"
+    sink_median, inline_median = (statistics.median(values) for values in figures.values())
+    return Result(bar.name, bar.unit, sink_median, inline_median, ratio, limit, bar.holds(ratio))
+
+
+def main() -> int:
+    """Print the table; the exit code says whether every bar holds."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--folder", type=Path, help="where the files go (default: the temporary folder)")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory(dir=options.folder) as scratch:
+        results = [run_bar(bar, options.rounds, Path(scratch)) for bar in BARS]
+    if options.json:
+        print(json.dumps([asdict(result) for result in results], indent=2))
+    else:
+        print(f"{'':36}{'sink':>14}{'inline':>14}{'ratio':>10}{'bar':>10}")
+        for result in results:
+            ratio = f"{result.ratio:.2f}" if result.ratio >= 1 else f"1/{1 / result.ratio:.1f}"
+            missed = "" if result.holds else "  MISSED"
+            print(
+                f"{result.name:36}{result.sink:>14,.0f}{result.inline:>14,.0f}{ratio:>10}{result.bar:>10}"
+                f"  {result.unit}{missed}",
+            )
+    return 0 if all(result.holds for result in results) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,131 @@
+"""What recording costs on this machine: the time that `TraceSink.record` takes from the node it observes."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tracefile.descriptions import Session
+from tracefile.errors import OutputError
+from tracefile.sink import TraceDestination, TraceSink
+from tracefile.writer import output_error
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    Record = Callable[[int, int, int, int], object]
+    """Keeps an event: stage, run id, sequence, monotonic time in ns, as `TraceSink.record`."""
+
+PACE_NS = 1_000_000
+"""1 kHz: between two events, caches and the draining thread get to the state that they have in a node."""
+
+STALL_EVENTS = 10
+_TIMER_READINGS = 20_000
+_CHUNK_SECONDS = 0.25  # so that a measurement of a few seconds has several chunks closed under it
+
+
+@dataclass(frozen=True, slots=True)
+class RecorderCost:
+    """The recorder's own cost in ns; times of events are net of reading the clock.
+
+    Attributes:
+        timer_ns: one reading of the monotonic clock: what any time stamp costs.
+        record_median_ns: keeping one event, at 1 kHz.
+        record_p99_ns: likewise, 99th percentile.
+        record_max_ns: likewise, the slowest, chunks being closed meanwhile.
+        stall_of_ten_ns: the slowest ten consecutive events together.
+        events: how many events were measured.
+    """
+
+    timer_ns: float
+    record_median_ns: float
+    record_p99_ns: float
+    record_max_ns: float
+    stall_of_ten_ns: float
+    events: int
+
+
+def measure_recorder_cost(folder: Path | None = None, seconds: float = 3.0) -> RecorderCost:
+    """The cost of recording on this machine, from a trace that is deleted again.
+
+    Args:
+        folder: where the traces will be, since their disk may have a part in it; else the temporary folder.
+        seconds: how long events are recorded.
+
+    Raises:
+        OutputError: nothing can be written there.
+    """
+    timer_ns = measure_timer_ns()
+    count = max(int(seconds * 1e9) // PACE_NS, STALL_EVENTS)
+    try:
+        scratch = tempfile.TemporaryDirectory(prefix="dds-trace-cost-", dir=folder)
+    except OSError as err:
+        raise output_error(folder or Path(tempfile.gettempdir()), err) from err
+    with scratch as name:
+        destination = TraceDestination(Path(name) / "cost.mcap", chunk_seconds=_CHUNK_SECONDS)
+        sink = TraceSink(destination, nobodys_session())
+        times = time_paced_events(sink.record, count)
+        closed = sink.close()
+    if closed.error is not None:
+        raise OutputError(*closed.error.args) from closed.error
+    net = np.maximum(times - timer_ns, 0.0)
+    return RecorderCost(
+        timer_ns=timer_ns,
+        record_median_ns=float(np.median(net)),
+        record_p99_ns=float(np.percentile(net, 99)),
+        record_max_ns=float(net.max()),
+        stall_of_ten_ns=worst_stall_ns(net),
+        events=count,
+    )
+
+
+def measure_timer_ns() -> float:
+    """The median time of one reading of the monotonic clock."""
+    now = time.monotonic_ns
+    readings = np.fromiter((now() for _ in range(_TIMER_READINGS)), np.int64, _TIMER_READINGS)
+    return float(np.median(np.diff(readings)))
+
+
+def time_paced_events(record: Record, count: int) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """The time in ns that each of `count` events takes at 1 kHz, one reading of the clock included.
+
+    The thread sleeps between events, as one that waits for messages does.
+    """
+    now = time.monotonic_ns
+    times = np.zeros(count)
+    planned = now()
+    for sequence in range(count):
+        planned += PACE_NS
+        time.sleep(max(planned - now(), 0) / 1e9)
+        stamped = now()
+        record(1, 1, sequence, stamped)
+        times[sequence] = now() - stamped
+    return times
+
+
+def worst_stall_ns(times: np.ndarray[Any, np.dtype[np.float64]]) -> float:
+    """The largest sum of `STALL_EVENTS` consecutive times."""
+    sums = np.convolve(times, np.ones(STALL_EVENTS), "valid")
+    return float(sums.max())
+
+
+def nobodys_session() -> Session:
+    """The session of a measurement: no middleware, no domain."""
+    return Session(
+        session_id=0,
+        role="relay",
+        device="cost",
+        backend="none",
+        vendor="none",
+        rmw=None,
+        domain_id=0,
+        relay_id=None,
+        connectivity="none",
+        wall_anchor_ns=time.time_ns(),
+        monotonic_anchor_ns=time.monotonic_ns(),
+    )

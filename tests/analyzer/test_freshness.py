@@ -1,0 +1,160 @@
+"""Freshness on hand-drawn timelines: every number below is read off the picture."""
+
+from __future__ import annotations
+
+import numpy as np
+import polars as pl
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from roundtrip_frames import MS, roundtrips, steady
+
+from analyzer.clocks import align_clocks
+from analyzer.freshness import age_of_information, freshness, longest_run, outage_table, runs_of
+
+
+def times(*values):
+    return np.array(values, np.int64)
+
+
+def test_age_is_a_saw_tooth():
+    #  made      0    10        30
+    #  received     4    12          38
+    #  age at reception 4, 2, 8; just before the next one 12 and 28.
+    #  time average over 4..38: (4+12)/2*8 + (2+28)/2*26 = 64 + 390 = 454, over 34.
+    age = age_of_information(times(0, 10, 30), times(4, 12, 38))
+    assert age.mean_ns == pytest.approx(454 / 34)
+    assert age.peak_mean_ns == 20.0
+    assert (age.peak_max_ns, age.updates) == (28, 3)
+
+
+def test_a_late_older_message_is_no_news():
+    in_order = age_of_information(times(0, 10, 30), times(4, 12, 38))
+    assert age_of_information(times(0, 10, 5, 30), times(4, 12, 20, 38)) == in_order
+
+
+def test_two_at_one_instant_are_one_update():
+    assert age_of_information(times(0, 5, 10), times(4, 12, 12)) == age_of_information(
+        times(0, 10), times(4, 12)
+    )
+
+
+def test_one_update_has_no_age_over_time():
+    assert age_of_information(times(1), times(2)) is None
+    assert age_of_information(times(), times()) is None
+
+
+@given(gaps=st.lists(st.integers(1, 1000), min_size=2, max_size=30), delay=st.integers(0, 5000))
+def test_a_constant_delay_adds_to_the_mean_age(gaps, delay):
+    made = np.cumsum(np.array(gaps, np.int64))
+    without, delayed = age_of_information(made, made), age_of_information(made, made + delay)
+    assert delayed.mean_ns == pytest.approx(without.mean_ns + delay)
+    assert delayed.peak_max_ns == max(gaps[1:]) + delay
+
+
+def test_runs():
+    happened = np.array([1, 1, 0, 1, 1, 1, 0, 1], np.bool_)
+    assert runs_of(happened) == [(0, 2), (3, 6), (7, 8)]
+    assert longest_run(happened) == 3
+    assert longest_run(np.zeros(4, np.bool_)) == longest_run(np.empty(0, np.bool_)) == 0
+
+
+def test_deadline_misses_by_hand():
+    # One message each 100 ms, deadline 20 ms:      ok  late  lost  late   ok   ok  late
+    frame = steady([5 * MS, 30 * MS, None, 21 * MS, 20 * MS, 5 * MS, 90 * MS])
+    row = freshness(frame, deadline_ns=20 * MS).row(0, named=True)
+    assert (row["messages"], row["judged"], row["missed"]) == (7, 7, 4)
+    assert row["missed_ratio"] == pytest.approx(4 / 7)
+    assert (row["longest_missed"], row["longest_missed_ns"]) == (3, 300 * MS)  # from 100 ms to 400 ms
+    assert row["outages"] == 0
+    assert (row["outage_longest_ns"], row["recovery_longest_ns"]) == (None, None)
+
+
+def test_without_a_deadline_nothing_is_judged():
+    row = freshness(steady([5 * MS, None])).row(0, named=True)
+    assert (row["deadline_ns"], row["judged"], row["missed"], row["missed_ratio"]) == (None, None, None, None)
+
+
+def test_a_reply_without_the_relays_trace_is_judged_on_rtt_only():
+    frame = roundtrips([{"publish_ns": 0, "receive_ns": 10 * MS}, {"publish_ns": 100 * MS}])
+    by_latency = freshness(frame, deadline_ns=20 * MS).row(0, named=True)
+    assert (by_latency["judged"], by_latency["missed"]) == (1, 1)
+    by_rtt = freshness(frame, deadline_ns=20 * MS, metric="rtt_ns").row(0, named=True)
+    assert (by_rtt["judged"], by_rtt["missed"]) == (2, 1)
+
+
+def test_age_at_the_ping_and_at_the_relay():
+    # Replies after 21 ms (10 out, 1 in the relay, 10 back) of messages at 0, 100, 200 ms.
+    frame = align_clocks(
+        roundtrips(
+            [
+                {
+                    "publish_ns": sent * MS,
+                    "relay_in_ns": (sent + 10) * MS,
+                    "relay_out_ns": (sent + 11) * MS,
+                    "receive_ns": (sent + 21) * MS,
+                }
+                for sent in (0, 100, 200)
+            ],
+            relay_device="ping-pi",
+        ),
+    ).roundtrips
+    row = freshness(frame).row(0, named=True)
+    # From 21 to 121 on average over each 100 ms; at the relay from 10 to 110. One machine: no clock error.
+    assert (row["age_mean_ns"], row["age_peak_mean_ns"], row["age_peak_max_ns"]) == (
+        71 * MS,
+        121 * MS,
+        121 * MS,
+    )
+    assert (row["relay_age_mean_ns"], row["relay_age_peak_max_ns"]) == (60 * MS, 110 * MS)
+    assert row["clock_bound_ns"] == 0
+
+
+def test_an_outage_and_its_recovery():
+    #   0 .. 9 in time, 10 .. 14 lost, 15 .. 17 late by 60 ms, 18 in time, 19 late, 20 .. 29 in time
+    latencies = [5 * MS] * 10 + [None] * 5 + [60 * MS] * 3 + [5 * MS, 60 * MS] + [5 * MS] * 10
+    frame = steady(latencies)
+    (outage,) = outage_table(frame, deadline_ns=20 * MS).iter_rows(named=True)
+    assert (outage["first_sequence"], outage["messages"]) == (10, 5)
+    assert outage["start_ns"] == 1000 * MS
+    assert outage["end_ns"] == 1500 * MS + 120 * MS + 1000  # reply to message 15
+    assert outage["duration_ns"] == 620 * MS + 1000
+    # Five in a row in time begin with message 20, whose reply came at 2010 ms.
+    assert outage["recovery_ns"] == (2010 - 1620) * MS
+    row = freshness(frame, deadline_ns=20 * MS).row(0, named=True)
+    assert (row["outages"], row["outage_longest_ns"], row["recovery_longest_ns"]) == (
+        1,
+        620 * MS + 1000,
+        390 * MS,
+    )
+
+
+def test_an_outage_that_is_over_at_once_and_one_that_never_ends():
+    frame = steady([5 * MS] * 10 + [None] * 3 + [5 * MS] * 10 + [None] * 4)
+    table = outage_table(frame)
+    assert table["messages"].to_list() == [3, 4]
+    assert table["recovery_ns"].to_list() == [0, None]
+    assert table["duration_ns"].to_list() == [300 * MS + 10 * MS + 1000, None]
+
+
+def test_two_losses_are_no_outage():
+    assert outage_table(steady([5 * MS, None, None, 5 * MS])).is_empty()
+
+
+def test_runs_and_relays_have_rows_of_their_own():
+    frame = pl.concat(
+        [steady([5 * MS, None], run_id=9), steady([5 * MS], run_id=2), steady([5 * MS], run_id=9, relay_id=7)]
+    )
+    table = freshness(frame.sample(fraction=1, shuffle=True, seed=1), deadline_ns=MS)
+    assert table.select("run_id", "relay_id", "messages", "missed").rows() == [
+        (2, 1, 1, 1),
+        (9, 1, 2, 2),
+        (9, 7, 1, 1),
+    ]
+
+
+def test_nothing_at_all():
+    assert freshness(steady([]), deadline_ns=1).is_empty()
+    assert outage_table(steady([])).is_empty()
+    row = freshness(steady([None, None, None]), deadline_ns=1).row(0, named=True)
+    assert (row["missed"], row["age_mean_ns"], row["outages"], row["outage_longest_ns"]) == (3, None, 1, None)

@@ -181,6 +181,8 @@ class Ros2Node:
         publishers = tuple(map(_endpoint, self._node.get_publishers_info_by_topic(topic)))
         subscriptions = tuple(map(_endpoint, self._node.get_subscriptions_info_by_topic(topic)))
         named = tuple(incompatible_pairs(topic, publishers, subscriptions, self._options.name))
+        if named:  # the same that the events told, in better words
+            self._incompatible[topic] = set()
         return TopicView(
             topic, publishers, subscriptions, named or tuple(sorted(self._incompatible.get(topic, ())))
         )

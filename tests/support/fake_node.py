@@ -1,0 +1,90 @@
+"""A node without middleware: what is published is kept, and a test decides when which callback gets what."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from recorder.backend import Middleware, NodeOptions, TopicView
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tracefile import Qos, Run
+
+
+@dataclass
+class FakePublisher:
+    topic: str
+    on_publish: Callable[[bytes], None] | None = None
+    sent: list[bytes] = field(default_factory=list)
+    is_open: bool = True
+
+    def publish(self, message: Any, /) -> None:
+        self.sent.append(bytes(message))  # the buffer may be changed as soon as this returns
+        if self.on_publish is not None:
+            self.on_publish(bytes(message))
+
+    def close(self) -> None:
+        self.is_open = False
+
+
+@dataclass
+class FakeSubscription:
+    topic: str
+    receive: Callable[..., None]
+    is_open: bool = True
+
+    def close(self) -> None:
+        self.is_open = False
+
+
+class FakeNode:
+    """A `recorder.backend.Node` of raw messages."""
+
+    def __init__(self, options: NodeOptions | None = None) -> None:
+        self.options = options or NodeOptions(name="me")
+        self.middleware = Middleware("fake", "fakedds", "rmw_fake")
+        self.publishers: dict[str, FakePublisher] = {}
+        self.subscriptions: dict[str, FakeSubscription] = {}
+        self.views: dict[str, TopicView] = {}
+        self.participants: int | None = 1
+        self.error: BaseException | None = None
+
+    def create_publisher(
+        self, topic: str, type_name: str, *, qos: Qos | None = None, typed: bool = False
+    ) -> FakePublisher:
+        return self.publishers.setdefault(topic, FakePublisher(topic))
+
+    def create_subscription(
+        self, topic: str, type_name: str, receive: Any, *, qos: Qos | None = None, typed: bool = False
+    ) -> FakeSubscription:
+        self.subscriptions[topic] = FakeSubscription(topic, receive)
+        return self.subscriptions[topic]
+
+    def deliver(self, topic: str, message: bytes, source_ns: int = 0, received_ns: int = 0) -> None:
+        """Let the subscription of `topic` receive `message`."""
+        self.subscriptions[topic].receive(message, source_ns, received_ns)
+
+    def look_at(self, topic: str) -> TopicView:
+        return self.views.get(topic, TopicView(topic))
+
+    def count_participants(self) -> int | None:
+        return self.participants
+
+
+@dataclass
+class ListSink:
+    """A `TraceSink` that keeps events as tuples: stage, run_id, sequence, monotonic_ns ... as `record` takes them."""
+
+    events: list[tuple[int, ...]] = field(default_factory=list)
+    runs: list[Run] = field(default_factory=list)
+
+    def record(self, *event: int) -> None:
+        self.events.append(event)
+
+    def write_run(self, run: Run) -> None:
+        self.runs.append(run)
+
+    def of_stage(self, stage: int) -> list[tuple[int, ...]]:
+        return [event[1:] for event in self.events if event[0] == stage]

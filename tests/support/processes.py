@@ -1,0 +1,121 @@
+"""Real `dds-record` processes in tests: started, waited for by what they say, and always ended by their pid."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+PATIENCE_S = 60.0
+"""No test is about time; this only ends one that hangs."""
+
+
+@dataclass(frozen=True)
+class Finished:
+    """How a process ended and what it said."""
+
+    status: int
+    stdout: str
+    stderr: str
+
+
+class RunningCommand:
+    """One of our commands as a process; `finish` or `stop` it."""
+
+    def __init__(self, *arguments: object, environment: dict[str, str] | None = None) -> None:
+        program, *rest = map(str, arguments)
+        self._process = subprocess.Popen(
+            [Path(sys.executable).with_name(program), *rest],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**os.environ, **(environment or {})},
+        )
+        self._lines: dict[str, list[str]] = {"stdout": [], "stderr": []}
+        self._readers = [
+            threading.Thread(target=self._read, args=(name,), daemon=True) for name in self._lines
+        ]
+        for reader in self._readers:
+            reader.start()
+
+    def _read(self, name: str) -> None:
+        with getattr(self._process, name) as pipe:
+            for line in pipe:
+                self._lines[name].append(line)
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    def wait_for_line(self, text: str) -> str:
+        """The first line on stderr that holds `text`."""
+        deadline = time.monotonic() + PATIENCE_S
+        while True:
+            ended = self._process.poll() is not None
+            for line in list(self._lines["stderr"]):
+                if text in line:
+                    return line
+            assert not ended, f"ended with {self._process.returncode} before {text!r}: {self._lines}"
+            assert time.monotonic() < deadline, f"no {text!r} in {self._lines}"
+            time.sleep(0.02)
+
+    def send_signal(self, number: signal.Signals) -> None:
+        self._process.send_signal(number)
+
+    def finish(self) -> Finished:
+        """Wait for its own end."""
+        status = self._process.wait(PATIENCE_S)
+        for reader in self._readers:
+            reader.join(PATIENCE_S)
+        return Finished(status, "".join(self._lines["stdout"]), "".join(self._lines["stderr"]))
+
+    def stop(self, number: signal.Signals = signal.SIGTERM) -> Finished:
+        """End it as a user would, and wait."""
+        self.send_signal(number)
+        return self.finish()
+
+    def clean_up(self) -> None:
+        """End it whatever happened."""
+        if self._process.poll() is None:
+            self._process.kill()
+            self._process.wait(PATIENCE_S)
+
+
+@contextmanager
+def running(*arguments: object, environment: dict[str, str] | None = None) -> Iterator[RunningCommand]:
+    """A command that runs within the block and not after it."""
+    command = RunningCommand(*arguments, environment=environment)
+    try:
+        yield command
+    finally:
+        command.clean_up()
+
+
+@contextmanager
+def relay(domain_id: int, out: Path, *more: object) -> Iterator[RunningCommand]:
+    """A relay that serves already; stop it within the block to have its trace closed."""
+    with running("dds-record", "--role", "relay", "--domain", domain_id, "--out", out, *more) as command:
+        command.wait_for_line("serves domain")
+        yield command
+
+
+def ping(domain_id: int, out: Path, *more: object) -> Finished:
+    """A ping from its start to its end."""
+    return run("dds-record", "--role", "ping", "--domain", domain_id, "--out", out, *more)
+
+
+def run(*arguments: object, environment: dict[str, str] | None = None) -> Finished:
+    """A command from its start to its end."""
+    with running(*arguments, environment=environment) as command:
+        return command.finish()

@@ -76,15 +76,11 @@ def load_campaign(path: Path, *, skip: Collection[Path] = (), progress: Progress
         if progress is not None:
             progress(position, len(candidates), candidate)
         try:
-            traces.append(read_trace(candidate))
+            traces.append(_read(candidate))
         except TraceFormatError as err:
             if alone:
                 raise
             skipped.append(Source(_relative(candidate, path), "skipped", err.what, 0))
-        except OSError as err:
-            skipped.append(
-                Source(_relative(candidate, path), "skipped", f"cannot be read: {err.strerror}", 0)
-            )
     if not alone:
         skipped += [
             Source(_relative(other, path), "skipped", "neither an .mcap file nor a rosbag2 folder", 0)
@@ -93,6 +89,17 @@ def load_campaign(path: Path, *, skip: Collection[Path] = (), progress: Progress
     if not traces:
         raise MissingEventsError(_nothing_found(path, skipped))
     return _campaign(path, traces, skipped)
+
+
+def _read(path: Path) -> Trace:
+    """The trace at `path`; a file in which nothing was ever written is none."""
+    try:
+        trace = read_trace(path)
+    except OSError as err:
+        raise TraceFormatError(path, f"cannot be read ({err.strerror})") from err
+    if not (trace.sessions or trace.runs or trace.event_count):
+        raise TraceFormatError(path, f"holds nothing of a trace ({trace.truncated or 'it is complete'})")
+    return trace
 
 
 def _campaign(path: Path, traces: list[Trace], skipped: list[Source]) -> Campaign:

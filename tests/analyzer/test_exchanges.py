@@ -1,0 +1,366 @@
+"""Who took part: several relays, pings and runs, restarts, missing traces, and the parameters of each row."""
+
+import pytest
+from trace_files import (
+    PING_SESSION_ID,
+    RELAY_ID,
+    RELAY_SESSION_ID,
+    RUN_ID,
+    WALL_ANCHOR_NS,
+    Message,
+    event,
+    ping_events,
+    ping_session,
+    relay_events,
+    relay_session,
+    run,
+    write_pair,
+    write_trace,
+)
+
+from analyzer import PARAMETER_COLUMNS, ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS, analyze
+from tracefile import MissingEventsError, Qos, Stage
+
+TWO = [Message(0, t0=0, t1=10, t3=500, t4=520, t2=140), Message(1, t0=1000, t1=1010)]
+NO_RELAY_COLUMNS = (
+    "relay_vendor",
+    "relay_backend",
+    "relay_device",
+    "relay_in_ns",
+    "relay_out_ns",
+    "latency_ns",
+)
+
+
+def rows(analysis):
+    return analysis.roundtrips.to_dicts()
+
+
+def codes(analysis):
+    return {finding.code for finding in analysis.findings}
+
+
+def test_columns_and_types_are_those_of_the_format(tmp_path):
+    write_pair(tmp_path, TWO)
+    analysis = analyze(tmp_path)
+    assert dict(analysis.roundtrips.schema) == {column.name: column.dtype for column in ROUNDTRIP_COLUMNS}
+    assert dict(analysis.summary.schema) == {column.name: column.dtype for column in SUMMARY_COLUMNS}
+
+
+def test_parameters_come_from_run_and_sessions(tmp_path):
+    write_pair(
+        tmp_path,
+        TWO,
+        ping=ping_session(connectivity="wired"),
+        relay=relay_session(vendor="zenoh", backend="socket", device="gamma", domain_id=12),
+        runs=[
+            run(
+                bridge="builtin",
+                relay_domain_id=12,
+                data_type="imu",
+                payload_bytes=296,
+                rate_hz=2.5,
+                serialization="typed",
+                qos=Qos("best_effort", "transient_local", "keep_all", 3),
+            )
+        ],
+    )
+    first = rows(analyze(tmp_path))[0]
+    assert {column.name: first[column.name] for column in PARAMETER_COLUMNS} == {
+        "vendor": "fastdds",
+        "backend": "ros2",
+        "rmw": "rmw_fastrtps_cpp",
+        "bridge": "builtin",
+        "relay_vendor": "zenoh",
+        "relay_backend": "socket",
+        "ping_domain_id": 5,
+        "relay_domain_id": 12,
+        "domain_mode": "different",
+        "data_type": "imu",
+        "payload_bytes": 296,
+        "rate_hz": 2.5,
+        "reliability": "best_effort",
+        "durability": "transient_local",
+        "history": "keep_all",
+        "depth": 3,
+        "serialization": "typed",
+        "ping_device": "alpha",
+        "relay_device": "gamma",
+        "connectivity": "wired",
+    }
+    assert (first["run_id"], first["relay_id"], first["sequence"]) == (RUN_ID, RELAY_ID, 0)
+
+
+@pytest.mark.parametrize(
+    ("relay_domain", "told", "bridge", "expected"),
+    [
+        (5, 5, "none", (5, "same")),
+        (10, 10, "builtin", (10, "different")),
+        (5, 10, "none", (5, "same")),  # the relay knows better than the ping was told
+        (None, 10, "builtin", (10, "different")),  # without the relay's trace
+        (None, None, "none", (5, "same")),  # nothing between them
+        (None, None, "zenoh", (None, "different")),  # a bridge, but to where?
+    ],
+)
+def test_domains(tmp_path, relay_domain, told, bridge, expected):
+    ping, relay = write_pair(
+        tmp_path,
+        TWO,
+        relay=relay_session(domain_id=relay_domain or 0),
+        runs=[run(relay_domain_id=told, bridge=bridge)],
+    )
+    if relay_domain is None:
+        relay.unlink()
+    analysis = analyze(tmp_path)
+    first = rows(analysis)[0]
+    assert (first["relay_domain_id"], first["domain_mode"]) == expected
+    assert first["ping_domain_id"] == 5
+    assert ("unlike_domains" in codes(analysis)) == (relay_domain == 5 and told == 10)
+    assert ping.exists()
+
+
+def test_two_relays_give_two_rows_a_message_each_with_its_own_outcome(tmp_path):
+    near, far = 0x11, 0x22
+    t1 = [event(s, 1000 * s + 10, scheduled_ns=1000 * s) for s in range(2)]
+    # The near relay answers both; the far one receives the first only and its answer to that is lost.
+    t2 = [event(0, 110, relay_id=near), event(1, 1130, relay_id=near)]
+    write_trace(tmp_path / "ping.mcap", ping_session(), [run()], {Stage.T1: t1, Stage.T2: t2})
+    for relay_id, stamps in ((near, [(0, 50, 60), (1, 80, 100)]), (far, [(0, 7, 9)])):
+        write_trace(
+            tmp_path / f"relay_{relay_id}.mcap",
+            relay_session(session_id=relay_id, relay_id=relay_id, device=f"pi{relay_id}"),
+            (),
+            {
+                Stage.T3: [event(s, t3, relay_id=relay_id) for s, t3, _ in stamps],
+                Stage.T4: [event(s, t4, relay_id=relay_id) for s, _, t4 in stamps],
+            },
+        )
+    analysis = analyze(tmp_path)
+    found = [
+        (r["relay_id"], r["sequence"], r["outcome"], r["latency_ns"], r["relay_device"])
+        for r in rows(analysis)
+    ]
+    assert found == [
+        (near, 0, "completed", 45, "pi17"),  # (100 - 10) // 2
+        (near, 1, "completed", 50, "pi17"),  # (120 - 20) // 2
+        (far, 0, "lost_return", None, "pi34"),
+        (far, 1, "lost_outbound", None, "pi34"),
+    ]
+    assert analysis.summary.select("relay_device", "published", "received").rows() == [
+        ("pi17", 2, 2),
+        ("pi34", 2, 0),
+    ]
+
+
+def test_a_relay_named_by_replies_only(tmp_path):
+    _, relay = write_pair(tmp_path, TWO, runs=[run(relay_domain_id=None)])
+    relay.unlink()
+    analysis = analyze(tmp_path)
+    first, second = rows(analysis)
+    assert (first["relay_id"], first["outcome"], first["rtt_ns"], first["response_ns"]) == (
+        RELAY_ID,
+        "completed",
+        130,
+        140,
+    )
+    assert (second["relay_id"], second["outcome"], second["rtt_ns"]) == (RELAY_ID, "lost_unknown", None)
+    assert [first[name] for name in NO_RELAY_COLUMNS] == [None] * 6
+    assert first["intermediate_ns"] is None
+    assert "missing_relay_trace" in codes(analysis)
+    assert analysis.summary["latency_p50_ns"].to_list() == [None]
+
+
+def test_a_relay_whose_trace_is_there_without_this_run(tmp_path):
+    """Its device is known, what became of the messages is not."""
+    write_trace(tmp_path / "ping.mcap", ping_session(), [run()], ping_events(TWO))
+    write_trace(tmp_path / "relay.mcap", relay_session(), (), {})
+    analysis = analyze(tmp_path)
+    assert [(r["outcome"], r["relay_device"]) for r in rows(analysis)] == [
+        ("completed", "beta"),
+        ("lost_unknown", "beta"),
+    ]
+
+
+def test_no_relay_took_part(tmp_path):
+    write_trace(
+        tmp_path / "ping.mcap",
+        ping_session(),
+        [run(planned_messages=2, published=2)],
+        {Stage.T1: [event(0, 10, scheduled_ns=1), event(1, 20, scheduled_ns=11)]},
+    )
+    write_trace(tmp_path / "relay.mcap", relay_session(relay_id=0), (), {})
+    analysis = analyze(tmp_path)
+    assert [(r["relay_id"], r["sequence"], r["outcome"]) for r in rows(analysis)] == [
+        (0, 0, "lost_unknown"),
+        (0, 1, "lost_unknown"),
+    ]
+    assert [rows(analysis)[0][name] for name in NO_RELAY_COLUMNS] == [None] * 6
+    assert {"no_relay", "nothing_received"} <= codes(analysis)
+
+
+def test_a_relay_that_only_warmup_saw_took_part(tmp_path):
+    messages = [Message(0, t0=0, t1=10, t3=500, t4=520, t2=140), Message(1, t0=1000, t1=1010)]
+    write_pair(tmp_path, messages, runs=[run(warmup_messages=1)])
+    (row,) = rows(analyze(tmp_path))
+    assert (row["relay_id"], row["sequence"], row["outcome"]) == (RELAY_ID, 1, "lost_outbound")
+
+
+def test_two_pings_at_one_relay(tmp_path):
+    first, second = TWO, [Message(0, t0=5000, t1=5001, t3=600, t4=601, t2=5102)]
+    write_trace(tmp_path / "a.mcap", ping_session(), [run()], ping_events(first))
+    write_trace(
+        tmp_path / "b.mcap",
+        ping_session(session_id=7, device="delta"),
+        [run(run_id=7, extra={})],
+        ping_events(second, run_id=7),
+    )
+    both = relay_events(first), relay_events(second, run_id=7)
+    write_trace(
+        tmp_path / "relay.mcap",
+        relay_session(),
+        (),
+        {stage: both[0][stage] + both[1][stage] for stage in (Stage.T3, Stage.T4)},
+    )
+    analysis = analyze(tmp_path)
+    assert [(r["run_id"], r["ping_device"], r["latency_ns"]) for r in rows(analysis)] == [
+        (RUN_ID, "alpha", 55),
+        (RUN_ID, "alpha", None),
+        (7, "delta", 50),
+    ]
+    assert [described.run_id for described in analysis.runs] == [RUN_ID, 7]
+
+
+def test_several_runs_in_one_file_are_rows_by_start(tmp_path):
+    late, early = run(run_id=1, payload_bytes=10), run(run_id=2, payload_bytes=20)
+    events = ping_events([Message(0, t0=9000, t1=9000, t2=9100)], run_id=1)
+    for stage, of_early in ping_events([Message(0, t0=100, t1=100, t2=300)], run_id=2).items():
+        events[stage] = of_early + events[stage]
+    write_trace(tmp_path / "ping.mcap", ping_session(), [late, early], events)
+    analysis = analyze(tmp_path)
+    assert [(r["run_id"], r["payload_bytes"], r["rtt_ns"]) for r in rows(analysis)] == [
+        (2, 20, 200),
+        (1, 10, 100),
+    ]
+    assert [described.run_id for described in analysis.runs] == [2, 1]
+
+
+def test_a_restarted_relay_is_another_relay(tmp_path):
+    """A new process draws a new relay_id: each has the outcomes of the messages that it could see."""
+    messages = [
+        Message(0, t0=0, t1=10, t3=500, t4=520, t2=140),
+        Message(1, t0=1000, t1=1010, t3=9, t4=11, t2=1112),
+    ]
+    ping = ping_events(messages)
+    ping[Stage.T2] = [event(0, 140, relay_id=1), event(1, 1112, relay_id=2)]
+    write_trace(tmp_path / "ping.mcap", ping_session(), [run()], ping)
+    for relay_id, message in zip((1, 2), messages, strict=True):
+        write_trace(
+            tmp_path / f"relay{relay_id}.mcap",
+            relay_session(session_id=relay_id, relay_id=relay_id),
+            (),
+            relay_events([message], relay_id=relay_id),
+        )
+    found = [(r["relay_id"], r["sequence"], r["outcome"], r["latency_ns"]) for r in rows(analyze(tmp_path))]
+    assert found == [
+        (1, 0, "completed", 55),
+        (1, 1, "lost_outbound", None),
+        (2, 0, "lost_outbound", None),
+        (2, 1, "completed", 50),
+    ]
+
+
+def test_a_relay_restarted_under_its_old_id(tmp_path):
+    """Both sessions' events are paired, and a finding says that one of them stands for both."""
+    messages = [
+        Message(0, t0=0, t1=10, t3=500, t4=520, t2=140),
+        Message(1, t0=1000, t1=1010, t3=9000, t4=9002, t2=1112),
+    ]
+    write_trace(tmp_path / "ping.mcap", ping_session(), [run()], ping_events(messages))
+    for part, message in enumerate(messages):
+        session = relay_session(session_id=50 + part, wall_anchor_ns=10**18 + part)
+        write_trace(tmp_path / f"relay{part}.mcap", session, (), relay_events([message]))
+    analysis = analyze(tmp_path)
+    assert [r["latency_ns"] for r in rows(analysis)] == [55, 50]
+    assert "doubtful_session" in codes(analysis)
+
+
+def test_merged_pings_are_told_apart_by_what_the_run_names(tmp_path):
+    sessions = [ping_session(), ping_session(session_id=9, device="omega")]
+    runs = [run(), run(run_id=9, extra={"session_id": f"{9:016x}"})]
+    events = ping_events(TWO)
+    events[Stage.T1] += [event(0, 9000, run_id=9, scheduled_ns=9000)]
+    write_trace(tmp_path / "all.mcap", sessions, runs, events)
+    analysis = analyze(tmp_path)
+    assert [(r["run_id"], r["ping_device"]) for r in rows(analysis)] == [(RUN_ID, "alpha")] * 2 + [
+        (9, "omega")
+    ]
+    assert "doubtful_session" not in codes(analysis)
+
+
+def test_merged_pings_without_a_name_are_told_apart_by_their_start(tmp_path):
+    sessions = [
+        ping_session(),
+        ping_session(
+            session_id=9, device="omega", wall_anchor_ns=WALL_ANCHOR_NS + 8000, monotonic_anchor_ns=8000
+        ),
+    ]
+    events = ping_events(TWO)
+    events[Stage.T1] += [event(0, 9000, run_id=9, scheduled_ns=9000)]
+    write_trace(tmp_path / "all.mcap", sessions, [run(extra={}), run(run_id=9, extra={})], events)
+    analysis = analyze(tmp_path)
+    assert [(r["run_id"], r["ping_device"]) for r in rows(analysis)] == [(RUN_ID, "alpha")] * 2 + [
+        (9, "omega")
+    ]
+    assert "doubtful_session" in codes(analysis)
+
+
+def test_relay_events_of_a_run_whose_ping_is_missing(tmp_path):
+    write_pair(tmp_path, TWO)
+    write_trace(
+        tmp_path / "other.mcap",
+        relay_session(session_id=3, relay_id=3),
+        (),
+        relay_events(TWO, run_id=99, relay_id=3),
+    )
+    analysis = analyze(tmp_path)
+    assert set(analysis.roundtrips["run_id"]) == {RUN_ID}
+    (finding,) = [f for f in analysis.findings if f.code == "orphan_relay_events"]
+    assert "2 events" in finding.what
+    assert "0000000000000063" in finding.what
+    assert finding.where == "other.mcap, relay 00000003"
+
+
+@pytest.mark.parametrize(
+    ("runs", "sessions", "code"),
+    [
+        ([], [ping_session()], "undescribed_run"),
+        ([run(run_id=8, extra={})], [relay_session()], "undescribed_session"),
+        ([run(run_id=8, payload_bytes=2**40)], [ping_session()], "impossible_description"),
+        ([run(run_id=8, payload_bytes=-1)], [ping_session()], "impossible_description"),
+        ([run(run_id=8, rate_hz=float("nan"))], [ping_session()], "impossible_description"),
+        ([run(run_id=8, warmup_messages=-1)], [ping_session()], "impossible_description"),
+        ([run(run_id=8, qos=Qos(depth=2**70))], [ping_session()], "impossible_description"),
+    ],
+)
+def test_a_run_that_nobody_describes_is_left_out_and_named(tmp_path, runs, sessions, code):
+    write_trace(tmp_path / "odd.mcap", sessions, runs, ping_events(TWO, run_id=8))
+    with pytest.raises(MissingEventsError, match=r"run 0000000000000008 in odd\.mcap"):
+        analyze(tmp_path)
+    write_pair(tmp_path, TWO, ping=ping_session(session_id=77), runs=[run(extra={})])
+    analysis = analyze(tmp_path)
+    assert set(analysis.roundtrips["run_id"]) == {RUN_ID}
+    (finding,) = [f for f in analysis.findings if f.code == code]
+    assert finding.severity.value == "error"
+    assert "odd.mcap" in finding.where
+
+
+def test_sessions_are_listed_once_and_by_start(tmp_path):
+    write_pair(tmp_path, TWO, relay=relay_session(wall_anchor_ns=5))
+    write_trace(
+        tmp_path / "part.mcap", relay_session(wall_anchor_ns=5, state="open"), (), relay_events(TWO[:1])
+    )
+    analysis = analyze(tmp_path)
+    assert [(s.session_id, s.state) for s in analysis.sessions] == [
+        (RELAY_SESSION_ID, "closed"),
+        (PING_SESSION_ID, "closed"),
+    ]

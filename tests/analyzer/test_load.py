@@ -1,0 +1,231 @@
+"""A folder of anything: copies count once, parts of one recording are put together, the rest is named."""
+
+import os
+import random
+import shutil
+
+import numpy as np
+import pytest
+from trace_files import (
+    RELAY_ID,
+    RUN_ID,
+    Message,
+    event,
+    ping_events,
+    ping_session,
+    relay_events,
+    relay_session,
+    run,
+    write_pair,
+    write_trace,
+)
+
+from analyzer import analyze
+from analyzer.gather import gather_events, split_events
+from tracefile import EVENT_DTYPE, EventColumns, MissingEventsError, Stage, TraceFormatError, read_trace
+
+TIMELINE = [
+    Message(s, t0=1000 * s, t1=1000 * s + 5, t3=1000 * s + 900, t4=1000 * s + 930, t2=1000 * s + 205)
+    for s in range(12)
+]
+
+
+def statuses(analysis):
+    return {source.path: (source.status, source.events) for source in analysis.sources}
+
+
+def codes(analysis):
+    return [finding.code for finding in analysis.findings]
+
+
+def test_a_pair(tmp_path):
+    write_pair(tmp_path, TIMELINE)
+    analysis = analyze(tmp_path)
+    assert statuses(analysis) == {"ping.mcap": ("read", 24), "relay.mcap": ("read", 24)}
+    assert analysis.title == tmp_path.name
+    assert analysis.roundtrips["latency_ns"].to_list() == [85] * 12
+    assert [session.role for session in analysis.sessions] == ["ping", "relay"]
+    assert [described.run_id for described in analysis.runs] == [RUN_ID]
+    assert analysis.outputs == {}
+
+
+def test_the_same_file_twice_counts_once(tmp_path):
+    ping, _ = write_pair(tmp_path, TIMELINE)
+    once = analyze(tmp_path)
+    shutil.copy(ping, tmp_path / "ping (copy).mcap")
+    twice = analyze(tmp_path)
+    assert twice.roundtrips.equals(once.roundtrips)
+    assert twice.summary.equals(once.summary)
+    assert statuses(twice) == {
+        "ping (copy).mcap": ("read", 24),
+        "ping.mcap": ("duplicate", 0),
+        "relay.mcap": ("read", 24),
+    }
+    (finding,) = [f for f in twice.findings if f.code == "duplicate_file"]
+    assert finding.where == "ping.mcap"
+    assert "ping (copy).mcap" in finding.what
+
+
+def test_another_form_of_the_same_session_counts_once(tmp_path):
+    """As `ros2 bag convert` leaves it: other file, other storage options, the same events."""
+    write_pair(tmp_path, TIMELINE)
+    once = analyze(tmp_path)
+    write_trace(
+        tmp_path / "converted" / "ping.mcap",
+        ping_session(),
+        [run(planned_messages=12, published=12)],
+        ping_events(TIMELINE),
+        compression="none",
+        chunked=False,
+    )
+    both = analyze(tmp_path)
+    assert both.roundtrips.equals(once.roundtrips)
+    assert statuses(both)["ping.mcap"] == ("duplicate", 0)
+    assert "duplicate_file" in codes(both)
+
+
+def test_a_copy_taken_before_the_end_adds_what_it_has(tmp_path):
+    write_pair(tmp_path, TIMELINE)
+    once = analyze(tmp_path)
+    write_trace(
+        tmp_path / "early.mcap",
+        ping_session(state="open"),
+        [run(state="started", planned_messages=12, published=0)],
+        ping_events(TIMELINE[:5]),
+    )
+    both = analyze(tmp_path)
+    assert both.roundtrips.equals(once.roundtrips)
+    assert statuses(both)["early.mcap"] == ("read", 10)
+    assert statuses(both)["ping.mcap"] == ("read", 14)
+    assert "overlapping_files" in codes(both)
+    assert "unclosed_session" not in codes(both)  # the later description counts
+    assert "unfinished_run" not in codes(both)
+
+
+def test_a_relay_trace_split_over_files(tmp_path):
+    write_pair(tmp_path, TIMELINE)
+    whole = analyze(tmp_path)
+    (tmp_path / "relay.mcap").unlink()
+    for part, messages in enumerate((TIMELINE[:4], TIMELINE[4:9], TIMELINE[9:])):
+        write_trace(tmp_path / f"relay_{part}.mcap", relay_session(), (), relay_events(messages))
+    split = analyze(tmp_path)
+    assert split.roundtrips.equals(whole.roundtrips)
+    assert split.summary.equals(whole.summary)
+    assert codes(split) == codes(whole)
+    assert len(split.sessions) == 2
+
+
+def test_ping_and_relay_merged_into_one_file(tmp_path):
+    write_pair(tmp_path / "two", TIMELINE)
+    write_trace(
+        tmp_path / "one" / "all.mcap",
+        [ping_session(), relay_session()],
+        [run(planned_messages=12, published=12)],
+        ping_events(TIMELINE) | relay_events(TIMELINE),
+    )
+    assert analyze(tmp_path / "one").roundtrips.equals(analyze(tmp_path / "two").roundtrips)
+
+
+def test_a_mixed_folder_names_what_is_no_trace(tmp_path):
+    write_pair(tmp_path / "monday", TIMELINE)
+    (tmp_path / "notes.txt").write_text("windy")
+    (tmp_path / "broken.mcap").write_bytes(b"not at all")
+    (tmp_path / ".hidden").write_text("")
+    analysis = analyze(tmp_path, out=tmp_path / "analysis")
+    assert statuses(analysis) == {
+        "broken.mcap": ("skipped", 0),
+        "monday/ping.mcap": ("read", 24),
+        "monday/relay.mcap": ("read", 24),
+        "notes.txt": ("skipped", 0),
+    }
+    assert all(source.detail for source in analysis.sources if source.status == "skipped")
+    assert [f.where for f in analysis.findings if f.code == "skipped_file"] == ["broken.mcap", "notes.txt"]
+
+
+def test_own_output_is_no_input(tmp_path):
+    write_pair(tmp_path, TIMELINE)
+    first = analyze(tmp_path, out=tmp_path / "analysis")
+    write_pair(tmp_path / "analysis", TIMELINE)  # even traces in there
+    again = analyze(tmp_path, out=tmp_path / "analysis")
+    assert statuses(again) == statuses(first)
+    assert statuses(analyze(tmp_path)) == statuses(first)
+
+
+def test_an_empty_folder_is_an_error(tmp_path):
+    with pytest.raises(MissingEventsError, match="the folder is empty"):
+        analyze(tmp_path)
+
+
+def test_a_folder_without_any_trace_names_what_is_there(tmp_path):
+    (tmp_path / "a.mcap").write_bytes(b"")
+    (tmp_path / "b.txt").write_text("b")
+    with pytest.raises(MissingEventsError, match=r"a\.mcap.*b\.txt"):
+        analyze(tmp_path)
+
+
+def test_a_folder_that_is_not_there(tmp_path):
+    with pytest.raises(MissingEventsError, match="no such"):
+        analyze(tmp_path / "nowhere")
+
+
+def test_one_file_given_by_name(tmp_path):
+    ping, _ = write_pair(tmp_path, TIMELINE)
+    analysis = analyze(ping)
+    assert statuses(analysis) == {"ping.mcap": ("read", 24)}
+    assert set(analysis.roundtrips["outcome"]) == {"completed"}
+    ping.write_bytes(b"no trace")
+    with pytest.raises(TraceFormatError, match=r"ping\.mcap"):
+        analyze(ping)
+
+
+def test_relays_alone_are_an_error(tmp_path):
+    _, relay = write_pair(tmp_path, TIMELINE)
+    (tmp_path / "ping.mcap").unlink()
+    with pytest.raises(MissingEventsError, match="add the trace of the ping"):
+        analyze(relay)
+
+
+def test_a_truncated_trace_is_used_to_its_end(tmp_path):
+    write_pair(tmp_path, TIMELINE)
+    relay = write_trace(
+        tmp_path / "relay.mcap",
+        relay_session(),
+        (),
+        relay_events(TIMELINE),
+        chunk_bytes=300,
+        indexed=False,
+        statistics=False,
+    )
+    os.truncate(relay, relay.stat().st_size * 2 // 3)
+    analysis = analyze(tmp_path)
+    status, events = statuses(analysis)["relay.mcap"]
+    assert status == "truncated"
+    assert 0 < events < 24
+    found = codes(analysis)
+    assert "truncated_file" in found
+    assert "relay_trace_gaps" in found  # messages came back that the relay's trace does not know
+    latencies = analysis.roundtrips["latency_ns"]
+    assert latencies.null_count() > 0
+    assert set(latencies.drop_nulls()) == {85}
+
+
+def test_events_of_runs_that_take_turns_are_told_apart():
+    fields = [event(s, s, run_id=1 + s % 3, relay_id=s % 2) for s in range(30)]
+    random.Random(1).shuffle(fields)
+    split = split_events(EventColumns.from_records(np.array(fields, EVENT_DTYPE)), by_relay=True)
+    assert {key: columns.sequence.tolist() for key, columns in split.items()} == {
+        (run_id, relay_id): [f[1] for f in fields if (f[0], f[7]) == (run_id, relay_id)]
+        for run_id in (1, 2, 3)
+        for relay_id in (0, 1)
+    }
+
+
+def test_what_was_copied_is_counted_per_trace(tmp_path):
+    write_pair(tmp_path, TIMELINE)
+    write_trace(tmp_path / "part.mcap", relay_session(), (), relay_events(TIMELINE[:3]))
+    traces = [read_trace(tmp_path / name) for name in ("ping.mcap", "relay.mcap", "part.mcap")]
+    events = gather_events(traces)
+    assert [(copy.trace, copy.events, copy.others) for copy in events.copies] == [(2, 6, (1,))]
+    assert len(events.columns(Stage.T3, (RUN_ID, RELAY_ID))) == 12
+    assert events.traces(Stage.T3, (RUN_ID, RELAY_ID)) == (1, 2)
+    assert len(events.columns(Stage.T3, (RUN_ID, 1))) == 0

@@ -1,0 +1,39 @@
+"""The four formulas, by hand."""
+
+import polars as pl
+
+from analyzer.metrics import with_metrics
+
+STAMPS = ("scheduled_ns", "publish_ns", "receive_ns", "relay_in_ns", "relay_out_ns")
+
+
+def metrics(t0=0, t1=0, t2=None, t3=None, t4=None):
+    stamps = pl.DataFrame(
+        dict(zip(STAMPS, ([t] for t in (t0, t1, t2, t3, t4)), strict=True)),
+        schema=dict.fromkeys(STAMPS, pl.Int64),
+    )
+    row = with_metrics(stamps).row(0, named=True)
+    return row["rtt_ns"], row["intermediate_ns"], row["latency_ns"], row["response_ns"]
+
+
+def test_formulas():
+    # T0=100 planned, T1=107 sent, relay 5000..5040 on its own clock, T2=467 back.
+    assert metrics(100, 107, 467, 5000, 5040) == (360, 40, 160, 367)
+
+
+def test_half_a_nanosecond_is_rounded_down():
+    assert metrics(0, 0, 101, 50, 60) == (101, 10, 45, 101)
+    assert metrics(0, 0, 10, 50, 61) == (10, 11, -1, 10)  # -1 // 2, not 0
+
+
+def test_a_missing_stamp_makes_null_never_0():
+    assert metrics(1, 2) == (None, None, None, None)
+    assert metrics(1, 2, t2=9) == (7, None, None, 8)
+    assert metrics(1, 2, t2=9, t3=4) == (7, None, None, 8)
+    assert metrics(1, 2, t3=4, t4=6) == (None, 2, None, None)
+    assert metrics(None, 2, 9, 4, 6) == (7, 2, 2, None)
+
+
+def test_times_since_boot_do_not_lose_nanoseconds():
+    day = 86_400 * 10**9
+    assert metrics(900 * day, 900 * day + 1, 900 * day + 4, 5, 6) == (3, 1, 1, 4)

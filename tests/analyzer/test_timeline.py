@@ -1,0 +1,59 @@
+"""The decimated timeline: whole where short, and with every extreme and loss of a stretch where long."""
+
+import numpy as np
+import pytest
+from trace_files import RELAY_ID, Message, event, ping_events, ping_session, run, write_trace
+
+from analyzer import analyze
+from tracefile import Stage
+
+MS = 1_000_000
+
+
+def test_a_short_run_is_drawn_whole(tmp_path):
+    messages = [Message(s, t0=(s + 7) * MS, t1=(s + 7) * MS, t2=(s + 7) * MS + 100 + s) for s in range(50)]
+    write_trace(tmp_path / "ping.mcap", ping_session(), [run(warmup_messages=10)], ping_events(messages))
+    analysis = analyze(tmp_path)
+    assert not analysis.timeline_decimated
+    assert analysis.timeline["sequence"].to_list() == list(range(10, 50))
+    assert analysis.timeline["elapsed_s"].to_list() == pytest.approx([s / 1000 for s in range(40)])
+    assert analysis.timeline["rtt_ns"].to_list() == [100 + s for s in range(10, 50)]
+
+
+def test_a_long_run_keeps_extremes_and_losses(tmp_path):
+    count, spike, dip, lost = 20_000, 7_777, 12_345, 15_001
+    rtt = np.random.default_rng(3).integers(500, 600, count)
+    rtt[spike], rtt[dip] = 5_000, 3
+    t1 = [event(s, s * MS, scheduled_ns=s * MS) for s in range(count)]
+    t2 = [event(s, s * MS + int(rtt[s]), relay_id=RELAY_ID) for s in range(count) if s != lost]
+    write_trace(tmp_path / "ping.mcap", ping_session(), [run()], {Stage.T1: t1, Stage.T2: t2})
+    analysis = analyze(tmp_path)
+    timeline = analysis.timeline
+    assert analysis.timeline_decimated
+    assert timeline.height <= 4000
+    assert timeline["sequence"].is_sorted()
+    assert timeline["sequence"][0] == 0
+    assert {spike, dip, lost} <= set(timeline["sequence"])
+    assert timeline.filter(sequence=lost)["outcome"].to_list() == ["lost_unknown"]
+    assert timeline["elapsed_s"].to_list() == pytest.approx([s / 1000 for s in timeline["sequence"]])
+    # Every stretch of a thousandth of the run shows its own extremes.
+    stretch = slice(4000, 4020)
+    drawn = timeline.filter(timeline["sequence"].is_between(stretch.start, stretch.stop - 1))["rtt_ns"]
+    assert (drawn.min(), drawn.max()) == (rtt[stretch].min(), rtt[stretch].max())
+
+
+def test_losses_everywhere_are_drawn_once_a_stretch(tmp_path):
+    t1 = [event(s, s * MS, scheduled_ns=s * MS) for s in range(9000)]
+    write_trace(tmp_path / "ping.mcap", ping_session(), [run()], {Stage.T1: t1})
+    timeline = analyze(tmp_path).timeline
+    assert timeline.height == 1000
+    assert set(timeline["outcome"]) == {"lost_unknown"}
+
+
+def test_without_a_schedule_time_runs_from_the_first_publication(tmp_path):
+    t1 = [event(s, (5 + s) * MS) for s in range(3)]
+    write_trace(tmp_path / "ping.mcap", ping_session(), [run()], {Stage.T1: t1})
+    analysis = analyze(tmp_path)
+    assert analysis.timeline["elapsed_s"].to_list() == pytest.approx([0, 0.001, 0.002])
+    assert analysis.roundtrips["scheduled_ns"].null_count() == 3
+    assert "no_schedule" in {finding.code for finding in analysis.findings}

@@ -4,12 +4,25 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from recorder.backend import ExecutorKind, Serialization, Transport
+from recorder.qos import RANKS
 from recorder.sizes import format_size
 
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from enum import Enum
 
-def _axis(default: Any, option: str, *, relay: bool = False, kind: type = str) -> Any:
+
+def _axis(
+    default: Any,
+    option: str,
+    *,
+    relay: bool = False,
+    kind: type = str,
+    choices: Iterable[str] | type[Enum] = (),
+) -> Any:
     """A field that is an axis of a plan.
 
     Args:
@@ -17,8 +30,10 @@ def _axis(default: Any, option: str, *, relay: bool = False, kind: type = str) -
         option: of `dds-record`.
         relay: the relay has to be started with it too.
         kind: what a plan's value is.
+        choices: the values that there are, empty where anything may be given.
     """
-    return field(default=default, metadata={"option": option, "relay": relay, "kind": kind})
+    named = [choice.value for choice in choices] if isinstance(choices, type) else list(choices)
+    return field(default=default, metadata={"option": option, "relay": relay, "kind": kind, "choices": named})
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,13 +60,13 @@ class Cell:
     data: str = _axis("binary", "--data")
     size: int | None = _axis(None, "--size", kind=int)
     rate: float = _axis(10.0, "--rate", kind=float)
-    reliability: str = _axis("reliable", "--reliability", relay=True)
-    durability: str = _axis("volatile", "--durability", relay=True)
-    history: str = _axis("keep_last", "--history", relay=True)
+    reliability: str = _axis("reliable", "--reliability", relay=True, choices=RANKS["reliability"])
+    durability: str = _axis("volatile", "--durability", relay=True, choices=RANKS["durability"])
+    history: str = _axis("keep_last", "--history", relay=True, choices=("keep_last", "keep_all"))
     depth: int = _axis(10, "--depth", relay=True, kind=int)
-    serialization: str = _axis("raw", "--serialization", relay=True)
-    transport: str = _axis("default", "--transport", relay=True)
-    executor: str = _axis("auto", "--executor", relay=True)
+    serialization: str = _axis("raw", "--serialization", relay=True, choices=Serialization)
+    transport: str = _axis("default", "--transport", relay=True, choices=Transport)
+    executor: str = _axis("auto", "--executor", relay=True, choices=ExecutorKind)
     tuned: bool = _axis(False, "--tuned", relay=True, kind=bool)
     repeat: int = 1
 

@@ -20,14 +20,15 @@ def relay_arguments(plan: Plan, need: RelayNeed) -> list[str]:
     ]
 
 
-def ping_arguments(plan: Plan, cell: Cell) -> list[str]:
-    """Arguments of the ping of this cell, without `--out`."""
+def ping_arguments(plan: Plan, cell: Cell, wait_s: float) -> list[str]:
+    """Arguments of the ping of this cell, without `--out`; it waits so long for an echo."""
     domain = plan.run.ping_domain if cell.crosses_domains else plan.run.domain
     bridged = ["--relay-domain", str(plan.run.domain)] if cell.crosses_domains else []
     return [
         *("--role", "ping", "--domain", str(domain), *bridged),
         *_axis_arguments(cell, [axis for axis in AXES if axis not in ("relay_backend", "relay_rmw")]),
         *("--messages", str(plan.run.messages_at(cell.rate)), "--warmup", str(plan.run.warmup)),
+        *("--wait", f"{wait_s:g}"),
         *("--label", f"sweep={plan.name}", "--label", f"cell={cell.name}"),
         *(("--label", f"link={plan.link}") if plan.link else ()),
         *_common_arguments(plan, plan.ping),

@@ -118,14 +118,15 @@ class SshDevice:
             *("ssh", "-o", "BatchMode=yes", "-o", "ConnectTimeout=10", "-o", "ServerAliveInterval=5"),
             *(*settings.ssh_options, settings.ssh),
         ]
-        self._program = settings.program
-        self._setup = settings.setup or ":"  # the shell's way to do nothing
+        # The folder is not quoted, so that the shell there expands its ~.
+        path = f"PATH={settings.path}:$PATH" if settings.path else ":"
+        self._setup = f"{path} && {settings.setup or ':'}"
         self._folder = folder
         self._remote = f'"$HOME"/.cache/dds-trace/{shlex.quote(sweep)}'
 
     def prepare(self) -> None:
         """Makes the folder there and compares versions."""
-        said = self._run(f"{self._setup} && mkdir -p {self._remote} && {self._program} --version").split()
+        said = self._run(f"{self._setup} && mkdir -p {self._remote} && dds-sweep --version").split()
         there = said[-1] if said else "nothing"
         if there != __version__:
             raise OptionError(
@@ -135,7 +136,7 @@ class SshDevice:
 
     def start(self, arguments: Sequence[str], segment: str) -> RunningRelay:
         """A relay there."""
-        relay = f"{self._program} {shlex.join(arguments)} --out {self._remote}/{shlex.quote(segment)}"
+        relay = f"dds-record {shlex.join(arguments)} --out {self._remote}/{shlex.quote(segment)}"
         pid = self._pid_file(segment)
         # A command in the background reads from /dev/null unless it is given a copy of the input.
         script = (

@@ -29,6 +29,7 @@ class RunSettings:
     Attributes:
         messages: of a run, warm-up not counted; 0 if `seconds` says it.
         seconds: length of a run, warm-up not counted; the number of messages follows from the cell's rate.
+        min_messages: of a run whose length is given in seconds, however low its rate.
         warmup: messages at the start of each run that are kept out of every statistic.
         settle_seconds: pause between two cells, for buffers to empty and CPUs to cool.
         cutoff_seconds: how long a run may take beyond its planned time; then it is ended and says how far it got.
@@ -44,6 +45,7 @@ class RunSettings:
 
     messages: int = 0
     seconds: float = 0.0
+    min_messages: int = 1
     warmup: int = 10
     settle_seconds: float = 0.5
     cutoff_seconds: float = 30.0
@@ -57,7 +59,7 @@ class RunSettings:
 
     def messages_at(self, rate_hz: float) -> int:
         """Messages of a run at this rate, warm-up not counted."""
-        return self.messages or max(1, round(self.seconds * rate_hz))
+        return self.messages or max(self.min_messages, round(self.seconds * rate_hz))
 
     def planned_seconds(self, rate_hz: float) -> float:
         """Time that the schedule of a run takes, warm-up included."""
@@ -73,7 +75,7 @@ class DeviceSettings:
         ssh: `user@host` to run it there; the ping is always here.
         ssh_options: further arguments of `ssh`, such as `-p 2222`.
         setup: shell command that runs there first, such as `. /opt/ros/jazzy/setup.sh`.
-        program: `dds-record` there.
+        path: folder of `dds-record` there, where it is not found by itself: `~/dds-trace/.venv/bin`.
         address: of the device, for middlewares that have to be told where the other side is.
     """
 
@@ -81,7 +83,7 @@ class DeviceSettings:
     ssh: str | None = None
     ssh_options: tuple[str, ...] = ()
     setup: str | None = None
-    program: str = "dds-record"
+    path: str | None = None
     address: str | None = None
 
 

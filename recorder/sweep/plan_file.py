@@ -13,6 +13,7 @@ from recorder.sizes import parse_size
 from recorder.sweep.cells import AXES, Cell
 from recorder.sweep.link import LINK_KEYS, PRESETS, Link
 from recorder.sweep.plan import DeviceSettings, Exclusion, Plan, RunSettings, Search
+from recorder.sweep.result import PERCENTILES
 from tracefile import OptionError
 
 if sys.version_info >= (3, 11):
@@ -168,6 +169,10 @@ def _check(plan: Plan, where: str) -> None:
         ),
         (relay.ssh is not None and plan.namespaces, "[link] and [network] need both devices on this machine"),
         (plan.ping.ssh is not None, "the ping is always on this machine; give [devices.relay] the ssh"),
+        (
+            plan.search.percentile not in PERCENTILES,
+            f"[search] percentile is one of {', '.join(f'{percentile:g}' for percentile in PERCENTILES)}",
+        ),
         (plan.search.resolution <= 1, "[search] resolution is a factor above 1"),
         (not 0 < plan.search.min_rate < plan.search.max_rate, "[search] min_rate is below max_rate"),
     )
@@ -215,12 +220,16 @@ def _axis_values(table: _Table, ignore: Collection[str] = ()) -> dict[str, list[
 
 def _axis_value(table: _Table, axis: str, value: object) -> Any:
     if axis == "size":
-        if not isinstance(value, (str, int)) or isinstance(value, bool):
-            raise OptionError(f"{table.where}: size is {value!r}; write bytes or one like 33KB")
-        return parse_size(str(value))
+        try:
+            return parse_size(str(value))
+        except OptionError as err:
+            raise OptionError(f"{table.where}: {err}") from err
+    known = AXES[axis].metadata
     if value == "" and AXES[axis].default is None:
         return None
-    return table.check(axis, value, AXES[axis].metadata["kind"])
+    if known["choices"] and value not in known["choices"]:
+        raise OptionError(f"{table.where}: {axis} is {value!r}{_nearest(str(value), known['choices'])}")
+    return table.check(axis, value, known["kind"])
 
 
 _T = TypeVar("_T")

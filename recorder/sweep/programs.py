@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -20,6 +21,7 @@ STOP_PATIENCE_S = 20.0
 """A recorder closes its trace and stops its bridge before it ends."""
 
 LAST_WORDS_BYTES = 4096
+_REASON = re.compile(r"dds-\w+: ")
 
 
 def local_program(name: str) -> list[str]:
@@ -89,11 +91,14 @@ class Program:
         return self._process.wait()
 
     def last_words(self) -> str:
-        """The last line that it said: a recorder that fails says why in one line."""
+        """Why it failed: what our programs say last is their name, a colon and the reason, over one line or more."""
         with self.log.open("rb") as file:
             file.seek(max(0, self.log.stat().st_size - LAST_WORDS_BYTES))
-            lines = file.read().decode(errors="replace").replace("\r", "\n").splitlines()
-        return next((line.strip() for line in reversed(lines) if line.strip()), "it said nothing")
+            said = file.read().decode(errors="replace").replace("\r", "\n")
+        lines = [line.strip() for line in said.splitlines() if line.strip()]
+        begins = [number for number, line in enumerate(lines) if _REASON.match(line)]
+        reason = lines[begins[-1] :] if begins else lines[-1:]
+        return _REASON.sub("", "; ".join(reason)) or "it said nothing"
 
 
 def _dying_with_us() -> list[str]:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     Times = np.ndarray[Any, np.dtype[np.int64]]
 
-PERCENTILES = (50.0, 95.0, 99.0)
+PERCENTILES = (50.0, 90.0, 95.0, 99.0, 99.9)
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,7 @@ class CellResult:
         published: messages handed to the middleware.
         received: published messages whose reply came.
         achieved_rate_hz: of publishing, None with fewer than two messages.
-        rtt_ms: percentile (`p50`, `p95`, `p99`) -> T2 - T1, None without replies.
+        rtt_ms: percentile (`p50`, `p90`, `p95`, `p99`, `p99.9`) -> T2 - T1, None without replies.
         response_ms: likewise T2 - T0.
         dropped_events: events that the recorder could not keep.
         cut_off: the run was ended before its schedule was through.

@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from recorder.sweep.schedule import Group
 
 PARTS = ".parts"
-START_ALLOWANCE_S = 60.0
-"""For a ping to start its bridge, find the relay, and give up on it by itself with a reason."""
+START_ALLOWANCE_S = 40.0
+"""For a ping to start, with its bridge; the wait for an echo and the schedule come on top."""
 
 POLL_S = 0.2
 
@@ -52,12 +52,14 @@ class Station:
         ping_command: `dds-record` on this machine, with what has to stand before it.
         device: of the relay.
         held: the lock of `holding_folder`, for the programs to hold as well.
+        wait_s: how long a ping waits for the relay's echo.
         measure_link: what the emulated link did since the call before; None without one.
     """
 
     ping_command: Sequence[str]
     device: RelayDevice
     held: int | None = None
+    wait_s: float = 20.0
     measure_link: Callable[[], Mapping[str, Any]] | None = None
 
 
@@ -165,9 +167,19 @@ class Runner:
         self._measure_link()
         began_s = time.monotonic()
         log = draft.with_name(draft.name + ".log")
-        command = [*self._station.ping_command, *ping_arguments(self.plan, cell), "--out", str(draft)]
+        command = [
+            *self._station.ping_command,
+            *ping_arguments(self.plan, cell, self._station.wait_s),
+            "--out",
+            str(draft),
+        ]
         program = Program(command, log, held=self._station.held)
-        limit_s = START_ALLOWANCE_S + self.plan.run.planned_seconds(cell.rate) + self.plan.run.cutoff_seconds
+        limit_s = (
+            START_ALLOWANCE_S
+            + self._station.wait_s
+            + self.plan.run.planned_seconds(cell.rate)
+            + self.plan.run.cutoff_seconds
+        )
         try:
             while program.wait(POLL_S) is None and time.monotonic() - began_s < limit_s:
                 relay.check()

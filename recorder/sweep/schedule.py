@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 from recorder.sweep.plan import Order
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from recorder.sweep.cells import Cell, RelayNeed
     from recorder.sweep.plan import Plan
 
@@ -36,15 +38,21 @@ def schedule(plan: Plan) -> list[Group]:
     """
     groups: list[Group] = []
     for repeat in range(1, plan.run.repeats + 1):
-        served: dict[tuple[RelayNeed, str | None], list[Cell]] = {}
-        for cell in plan.cells:
-            beside_relay = cell.bridge if plan.relay.ssh and cell.crosses_domains else None
-            served.setdefault((cell.relay, beside_relay), []).append(replace(cell, repeat=repeat))
-        of_pass = list(served.items())
+        of_pass = group_by_relay(plan, [replace(cell, repeat=repeat) for cell in plan.cells])
         if plan.run.order is Order.SHUFFLED:
             chance = random.Random(f"{plan.run.seed} {repeat}")  # noqa: S311 - an order, not a secret
             chance.shuffle(of_pass)
-            for _, cells in of_pass:
-                chance.shuffle(cells)
-        groups += [Group(need, bridge, tuple(cells)) for (need, bridge), cells in of_pass]
+            of_pass = [
+                replace(group, cells=tuple(chance.sample(group.cells, len(group.cells)))) for group in of_pass
+            ]
+        groups += of_pass
     return groups
+
+
+def group_by_relay(plan: Plan, cells: Iterable[Cell]) -> list[Group]:
+    """The cells by the relay that serves them, relays and cells in the order of their first appearance."""
+    served: dict[tuple[RelayNeed, str | None], list[Cell]] = {}
+    for cell in cells:
+        beside_relay = cell.bridge if plan.relay.ssh and cell.crosses_domains else None
+        served.setdefault((cell.relay, beside_relay), []).append(cell)
+    return [Group(need, bridge, tuple(listed)) for (need, bridge), listed in served.items()]

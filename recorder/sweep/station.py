@@ -1,0 +1,59 @@
+"""Sets up where a plan's two roles run: here, in two namespaces, or with the relay on another device."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING
+
+from recorder.sweep.devices import LocalDevice, PrintedDevice, SshDevice
+from recorder.sweep.namespaces import NamespacePair
+from recorder.sweep.programs import local_program
+from recorder.sweep.runner import PARTS, Station
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+    from pathlib import Path
+
+    from recorder.sweep.plan import Plan
+
+ECHO_WAIT_S = 20.0
+PERSON_WAIT_S = 3600.0
+"""For a person to start the relay on the other device."""
+
+
+@contextmanager
+def open_station(
+    plan: Plan,
+    folder: Path,
+    held: int,
+    *,
+    show_commands: Callable[[str], None] | None = None,
+    command: Sequence[str] | None = None,
+) -> Iterator[Station]:
+    """The station of a plan while the block runs.
+
+    Args:
+        plan: says where the relay is and what is between the roles.
+        folder: of the sweep.
+        held: the lock of the folder.
+        show_commands: prints the relays' commands for a person to start; None starts them.
+        command: `dds-record` on this machine, the installed one unless given.
+
+    Raises:
+        OptionError, BackendUnavailableError: as `NamespacePair`.
+    """
+    own = list(command or local_program("dds-record"))
+    parts = folder / PARTS
+    if show_commands is not None:
+        yield Station(own, PrintedDevice(show_commands), held, wait_s=PERSON_WAIT_S)
+    elif plan.relay.ssh is not None:
+        yield Station(own, SshDevice(plan.relay, parts, plan.name), held, wait_s=ECHO_WAIT_S)
+    elif plan.namespaces:
+        with ExitStack() as stack:
+            pair = stack.enter_context(NamespacePair(plan.link))
+            relay = LocalDevice(parts, [*pair.relay.prefix, *own], held)
+            yield Station(
+                [*pair.ping.prefix, *own], relay, held, wait_s=ECHO_WAIT_S, measure_link=pair.measure
+            )
+    else:
+        yield Station(own, LocalDevice(parts, own, held), held, wait_s=ECHO_WAIT_S)

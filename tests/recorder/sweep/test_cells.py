@@ -1,0 +1,60 @@
+from __future__ import annotations
+
+from dataclasses import fields
+
+from recorder.sweep.cells import RELAY_AXES, Cell, RelayNeed
+
+
+def test_name_has_the_main_parameters_and_whatever_is_not_default():
+    assert Cell(data="imu").name == "ros2_same_imu_10Hz"
+    assert Cell(rmw="rmw_fastrtps_cpp", size=33_000).name == "ros2-fastrtps_same_binary-33KB_10Hz"
+    assert (
+        Cell(backend="cyclonedds", bridge="builtin", size=91, rate=0.5, depth=1, tuned=True, repeat=2).name
+        == "cyclonedds_builtin_binary-91B_0.5Hz_depth-1_tuned_r2"
+    )
+
+
+def test_name_can_be_a_file_name_whatever_the_data():
+    assert Cell(data="file:/home/x/a b.png").name == "ros2_same_file--home-x-a-b.png_10Hz"
+
+
+def test_every_parameter_shows_in_the_name():
+    changes = {
+        "backend": "zenoh",
+        "rmw": "rmw_x_cpp",
+        "relay_backend": "cyclonedds",
+        "relay_rmw": "rmw_y_cpp",
+        "bridge": "builtin",
+        "data": "imu",
+        "size": 91,
+        "rate": 11.0,
+        "reliability": "best_effort",
+        "durability": "transient_local",
+        "history": "keep_all",
+        "depth": 3,
+        "serialization": "typed",
+        "transport": "udp",
+        "executor": "single",
+        "tuned": True,
+        "repeat": 2,
+    }
+    assert set(changes) == {field.name for field in fields(Cell)}
+    names = {Cell(**{field: value}).name for field, value in changes.items()}
+    assert len(names | {Cell().name}) == len(changes) + 1
+
+
+def test_relay_need_has_exactly_the_parameters_that_concern_the_relay():
+    assert [field.name for field in fields(RelayNeed)] == [axis.name for axis in RELAY_AXES]
+
+
+def test_one_relay_serves_all_data_rates_and_bridges():
+    need = Cell().relay
+    assert Cell(data="imu", rate=500, bridge="builtin", size=91, repeat=3).relay == need
+    assert Cell(reliability="best_effort").relay != need
+
+
+def test_relay_of_another_vendor():
+    cell = Cell(rmw="rmw_fastrtps_cpp", relay_backend="cyclonedds", depth=3)
+    assert (cell.relay.backend, cell.relay.rmw, cell.relay.depth) == ("cyclonedds", None, 3)
+    assert cell.name == "ros2-fastrtps_to-cyclonedds_same_binary_10Hz_depth-3"
+    assert cell.relay.name == "cyclonedds depth-3"

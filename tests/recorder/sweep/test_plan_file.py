@@ -1,0 +1,162 @@
+from __future__ import annotations
+
+import pytest
+
+from recorder.sweep.link import PRESETS
+from recorder.sweep.plan import Order
+from recorder.sweep.plan_file import parse_plan, read_plan
+from tracefile import OptionError
+
+RUN = "[run]\nmessages = 10\n"
+
+FULL = """
+name = "all"
+description = "every table once"
+
+[run]
+seconds = 2.5
+warmup = 3
+order = "shuffled"
+seed = 7
+repeats = 2
+domain = 30
+ping_domain = 31
+
+[axes]
+rmw = ["rmw_fastrtps_cpp", "rmw_cyclonedds_cpp"]
+bridge = ["none", "builtin"]
+
+[[matrix]]
+data = "binary"
+size = ["33KB", "4MB"]
+rate = [1, 0.5]
+
+[[matrix]]
+data = "imu"
+reliability = "best_effort"
+
+[[exclude]]
+size = "4MB"
+rmw = "rmw_cyclonedds_cpp"
+reason = "not today"
+
+[link]
+preset = "wifi-54"
+delay_ms = 3
+
+[search]
+deadline_ms = 20
+"""
+
+
+def parse(text, **options):
+    return parse_plan(text, "plan", "plan.toml", **options)
+
+
+def test_plan_is_every_combination_without_the_excluded_ones():
+    plan = parse(FULL)
+    # 2 rmw x 2 bridges x (2 sizes x 2 rates + 1 imu) = 20, of which cyclone x 2 bridges x 4 MB x 2 rates = 4 are excluded
+    assert len(plan.cells) == 16
+    assert [reason for _, reason in plan.excluded] == ["not today"] * 4
+    assert {(cell.size, cell.rate) for cell in plan.cells} == {
+        (33_000, 1.0),
+        (33_000, 0.5),
+        (4_000_000, 1.0),
+        (4_000_000, 0.5),
+        (None, 10.0),
+    }
+    assert all(cell.reliability == "best_effort" for cell in plan.cells if cell.data == "imu")
+    assert plan.name == "all"
+    assert plan.run.order is Order.SHUFFLED
+    assert plan.search.deadline_ms == 20
+
+
+def test_seconds_become_messages_by_the_rate():
+    run = parse(FULL).run
+    assert run.messages_at(10.0) == 25
+    assert run.messages_at(0.1) == 1
+    assert run.planned_seconds(10.0) == pytest.approx(2.8)  # 25 and 3 of warm-up
+
+
+def test_link_takes_a_preset_with_changes_and_says_so():
+    plan = parse(FULL)
+    assert plan.link is not None
+    assert plan.link.rate_mbit_s == PRESETS["wifi-54"].rate_mbit_s
+    assert plan.link.delay_ms == 3
+    assert plan.connectivity == "emulated-wifi-54-changed"
+    assert plan.namespaces
+    assert plan.discovery == "subnet"
+
+
+def test_one_machine_stays_on_loopback():
+    plan = parse(RUN)
+    assert plan.connectivity == "loopback"
+    assert plan.discovery == "localhost"
+    assert len(plan.cells) == 1
+
+
+def test_installed_middlewares_are_asked_for_when_the_plan_does():
+    plan = parse(
+        RUN + '[axes]\nbackend = "installed"\nrate = [1, 2]\n',
+        installed=lambda: [("ros2", "rmw_fastrtps_cpp"), ("socket", None)],
+    )
+    assert [(cell.backend, cell.rmw, cell.rate) for cell in plan.cells] == [
+        ("ros2", "rmw_fastrtps_cpp", 1.0),
+        ("ros2", "rmw_fastrtps_cpp", 2.0),
+        ("socket", None, 1.0),
+        ("socket", None, 2.0),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[rum]\n", r"there is no 'rum'; did you mean 'run'\?"),
+        ("[run]\nmesages = 1\n", r"\[run\]: there is no 'mesages'; did you mean 'messages'\?"),
+        (RUN + "[axes]\nsizes = 1\n", r"\[axes\]: there is no 'sizes'; did you mean 'size'\?"),
+        (RUN + "[[matrix]]\nrates = 1\n", r"\[matrix\]\]?: there is no 'rates'; did you mean 'rate'\?"),
+        (RUN + "[[exclude]]\nbrigde = 'x'\n", r"there is no 'brigde'; did you mean 'bridge'\?"),
+        (RUN + "[link]\npreset = 'wifi54'\n", r"there is no link 'wifi54'; did you mean 'wifi-54'\?"),
+        (RUN + "[link]\ndelay = 1\n", r"did you mean 'delay_ms'\?"),
+        (RUN + "[link]\nloss_percent = 101\n", "not above 100"),
+        (RUN + "[link]\noutage_ms = 10\n", "an outage has both"),
+        (RUN + "[axes]\nsize = 'big'\n", r"\[axes\]: size 'big'"),
+        (RUN + "[axes]\nrate = '10'\n", r"rate is '10', not a number"),
+        (RUN + "[axes]\nrate = 0\n", "a rate is above zero"),
+        (RUN + "[axes]\ntuned = 1\n", "tuned is 1, not true or false"),
+        (RUN + "[axes]\nreliability = 'relaible'\n", r"did you mean 'reliable'\?"),
+        (RUN + "[axes]\ntransport = 'upd'\n", r"did you mean 'udp'\?"),
+        (RUN + "[axes]\ndepth = true\n", "depth is True, not a whole number"),
+        ("[run]\nmessages = 1\norder = 'shufled'\n", r"did you mean 'shuffled'\?"),
+        ("[run]\nmessages = 1\nseconds = 1\n", "either messages or seconds"),
+        ("[axes]\nrate = 1\n", "either messages or seconds"),
+        ("[run]\nmessages = 1\nrepeats = 0\n", "counts messages, repeats and attempts"),
+        ("[run]\nmessages = 1\ndiscovery = 'here'\n", "localhost or subnet"),
+        ("[run]\nmessages = 1\ndomain = 5\n[axes]\nbridge = 'builtin'\n", "a bridge joins two"),
+        (RUN + "[devices.realy]\nssh = 'x'\n", r"did you mean 'relay'\?"),
+        (RUN + "[devices.ping]\nssh = 'x'\n", "the ping is always on this machine"),
+        (RUN + "[devices.relay]\nssh = 'x'\n[network]\nnamespaces = true\n", "both devices on this machine"),
+        (RUN + "[axes]\nrate = [1, 1]\n", "is there twice"),
+        (RUN + "[axes]\nrate = []\n", "the plan has no cell"),
+        ("[run\n", "plan.toml: "),
+        ("run = 1\n", "run is 1, not a table"),
+        ("matrix = [1]\n", "matrix number 1 is 1, not a table"),
+    ],
+)
+def test_what_cannot_be_meant_is_named_with_the_nearest_remedy(text, message):
+    with pytest.raises(OptionError, match=message) as raised:
+        parse(text)
+    assert str(raised.value).startswith("plan.toml")
+
+
+def test_missing_file_is_a_clear_error(tmp_path):
+    with pytest.raises(OptionError, match=r"none\.toml: No such file"):
+        read_plan(tmp_path / "none.toml")
+
+
+def test_digest_tells_unlike_recordings_from_more_cells():
+    plan = parse(RUN)
+    assert parse(RUN + "[axes]\nrate = [1, 2]\n").digest == plan.digest
+    assert parse("[run]\nmessages = 10\nattempts = 5\n").digest == plan.digest
+    assert parse("[run]\nmessages = 11\n").digest != plan.digest
+    assert parse(RUN + "[link]\npreset = '5g'\n").digest != plan.digest

@@ -1,0 +1,69 @@
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from recorder.sweep import state as state_module
+from recorder.sweep.state import Status, SweepState, write_atomically
+from tracefile import OptionError, OutputError, TraceFormatError
+
+
+def open_state(folder, digest="d1"):
+    return SweepState(folder / "state.json", "plan", digest)
+
+
+def test_state_comes_back_as_it_was_left(tmp_path):
+    state = open_state(tmp_path)
+    assert state["a"].status is Status.PENDING
+    state.update("a", status=Status.RUNNING, attempts=1)
+    state.update(
+        "b", status=Status.RECORDED, run_id="00000000000000ff", segment="s.mcap", result={"received": 3}
+    )
+    again = open_state(tmp_path)
+    assert again["a"] == state["a"]
+    assert again["b"] == state["b"]
+    assert again.segments == ["s.mcap"]
+    assert list(again.in_segment("s.mcap")) == ["b"]
+    assert [again[name].done for name in "abc"] == [False, True, False]
+
+
+def test_other_settings_of_the_plan_are_not_mixed_in(tmp_path):
+    open_state(tmp_path).update("a", status=Status.COMPLETE)
+    with pytest.raises(OptionError, match="unlike runs are not mixed"):
+        open_state(tmp_path, digest="d2")
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{", "[]", '{"format": 1}', '{"format": 1, "plan_digest": "d1", "cells": 3}']
+)
+def test_file_that_is_no_state(tmp_path, text):
+    (tmp_path / "state.json").write_text(text)
+    with pytest.raises(TraceFormatError, match=r"state\.json"):
+        open_state(tmp_path)
+
+
+def test_state_of_a_later_version(tmp_path):
+    (tmp_path / "state.json").write_text(json.dumps({"format": 2, "plan_digest": "d1", "cells": {}}))
+    with pytest.raises(TraceFormatError, match="format 2"):
+        open_state(tmp_path)
+
+
+def test_interrupted_write_leaves_the_state_before(tmp_path, monkeypatch):
+    state = open_state(tmp_path)
+    state.update("a", attempts=1)
+
+    def stop(_descriptor):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(state_module.os, "fsync", stop)
+    with pytest.raises(KeyboardInterrupt):
+        state.update("a", attempts=2)
+    monkeypatch.undo()
+    assert open_state(tmp_path)["a"].attempts == 1
+
+
+def test_folder_that_cannot_be_written_is_a_clear_error(tmp_path):
+    with pytest.raises(OutputError, match="No such file"):
+        write_atomically(tmp_path / "none" / "state.json", "{}")
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,144 @@
+from __future__ import annotations
+
+import contextlib
+import random
+import socket
+import time
+from collections import Counter
+
+import pytest
+
+from recorder.sweep.link import Link
+from recorder.sweep.tap_forwarder import HELD_FRAMES, Wire, quantile
+
+FRAME = b"\xff" * 12 + b"\x08\x00" + b"payload"
+ARP = b"\xff" * 12 + b"\x08\x06" + b"who has"
+
+
+@pytest.fixture
+def ends():
+    """Frames keep their borders on a datagram socket as they do on a TAP device: (send, source, sink, receive)."""
+    send, source = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    sink, receive = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    source.setblocking(False)
+    receive.setblocking(False)
+    yield send, source, sink, receive
+    for end in (send, source, sink, receive):
+        end.close()
+
+
+class Clock:
+    def __init__(self, monkeypatch):
+        self.now_ns = 1_000_000_000
+        monkeypatch.setattr(time, "monotonic_ns", lambda: self.now_ns)
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    return Clock(monkeypatch)
+
+
+def wire(ends, clock, **link):
+    made = Wire(ends[1].fileno(), ends[2].fileno(), Link(**link).to_dict(), clock.now_ns)
+    made._chance = random.Random(1)
+    return made
+
+
+def received(ends):
+    frames = []
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            frames.append(ends[3].recv(65536))
+    return frames
+
+
+def test_frame_comes_out_after_the_delay_and_not_before(ends, clock):
+    line = wire(ends, clock, delay_ms=5)
+    ends[0].send(FRAME)
+    line.take()
+    assert line.due_ns == clock.now_ns + 5_000_000
+    clock.now_ns += 4_999_999
+    line.release()
+    assert received(ends) == []
+    clock.now_ns += 1
+    line.release()
+    assert received(ends) == [FRAME]
+    assert line.due_ns is None
+
+
+def test_lateness_is_what_was_added_to_the_delay(ends, clock):
+    line = wire(ends, clock, delay_ms=1)
+    for late_us in (10, 20, 400):
+        ends[0].send(FRAME)
+        line.take()
+        clock.now_ns += 1_000_000 + late_us * 1000
+        line.release()
+    report = line.report()
+    assert report["carried"] == 3
+    assert (report["lateness_p50_us"], report["lateness_p99_us"], report["lateness_max_us"]) == (20, 400, 400)
+    assert line.report()["carried"] == 0
+
+
+def test_jitter_never_reorders(ends, clock):
+    line = wire(ends, clock, delay_ms=5, jitter_ms=5)
+    frames = [FRAME + bytes([number]) for number in range(200)]
+    for frame in frames:
+        ends[0].send(frame)
+        line.take()
+        clock.now_ns += 10_000
+    got = []
+    while line.due_ns is not None:  # one at a time, as a socket holds few datagrams
+        clock.now_ns = line.due_ns
+        line.release()
+        got += received(ends)
+    assert got == frames
+
+
+def test_loss_takes_its_share_of_ip_frames_and_no_others(ends, clock):
+    line = wire(ends, clock, loss_percent=50)
+    got = Counter()
+    for _ in range(200):
+        ends[0].send(FRAME)
+        ends[0].send(ARP)
+        line.take()
+        line.release()
+        got.update(received(ends))
+    assert got[ARP] == 200
+    assert 70 < got[FRAME] < 130  # five standard deviations of 7
+    assert line.report()["lost"] == 200 - got[FRAME]
+
+
+def test_outage_is_at_the_end_of_each_period(ends, clock):
+    line = wire(ends, clock, outage_every_s=1, outage_ms=300)
+    fates = []
+    for _ in range(20):  # every 100 ms for two seconds
+        ends[0].send(FRAME)
+        line.take()
+        line.release()
+        fates.append(len(received(ends)))
+        clock.now_ns += 100_000_000
+    assert fates == ([1] * 7 + [0] * 3) * 2
+    assert line.report()["in_outage"] == 6
+
+
+def test_wire_that_is_full_drops_and_counts(ends, clock):
+    line = wire(ends, clock, delay_ms=1000)
+    line._held.extend((clock.now_ns + 1, FRAME) for _ in range(HELD_FRAMES))
+    ends[0].send(FRAME)
+    line.take()
+    assert line.report()["overflow"] == 1
+
+
+def test_side_that_is_down_refuses(ends, clock):
+    line = wire(ends, clock)
+    ends[0].send(FRAME)
+    line.take()
+    ends[3].close()
+    line.release()
+    assert line.report()["refused"] == 1
+
+
+def test_quantile_of_counted_values():
+    assert quantile(Counter(), 0.5) is None
+    assert quantile(Counter({1: 99, 7: 1}), 0.99) == 1
+    assert quantile(Counter({1: 98, 7: 2}), 0.99) == 7

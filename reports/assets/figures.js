@@ -1,0 +1,98 @@
+"use strict";
+// Each figure is drawn when it comes near the window, and again when the view changes.
+const QUIET = { displayModeBar: false, responsive: false, doubleClick: "reset" };
+
+class FigureBlock {
+  constructor(article) {
+    this.name = article.dataset.figure;
+    this.figure = DATA.figures[this.name];
+    this.article = article;
+    this.plot = article.querySelector(".plot");
+    this.details = article.querySelector(".as-table");
+    this.near = false;
+    this.stale = true;
+    this.sorting = { column: -1, descending: false };
+    this.details.addEventListener("toggle", () => this.showRows());
+    for (const button of article.querySelectorAll("[data-save]")) {
+      button.setAttribute("aria-label", `Save "${this.figure.title}" as ${button.textContent}`);
+      button.addEventListener("click", () => this.save(button.dataset.save));
+    }
+  }
+
+  /** The view changed: draw now if the figure can be seen, else when it will be. */
+  refresh() {
+    this.stale = true;
+    if (this.near) this.draw();
+  }
+
+  draw() {
+    if (!this.stale) return;
+    this.stale = false;
+    this.drawn = KINDS[this.figure.kind](this.figure.plan, Math.floor(this.plot.clientWidth));
+    const empty = this.drawn.data.length === 0;
+    this.plot.classList.toggle("bare", empty);
+    if (empty) Plotly.purge(this.plot);
+    else Plotly.react(this.plot, this.drawn.data, this.drawn.layout, QUIET);
+    this.article.querySelector(".legend").replaceChildren(...this.legend());
+    this.article.querySelector(".note").textContent = this.note(empty);
+    for (const button of this.article.querySelectorAll("[data-save]")) button.disabled = empty;
+    this.showRows();
+  }
+
+  note(empty) {
+    const { missing, foot } = this.drawn;
+    const groups = `${missing} group${missing === 1 ? "" : "s"}`;
+    const notes = [];
+    if (empty) notes.push(missing ? "Nothing to draw here:" : "Nothing passes the filters here.");
+    if (missing) notes.push(`${groups} of this view ha${missing === 1 ? "s" : "ve"} no such value (too few messages, or a trace is missing).`);
+    if (!empty && foot) notes.push(foot);
+    return notes.join(" ");
+  }
+
+  legend() {
+    if (this.drawn.parts) return this.drawn.parts.map(({ name, color }) => element("span", {}, swatch({ fill: color }), name));
+    return [...this.drawn.series].sort((a, b) => a - b).map((place) => {
+      const series = DATA.series[place];
+      return element("span", {}, swatch({ series, bar: this.figure.kind === "pairs" }), series.label);
+    });
+  }
+
+  showRows() {
+    if (this.details.open && this.drawn) showTable(this.article.querySelector(".table-place"), this.figure.title, this.drawn.columns, this.drawn.rows, this.sorting);
+  }
+
+  save(format) {
+    this.draw();
+    const name = `dds-trace-${this.name.replaceAll("_", "-")}`;
+    if (format === "csv") saveCsv(name, this.drawn.columns, this.drawn.rows);
+    else savePicture(name, this.figure.title, this.drawn, format);
+  }
+}
+
+const SYMBOL_PATHS = {
+  circle: "M4.5 0A4.5 4.5 0 1 1-4.5 0A4.5 4.5 0 1 1 4.5 0Z", square: "M-4-4H4V4H-4Z", diamond: "M0-5.5L5.5 0L0 5.5L-5.5 0Z",
+  "triangle-up": "M0-5L5 4H-5Z", "triangle-down": "M0 5L5-4H-5Z", cross: "M-5-2H-2V-5H2V-2H5V2H2V5H-2V2H-5Z",
+  hexagon: "M0-5L4.5-2.5V2.5L0 5L-4.5 2.5V-2.5Z", star: "M0-6L1.5-1.5H6L2.5 1.5L4 6L0 3L-4 6L-2.5 1.5L-6-1.5H-1.5Z",
+};
+const DASH_ARRAYS = { solid: "", dash: "6 4", dot: "2 3", dashdot: "6 3 2 3", longdash: "9 4", longdashdot: "9 3 2 3" };
+
+/** The small picture in a legend: line and symbol, or a plain or hatched bar. */
+function swatch({ series, bar = false, fill }) {
+  const draw = (tag, attributes) => {
+    const made = document.createElementNS("http://www.w3.org/2000/svg", tag);
+    for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
+    return made;
+  };
+  const picture = draw("svg", { width: 34, height: 14, viewBox: "-17 -7 34 14", "aria-hidden": "true" });
+  const color = fill || seriesColor(series);
+  if (fill || bar) {
+    const hatched = bar && series.different;
+    picture.append(draw("rect", { x: -9, y: -6, width: 18, height: 12, fill: hatched ? "none" : color, stroke: color, "stroke-width": 1.2 }));
+    if (hatched) picture.append(draw("path", { d: "M-9 0L-3-6M-9 6L3-6M-3 6L9-6M3 6L9 0", stroke: color, "stroke-width": 1.6 }));
+    return picture;
+  }
+  const [symbol, variant = ""] = series.symbol.match(/^(.*?)(?:-(open|dot|open-dot))?$/).slice(1);
+  picture.append(draw("line", { x1: -17, x2: 17, y1: 0, y2: 0, stroke: color, "stroke-width": 1.8, "stroke-dasharray": DASH_ARRAYS[series.dash] }));
+  picture.append(draw("path", { d: SYMBOL_PATHS[symbol], fill: variant.includes("open") ? theme().ground : color, stroke: color, "stroke-width": 1.2 }));
+  return picture;
+}

@@ -1,0 +1,157 @@
+"use strict";
+// The page comes to life: theme, filters, figures, tables.
+
+const blocks = [...document.querySelectorAll("[data-figure]")].map((article) => new FigureBlock(article));
+
+function refreshAll() {
+  showFilters();
+  showCellChoice();
+  for (const block of blocks) block.refresh();
+  showGroups();
+}
+
+function change(apply) {
+  apply();
+  writeAddress();
+  refreshAll();
+}
+
+// Filters: one menu of checkboxes each, then the selectors that say what is drawn.
+
+function filterMenu(filter) {
+  const details = element("details", { class: "filter", "data-filter": filter.key });
+  const summary = element("summary");
+  const fieldset = element("fieldset", {}, element("legend", { class: "unseen" }, filter.label));
+  filter.options.forEach((option, place) => {
+    const box = element("input", { type: "checkbox", value: option.value });
+    box.addEventListener("change", () => change(() => choose(filter, place, box.checked)));
+    fieldset.append(element("label", {}, box, option.label));
+  });
+  details.append(summary, fieldset);
+  details.addEventListener("toggle", () => {
+    if (!details.open) return;
+    for (const other of document.querySelectorAll(".filter[open]")) if (other !== details) other.open = false;
+  });
+  return details;
+}
+
+/** Nothing checked and everything checked both mean: all. */
+function choose(filter, place, checked) {
+  const places = new Set(view.chosen[filter.key] || []);
+  if (checked) places.add(place);
+  else places.delete(place);
+  if (places.size === 0 || places.size === filter.options.length) delete view.chosen[filter.key];
+  else view.chosen[filter.key] = places;
+}
+
+function selector(name, label) {
+  const select = element("select", { id: `choose-${name}` });
+  for (const choice of CHOICES[name]) select.append(element("option", { value: choice.key }, choice.label));
+  select.addEventListener("change", () => change(() => { view[name] = select.value; }));
+  return element("label", {}, label, select);
+}
+
+function buildFilters() {
+  const form = document.getElementById("filters");
+  const reset = element("button", { type: "button", class: "quiet", id: "reset" }, "Show all");
+  reset.addEventListener("click", () => change(() => { view.chosen = {}; }));
+  form.append(
+    ...DATA.filters.map(filterMenu), selector("metric", "Metric"), selector("statistic", "Statistic"), selector("scale", "Scale"),
+    reset, element("span", { class: "count", role: "status" }),
+  );
+  // What the tiles of the heatmap show is chosen beside it.
+  document.querySelector("#figure-heatmap .legend")?.before(element("p", { class: "choice" }, selector("tiles", "Tiles show ")));
+  form.addEventListener("submit", (event) => event.preventDefault());
+  document.addEventListener("click", (event) => {
+    for (const menu of document.querySelectorAll(".filter[open]")) if (!menu.contains(event.target)) menu.open = false;
+  });
+  form.addEventListener("keydown", (event) => {
+    const menu = event.key === "Escape" && event.target.closest(".filter[open]");
+    if (!menu) return;
+    menu.open = false;
+    menu.querySelector("summary").focus();
+  });
+}
+
+function showFilters() {
+  for (const filter of DATA.filters) {
+    const menu = document.querySelector(`[data-filter="${filter.key}"]`);
+    const places = view.chosen[filter.key];
+    menu.classList.toggle("active", Boolean(places));
+    const chosen = places ? filter.options.filter((_, place) => places.has(place)).map((option) => option.label) : [];
+    menu.querySelector("summary").textContent = places ? `${filter.label}: ${chosen.length === 1 ? shorten(chosen[0], 24) : `${chosen.length} of ${filter.options.length}`}` : filter.label;
+    menu.querySelectorAll("input").forEach((box, place) => { box.checked = Boolean(places && places.has(place)); });
+  }
+  for (const name of Object.keys(CHOICES)) {
+    const select = document.getElementById(`choose-${name}`);
+    if (select) select.value = view[name];
+  }
+  document.getElementById("reset").hidden = Object.keys(view.chosen).length === 0;
+  const passing = passingGroups().length;
+  document.querySelector(".count").textContent = passing === DATA.groups.count ? `${formatCount(passing)} groups` : `${formatCount(passing)} of ${formatCount(DATA.groups.count)} groups`;
+}
+
+/** Which cell the detail figures show, out of those that pass the filters. */
+function showCellChoice() {
+  const cells = [...new Set(passingGroups().map((group) => DATA.groups.cell[group]))].sort((a, b) => a - b);
+  const select = element("select", { id: "choose-cell" }, ...cells.map((cell) => element("option", { value: String(cell) }, DATA.cells[cell].label)));
+  select.value = String(shownCell());
+  select.addEventListener("change", () => {
+    change(() => { view.cell = Number(select.value); });
+    document.getElementById("choose-cell").focus();
+  });
+  const label = element("label", { for: "choose-cell" }, "Messages: ");
+  document.getElementById("cell-choice").replaceChildren(...(cells.length ? [label, select] : []));
+}
+
+// Theme: the reader's system decides until the button is pressed.
+
+function setTheme(name) {
+  document.documentElement.dataset.theme = name;
+  const button = document.getElementById("theme");
+  button.setAttribute("aria-pressed", String(name === "dark"));
+  for (const block of blocks) block.refresh();
+}
+
+const systemDark = matchMedia("(prefers-color-scheme: dark)");
+let themeChosen = false;
+document.getElementById("theme").addEventListener("click", () => {
+  themeChosen = true;
+  setTheme(document.documentElement.dataset.theme === "dark" ? "light" : "dark");
+});
+systemDark.addEventListener("change", () => { if (!themeChosen) setTheme(systemDark.matches ? "dark" : "light"); });
+
+// Paper is white, and everything that was scrolled past must be on it.
+let themeBeforePrint = "light";
+addEventListener("beforeprint", () => {
+  themeBeforePrint = document.documentElement.dataset.theme;
+  setTheme("light");
+  for (const block of blocks) block.draw();
+});
+addEventListener("afterprint", () => setTheme(themeBeforePrint));
+
+addEventListener("hashchange", () => { readAddress(); refreshAll(); });
+
+let width = innerWidth;
+let resized;
+addEventListener("resize", () => {
+  clearTimeout(resized);
+  resized = setTimeout(() => {
+    if (innerWidth === width) return;
+    width = innerWidth;
+    for (const block of blocks) block.refresh();
+  }, 150);
+});
+
+readAddress();
+setTheme(systemDark.matches ? "dark" : "light");
+buildFilters();
+refreshAll();
+const watcher = new IntersectionObserver((entries) => {
+  for (const entry of entries) {
+    const block = blocks.find((one) => one.article === entry.target);
+    block.near = entry.isIntersecting;
+    if (block.near) block.draw();
+  }
+}, { rootMargin: "400px" });
+for (const block of blocks) watcher.observe(block.article);

@@ -1,0 +1,44 @@
+"use strict";
+// Numbers for people, by the same rules as reports/text.py (a test compares the two).
+const MISSING = "-";
+const TIME_UNITS = [[1e9, "s"], [1e6, "ms"], [1e3, "µs"], [1, "ns"]];
+const BYTE_UNITS = [[1e9, "GB"], [1e6, "MB"], [1e3, "KB"], [1, "B"]];
+
+function digits(value) {
+  if (value === 0) return "0";
+  const decimals = Math.max(0, 2 - Math.floor(Math.log10(Math.abs(value)) + 1e-12));
+  const shown = value.toFixed(Math.min(decimals, 9));
+  return shown.includes(".") ? shown.replace(/0+$/, "").replace(/\.$/, "") : shown;
+}
+
+function unitFor(value, units) {
+  return units.find(([factor]) => Math.abs(value) >= 0.9995 * factor) || units[units.length - 1];
+}
+
+function inUnits(value, units) {
+  if (value === null || value === undefined) return MISSING;
+  const [factor, unit] = unitFor(value, units);
+  return `${digits(value / factor)} ${unit}`;
+}
+
+const formatNs = (value) => inUnits(value, TIME_UNITS);
+const formatBytes = (value) => inUnits(value, BYTE_UNITS);
+const formatBytesPerS = (value) => (value === null || value === undefined ? MISSING : `${formatBytes(value)}/s`);
+const formatHz = (value) => (value === null || value === undefined ? MISSING : `${digits(value)} Hz`);
+
+function formatRatio(value) {
+  if (value === null || value === undefined) return MISSING;
+  const percent = 100 * value;
+  if (percent > 0 && percent < 0.01) return "< 0.01 %";
+  if (percent > 99.99 && percent < 100) return "> 99.99 %";
+  return `${percent.toFixed(2).replace(/0+$/, "").replace(/\.$/, "")} %`;
+}
+
+const formatCount = (value) => (value === null || value === undefined ? MISSING : Math.trunc(value).toLocaleString("en-US"));
+const signed = (value, format) => (value > 0 ? "+" : "") + format(value);
+
+/** One unit for a whole axis: the one that suits its largest value. */
+function axisUnit(values) {
+  const [factor, label] = unitFor(values.reduce((most, value) => Math.max(most, Math.abs(value)), 0), TIME_UNITS);
+  return { factor, label };
+}

@@ -1,0 +1,75 @@
+"use strict";
+// What the reader chose to see. It lives in the page's address, so that a view can be linked.
+const SCALES = [{ key: "log", label: "log" }, { key: "linear", label: "linear" }];
+const TILES = [
+  { key: "statistic", label: "the chosen metric" },
+  { key: "received_ratio", label: "messages received" },
+  { key: "transfer_rate_bytes_per_s", label: "transfer rate" },
+];
+const CHOICES = {
+  metric: DATA.metrics.length ? DATA.metrics : [{ key: "latency", label: "Latency" }],
+  statistic: DATA.statistics,
+  scale: SCALES,
+  tiles: TILES,
+};
+
+const view = {
+  chosen: {},   // filter key -> Set of option places; a key that is not there means all
+  cell: null,   // place in DATA.cells, or null for the first that passes
+};
+
+function readAddress() {
+  const address = new URLSearchParams(location.hash.slice(1));
+  view.chosen = {};
+  for (const filter of DATA.filters) {
+    const wanted = address.getAll(filter.key);
+    const places = filter.options.flatMap((option, place) => (wanted.includes(option.value) ? [place] : []));
+    if (places.length) view.chosen[filter.key] = new Set(places);
+  }
+  for (const [name, choices] of Object.entries(CHOICES)) {
+    const found = choices.find((choice) => choice.key === address.get(name));
+    view[name] = (found || choices[0]).key;
+  }
+  const cell = DATA.cells.findIndex((one) => one.label === address.get("cell"));
+  view.cell = cell < 0 ? null : cell;
+}
+
+function writeAddress() {
+  const address = new URLSearchParams();
+  for (const filter of DATA.filters) {
+    for (const place of view.chosen[filter.key] || []) address.append(filter.key, filter.options[place].value);
+  }
+  for (const [name, choices] of Object.entries(CHOICES)) {
+    if (view[name] !== choices[0].key) address.set(name, view[name]);
+  }
+  if (view.cell !== null) address.set("cell", DATA.cells[view.cell].label);
+  const text = address.toString();
+  history.replaceState(null, "", text ? `#${text}` : "#");
+}
+
+/** Whether the group passes every filter. */
+function passes(group) {
+  return Object.entries(view.chosen).every(([key, places]) => places.has(DATA.groups.filters[key][group]));
+}
+
+function passingGroups() {
+  return Array.from({ length: DATA.groups.count }, (_, group) => group).filter(passes);
+}
+
+/** The cell that the detail figures show: the chosen one if it passes, else the one that most series share. */
+function shownCell() {
+  const counts = new Map();
+  for (const group of passingGroups()) {
+    const cell = DATA.groups.cell[group];
+    counts.set(cell, (counts.get(cell) || 0) + 1);
+  }
+  if (counts.has(view.cell)) return view.cell;
+  const most = Math.max(...counts.values());
+  return [...counts.keys()].sort((a, b) => a - b).find((cell) => counts.get(cell) === most) ?? null;
+}
+
+/** The chosen statistic of the chosen metric, in ns, or null. */
+function statisticOf(group) { return DATA.values.times_ns[view.metric][view.statistic][group]; }
+
+const labelOf = (name) => CHOICES[name].find((choice) => choice.key === view[name]).label;
+function statisticLabel() { return `${labelOf("metric")}, ${labelOf("statistic")}`; }

@@ -1,0 +1,63 @@
+"""Distributions thinned for drawing: each group's histogram, read off at levels that suit both of its figures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from reports.groups import METRICS
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from analyzer.analysis import Analysis
+
+# Even steps for the body, eight steps per decade of the tail up to p99.99.
+LEVELS = (
+    *(0.0, 0.001, 0.003, 0.01, 0.02, 0.03),
+    *(step / 20 for step in range(1, 18)),
+    *(round(1 - 10 ** (-step / 8), 6) for step in range(7, 33)),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Curves:
+    """The inverse of each group's cumulated histogram.
+
+    Attributes:
+        levels: shares of messages, ascending.
+        values_ns: metric -> per group the values that these shares stay below or reach. A list ends where the sample
+            does: level q takes 1 / (1 - q) messages. Empty where the metric was not measured.
+    """
+
+    levels: tuple[float, ...]
+    values_ns: Mapping[str, tuple[tuple[int, ...], ...]]
+
+    @property
+    def any_drawn(self) -> bool:
+        """Whether there is a curve at all: two points at least."""
+        return any(len(curve) > 1 for curves in self.values_ns.values() for curve in curves)
+
+
+def curves_info(analysis: Analysis) -> Curves:
+    """Every group's curves, from `analysis.distributions`; a value is exact to the histogram's 0.1 %."""
+    curves: dict[str, list[tuple[int, ...]]] = {metric: [()] * analysis.summary.height for metric in METRICS}
+    ordered = analysis.distributions.sort("group", "metric", "value_ns")
+    for (group, metric), buckets in ordered.group_by(["group", "metric"], maintain_order=True):
+        if metric in curves:
+            curves[str(metric)][int(str(group))] = _curve(
+                buckets["value_ns"].to_numpy(), buckets["count"].to_numpy().astype(np.int64)
+            )
+    return Curves(LEVELS, {metric: tuple(per_group) for metric, per_group in curves.items()})
+
+
+def _curve(values_ns: np.ndarray, counts: np.ndarray) -> tuple[int, ...]:
+    """The value whose rank is the level's share of all, for each level that the sample supports."""
+    ranks = np.cumsum(counts)
+    total = int(ranks[-1])
+    levels = np.asarray(LEVELS)
+    levels = levels[levels <= 1 - 1 / total]
+    wanted = np.maximum(1, np.ceil(levels * total - 1e-9))
+    return tuple(round(value) for value in values_ns[np.searchsorted(ranks, wanted)])

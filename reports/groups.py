@@ -1,0 +1,221 @@
+"""The rows of `summary` as a report speaks of them: groups, the series they form, the cells they share.
+
+A group is one row of `Analysis.summary`. Its cell is what was sent (data type, size, rate); its series is all else
+(who sent it to whom through what). Two groups of one cell are comparable, groups of one series make a line.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from reports.text import format_hz, format_size, visible
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+    from analyzer.analysis import Analysis
+
+METRICS = {"latency": "Latency", "rtt": "Round trip", "intermediate": "Time in relay", "response": "Response"}
+"""Metric -> label, in the order in which they are offered."""
+
+STATISTICS = {
+    "p50": "median",
+    "mean": "mean",
+    "min": "minimum",
+    "p90": "p90",
+    "p95": "p95",
+    "p99": "p99",
+    "p99_9": "p99.9",
+    "max": "maximum",
+}
+"""Statistic -> label, in the order in which they are offered; `<metric>_<statistic>_ns` is the column."""
+
+VENDORS = {
+    "fastdds": "Fast DDS",
+    "cyclonedds": "Cyclone DDS",
+    "connext": "RTI Connext",
+    "zenoh": "Zenoh",
+    "socket": "Socket",
+}
+"""Vendor in a trace -> its name for people; others are shown as the trace has them."""
+
+DATA_TYPES = {"binary": "Binary", "string": "String", "imu": "IMU"}
+"""Data type in a trace -> its name for people, in the order of the paper."""
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """Who sent to whom through what: everything of a group but data type, size and rate."""
+
+    vendor: str
+    relay_vendor: str | None
+    backend: str
+    relay_backend: str | None
+    rmw: str | None
+    domain_mode: str
+    bridge: str
+    ping_domain_id: int | None
+    relay_domain_id: int | None
+    reliability: str
+    durability: str
+    history: str
+    depth: int | None
+    serialization: str
+    ping_device: str
+    relay_device: str | None
+    connectivity: str
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """What was sent."""
+
+    data_type: str
+    payload_bytes: int
+    rate_hz: float
+
+    @property
+    def label(self) -> str:
+        """As in `Binary 33 KB at 10 Hz`."""
+        return f"{data_type_label(self.data_type)} {format_size(self.payload_bytes)} at {format_hz(self.rate_hz)}"
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """One row of `summary`; `series` and `cell` are indices into `Groups`."""
+
+    index: int
+    series: int
+    cell: int
+    published: int
+    received: int
+
+
+@dataclass(frozen=True, slots=True)
+class Groups:
+    """All groups of an analysis with their series and cells, each sorted.
+
+    Attributes:
+        labels: one per series, naming only what tells the series of this analysis apart.
+    """
+
+    groups: tuple[Group, ...]
+    series: tuple[Series, ...]
+    cells: tuple[Cell, ...]
+    labels: tuple[str, ...]
+
+    def cell_of(self, group: Group) -> Cell:
+        """What the group sent."""
+        return self.cells[group.cell]
+
+    def series_of(self, group: Group) -> Series:
+        """Who sent it through what."""
+        return self.series[group.series]
+
+
+def groups_info(analysis: Analysis) -> Groups:
+    """The groups of `analysis.summary` in its order; group i is row i."""
+    rows = analysis.summary.to_dicts()
+    series_rows = [Series(**{name: row[name] for name in Series.__dataclass_fields__}) for row in rows]
+    cell_rows = [Cell(**{name: row[name] for name in Cell.__dataclass_fields__}) for row in rows]
+    series = tuple(sorted(set(series_rows), key=_series_order))
+    cells = tuple(sorted(set(cell_rows), key=_cell_order))
+    series_index = {value: index for index, value in enumerate(series)}
+    cell_index = {value: index for index, value in enumerate(cells)}
+    groups = tuple(
+        Group(i, series_index[series_rows[i]], cell_index[cell_rows[i]], row["published"], row["received"])
+        for i, row in enumerate(rows)
+    )
+    return Groups(groups, series, cells, _series_labels(series))
+
+
+def vendor_label(vendor: str) -> str:
+    """The vendor's name for people."""
+    return VENDORS.get(vendor, visible(vendor))
+
+
+def data_type_label(data_type: str) -> str:
+    """The data type's name for people."""
+    return DATA_TYPES.get(data_type, visible(data_type))
+
+
+def vendor_pair_label(series: Series) -> str:
+    """The vendor, or both where ping and relay differ."""
+    relay = series.relay_vendor
+    if relay is None or relay == series.vendor:
+        return vendor_label(series.vendor)
+    return f"{vendor_label(series.vendor)} → {vendor_label(relay)}"
+
+
+def domain_label(series: Series) -> str:
+    """`same domain`, or `different domains` with the bridge where one is named."""
+    if series.domain_mode == "same":
+        return "same domain" if series.bridge == "none" else f"same domain via {visible(series.bridge)}"
+    return "different domains" if series.bridge == "none" else f"via {visible(series.bridge)}"
+
+
+def qos_label(series: Series) -> str:
+    """As in `reliable, volatile, keep_last 10`."""
+    depth = "" if series.history == "keep_all" or series.depth is None else f" {series.depth}"
+    return visible(f"{series.reliability}, {series.durability}, {series.history}{depth}")
+
+
+def device_label(series: Series) -> str:
+    """The ping's device, and the relay's where it is known and another."""
+    if series.relay_device is None or series.relay_device == series.ping_device:
+        return visible(series.ping_device)
+    return f"{visible(series.ping_device)} → {visible(series.relay_device)}"
+
+
+def _backend_label(series: Series) -> str:
+    if series.relay_backend is None or series.relay_backend == series.backend:
+        return visible(series.backend)
+    return f"{visible(series.backend)} → {visible(series.relay_backend)}"
+
+
+# What a series label may be made of, after the vendor. A part is named only where the series differ in it.
+_LABEL_PARTS: tuple[Callable[[Series], str], ...] = (
+    domain_label,
+    _backend_label,
+    qos_label,
+    lambda s: visible(s.serialization),
+    device_label,
+    lambda s: visible(s.connectivity),
+    lambda s: f"domains {s.ping_domain_id} → {s.relay_domain_id}",
+    lambda s: visible(s.rmw or "no rmw"),
+)
+
+
+def _series_labels(series: Sequence[Series]) -> tuple[str, ...]:
+    """The shortest labels that tell all series apart: the vendor, then parts while they are needed.
+
+    The domain is always named where it varies: it is what a reader looks for first.
+    """
+    labels = [vendor_pair_label(one) for one in series]
+    for part in _LABEL_PARTS:
+        words = [part(one) for one in series]
+        if part is domain_label:
+            needed = len(set(words)) > 1
+        else:
+            needed = len(set(zip(labels, words, strict=True))) > len(set(labels))
+        if needed:
+            labels = [f"{label}, {word}" for label, word in zip(labels, words, strict=True)]
+    return tuple(labels)
+
+
+def known_first(values: Iterable[str], known: Iterable[str]) -> list[str]:
+    """Distinct values: those of `known` in its order, then the others by name."""
+    order = {name: place for place, name in enumerate(known)}
+    return sorted(set(values), key=lambda value: (order.get(value, len(order)), value))
+
+
+def _series_order(series: Series) -> tuple[Any, ...]:
+    vendors = [*VENDORS, series.vendor]
+    rest = tuple(str(getattr(series, name)) for name in Series.__dataclass_fields__)
+    return (vendors.index(series.vendor), series.vendor, series.domain_mode != "same", series.bridge, rest)
+
+
+def _cell_order(cell: Cell) -> tuple[Any, ...]:
+    types = [*DATA_TYPES, cell.data_type]
+    return (types.index(cell.data_type), cell.data_type, cell.payload_bytes, cell.rate_hz)

@@ -1,0 +1,155 @@
+"""The terminal report: the answer and one line per group, with a sparkline, in 80 columns."""
+
+from __future__ import annotations
+
+import io
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from rich.console import Console, Group, RenderableType
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+from reports.answer import answer_info
+from reports.curves import curves_info
+from reports.groups import METRICS, groups_info
+from reports.overview import findings_by_code, overview_info
+from reports.text import MISSING, format_hz, format_ns, format_ratio, format_size, visible
+from reports.values import values_info
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from analyzer.analysis import Analysis
+    from reports.groups import Groups
+    from reports.values import Values
+
+WIDTH = 80
+SPARK_CELLS = 16
+_BLOCKS = " ▁▂▃▄▅▆▇█"
+_COLORS = {"error": "red", "warning": "yellow", "info": "blue"}
+_COLUMNS = (("Size", 8), ("Rate", 7), ("Recv", 9), ("p50", 8), ("p99", 8), ("max", 8))
+
+
+def render(analysis: Analysis) -> str:
+    """The report as plain text of 80 columns, without colours."""
+    text = io.StringIO()
+    Console(file=text, width=WIDTH, color_system=None, legacy_windows=False).print(_report(analysis))
+    return "\n".join(line.rstrip() for line in text.getvalue().splitlines()) + "\n"
+
+
+def write(analysis: Analysis, folder: Path) -> None:  # noqa: ARG001 - every reporter has this door
+    """Prints the report to stdout, in colours where stdout is a terminal."""
+    console = Console(legacy_windows=False)
+    console.print(_report(analysis), width=min(console.width, 120) if console.is_terminal else WIDTH)
+
+
+def _report(analysis: Analysis) -> RenderableType:
+    # Text objects only: a str would be read for rich's [markup], and strings of traces must stay strings.
+    overview, answer = overview_info(analysis), answer_info(analysis)
+    return Group(
+        Text(f"Latency report: {overview.title}", style="bold"),
+        Text(),
+        *(Text.assemble((f"{fact.label:<11}", "dim"), fact.value) for fact in overview.facts),
+        Text(),
+        Text(answer.headline, style="bold"),
+        _list([*(f"{verdict.data}: {verdict.sentence}" for verdict in answer.verdicts), *answer.remarks]),
+        *((Text(answer.rule, style="dim"),) if answer.rule else ()),
+        Text(),
+        *_findings(analysis),
+        *_tables(analysis),
+    )
+
+
+def _list(items: Sequence[str]) -> Table:
+    grid = Table.grid(padding=(0, 1, 0, 0))
+    for item in items:
+        grid.add_row(Text("-"), Text(item))
+    return grid
+
+
+def _findings(analysis: Analysis) -> list[RenderableType]:
+    lines: list[RenderableType] = []
+    for first, *more in findings_by_code(analysis):
+        severity = first.severity.value
+        also = f" (and {len(more)} more)" if more else ""
+        lines.append(
+            Text.assemble(
+                (severity, f"bold {_COLORS[severity]}"),
+                f" {visible(first.where)}{also}: ",
+                visible(first.what),
+            )
+        )
+        lines.append(Padding(Text(visible(first.action), style="dim"), (0, 0, 0, 2)))
+    return [*lines, Text()] if lines else []
+
+
+@dataclass(frozen=True, slots=True)
+class _Shown:
+    """What every table looks its numbers up in; all sparklines lie between `ends_ns`."""
+
+    groups: Groups
+    values: Values
+    metric: str
+    curves: Sequence[tuple[int, ...]]
+    ends_ns: tuple[int, int]
+
+
+def _tables(analysis: Analysis) -> list[RenderableType]:
+    """One table per series, then what the sparklines mean."""
+    groups, values = groups_info(analysis), values_info(analysis)
+    curves = curves_info(analysis).values_ns[values.default_metric]
+    known = [value for curve in curves for value in curve if value > 0]
+    shown = _Shown(
+        groups, values, values.default_metric, curves, (min(known, default=1), max(known, default=1))
+    )
+    tables: list[RenderableType] = []
+    for place, label in enumerate(groups.labels):
+        tables += [Text(label, style="bold"), _table(shown, place), Text()]
+    if known:
+        low, high = (format_ns(end) for end in shown.ends_ns)
+        note = f"{METRICS[shown.metric]}. Each sparkline spans {low} to {high} (log scale): where the messages lie."
+        tables.append(Text(note, style="dim"))
+    return tables
+
+
+def _table(shown: _Shown, series: int) -> Table:
+    table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False, header_style="dim")
+    table.add_column("Data", width=7, no_wrap=True, overflow="ellipsis")
+    for name, width in _COLUMNS:
+        table.add_column(name, width=width, justify="right", no_wrap=True, overflow="ellipsis")
+    table.add_column("Distribution", width=SPARK_CELLS, no_wrap=True)
+    times = shown.values.times_ns[shown.metric]
+    groups = (group for group in shown.groups.groups if group.series == series)
+    for group in sorted(groups, key=lambda group: group.cell):
+        cell = shown.groups.cell_of(group)
+        table.add_row(
+            Text(visible(cell.data_type)),
+            format_size(cell.payload_bytes),
+            format_hz(cell.rate_hz),
+            format_ratio(shown.values.plain["received_ratio"][group.index]),
+            *(format_ns(times[name][group.index]) for name in ("p50", "p99", "max")),
+            Text(_sparkline(shown.curves[group.index], shown.ends_ns)),
+        )
+    return table
+
+
+def _sparkline(curve: Sequence[int], ends: tuple[int, int]) -> str:
+    """Where the values of a curve lie between the ends, on a log axis; a dash where there is no curve.
+
+    The curve's levels are denser in the tail, so a bar says how many of its levels fall there: a picture of the
+    shape, in which rare late messages stay visible.
+    """
+    positive = [value for value in curve if value > 0]
+    if not positive:
+        return MISSING
+    low, high = math.log(ends[0]), math.log(ends[1])
+    counts = [0] * SPARK_CELLS
+    for value in positive:
+        share = (math.log(value) - low) / (high - low) if high > low else 0.5
+        counts[min(SPARK_CELLS - 1, int(share * SPARK_CELLS))] += 1
+    most = max(counts)
+    return "".join(_BLOCKS[math.ceil(count / most * (len(_BLOCKS) - 1))] for count in counts)

@@ -1,0 +1,452 @@
+"""Hand-made `Analysis` values: say what each group sent and what became of each message, get all the frames."""
+
+from __future__ import annotations
+
+import math
+import random
+import statistics
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import polars as pl
+
+from analyzer.analysis import Analysis, Finding, Severity, Source
+from tracefile.descriptions import Qos, Run, Session
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+MS = 1_000_000
+WALL_START_NS = 1_790_000_000 * 10**9  # 2026-09-21 14:13:20 UTC
+NEEDED = {"p50": 1, "p90": 10, "p95": 20, "p99": 100, "p99_9": 1000}
+LOSSES = ("lost_outbound", "lost_in_relay", "lost_return", "lost_unknown")
+
+PARAMETERS: dict[str, Any] = {
+    "vendor": pl.String,
+    "backend": pl.String,
+    "rmw": pl.String,
+    "bridge": pl.String,
+    "relay_vendor": pl.String,
+    "relay_backend": pl.String,
+    "ping_domain_id": pl.Int32,
+    "relay_domain_id": pl.Int32,
+    "domain_mode": pl.String,
+    "data_type": pl.String,
+    "payload_bytes": pl.UInt32,
+    "rate_hz": pl.Float64,
+    "reliability": pl.String,
+    "durability": pl.String,
+    "history": pl.String,
+    "depth": pl.Int32,
+    "serialization": pl.String,
+    "ping_device": pl.String,
+    "relay_device": pl.String,
+    "connectivity": pl.String,
+}
+STAMPS: dict[str, Any] = dict.fromkeys(
+    ("scheduled_ns", "publish_ns", "receive_ns", "relay_in_ns", "relay_out_ns"), pl.Int64
+)
+METRICS: dict[str, Any] = dict.fromkeys(("rtt_ns", "intermediate_ns", "latency_ns", "response_ns"), pl.Int64)
+ROUNDTRIPS: dict[str, Any] = {
+    "run_id": pl.UInt64,
+    "relay_id": pl.UInt32,
+    "sequence": pl.UInt64,
+    **PARAMETERS,
+    **STAMPS,
+    **METRICS,
+    "outcome": pl.String,
+    "duplicates": pl.UInt16,
+    "reordered": pl.Boolean,
+}
+SUMMARY: dict[str, Any] = {
+    **PARAMETERS,
+    **dict.fromkeys(("published", "received", *LOSSES, "duplicates", "reordered"), pl.UInt64),
+    "received_ratio": pl.Float64,
+    "achieved_rate_hz": pl.Float64,
+    "transfer_rate_bytes_per_s": pl.Float64,
+    **{
+        f"{metric}_{name}_ns": pl.Float64
+        for metric in ("rtt", "intermediate", "latency", "response")
+        for name in ("mean", "std", "min", *NEEDED, "max")
+    },
+}
+DISTRIBUTIONS = {"group": pl.UInt32, "metric": pl.String, "value_ns": pl.Float64, "count": pl.UInt64}
+TIMELINE = {
+    "group": pl.UInt32,
+    "run_id": pl.UInt64,
+    "relay_id": pl.UInt32,
+    "sequence": pl.UInt64,
+    "elapsed_s": pl.Float64,
+    "latency_ns": pl.Int64,
+    "rtt_ns": pl.Int64,
+    "outcome": pl.String,
+}
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One group: its parameters, and the latency of each message in ns; a string instead of a number is a loss."""
+
+    messages: Sequence[int | str]
+    vendor: str = "fastdds"
+    backend: str = "ros2"
+    rmw: str | None = "rmw_fastrtps_cpp"
+    bridge: str = "none"
+    relay_vendor: str | None = "fastdds"
+    domain_mode: str = "same"
+    data_type: str = "binary"
+    payload_bytes: int = 33_000
+    rate_hz: float = 10.0
+    reliability: str = "reliable"
+    ping_device: str = "pi-one"
+    relay_device: str | None = "pi-two"
+    connectivity: str = "wired"
+    intermediate_ns: int = 100_000
+    late_ns: int = 20_000
+    """T1 - T0 of every message."""
+
+    @property
+    def relayed(self) -> bool:
+        return self.relay_device is not None
+
+    def parameters(self) -> dict[str, Any]:
+        return {
+            "vendor": self.vendor,
+            "backend": self.backend,
+            "rmw": self.rmw,
+            "bridge": self.bridge,
+            "relay_vendor": self.relay_vendor if self.relayed else None,
+            "relay_backend": self.backend if self.relayed else None,
+            "ping_domain_id": 10 if self.domain_mode == "same" else 5,
+            "relay_domain_id": 10 if self.relayed else None,
+            "domain_mode": self.domain_mode,
+            "data_type": self.data_type,
+            "payload_bytes": self.payload_bytes,
+            "rate_hz": self.rate_hz,
+            "reliability": self.reliability,
+            "durability": "volatile",
+            "history": "keep_last",
+            "depth": 10,
+            "serialization": "raw",
+            "ping_device": self.ping_device,
+            "relay_device": self.relay_device,
+            "connectivity": self.connectivity,
+        }
+
+    def rows(self, run_id: int) -> list[dict[str, Any]]:
+        """The round trips, the first planned at 1 s of the ping's clock."""
+        return [self._row(run_id, sequence, message) for sequence, message in enumerate(self.messages)]
+
+    def _row(self, run_id: int, sequence: int, message: int | str) -> dict[str, Any]:
+        scheduled = 10**9 + round(sequence / self.rate_hz * 1e9)
+        publish = scheduled + self.late_ns
+        row: dict[str, Any] = dict.fromkeys(ROUNDTRIPS)
+        row.update(self.parameters(), run_id=run_id, relay_id=7 if self.relayed else 0, sequence=sequence)
+        row.update(
+            scheduled_ns=scheduled, publish_ns=publish, outcome="completed", duplicates=0, reordered=False
+        )
+        if isinstance(message, str):
+            row["outcome"] = message
+            return row
+        rtt = 2 * message + (self.intermediate_ns if self.relayed else 0)
+        row.update(receive_ns=publish + rtt, rtt_ns=rtt, response_ns=rtt + self.late_ns)
+        if self.relayed:
+            relay_in = 500 + publish + message
+            row.update(relay_in_ns=relay_in, relay_out_ns=relay_in + self.intermediate_ns)
+            row.update(intermediate_ns=self.intermediate_ns, latency_ns=message)
+        return row
+
+
+def describe(values: Sequence[int]) -> dict[str, float | None]:
+    """Mean, std, extremes and percentiles of a group held whole; null where the sample is too small."""
+    ordered = sorted(values)
+    count = len(ordered)
+    if not count:
+        return dict.fromkeys(("mean", "std", "min", *NEEDED, "max"))
+    found: dict[str, float | None] = {
+        "mean": statistics.fmean(ordered),
+        "std": statistics.stdev(ordered) if count > 1 else None,
+        "min": float(ordered[0]),
+        "max": float(ordered[-1]),
+    }
+    for name, needed in NEEDED.items():
+        place = (count - 1) * float(name[1:].replace("_", ".")) / 100
+        low = math.floor(place)
+        high = min(low + 1, count - 1)
+        found[name] = (
+            ordered[low] + (ordered[high] - ordered[low]) * (place - low) if count >= needed else None
+        )
+    return found
+
+
+def make_analysis(*measured: Measured, findings: Sequence[Finding] = (), title: str = "runs") -> Analysis:
+    """The analysis of these groups, one run each, groups sorted as the summary sorts them."""
+    ordered = sorted(measured, key=lambda one: tuple(str(value) for value in one.parameters().values()))
+    roundtrips, summary, buckets, timeline = [], [], [], []
+    for group, one in enumerate(ordered):
+        rows = one.rows(run_id=0xA000 + group)
+        roundtrips += rows
+        summary.append(_summary_row(one, rows))
+        for metric in ("rtt", "intermediate", "latency", "response"):
+            values = [row[f"{metric}_ns"] for row in rows if row[f"{metric}_ns"] is not None]
+            buckets += [
+                {"group": group, "metric": metric, "value_ns": float(value), "count": values.count(value)}
+                for value in sorted(set(values))
+            ]
+        timeline += [
+            {
+                **{name: row.get(name) for name in TIMELINE},
+                "group": group,
+                "elapsed_s": row["sequence"] / one.rate_hz,
+            }
+            for row in rows
+        ]
+    return Analysis(
+        title=title,
+        sources=(Source("ping.mcap", "read", "", 2 * len(roundtrips)),) if ordered else (),
+        sessions=_sessions(ordered),
+        runs=tuple(_run(group, one) for group, one in enumerate(ordered)),
+        roundtrips=pl.DataFrame(roundtrips, schema=ROUNDTRIPS),
+        summary=pl.DataFrame(summary, schema=SUMMARY),
+        distributions=pl.DataFrame(buckets, schema=DISTRIBUTIONS),
+        timeline=pl.DataFrame(timeline, schema=TIMELINE),
+        timeline_decimated=False,
+        findings=tuple(findings),
+    )
+
+
+def _summary_row(one: Measured, rows: list[dict[str, Any]]) -> dict[str, Any]:
+    received = [row for row in rows if row["outcome"] == "completed"]
+    span_s = (received[-1]["receive_ns"] - received[0]["receive_ns"]) / 1e9 if len(received) > 1 else None
+    sent_s = (rows[-1]["publish_ns"] - rows[0]["publish_ns"]) / 1e9 if len(rows) > 1 else None
+    row = {
+        **one.parameters(),
+        "published": len(rows),
+        "received": len(received),
+        **{loss: sum(row["outcome"] == loss for row in rows) for loss in LOSSES},
+        "duplicates": 0,
+        "reordered": 0,
+        "received_ratio": len(received) / len(rows) if rows else None,
+        "achieved_rate_hz": (len(rows) - 1) / sent_s if sent_s else None,
+        "transfer_rate_bytes_per_s": one.payload_bytes * len(received) / span_s if span_s else None,
+    }
+    for metric in ("rtt", "intermediate", "latency", "response"):
+        values = [r[f"{metric}_ns"] for r in rows if r[f"{metric}_ns"] is not None]
+        row.update({f"{metric}_{name}_ns": value for name, value in describe(values).items()})
+    return row
+
+
+def _sessions(measured: Sequence[Measured]) -> tuple[Session, ...]:
+    pings = sorted({(one.ping_device, one.vendor, one.backend, one.connectivity) for one in measured})
+    relays = sorted(
+        {(one.relay_device, one.vendor, one.backend, one.connectivity) for one in measured if one.relayed}
+    )
+    return tuple(
+        Session(
+            session_id=0xB000 + number,
+            role=role,
+            device=str(device),
+            backend=backend,
+            vendor=vendor,
+            rmw=None,
+            domain_id=10,
+            relay_id=7 if role == "relay" else None,
+            connectivity=connectivity,
+            wall_anchor_ns=WALL_START_NS,
+            monotonic_anchor_ns=10**9,
+            host={"cpu_model": "Cortex-A76", "cores": 4, "kernel": "6.6.31"},
+            state="closed",
+        )
+        for number, (role, (device, vendor, backend, connectivity)) in enumerate(
+            [("ping", one) for one in pings] + [("relay", one) for one in relays]
+        )
+    )
+
+
+def _run(group: int, one: Measured) -> Run:
+    return Run(
+        run_id=0xA000 + group,
+        data_type=one.data_type,
+        payload_bytes=one.payload_bytes,
+        rate_hz=one.rate_hz,
+        planned_messages=len(one.messages),
+        warmup_messages=0,
+        bridge=one.bridge,
+        relay_domain_id=10,
+        qos=Qos(reliability=one.reliability),
+        published=len(one.messages),
+        state="finished",
+        extra={"session_id": f"{0xB000:016x}"},
+    )
+
+
+# The analyses that every figure and every reporter must accept.
+
+
+def empty_folder() -> Analysis:
+    return make_analysis()
+
+
+def one_message() -> Analysis:
+    return make_analysis(Measured([2 * MS]))
+
+
+def ping_without_relay() -> Analysis:
+    messages = [MS + 1000 * i for i in range(30)] + ["lost_unknown"] * 2
+    return make_analysis(
+        Measured(messages, relay_device=None),
+        Measured(messages, relay_device=None, rate_hz=20.0),
+        findings=[
+            Finding(
+                Severity.WARNING,
+                "no_relay_trace",
+                "run a000",
+                "No relay trace.",
+                "Copy the relay's trace here.",
+            ),
+        ],
+    )
+
+
+def nothing_came_back() -> Analysis:
+    return make_analysis(Measured(["lost_outbound"] * 20), Measured(["lost_return"] * 20, vendor="zenoh"))
+
+
+HOSTILE = (
+    "<script>window.pwned=1</script>",
+    "</script><img src=x onerror=window.pwned=1>",
+    '=HYPERLINK("http://evil.invalid","x")',
+    "\x1b[31mred\x1b]0;title\x07",
+    "a|b`c`**d** @everyone [x](http://evil.invalid) #1",
+    "line\u2028separator\u2029and\u202egnp.exe",
+)
+
+
+def hostile() -> Analysis:
+    """Every string that can come from a trace holds something that means harm in some medium."""
+    groups = [
+        Measured(
+            [MS + 1000 * i for i in range(12)],
+            vendor=text if number % 2 else "fastdds",
+            bridge=text if number % 3 == 0 else "none",
+            domain_mode="different" if number % 3 == 0 else "same",
+            data_type=text if number % 2 == 0 else "binary",
+            reliability=text,
+            ping_device=text,
+            relay_device=text,
+            connectivity=text,
+            rate_hz=10.0 * (1 + number % 2),
+        )
+        for number, text in enumerate(HOSTILE)
+    ]
+    findings = [
+        Finding(Severity.ERROR, "loss", text, f"{text} lost messages.", f"Look at {text}.")
+        for text in HOSTILE
+    ]
+    return make_analysis(*groups, findings=findings, title=HOSTILE[0])
+
+
+SIZES = (33_000, 67_000, 87_000, 145_000, 294_000, 502_000, 1_000_000, 2_000_000, 4_000_000)
+RATES = (1.0, 5.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0)
+
+
+@dataclass
+class Campaign:
+    """A made-up campaign in the shape of the paper's; latencies follow no real middleware."""
+
+    vendors: tuple[str, ...] = ("fastdds", "cyclonedds")
+    messages: int = 120
+    sizes: tuple[int, ...] = SIZES
+    rates: tuple[float, ...] = RATES
+    strings: tuple[int, ...] = (4, 91, 1405, 2675)
+    bridged: bool = True
+    random: random.Random = field(default_factory=lambda: random.Random(5))
+
+    def analysis(self, findings: Sequence[Finding] = ()) -> Analysis:
+        groups = [
+            self._group(vendor, bridge, data_type, size, rate)
+            for vendor in self.vendors
+            for bridge in (("none", "builtin") if self.bridged else ("none",))
+            for data_type, sizes, rates in (
+                ("binary", self.sizes, self.rates),
+                ("string", self.strings, self.rates[:8]),
+                ("imu", (296,), self.rates[:8]),
+            )
+            for size in sizes
+            for rate in rates
+        ]
+        return make_analysis(*groups, findings=findings, title="campaign")
+
+    def _group(self, vendor: str, bridge: str, data_type: str, size: int, rate: float) -> Measured:
+        base = {"fastdds": 0.42, "cyclonedds": 0.36, "zenoh": 0.30, "socket": 0.12}.get(vendor, 0.5)
+        per_mb = {"fastdds": 4.6, "cyclonedds": 2.4, "zenoh": 1.6, "socket": 0.8}.get(vendor, 3.0)
+        step = 6.0 if vendor == "fastdds" and size > 500_000 else 0.0
+        typical_ms = (base + per_mb * size / 1e6 + step + 0.6 / rate) * (1.9 if bridge != "none" else 1.0)
+        full = size * rate > 1.2e8
+        messages: list[int | str] = []
+        for _ in range(self.messages):
+            if self.random.random() < (0.08 if full else 0.0004):
+                messages.append(self.random.choice(("lost_outbound", "lost_return")))
+            else:
+                messages.append(
+                    round(typical_ms * MS * self.random.lognormvariate(0.0, 0.35 if full else 0.12))
+                )
+        return Measured(
+            messages,
+            vendor=vendor,
+            rmw=None,
+            relay_vendor=vendor,
+            bridge=bridge,
+            domain_mode="same" if bridge == "none" else "different",
+            data_type=data_type,
+            payload_bytes=size,
+            rate_hz=rate,
+            connectivity="wireless",
+            intermediate_ns=round(80_000 + size * 0.05),
+        )
+
+
+def five_hundred_groups() -> Analysis:
+    """The paper's full space for two vendors: 520 groups."""
+    return Campaign().analysis(_campaign_findings())
+
+
+def small_campaign() -> Analysis:
+    """What `just demo` might give, on three middlewares."""
+    return Campaign(
+        vendors=("fastdds", "cyclonedds", "zenoh"),
+        sizes=(33_000, 145_000, 502_000, 1_000_000),
+        rates=(10.0, 20.0, 50.0),
+        strings=(4, 1405),
+        messages=300,
+    ).analysis(_campaign_findings())
+
+
+def _campaign_findings() -> list[Finding]:
+    return [
+        Finding(
+            Severity.WARNING,
+            "size_step",
+            "Fast DDS, binary 1 MB",
+            "The median latency rises from 2.9 ms at 502 KB to 11 ms at 1 MB, more than the size explains.",
+            "Check the shared-memory segment (512 KiB by default) and net.core.rmem_default.",
+        ),
+        Finding(
+            Severity.INFO,
+            "few_samples",
+            "all groups",
+            "p99.9 is left out: it takes 1,000 messages.",
+            "Record more messages per cell.",
+        ),
+    ]
+
+
+EVERY_ANALYSIS = {
+    "empty folder": empty_folder,
+    "one message": one_message,
+    "ping without relay": ping_without_relay,
+    "nothing came back": nothing_came_back,
+    "hostile strings": hostile,
+    "small campaign": small_campaign,
+    "500 groups": five_hundred_groups,
+}

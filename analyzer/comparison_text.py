@@ -1,0 +1,127 @@
+"""A comparison as text for CI: Markdown for a pull request, JUnit XML for a test report.
+
+Every string from a trace is data: escaped for the format, control characters taken out.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree as ET  # written, never parsed
+
+from analyzer.gates import Against, GateOutcome, group_words, overall_outcome, varying_columns
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from analyzer.compare import Comparison
+    from analyzer.gates import GateResult
+
+# Control characters, line and paragraph separators, text direction, lone surrogates: XML 1.0 forbids most of them and
+# a reader could be misled by the rest.
+_CONTROL = re.compile("[\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]")
+_MARKUP = re.compile(r"[\\`*_{}\[\]<>()#+!|~&@:\"']|(?<=\w)\.(?=\w)|^[-=]")
+
+
+def plain_line(text: str) -> str:
+    """The text on one line, without characters that steer a terminal, a parser or the direction of reading."""
+    return _CONTROL.sub(" ", text)
+
+
+def markdown_text(text: str) -> str:
+    """Text that Markdown shows as it is: no markup, link, HTML or mention, on one line."""
+    return _MARKUP.sub(lambda found: f"&#{ord(found[0])};", plain_line(text))
+
+
+def comparison_markdown(comparison: Comparison, results: Sequence[GateResult] = ()) -> str:
+    """The comparison as Markdown: outcome of the gates first, then a table of verdicts, then what has no partner."""
+    lines = ["# Comparison of latency", ""]
+    if results:
+        lines += [f"**{overall_outcome(results).value.capitalize()}**", ""]
+        lines += ["| gate | group | measured | interval | outcome |", "|---|---|---:|---:|---|"]
+        lines += [
+            f"| {markdown_text(r.gate.text)} | {markdown_text(r.where)} | {_measured(r, r.measured)} "
+            f"| {_interval(_measured(r, r.low), _measured(r, r.high))} | {r.outcome.value} |"
+            for r in results
+        ]
+        lines.append("")
+    if comparison.rows.is_empty():
+        lines += ["The two sides have no group in common: there is nothing to compare.", ""]
+    else:
+        names = varying_columns(comparison)
+        lines += [
+            "| group | metric | base | new | change | interval | new is faster | verdict |",
+            "|---|---|---:|---:|---:|---:|---:|---|",
+        ]
+        lines += [_markdown_row(row, names) for row in comparison.rows.iter_rows(named=True)]
+        share = f"{comparison.options.confidence:.0%}"
+        within = f"{comparison.options.same_within:.0%}"
+        lines += [
+            "",
+            f"Change and interval ({share}) are of new / base; 'same' is an interval wholly within {within}.",
+            "'New is faster': how often a message of the new side is faster than one of the base; 50% is no difference.",
+            "",
+        ]
+    for title, groups in (
+        ("Only in the base", comparison.only_base),
+        ("Only in the new", comparison.only_new),
+    ):
+        if not groups.is_empty():
+            lines += [f"{title}:", ""]
+            lines += [
+                f"- {markdown_text(group_words(row, groups.columns))}" for row in groups.iter_rows(named=True)
+            ]
+            lines.append("")
+    return "\n".join(lines)
+
+
+def comparison_junit(results: Sequence[GateResult]) -> str:
+    """The gates as JUnit XML: one test case per gate and group; inconclusive ones are skipped, none are errors."""
+    failed = sum(r.outcome is GateOutcome.REGRESSED for r in results)
+    unsure = sum(r.outcome is GateOutcome.INCONCLUSIVE for r in results)
+    counts = {"tests": str(len(results)), "failures": str(failed), "errors": "0", "skipped": str(unsure)}
+    root = ET.Element("testsuites", counts)
+    suite = ET.SubElement(root, "testsuite", {"name": "dds-analyze compare", **counts, "time": "0"})
+    for result in results:
+        name = {"classname": plain_line(result.where), "name": plain_line(result.gate.text), "time": "0"}
+        case = ET.SubElement(suite, "testcase", name)
+        said = (
+            f"{_measured(result, result.measured)}, interval "
+            f"{_interval(_measured(result, result.low), _measured(result, result.high))}"
+        )
+        if result.outcome is GateOutcome.REGRESSED:
+            ET.SubElement(case, "failure", {"message": said, "type": "regression"})
+        elif result.outcome is GateOutcome.INCONCLUSIVE:
+            ET.SubElement(case, "skipped", {"message": f"inconclusive: {said}"})
+    ET.indent(root)
+    return ET.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def _markdown_row(row: dict[str, Any], names: Sequence[str]) -> str:
+    change = None if row["ratio"] is None else row["ratio"] - 1
+    ends = [None if row[end] is None else row[end] - 1 for end in ("ratio_low", "ratio_high")]
+    faster = "" if row["superiority"] is None else f"{row['superiority']:.0%}"
+    return (
+        f"| {markdown_text(group_words(row, names))} | {row['metric']} {row['statistic']} | {_ms(row['base_ns'])} "
+        f"| {_ms(row['new_ns'])} | {_percent(change)} | {_interval(*map(_percent, ends))} | {faster} | {row['verdict']} |"
+    )
+
+
+def _measured(result: GateResult, value: float | None) -> str:
+    if value is None:
+        return "unknown"
+    if result.gate.against is Against.RATIO:
+        return _percent(value - 1)
+    return _ms(value) if result.gate.statistic else f"{value:.2%}"
+
+
+def _ms(value_ns: float | None) -> str:
+    return "" if value_ns is None else f"{value_ns / 1e6:.3f} ms"
+
+
+def _percent(share: float | None) -> str:
+    return "unknown" if share is None else f"{share:+.1%}"
+
+
+def _interval(low: str, high: str) -> str:
+    return f"{low} to {high}"

@@ -23,7 +23,7 @@ from tracefile.events import (
     pack_event,
     unpack_event,
 )
-from tracefile.reader import iter_event_batches, read_descriptions, read_trace
+from tracefile.reader import expected_events, iter_event_batches, read_descriptions, read_trace
 from tracefile.sink import ClosedTrace, TraceDestination, TraceSink
 from tracefile.trace import Trace
 from tracefile.version import __version__
@@ -53,6 +53,7 @@ __all__ = [
     "TraceFormatError",
     "TraceSink",
     "__version__",
+    "expected_events",
     "find_traces",
     "iter_event_batches",
     "pack_event",

@@ -70,6 +70,10 @@ class Source(Protocol):
     def topics(self) -> frozenset[str]:
         """All topics seen so far, ours or not."""
 
+    @property
+    def written_events(self) -> int:
+        """Events that our recorder had put into the file, by their numbers; those in damaged chunks count too."""
+
     def expected_events(self) -> Mapping[Stage, int]:
         """How many events the file says it holds; a claim, never to be relied on."""
 

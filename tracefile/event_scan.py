@@ -36,9 +36,9 @@ _EVENT_FIELDS: Mapping[str, Any] = EVENT_DTYPE.fields or {}
 
 RECORD_DTYPE = np.dtype(
     {
-        "names": ["head", "length_top", "channel", "cdr", *_EVENT_FIELDS],
-        "formats": ["<u8", "u1", "<u2", "<u2", *(kind for kind, *_ in _EVENT_FIELDS.values())],
-        "offsets": [0, 8, 9, _DATA, *(_FIELDS + offset for _, offset, *_ in _EVENT_FIELDS.values())],
+        "names": ["head", "length_top", "channel", "number", "cdr", *_EVENT_FIELDS],
+        "formats": ["<u8", "u1", "<u2", "<u4", "<u2", *(kind for kind, *_ in _EVENT_FIELDS.values())],
+        "offsets": [0, 8, 9, 11, _DATA, *(_FIELDS + offset for _, offset, *_ in _EVENT_FIELDS.values())],
         "itemsize": EVENT_RECORD_BYTES,
     },
 )
@@ -46,6 +46,7 @@ RECORD_DTYPE = np.dtype(
 
 _SINGLE_STEPS = 16  # so many events are looked at one by one before arrays pay
 _FIRST_STRETCH = 256
+_FEW_CHANNELS = 4  # looking for each is then quicker than sorting
 
 
 @dataclass(slots=True)
@@ -112,13 +113,13 @@ def scan_records(data: bytes, start: int, stop: int, accept: frozenset[int] | No
 def group_by_channel(records: Records) -> list[tuple[int, Index]]:
     """For each channel id among `records`, where its records are, in order."""
     channels = np.ascontiguousarray(records["channel"])
-    order = np.argsort(channels, kind="stable")  # a radix sort for two bytes: linear in time
     counts = np.bincount(channels)
+    ids: list[int] = np.flatnonzero(counts).tolist()
+    if len(ids) <= _FEW_CHANNELS:
+        return [(channel, np.flatnonzero(channels == channel)) for channel in ids]
+    order = np.argsort(channels, kind="stable")
     ends = np.cumsum(counts)
-    return [
-        (channel, order[ends[channel] - counts[channel] : ends[channel]])
-        for channel in np.flatnonzero(counts).tolist()
-    ]
+    return [(channel, order[ends[channel] - counts[channel] : ends[channel]]) for channel in ids]
 
 
 def records_at(records: Records, index: Index) -> Records:

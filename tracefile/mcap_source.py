@@ -62,6 +62,7 @@ class McapSource:
             self._file, self._summary, self._chunks_without_texts() if texts_only else frozenset()
         )
         self._messages = Counter[int]()  # by channel id
+        self._numbered: dict[int, int] = {}  # by channel id: one more than the number of its last event
 
     def close(self) -> None:
         """Give the file back."""
@@ -71,6 +72,11 @@ class McapSource:
     def topics(self) -> frozenset[str]:
         """All topics declared so far, ours or not."""
         return frozenset(channel.topic for _, channel in self._channels.items())
+
+    @property
+    def written_events(self) -> int:
+        """Events that the recorder had put into the file, also those in damaged chunks before the last whole one."""
+        return sum(self._numbered.values())
 
     def expected_events(self) -> dict[Stage, int]:
         """How many events the statistics claim for each stage, or else as many as the chunks have room for."""
@@ -117,6 +123,7 @@ class McapSource:
                 batch.unreadable += len(index)
             elif channel and channel.stage:
                 batch.groups.append((channel.stage, index))
+                self._numbered[channel_id] = int(block.events["number"][index[-1]]) + 1
         yield batch
         if singles:
             yield event_batch(singles)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import zlib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
     from tracefile.records import RecordFile, RecordHeader
 
 _HEADER_BYTES = 64  # all fields before the records, with room for the name of any compression that we know
+
+_of_thread = threading.local()
 
 
 class DamagedChunkError(Exception):
@@ -94,9 +97,17 @@ def unpack_zstd(packed: bytes, limit_bytes: int) -> bytes:
     """
     # `decompress` takes the frame's own word for the memory it needs, so that has to be looked at first.
     if zstandard.frame_content_size(packed) == limit_bytes:
-        return zstandard.ZstdDecompressor().decompress(packed)
-    with zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True) as stream:
+        return _zstd().decompress(packed)
+    with _zstd().stream_reader(packed, read_across_frames=True) as stream:
         return stream.read(limit_bytes)
+
+
+def _zstd() -> zstandard.ZstdDecompressor:
+    """This thread's own: making one takes longer than unpacking a small chunk with it."""
+    if not hasattr(_of_thread, "zstd"):
+        _of_thread.zstd = zstandard.ZstdDecompressor()
+    own: zstandard.ZstdDecompressor = _of_thread.zstd
+    return own
 
 
 def _unpack_lz4(packed: bytes, unpacked_bytes: int) -> bytes:

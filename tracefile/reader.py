@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING
 from tracefile.batches import TOPIC_PREFIX
 from tracefile.columns import ColumnsBuilder, columns_at
 from tracefile.errors import TraceFormatError
-from tracefile.events import EventColumns, Stage
+from tracefile.events import SESSION_TOPIC, EventColumns, Stage
+from tracefile.ring_events import ring_beside
 from tracefile.storage import open_source, storage_files
 from tracefile.texts import TextCollector
 from tracefile.trace import Trace
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from tracefile.batches import Batch, Source
+    from tracefile.ring_events import RingBeside
 
 _MOST_WORKERS = 4  # beyond that, memory is what is waited for
 
@@ -40,18 +42,20 @@ def read_trace(path: Path) -> Trace:
             damaged is no error: see `Trace.truncated` and `Trace.notes`.
     """
     gathered = _Gathered(path)
+    files = storage_files(path)
+    rings = [ring_beside(file) for file in files]
     with _workers() as pool, ExitStack() as opened:
-        sources = [opened.enter_context(open_source(file, pool)) for file in storage_files(path)]
+        sources = [opened.enter_context(open_source(file, pool)) for file in files]
         expected = Counter[Stage]()
         for source in sources:
             expected.update(source.expected_events())
         columns = ColumnsBuilder(pool, expected)
-        for source in sources:
-            for batch in source.batches():
-                for stage, index in batch.groups:
-                    columns.append(stage, batch.records, index)
-                gathered.add(batch)
-            gathered.add_topics(source)
+        for source, ring in zip(sources, rings, strict=True):
+            for batch in gathered.batches_of(source):
+                columns.append(batch.records, batch.groups)
+            if ring is not None:
+                batch = gathered.ring_batch(ring, source)
+                columns.append(batch.records, batch.groups)
         return gathered.trace(columns.finish())
 
 
@@ -64,13 +68,16 @@ def iter_event_batches(path: Path) -> Iterator[tuple[Stage, EventColumns]]:
         TraceFormatError: as `read_trace`, as soon as it is met.
     """
     gathered = _Gathered(path)
-    with _workers() as pool:
-        for file in storage_files(path):
-            with open_source(file, pool) as source:
-                for batch in source.batches():
-                    for stage, index in batch.groups:
-                        yield stage, columns_at(batch.records, index)
-                gathered.add_topics(source)
+    for file in storage_files(path):
+        ring = ring_beside(file)
+        with _workers() as pool, open_source(file, pool) as source:
+            for batch in gathered.batches_of(source):
+                for stage, index in batch.groups:
+                    yield stage, columns_at(batch.records, index)
+            if ring is not None:
+                batch = gathered.ring_batch(ring, source)
+                for stage, index in batch.groups:
+                    yield stage, columns_at(batch.records, index)
     gathered.check()
 
 
@@ -83,13 +90,29 @@ def read_descriptions(path: Path) -> Trace:
         TraceFormatError: as `read_trace`.
     """
     gathered = _Gathered(path)
-    with _workers() as pool:
-        for file in storage_files(path):
-            with open_source(file, pool, texts_only=True) as source:
-                for batch in source.batches():
-                    gathered.add(batch)
-                gathered.add_topics(source)
+    for file in storage_files(path):
+        ring = ring_beside(file)
+        with _workers() as pool, open_source(file, pool, texts_only=True) as source:
+            for _ in gathered.batches_of(source):
+                pass
+        if ring is not None:
+            gathered.add_ring_session(ring)
     return gathered.trace({stage: EventColumns.empty() for stage in Stage})
+
+
+def expected_events(path: Path) -> dict[Stage, int]:
+    """About how many events of each stage a trace holds, by its statistics and without unpacking anything.
+
+    For planning, not for results: without statistics it is as many as there is room for, and for every stage.
+
+    Raises:
+        TraceFormatError: as `read_trace`.
+    """
+    expected = Counter[Stage]()
+    for file in storage_files(path):
+        with _workers() as pool, open_source(file, pool) as source:
+            expected.update(source.expected_events())
+    return {stage: expected[stage] for stage in Stage}
 
 
 def _workers() -> ThreadPoolExecutor:
@@ -106,19 +129,37 @@ class _Gathered:
     texts: TextCollector = field(default_factory=TextCollector)
     topics: set[str] = field(default_factory=set)
     unreadable: int = 0
+    ring_events: int = 0
     notes: list[str] = field(default_factory=list)
     truncated: list[str] = field(default_factory=list)
 
-    def add(self, batch: Batch) -> None:
+    def batches_of(self, source: Source) -> Iterator[Batch]:
+        """The batches of one file; all but their events is kept here."""
+        for batch in source.batches():
+            self._add(batch)
+            yield batch
+        self.topics |= source.topics
+
+    def ring_batch(self, ring: RingBeside, source: Source) -> Batch:
+        """The events in the ring that its file does not have; the rest of what the ring says is kept here."""
+        batch = ring.batch(source.written_events)
+        self.ring_events += len(batch.records)
+        self._add(batch)
+        self.add_ring_session(ring)
+        return batch
+
+    def add_ring_session(self, ring: RingBeside) -> None:
+        if ring.contents:
+            self.texts.add_ring_session(ring.contents.session, ring.contents.dropped_events)
+            self.topics.add(SESSION_TOPIC)
+
+    def _add(self, batch: Batch) -> None:
         self.unreadable += batch.unreadable
         for text in batch.texts:
             self.texts.add(text)
         self.notes += batch.notes
         if batch.truncated:
             self.truncated.append(batch.truncated)
-
-    def add_topics(self, source: Source) -> None:
-        self.topics |= source.topics
 
     def check(self) -> None:
         """Raise an error if this is no trace. A file that was cut off before its first topic may be one."""
@@ -140,6 +181,7 @@ class _Gathered:
             events=events,
             host_samples=self.texts.host_samples,
             truncated="; ".join(self.truncated) or None,
+            ring_events=self.ring_events,
             unreadable_messages=self.unreadable,
             notes=tuple(self.notes),
         )

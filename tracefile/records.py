@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import struct
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any
@@ -271,7 +272,7 @@ class RecordHeader:
         return self.content + self.length
 
 
-class RecordFile:
+class RecordFile(AbstractContextManager["RecordFile"]):
     """A MCAP file, opened for reading wherever its records lie.
 
     Args:
@@ -297,6 +298,9 @@ class RecordFile:
         if begin != MAGIC[: len(begin)]:
             self.close()
             raise TraceFormatError(self.path, "no MCAP file: it does not begin with MCAP's magic bytes", 0)
+
+    def __exit__(self, *_exception: object) -> None:
+        self.close()
 
     def close(self) -> None:
         """Give the file descriptor back."""

@@ -69,6 +69,11 @@ class SqliteSource:
         """All topics, ours or not."""
         return frozenset(name for _, name, *_ in self._topics if isinstance(name, str))
 
+    @property
+    def written_events(self) -> int:
+        """None: our recorder writes MCAP, and no ring lies beside a database."""
+        return 0
+
     def expected_events(self) -> dict[Stage, int]:
         """As many events for every stage as the table can have rows."""
         last_row = self._last_row if isinstance(self._last_row, int) else 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from tracefile.descriptions import Run, Session
@@ -55,6 +56,12 @@ class TextCollector:
             take(text)
         except TraceFormatError as err:
             raise TraceFormatError(err.path, err.what, text.offset) from err
+
+    def add_ring_session(self, described: Session, dropped_events: int) -> None:
+        """Take the session that a ring names, unless the trace itself has it, and the drops that the ring counts."""
+        session = self._sessions.get(described.session_id, described)
+        dropped_events = max(session.dropped_events, dropped_events)
+        self._sessions[session.session_id] = replace(session, dropped_events=dropped_events)
 
     def _session(self, text: Text) -> None:
         session = Session.from_json(_string(text), text.path)

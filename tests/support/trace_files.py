@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections import Counter
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -40,6 +41,8 @@ WALL_ANCHOR_NS = 1_700_000_000_000_000_000
 Event = tuple[int, int, int, int, int, int, int, int]
 """The eight fields in the order of `EVENT_DTYPE`."""
 
+EVENT = (EVENT_SCHEMA_NAME, EVENT_DEFINITION)
+STRING = (STRING_SCHEMA_NAME, STRING_DEFINITION)
 COMPRESSIONS = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}
 
 
@@ -190,9 +193,58 @@ def write_trace(
         crcs: False leaves out the CRCs of chunks and summary.
         truncate_at: keep only so many bytes (negative: cut so many off the end).
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
     sessions = [session] if isinstance(session, Session) else list(session)
     anchor = sessions[0] if sessions else ping_session()
+    start_ns = anchor.wall_anchor_ns
+    texts = [
+        *((SESSION_TOPIC, start_ns, described.to_json()) for described in sessions),
+        *((RUN_TOPIC, start_ns, planned.to_json()) for planned in runs),
+        *(
+            (HOST_TOPIC, anchor.wall_ns(second * 10**9), json.dumps(sample))
+            for second, sample in enumerate(host)
+        ),
+    ]
+    messages = [RawMessage(topic, string_cdr(text), log_time, STRING) for topic, log_time, text in texts]
+    for stage, fields in _in_time_order(events or {}):
+        messages.append(RawMessage(stage.topic, pack_event(*fields), anchor.wall_ns(fields[2])))
+    return write_messages(
+        path,
+        messages,
+        compression=compression,
+        chunked=chunked,
+        chunk_bytes=chunk_bytes,
+        indexed=indexed,
+        statistics=statistics,
+        crcs=crcs,
+        truncate_at=truncate_at,
+    )
+
+
+@dataclass(frozen=True)
+class RawMessage:
+    """One message as it is stored; `kind` is its schema's name and text."""
+
+    topic: str
+    data: bytes
+    log_time_ns: int = WALL_ANCHOR_NS
+    kind: tuple[str, str] = EVENT
+    encoding: str = "cdr"
+
+
+def write_messages(
+    path: Path,
+    messages: Iterable[RawMessage],
+    *,
+    compression: str = "zstd",
+    chunked: bool = True,
+    chunk_bytes: int = 1 << 20,
+    indexed: bool = True,
+    statistics: bool = True,
+    crcs: bool = True,
+    truncate_at: int | None = None,
+) -> Path:
+    """Write any messages, one after the other; the options are those of `write_trace`."""
+    path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("wb") as stream:
         writer = Writer(
             stream,
@@ -207,19 +259,27 @@ def write_trace(
             enable_crcs=crcs,
         )
         writer.start(profile="ros2", library="dds-trace tests")
-        topics = _Topics(writer)
-        for described in sessions:
-            topics.write_json(SESSION_TOPIC, described.to_json(), anchor.wall_anchor_ns)
-        for planned in runs:
-            topics.write_json(RUN_TOPIC, planned.to_json(), anchor.wall_anchor_ns)
-        for second, sample in enumerate(host):
-            topics.write_json(HOST_TOPIC, json.dumps(sample), anchor.wall_ns(second * 1_000_000_000))
-        for stage, fields in _in_time_order(events or {}):
-            topics.write(stage.topic, pack_event(*fields), anchor.wall_ns(fields[2]))
+        schemas: dict[tuple[str, str], int] = {}
+        channels: dict[str, int] = {}
+        written: Counter[str] = Counter()
+        for message in messages:
+            if message.kind not in schemas:
+                name, definition = message.kind
+                schemas[message.kind] = writer.register_schema(name, "ros2msg", definition.encode())
+            if message.topic not in channels:
+                schema_id = schemas[message.kind]
+                channels[message.topic] = writer.register_channel(message.topic, message.encoding, schema_id)
+            writer.add_message(
+                channels[message.topic],
+                log_time=max(message.log_time_ns, 0),
+                publish_time=max(message.log_time_ns, 0),
+                data=message.data,
+                sequence=written[message.topic],
+            )
+            written[message.topic] += 1
         writer.finish()
     if truncate_at is not None:
-        size = path.stat().st_size
-        os.truncate(path, truncate_at if truncate_at >= 0 else size + truncate_at)
+        os.truncate(path, truncate_at if truncate_at >= 0 else path.stat().st_size + truncate_at)
     return path
 
 
@@ -227,43 +287,6 @@ def string_cdr(text: str) -> bytes:
     """`std_msgs/msg/String` as little-endian CDR."""
     data = text.encode() + b"\0"
     return b"\x00\x01\x00\x00" + len(data).to_bytes(4, "little") + data
-
-
-class _Topics:
-    """Registers each topic at its first message and counts its messages."""
-
-    def __init__(self, writer: Writer) -> None:
-        self._writer = writer
-        self._schemas: dict[str, int] = {}
-        self._channels: dict[str, int] = {}
-        self._written: dict[str, int] = {}
-
-    def write_json(self, topic: str, text: str, log_time_ns: int) -> None:
-        self.write(topic, string_cdr(text), log_time_ns, STRING_SCHEMA_NAME, STRING_DEFINITION)
-
-    def write(
-        self,
-        topic: str,
-        data: bytes,
-        log_time_ns: int,
-        schema_name: str = EVENT_SCHEMA_NAME,
-        definition: str = EVENT_DEFINITION,
-    ) -> None:
-        if schema_name not in self._schemas:
-            self._schemas[schema_name] = self._writer.register_schema(
-                schema_name, "ros2msg", definition.encode()
-            )
-        if topic not in self._channels:
-            schema_id = self._schemas[schema_name]
-            self._channels[topic] = self._writer.register_channel(topic, "cdr", schema_id)
-        self._written[topic] = self._written.get(topic, -1) + 1
-        self._writer.add_message(
-            self._channels[topic],
-            log_time=max(log_time_ns, 0),
-            publish_time=max(log_time_ns, 0),
-            data=data,
-            sequence=self._written[topic],
-        )
 
 
 def _in_time_order(events: Mapping[Stage, Sequence[Event]]) -> list[tuple[Stage, Event]]:

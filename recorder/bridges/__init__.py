@@ -7,6 +7,7 @@ from recorder.bridges.bridge import (
     BridgeError,
     BridgeOptions,
     Half,
+    Halves,
     split_halves,
 )
 from recorder.bridges.registry import BRIDGE_MODULES, load_bridge
@@ -21,6 +22,7 @@ __all__ = [
     "BridgeState",
     "BridgedTopic",
     "Half",
+    "Halves",
     "RunningBridge",
     "find_program",
     "load_bridge",

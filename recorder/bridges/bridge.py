@@ -29,6 +29,14 @@ class BridgeError(TraceError):
     exit_code: ClassVar[int] = 9
 
 
+class Halves(Enum):
+    """Whether a bridge runs as one process for each domain, joined by a link of their own."""
+
+    NEVER = "never"
+    OPTIONAL = "optional"  # one process for both domains, or a half on each device
+    ALWAYS = "always"
+
+
 class Half(Enum):
     """Which part of a bridge runs here; a bridge of one program knows `BOTH` alone."""
 
@@ -154,7 +162,7 @@ class Bridge(Protocol):
         """How to get the program, one line."""
 
     @property
-    def has_halves(self) -> bool:
+    def halves(self) -> Halves:
         """Whether it runs as one process for each domain, joined by a link of their own."""
 
     @property
@@ -181,27 +189,33 @@ class Bridge(Protocol):
         """Variables that the program needs beyond those of this process."""
 
 
-def split_halves(bridge: Bridge, options: BridgeOptions) -> tuple[BridgeOptions, ...]:
-    """The options of each process to start here: two when both halves of a bridge run on this machine.
+def split_halves(bridge: Bridge, options: BridgeOptions, link: str = LOCAL_LINK) -> tuple[BridgeOptions, ...]:
+    """The options of each process to start here.
+
+    Two when a bridge of halves runs wholly on this machine, where they meet at `link`; one otherwise. With `listen` or
+    `peers` the other half is elsewhere, and the one here is the ping's unless the options say the relay's.
 
     Raises:
-        OptionError: a half or a peer is asked of a bridge that has none.
+        OptionError: a half is asked of a bridge that has none, or one that could never meet the other.
     """
-    if bridge.has_halves and options.half is Half.BOTH:
-        link = options.listen or LOCAL_LINK
+    joins_others = bool(options.listen or options.peers)
+    half = Half.PING if options.half is Half.BOTH and joins_others else options.half
+    if half is not Half.BOTH:
+        if bridge.halves is Halves.NEVER:
+            raise OptionError(
+                f"{bridge.name} is one program that joins both domains and has no halves; "
+                "run it on one of the devices, without --half, --listen and --peer",
+            )
+        if not joins_others:
+            raise OptionError(
+                f"this half of {bridge.name} would never meet the other one; give --listen HOST:PORT here "
+                "and --peer HOST:PORT there, or the other way round",
+            )
+        return (replace(options, half=half),)
+    if bridge.halves is Halves.ALWAYS:
         return (
             replace(options, half=Half.PING, listen=link),
-            replace(options, half=Half.RELAY, listen=None, peers=(link,)),
-        )
-    if not bridge.has_halves and (options.half is not Half.BOTH or options.listen or options.peers):
-        raise OptionError(
-            f"{bridge.name} is one program that joins both domains and has no halves; "
-            "run it on one device, without --half, --listen and --peer",
-        )
-    if bridge.has_halves and not (options.listen or options.peers):
-        raise OptionError(
-            f"this half of {bridge.name} would never meet the other one; give --listen HOST:PORT here "
-            "and --peer HOST:PORT with the same address there, or the other way round",
+            replace(options, half=Half.RELAY, peers=(link,)),
         )
     return (options,)
 

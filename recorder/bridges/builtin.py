@@ -12,6 +12,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from recorder.bridges.bridge import Halves
 from recorder.bridges.builtin_common import (
     INSTALL_ROS2,
     UP_LINE,
@@ -36,7 +37,7 @@ class BuiltinBridge:
 
     name: str = "builtin"
     install: str = INSTALL_ROS2
-    has_halves: bool = False
+    halves: Halves = Halves.NEVER
     suffix: str = ".json"
     up_pattern: str | None = f"^{UP_LINE}"
 

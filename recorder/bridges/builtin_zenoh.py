@@ -15,6 +15,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from recorder.bridges.bridge import Halves
 from recorder.bridges.builtin_common import (
     INSTALL_ROS2,
     UP_LINE,
@@ -42,7 +43,7 @@ class BuiltinZenohBridge:
 
     name: str = "builtin-zenoh"
     install: str = f"it needs eclipse-zenoh (pip install eclipse-zenoh), and {INSTALL_ROS2}"
-    has_halves: bool = True
+    halves: Halves = Halves.ALWAYS
     suffix: str = ".json"
     up_pattern: str | None = f"^{UP_LINE}"
 

@@ -6,12 +6,21 @@ import os
 import re
 import subprocess
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+from recorder.backend import Discovery
+from recorder.bridges.supervise import program_environment
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from recorder.bridges.bridge import BridgeOptions
 
 VERSION_TIMEOUT_S = 10.0
 
 
 def reported_version(program: Path, *arguments: str) -> str:
-    """The first thing like a version in what the program prints, with what stands around it on its line.
+    """The first line with something like a version in what the program prints.
 
     Empty if it prints none, fails to start, or does not end in time: the version is worth having, not worth failing.
     """
@@ -23,6 +32,7 @@ def reported_version(program: Path, *arguments: str) -> str:
             stderr=subprocess.STDOUT,
             text=True,
             errors="replace",
+            env=program_environment({"RUST_LOG": "off"}, foreign=True),  # zenoh logs to where it answers
             timeout=VERSION_TIMEOUT_S,
             check=False,
         )
@@ -38,3 +48,22 @@ def ros_package_program(package: str, program: str) -> Path | None:
         if prefix and os.access(found, os.X_OK) and found.is_file():
             return found
     return None
+
+
+def ros_package_version(program: Path, package: str) -> str:
+    """Version of the package that `program` (`PREFIX/lib/PACKAGE/PROGRAM`) belongs to, empty if it is not told."""
+    manifest = program.parents[2] / "share" / package / "package.xml"
+    try:
+        found = re.search(r"<version>\s*([^<\s]+)", manifest.read_text())
+    except OSError:
+        return ""
+    return found[1] if found else ""
+
+
+def discovery_environment(options: BridgeOptions) -> Mapping[str, str]:
+    """Tells a program with a ROS 2 inside how far to look for nodes: the variables of Jazzy and of Humble."""
+    localhost = options.discovery is Discovery.LOCALHOST
+    return {
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST" if localhost else "SUBNET",
+        "ROS_LOCALHOST_ONLY": "1" if localhost else "0",
+    }

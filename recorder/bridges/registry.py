@@ -14,6 +14,11 @@ BRIDGE_MODULES = {
     "builtin": "recorder.bridges.builtin",
     "builtin-zenoh": "recorder.bridges.builtin_zenoh",
     "zenoh-bridge-dds": "recorder.bridges.zenoh_bridge_dds",
+    "zenoh-bridge-ros2dds": "recorder.bridges.zenoh_bridge_ros2dds",
+    "integration-service": "recorder.bridges.integration_service",
+    "ddsrouter": "recorder.bridges.ddsrouter",
+    "routing-service": "recorder.bridges.routing_service",
+    "domain_bridge": "recorder.bridges.domain_bridge",
 }
 """Name of each bridge and the module that holds its `BRIDGE`."""
 

@@ -8,7 +8,7 @@ import sys
 import tempfile
 import time
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -41,11 +41,15 @@ class BridgeState(Enum):
 class _RunningHalf:
     """One of a bridge's programs with what it was started with."""
 
-    half: Half
+    options: BridgeOptions
     version: str
     configuration: str
     environment: Mapping[str, str]
     program: SupervisedProgram
+
+    @property
+    def half(self) -> Half:
+        return self.options.half
 
     @property
     def label(self) -> str:
@@ -60,7 +64,6 @@ class RunningBridge:
         self.options = options
         self._halves = halves
         self._ready = False
-        self._tails: dict[Half, str] = {}
         self._stopped = False
 
     def mark_ready(self) -> None:
@@ -79,11 +82,11 @@ class RunningBridge:
     @property
     def failure(self) -> str | None:
         """One line naming the program that ended by itself and what it said last; None while all is well."""
-        for half in self._halves:
-            report = half.program.report
-            if report is not None and not report.asked:
-                return f"the bridge {self.name} ended with status {report.exit_code}: {self._last_line(half)}"
-        return None
+        failed = self._failed_half()
+        if failed is None or failed.program.report is None:
+            return None
+        code, last = failed.program.report.exit_code, failed.program.last_line()
+        return f"the bridge {self.name} ended with status {code}: {last}"
 
     def check(self) -> None:
         """Say so if a program has ended; cheap enough to call between two messages.
@@ -92,7 +95,12 @@ class RunningBridge:
             BridgeError: it has.
         """
         if (failure := self.failure) is not None:
-            raise BridgeError(f"{failure}; see `dds-bridge {self.name}` for its whole log")
+            raise BridgeError(f"{failure}; `dds-bridge {self.name}` runs it alone and shows its log")
+
+    @property
+    def parts(self) -> tuple[BridgeOptions, ...]:
+        """What each program was started with, in the order of `processes`."""
+        return tuple(half.options for half in self._halves)
 
     @property
     def processes(self) -> Mapping[str, int]:
@@ -140,11 +148,9 @@ class RunningBridge:
         }
 
     def log_tail(self, half: Half | None = None) -> str:
-        """The last lines of a program's log, of the first one unless said."""
-        wanted = half or self._halves[0].half
-        return self._tails.get(wanted) or next(
-            each.program.log_tail() for each in self._halves if each.half is wanted
-        )
+        """The last lines of a program's log: of the one that failed, else of the first, unless said."""
+        chosen = self._failed_half() or self._halves[0]
+        return next((each for each in self._halves if each.half is half), chosen).program.log_tail()
 
     def wait_until_up(self, timeout_s: float) -> None:
         """Wait until each program's log says that it serves, where it says such a thing.
@@ -158,20 +164,23 @@ class RunningBridge:
                 self.check()
                 if time.monotonic() > deadline:
                     raise BridgeError(
-                        f"the bridge {self.name} did not come up within {timeout_s:g} s: {self._last_line(half)}",
+                        f"the bridge {self.name} did not come up within {timeout_s:g} s: {half.program.last_line()}",
                     )
                 time.sleep(0.02)
         self.check()
 
     def stop(self) -> None:
-        """End all programs and keep the tails of their logs. May be repeated."""
+        """End all programs. May be repeated."""
         for half in self._halves:
             half.program.stop()
-            self._tails.setdefault(half.half, half.program.log_tail())
         self._stopped = True
 
-    def _last_line(self, half: _RunningHalf) -> str:
-        return half.program.last_line()
+    def _failed_half(self) -> _RunningHalf | None:
+        for half in self._halves:
+            report = half.program.report
+            if report is not None and not report.asked:
+                return half
+        return None
 
 
 @contextmanager
@@ -194,7 +203,7 @@ def open_bridge(
     running: RunningBridge | None = None
     try:
         version = bridge.version(program)
-        for half_options in split_halves(bridge, _with_free_link(bridge, options)):
+        for half_options in split_halves(bridge, options, _free_local_link()):
             halves.append(_start_half(bridge, program, version, half_options, folder))  # noqa: PERF401 - a failing start leaves the ones before it in the list
         running = RunningBridge(bridge, options, tuple(halves))
         running.wait_until_up(up_timeout_s)
@@ -230,13 +239,11 @@ def _start_half(
     added = bridge.environment(program, options)
     variables = program_environment(added, foreign=program != Path(sys.executable))
     started = SupervisedProgram(bridge.command(program, file, options), own, variables, bridge.up_pattern)
-    return _RunningHalf(options.half, version, text, added, started)
+    return _RunningHalf(options, version, text, added, started)
 
 
-def _with_free_link(bridge: Bridge, options: BridgeOptions) -> BridgeOptions:
-    """When both halves run here, a port of their own, so that two bridges can run side by side."""
-    if not bridge.has_halves or options.half is not Half.BOTH or options.listen:
-        return options
+def _free_local_link() -> str:
+    """An address of this machine that nobody listens on, so that two bridges can run side by side."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
-        return replace(options, listen=f"127.0.0.1:{probe.getsockname()[1]}")
+        return f"127.0.0.1:{probe.getsockname()[1]}"

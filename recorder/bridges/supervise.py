@@ -86,6 +86,7 @@ class SupervisedProgram:
         self._folder = folder
         self._up_pattern = up_pattern
         self._report: GuardReport | None = None
+        self._last_log: str | None = None
         self._stopping = False
         self._followed: dict[int, psutil.Process] = {}
         guard = Path(__file__).with_name("guard.py")
@@ -125,14 +126,16 @@ class SupervisedProgram:
         """Whether it has said that it serves; without a pattern, that it runs has to do."""
         return self._up_pattern is None or (self._folder / "up").exists()
 
-    def log_tail(self, lines: int = LAST_LINES) -> str:
-        """The last lines of all that the program wrote, at most 8 KiB."""
+    def log_tail(self) -> str:
+        """The last lines of all that the program wrote, at most 8 KiB; kept when it is stopped."""
+        if self._last_log is not None:
+            return self._last_log
         held = b""
         for name in ("log.1", "log"):
             with contextlib.suppress(FileNotFoundError):  # it never wrote that much, or they are just swapped
                 held += (self._folder / name).read_bytes()
         text = held[-LAST_LINES_BYTES:].decode(errors="replace")
-        return "\n".join(text.splitlines()[-lines:])
+        return "\n".join(text.splitlines()[-LAST_LINES:])
 
     def last_line(self) -> str:
         """The last line of its log that is not empty."""
@@ -163,6 +166,7 @@ class SupervisedProgram:
             self._guard.kill()  # the program is told by the kernel to go with it
             self._guard.wait()
         self._keep_report()
+        self._last_log = self._last_log or self.log_tail()
 
     def _pids(self) -> list[int]:
         try:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from recorder.backend import Discovery
+from recorder.bridges.bridge import Halves
 from recorder.bridges.programs import reported_version
 from recorder.bridges.zenoh_link import zenoh_environment, zenoh_link
 
@@ -34,7 +35,7 @@ class ZenohBridgeDds:
         "build it with `just install-zenoh-bridge` (needs cargo), or get zenoh-bridge-dds from "
         "https://download.eclipse.org/zenoh/zenoh-plugin-dds/latest/"
     )
-    has_halves: bool = True
+    halves: Halves = Halves.ALWAYS
     suffix: str = ".json5"
     up_pattern: str | None = None
 

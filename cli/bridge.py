@@ -1,0 +1,197 @@
+"""`dds-bridge`: run one bridge between two DDS domains alone, or show what it would run with."""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+import threading
+from enum import Enum
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from cli.errors import run_command
+from tracefile import OptionError, Qos
+
+if TYPE_CHECKING:
+    from recorder.bridges import Bridge, BridgeOptions, RunningBridge
+
+LOOK_S = 0.2
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich")
+
+
+class HalfName(str, Enum):
+    """Which half of a bridge runs here."""
+
+    PING = "ping"
+    RELAY = "relay"
+
+
+class DiscoveryName(str, Enum):
+    """How far a bridge looks for nodes."""
+
+    LOCALHOST = "localhost"
+    SUBNET = "subnet"
+
+
+class Reliability(str, Enum):
+    """QoS reliability."""
+
+    RELIABLE = "reliable"
+    BEST_EFFORT = "best_effort"
+
+
+class Durability(str, Enum):
+    """QoS durability."""
+
+    VOLATILE = "volatile"
+    TRANSIENT_LOCAL = "transient_local"
+
+
+def _option(*names: str, help: str, **more: Any) -> Any:  # noqa: A002 - typer's word
+    return typer.Option(*names, help=help, show_default=False, **more)
+
+
+@app.command(context_settings={"help_option_names": ["-h", "--help"]})
+def main_command(  # noqa: PLR0917 - the options of a command line
+    name: Annotated[
+        str | None, typer.Argument(metavar="[NAME]", help="Which bridge; see --list.", show_default=False)
+    ] = None,
+    list_them: Annotated[
+        bool, _option("--list", help="Show which bridges are there, and how to get the others.")
+    ] = False,
+    as_json: Annotated[bool, _option("--json", help="Print the --list as JSON.")] = False,
+    print_config: Annotated[
+        bool, _option("--print-config", help="Print the configuration and run nothing.")
+    ] = False,
+    from_domain: Annotated[int, _option("--from", help="Domain of the ping. [dim]Default: 5[/dim]")] = 5,
+    to_domain: Annotated[int, _option("--to", help="Domain of the relay. [dim]Default: 10[/dim]")] = 10,
+    half: Annotated[
+        HalfName | None,
+        _option("--half", help="The half that runs here, with --listen or --peer. [dim]Default: ping[/dim]"),
+    ] = None,
+    listen: Annotated[
+        str | None, _option("--listen", metavar="HOST:PORT", help="Where this half waits for the other one.")
+    ] = None,
+    peer: Annotated[
+        list[str] | None,
+        _option("--peer", metavar="HOST:PORT", help="Where the other half waits; repeatable."),
+    ] = None,
+    discovery: Annotated[
+        DiscoveryName | None,
+        _option(
+            "--discovery",
+            help="How far to look for nodes. [dim]Default: ROS_AUTOMATIC_DISCOVERY_RANGE, else subnet[/dim]",
+        ),
+    ] = None,
+    reliability: Annotated[
+        Reliability, _option("--reliability", help="As of ping and relay. [dim]Default: reliable[/dim]")
+    ] = Reliability.RELIABLE,
+    durability: Annotated[
+        Durability, _option("--durability", help="As of ping and relay. [dim]Default: volatile[/dim]")
+    ] = Durability.VOLATILE,
+    depth: Annotated[int, _option("--depth", help="Messages kept. [dim]Default: 10[/dim]")] = 10,
+) -> None:
+    """Run a bridge between the domains of a ping and a relay until Ctrl-C.
+
+    [bold]dds-record --bridge NAME[/bold] does this around a recording. A bridge of two halves runs one on each device:
+
+    [bold]dds-bridge zenoh-bridge-dds --half ping --listen 0.0.0.0:7447[/bold]
+
+    [bold]dds-bridge zenoh-bridge-dds --half relay --peer 192.168.0.5:7447[/bold]
+    """
+    from cli.record import default_discovery
+    from recorder.backend import Discovery
+    from recorder.bridges import BridgeOptions, Half, load_bridge
+
+    if list_them:
+        _list(as_json=as_json)
+        return
+    if name is None:
+        raise OptionError("name a bridge; `dds-bridge --list` shows them")
+    options = BridgeOptions(
+        from_domain,
+        to_domain,
+        qos=Qos(reliability.value, durability.value, depth=depth),
+        discovery=default_discovery() if discovery is None else Discovery(discovery.value),
+        half=Half.BOTH if half is None else Half(half.value),
+        listen=listen,
+        peers=tuple(peer or ()),
+    )
+    if print_config:
+        _print_configuration(load_bridge(name), options)
+    else:
+        _run(name, options)
+
+
+def _list(*, as_json: bool) -> None:
+    """One line for each bridge: its version if it is there, how to get it if not."""
+    from recorder.bridges import BRIDGE_MODULES, load_bridge
+
+    rows = []
+    for bridge in map(load_bridge, BRIDGE_MODULES):
+        program = bridge.find()
+        rows.append(
+            {
+                "name": bridge.name,
+                "installed": program is not None,
+                "program": None if program is None else str(program),
+                "version": None if program is None else bridge.version(program),
+                "install": bridge.install,
+            },
+        )
+    if as_json:
+        print(json.dumps(rows, indent=2))
+        return
+    width = max(len(str(row["name"])) for row in rows)
+    for row in rows:
+        state = "installed" if row["installed"] else "not installed"
+        detail = (row["version"] or row["program"]) if row["installed"] else row["install"]
+        print(f"{row['name']:<{width}}  {state:<13}  {detail}")
+
+
+def _print_configuration(bridge: Bridge, options: BridgeOptions) -> None:
+    """The text to stdout; where two processes would run, which one it is for goes to stderr."""
+    from recorder.bridges import split_halves
+
+    parts = split_halves(bridge, options)
+    for part in parts:
+        if len(parts) > 1:
+            print(f"# the {part.half.value}'s half, domain {part.sides()[0].domain_id}", file=sys.stderr)
+        print(bridge.configuration(part), end="", flush=True)
+
+
+def _run(name: str, options: BridgeOptions) -> None:
+    """Until SIGINT or SIGTERM; a program that fails shows the end of its log."""
+    from recorder.bridges import open_bridge
+
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    with open_bridge(name, options) as bridge:
+        print(f"{name} runs: {_describe(bridge)}; Ctrl-C ends it", file=sys.stderr)
+        while bridge.failure is None and not stop.wait(LOOK_S):
+            pass
+        if bridge.failure is not None:
+            print(bridge.log_tail(), file=sys.stderr)
+        bridge.check()
+
+
+def _describe(bridge: RunningBridge) -> str:
+    """`domain 5, pid 4711; domain 10, pid 4712`."""
+    parts = []
+    for part, pid in zip(bridge.parts, bridge.processes.values(), strict=True):
+        domains = " and ".join(str(side.domain_id) for side in part.sides())
+        parts.append(f"domain {domains}, pid {pid}")
+    return "; ".join(parts)
+
+
+def main() -> None:
+    """Entry point of `dds-bridge`."""
+    run_command(app)
+
+
+if __name__ == "__main__":
+    main()

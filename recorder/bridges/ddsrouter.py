@@ -1,0 +1,114 @@
+"""`ddsrouter`: eProsima's DDS Router, successor of its Integration Service for DDS; one program, or a half on each device."""
+
+from __future__ import annotations
+
+import ipaddress
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from recorder.backend import Discovery
+from recorder.bridges.bridge import Half, Halves, split_address
+from recorder.bridges.programs import reported_version
+from recorder.bridges.texts import yaml_text
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from recorder.bridges.bridge import BridgeOptions
+    from tracefile import Qos
+
+PROGRAM = "ddsrouter"
+CONFIGURATION_VERSION = "v4.0"
+"""Read by DDS Router 2 and, with a deprecation warning, 3."""
+
+
+@dataclass(frozen=True, slots=True)
+class DdsRouter:
+    """eProsima's DDS Router; see `Bridge` for the names."""
+
+    name: str = PROGRAM
+    install: str = "build it with colcon or take the docker image (https://eprosima-dds-router.readthedocs.io), and put it on the PATH"
+    halves: Halves = Halves.OPTIONAL
+    suffix: str = ".yaml"
+    up_pattern: str | None = "DDS Router running"
+
+    def configuration(self, options: BridgeOptions) -> str:
+        """YAML: the allowed topics with their quality of service, a participant for each domain, and the link."""
+        sides = options.sides()
+        names = [name for topic in options.topics for name in (topic.name, topic.reply_name)]
+        topics = [
+            {"name": f"rt/{name}", "type": _dds_type(options, name), "qos": _qos(options.qos)}
+            for name in names
+        ]
+        participants = [_local_participant(side.domain_id, options) for side in sides]
+        if options.half is not Half.BOTH:
+            participants.append(_wan_participant(options))
+        return yaml_text(
+            {
+                "version": CONFIGURATION_VERSION,
+                "allowlist": [{"name": topic["name"], "type": topic["type"]} for topic in topics],
+                "topics": topics,
+                "participants": participants,
+            },
+        )
+
+    def find(self) -> Path | None:
+        """On the PATH."""
+        found = shutil.which(PROGRAM)
+        return Path(found) if found else None
+
+    def version(self, program: Path) -> str:
+        """As `--version` says it."""
+        return reported_version(program, "--version")
+
+    def command(self, program: Path, configuration: Path, options: BridgeOptions) -> Sequence[str]:
+        """The program with its file."""
+        del options
+        return (str(program), "--config-path", str(configuration))
+
+    def environment(self, program: Path, options: BridgeOptions) -> Mapping[str, str]:
+        """Nothing; it is no ROS 2 program."""
+        del program, options
+        return {}
+
+
+BRIDGE = DdsRouter()
+
+
+def _dds_type(options: BridgeOptions, name: str) -> str:
+    return next(topic.dds_type_name for topic in options.topics if name in (topic.name, topic.reply_name))
+
+
+def _qos(qos: Qos) -> dict[str, Any]:
+    return {
+        "reliability": qos.reliability == "reliable",
+        "durability": qos.durability == "transient_local",
+        "history-depth": qos.depth,
+    }
+
+
+def _local_participant(domain_id: int, options: BridgeOptions) -> dict[str, Any]:
+    local: dict[str, Any] = {"name": f"domain_{domain_id}", "kind": "local", "domain": domain_id}
+    if options.discovery is Discovery.LOCALHOST:
+        local["whitelist-interfaces"] = ["127.0.0.1"]
+    return local
+
+
+def _wan_participant(options: BridgeOptions) -> dict[str, Any]:
+    wan: dict[str, Any] = {"name": "link", "kind": "wan"}
+    if options.listen:
+        wan["listening-addresses"] = [_address(options.listen)]
+    if options.peers:
+        wan["connection-addresses"] = [_address(peer) for peer in options.peers]
+    return wan
+
+
+def _address(text: str) -> dict[str, Any]:
+    host, port = split_address(text)
+    try:
+        ipaddress.ip_address(host)
+    except ValueError:
+        return {"domain": host, "port": port, "transport": "tcp"}
+    return {"ip": host, "port": port, "transport": "tcp"}

@@ -1,0 +1,79 @@
+"""`zenoh-bridge-ros2dds`: Eclipse zenoh's bridge for ROS 2, successor of `zenoh-bridge-dds`; one half for each domain.
+
+Its maintainers recommend it for ROS 2. Unlike its predecessor it knows ROS names and directions, so the configuration
+says for each side what may leave and what may come in.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from recorder.backend import Discovery
+from recorder.bridges.bridge import Halves
+from recorder.bridges.programs import reported_version, ros_package_program
+from recorder.bridges.zenoh_link import zenoh_environment, zenoh_link
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from recorder.bridges.bridge import BridgeOptions
+
+PROGRAM = "zenoh-bridge-ros2dds"
+
+
+@dataclass(frozen=True, slots=True)
+class ZenohBridgeRos2dds:
+    """Eclipse zenoh's bridge for ROS 2; see `Bridge` for the names."""
+
+    name: str = PROGRAM
+    install: str = (
+        "get it from https://download.eclipse.org/zenoh/zenoh-plugin-ros2dds/latest/ and put it on the PATH"
+    )
+    halves: Halves = Halves.ALWAYS
+    suffix: str = ".json5"
+    up_pattern: str | None = None
+
+    def configuration(self, options: BridgeOptions) -> str:
+        """JSON, which is JSON5: the domain, what may leave and come in, and where the halves meet."""
+        (side,) = options.sides()
+        ros2dds = {
+            "nodename": f"dds_trace_bridge_{side.domain_id}",
+            "domain": side.domain_id,
+            "ros_localhost_only": options.discovery is Discovery.LOCALHOST,
+            # A kind of interface that is not named here is not allowed at all.
+            "allow": {
+                "publishers": [f"/{name}" for name in side.takes],
+                "subscribers": [f"/{name}" for name in side.puts],
+            },
+            "reliable_routes_blocking": True,
+        }
+        return (
+            json.dumps({"plugins": {"ros2dds": ros2dds}, **zenoh_link(options, mode="router")}, indent=2)
+            + "\n"
+        )
+
+    def find(self) -> Path | None:
+        """On the PATH, else in a sourced ROS 2 installation."""
+        found = shutil.which(PROGRAM)
+        return Path(found) if found else ros_package_program("zenoh_bridge_ros2dds", "zenoh_bridge_ros2dds")
+
+    def version(self, program: Path) -> str:
+        """As `--version` says it."""
+        return reported_version(program, "--version")
+
+    def command(self, program: Path, configuration: Path, options: BridgeOptions) -> Sequence[str]:
+        """The program with its file."""
+        del options
+        return (str(program), "-c", str(configuration))
+
+    def environment(self, program: Path, options: BridgeOptions) -> Mapping[str, str]:
+        """Settings of the Cyclone DDS inside."""
+        del program
+        return zenoh_environment(options)
+
+
+BRIDGE = ZenohBridgeRos2dds()

@@ -1,0 +1,167 @@
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from recorder.bridges import BRIDGE_MODULES
+
+BRIDGE = [sys.executable, "-m", "cli.bridge"]
+
+
+def run(*arguments, **environment):
+    """The command in a process of its own, with no program on the PATH but Python."""
+    variables = {**os.environ, "PATH": "/nowhere", "XDG_DATA_HOME": "/nowhere", **environment}
+    for name in ("NDDSHOME", "AMENT_PREFIX_PATH"):
+        variables.pop(name, None)
+    return subprocess.run(
+        [*BRIDGE, *arguments], env=variables, capture_output=True, text=True, timeout=60, check=False
+    )
+
+
+def test_list_says_what_is_there_and_how_to_get_the_others():
+    lines = run("--list").stdout.splitlines()
+    assert [line.split()[0] for line in lines] == list(BRIDGE_MODULES)
+    missing = {line.split()[0]: line for line in lines if " not installed " in line}
+    assert {"zenoh-bridge-dds", "ddsrouter", "routing-service", "domain_bridge"} <= set(missing)
+    assert "just install-zenoh-bridge" in missing["zenoh-bridge-dds"]
+    assert "apt install ros-$ROS_DISTRO-domain-bridge" in missing["domain_bridge"]
+
+
+def test_list_as_json():
+    rows = json.loads(run("--list", "--json").stdout)
+    assert [row["name"] for row in rows] == list(BRIDGE_MODULES)
+    router = next(row for row in rows if row["name"] == "ddsrouter")
+    assert router["installed"] is False
+    assert router["version"] is None
+
+
+def test_a_missing_program_is_one_line_with_its_name_and_how_to_get_it():
+    ran = run("ddsrouter")
+    assert ran.returncode == 7
+    assert ran.stdout == ""
+    (line,) = ran.stderr.splitlines()
+    assert "the bridge ddsrouter is not installed; " in line
+    assert "https://eprosima-dds-router.readthedocs.io" in line
+
+
+def test_an_unknown_bridge_names_the_known_ones():
+    ran = run("zenoh")
+    assert ran.returncode == 2
+    assert "there is no bridge 'zenoh'; choose one of builtin, builtin-zenoh" in ran.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ((), "name a bridge"),
+        (("builtin", "--from", "5", "--to", "5"), "a bridge joins two domains"),
+        (("builtin", "--to", "232"), "there is no domain 232"),
+        (("builtin", "--peer", "pi1:7447"), "has no halves"),
+        (("builtin-zenoh", "--half", "relay"), "would never meet the other one"),
+        (("builtin-zenoh", "--peer", "pi1"), "write HOST:PORT"),
+    ],
+)
+def test_what_cannot_be_meant_is_one_line(arguments, said):
+    ran = run(*arguments)
+    assert ran.returncode == 2
+    assert said in ran.stderr
+    assert len(ran.stderr.splitlines()) == 1
+
+
+def test_print_config_is_the_text_alone_on_stdout():
+    ran = run("domain_bridge", "--from", "3", "--to", "4", "--depth", "2", "--print-config")
+    assert ran.returncode == 0
+    assert ran.stderr == ""
+    assert ran.stdout.startswith("name: dds_trace_bridge\ntopics:\n  binary_image:\n")
+    assert "from_domain: 3\n    to_domain: 4\n" in ran.stdout
+    assert "depth: 2\n" in ran.stdout
+
+
+def test_print_config_of_both_halves_says_on_stderr_which_is_which():
+    ran = run("zenoh-bridge-dds", "--print-config")
+    assert ran.stderr.splitlines() == ["# the ping's half, domain 5", "# the relay's half, domain 10"]
+    text, halves = ran.stdout, []
+    while text.strip():
+        half, end = json.JSONDecoder().raw_decode(text)
+        halves.append(half["plugins"]["dds"]["domain"])
+        text = text[end:].lstrip()
+    assert halves == [5, 10]
+
+
+def test_print_config_of_one_half():
+    ran = run(
+        "zenoh-bridge-dds", "--half", "relay", "--peer", "pi1:7447", "--peer", "pi2:7447", "--print-config"
+    )
+    assert ran.stderr == ""
+    half = json.loads(ran.stdout)
+    assert half["plugins"]["dds"]["domain"] == 10
+    assert half["connect"]["endpoints"] == ["tcp/pi1:7447", "tcp/pi2:7447"]
+
+
+def test_help_reads_well_in_80_columns():
+    from cli.bridge import app
+
+    result = CliRunner(env={"COLUMNS": "80", "TERMINAL_WIDTH": "80"}).invoke(app, ["--help"])
+    assert result.exit_code == 0
+    assert all(len(line) <= 80 for line in result.output.splitlines())
+    for option in ("--list", "--print-config", "--from", "--to", "--half", "--listen", "--peer"):
+        assert option in result.output
+
+
+@pytest.mark.middleware
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_runs_until_it_is_told_to_stop_and_leaves_nothing(number, domains, tmp_path):
+    import psutil
+
+    arguments = [
+        "builtin",
+        "--from",
+        str(domains.take()),
+        "--to",
+        str(domains.take()),
+        "--discovery",
+        "localhost",
+    ]
+    with subprocess.Popen(
+        [*BRIDGE, *arguments], stderr=subprocess.PIPE, text=True, env={**os.environ, "TMPDIR": str(tmp_path)}
+    ) as process:
+        line = process.stderr.readline()
+        assert line.startswith("builtin runs: domain "), line
+        assert line.endswith("Ctrl-C ends it\n")
+        children = psutil.Process(process.pid).children(recursive=True)
+        assert len(children) == 2  # the guard and the bridge
+        process.send_signal(number)
+        assert process.wait(30) == 0
+    assert not any(child.is_running() for child in children)
+    assert not list(Path(tmp_path).glob("dds-trace-bridge-*"))
+
+
+@pytest.mark.middleware
+def test_a_bridge_that_dies_ends_the_command_with_the_tail_of_its_log(domains):
+    import psutil
+
+    arguments = [
+        "builtin",
+        "--from",
+        str(domains.take()),
+        "--to",
+        str(domains.take()),
+        "--discovery",
+        "localhost",
+    ]
+    with subprocess.Popen([*BRIDGE, *arguments], stderr=subprocess.PIPE, text=True) as process:
+        process.stderr.readline()
+        guard, bridge = psutil.Process(process.pid).children(recursive=True)
+        bridge.kill()
+        said = process.stderr.read()
+        assert process.wait(30) == 9
+    assert "the bridge builtin ended with status 137" in said
+    assert "bridging domains" in said
+    assert not guard.is_running()

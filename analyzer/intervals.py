@@ -66,6 +66,13 @@ class Interval:
         return self.lower is not None and self.upper is not None
 
 
+def ranges_overlap(one: tuple[float | None, float | None], other: tuple[float | None, float | None]) -> bool:
+    """Whether two ranges (lower end, upper end) have a value in common; an end that is None excludes nothing."""
+    low = max(-math.inf if lower is None else lower for lower, _ in (one, other))
+    high = min(math.inf if upper is None else upper for _, upper in (one, other))
+    return low <= high
+
+
 def percentile_interval(values: Values, quantile: float, confidence: float = 0.95) -> Interval:
     """A quantile of a series with its confidence interval, by order statistics.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import polars as pl
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from roundtrip_frames import MS, steady
 
@@ -100,6 +100,7 @@ def test_superiority_counts_pairs():
     base=st.lists(st.integers(0, 50), min_size=1, max_size=30),
     new=st.lists(st.integers(0, 50), min_size=1, max_size=30),
 )
+@settings(deadline=None)
 def test_superiority_is_the_mean_over_all_pairs(base, new):
     pairs = [(b > n) + (b == n) / 2 for b in base for n in new]
     assert probability_of_superiority(np.array(base), np.array(new)) == pytest.approx(np.mean(pairs))

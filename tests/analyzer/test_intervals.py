@@ -97,6 +97,7 @@ def test_lost_messages_are_infinitely_late():
 
 
 @given(values=st.lists(st.integers(-(10**12), 10**12), min_size=1, max_size=60), q=st.floats(0.01, 0.99))
+@settings(deadline=None)
 def test_quantiles_are_numpys(values, q):
     ordered = np.sort(np.array(values, np.int64))
     assert quantile_of(ordered, q) == pytest.approx(float(np.quantile(ordered, q)), rel=1e-12, abs=1e-3)

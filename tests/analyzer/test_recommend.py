@@ -1,0 +1,163 @@
+"""Recommendations: the query's grammar, rankings on runs whose truth is known, guesses that say they are guesses."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import polars as pl
+import pytest
+from roundtrip_frames import MS, steady
+
+from analyzer.recommend import Fit, Job, delivered_latencies, parse_job, recommend
+from tracefile.errors import OptionError
+
+JOB = Job("binary", 33_000, 10.0, 20 * MS, 0.9)
+
+
+def noisy(centre_ns, messages=200, seed=0):
+    """Latencies within 10 % of a centre, in no order."""
+    return (centre_ns * (1 + 0.1 * np.random.default_rng(seed).uniform(-1, 1, messages))).astype(int).tolist()
+
+
+def test_the_grammar():
+    assert parse_job("data=binary size=502KB rate=20 deadline=50ms reliability=0.999") == Job(
+        "binary",
+        502_000,
+        20.0,
+        50 * MS,
+        0.999,
+    )
+    assert parse_job(
+        "domain=different reliability=99.9% deadline=0.5s rate=2.5Hz size=1KiB data=string"
+    ) == Job(
+        "string",
+        1024,
+        2.5,
+        500 * MS,
+        pytest.approx(0.999),
+        "different",
+    )
+    assert parse_job("data=imu rate=100 deadline=5ms reliability=0.9").payload_bytes == 296
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("dat=binary", "did you mean 'data'"),
+        ("data=binary data=string", "given twice"),
+        ("data=binary size", "size has no value; write size=502KB"),
+        ("data=binary size=big rate=20 deadline=50ms reliability=0.9", "size=big is not understood"),
+        ("data=binary size=1KB rate=0 deadline=50ms reliability=0.9", "rate=0 is not understood"),
+        ("data=binary size=1KB rate=20 deadline=50 reliability=0.9", "deadline=50 is not understood"),
+        ("data=binary size=1KB rate=20 deadline=50ms reliability=1", "reliability=1 is not understood"),
+        ("data=binary size=1KB rate=20 deadline=50ms reliability=0.9 domain=5", "domain=5"),
+        ("data=binary size=1KB", "rate, deadline, reliability missing; add rate=20"),
+        ("", "missing"),
+    ],
+)
+def test_errors_say_what_to_write(text, words):
+    with pytest.raises(OptionError, match=words):
+        parse_job(text)
+
+
+def test_lost_is_infinitely_late_and_a_reply_without_latency_is_left_out():
+    frame = pl.concat(
+        [steady([5 * MS, None]), steady([7 * MS]).with_columns(latency_ns=pl.lit(None, pl.Int64))]
+    )
+    assert delivered_latencies(frame).tolist() == [5 * MS, math.inf]
+
+
+def test_a_ranking_by_what_is_sure():
+    frame = pl.concat(
+        [
+            steady(noisy(10 * MS), vendor="cyclonedds"),
+            steady(noisy(15 * MS), vendor="fastdds", run_id=2),
+            steady(noisy(18 * MS), vendor="connext", run_id=3),  # up to 19.8 ms
+            steady(noisy(40 * MS), vendor="zenoh", run_id=4),
+            steady([9 * MS] * 30, vendor="socket", run_id=5),  # 36 messages are needed for p90
+        ],
+    )
+    ranking = recommend(frame, JOB)
+    assert [(c.setting["vendor"], c.fit.value) for c in ranking.candidates] == [
+        ("cyclonedds", "meets"),
+        ("fastdds", "meets"),
+        ("connext", "meets"),
+        ("socket", "inconclusive"),
+        ("zenoh", "misses"),
+    ]
+    best = ranking.candidates[0]
+    assert best.measured
+    assert best.lower_ns <= best.latency_ns <= best.upper_ns <= 11 * MS
+    assert best.margin_ns == 20 * MS - best.upper_ns
+    assert best.messages == 200
+    assert [c.setting["vendor"] for c in ranking.best] == ["cyclonedds"]
+    assert ranking.is_conclusive
+    assert ranking.candidates[3].reason == "30 messages; an interval at 0.9 takes 36"
+
+
+def test_two_that_cannot_be_told_apart_are_both_best():
+    frame = pl.concat([steady(noisy(10 * MS)), steady(noisy(10 * MS, seed=5), vendor="zenoh", run_id=2)])
+    ranking = recommend(frame, JOB)
+    assert {c.setting["vendor"] for c in ranking.best} == {"fastdds", "zenoh"}
+    assert not ranking.is_conclusive
+
+
+def test_a_deadline_inside_the_interval_is_inconclusive():
+    (candidate,) = recommend(
+        steady(noisy(10 * MS)), Job("binary", 33_000, 10.0, int(10.85 * MS), 0.9)
+    ).candidates
+    assert candidate.lower_ns < 10.85 * MS < candidate.upper_ns
+    assert candidate.fit is Fit.INCONCLUSIVE
+    assert "within the interval" in candidate.reason
+
+
+def test_losses_miss_a_deadline_that_every_latency_meets():
+    lossy = [None if i % 3 == 0 else 5 * MS for i in range(300)]
+    (candidate,) = recommend(steady(lossy), JOB).candidates
+    assert candidate.fit is Fit.MISSES
+    assert candidate.latency_ns == math.inf
+    assert candidate.margin_ns is None
+
+
+def test_settings_are_candidates_of_their_own_and_domains_can_be_chosen():
+    apart = {"domain_mode": "different", "relay_domain_id": 10, "bridge": "builtin"}
+    frame = pl.concat(
+        [
+            steady(noisy(10 * MS)),
+            steady(noisy(10 * MS), run_id=2, reliability="best_effort"),
+            steady(noisy(10 * MS), run_id=3, **apart),
+        ],
+    )
+    assert len(recommend(frame, JOB).candidates) == 3
+    (only,) = recommend(frame, Job("binary", 33_000, 10.0, 20 * MS, 0.9, "different")).candidates
+    assert only.setting["bridge"] == "builtin"
+
+
+def test_without_the_relays_trace_there_is_no_answer():
+    frame = steady([5 * MS] * 50).with_columns(latency_ns=pl.lit(None, pl.Int64))
+    (candidate,) = recommend(frame, JOB).candidates
+    assert (candidate.fit, candidate.latency_ns) == (Fit.INCONCLUSIVE, None)
+    assert "no relay trace" in candidate.reason
+
+
+def test_an_unmeasured_cell_is_a_guess_that_says_so():
+    sizes = (10_000, 20_000, 40_000, 80_000, 160_000)
+    frame = pl.concat([steady([size * 100] * 40, run_id=size, payload_bytes=size) for size in sizes])
+    (candidate,) = recommend(frame, Job("binary", 30_000, 10.0, 20 * MS, 0.9)).candidates
+    assert not candidate.measured
+    assert candidate.latency_ns == pytest.approx(3 * MS, rel=1e-3)
+    assert (candidate.messages, candidate.held_out) == (0, 3)
+    assert candidate.fit is Fit.MEETS
+    assert candidate.reason.startswith("not measured: interpolated")
+    assert recommend(frame, Job("binary", 300_000, 10.0, 20 * MS, 0.9)).candidates == ()
+
+
+def test_nothing_measured_nothing_recommended():
+    ranking = recommend(steady([]), JOB)
+    assert ranking.candidates == ranking.best == ()
+    assert not ranking.is_conclusive
+
+
+def test_all_surely_late_is_an_answer_too():
+    assert recommend(steady(noisy(40 * MS)), JOB).is_conclusive

@@ -6,15 +6,11 @@ One table for everything that must agree on them: the frames, the Parquet files,
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import polars as pl
 
 from analyzer.metrics import METRICS
 from analyzer.statistics import PERCENTILES
-
-if TYPE_CHECKING:
-    from polars.datatypes import DataTypeClass
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +18,7 @@ class Column:
     """One column of a frame; `unit` is empty where a value has none."""
 
     name: str
-    dtype: DataTypeClass
+    dtype: type[pl.DataType]
     unit: str
     meaning: str
 
@@ -117,6 +113,6 @@ SUMMARY_COLUMNS = (
 PARAMETER_NAMES = tuple(column.name for column in PARAMETER_COLUMNS)
 
 
-def schema_of(columns: tuple[Column, ...]) -> dict[str, DataTypeClass]:
+def schema_of(columns: tuple[Column, ...]) -> dict[str, type[pl.DataType]]:
     """Column name -> polars type, in order."""
     return {column.name: column.dtype for column in columns}

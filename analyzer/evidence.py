@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
-    import polars as pl
+    from collections.abc import Iterable
 
     from analyzer.exchanges import Exchange, Exchanges
     from analyzer.load import Campaign
+    from analyzer.pair import Published
     from analyzer.roundtrips import RoundTrips
     from analyzer.summarize import Grouping, Summary
     from tracefile import Session
@@ -30,18 +29,10 @@ class Evidence:
     grouping: Grouping
     summary: Summary
 
-    def rows_by_exchange(self) -> Iterator[tuple[int, Exchange, pl.DataFrame]]:
-        """Position, exchange and rows of every exchange."""
-        bounds = self.roundtrips.bounds.tolist()
-        for position, exchange in enumerate(self.roundtrips.exchanges):
-            yield position, exchange, self.roundtrips.frame[bounds[position] : bounds[position + 1]]
-
-    def exchanges_by_run(self) -> dict[int, list[Exchange]]:
-        """run_id -> its exchanges, in the order of their rows."""
-        found: dict[int, list[Exchange]] = {}
-        for exchange in self.roundtrips.exchanges:
-            found.setdefault(exchange.run.run_id, []).append(exchange)
-        return found
+    def published_by_run(self) -> dict[int, tuple[Exchange, Published]]:
+        """run_id -> one exchange of the run (all share run and T1) and the run's messages."""
+        held = zip(self.roundtrips.exchanges, self.roundtrips.published, strict=True)
+        return {exchange.run.run_id: (exchange, published) for exchange, published in held}
 
     def group_names(self) -> list[str]:
         """For each group a name that tells it from the others: `fastdds, binary 33000 B at 10 Hz, same domain`."""

@@ -39,6 +39,9 @@ class Outcome(Enum):
 
 
 OUTCOMES = tuple(Outcome)
+LOSSES = tuple(outcome.value for outcome in Outcome if outcome is not Outcome.COMPLETED)
+"""The outcomes of messages that did not come back, as the frames spell them."""
+
 _CODE = {outcome: np.uint8(code) for code, outcome in enumerate(OUTCOMES)}
 
 
@@ -51,6 +54,7 @@ class Published:
         publish_ns: int64, T1.
         scheduled_ns: int64, T0, or MISSING throughout if the run had no schedule.
         warmup_messages: messages below this sequence number are not counted.
+        messages: distinct messages with a T1, warm-up included.
         repeated: T1 events beyond the first of their message, which a sound trace never has.
     """
 
@@ -58,6 +62,7 @@ class Published:
     publish_ns: NDArray[np.int64]
     scheduled_ns: NDArray[np.int64]
     warmup_messages: int
+    messages: int
     repeated: int
 
     def __len__(self) -> int:
@@ -104,6 +109,7 @@ def published_messages(t1: EventColumns, warmup_messages: int) -> Published:
     # Two messages cannot both be planned for the boot of the device: a recorder without a schedule left zeros.
     if len(t1) > 1 and not scheduled_ns.any():
         scheduled_ns = np.full(len(t1), MISSING)
+    repeated = 0
     if not _strictly_rising(sequence):
         order = np.lexsort((scheduled_ns, publish_ns, sequence))
         sequence, publish_ns, scheduled_ns = sequence[order], publish_ns[order], scheduled_ns[order]
@@ -111,10 +117,15 @@ def published_messages(t1: EventColumns, warmup_messages: int) -> Published:
         distinct = first | _is_new(publish_ns)
         repeated = int(np.count_nonzero(distinct) - np.count_nonzero(first))
         sequence, publish_ns, scheduled_ns = sequence[first], publish_ns[first], scheduled_ns[first]
-    else:
-        repeated = 0
     counted = slice(int(np.searchsorted(sequence, np.uint64(warmup_messages))), None)
-    return Published(sequence[counted], publish_ns[counted], scheduled_ns[counted], warmup_messages, repeated)
+    return Published(
+        sequence=sequence[counted],
+        publish_ns=publish_ns[counted],
+        scheduled_ns=scheduled_ns[counted],
+        warmup_messages=warmup_messages,
+        messages=len(sequence),
+        repeated=repeated,
+    )
 
 
 def pair_messages(

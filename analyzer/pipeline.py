@@ -68,7 +68,7 @@ def analyze(
     summary = summarize_groups(roundtrips, grouping)
     timeline = draw_timeline(roundtrips, grouping.group_of_exchange)
     findings = find_findings(Evidence(campaign, exchanges, roundtrips, grouping, summary))
-    outputs = write_frames(roundtrips.frame, summary.frame, Path(out)) if out is not None else {}
+    outputs = write_frames(roundtrips, summary.frame, Path(out)) if out is not None else {}
     return Analysis(
         title=folder.resolve().name,
         sources=campaign.sources,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 import polars as pl
@@ -13,12 +13,14 @@ from analyzer.metrics import with_metrics
 from analyzer.pair import MISSING, OUTCOMES, Published, pair_messages, published_messages
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
     from analyzer.exchanges import Exchange
 
+
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 _STAMPS = ("scheduled_ns", "publish_ns", "receive_ns", "relay_in_ns", "relay_out_ns")
 
@@ -29,22 +31,29 @@ class RoundTrips:
 
     Attributes:
         frame: the columns of `columns.ROUNDTRIP_COLUMNS`; rows by exchange, then by sequence.
+        described: run_id, relay_id and the parameter columns, one row per exchange.
         exchanges: in the order of their rows.
+        outcome: uint8, for each row the position of its outcome in `pair.OUTCOMES`.
         bounds: int64, exchange i has the rows `bounds[i]` to `bounds[i + 1]` (not included).
-        repeated: int64, T1 events of each exchange's run beyond the first of their message.
+        published: the counted messages of each exchange's run.
         orphans: int64, T2, T3 and T4 events of each exchange whose message has no T1.
     """
 
     frame: pl.DataFrame
+    described: pl.DataFrame
     exchanges: tuple[Exchange, ...]
+    outcome: NDArray[np.uint8]
     bounds: NDArray[np.int64]
-    repeated: NDArray[np.int64]
+    published: tuple[Published, ...]
     orphans: NDArray[np.int64]
 
-    def exchange_of_row(self) -> pl.Series:
-        """u32, for each row the position of its exchange."""
-        lengths = np.diff(self.bounds)
-        return pl.Series("exchange", np.repeat(np.arange(len(lengths), dtype=np.uint32), lengths))
+    def per_row(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
+        """A value of each exchange, repeated for each of its rows."""
+        return np.repeat(values, np.diff(self.bounds))
+
+    def exchange_of_row(self) -> NDArray[np.uint32]:
+        """For each row the position of its exchange."""
+        return self.per_row(np.arange(len(self.exchanges), dtype=np.uint32))
 
 
 def pair_exchanges(exchanges: Sequence[Exchange]) -> RoundTrips:
@@ -75,9 +84,14 @@ def pair_exchanges(exchanges: Sequence[Exchange]) -> RoundTrips:
         reordered[here] = paired.reordered
         orphans[position] = paired.orphans
 
+    described = pl.DataFrame(
+        [(e.run.run_id, e.relay_id, *e.parameters()) for e in exchanges],
+        schema=schema_of((*KEY_COLUMNS[:2], *PARAMETER_COLUMNS)),
+        orient="row",
+    )
     frame = with_metrics(
-        _described_rows(exchanges, bounds).with_columns(
-            pl.Series("sequence", sequence),
+        pl.DataFrame({"sequence": sequence}).with_columns(
+            *_repeated(described, np.diff(bounds)),
             *(_null_where_missing(name, values) for name, values in stamps.items()),
             _outcome_names(outcome),
             pl.Series("duplicates", duplicates),
@@ -86,9 +100,11 @@ def pair_exchanges(exchanges: Sequence[Exchange]) -> RoundTrips:
     )
     return RoundTrips(
         frame=frame.select(column.name for column in ROUNDTRIP_COLUMNS),
+        described=described,
         exchanges=tuple(exchanges),
+        outcome=outcome,
         bounds=bounds,
-        repeated=np.array([p.repeated for p in counted], np.int64),
+        published=tuple(counted),
         orphans=orphans,
     )
 
@@ -103,14 +119,14 @@ def _published_by_run(exchanges: Sequence[Exchange]) -> dict[int, Published]:
     return published
 
 
-def _described_rows(exchanges: Sequence[Exchange], bounds: NDArray[np.int64]) -> pl.DataFrame:
-    """run_id, relay_id and the parameter columns, repeated for every row of their exchange."""
-    described = pl.DataFrame(
-        [(e.run.run_id, e.relay_id, *e.parameters()) for e in exchanges],
-        schema=schema_of((*KEY_COLUMNS[:2], *PARAMETER_COLUMNS)),
-        orient="row",
-    )
-    return described[np.repeat(np.arange(len(exchanges), dtype=np.uint32), np.diff(bounds))]
+def _repeated(described: pl.DataFrame, counts: NDArray[np.int64]) -> Iterator[pl.Series | pl.Expr]:
+    """Each column of `described` with every value repeated; one that is the same throughout takes no memory."""
+    exchange = pl.Series(np.repeat(np.arange(described.height, dtype=np.uint32), counts))
+    for column in described.iter_columns():
+        if column.n_unique() == 1:
+            yield pl.lit(column[0], column.dtype).alias(column.name)
+        else:
+            yield column.gather(exchange)
 
 
 def _null_where_missing(name: str, values: NDArray[np.int64]) -> pl.Series:

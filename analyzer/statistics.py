@@ -40,7 +40,7 @@ def summarize_values(values_ns: NDArray[np.int64]) -> dict[str, float | None]:
     Hyndman and Fan's definition 7). The standard deviation is the sample's (n - 1).
 
     Args:
-        values_ns: the metric's values, in any order.
+        values_ns: the metric's values, rising.
 
     Returns:
         Statistic (`mean`, `std`, `min`, `p50` ... `max`) -> value in ns.
@@ -50,18 +50,17 @@ def summarize_values(values_ns: NDArray[np.int64]) -> dict[str, float | None]:
     found: dict[str, float | None] = {"mean": None, "std": None, "min": None, "max": None}
     found |= {p.name: None for p in PERCENTILES}
     if n:
-        ordered = np.sort(values_ns)
-        found |= {"mean": float(ordered.mean()), "min": float(ordered[0]), "max": float(ordered[-1])}
-        found |= {p.name: _percentile(ordered, p.quantile) for p in supported}
+        found |= {"mean": float(values_ns.mean()), "min": float(values_ns[0]), "max": float(values_ns[-1])}
+        found |= {p.name: _percentile(values_ns, p.quantile) for p in supported}
     if n > 1:
         found["std"] = float(values_ns.std(ddof=1))
     return found
 
 
-def _percentile(ordered: NDArray[np.int64], quantile: float) -> float:
-    position = quantile * (len(ordered) - 1)
+def _percentile(ordered_ns: NDArray[np.int64], quantile: float) -> float:
+    position = quantile * (len(ordered_ns) - 1)
     below = int(position)
-    low, high = int(ordered[below]), int(ordered[min(below + 1, len(ordered) - 1)])
+    low, high = int(ordered_ns[below]), int(ordered_ns[min(below + 1, len(ordered_ns) - 1)])
     return low + (high - low) * (position - below)
 
 
@@ -89,14 +88,14 @@ class Histogram:
 
 
 def histogram_of(values_ns: NDArray[np.int64]) -> Histogram:
-    """The histogram of `values_ns`; values below zero (a clock fault) mirror those above."""
-    below = _positive_histogram(-values_ns[values_ns < 0])
-    above = _positive_histogram(values_ns[values_ns > 0])
-    zeros = int(len(values_ns) - below.count.sum() - above.count.sum())
-    middle = np.zeros(1 if zeros else 0)
+    """The histogram of rising values; those below zero (a clock fault) mirror those above."""
+    zero, positive = np.searchsorted(values_ns, [0, 1]).tolist()
+    below = _positive_histogram(-values_ns[:zero])
+    above = _positive_histogram(values_ns[positive:])
+    zeros = [positive - zero] if positive > zero else []
     return Histogram(
-        np.concatenate([-below.value_ns[::-1], middle, above.value_ns]),
-        np.concatenate([below.count[::-1], np.full(len(middle), zeros, np.uint64), above.count]),
+        np.concatenate([-below.value_ns[::-1], np.zeros(len(zeros)), above.value_ns]),
+        np.concatenate([below.count[::-1], np.array(zeros, np.uint64), above.count]),
     )
 
 

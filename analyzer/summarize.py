@@ -10,8 +10,8 @@ import polars as pl
 
 from analyzer.columns import PARAMETER_COLUMNS, STATISTICS, SUMMARY_COLUMNS, schema_of
 from analyzer.metrics import METRICS
-from analyzer.pair import Outcome
-from analyzer.statistics import histogram_of, summarize_values
+from analyzer.pair import LOSSES, Outcome
+from analyzer.statistics import Histogram, histogram_of, summarize_values
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -53,11 +53,13 @@ class Summary:
         frame: the columns of `columns.SUMMARY_COLUMNS`; row i is group i.
         distributions: `group` u32, `metric` str, `value_ns` f64, `count` u64.
         samples: metric -> int64, values of each group that are not null.
+        of_exchange: counts and spans of every exchange, see `count_exchanges`.
     """
 
     frame: pl.DataFrame
     distributions: pl.DataFrame
     samples: dict[str, NDArray[np.int64]]
+    of_exchange: pl.DataFrame
 
 
 def group_exchanges(exchanges: Sequence[Exchange]) -> Grouping:
@@ -73,27 +75,27 @@ def group_exchanges(exchanges: Sequence[Exchange]) -> Grouping:
 
 def summarize_groups(roundtrips: RoundTrips, grouping: Grouping) -> Summary:
     """Counts, rates, statistics and histograms of every group."""
-    groups = grouping.parameters.height
     statistics: dict[str, list[float | None]] = {
         f"{metric}_{statistic}_ns": [] for metric in METRICS for statistic in STATISTICS
     }
-    samples = {metric: np.zeros(groups, np.int64) for metric in METRICS}
-    distributions = [pl.DataFrame(schema=_DISTRIBUTION_SCHEMA)]
+    samples = {metric: np.zeros(grouping.parameters.height, np.int64) for metric in METRICS}
+    histograms: list[tuple[int, str, Histogram]] = []
     for group, members in enumerate(grouping.members()):
         for metric in METRICS:
-            values_ns = _values(roundtrips, f"{metric}_ns", members)
+            values_ns = np.sort(_values(roundtrips, f"{metric}_ns", members))
             samples[metric][group] = len(values_ns)
+            histograms.append((group, metric, histogram_of(values_ns)))
             for statistic, value in summarize_values(values_ns).items():
                 statistics[f"{metric}_{statistic}_ns"].append(value)
-            distributions.append(_distribution(group, metric, values_ns))
     measured = pl.DataFrame(statistics, schema=dict.fromkeys(statistics, pl.Float64))
-    frame = pl.concat(
-        [grouping.parameters, _counts_and_rates(roundtrips, grouping), measured], how="horizontal"
-    )
+    of_exchange = count_exchanges(roundtrips)
+    counts = _counts_and_rates(of_exchange, roundtrips, grouping)
+    frame = pl.concat([grouping.parameters, counts, measured], how="horizontal")
     return Summary(
-        frame.select(pl.col(column.name).cast(column.dtype) for column in SUMMARY_COLUMNS),
-        pl.concat(distributions),
-        samples,
+        frame=frame.select(pl.col(column.name).cast(column.dtype) for column in SUMMARY_COLUMNS),
+        distributions=_distributions(histograms),
+        samples=samples,
+        of_exchange=of_exchange,
     )
 
 
@@ -107,58 +109,74 @@ def _values(roundtrips: RoundTrips, column: str, members: Iterable[int]) -> NDAr
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
-_DISTRIBUTION_SCHEMA = {"group": pl.UInt32, "metric": pl.String, "value_ns": pl.Float64, "count": pl.UInt64}
-
-
-def _distribution(group: int, metric: str, values_ns: NDArray[np.int64]) -> pl.DataFrame:
-    histogram = histogram_of(values_ns)
-    return pl.DataFrame({"value_ns": histogram.value_ns, "count": histogram.count}).select(
-        pl.lit(group, pl.UInt32).alias("group"), pl.lit(metric).alias("metric"), "value_ns", "count"
+def _distributions(histograms: list[tuple[int, str, Histogram]]) -> pl.DataFrame:
+    lengths = [len(histogram.value_ns) for _, _, histogram in histograms]
+    position = np.repeat(np.arange(len(histograms), dtype=np.uint32), lengths)
+    return pl.DataFrame(
+        {
+            "group": pl.Series([group for group, _, _ in histograms], dtype=pl.UInt32).gather(position),
+            "metric": pl.Series([metric for _, metric, _ in histograms], dtype=pl.String).gather(position),
+            "value_ns": np.concatenate([np.empty(0), *(h.value_ns for _, _, h in histograms)]),
+            "count": np.concatenate([np.empty(0, np.uint64), *(h.count for _, _, h in histograms)]),
+        }
     )
 
 
-def _counts_and_rates(roundtrips: RoundTrips, grouping: Grouping) -> pl.DataFrame:
-    """The columns of `columns.COUNT_COLUMNS`, one row per group."""
-    publish, receive = pl.col("publish_ns"), pl.col("receive_ns")
-    relay_in, relay_out = pl.col("relay_in_ns"), pl.col("relay_out_ns")
+def count_exchanges(roundtrips: RoundTrips) -> pl.DataFrame:
+    """One row per exchange, in their order: everything that is a count or a span of its rows.
+
+    Returns:
+        `exchange` u32; `published`, `received`, `lost_*`, `duplicates`, `reordered`: as in the summary;
+        `relay_gaps`: replies without T3 or T4; `unscheduled`: messages without T0; `negative_rtt`,
+        `negative_intermediate`, `negative_latency`: times below zero; `publish_span_ns`, `relay_span_ns`,
+        `reply_span_ns`: first to last T1, first T3 to last T4, first to last T2, null without two ends;
+        `relayed`, `replied`: messages with T3, with T2. All null for an exchange without rows.
+    """
+    t0, t1, t2 = pl.col("scheduled_ns"), pl.col("publish_ns"), pl.col("receive_ns")
+    t3, t4 = pl.col("relay_in_ns"), pl.col("relay_out_ns")
     outcome = pl.col("outcome")
-    payload = pl.col("payload_bytes").cast(pl.Int64)
-    of_exchange = (
+    found = (
         roundtrips.frame.lazy()
-        .with_columns(roundtrips.exchange_of_row())
+        .with_columns(pl.Series("exchange", roundtrips.exchange_of_row()))
         .group_by("exchange")
         .agg(
             pl.len().alias("published"),
             (outcome == Outcome.COMPLETED.value).sum().alias("received"),
-            *((outcome == o.value).sum().alias(o.value) for o in Outcome if o is not Outcome.COMPLETED),
+            *((outcome == loss).sum().alias(loss) for loss in LOSSES),
             pl.col("duplicates").cast(pl.UInt64).sum(),
             pl.col("reordered").sum(),
-            (pl.len() - 1).alias("intervals"),
-            (publish.max() - publish.min()).alias("publish_span_ns"),
-            (payload * relay_in.is_not_null()).sum().alias("relayed_bytes"),
-            (relay_out.max() - relay_in.min()).alias("relay_span_ns"),
-            (payload * receive.is_not_null()).sum().alias("replied_bytes"),
-            (receive.max() - receive.min()).alias("reply_span_ns"),
+            (t2.is_not_null() & (t3.is_null() | t4.is_null())).sum().alias("relay_gaps"),
+            t0.is_null().sum().alias("unscheduled"),
+            *(
+                (pl.col(f"{m}_ns") < 0).sum().alias(f"negative_{m}")
+                for m in ("rtt", "intermediate", "latency")
+            ),
+            (t1.max() - t1.min()).alias("publish_span_ns"),
+            (t4.max() - t3.min()).alias("relay_span_ns"),
+            (t2.max() - t2.min()).alias("reply_span_ns"),
+            t3.count().alias("relayed"),
+            t2.count().alias("replied"),
         )
     )
-    recorded = pl.col("relay_recorded")
+    exchanges = pl.LazyFrame({"exchange": np.arange(len(roundtrips.exchanges), dtype=np.uint32)})
+    return exchanges.join(found, on="exchange", how="left").sort("exchange").collect()
+
+
+def _counts_and_rates(of_exchange: pl.DataFrame, roundtrips: RoundTrips, grouping: Grouping) -> pl.DataFrame:
+    """The columns of `columns.COUNT_COLUMNS`, one row per group."""
+    recorded = pl.Series([exchange.relay_recorded for exchange in roundtrips.exchanges], dtype=pl.Boolean)
+    moved = pl.when(recorded).then("relayed").otherwise("replied")
     return (
-        pl.LazyFrame(
-            {
-                "exchange": np.arange(len(roundtrips.exchanges), dtype=np.uint32),
-                "group": grouping.group_of_exchange,
-                "relay_recorded": [exchange.relay_recorded for exchange in roundtrips.exchanges],
-            }
-        )
-        .join(of_exchange, on="exchange", how="left")
+        of_exchange.lazy()
         .with_columns(
-            pl.when(recorded).then("relayed_bytes").otherwise("replied_bytes").alias("moved_bytes"),
+            pl.Series("group", grouping.group_of_exchange),
+            (pl.col("published") - 1).alias("intervals"),
+            (moved * roundtrips.described["payload_bytes"].cast(pl.Int64)).alias("moved_bytes"),
             pl.when(recorded).then("relay_span_ns").otherwise("reply_span_ns").alias("moved_span_ns"),
         )
         .group_by("group")
         .agg(
-            pl.col("published", "received", "duplicates", "reordered").sum(),
-            pl.col(*(o.value for o in Outcome if o is not Outcome.COMPLETED)).sum(),
+            pl.col("published", "received", *LOSSES, "duplicates", "reordered").sum(),
             _per_second("intervals", "publish_span_ns").alias("achieved_rate_hz"),
             _per_second("moved_bytes", "moved_span_ns").alias("transfer_rate_bytes_per_s"),
         )

@@ -36,30 +36,22 @@ def draw_timeline(roundtrips: RoundTrips, group_of_exchange: NDArray[np.uint32])
     """Rows of `roundtrips` worth drawing.
 
     An exchange with more rows than its share of points is cut into stretches of equal length. Each keeps
-    its lowest and its highest round trip and the first message of every kind of loss in it: a curve drawn
-    through these covers what a curve through all rows would cover.
+    its lowest and its highest latency (round trip time, where the relay's trace is missing) and the first
+    message of every kind of loss in it: a curve through these covers what a curve through all rows would.
 
     Returns:
         Columns `group` u32, `run_id` u64, `relay_id` u32, `sequence` u64, `elapsed_s` f64 (T0, or T1 where
         there was no schedule, since that of the run's first counted message), `latency_ns` i64 null,
         `rtt_ns` i64 null, `outcome` str.
     """
-    exchanges = len(roundtrips.exchanges)
-    low, high = _POINTS_OF_EXCHANGE
-    share = min(max(_ALL_POINTS // max(exchanges, 1), low), high)
-    kept = [
-        int(first) + _worth_drawing(roundtrips.frame[int(first) : int(after)], share)
-        for first, after in zip(roundtrips.bounds[:-1], roundtrips.bounds[1:], strict=True)
-    ]
-    rows = np.concatenate([np.empty(0, np.int64), *kept])
-    counts = [len(of_exchange) for of_exchange in kept]
-    drawn = roundtrips.frame[rows].with_columns(
-        pl.Series("group", np.repeat(group_of_exchange, counts)),
-        pl.Series("_exchange", np.repeat(np.arange(exchanges), counts)),
-        pl.coalesce("scheduled_ns", "publish_ns").alias("_planned_ns"),
+    kept = _worth_drawing(roundtrips)
+    drawn = roundtrips.frame[kept].with_columns(
+        pl.Series("group", roundtrips.per_row(group_of_exchange)[kept]),
+        pl.Series("exchange", roundtrips.exchange_of_row()[kept]),
     )
-    # The first counted message of a run is always among the rows kept.
-    elapsed_ns = pl.col("_planned_ns") - pl.col("_planned_ns").first().over("_exchange")
+    planned_ns = pl.coalesce("scheduled_ns", "publish_ns")
+    # The first counted message of an exchange is always among the rows kept.
+    elapsed_ns = planned_ns - planned_ns.first().over("exchange")
     frame = drawn.select(
         "group",
         "run_id",
@@ -73,30 +65,45 @@ def draw_timeline(roundtrips: RoundTrips, group_of_exchange: NDArray[np.uint32])
     return Timeline(frame, decimated=frame.height < roundtrips.frame.height)
 
 
-def _worth_drawing(rows: pl.DataFrame, share: int) -> NDArray[np.int64]:
-    """Positions in `rows` to keep, rising; all of them if there are no more than `share`."""
-    n = rows.height
-    if n <= share:
-        return np.arange(n)
-    position = pl.int_range(pl.len(), dtype=pl.Int64)
-    numbered = rows.lazy().select(
-        position.alias("position"),
-        (position * (share // _KEPT_PER_STRETCH) // n).alias("stretch"),
-        pl.col("rtt_ns" if rows["latency_ns"].null_count() == n else "latency_ns").alias("drawn_ns"),
+def _worth_drawing(roundtrips: RoundTrips) -> NDArray[np.int64]:
+    """Rows to keep, rising."""
+    rows, first = np.diff(roundtrips.bounds), roundtrips.bounds[:-1]
+    low, high = _POINTS_OF_EXCHANGE
+    share = min(max(_ALL_POINTS // max(len(rows), 1), low), high)
+    if (rows <= share).all():
+        return np.arange(roundtrips.frame.height)
+
+    # Stretches are numbered throughout; in an exchange with few rows every row is one.
+    stretches = np.where(rows <= share, rows, share // _KEPT_PER_STRETCH)
+    offset = np.cumsum(stretches) - stretches
+    position = np.arange(roundtrips.frame.height) - roundtrips.per_row(first)
+    stretch = roundtrips.per_row(offset) + position * roundtrips.per_row(stretches) // roundtrips.per_row(
+        rows
+    )
+    recorded = np.array([exchange.relay_recorded for exchange in roundtrips.exchanges])
+    numbered = roundtrips.frame.lazy().select(
+        pl.int_range(pl.len(), dtype=pl.Int64).alias("row"),
+        pl.lit(pl.Series(stretch)).alias("stretch"),
+        pl.when(pl.lit(pl.Series(roundtrips.per_row(recorded))))
+        .then("latency_ns")
+        .otherwise("rtt_ns")
+        .alias("drawn_ns"),
         "outcome",
     )
     extremes = (
         numbered.drop_nulls("drawn_ns")
         .group_by("stretch")
         .agg(
-            pl.col("position").get(pl.col("drawn_ns").arg_min()).alias("lowest"),
-            pl.col("position").get(pl.col("drawn_ns").arg_max()).alias("highest"),
+            pl.col("row").get(pl.col("drawn_ns").arg_min()).alias("lowest"),
+            pl.col("row").get(pl.col("drawn_ns").arg_max()).alias("highest"),
         )
-    ).collect()
+        .collect()
+    )
     losses = (
         numbered.filter(pl.col("outcome") != Outcome.COMPLETED.value)
         .group_by("stretch", "outcome")
-        .agg(pl.col("position").min())
-    ).collect()
-    kept = [np.zeros(1, np.int64), *(extremes[name].to_numpy() for name in ("lowest", "highest"))]
-    return np.unique(np.concatenate([*kept, losses["position"].to_numpy()]))
+        .agg(pl.col("row").min())
+        .collect()
+    )
+    kept = (first[rows > 0], extremes["lowest"], extremes["highest"], losses["row"])
+    return np.unique(np.concatenate([np.asarray(found) for found in kept]))

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections import defaultdict
 from typing import TYPE_CHECKING
 
-import polars as pl
-
 from analyzer.analysis import Finding, Severity
 from analyzer.evidence import exchange_name, percent, some
 from analyzer.metrics import METRICS
-from analyzer.pair import Outcome
+from analyzer.pair import LOSSES
 from analyzer.statistics import PERCENTILES
 
 if TYPE_CHECKING:
@@ -19,14 +17,12 @@ if TYPE_CHECKING:
     from analyzer.evidence import Evidence
     from analyzer.statistics import Percentile
 
-_LOSSES = tuple(outcome.value for outcome in Outcome if outcome is not Outcome.COMPLETED)
-
 
 def losses(evidence: Evidence) -> Iterator[Finding]:
     """Groups that lost messages."""
     for name, row in zip(evidence.group_names(), evidence.summary.frame.iter_rows(named=True), strict=True):
         published, received = row["published"], row["received"]
-        lost = ", ".join(f"{row[outcome]} {outcome}" for outcome in _LOSSES if row[outcome])
+        lost = ", ".join(f"{row[outcome]} {outcome}" for outcome in LOSSES if row[outcome])
         if published and not received:
             yield Finding(
                 Severity.ERROR,
@@ -89,18 +85,15 @@ def reordering(evidence: Evidence) -> Iterator[Finding]:
 
 def impossible_times(evidence: Evidence) -> Iterator[Finding]:
     """Times below zero: a clock stepped, or stamps do not belong together."""
-    below_zero = [
-        (pl.col(f"{metric}_ns") < 0).sum().alias(metric) for metric in METRICS if metric != "response"
-    ]
-    for _, exchange, rows in evidence.rows_by_exchange():
-        found = {metric: n for metric, n in rows.select(below_zero).row(0, named=True).items() if n}
+    counts = evidence.summary.of_exchange.select("negative_rtt", "negative_intermediate", "negative_latency")
+    for exchange, row in zip(evidence.roundtrips.exchanges, counts.iter_rows(named=True), strict=True):
+        found = [f"{name.removeprefix('negative_')} of {n} messages" for name, n in row.items() if n]
         if found:
-            counts = ", ".join(f"{metric} of {n} messages" for metric, n in found.items())
             yield Finding(
                 Severity.ERROR,
                 "negative_times",
                 exchange_name(exchange),
-                f"Below zero: {counts}. They are in the statistics as computed.",
+                f"Below zero: {', '.join(found)}. They are in the statistics as computed.",
                 "Do not use these numbers: check that stamps are CLOCK_MONOTONIC of one device each, and that no "
                 "two relays share a relay_id.",
             )

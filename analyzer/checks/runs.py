@@ -6,12 +6,8 @@ from collections import defaultdict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-import polars as pl
-
 from analyzer.analysis import Finding, Severity
 from analyzer.evidence import exchange_name, percent, some
-from analyzer.pair import Outcome
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -81,8 +77,8 @@ def unplaced_events(evidence: Evidence) -> Iterator[Finding]:
 
 def unfinished_runs(evidence: Evidence) -> Iterator[Finding]:
     """Runs that were cut short, and runs of which publications were not kept."""
-    for run_id, exchanges in evidence.exchanges_by_run().items():
-        run, kept = exchanges[0].run, len(np.unique(exchanges[0].t1.sequence))
+    for run_id, (exchange, published) in evidence.published_by_run().items():
+        run, kept = exchange.run, published.messages
         if run.state != "finished":
             yield Finding(
                 Severity.WARNING,
@@ -112,16 +108,15 @@ def unfinished_runs(evidence: Evidence) -> Iterator[Finding]:
 
 def repeated_publications(evidence: Evidence) -> Iterator[Finding]:
     """T1 events that a message has too many."""
-    repeated = evidence.roundtrips.repeated.tolist()
-    counts = {e.run.run_id: n for e, n in zip(evidence.roundtrips.exchanges, repeated, strict=True) if n}
-    for run_id, count in counts.items():
-        yield Finding(
-            Severity.ERROR,
-            "repeated_publications",
-            evidence.run_name(run_id),
-            f"{count} messages were published more than once under one sequence number; the first counts.",
-            "Each run needs its own random run_id, and each message its own sequence number.",
-        )
+    for run_id, (_, published) in evidence.published_by_run().items():
+        if published.repeated:
+            yield Finding(
+                Severity.ERROR,
+                "repeated_publications",
+                evidence.run_name(run_id),
+                f"{published.repeated} T1 events repeat the sequence number of another; the first one counts.",
+                "Each run needs its own random run_id, and each message its own sequence number.",
+            )
 
 
 def orphan_events(evidence: Evidence) -> Iterator[Finding]:
@@ -141,10 +136,11 @@ def orphan_events(evidence: Evidence) -> Iterator[Finding]:
 
 def missing_schedule(evidence: Evidence) -> Iterator[Finding]:
     """Runs whose T1 carry no T0."""
+    counts = evidence.summary.of_exchange.select("published", "unscheduled").iter_rows()
     unscheduled = {
         exchange.run.run_id
-        for _, exchange, rows in evidence.rows_by_exchange()
-        if rows.height and rows["scheduled_ns"].null_count() == rows.height
+        for exchange, (published, without) in zip(evidence.roundtrips.exchanges, counts, strict=True)
+        if published and without == published
     }
     if unscheduled:
         yield Finding(
@@ -198,21 +194,17 @@ def relays_without_trace(evidence: Evidence) -> Iterator[Finding]:
 
 def gaps_of_relays(evidence: Evidence) -> Iterator[Finding]:
     """Messages that came back through a relay whose trace does not know them: then its losses are doubtful, too."""
-    unseen = pl.col("relay_in_ns").is_null() | pl.col("relay_out_ns").is_null()
-    for _, exchange, rows in evidence.rows_by_exchange():
-        if exchange.relay_recorded:
-            replied = rows.filter(pl.col("outcome") == Outcome.COMPLETED.value)
-            gaps = replied.select(unseen.sum()).item()
-            if gaps:
-                yield Finding(
-                    Severity.WARNING,
-                    "relay_trace_gaps",
-                    exchange_name(exchange),
-                    f"{gaps} of {replied.height} messages ({percent(gaps, replied.height)}) came back, but the "
-                    "relay's trace lacks their T3 or T4: their latency is null, and lost_outbound may count "
-                    "messages that did arrive.",
-                    "Use the whole trace of the relay.",
-                )
+    counts = evidence.summary.of_exchange.select("relay_gaps", "received").iter_rows()
+    for exchange, (gaps, received) in zip(evidence.roundtrips.exchanges, counts, strict=True):
+        if exchange.relay_recorded and gaps:
+            yield Finding(
+                Severity.WARNING,
+                "relay_trace_gaps",
+                exchange_name(exchange),
+                f"{gaps} of {received} messages ({percent(gaps, received)}) came back, but the relay's trace "
+                "lacks their T3 or T4: their latency is null, and lost_outbound may count messages that did arrive.",
+                "Use the whole trace of the relay.",
+            )
 
 
 def unlike_domains(evidence: Evidence) -> Iterator[Finding]:
@@ -231,8 +223,8 @@ def unlike_domains(evidence: Evidence) -> Iterator[Finding]:
 
 def unlike_payloads(evidence: Evidence) -> Iterator[Finding]:
     """Runs whose messages are not as long as the run says."""
-    for run_id, exchanges in evidence.exchanges_by_run().items():
-        described, sent = exchanges[0].run.payload_bytes, exchanges[0].t1.payload_bytes
+    for run_id, (exchange, _) in evidence.published_by_run().items():
+        described, sent = exchange.run.payload_bytes, exchange.t1.payload_bytes
         low, high = int(sent.min()), int(sent.max())
         if (low, high) != (described, described):
             yield Finding(

@@ -131,7 +131,8 @@ class Ring:
     def close(self, *, delete: bool) -> None:
         """Unmap the ring; nothing may be packed any more. `delete` once every event is in the trace."""
         self.slots = self.slots[:0].copy()
-        self.memory.close()
+        with suppress(BufferError):  # the traceback of a failed write may still hold an array of slots
+            self.memory.close()
         if delete:
             self.path.unlink(missing_ok=True)
         os.close(self._descriptor)

@@ -92,8 +92,7 @@ class TraceWriter:
         self._compressor = zstandard.ZstdCompressor(level=ZSTD_LEVEL)
         self._builder = EventChunkBuilder(session.wall_ns(0), MAX_CHUNK_EVENTS)
         self._channels: dict[str, Channel] = {}
-        self._declared: set[int] = set()  # channel ids that are in the file, and the schemas with them
-        self._counts: dict[int, int] = {}
+        self._counts: dict[int, int] = {}  # messages in the file, by channel id
         self._chunks: list[ChunkIndex] = []
         self._last_ns = 0
         self._end = 0
@@ -127,8 +126,7 @@ class TraceWriter:
         """The topics that have messages."""
         return [
             TopicCount(c.topic, _schema_of(c).name, c.metadata["topic_type_hash"], self._counts[c.id])
-            for c in self._channels.values()
-            if c.id in self._counts
+            for c in self._used_channels()
         ]
 
     @property
@@ -139,9 +137,8 @@ class TraceWriter:
     def write_events(self, slots: Slots) -> None:
         """Append a chunk of events (one to `MAX_CHUNK_EVENTS`) in the order of `slots`."""
         by_channel = positions_by_channel(slots)
-        used = [self._channels[EVENT_TOPICS[number - 1]] for number in by_channel]
-        chunk = self._builder.build(slots, by_channel, self._declare(used), self._counts, self._last_ns)
-        self._write_chunk(chunk, used)
+        declarations = _declarations([self._channels[EVENT_TOPICS[number - 1]] for number in by_channel])
+        self._write_chunk(self._builder.build(slots, by_channel, declarations, self._counts, self._last_ns))
 
     def write_text(self, topic: str, text: str, time_ns: int) -> None:
         """Append a chunk with one `std_msgs/msg/String`, so that it is not lost with what comes later.
@@ -161,15 +158,15 @@ class TraceWriter:
             sequence=self._counts.get(channel.id, 0),
             data=CDR_HEADER + struct.pack("<I", len(data)) + data,
         )
-        declarations = self._declare([channel])
+        declarations = _declarations([channel])
         content = memoryview(declarations + _record(message))
         index = np.array([[log_time, len(declarations)]], np.uint64)
-        self._write_chunk(Chunk(content, log_time, log_time, {channel.id: index}), [channel])
+        self._write_chunk(Chunk(content, log_time, log_time, {channel.id: index}))
 
     def finish(self) -> None:
         """Close the data section, write summary and footer, close the file."""
         summary_start = self._end + len(_record(DataEnd(0)))
-        channels = [channel for channel in self._channels.values() if channel.id in self._declared]
+        channels = self._used_channels()
         schemas = {channel.schema_id: _schema_of(channel) for channel in channels}
         start_ns, end_ns = self.time_range_ns
         statistics = Statistics(
@@ -216,14 +213,10 @@ class TraceWriter:
             )
         return self._channels[topic]
 
-    def _declare(self, channels: Sequence[Channel]) -> bytes:
-        """Records of those channels, and their schemas, that the file does not have yet."""
-        known = {c.schema_id for c in self._channels.values() if c.id in self._declared}
-        fresh = [channel for channel in channels if channel.id not in self._declared]
-        schemas = {c.schema_id: _schema_of(c) for c in fresh if c.schema_id not in known}
-        return b"".join(map(_record, [*schemas.values(), *fresh]))
+    def _used_channels(self) -> list[Channel]:
+        return [channel for channel in self._channels.values() if channel.id in self._counts]
 
-    def _write_chunk(self, chunk: Chunk, channels: Sequence[Channel]) -> None:
+    def _write_chunk(self, chunk: Chunk) -> None:
         """Append the chunk and its message indexes; only then is it part of what `self` knows of the file."""
         compressed = self._compressor.compress(chunk.content)
         size = len(chunk.content)
@@ -258,7 +251,6 @@ class TraceWriter:
         )
         self._append(parts)
         self._chunks.append(description)
-        self._declared.update(channel.id for channel in channels)
         for channel_id, entries in chunk.index.items():
             self._counts[channel_id] = self._counts.get(channel_id, 0) + len(entries)
         self._last_ns = chunk.end_ns
@@ -301,6 +293,15 @@ def output_error(path: Path, err: OSError) -> OutputError:
     """What a failed write means for the user, from the system's error number."""
     advice = _ADVICE.get(err.errno or 0, f"{err.strerror}; check the disk")
     return OutputError(f"{path}: cannot write the trace: {advice}")
+
+
+def _declarations(channels: Sequence[Channel]) -> bytes:
+    """Schemas and channels that a chunk starts with.
+
+    Every chunk has its own, so that a damaged one takes nothing but its own messages with it.
+    """
+    schemas = {channel.schema_id: _schema_of(channel) for channel in channels}
+    return b"".join(map(_record, [*schemas.values(), *channels]))
 
 
 def _record(record: McapRecord) -> bytes:

@@ -1,0 +1,28 @@
+"""The recorder measures itself; only what no machine can change is asserted."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tracefile import OutputError
+from tracefile.cost import measure_recorder_cost, worst_stall_ns
+
+
+def test_the_figures_are_in_order_and_nothing_is_left(tmp_path):
+    cost = measure_recorder_cost(tmp_path, seconds=0.3)
+    assert cost.events == 300
+    assert cost.timer_ns > 0
+    assert 0 < cost.record_median_ns <= cost.record_p99_ns <= cost.record_max_ns <= cost.stall_of_ten_ns
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_worst_stall_is_ten_events_in_a_row():
+    times = np.zeros(100)
+    times[[3, 50, 59, 70]] = [40.0, 30.0, 30.0, 1.0]  # 50 and 59 are the ends of one ten
+    assert worst_stall_ns(times) == 60.0
+
+
+def test_a_folder_that_is_not_there(tmp_path):
+    with pytest.raises(OutputError):
+        measure_recorder_cost(tmp_path / "gone", seconds=0.01)

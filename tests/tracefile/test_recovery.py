@@ -1,0 +1,254 @@
+"""A cut off file and its ring become a closed trace; the originals stay as they were."""
+
+from __future__ import annotations
+
+import shutil
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import pytest
+from mcap.reader import make_reader
+from rosbags.rosbag2 import Reader
+from trace_files import ping_session, run, write_trace
+
+from tracefile import (
+    HOST_TOPIC,
+    OptionError,
+    OutputExistsError,
+    Stage,
+    TraceDestination,
+    TraceFormatError,
+    TraceSink,
+)
+from tracefile.reader import read_trace
+from tracefile.records import MAGIC, RecordFile
+from tracefile.recovery import recover
+from tracefile.ring import ring_path
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+EVENTS = 180
+PART = 30
+LARGE_RING = 800
+SMALL_RING = 128  # less than all events; its quarter more than a part, so that no thread drains it by itself
+TEXTS = 6  # session, run, four host samples
+
+
+def killed(folder: Path, *, name: str = "a.mcap", ring_slots: int = LARGE_RING) -> Path:
+    """What a kill leaves: five times 30 events, each with a text behind it, in the file; 30 more in the ring."""
+    recording = folder / "recording" / name
+    destination = TraceDestination(recording, chunk_seconds=3600.0, ring_slots=ring_slots)
+    sink = TraceSink(destination, ping_session(state="open"), clock_ns=lambda: 0)
+    for sequence in range(EVENTS):
+        sink.record(1 + sequence % 2, 1, sequence, 1000 * sequence)
+        if sequence == PART - 1:
+            sink.write_run(run(state="started"))
+        elif sequence % PART == PART - 1 and sequence < EVENTS - 1:
+            sink.write_json(HOST_TOPIC, {"cpu": 1})
+    shutil.copytree(recording.parent, folder / "left")
+    sink.close()
+    shutil.rmtree(recording.parent)
+    return folder / "left" / name
+
+
+def sequences(path: Path) -> list[int]:
+    events = read_trace(path).events
+    assert len(events[Stage.T3]) == len(events[Stage.T4]) == 0
+    return sorted([*events[Stage.T1].sequence.tolist(), *events[Stage.T2].sequence.tolist()])
+
+
+def boundaries(path: Path) -> list[int]:
+    """Where records begin, and the end."""
+    file = RecordFile(path)
+    found = [len(MAGIC)]
+    while found[-1] < file.size:
+        found.append(file.header_at(found[-1]).end)
+    file.close()
+    return found
+
+
+def test_trace_and_ring_become_a_closed_trace(tmp_path):
+    trace = killed(tmp_path)
+    file_bytes, ring_bytes = trace.read_bytes(), ring_path(trace).read_bytes()
+    report = recover(trace)
+    assert (report.path, report.recovered) == (trace, trace)
+    assert (report.file_events, report.ring_events, report.missing_events, report.dropped_events) == (
+        150,
+        30,
+        0,
+        0,
+    )
+    assert sorted(p.name for p in trace.parent.iterdir()) == ["a.mcap", "a.mcap.killed", "a.mcap.killed.ring"]
+    kept, kept_ring = report.originals
+    assert kept.read_bytes() == file_bytes
+    assert kept_ring.read_bytes() == ring_bytes
+
+    read = read_trace(trace)
+    assert (read.truncated, read.ring_events, read.notes) == (None, 0, ())
+    assert sequences(trace) == list(range(EVENTS))
+    assert [r.state for r in read.runs] == ["started"]
+    assert read.host_samples[0]["cpu"] == 1
+    (session,) = read.sessions
+    assert session.state == "open"  # it never ended cleanly, and still says so
+    assert session.extra["recovered"] == {"file_events": 150, "ring_events": 30, "missing_events": 0}
+    with trace.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        assert reader.get_summary().statistics.message_count == EVENTS + TEXTS + 1
+        assert len(list(reader.iter_messages())) == EVENTS + TEXTS + 1
+    assert "150 events in the file, 30 more in the ring" in report.lines()
+
+
+def test_the_killed_pair_is_still_a_trace(tmp_path):
+    report = recover(killed(tmp_path))
+    (tmp_path / "again").mkdir()
+    again = shutil.copy(report.originals[0], tmp_path / "again" / "a.mcap")
+    shutil.copy(report.originals[1], tmp_path / "again" / "a.mcap.ring")
+    assert sequences(tmp_path / "again" / "a.mcap") == list(range(EVENTS))
+    assert again.stat().st_size == report.originals[0].stat().st_size
+
+
+def test_a_file_cut_anywhere_gives_every_event_once(tmp_path):
+    """The ring is larger than all events, so that it makes good whatever the file lost."""
+    whole = killed(tmp_path)
+    data, ring = whole.read_bytes(), ring_path(whole).read_bytes()
+    at_records = boundaries(whole)
+    middles = [(begin + end) // 2 for begin, end in pairwise(at_records)]
+    cuts = {0, 1, *at_records, *(at + 5 for at in at_records), *middles}
+    for cut in sorted(cut for cut in cuts if cut <= len(data)):
+        folder = tmp_path / str(cut)
+        folder.mkdir()
+        trace = folder / "a.mcap"
+        trace.write_bytes(data[:cut])
+        ring_path(trace).write_bytes(ring)
+        report = recover(trace, folder / "whole.mcap")
+        assert report.file_events + report.ring_events == EVENTS, cut
+        assert report.missing_events == 0
+        assert sequences(folder / "whole.mcap") == list(range(EVENTS))
+        assert trace.read_bytes() == data[:cut]
+        shutil.rmtree(folder)
+
+
+def test_a_small_ring_cannot_make_good_what_the_disk_lost(tmp_path):
+    trace = killed(tmp_path, ring_slots=SMALL_RING)
+    cut = boundaries(trace)[2]  # only the session is left: a power failure
+    trace.write_bytes(trace.read_bytes()[:cut])
+    report = recover(trace, tmp_path / "whole.mcap")
+    assert (report.file_events, report.ring_events, report.missing_events) == (0, 128, 52)
+    assert sequences(tmp_path / "whole.mcap") == list(range(52, EVENTS))
+
+
+def test_a_damaged_chunk_is_left_out_and_its_events_do_not_come_from_elsewhere(tmp_path):
+    trace = killed(tmp_path, ring_slots=SMALL_RING)
+    data = bytearray(trace.read_bytes())
+    first_events = boundaries(trace)[3]  # magic, header, session chunk and its index
+    data[first_events + 200] ^= 0xFF
+    trace.write_bytes(data)
+    report = recover(trace, tmp_path / "whole.mcap")
+    assert (report.file_events, report.damaged_chunks) == (120, 1)
+    assert (report.ring_events, report.missing_events) == (30, 30)
+    assert sequences(tmp_path / "whole.mcap") == list(range(30, EVENTS))
+
+
+def test_without_its_ring_the_file_is_closed_alone(tmp_path):
+    trace = killed(tmp_path)
+    ring_path(trace).unlink()
+    report = recover(trace)
+    assert (report.file_events, report.ring_events, len(report.originals)) == (150, 0, 1)
+    assert sequences(trace) == list(range(150))
+
+
+def test_a_closed_trace_is_left_alone(tmp_path):
+    trace = write_trace(tmp_path / "a.mcap", ping_session(), [run()])
+    before = trace.read_bytes()
+    report = recover(trace)
+    assert report.recovered is None
+    assert "nothing to recover" in report.lines()[0]
+    assert trace.read_bytes() == before
+
+
+def test_recovering_twice_changes_nothing(tmp_path):
+    trace = killed(tmp_path)
+    recover(trace)
+    before = trace.read_bytes()
+    assert recover(trace).recovered is None
+    assert trace.read_bytes() == before
+
+
+def test_a_ring_left_by_a_kill_at_the_very_end_is_removed(tmp_path):
+    """Killed after the footer and before the ring was deleted."""
+    trace = killed(tmp_path)
+    ring = ring_path(trace).read_bytes()
+    recover(trace)
+    ring_path(trace).write_bytes(ring)
+    report = recover(trace)
+    assert (report.recovered, report.file_events) == (None, EVENTS)
+    assert not ring_path(trace).exists()
+
+
+def test_a_second_kill_under_the_same_name_keeps_both_originals(tmp_path):
+    trace = killed(tmp_path)
+    data, ring = trace.read_bytes(), ring_path(trace).read_bytes()
+    recover(trace)
+    trace.write_bytes(data)
+    ring_path(trace).write_bytes(ring)
+    report = recover(trace)
+    assert report.originals[0].name == "a.mcap.killed2"
+    assert (trace.parent / "a.mcap.killed").exists()
+
+
+def test_a_disk_without_hard_links(tmp_path, monkeypatch):
+    def refuse(*_):
+        raise PermissionError
+
+    monkeypatch.setattr("tracefile.recovery.os.link", refuse)
+    trace = killed(tmp_path)
+    data = trace.read_bytes()
+    report = recover(trace)
+    assert report.originals[0].read_bytes() == data
+    assert sequences(trace) == list(range(EVENTS))
+
+
+def test_a_bag_gets_its_metadata(tmp_path):
+    killed(tmp_path, name="bag")
+    folder = tmp_path / "left" / "bag"
+    report = recover(folder)
+    assert (report.path, report.file_events + report.ring_events) == (folder, EVENTS)
+    with Reader(folder) as bag:
+        assert bag.message_count == EVENTS + TEXTS + 1
+        assert len(list(bag.messages())) == EVENTS + TEXTS + 1
+
+
+def test_a_trace_that_is_being_recorded_is_left_alone(tmp_path):
+    sink = TraceSink(TraceDestination(tmp_path / "a.mcap"), ping_session(state="open"))
+    with pytest.raises(OptionError, match="still being recorded"):
+        recover(tmp_path / "a.mcap")
+    assert sink.close().error is None
+
+
+def test_an_existing_destination_is_refused(tmp_path):
+    trace = killed(tmp_path)
+    with pytest.raises(OutputExistsError):
+        recover(trace, trace)
+
+
+def test_the_ring_of_another_recording_is_not_mixed_in(tmp_path):
+    trace = killed(tmp_path)
+    write_trace(trace, ping_session(session_id=77, state="open"), truncate_at=-50)
+    with pytest.raises(TraceFormatError, match="another recording"):
+        recover(trace)
+
+
+@pytest.mark.parametrize("content", [b"", MAGIC, b"\x89MCAP"])
+def test_nothing_but_a_beginning(tmp_path, content):
+    (tmp_path / "a.mcap").write_bytes(content)
+    with pytest.raises(TraceFormatError, match="no event"):
+        recover(tmp_path / "a.mcap")
+
+
+@pytest.mark.parametrize("content", [b"some text", None])
+def test_no_trace_at_all(tmp_path, content):
+    if content is not None:
+        (tmp_path / "a.mcap").write_bytes(content)
+    with pytest.raises(TraceFormatError):
+        recover(tmp_path / "a.mcap")

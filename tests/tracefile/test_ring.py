@@ -1,0 +1,160 @@
+"""The ring's bytes as the module's text has them, and what reading makes of torn, stale and foreign ones."""
+
+from __future__ import annotations
+
+import json
+import struct
+from typing import TYPE_CHECKING
+
+import pytest
+from trace_files import ping_session
+
+from tracefile import Stage, TraceFormatError
+from tracefile.ring import Ring, read_ring
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+SLOTS = 4
+SLOTS_AT = 4096
+
+
+def slot(ticket: int, stage: int, sequence: int | None = None) -> bytes:
+    """One slot by hand: eight fields and the mark."""
+    sequence = ticket if sequence is None else sequence
+    return struct.pack("<QQqqqqII", 9, sequence, 1000 + ticket, 0, 0, 0, 33, 0) + struct.pack(
+        "<Q", ticket + (stage << 56)
+    )
+
+
+def ring_file(path: Path, *slots: bytes, dropped: int = 0) -> Path:
+    """A ring by hand."""
+    text = json.dumps({"format": 1, "session": json.loads(ping_session(state="open").to_json())}).encode()
+    header = struct.pack("<8sIIQQQQ", b"DDSRING\n", 1, 64, SLOTS, SLOTS_AT, dropped, len(text)) + text
+    path.write_bytes(header.ljust(SLOTS_AT, b"\0") + b"".join(slots).ljust(SLOTS * 64, b"\0"))
+    return path
+
+
+def tickets(path: Path, events_in_trace: int) -> list[int]:
+    contents = read_ring(path, events_in_trace)
+    assert contents is not None
+    return (contents.slots["mark"] & ((1 << 56) - 1)).tolist()
+
+
+def test_a_ring_as_we_write_it_has_the_documented_bytes(tmp_path):
+    ring = Ring(tmp_path / "a.mcap.ring", SLOTS, ping_session(state="open"))
+    ring.memory[ring.slots_at : ring.slots_at + 64] = slot(0, 1)
+    ring.note_dropped(7)
+    data = (tmp_path / "a.mcap.ring").read_bytes()
+    assert data[:8] == b"DDSRING\n"
+    assert struct.unpack_from("<II", data, 8) == (1, 64)
+    slot_count, slots_at, dropped, text_bytes = struct.unpack_from("<QQQQ", data, 16)
+    assert (slot_count, slots_at % 4096, dropped) == (SLOTS, 0, 7)
+    described = json.loads(data[48 : 48 + text_bytes])
+    assert described["session"] == json.loads(ping_session(state="open").to_json())
+    assert described["topics"] == {str(n): f"/dds_trace/t{n}" for n in (1, 2, 3, 4)}
+    assert data[slots_at : slots_at + 64] == slot(0, 1)
+    assert len(data) == slots_at + SLOTS * 64
+    ring.close(delete=True)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_events_come_by_ticket_and_by_stage(tmp_path):
+    path = ring_file(
+        tmp_path / "r", slot(0, 3, sequence=10), slot(1, 4, sequence=10), slot(2, 3, sequence=11)
+    )
+    contents = read_ring(path, 0)
+    assert contents is not None
+    assert contents.session == ping_session(state="open")
+    assert contents.of_stage(Stage.T3)["sequence"].tolist() == [10, 11]
+    assert contents.of_stage(Stage.T4)["monotonic_ns"].tolist() == [1001]
+    assert len(contents.of_stage(Stage.T1)) == 0
+    assert (contents.missing_events, contents.dropped_events, contents.recording) == (0, 0, False)
+
+
+def test_what_the_trace_has_is_not_given_again(tmp_path):
+    path = ring_file(tmp_path / "r", slot(4, 1), slot(5, 1), slot(2, 1), slot(3, 1), dropped=3)
+    assert tickets(path, 2) == [2, 3, 4, 5]
+    assert tickets(path, 4) == [4, 5]
+    assert tickets(path, 6) == []
+    contents = read_ring(path, 4)
+    assert contents is not None
+    assert contents.dropped_events == 3
+
+
+def test_tickets_in_neither_file_are_missing(tmp_path):
+    path = ring_file(tmp_path / "r", slot(8, 1), slot(5, 1), slot(6, 1), slot(7, 1))
+    contents = read_ring(path, 3)  # a power failure took tickets 3 and 4 from the trace
+    assert contents is not None
+    assert contents.missing_events == 2
+
+
+@pytest.mark.parametrize("packed", range(64))
+def test_a_slot_cut_at_any_byte_is_no_event(tmp_path, packed):
+    """The packer zeroes a slot, then fills it from its first byte to its last."""
+    path = ring_file(tmp_path / "r", slot(0, 1), slot(1, 1)[:packed].ljust(64, b"\0"))
+    assert tickets(path, 0) == [0]
+
+
+def test_a_slot_that_is_being_zeroed_still_has_its_old_ticket(tmp_path):
+    path = ring_file(tmp_path / "r", bytes(56) + slot(0, 1)[56:], slot(1, 1), slot(2, 1), slot(3, 1))
+    assert tickets(path, 1) == [1, 2, 3]  # ticket 4 was about to be packed, so ticket 0 is in the trace
+
+
+def test_a_mark_in_a_slot_that_is_not_its_own_is_no_event(tmp_path):
+    assert tickets(ring_file(tmp_path / "r", slot(0, 1), slot(2, 1)), 0) == [0]
+
+
+def test_a_stage_that_does_not_exist_is_no_event(tmp_path):
+    assert tickets(ring_file(tmp_path / "r", slot(0, 1), slot(1, 5), slot(2, 0)), 0) == [0]
+
+
+@pytest.mark.parametrize("size", [0, 7, 47])
+def test_a_ring_killed_before_its_header_holds_nothing(tmp_path, size):
+    (tmp_path / "r").write_bytes(bytes(size))
+    assert read_ring(tmp_path / "r", 0) is None
+
+
+def test_a_ring_killed_before_its_magic_holds_nothing(tmp_path):
+    path = ring_file(tmp_path / "r", slot(0, 1))
+    path.write_bytes(bytes(8) + path.read_bytes()[8:])
+    assert read_ring(path, 0) is None
+
+
+@pytest.mark.parametrize(
+    ("offset", "value", "says"),
+    [
+        (0, b"NOTARING", "no ring file"),
+        (8, struct.pack("<I", 2), "version 2"),
+        (16, struct.pack("<Q", 1 << 40), "shorter than its header says"),
+        (40, struct.pack("<Q", 1 << 40), "shorter than its header says"),
+        (48, b"[", "names no session"),
+    ],
+)
+def test_a_damaged_header_is_a_clear_error(tmp_path, offset, value, says):
+    path = ring_file(tmp_path / "r", slot(0, 1))
+    data = bytearray(path.read_bytes())
+    data[offset : offset + len(value)] = value
+    path.write_bytes(data)
+    with pytest.raises(TraceFormatError, match=says) as error:
+        read_ring(path, 0)
+    assert str(path) in str(error.value)
+
+
+def test_a_living_recorder_shows(tmp_path):
+    ring = Ring(tmp_path / "r", SLOTS, ping_session(state="open"))
+    contents = read_ring(tmp_path / "r", 0)
+    assert contents is not None
+    assert contents.recording
+    ring.close(delete=False)
+    contents = read_ring(tmp_path / "r", 0)
+    assert contents is not None
+    assert not contents.recording
+
+
+def test_pending_slots_never_cross_the_end_of_the_ring(tmp_path):
+    ring = Ring(tmp_path / "r", SLOTS, ping_session(state="open"))
+    assert len(ring.pending(0, 3)) == 3
+    assert len(ring.pending(3, 6)) == 1
+    assert len(ring.pending(4, 6)) == 2
+    ring.close(delete=True)

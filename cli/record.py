@@ -7,7 +7,7 @@ import os
 import signal
 import threading
 from enum import Enum
-from pathlib import Path
+from pathlib import Path  # noqa: TC003 - typer reads the annotations
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -85,33 +85,33 @@ _middleware, _description = _panel("Middleware"), _panel("Description in the tra
 
 @app.command(context_settings={"help_option_names": ["-h", "--help"]})
 def main_command(  # noqa: PLR0917 - the options of a command line
-    role: Annotated[Role, _role("--role", help="Send messages, or send them back.")],
+    role: Annotated[
+        Role, _role("--role", metavar="ROLE", help="[bold]ping[/bold] sends, [bold]relay[/bold] sends back.")
+    ],
     out: Annotated[
         Path,
-        _role(
-            "--out", help="Where to write: a [bold].mcap[/bold] file, or a folder name for a rosbag2 folder."
-        ),
+        _role("--out", metavar="PATH", help="A [bold].mcap[/bold] file, or the name of a rosbag2 folder."),
     ],
-    force: Annotated[bool, _role("--force", help="Overwrite what is there.")] = False,
+    force: Annotated[bool, _role("--force", metavar="", help="Overwrite what is there.")] = False,
     duration: Annotated[
-        float | None,
-        _role("--duration", metavar="SECONDS", help="End after so long. A relay goes on until stopped."),
+        float | None, _role("--duration", metavar="SECONDS", help="End then. A relay goes on until stopped.")
     ] = None,
-    as_json: Annotated[bool, _role("--json", help="Print the result as JSON.")] = False,
+    as_json: Annotated[bool, _role("--json", metavar="", help="Print the result as JSON.")] = False,
     data: Annotated[
-        DataName | None, _message("--data", help="What to send. [dim]Default: binary[/dim]")
+        DataName | None,
+        _message("--data", metavar="KIND", help="binary [dim](default)[/dim], string or imu."),
     ] = None,
     size: Annotated[
         str | None,
         _message(
             "--size",
             metavar="SIZE",
-            help="Bytes of a message: 33KB, 4MB (1000), 1KiB (1024), or a number. "
+            help="Bytes: 33KB, 4MB (1000), 1KiB (1024), or a number. "
             "[dim]Default: 33KB; string 91; imu always 296[/dim]",
         ),
     ] = None,
     seed: Annotated[
-        int | None, _message("--seed", help="Of the random content. [dim]Default: drawn[/dim]")
+        int | None, _message("--seed", metavar="N", help="Of the random content. [dim]Default: drawn[/dim]")
     ] = None,
     rate: Annotated[
         float | None, _schedule("--rate", metavar="HZ", help="Messages a second. [dim]Default: 10[/dim]")
@@ -120,78 +120,98 @@ def main_command(  # noqa: PLR0917 - the options of a command line
         int | None,
         _schedule(
             "--messages",
+            metavar="N",
             help=f"Messages to measure. [dim]Default: {DEFAULT_MESSAGES}, or what fits --duration[/dim]",
         ),
     ] = None,
     warmup: Annotated[
         int | None,
         _schedule(
-            "--warmup", help=f"Messages before them that do not count. [dim]Default: {DEFAULT_WARMUP}[/dim]"
+            "--warmup",
+            metavar="N",
+            help=f"Messages before, which do not count. [dim]Default: {DEFAULT_WARMUP}[/dim]",
         ),
     ] = None,
     wait: Annotated[
         float | None,
-        _schedule(
-            "--wait", metavar="SECONDS", help="How long to wait for a first echo. [dim]Default: 20[/dim]"
-        ),
+        _schedule("--wait", metavar="SECONDS", help="For a first echo. [dim]Default: 20[/dim]"),
     ] = None,
     domain: Annotated[
         int | None,
         _middleware(
             "--domain",
-            help="DDS domain id. [dim]Default: ROS_DOMAIN_ID, else 10; a ping with --bridge: 5[/dim]",
+            metavar="ID",
+            help="DDS domain. [dim]Default: ROS_DOMAIN_ID, else 10; a ping with --bridge: 5[/dim]",
         ),
     ] = None,
     bridge: Annotated[
         str | None,
-        _middleware(
-            "--bridge",
-            metavar="NAME",
-            help="Start this bridge to the relay's domain: [bold]builtin[/bold] ...",
-        ),
+        _middleware("--bridge", metavar="NAME", help="Start this bridge to the relay's domain, say builtin."),
     ] = None,
     relay_domain: Annotated[
         int | None,
         _middleware(
-            "--relay-domain", help="Domain behind the bridge. [dim]Default: ROS_DOMAIN_ID, else 10[/dim]"
+            "--relay-domain",
+            metavar="ID",
+            help="Domain behind the bridge. [dim]Default: ROS_DOMAIN_ID, else 10[/dim]",
         ),
     ] = None,
     discovery: Annotated[
         Discovery | None,
         _middleware(
             "--discovery",
-            help="How far to look. [dim]Default: ROS_AUTOMATIC_DISCOVERY_RANGE, else subnet[/dim]",
+            metavar="RANGE",
+            help="localhost or subnet. [dim]Default: what ROS 2's environment says, else subnet[/dim]",
         ),
     ] = None,
     reliability: Annotated[
-        Reliability, _middleware("--reliability", help="Same on both sides. [dim]Default: reliable[/dim]")
+        Reliability,
+        _middleware(
+            "--reliability",
+            metavar="QOS",
+            help="reliable [dim](default)[/dim] or best_effort; same on both sides.",
+        ),
     ] = Reliability.RELIABLE,
     durability: Annotated[
-        Durability, _middleware("--durability", help="Same on both sides. [dim]Default: volatile[/dim]")
+        Durability,
+        _middleware(
+            "--durability",
+            metavar="QOS",
+            help="volatile [dim](default)[/dim] or transient_local; same on both sides.",
+        ),
     ] = Durability.VOLATILE,
     history: Annotated[
-        History, _middleware("--history", help="[dim]Default: keep_last[/dim]")
+        History, _middleware("--history", metavar="QOS", help="keep_last [dim](default)[/dim] or keep_all.")
     ] = History.KEEP_LAST,
     depth: Annotated[
-        int, _middleware("--depth", help="Messages kept, for keep_last. [dim]Default: 10[/dim]")
+        int, _middleware("--depth", metavar="N", help="Messages that keep_last keeps. [dim]Default: 10[/dim]")
     ] = 10,
     serialization: Annotated[
         Serialization,
         _middleware(
             "--serialization",
-            help="Pass the client library bytes or message objects. [dim]Default: raw[/dim]",
+            metavar="KIND",
+            help="raw [dim](default)[/dim]: the client library gets bytes; typed: message objects.",
         ),
     ] = Serialization.RAW,
     executor: Annotated[
-        ExecutorKind, _middleware("--executor", help="Of rclpy. [dim]Default: the best that is there[/dim]")
+        ExecutorKind,
+        _middleware(
+            "--executor",
+            metavar="KIND",
+            help="Of rclpy: events, single, or auto [dim](default: the best)[/dim].",
+        ),
     ] = ExecutorKind.AUTO,
     device: Annotated[
-        str | None, _description("--device", help="Name of this device. [dim]Default: its host name[/dim]")
+        str | None,
+        _description("--device", metavar="NAME", help="Of this device. [dim]Default: its host name[/dim]"),
     ] = None,
     connectivity: Annotated[
         str | None,
         _description(
-            "--connectivity", help="loopback, wired, wireless, or your word. [dim]Default: looked up[/dim]"
+            "--connectivity",
+            metavar="NAME",
+            help="loopback, wired, wireless, or your word. [dim]Default: looked up[/dim]",
         ),
     ] = None,
     label: Annotated[
@@ -200,7 +220,9 @@ def main_command(  # noqa: PLR0917 - the options of a command line
     ] = None,
     relay_id: Annotated[
         int | None,
-        _description("--relay-id", help="A relay's number in the trace. [dim]Default: drawn[/dim]"),
+        _description(
+            "--relay-id", metavar="N", help="A relay's number in the trace. [dim]Default: drawn[/dim]"
+        ),
     ] = None,
 ) -> None:
     """Record latency of ROS 2 / DDS messages as a ping or as a relay.

@@ -110,6 +110,7 @@ class Ping:
 
         self._nonces: dict[int, int] = {}  # of a probe -> when it was sent
         self._echoed_ns = 0
+        self._longest_rtt_ns = 0  # probes included
         self._record: Any = None
         self._published = 0
         self._publish_ns = array("q", bytes(8 * plan.total))
@@ -141,6 +142,7 @@ class Ping:
         if run_id != self.run_id or sequence >= self.plan.total:
             if run_id == PROBE_RUN_ID and sequence in self._nonces:
                 self._echoed_ns = receive_ns
+                self._longest_rtt_ns = max(self._longest_rtt_ns, receive_ns - self._nonces[sequence])
             return
         self._record(
             T2,
@@ -161,7 +163,8 @@ class Ping:
             answered[sequence] = 1
             self._replies[relay_id] += 1
         if not self._rtt_ns[sequence]:
-            self._rtt_ns[sequence] = receive_ns - self._publish_ns[sequence]
+            self._rtt_ns[sequence] = rtt_ns = receive_ns - self._publish_ns[sequence]
+            self._longest_rtt_ns = max(self._longest_rtt_ns, rtt_ns)
             self._received += 1
             self._highest = max(self._highest, sequence)
         self._last_reply_ns = receive_ns
@@ -225,7 +228,7 @@ class Ping:
         began_ns, patience = self._now(), threading.Event()  # a wait that nobody cuts short
         while not self._all_answered():
             quiet_ns = self._now() - max(began_ns, self._last_reply_ns)
-            if quiet_ns > max(DRAIN_NS, 2 * max(self._rtt_ns, default=0)):
+            if quiet_ns > max(DRAIN_NS, 2 * self._longest_rtt_ns):
                 break
             self._clock.wait_until(self._now() + LOOK_NS, patience)
 

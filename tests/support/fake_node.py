@@ -54,11 +54,13 @@ class FakeNode:
     def create_publisher(
         self, topic: str, type_name: str, *, qos: Qos | None = None, typed: bool = False
     ) -> FakePublisher:
+        del type_name, qos, typed
         return self.publishers.setdefault(topic, FakePublisher(topic))
 
     def create_subscription(
         self, topic: str, type_name: str, receive: Any, *, qos: Qos | None = None, typed: bool = False
     ) -> FakeSubscription:
+        del type_name, qos, typed
         self.subscriptions[topic] = FakeSubscription(topic, receive)
         return self.subscriptions[topic]
 

@@ -1,0 +1,171 @@
+"""`dds-record` without middleware: its options, its help, what it refuses before anything is opened."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+from typer.testing import CliRunner
+
+from cli import record as command
+from recorder import Discovery, PingProgress, RelayProgress, Serialization
+from tracefile import OptionError, OutputExistsError, Qos, TraceError
+
+
+@pytest.fixture
+def parsed(monkeypatch, tmp_path):
+    """Calls the command and answers with the options that it would record with."""
+    for name in ("ROS_DOMAIN_ID", "ROS_LOCALHOST_ONLY", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
+        monkeypatch.delenv(name, raising=False)
+    seen = []
+    monkeypatch.setattr(command, "_record", seen.append)
+    monkeypatch.setattr(command, "_report", lambda *_, **__: None)
+
+    def parse(*arguments, role="ping"):
+        result = CliRunner().invoke(
+            command.app, ["--role", role, "--out", str(tmp_path / "x.mcap"), *map(str, arguments)]
+        )
+        if isinstance(result.exception, TraceError):
+            raise result.exception
+        assert result.exit_code == 0, result.output
+        return seen.pop()
+
+    return parse
+
+
+def test_a_ping_with_nothing_given(parsed):
+    options = parsed()
+    assert options.node.domain_id == 10
+    assert options.node.discovery is Discovery.SUBNET
+    assert options.node.qos == Qos("reliable", "volatile", "keep_last", 10)
+    assert options.serialization is Serialization.RAW
+    assert options.duration_s is None
+    ping = options.ping
+    assert (ping.data_type, ping.size_bytes, ping.rate_hz) == ("binary", None, 10.0)
+    assert (ping.messages, ping.warmup, ping.bridge, ping.relay_domain_id) == (400, 10, "none", None)
+
+
+def test_a_relay_with_nothing_given_is_where_the_ping_is(parsed):
+    options = parsed(role="relay")
+    assert options.ping is None
+    assert options.node.domain_id == 10
+    assert options.relay_id is None
+    assert options.node.qos == parsed().node.qos
+
+
+def test_a_bridge_has_the_domains_of_the_paper(parsed):
+    options = parsed("--bridge", "builtin")
+    assert options.node.domain_id == 5
+    assert (options.ping.bridge, options.ping.relay_domain_id) == ("builtin", 10)
+    options = parsed("--bridge", "builtin", "--domain", 6, "--relay-domain", 7)
+    assert (options.node.domain_id, options.ping.relay_domain_id) == (6, 7)
+
+
+def test_the_environment_of_ros_counts(parsed, monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "42")
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    assert parsed().node.domain_id == 42
+    assert parsed("--domain", 7).node.domain_id == 7
+    assert parsed(role="relay").node.discovery is Discovery.LOCALHOST
+    assert parsed("--discovery", "subnet").node.discovery is Discovery.SUBNET
+    bridged = parsed("--bridge", "builtin")
+    assert (bridged.node.domain_id, bridged.ping.relay_domain_id) == (5, 42)
+    monkeypatch.setenv("ROS_DOMAIN_ID", "ten")
+    with pytest.raises(OptionError, match="ROS_DOMAIN_ID is 'ten'"):
+        parsed()
+
+
+def test_everything_given(parsed, tmp_path):
+    options = parsed(
+        *("--data", "string", "--size", "1KiB", "--rate", 100, "--messages", 7, "--warmup", 3, "--wait", 2.5),
+        *("--seed", 4, "--reliability", "best_effort", "--durability", "transient_local", "--depth", 5),
+        *("--history", "keep_all", "--serialization", "typed", "--executor", "single"),
+        *("--device", "pi4", "--connectivity", "wireless", "--label", "room=lab", "--label", "x=a=b"),
+        *("--discovery", "localhost", "--duration", 9, "--force"),
+    )
+    assert options.destination.path == tmp_path / "x.mcap"
+    assert options.destination.force
+    assert options.node.qos == Qos("best_effort", "transient_local", "keep_all", 5)
+    assert options.node.executor.value == "single"
+    assert options.serialization is Serialization.TYPED
+    assert (options.device, options.connectivity, options.duration_s) == ("pi4", "wireless", 9)
+    ping = options.ping
+    assert (ping.data_type, ping.size_bytes, ping.rate_hz) == ("string", 1024, 100)
+    assert (ping.messages, ping.warmup, ping.wait_s, ping.seed) == (7, 3, 2.5, 4)
+    assert ping.labels == {"room": "lab", "x": "a=b"}
+
+
+def test_a_duration_without_messages_sends_what_fits(parsed):
+    assert parsed("--duration", 10, "--rate", 50).ping.messages == 490
+    assert parsed("--duration", 10, "--rate", 50, "--messages", 5).ping.messages == 5
+    assert parsed("--duration", 0.1, "--rate", 1).ping.messages == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "role", "message"),
+    [
+        (["--size", "3KQ"], "ping", "size '3KQ' is not understood"),
+        (["--label", "novalue"], "ping", "--label 'novalue': write KEY=VALUE"),
+        (["--relay-id", "5"], "ping", "--relay-id cannot be given to a ping"),
+        (["--rate", "5", "--size", "1"], "relay", "--size, --rate cannot be given to a relay"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(parsed, arguments, role, message):
+    with pytest.raises(OptionError, match=message):
+        parsed(*arguments, role=role)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "role", "message"),
+    [
+        (["--domain", "232"], "relay", "--domain 232: a DDS domain id is 0 to 231"),
+        (["--rate", "0"], "ping", "--rate 0"),
+        (["--messages", "0"], "ping", "--messages 0"),
+        (["--warmup", "-1"], "ping", "--warmup -1"),
+        (["--depth", "0"], "relay", "--depth 0"),
+        (["--duration", "0"], "relay", "--duration 0"),
+        (["--relay-id", "0"], "relay", "--relay-id 0"),
+    ],
+)
+def test_what_cannot_be_recorded_is_refused_before_anything_is_opened(
+    arguments, role, message, tmp_path, monkeypatch
+):
+    monkeypatch.setattr("recorder.recording.open_node", lambda *_: pytest.fail("a node was opened"))
+    out = tmp_path / "x.mcap"
+    result = CliRunner().invoke(command.app, ["--role", role, "--out", str(out), *arguments])
+    assert isinstance(result.exception, OptionError)
+    assert str(result.exception).startswith(message)
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("role", ["ping", "relay"])
+def test_an_existing_file_is_refused_before_anything_is_opened(role, tmp_path, monkeypatch):
+    monkeypatch.setattr("recorder.recording.open_node", lambda *_: pytest.fail("a node was opened"))
+    out = tmp_path / "x.mcap"
+    out.write_text("precious")
+    result = CliRunner().invoke(command.app, ["--role", role, "--out", str(out)])
+    assert isinstance(result.exception, OutputExistsError)
+    assert "--force" in str(result.exception)
+    assert out.read_text() == "precious"
+
+
+def test_help_fits_80_columns_and_needs_no_middleware(monkeypatch):
+    monkeypatch.setitem(sys.modules, "rclpy", None)
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("TERMINAL_WIDTH", "80")
+    result = CliRunner().invoke(command.app, ["--help"])
+    assert result.exit_code == 0
+    assert max(map(len, result.output.splitlines())) <= 80
+    assert "…" not in result.output  # nothing is cut off
+    for name in ("--role", "--size", "--reliability", "--connectivity", "--relay-domain"):
+        assert name in result.output
+
+
+def test_progress_in_words():
+    from cli.progress import describe_progress
+
+    line = describe_progress(PingProgress(410, 300, 298, 1, 815_000, 1_430_000))
+    assert line == "sent 300/410, received 298, lost 1, RTT p50 0.815 ms, p99 1.43 ms"
+    assert describe_progress(PingProgress(410, 0, 0, 0)).endswith("RTT p50 -, p99 -")
+    assert describe_progress(RelayProgress(7, 2, 0)) == "7 messages sent back in 2 runs"
+    assert describe_progress(RelayProgress(7, 2, 1)).endswith("1 without our stamp left alone")

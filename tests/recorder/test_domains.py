@@ -1,0 +1,68 @@
+"""The guard of domain ids, on a `/proc` that the test writes."""
+
+from __future__ import annotations
+
+import pytest
+
+from recorder.domains import bound_udp_ports, check_domain, first_port, participants_in
+from tracefile import OptionError
+
+HEAD = "  sl  local_address rem_address   st tx_queue rx_queue tr tm->when retrnsmt   uid  timeout inode\n"
+
+
+@pytest.fixture
+def proc(tmp_path):
+    (tmp_path / "net").mkdir()
+    (tmp_path / "sys/net/ipv4").mkdir(parents=True)
+    (tmp_path / "sys/net/ipv4/ip_local_port_range").write_text("32768\t60999\n")
+
+    def write(*ports, ipv6=()):
+        for name, found, address in (("udp", ports, "0" * 8), ("udp6", ipv6, "0" * 32)):
+            lines = [f"  {i}: {address}:{port:04X} {address}:0000 07\n" for i, port in enumerate(found)]
+            (tmp_path / "net" / name).write_text(HEAD + "".join(lines))
+        return tmp_path
+
+    return write
+
+
+def discovery_ports(domain_id, count):
+    return [7400 + 250 * domain_id + 10 + 2 * number for number in range(count)]
+
+
+@pytest.mark.parametrize("domain_id", [-1, 232, 1000])
+def test_ids_that_do_not_exist_are_refused(proc, domain_id):
+    with pytest.raises(OptionError, match=f"--domain {domain_id}: a DDS domain id is 0 to 231"):
+        check_domain(domain_id, proc())
+
+
+@pytest.mark.parametrize("domain_id", [0, 10, 100])
+def test_an_empty_domain_is_fine(proc, domain_id):
+    assert check_domain(domain_id, proc()) == []
+
+
+def test_the_119th_neighbour_still_fits_and_the_120th_does_not(proc):
+    assert check_domain(5, proc(*discovery_ports(5, 119))) == []
+    with pytest.raises(OptionError, match=r"120 participants .* would use the ports of domain 6"):
+        check_domain(5, proc(*discovery_ports(5, 120)))
+
+
+def test_a_full_neighbour_domain_is_told(proc):
+    (warning,) = check_domain(6, proc(*discovery_ports(5, 120)))
+    assert warning == "domain 5 is full on this machine: its next participants use ports of domain 6"
+
+
+def test_other_ports_are_no_participants(proc):
+    found = bound_udp_ports(proc(7400 + 1250, 7400 + 1250 + 11, 53, ipv6=[7400 + 1250 + 14]))
+    assert first_port(5) == 8650
+    assert participants_in(5, found) == [2]
+
+
+def test_ports_among_the_ephemeral_ones_are_told(proc):
+    assert check_domain(100, proc()) == []  # 32400 to 32649
+    (warning,) = check_domain(101, proc())  # 32650 to 32899: its last ports only
+    assert "(32650 to 32899)" in warning
+    assert "from 32768" in warning
+
+
+def test_a_system_that_tells_nothing_is_not_in_the_way(tmp_path):
+    assert check_domain(150, tmp_path) == []

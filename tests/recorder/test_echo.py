@@ -1,0 +1,77 @@
+"""What a ping says when nobody answers."""
+
+from __future__ import annotations
+
+import pytest
+from fake_node import FakeNode
+
+from recorder.backend import Discovery, Endpoint, NodeOptions, TopicView
+from recorder.echo import explain_silence, look_for_relays
+from recorder.payloads import BINARY
+from recorder.ping import RunPlan
+
+IMAGE = "sensor_msgs/msg/Image"
+
+
+@pytest.fixture
+def node():
+    return FakeNode(NodeOptions(domain_id=5, name="me", discovery=Discovery.LOCALHOST))
+
+
+@pytest.fixture
+def plan():
+    return RunPlan(BINARY.make(4, 1), 10.0, 5, bridge="builtin", relay_domain_id=10)
+
+
+def see(node, *, listening=(), answering=(), incompatible=()):
+    own = Endpoint("me", IMAGE)
+    node.views = {
+        "binary_image": TopicView("binary_image", (own,), tuple(listening), tuple(incompatible)),
+        "binary_image_relay": TopicView("binary_image_relay", tuple(answering), (own,)),
+    }
+
+
+def test_nobody_there(node, plan):
+    see(node)
+    text = explain_silence(node, plan, 20)
+    assert text.startswith("no echo within 20 s\n")
+    assert f"a relay of binary_image ({IMAGE}) in domain 5, through the bridge builtin to domain 10" in text
+    assert "middleware rmw_fake, discovery range localhost" in text
+    assert "0 other nodes in domain 5; nobody subscribed to binary_image; nobody publishing" in text
+    assert "start `dds-record --role relay --domain 10 --discovery localhost --out relay.mcap`" in text
+    assert not look_for_relays(node, BINARY).is_hopeless
+
+
+def test_a_relay_in_sight_that_stays_silent(node, plan):
+    node.participants = 3
+    see(node, listening=[Endpoint("relay_1", IMAGE)], answering=[Endpoint("relay_1", IMAGE)])
+    text = explain_silence(node, plan, 20)
+    assert "2 other nodes" in text
+    assert f"relay_1 ({IMAGE}) subscribed to binary_image" in text
+    assert "firewalls" in text
+
+
+def test_quality_of_service_that_never_matches_is_named_and_hopeless(node, plan):
+    see(node, listening=[Endpoint("relay_1", IMAGE)], incompatible=["they differ in reliability"])
+    assert look_for_relays(node, BINARY).is_hopeless
+    text = explain_silence(node, plan, 3)
+    assert "they differ in reliability" in text
+    assert "--reliability" in text
+
+
+def test_one_relay_that_suits_is_hope(node):
+    two = [Endpoint("relay_1", IMAGE), Endpoint("relay_2", IMAGE)]
+    see(node, listening=two, incompatible=["relay_1 differs"])
+    assert not look_for_relays(node, BINARY).is_hopeless
+
+
+def test_another_type_on_the_topic_is_named(node, plan):
+    see(node, listening=[Endpoint("camera", "sensor_msgs/msg/CompressedImage")])
+    text = explain_silence(node, plan, 3)
+    assert "another program uses binary_image with sensor_msgs/msg/CompressedImage" in text
+
+
+def test_a_backend_that_cannot_count(node, plan):
+    node.participants = None
+    see(node)
+    assert "an unknown number of other nodes" in explain_silence(node, plan, 3)

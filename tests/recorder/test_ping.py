@@ -1,0 +1,245 @@
+"""The ping on a made-up clock: its schedule, its stamps, its patience."""
+
+from __future__ import annotations
+
+import gc
+import struct
+import threading
+
+import pytest
+from fake_clock import FakeClock
+from fake_node import FakeNode, ListSink
+
+from recorder.payloads import BINARY, IMU, STRING
+from recorder.ping import DRAIN_NS, LEAD_NS, Ping, RunPlan
+from recorder.stamp import RAW_HEADER_STAMP, stamp_text
+
+MS = 1_000_000
+START_NS = 1_000_000_000_000
+RELAY = 0x2A
+NEVER = threading.Event()
+
+
+class Link:
+    """A relay behind a link: answers each message after `delay_ns(sequence)`, or never where that is None."""
+
+    def __init__(self, plan, *, delay_ns=lambda _: 3 * MS, publish_ns=lambda _: 0, relays=(RELAY,)):
+        self.clock, self.node, self.sink = FakeClock(START_NS), FakeNode(), ListSink()
+        self.ping = Ping(self.node, plan, self.clock)
+        self.topic = plan.payload.data_type.topic
+        self._delay_ns, self._publish_ns, self._relays = delay_ns, publish_ns, relays
+        self.node.publishers[self.topic].on_publish = self._on_publish
+
+    def _on_publish(self, message):
+        stamp = RAW_HEADER_STAMP.read(message)
+        self.clock.advance_to(self.clock.now_ns + self._publish_ns(stamp.sequence))
+        if (delay_ns := self._delay_ns(stamp.sequence)) is not None:
+            for relay in self._relays:
+                self.clock.at(self.clock.now_ns + delay_ns, lambda relay=relay: self.reply(message, relay))
+
+    def reply(self, message, relay=RELAY):
+        answer = RAW_HEADER_STAMP.reply(message, b"%08x" % relay)
+        self.node.deliver(f"{self.topic}_relay", bytes(answer), 11, 12)
+
+    @property
+    def sent(self):
+        return self.node.publishers[self.topic].sent
+
+    def run(self):
+        return self.ping.run(self.sink, NEVER)
+
+
+def plan(messages=5, rate_hz=100.0, warmup=0, data_type=IMU, **more):
+    return RunPlan(data_type.make(None, 1), rate_hz, messages, warmup, **more)
+
+
+def test_messages_go_when_they_were_planned():
+    link = Link(plan(messages=4, rate_hz=100.0))
+    run = link.run()
+    t0 = START_NS + LEAD_NS
+    expected = [(run.run_id, n, t0 + 10 * n * MS, t0 + 10 * n * MS, 0, 0, 296, 0) for n in range(4)]
+    assert link.sink.of_stage(1) == expected
+    assert link.sink.of_stage(2) == [
+        (run.run_id, n, t0 + (10 * n + 3) * MS, 0, 11, 12, 296, RELAY) for n in range(4)
+    ]
+
+
+def test_a_rate_that_does_not_divide_a_second_does_not_drift():
+    planned = plan(rate_hz=3.0)
+    assert [planned.scheduled_ns(0, n) for n in (0, 1, 2, 3, 300)] == [
+        0,
+        333_333_333,
+        666_666_667,
+        1_000_000_000,
+        100_000_000_000,
+    ]
+
+
+def test_late_replies_move_no_later_send():
+    link = Link(plan(messages=5, rate_hz=100.0), delay_ns=lambda n: 500 * MS if n == 0 else 3 * MS)
+    link.run()
+    t0 = START_NS + LEAD_NS
+    assert [event[2] for event in link.sink.of_stage(1)] == [t0 + 10 * n * MS for n in range(5)]
+    assert link.sink.of_stage(2)[-1][1:3] == (0, t0 + 500 * MS)
+
+
+def test_a_send_that_blocks_delays_what_is_due_and_moves_no_plan():
+    # Message 1 takes 25 ms to hand over: 2 and 3 are due meanwhile and go at once, 4 is on time again.
+    link = Link(plan(messages=5, rate_hz=100.0), publish_ns=lambda n: 25 * MS if n == 1 else 0)
+    link.run()
+    t0 = START_NS + LEAD_NS
+    events = link.sink.of_stage(1)
+    assert [(event[2] - t0) // MS for event in events] == [0, 10, 35, 35, 40]
+    assert [(event[3] - t0) // MS for event in events] == [0, 10, 20, 30, 40]
+
+
+def test_the_message_carries_stamp_and_send_time():
+    link = Link(plan(messages=2, rate_hz=10.0))
+    run = link.run()
+    t1 = START_NS + LEAD_NS + 100 * MS
+    seconds, nanoseconds = divmod(t1 + link.clock.wall_offset_ns, 1_000_000_000)
+    assert link.sent[1][4:12] == struct.pack("<iI", seconds, nanoseconds)
+    assert link.sent[1][16:62] == stamp_text(run.run_id, 1)
+
+
+def test_the_run_is_described_at_start_and_end():
+    link = Link(
+        plan(messages=3, warmup=2, data_type=BINARY, bridge="builtin", relay_domain_id=10, labels={"a": "b"})
+    )
+    run = link.run()
+    started, finished = link.sink.runs
+    assert finished == run
+    assert (started.state, started.published) == ("started", 0)
+    assert (finished.state, finished.published) == ("finished", 5)
+    assert finished.run_id == started.run_id != 0
+    assert (finished.planned_messages, finished.warmup_messages) == (3, 2)
+    assert (finished.data_type, finished.payload_bytes, finished.rate_hz) == ("binary", 33_000, 100.0)
+    assert (finished.bridge, finished.relay_domain_id, finished.labels) == ("builtin", 10, {"a": "b"})
+    assert [event[1] for event in link.sink.of_stage(1)] == [0, 1, 2, 3, 4]
+
+
+def test_a_lost_reply_is_waited_for_and_then_given_up():
+    link = Link(plan(messages=5), delay_ns=lambda n: None if n == 2 else 3 * MS)
+    link.run()
+    progress = link.ping.progress()
+    assert (progress.sent, progress.received, progress.lost) == (5, 4, 1)
+    last_reply = START_NS + LEAD_NS + 43 * MS
+    assert DRAIN_NS < link.clock.now_ns - last_reply < DRAIN_NS + 100 * MS
+
+
+def test_the_wait_ends_with_the_last_reply():
+    link = Link(plan(messages=5), delay_ns=lambda n: 1500 * MS if n == 4 else 3 * MS)
+    link.run()
+    assert link.ping.progress().received == 5
+    assert link.clock.now_ns - (START_NS + LEAD_NS + 1540 * MS) < 100 * MS
+
+
+def test_slow_links_get_more_patience():
+    # A round trip takes 3 s, as the probes have shown, and the second reply 4.5 s.
+    link = Link(plan(messages=2), delay_ns=lambda n: 4500 * MS if n == 1 else 3000 * MS)
+    assert link.ping.wait_for_echo(10, NEVER)
+    link.run()
+    assert link.ping.progress().received == 2
+
+
+def test_two_relays_answer_each_for_itself():
+    link = Link(plan(messages=3), relays=(1, 2))
+    link.run()
+    assert sorted(event[-1] for event in link.sink.of_stage(2)) == [1, 1, 1, 2, 2, 2]
+    assert link.ping.relay_ids == (1, 2)
+    assert link.ping.progress().received == 3
+
+
+def test_a_duplicate_is_recorded_and_counted_once():
+    link = Link(plan(messages=3), relays=(1, 1), delay_ns=lambda n: None if n == 0 else 3 * MS)
+    link.run()
+    assert len(link.sink.of_stage(2)) == 4
+    assert link.ping.progress().received == 2
+
+
+def test_what_is_not_of_this_run_is_left_alone():
+    link = Link(plan(messages=1))
+    run = link.run()
+    before = len(link.sink.events)
+    message = bytearray(link.sent[-1])
+    for run_id, sequence in ((run.run_id + 1, 0), (run.run_id, 1), (0, 5)):
+        RAW_HEADER_STAMP.write(message, run_id, sequence)
+        link.reply(message)
+    link.node.deliver("imu_data_relay", b"\0\1\0\0rubbish")
+    assert len(link.sink.events) == before
+
+
+def test_a_stop_ends_the_sending_and_still_collects_replies():
+    link = Link(plan(messages=100, rate_hz=100.0))
+    stop = threading.Event()
+    link.clock.at(START_NS + LEAD_NS + 31 * MS, stop.set)
+    run = link.ping.run(link.sink, stop)
+    assert run.published == 4
+    assert run.state == "finished"
+    assert len(link.sink.of_stage(2)) == 4
+
+
+def test_readiness_is_an_echo_and_no_event():
+    link = Link(plan())
+    assert link.ping.wait_for_echo(5, NEVER)
+    assert link.sink.events == []
+    stamps = [RAW_HEADER_STAMP.read(message) for message in link.sent]
+    assert [stamp.run_id for stamp in stamps] == [0]
+
+
+def test_probes_are_repeated_with_new_numbers_and_slow_down():
+    link = Link(plan(), delay_ns=lambda _: None)
+    assert not link.ping.wait_for_echo(4, NEVER)
+    sequences = [RAW_HEADER_STAMP.read(message).sequence for message in link.sent]
+    assert sequences == list(range(sequences[0], sequences[0] + len(sequences)))
+    assert len(sequences) == 7  # at 0, 0.1, 0.3, 0.8, 1.8, 2.8 and 3.8 s
+    assert link.clock.now_ns - START_NS < 4200 * MS
+
+
+def test_somebody_elses_probe_is_no_echo():
+    link = Link(plan(), delay_ns=lambda _: None)
+    message = bytearray(plan().payload.messages[0].data)
+    RAW_HEADER_STAMP.write(message, 0, 12345)
+    link.clock.at(START_NS + 100 * MS, lambda: link.reply(message))
+    assert not link.ping.wait_for_echo(1, NEVER)
+
+
+def test_a_late_echo_of_a_probe_does_not_disturb_the_run():
+    link = Link(plan(messages=2), delay_ns=lambda n: 30 * MS if n > 1 else 3 * MS)
+    assert link.ping.wait_for_echo(5, NEVER)
+    probe = link.sent[0]
+    link.clock.at(link.clock.now_ns + LEAD_NS + MS, lambda: link.reply(probe))
+    link.run()
+    assert len(link.sink.of_stage(2)) == 2
+
+
+def test_progress_counts_what_a_later_reply_has_overtaken():
+    link = Link(plan(messages=4), delay_ns=lambda n: None if n in (1, 3) else (2 + n) * MS)
+    link.run()
+    progress = link.ping.progress()
+    assert (progress.planned, progress.sent, progress.received, progress.lost) == (4, 4, 2, 1)
+    assert (progress.rtt_p50_ns, progress.rtt_p99_ns) == (2 * MS, 4 * MS)
+
+
+def test_garbage_collection_is_off_during_the_run_and_on_after_it():
+    states = []
+    link = Link(plan(messages=1), publish_ns=lambda _: states.append(gc.isenabled()) or 0)
+    link.run()
+    assert states == [False]
+    assert gc.isenabled()
+
+
+def test_endpoints_are_taken_off_at_the_end():
+    link = Link(plan())
+    link.ping.close()
+    assert not link.node.publishers["imu_data"].is_open
+    assert not link.node.subscriptions["imu_data_relay"].is_open
+
+
+@pytest.mark.parametrize("size", [4, 2675])
+def test_strings_have_no_time_and_their_own_place(size):
+    clock, node, sink = FakeClock(START_NS), FakeNode(), ListSink()
+    ping = Ping(node, RunPlan(STRING.make(size, 1), 10.0, 1), clock)
+    node.publishers["string_data"].on_publish = lambda message: node.deliver("string_data_relay", message)
+    ping.run(sink, NEVER)
+    assert [event[6] for event in sink.of_stage(2)] == [size]

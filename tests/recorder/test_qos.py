@@ -1,0 +1,37 @@
+"""Which pairs of a publisher and a subscription never match."""
+
+from __future__ import annotations
+
+import pytest
+
+from recorder.backend import Endpoint
+from recorder.qos import incompatible_pairs, mismatches
+from tracefile import Qos
+
+RELIABLE, BEST_EFFORT = Qos(), Qos(reliability="best_effort")
+LATCHED = Qos(durability="transient_local")
+
+
+@pytest.mark.parametrize(
+    ("offered", "requested", "found"),
+    [
+        (RELIABLE, RELIABLE, []),
+        (RELIABLE, BEST_EFFORT, []),
+        (BEST_EFFORT, RELIABLE, ["reliability (best_effort offered, reliable requested)"]),
+        (RELIABLE, LATCHED, ["durability (volatile offered, transient_local requested)"]),
+        (LATCHED, RELIABLE, []),
+        (Qos(reliability="unknown"), RELIABLE, []),
+        (Qos(depth=1), Qos(depth=1000, history="keep_all"), []),
+    ],
+)
+def test_offered_against_requested(offered, requested, found):
+    assert mismatches(offered, requested) == found
+
+
+def test_pairs_of_ours_are_named_and_others_are_not():
+    type_name = "sensor_msgs/msg/Imu"
+    ours, theirs = Endpoint("me", type_name, BEST_EFFORT), Endpoint("they", type_name, RELIABLE)
+    unknown = Endpoint("bare", type_name)
+    (line,) = incompatible_pairs("imu_data", [ours, unknown], [theirs], "me")
+    assert line.startswith("imu_data: publisher of me and subscription of they differ in reliability")
+    assert list(incompatible_pairs("imu_data", [ours], [theirs], "somebody")) == []

@@ -1,0 +1,99 @@
+"""The relay without middleware: what it sends back, what it records, what it leaves alone."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+from fake_clock import FakeClock
+from fake_node import FakeNode, ListSink
+
+from recorder.backend import Serialization
+from recorder.payloads import DATA_TYPES
+from recorder.relay import Relay
+from tracefile import Qos
+
+RELAY = 0xBEEF
+
+
+class Bench:
+    """A relay on a fake node; its clock ticks one microsecond at every look."""
+
+    def __init__(self):
+        self.node, self.sink, self.clock = FakeNode(), ListSink(), FakeClock()
+        ticks = itertools.count(1000, 1000)
+        self.clock.monotonic_ns = lambda: next(ticks)
+        self.relay = Relay(
+            self.node, self.sink, RELAY, data_types=DATA_TYPES.values(), qos=Qos(), clock=self.clock
+        )
+
+    def message(self, name, run_id, sequence, size=None):
+        data_type = DATA_TYPES[name]
+        data = data_type.make(size, 1).messages[0].data
+        data_type.stamps[Serialization.RAW].write(data, run_id, sequence)
+        return bytes(data)
+
+
+@pytest.mark.parametrize(("name", "size"), [("binary", 145_000), ("string", 1405), ("imu", 296)])
+def test_every_data_type_is_served_at_once(name, size):
+    bench = Bench()
+    data_type = DATA_TYPES[name]
+    message = bench.message(name, 7, 3, size)
+    bench.node.deliver(data_type.topic, message, 11, 12)
+    (reply,) = bench.node.publishers[data_type.relay_topic].sent
+    raw = data_type.stamps[Serialization.RAW]
+    assert raw.read(reply) == (7, 3, RELAY)
+    assert len(reply) == len(message)
+    assert bench.sink.events == [
+        (3, 7, 3, 1000, 0, 11, 12, size, RELAY),
+        (4, 7, 3, 2000, 0, 0, 0, size, RELAY),
+    ]
+
+
+def test_the_reply_is_on_its_way_before_anything_is_recorded():
+    bench = Bench()
+    recorded = []
+    bench.node.publishers["imu_data_relay"].on_publish = lambda _: recorded.append(len(bench.sink.events))
+    bench.node.deliver("imu_data", bench.message("imu", 7, 0))
+    assert recorded == [0]
+    assert len(bench.sink.events) == 2
+
+
+def test_probes_are_answered_and_not_recorded():
+    bench = Bench()
+    bench.node.deliver("imu_data", bench.message("imu", 0, 99))
+    assert len(bench.node.publishers["imu_data_relay"].sent) == 1
+    assert bench.sink.events == []
+    assert bench.relay.progress().relayed == 0
+
+
+def test_foreign_messages_are_counted_and_left_alone():
+    bench = Bench()
+    for message in (b"", b"\0\1\0\0camera", bench.message("imu", 7, 0).replace(b"dt1:", b"cam:")):
+        bench.node.deliver("imu_data", message)
+    assert bench.node.publishers["imu_data_relay"].sent == []
+    assert bench.sink.events == []
+    assert bench.relay.progress().foreign == 3
+
+
+def test_a_stamp_that_is_damaged_is_no_event():
+    bench = Bench()
+    bench.node.deliver("imu_data", bench.message("imu", 7, 0).replace(b"dt1:0000", b"dt1:zzzz"))
+    assert bench.sink.events == []
+
+
+def test_runs_of_two_pings_are_told_apart():
+    bench = Bench()
+    for run_id, sequence in ((7, 0), (8, 0), (7, 1)):
+        bench.node.deliver("string_data", bench.message("string", run_id, sequence))
+    progress = bench.relay.progress()
+    assert (progress.relayed, progress.runs) == (3, 2)
+    assert [event[1:3] for event in bench.sink.events if event[0] == 3] == [(7, 0), (8, 0), (7, 1)]
+
+
+def test_endpoints_are_taken_off_at_the_end():
+    bench = Bench()
+    bench.relay.close()
+    assert not any(each.is_open for each in bench.node.publishers.values())
+    assert not any(each.is_open for each in bench.node.subscriptions.values())
+    assert len(bench.relay.topics) == 6

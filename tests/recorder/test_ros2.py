@@ -1,0 +1,249 @@
+"""The `ros2` backend on real ROS 2 nodes of this machine."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+import time
+
+import pytest
+from processes import PATIENCE_S
+
+from recorder.backend import Discovery, ExecutorKind, NodeOptions, Serialization, Transport
+from recorder.backends import load_backend, open_node
+from recorder.payloads import BINARY, DATA_TYPES, IMU
+from tracefile import BackendUnavailableError, OptionError, Qos
+
+pytest.importorskip("rclpy", reason="no ROS 2 here")
+pytestmark = [
+    pytest.mark.middleware,
+    pytest.mark.filterwarnings("ignore:module 'sre_:DeprecationWarning"),  # lark's, which rclpy imports
+]
+
+EXECUTORS = [ExecutorKind.EVENTS, ExecutorKind.SINGLE]
+
+
+def options(domain_id, name="one", **more):
+    return NodeOptions(domain_id=domain_id, name=name, discovery=Discovery.LOCALHOST, **more)
+
+
+class Mailbox:
+    """What a subscription received, to be waited for."""
+
+    def __init__(self):
+        self.messages = []
+        self._some = threading.Condition()
+
+    def receive(self, message, source_ns=0, received_ns=0, /):
+        with self._some:
+            self.messages.append((message, source_ns, received_ns))
+            self._some.notify_all()
+
+    def wait_for(self, count, prompt=lambda: None):
+        """The first `count` messages; `prompt` is called until they are there."""
+        deadline = time.monotonic() + PATIENCE_S
+        with self._some:
+            while len(self.messages) < count:
+                assert time.monotonic() < deadline, f"{len(self.messages)} of {count} messages"
+                prompt()
+                self._some.wait(0.1)
+            return self.messages[:count]
+
+
+@pytest.mark.parametrize("executor", EXECUTORS)
+@pytest.mark.parametrize("data_type", DATA_TYPES.values(), ids=lambda data_type: data_type.name)
+def test_bytes_arrive_as_they_were_sent(domain_id, executor, data_type):
+    (message,) = data_type.make(None, 1).messages
+    data_type.stamps[Serialization.RAW].write(message.data, 3, 4)
+    mailbox = Mailbox()
+    with open_node("ros2", options(domain_id, executor=executor)) as node:
+        node.create_subscription(data_type.topic, data_type.type_name, mailbox.receive)
+        publisher = node.create_publisher(data_type.topic, data_type.type_name)
+        node.start()
+        before_ns = time.time_ns()
+        ((received, source_ns, received_ns),) = mailbox.wait_for(1, lambda: publisher.publish(message.data))
+        assert received == message.data
+        assert before_ns <= source_ns <= received_ns <= time.time_ns()
+        assert node.error is None
+
+
+def test_typed_messages_arrive_as_objects(domain_id):
+    mailbox, typed = Mailbox(), IMU.stamps[Serialization.TYPED]
+    with open_node("ros2", options(domain_id)) as node:
+        node.create_subscription("imu_data", IMU.type_name, mailbox.receive, typed=True)
+        publisher = node.create_publisher("imu_data", IMU.type_name, typed=True)
+        message = node.message_from_cdr(IMU.type_name, IMU.make(None, 1).messages[0].data)
+        typed.write(message, 3, 4)
+        node.start()
+        ((received, _, _),) = mailbox.wait_for(1, lambda: publisher.publish(message))
+        assert typed.read(received) == (3, 4, 0)
+        assert received.linear_acceleration.z == message.linear_acceleration.z != 0
+
+
+def test_two_domains_in_one_process_do_not_hear_each_other(domains):
+    data, boxes = IMU.make(None, 1).messages[0].data, [Mailbox(), Mailbox()]
+    with (
+        open_node("ros2", options(domains.take(), "one")) as one,
+        open_node("ros2", options(domains.take(), "two")) as two,
+    ):
+        publishers = []
+        for node, box in zip((one, two), boxes, strict=True):
+            node.create_subscription("imu_data", IMU.type_name, box.receive)
+            publishers.append(node.create_publisher("imu_data", IMU.type_name))
+            node.start()
+        boxes[0].wait_for(3, lambda: publishers[0].publish(data))
+        assert boxes[1].messages == []
+        boxes[1].wait_for(1, lambda: publishers[1].publish(data))
+        assert one.count_participants() == two.count_participants() == 1
+
+
+def test_a_node_says_what_carries_it(domain_id):
+    with open_node("ros2", options(domain_id)) as node:
+        middleware = node.middleware
+    assert (middleware.backend, middleware.vendor) == ("ros2", "fastdds")
+    assert middleware.rmw == "rmw_fastrtps_cpp"
+    assert {"rclpy", "rmw_fastrtps_cpp"} < set(middleware.versions)
+    assert all(version[0].isdigit() for version in middleware.versions.values())
+    assert middleware.settings["discovery"] == "localhost"
+    assert middleware.settings["executor"] == "events"
+
+
+@pytest.mark.parametrize("executor", EXECUTORS)
+def test_quality_of_service_that_never_matches_is_seen(domain_id, executor):
+    with (
+        open_node("ros2", options(domain_id, "one", executor=executor)) as one,
+        open_node("ros2", options(domain_id, "two", executor=executor)) as two,
+    ):
+        one.create_publisher("imu_data", IMU.type_name, qos=Qos(reliability="best_effort"))
+        two.create_subscription("imu_data", IMU.type_name, Mailbox().receive)
+        one.start()
+        two.start()
+        expected = "imu_data: publisher of one and subscription of two differ in reliability"
+        deadline = time.monotonic() + PATIENCE_S
+        views = []
+        # The middleware's event comes first and knows the policy alone; the graph names both sides.
+        while (
+            not all(line.startswith(expected) for view in views for line in view.incompatible or ("",))
+            or not views
+        ):
+            assert time.monotonic() < deadline, views
+            time.sleep(0.05)
+            views = [node.look_at("imu_data") for node in (one, two)]
+        assert [each.node_name for each in views[0].publishers] == ["one"]
+        assert [each.type_name for each in views[1].subscriptions] == [IMU.type_name]
+        assert one.count_participants() == 2
+
+
+def test_an_error_in_a_callback_is_kept(domain_id):
+    def fail(*_):
+        raise ValueError("ours")
+
+    with open_node("ros2", options(domain_id, executor=ExecutorKind.SINGLE)) as node:
+        node.create_subscription("imu_data", IMU.type_name, fail)
+        publisher = node.create_publisher("imu_data", IMU.type_name)
+        node.start()
+        deadline = time.monotonic() + PATIENCE_S
+        while node.error is None:
+            assert time.monotonic() < deadline
+            publisher.publish(IMU.make(None, 1).messages[0].data)
+            time.sleep(0.05)
+        assert str(node.error) == "ours"
+
+
+def test_python_keeps_its_signal_handlers(domain_id):
+    # The EventsExecutor takes SIGINT and SIGTERM for itself when it is made and resets them when it goes.
+    seen = []
+    before = signal.signal(signal.SIGTERM, lambda number, _: seen.append(number))
+    try:
+        with open_node("ros2", options(domain_id)) as node:
+            node.start()
+            signal.raise_signal(signal.SIGTERM)
+            assert seen == [signal.SIGTERM]
+        signal.raise_signal(signal.SIGTERM)
+        assert seen == [signal.SIGTERM] * 2
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def test_closing_twice_is_allowed(domain_id):
+    node = open_node("ros2", options(domain_id))
+    node.start()
+    node.close()
+    node.close()
+
+
+def test_options_that_ros_cannot_meet_are_refused(domain_id):
+    with open_node("ros2", options(domain_id)) as node:
+        with pytest.raises(OptionError, match="RATHER"):
+            node.create_publisher("x", IMU.type_name, qos=Qos(reliability="rather"))
+        with pytest.raises(BackendUnavailableError, match=r"nowhere_msgs/msg/None.* apt install"):
+            node.create_publisher("x", "nowhere_msgs/msg/None")
+    with pytest.raises(OptionError, match="large-data"):
+        open_node("ros2", options(domain_id, transport=Transport.LARGE_DATA, tuned=True))
+
+
+def test_there_is_no_other_backend():
+    with pytest.raises(OptionError, match="no backend 'dds'; choose one of ros2"):
+        load_backend("dds")
+
+
+def python(code, **environment):
+    """`code` in a process of its own; the middleware is chosen when rclpy is imported."""
+    return subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(code)],
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
+    )
+
+
+def test_a_middleware_that_is_not_here_is_one_line_and_no_dead_process(domain_id):
+    done = python(
+        f"""
+        from recorder.backends import open_node
+        from recorder.backend import NodeOptions
+        from tracefile import BackendUnavailableError
+        try:
+            open_node("ros2", NodeOptions(domain_id={domain_id}))
+        except BackendUnavailableError as error:
+            print(error)
+        """,
+        RMW_IMPLEMENTATION="rmw_cyclonedds_cpp",
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("RMW_IMPLEMENTATION=rmw_cyclonedds_cpp does not work here: ")
+    assert "apt install ros-$ROS_DISTRO-rmw-cyclonedds-cpp" in done.stdout
+
+
+def test_without_rclpy_it_says_how_to_get_it():
+    done = python(
+        """
+        import sys
+        sys.modules["rclpy"] = None  # as if it were not installed
+        from recorder.backends import open_node
+        from recorder.backend import NodeOptions
+        from tracefile import BackendUnavailableError
+        try:
+            open_node("ros2", NodeOptions())
+        except BackendUnavailableError as error:
+            print(error)
+        """
+    )
+    assert "rclpy is not installed; pip install 'dds-trace[ros2]'" in done.stdout, done.stderr
+    assert "setup.bash" in done.stdout
+
+
+def test_binary_data_of_some_megabytes_arrives_whole(domain_id):
+    data, mailbox = BINARY.make(2_000_000, 1).messages[0].data, Mailbox()
+    with open_node("ros2", options(domain_id)) as node:
+        node.create_subscription(BINARY.topic, BINARY.type_name, mailbox.receive)
+        publisher = node.create_publisher(BINARY.topic, BINARY.type_name)
+        node.start()
+        ((received, _, _),) = mailbox.wait_for(1, lambda: publisher.publish(data))
+        assert received == data

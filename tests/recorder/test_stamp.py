@@ -1,0 +1,121 @@
+"""The stamp on the wire: its text, its place in serialized and in typed messages, the relay's patch."""
+
+from __future__ import annotations
+
+import struct
+from types import SimpleNamespace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from recorder.backend import Serialization
+from recorder.payloads import DATA_TYPES
+from recorder.stamp import (
+    RAW_HEADER_STAMP,
+    RAW_STRING_STAMP,
+    STAMP_BYTES,
+    TYPED_HEADER_STAMP,
+    TYPED_STRING_STAMP,
+    Stamp,
+    parse_stamp,
+    stamp_text,
+)
+
+UINT64 = st.integers(0, 2**64 - 1)
+UINT32 = st.integers(0, 2**32 - 1)
+TEXT = b"dt1:0123456789abcdef:0000000000000102:deadbeef"
+
+
+def header_message(frame_id: bytes) -> bytes:
+    """std_msgs/Header and a byte, as another program would write it."""
+    return b"\0\1\0\0" + struct.pack("<iII", 7, 8, len(frame_id) + 1) + frame_id + b"\0" + b"\x2a"
+
+
+def test_text_is_what_the_format_page_says():
+    assert stamp_text(0x0123456789ABCDEF, 0x102, 0xDEADBEEF) == TEXT
+    assert len(TEXT) == STAMP_BYTES == 46
+
+
+@given(UINT64, UINT64, UINT32)
+def test_every_stamp_is_46_characters_and_reads_back(run_id, sequence, relay_id):
+    text = stamp_text(run_id, sequence, relay_id)
+    assert len(text) == 46
+    assert parse_stamp(text) == parse_stamp(text.decode()) == Stamp(run_id, sequence, relay_id)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        b"",
+        b"map",
+        TEXT[:-1],
+        TEXT + b"0",
+        b"dt2" + TEXT[3:],
+        TEXT.replace(b"f", b"g"),
+        TEXT.replace(b":0000", b":zzzz"),
+    ],
+)
+def test_other_text_is_no_stamp(text):
+    assert parse_stamp(text) is None
+
+
+def test_stamp_and_time_are_written_in_place():
+    message = bytearray(header_message(bytes(46)))
+    length = len(message)
+    RAW_HEADER_STAMP.write(message, 0x0123456789ABCDEF, 0x102)
+    RAW_HEADER_STAMP.write_time(message, 1_700_000_000_000_000_042)
+    assert len(message) == length
+    assert message[4:12] == struct.pack("<iI", 1_700_000_000, 42)
+    assert message[16:62] == TEXT[:38] + b"00000000"
+    assert RAW_HEADER_STAMP.read(message) == (0x0123456789ABCDEF, 0x102, 0)
+    assert message[-1] == 0x2A
+
+
+def test_a_reply_differs_in_the_relay_alone():
+    received = header_message(TEXT)
+    reply = RAW_HEADER_STAMP.reply(received, b"0000002a")
+    assert received == header_message(TEXT)
+    assert reply == header_message(TEXT[:38] + b"0000002a")
+
+
+@pytest.mark.parametrize(
+    "message", [b"", b"\0\1\0\0", header_message(b"camera_frame"), header_message(b"x" * 46)]
+)
+def test_foreign_messages_are_left_alone(message):
+    assert RAW_HEADER_STAMP.read(message) is None
+    assert RAW_HEADER_STAMP.reply(message, b"0000002a") is None
+
+
+def test_a_string_has_the_stamp_before_its_payload():
+    message = bytearray(b"\0\1\0\0" + struct.pack("<I", 46 + 5 + 1) + bytes(46) + b"hello\0")
+    RAW_STRING_STAMP.write(message, 1, 2)
+    RAW_STRING_STAMP.write_time(message, 99)  # a String has none
+    assert message[8:] == b"dt1:0000000000000001:0000000000000002:00000000hello\0"
+    assert RAW_STRING_STAMP.reply(message, b"00000007")[8:] == (
+        b"dt1:0000000000000001:0000000000000002:00000007hello\0"
+    )
+
+
+def test_message_objects_carry_the_same_stamp():
+    header = SimpleNamespace(frame_id="", stamp=SimpleNamespace(sec=0, nanosec=0))
+    image, text = SimpleNamespace(header=header), SimpleNamespace(data="." * 46 + "hello")
+    for place, message in ((TYPED_HEADER_STAMP, image), (TYPED_STRING_STAMP, text)):
+        place.write(message, 1, 2)
+        place.write_time(message, 3_000_000_004)
+        assert place.read(message) == (1, 2, 0)
+        assert place.reply(message, b"00000007") is message
+        assert place.read(message) == (1, 2, 7)
+    assert (header.stamp.sec, header.stamp.nanosec) == (3, 4)
+    assert text.data.endswith(":00000007hello")
+    assert (
+        TYPED_HEADER_STAMP.reply(SimpleNamespace(header=SimpleNamespace(frame_id="map")), b"00000007") is None
+    )
+    assert TYPED_STRING_STAMP.reply(SimpleNamespace(data="hi"), b"00000007") is None
+
+
+def test_every_payload_has_room_for_the_stamp_at_its_place():
+    for data_type in DATA_TYPES.values():
+        message = data_type.make(None, 1).messages[0].data
+        assert message.find(b"dt1:") == (8 if data_type.name == "string" else 16)
+        assert data_type.stamps[Serialization.RAW].read(message) == (0, 0, 0)

@@ -73,8 +73,9 @@ def _headline(verdicts: tuple[Verdict, ...], groups: Groups) -> str:
         names = sorted(set(contender_labels(groups).values()))
         return f"{_and(names)} were not measured under equal conditions, so no choice can be made from this."
     if not any(verdict.wins for verdict in verdicts):
-        compared = cells_label(sum(verdict.cells for verdict in verdicts))
-        return f"Inconclusive: in none of {compared} was one choice clearly faster than the others."
+        cells = sum(verdict.cells for verdict in verdicts)
+        where = "the one cell" if cells == 1 else f"any of the {cells} cells"
+        return f"Inconclusive: no choice was clearly faster than the others in {where} compared."
     modes = dict.fromkeys(verdict.mode for verdict in verdicts)
     return " ".join(_mode_sentence(mode, [one for one in verdicts if one.mode == mode]) for mode in modes)
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+import polars as pl
 
 from reports.groups import METRICS
 
@@ -35,21 +36,25 @@ class Curves:
     levels: tuple[float, ...]
     values_ns: Mapping[str, tuple[tuple[int, ...], ...]]
 
-    @property
-    def any_drawn(self) -> bool:
-        """Whether there is a curve at all: two points at least."""
-        return any(len(curve) > 1 for curves in self.values_ns.values() for curve in curves)
+
+def any_curve(analysis: Analysis) -> bool:
+    """Whether some group has two messages at least, and so a curve."""
+    messages = analysis.distributions.group_by("group", "metric").agg(pl.sum("count"))["count"]
+    return any(count > 1 for count in messages)
 
 
 def curves_info(analysis: Analysis) -> Curves:
     """Every group's curves, from `analysis.distributions`; a value is exact to the histogram's 0.1 %."""
     curves: dict[str, list[tuple[int, ...]]] = {metric: [()] * analysis.summary.height for metric in METRICS}
     ordered = analysis.distributions.sort("group", "metric", "value_ns")
-    for (group, metric), buckets in ordered.group_by(["group", "metric"], maintain_order=True):
+    values_ns, counts = ordered["value_ns"].to_numpy(), ordered["count"].to_numpy().astype(np.int64)
+    lengths = ordered.group_by("group", "metric", maintain_order=True).agg(buckets=pl.len())
+    start = 0
+    for group, metric, buckets in lengths.iter_rows():
         if metric in curves:
-            curves[str(metric)][int(str(group))] = _curve(
-                buckets["value_ns"].to_numpy(), buckets["count"].to_numpy().astype(np.int64)
-            )
+            own = slice(start, start + buckets)
+            curves[metric][group] = _curve(values_ns[own], counts[own])
+        start += buckets
     return Curves(LEVELS, {metric: tuple(per_group) for metric, per_group in curves.items()})
 
 
@@ -60,4 +65,5 @@ def _curve(values_ns: np.ndarray, counts: np.ndarray) -> tuple[int, ...]:
     levels = np.asarray(LEVELS)
     levels = levels[levels <= 1 - 1 / total]
     wanted = np.maximum(1, np.ceil(levels * total - 1e-9))
-    return tuple(round(value) for value in values_ns[np.searchsorted(ranks, wanted)])
+    at_levels: list[int] = np.rint(values_ns[np.searchsorted(ranks, wanted)]).astype(np.int64).tolist()
+    return tuple(at_levels)

@@ -116,10 +116,7 @@ def _island(analysis: Analysis, figures: list[Figure]) -> dict[str, Any]:
         "title": visible(analysis.title),
         "metrics": [{"key": key, "label": label} for key, label in METRICS.items() if values.has(key)],
         "statistics": [{"key": key, "label": label} for key, label in STATISTICS.items()],
-        "filters": [
-            {"key": one.key, "label": one.label, "options": [asdict(option) for option in one.options]}
-            for one in filters
-        ],
+        "filters": [{"key": one.key, "label": one.label, "options": one.options} for one in filters],
         "groups": {
             "count": len(groups.groups),
             "series": [group.series for group in groups.groups],
@@ -141,8 +138,8 @@ def _island(analysis: Analysis, figures: list[Figure]) -> dict[str, Any]:
             }
             for cell in groups.cells
         ],
-        "values": asdict(values),
-        "curves": asdict(curves_info(analysis)),
+        "values": values,
+        "curves": curves_info(analysis),
         "figures": {
             figure.name: {"title": figure.title, "kind": figure.kind, "plan": figure.plan}
             for figure in figures

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 import unicodedata
+from dataclasses import fields
 from typing import Any
 
 MAX_SHOWN_CHARACTERS = 300
@@ -60,12 +61,19 @@ def markdown(text: object) -> str:
 
 
 def json_island(value: Any) -> str:
-    """JSON that cannot end the `<script>` element it stands in; sorted keys, no spaces, no NaN."""
-    text = json.dumps(value, separators=(",", ":"), sort_keys=True, ensure_ascii=False, allow_nan=False)
+    """JSON that cannot end the `<script>` element it stands in; dataclasses as objects, sorted keys, no NaN."""
+    text = json.dumps(
+        value, separators=(",", ":"), sort_keys=True, ensure_ascii=False, allow_nan=False, default=_fields
+    )
     for character in "<>&\u2028\u2029":
         text = text.replace(character, f"\\u{ord(character):04x}")
     # A lone surrogate (undecodable file name) cannot be written as UTF-8.
     return text.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
+def _fields(record: Any) -> dict[str, Any]:
+    # Not `asdict`: that copies every number of a campaign one by one.
+    return {each.name: getattr(record, each.name) for each in fields(record)}
 
 
 def format_ns(value_ns: float | None) -> str:

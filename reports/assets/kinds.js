@@ -102,7 +102,7 @@ const KINDS = {
       return {
         title: panel.title, weight: places.length, share: percent ? "" : DATA.cells[places[0]].data,
         traces: panel.lines.map((line) => marks(line.series, line.points, {
-          x: (point) => rank.get(point.x), y: (point) => point.value / unit.factor, mode: "markers", size: 8,
+          x: (point) => rank.get(point.x), y: (point) => point.value / unit.factor, mode: "markers", size: 8, open: percent,
           hover: (point) => groupHover(point.group, `${label}: ${format(point.value)}`, sampleHover(point.group)),
         })),
         ...cellAxis(places.map((place) => DATA.cells[place])),
@@ -137,7 +137,11 @@ const KINDS = {
       }
     }
     const unit = axisUnit(values);
-    const minWidth = Math.max(300, ...kept.map((panel) => new Set(panel.pairs.map((pair) => pair.rate_hz)).size * 34));
+    // Wide enough to write what crossing cost along each bar, if the page is.
+    const minWidth = Math.min(width - 80, Math.max(300, ...kept.map((panel) => {
+      const bars = new Set(panel.pairs.flatMap((pair) => [DATA.groups.series[pair.same], DATA.groups.series[pair.different]])).size;
+      return new Set(panel.pairs.map((pair) => pair.rate_hz)).size * bars * 13.5;
+    })));
     const panels = kept.map((panel) => {
       const rates = [...new Set(panel.pairs.map((pair) => pair.rate_hz))].sort((a, b) => a - b);
       const bars = new Map();   // series -> rate -> {group, added}
@@ -163,17 +167,17 @@ const KINDS = {
           return {
             type: "bar", name: plain(series.label), x: entries.map(([rate]) => rates.indexOf(rate)),
             y: entries.map(([, bar]) => statisticOf(bar.group) / unit.factor),
-            text: room > 11 ? entries.map(([, bar]) => (bar.difference === null ? "" : signed(bar.difference, formatNs))) : undefined,
-            textposition: "outside", textfont: { size: 10, color: theme().ink }, textangle: room > 44 ? 0 : -90, cliponaxis: false, constraintext: "none",
+            text: room > 10 ? entries.map(([, bar]) => (bar.difference === null ? "" : signed(bar.difference, formatNs))) : undefined,
+            textposition: "outside", textfont: { size: room > 12 ? 10 : 9, color: theme().ink }, textangle: room > 44 ? 0 : -90, cliponaxis: false, constraintext: "none",
             hoverinfo: "text", hovertext: entries.map(([, bar]) => groupHover(bar.group, `${statisticLabel()}: ${formatNs(statisticOf(bar.group))}`, ...(bar.difference === null ? [] : [`${signed(bar.difference, formatNs)} against the same domain`]), sampleHover(bar.group))),
             marker: { color, line: { color, width: 1 }, pattern: series.different ? { shape: "/", fgcolor: color, bgcolor: theme().ground, size: 6, solidity: 0.45 } : {} },
           };
         }),
         x: (panelWidth) => ({ ...tickedAxis(rates.map((_, place) => place), rates.map(digits), { log: false, room: 22, title: "Rate (Hz)" })(panelWidth), range: [-0.55, rates.length - 0.45], showgrid: false }),
-        y: { type: "linear", range: [0, most * (room > 44 || room <= 11 ? 1.12 : 1.3)], nticks: 5 },
+        y: { type: "linear", range: [0, most * (room > 44 || room <= 10 ? 1.12 : 1.3)], nticks: 5 },
       };
     });
-    const drawn = gridOf(panels, width, { yTitle: `${statisticLabel()} (${unit.label})`, minWidth: Math.min(minWidth, width), below: 46 });
+    const drawn = gridOf(panels, width, { yTitle: `${statisticLabel()} (${unit.label})`, minWidth, below: 46 });
     Object.assign(drawn.layout, { barmode: "group", bargap: 0.25, bargroupgap: 0.05 });
     return {
       ...drawn, series: found.series, missing: found.missing,

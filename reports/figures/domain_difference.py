@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from reports.figures.figure import Figure, LeftOut
@@ -91,7 +91,7 @@ def domain_difference_figure(info: DomainDifference) -> Figure | LeftOut:
         return LeftOut(
             NAME, TITLE, "no cell was measured both in the same and in different domains with all else equal."
         )
-    return Figure(NAME, TITLE, HOW_TO_READ, "pairs", {"panels": [asdict(panel) for panel in info.panels]})
+    return Figure(NAME, TITLE, HOW_TO_READ, "pairs", {"panels": info.panels})
 
 
 def _apart_from_domain(series: Series) -> tuple[object, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from reports.curves import curves_info
+from reports.curves import any_curve
 from reports.figures.figure import Figure, LeftOut
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ class Ecdf:
 
 def ecdf_info(analysis: Analysis) -> Ecdf:
     """Looks for a group with two messages at least."""
-    return Ecdf(curves_info(analysis).any_drawn)
+    return Ecdf(any_curve(analysis))
 
 
 def ecdf_figure(info: Ecdf) -> Figure | LeftOut:

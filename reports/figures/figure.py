@@ -21,7 +21,7 @@ class Figure:
         name: the id in the page and in file names of downloads.
         how_to_read: one sentence.
         kind: which function of `assets/kinds.js` draws it.
-        plan: JSON for that function.
+        plan: what that function needs, as `json_island` writes it.
     """
 
     name: str

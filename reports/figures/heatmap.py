@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from reports.figures.figure import Figure, LeftOut
@@ -60,4 +60,4 @@ def heatmap_figure(info: Heatmap) -> Figure | LeftOut:
     """Tiles with the value written in them where there is room."""
     if not info.panels:
         return LeftOut(NAME, TITLE, "no data type was measured at two sizes or rates by one series.")
-    return Figure(NAME, TITLE, HOW_TO_READ, "heatmap", {"panels": [asdict(panel) for panel in info.panels]})
+    return Figure(NAME, TITLE, HOW_TO_READ, "heatmap", {"panels": info.panels})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from reports.groups import groups_info
@@ -76,5 +76,5 @@ def panels_info(
 
 
 def panels_plan(panels: tuple[Panel, ...], **axes: Any) -> dict[str, Any]:
-    """The panels as JSON beside the axes' settings."""
-    return {"panels": [asdict(panel) for panel in panels], **axes}
+    """The panels beside the axes' settings."""
+    return {"panels": panels, **axes}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from reports.curves import curves_info
+from reports.curves import any_curve
 from reports.figures.figure import Figure, LeftOut
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ class PercentileCurve:
 
 def percentile_curve_info(analysis: Analysis) -> PercentileCurve:
     """Looks for a group with two messages at least."""
-    return PercentileCurve(curves_info(analysis).any_drawn)
+    return PercentileCurve(any_curve(analysis))
 
 
 def percentile_curve_figure(info: PercentileCurve) -> Figure | LeftOut:

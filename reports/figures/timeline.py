@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -87,7 +87,7 @@ def timeline_figure(info: Timeline) -> Figure | LeftOut:
     """Dots over time for the series of the chosen cell."""
     if not info.groups:
         return LeftOut(NAME, TITLE, "no message was published.")
-    by_group = {str(one.group): {k: v for k, v in asdict(one).items() if k != "group"} for one in info.groups}
+    by_group = {str(one.group): one for one in info.groups}
     return Figure(NAME, TITLE, HOW_TO_READ, "timeline", {"groups": by_group, "decimated": info.decimated})
 
 

@@ -6,6 +6,7 @@ import math
 import random
 import statistics
 from dataclasses import dataclass, field
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import polars as pl
@@ -441,12 +442,13 @@ def _campaign_findings() -> list[Finding]:
     ]
 
 
+# Frozen values, so every test of a process may share them.
 EVERY_ANALYSIS = {
-    "empty folder": empty_folder,
-    "one message": one_message,
-    "ping without relay": ping_without_relay,
-    "nothing came back": nothing_came_back,
-    "hostile strings": hostile,
-    "small campaign": small_campaign,
-    "500 groups": five_hundred_groups,
+    "empty folder": cache(empty_folder),
+    "one message": cache(one_message),
+    "ping without relay": cache(ping_without_relay),
+    "nothing came back": cache(nothing_came_back),
+    "hostile strings": cache(hostile),
+    "small campaign": cache(small_campaign),
+    "500 groups": cache(five_hundred_groups),
 }

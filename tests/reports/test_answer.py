@@ -1,0 +1,143 @@
+from analyses import EVERY_ANALYSIS, MS, Measured, make_analysis
+
+from reports.answer import answer_info
+from reports.groups import groups_info
+from reports.overview import Fact, findings_by_code, overview_info
+from reports.values import values_info
+from reports.verdicts import Verdict, Win, clearly_faster
+
+SLOW = [10 * MS + n * 1000 for n in range(20)]
+FAST = [1 * MS + n * 1000 for n in range(20)]
+ZENOH = {"vendor": "zenoh", "relay_vendor": "zenoh"}
+BRIDGED = {"bridge": "builtin", "domain_mode": "different"}
+
+
+def test_a_clear_winner_is_named():
+    answer = answer_info(make_analysis(Measured(SLOW), Measured(FAST, **ZENOH)))
+    assert answer.verdicts == (
+        Verdict("Binary, same domain", "same domain", 1, (Win("Zenoh", "zenoh", 1),), inconclusive=0),
+    )
+    assert answer.headline == "In the same domain, Zenoh was clearly fastest in the one cell."
+    assert "p90 is below the other's median" in answer.rule
+
+
+def test_overlap_is_inconclusive():
+    # p90 of the faster is 1.0171 ms, the median of the slower 1.0145 ms.
+    slightly_slower = [ns + 5_000 for ns in FAST]
+    answer = answer_info(make_analysis(Measured(slightly_slower), Measured(FAST, **ZENOH)))
+    assert answer.verdicts[0].inconclusive == 1
+    assert answer.verdicts[0].sentence == "inconclusive."
+    assert (
+        answer.headline
+        == "Inconclusive: no choice was clearly faster than the others in the one cell compared."
+    )
+
+
+def test_the_boundary_is_strict():
+    # p90 of 0..9 (ms) is 8.1 ms by linear interpolation.
+    ramp = [n * MS for n in range(10)]
+    for median, expected in ((8_100_000, False), (8_100_001, True)):
+        analysis = make_analysis(Measured([median] * 10), Measured(ramp, **ZENOH))
+        assert clearly_faster(values_info(analysis), "latency", 1, 0) is expected
+
+
+def test_a_faster_one_that_loses_more_is_inconclusive():
+    lossy = [*FAST, "lost_return"]
+    answer = answer_info(make_analysis(Measured(SLOW), Measured(lossy, **ZENOH)))
+    assert answer.verdicts[0].wins == ()
+    assert answer.remarks[-1] == "1 of 41 messages (2.44 %) did not come back, in 1 of 2 groups."
+
+
+def test_too_few_messages_are_inconclusive():
+    answer = answer_info(make_analysis(Measured([10 * MS] * 9), Measured([MS] * 9, **ZENOH)))
+    assert answer.verdicts[0].inconclusive == 1
+
+
+def test_unlike_conditions_are_not_compared():
+    answer = answer_info(make_analysis(Measured(SLOW, reliability="best_effort"), Measured(FAST, **ZENOH)))
+    assert answer.verdicts == ()
+    assert answer.headline == (
+        "Fast DDS and Zenoh were not measured under equal conditions, so no choice can be made from this."
+    )
+
+
+def test_bridges_are_contenders_across_domains():
+    answer = answer_info(
+        make_analysis(
+            Measured(SLOW, **BRIDGED), Measured(FAST, bridge="zenoh-bridge-dds", domain_mode="different")
+        )
+    )
+    (verdict,) = answer.verdicts
+    assert verdict.data == "Binary, different domains"
+    assert verdict.wins == (Win("Fast DDS via zenoh-bridge-dds", "fastdds", 1),)
+
+
+def test_one_middleware_leaves_no_choice_and_the_bridge_its_price():
+    answer = answer_info(make_analysis(Measured(FAST), Measured(SLOW, **BRIDGED)))
+    assert answer.headline == "Only Fast DDS was measured, so there is no choice of middleware to make."
+    levels, price, losses = answer.remarks
+    same, bridged = "33 KB at 10 Hz, Fast DDS, same domain", "33 KB at 10 Hz, Fast DDS, via builtin"
+    assert levels == f"Binary: median latency 1.01 ms ({same}) to 10 ms ({bridged})."
+    assert (
+        price
+        == "Fast DDS, via builtin: median +9 ms against the same domain in the one cell compared; clearly slower."
+    )
+    assert losses == "Every message came back."
+
+
+def test_counts_over_cells():
+    answer = answer_info(
+        make_analysis(
+            Measured(SLOW), Measured(FAST, **ZENOH),
+            Measured(SLOW, rate_hz=20.0), Measured(FAST, rate_hz=20.0, **ZENOH),
+            Measured(FAST, rate_hz=50.0), Measured(SLOW, rate_hz=50.0, **ZENOH),
+            Measured(FAST, rate_hz=80.0), Measured(FAST, rate_hz=80.0, **ZENOH),
+        )
+    )  # fmt: skip
+    assert answer.headline == (
+        "In the same domain, Zenoh was clearly fastest in 2 of 4 cells (Fast DDS in 1, 1 inconclusive)."
+    )
+
+
+def test_without_a_relay_the_round_trip_is_compared_and_said_so():
+    answer = answer_info(EVERY_ANALYSIS["ping without relay"]())
+    assert answer.metric == "rtt"
+    assert "the latency is unknown" in answer.remarks[0]
+
+
+def test_nothing_to_say():
+    assert answer_info(EVERY_ANALYSIS["empty folder"]()).headline == "No measurement was found."
+    lost = answer_info(EVERY_ANALYSIS["nothing came back"]())
+    assert lost.headline == "No message came back, so there is no time to compare."
+    assert lost.remarks == ("40 of 40 messages (100 %) did not come back, in 2 of 2 groups.",)
+
+
+def test_overview_lists_what_was_measured():
+    analysis = make_analysis(
+        Measured([MS] * 3),
+        Measured([MS, "lost_return"], rate_hz=20.0, payload_bytes=1405, data_type="string"),
+        title="kitchen",
+    )
+    overview = overview_info(analysis)
+    assert overview.title == "kitchen"
+    assert overview.facts == (
+        Fact("Devices", "pi-one → pi-two"),
+        Fact("Link", "wired"),
+        Fact("Middleware", "Fast DDS"),
+        Fact("Domains", "same domain"),
+        Fact("Messages", "5 in 2 runs, 4 came back"),
+        Fact("Sent", "Binary 33 KB; String 1405 B"),
+        Fact("Rates", "10, 20 Hz"),
+        Fact("When", "2026-09-21 14:13 UTC"),
+        Fact("Traces", "1 read"),
+    )
+
+
+def test_overview_of_nothing():
+    assert overview_info(make_analysis()).facts == (Fact("Traces", "none found"),)
+
+
+def test_findings_of_one_kind_stand_together():
+    together = findings_by_code(EVERY_ANALYSIS["hostile strings"]())
+    assert [len(findings) for findings in together] == [6]
+    assert len(groups_info(EVERY_ANALYSIS["hostile strings"]()).groups) == 6

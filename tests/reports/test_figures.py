@@ -1,0 +1,189 @@
+import pytest
+from analyses import EVERY_ANALYSIS, MS, Measured, make_analysis
+
+from reports.curves import curves_info
+from reports.figures import CAMPAIGN_FIGURES, CELL_FIGURES, Figure, LeftOut
+from reports.figures.breakdown import Breakdown, breakdown_info
+from reports.figures.domain_difference import DomainDifference, Pair, PairPanel, domain_difference_info
+from reports.figures.heatmap import Heatmap, HeatmapPanel, heatmap_info
+from reports.figures.latency_by_rate import LatencyByRate, latency_by_rate_figure, latency_by_rate_info
+from reports.figures.latency_by_size import LatencyBySize, latency_by_size_info
+from reports.figures.panels import Line, Panel
+from reports.figures.percentile_curve import PercentileCurve, percentile_curve_info
+from reports.figures.received import Received, received_info
+from reports.figures.timeline import GroupTimeline, Timeline, timeline_info
+from reports.figures.transfer_rate import TransferRate, transfer_rate_info
+from reports.figures.vendor_comparison import VendorComparison, vendor_comparison_info
+from reports.text import json_island
+from reports.values import values_info
+
+ALL_FIGURES = (*CAMPAIGN_FIGURES, *CELL_FIGURES)
+BRIDGED = {"bridge": "builtin", "domain_mode": "different"}
+
+
+@pytest.fixture
+def campaign():
+    """Group 0 is bridged; 1 to 3 are in the same domain; 4 is Zenoh. Series: same 0, bridged 1, Zenoh 2."""
+    return make_analysis(
+        Measured([3 * MS, 5 * MS], **BRIDGED),
+        Measured([1 * MS, 2 * MS]),
+        Measured([1 * MS, 1 * MS], rate_hz=20.0),
+        Measured([8 * MS, 8 * MS], payload_bytes=67_000),
+        Measured([1 * MS, "lost_return"], vendor="zenoh", relay_vendor="zenoh"),
+    )
+
+
+def test_values_are_those_of_the_summary(campaign):
+    values = values_info(campaign)
+    assert values.times_ns["latency"]["p50"] == (4_000_000, 1_500_000, 1_000_000, 8_000_000, 1_000_000)
+    assert values.times_ns["latency"]["max"] == (5_000_000, 2_000_000, 1_000_000, 8_000_000, 1_000_000)
+    assert values.times_ns["rtt"]["p50"] == (8_100_000, 3_100_000, 2_100_000, 16_100_000, 2_100_000)
+    assert values.times_ns["response"]["mean"] == (8_120_000, 3_120_000, 2_120_000, 16_120_000, 2_120_000)
+    assert values.times_ns["intermediate"]["min"] == (100_000,) * 5
+    assert values.times_ns["latency"]["p90"] == (None,) * 5
+    assert values.plain["received_ratio"] == (1.0, 1.0, 1.0, 1.0, 0.5)
+    assert values.plain["lost_return"] == (0, 0, 0, 0, 1)
+
+
+def test_latency_by_rate_has_a_panel_per_size_with_two_rates(campaign):
+    line_same, line_bridged, line_zenoh = (
+        Line(0, (10.0, 20.0), (1, 2)),
+        Line(1, (10.0,), (0,)),
+        Line(2, (10.0,), (4,)),
+    )
+    assert latency_by_rate_info(campaign) == LatencyByRate(
+        (Panel("Binary 33 KB", (line_same, line_bridged, line_zenoh)),)
+    )
+
+
+def test_latency_by_size_has_a_panel_per_rate_with_two_sizes(campaign):
+    lines = (Line(0, (33_000.0, 67_000.0), (1, 3)), Line(1, (33_000.0,), (0,)), Line(2, (33_000.0,), (4,)))
+    assert latency_by_size_info(campaign) == LatencyBySize((Panel("Binary at 10 Hz", lines),))
+
+
+def test_vendor_comparison_puts_groups_of_one_cell_above_one_another(campaign):
+    # Cells: 33 KB at 10 Hz, 33 KB at 20 Hz, 67 KB at 10 Hz.
+    same = Panel("Binary, same domain", (Line(0, (0.0, 1.0, 2.0), (1, 2, 3)), Line(2, (0.0,), (4,))))
+    different = Panel("Binary, different domains", (Line(1, (0.0,), (0,)),))
+    assert vendor_comparison_info(campaign) == VendorComparison((same, different))
+    assert received_info(campaign) == Received((same, different))
+
+
+def test_transfer_rate_stands_over_size_times_rate(campaign):
+    # Zenoh's one reply spans no time and has no transfer rate.
+    lines = (Line(0, (330_000.0, 660_000.0, 670_000.0), (1, 2, 3)), Line(1, (330_000.0,), (0,)))
+    assert transfer_rate_info(campaign) == TransferRate((Panel("Binary", lines),))
+
+
+def test_domain_difference_pairs_equal_groups(campaign):
+    assert domain_difference_info(campaign) == DomainDifference(
+        (PairPanel("Binary 33 KB", (Pair(10.0, 1, 0),)),)
+    )
+
+
+def test_domain_difference_pairs_no_unlike_groups():
+    unlike = make_analysis(Measured([MS]), Measured([MS], reliability="best_effort", **BRIDGED))
+    assert domain_difference_info(unlike) == DomainDifference(())
+
+
+def test_every_bridge_is_compared_with_the_same_domain():
+    both = make_analysis(
+        Measured([MS]),
+        Measured([MS], **BRIDGED),
+        Measured([MS], bridge="zenoh-bridge-dds", domain_mode="different"),
+    )
+    # Sorted by bridge: builtin 0, none 1, zenoh-bridge-dds 2.
+    assert domain_difference_info(both).panels[0].pairs == (Pair(10.0, 1, 0), Pair(10.0, 1, 2))
+
+
+def test_heatmap_has_a_plane_per_series_with_two_tiles(campaign):
+    tiles = ((33_000, 10.0, 1), (33_000, 20.0, 2), (67_000, 10.0, 3))
+    assert heatmap_info(campaign) == Heatmap((HeatmapPanel("Binary: Fast DDS, same domain", tiles),))
+
+
+def test_breakdown_takes_groups_with_a_relay(campaign):
+    without_relay = Measured([MS], relay_device=None)
+    assert breakdown_info(make_analysis(without_relay)) == Breakdown(())
+    assert [panel.title for panel in breakdown_info(campaign).panels] == [
+        "Binary: Fast DDS, same domain",
+        "Binary: Fast DDS, via builtin",
+        "Binary: Zenoh, same domain",
+    ]
+
+
+def test_curves_are_the_inverse_of_the_histogram():
+    # 1, 2, ... 100 ms: the share q of the messages stays below or reaches q * 100 ms.
+    curves = curves_info(make_analysis(Measured([n * MS for n in range(1, 101)])))
+    at = dict(zip(curves.levels, curves.values_ns["latency"][0], strict=False))
+    assert at[0.0] == 1 * MS
+    assert at[0.5] == 50 * MS
+    assert at[0.85] == 85 * MS
+    assert at[0.9] == 90 * MS
+    assert at[0.99] == 99 * MS
+    assert max(at) == 0.99, "p99.9 of 100 messages is not known"
+
+
+def test_levels_are_ascending_and_hold_the_named_percentiles():
+    levels = curves_info(make_analysis()).levels
+    assert list(levels) == sorted(set(levels))
+    assert {0.5, 0.9, 0.99, 0.999, 0.9999} <= set(levels)
+
+
+def test_one_message_makes_no_curve():
+    assert percentile_curve_info(make_analysis(Measured([MS]))) == PercentileCurve(any_drawn=False)
+    assert percentile_curve_info(make_analysis(Measured([MS, MS]))) == PercentileCurve(any_drawn=True)
+
+
+def test_timeline_marks_losses_at_the_time_they_were_due():
+    analysis = make_analysis(Measured([MS, "lost_outbound", 3 * MS, "lost_return"]))
+    assert timeline_info(analysis) == Timeline(
+        (GroupTimeline(0, (0.0, 0.2), (1_000_000, 3_000_000), (2_100_000, 6_100_000), (0.1, 0.3), (1, 1)),),
+        decimated=False,
+    )
+
+
+def test_a_thinned_timeline_keeps_extremes_and_counts_losses(monkeypatch):
+    monkeypatch.setattr("reports.figures.timeline.POINTS_IN_PAGE", 10)
+    monkeypatch.setattr("reports.figures.timeline.FEWEST_POINTS", 10)
+    messages = [MS + n for n in range(1000)]
+    messages[333], messages[666] = 500 * MS, 1
+    (group,) = timeline_info(make_analysis(Measured([*messages, *["lost_unknown"] * 100]))).groups
+    assert len(group.elapsed_s) <= 10
+    assert {500 * MS, 1} <= set(group.latency_ns)
+    assert sum(group.lost_count) == 100
+    assert len(group.lost_count) <= 10
+
+
+@pytest.mark.parametrize("name", EVERY_ANALYSIS)
+def test_every_figure_accepts_every_analysis(name):
+    analysis = EVERY_ANALYSIS[name]()
+    for figure in ALL_FIGURES:
+        drawn = figure(analysis)
+        if isinstance(drawn, Figure):
+            json_island(drawn.plan)
+            assert drawn.how_to_read.endswith(".")
+            assert drawn.how_to_read.count(". ") == 0, "one sentence"
+        else:
+            assert drawn.reason.endswith(".")
+
+
+def test_nothing_empty_is_drawn():
+    assert all(isinstance(figure(EVERY_ANALYSIS["empty folder"]()), LeftOut) for figure in ALL_FIGURES)
+    drawn = [
+        figure(EVERY_ANALYSIS["nothing came back"]()).name
+        for figure in ALL_FIGURES
+        if isinstance(figure(EVERY_ANALYSIS["nothing came back"]()), Figure)
+    ]
+    assert drawn == ["received", "timeline"]
+
+
+def test_a_figure_left_out_says_why():
+    left_out = latency_by_rate_figure(LatencyByRate(()))
+    assert isinstance(left_out, LeftOut)
+    assert left_out.reason == "no message size was measured at two rates."
+
+
+def test_names_are_unique():
+    analysis = EVERY_ANALYSIS["small campaign"]()
+    names = [figure(analysis).name for figure in ALL_FIGURES]
+    assert len(set(names)) == len(names)

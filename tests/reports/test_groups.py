@@ -1,0 +1,104 @@
+from analyses import MS, Measured, make_analysis
+
+from reports.filters import filters_info
+from reports.groups import Cell, groups_info
+from reports.styles import series_styles
+
+
+def labels_of(*measured):
+    return list(groups_info(make_analysis(*measured)).labels)
+
+
+def test_a_label_names_only_what_differs():
+    assert labels_of(Measured([MS])) == ["Fast DDS"]
+    assert labels_of(Measured([MS]), Measured([MS], rate_hz=20.0)) == ["Fast DDS"]
+    assert labels_of(Measured([MS]), Measured([MS], bridge="builtin", domain_mode="different")) == [
+        "Fast DDS, same domain",
+        "Fast DDS, via builtin",
+    ]
+    assert labels_of(Measured([MS]), Measured([MS], reliability="best_effort")) == [
+        "Fast DDS, best_effort, volatile, keep_last 10",
+        "Fast DDS, reliable, volatile, keep_last 10",
+    ]
+    assert labels_of(Measured([MS]), Measured([MS], ping_device="pi-three")) == [
+        "Fast DDS, pi-one → pi-two",
+        "Fast DDS, pi-three → pi-two",
+    ]
+
+
+def test_a_pair_of_vendors_is_named_as_a_pair():
+    assert labels_of(Measured([MS], relay_vendor="cyclonedds")) == ["Fast DDS → Cyclone DDS"]
+
+
+def test_series_and_cells_are_sorted_as_people_read():
+    groups = groups_info(
+        make_analysis(
+            Measured([MS], data_type="imu", payload_bytes=296),
+            Measured([MS], payload_bytes=4_000_000),
+            Measured([MS], payload_bytes=33_000, vendor="zenoh", relay_vendor="zenoh"),
+            Measured([MS], payload_bytes=33_000),
+        )
+    )
+    assert groups.cells == (
+        Cell("binary", 33_000, 10.0),
+        Cell("binary", 4_000_000, 10.0),
+        Cell("imu", 296, 10.0),
+    )
+    assert groups.labels == ("Fast DDS", "Zenoh")
+    assert [cell.label for cell in groups.cells] == [
+        "Binary 33 KB at 10 Hz",
+        "Binary 4 MB at 10 Hz",
+        "IMU 296 B at 10 Hz",
+    ]
+
+
+def test_a_vendor_keeps_its_colour_whoever_else_was_measured():
+    alone = series_styles(groups_info(make_analysis(Measured([MS], vendor="zenoh"))))
+    among = series_styles(
+        groups_info(
+            make_analysis(
+                *(Measured([MS], vendor=name) for name in ("cyclonedds", "fastdds", "new", "zenoh"))
+            )
+        )
+    )
+    assert alone[0] == among[2]
+    assert len({style.light for style in among}) == 4
+
+
+def test_ways_differ_by_dash_and_twins_by_symbol():
+    styles = series_styles(
+        groups_info(
+            make_analysis(
+                Measured([MS]),
+                Measured([MS], bridge="builtin", domain_mode="different"),
+                Measured([MS], reliability="best_effort"),
+            )
+        )
+    )
+    assert [(style.dash, style.symbol) for style in styles] == [
+        ("solid", "circle"),
+        ("solid", "circle-open"),
+        ("dash", "circle"),
+    ]
+
+
+def test_only_what_varies_can_be_filtered():
+    groups = groups_info(
+        make_analysis(
+            Measured([MS], rate_hz=100.0),
+            Measured([MS], rate_hz=20.0, payload_bytes=1_000_000),
+            Measured([MS], rate_hz=20.0, payload_bytes=67_000),
+        )
+    )
+    size, rate = filters_info(groups)
+    assert (size.key, [option.label for option in size.options]) == ("size", ["33 KB", "67 KB", "1 MB"])
+    assert (rate.key, [option.value for option in rate.options]) == ("rate", ["20", "100"])
+    by_group = {
+        groups.cell_of(group).label: (size.of_group[i], rate.of_group[i])
+        for i, group in enumerate(groups.groups)
+    }
+    assert by_group == {
+        "Binary 33 KB at 100 Hz": (0, 1),
+        "Binary 67 KB at 20 Hz": (1, 0),
+        "Binary 1 MB at 20 Hz": (2, 0),
+    }

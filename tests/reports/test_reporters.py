@@ -1,0 +1,179 @@
+import base64
+import hashlib
+import json
+import re
+import unicodedata
+
+import pytest
+from analyses import EVERY_ANALYSIS, HOSTILE, MS, Measured, make_analysis
+from jsonschema import Draft202012Validator
+
+from reports import REPORTERS, document, write_report
+from tracefile.errors import OptionError, OutputError
+
+
+@pytest.fixture(scope="module", params=EVERY_ANALYSIS)
+def analysis(request):
+    return EVERY_ANALYSIS[request.param]()
+
+
+@pytest.mark.parametrize("kind", REPORTERS)
+def test_every_reporter_accepts_every_analysis_and_repeats_itself(analysis, kind):
+    assert REPORTERS[kind].render(analysis) == REPORTERS[kind].render(analysis)
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"), [("html", "report.html"), ("md", "report.md"), ("json", "report.json")]
+)
+def test_files_are_written_where_asked(tmp_path, kind, name):
+    analysis = EVERY_ANALYSIS["ping without relay"]()
+    path = write_report(analysis, kind, tmp_path)
+    assert path == tmp_path / name
+    assert path.read_bytes().decode("utf-8") == REPORTERS[kind].render(analysis)
+
+
+def test_the_terminal_report_is_printed(tmp_path, capsys):
+    analysis = EVERY_ANALYSIS["ping without relay"]()
+    assert write_report(analysis, "terminal", tmp_path) is None
+    printed = "\n".join(line.rstrip() for line in capsys.readouterr().out.splitlines())
+    assert printed == REPORTERS["terminal"].render(analysis).rstrip("\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_unknown_kind_is_an_option_error(tmp_path):
+    with pytest.raises(OptionError, match="'pdf'; choose from html, md, json, terminal"):
+        write_report(EVERY_ANALYSIS["empty folder"](), "pdf", tmp_path)
+
+
+def test_a_missing_folder_is_an_output_error(tmp_path):
+    with pytest.raises(OutputError, match="cannot write the md report"):
+        write_report(EVERY_ANALYSIS["empty folder"](), "md", tmp_path / "gone")
+
+
+# JSON
+
+
+def test_the_json_report_follows_its_schema(analysis):
+    Draft202012Validator.check_schema(document.schema())
+    Draft202012Validator(document.schema()).validate(json.loads(document.render(analysis)))
+
+
+def test_the_schema_is_strict_enough_to_miss_a_column():
+    report = json.loads(document.render(EVERY_ANALYSIS["one message"]()))
+    del report["groups"][0]["latency_p50_ns"]
+    assert not Draft202012Validator(document.schema()).is_valid(report)
+
+
+def test_the_json_report_keeps_strings_whole_and_numbers_exact():
+    long = "x" * 1000 + "\x1b</script>"
+    report = json.loads(document.render(make_analysis(Measured([MS, 2 * MS], ping_device=long))))
+    assert report["groups"][0]["ping_device"] == long
+    assert report["groups"][0]["latency_p50_ns"] == 1_500_000.0
+    assert report["groups"][0]["latency_p90_ns"] is None
+    assert report["runs"][0]["run_id"] == "000000000000a000"
+
+
+# Terminal
+
+
+def test_the_terminal_report_fits_80_columns_and_has_no_control_character(analysis):
+    text = REPORTERS["terminal"].render(analysis)
+    assert max(len(line) for line in text.splitlines()) <= 80
+    assert {c for c in text if unicodedata.category(c) in {"Cc", "Cf", "Zl", "Zp"}} <= {"\n"}
+
+
+def test_a_sparkline_shows_where_the_messages_lie():
+    fast, slow = [MS] * 10, [100 * MS] * 10
+    text = REPORTERS["terminal"].render(make_analysis(Measured(fast), Measured(slow, rate_hz=20.0)))
+    (fast_line,) = (line for line in text.splitlines() if "10 Hz" in line and "binary" in line)
+    (slow_line,) = (line for line in text.splitlines() if "20 Hz" in line and "binary" in line)
+    assert fast_line.endswith("1 ms █")
+    assert slow_line.endswith("100 ms                █")
+
+
+def test_rich_markup_in_a_trace_stays_text():
+    analysis = make_analysis(Measured([MS], ping_device="[bold]pi[/bold]"))
+    assert "[bold]pi[/bold]" in REPORTERS["terminal"].render(analysis)
+
+
+# Markdown
+
+
+def test_markdown_keeps_its_tables_whole():
+    text = REPORTERS["md"].render(EVERY_ANALYSIS["hostile strings"]())
+    tables = [block.splitlines() for block in text.split("\n\n") if block.startswith("| ")]
+    assert tables
+    for table in tables:
+        assert len({len(re.findall(r"\|", line)) for line in table}) == 1
+
+
+def test_markdown_makes_hostile_strings_inert():
+    text = REPORTERS["md"].render(EVERY_ANALYSIS["hostile strings"]())
+    for syntax in ("<script", "<img", "](", "**d**", "`c`", "http://", "\x1b", "\u2028"):
+        assert syntax not in text
+    assert "@everyone" not in text
+
+
+# HTML, as bytes. What a browser makes of it: test_browser.py.
+
+
+def scripts_of(page):
+    return re.findall(r"<script(?![^>]*type=)[^>]*>(.*?)</script>", page, re.DOTALL)
+
+
+def test_the_policy_admits_the_two_scripts_of_the_page_and_nothing_else(analysis):
+    page = REPORTERS["html"].render(analysis)
+    (policy,) = re.findall(r'Content-Security-Policy" content="([^"]*)"', page)
+    policy = policy.replace("&#39;", "'")
+    hashes = [
+        f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
+        for text in scripts_of(page)
+    ]
+    assert len(hashes) == 2
+    assert policy.split("; ")[:2] == ["default-src 'none'", f"script-src {' '.join(hashes)}"]
+    assert "unsafe-eval" not in policy
+
+
+def test_the_page_refers_to_nothing_outside(analysis):
+    page = REPORTERS["html"].render(analysis)
+    outside = page
+    for script in scripts_of(page):
+        outside = outside.replace(script, "")
+    assert not re.search(r"""(?:src|href)\s*=\s*["']?(?:https?:)?//""", outside)
+    assert "@import" not in outside
+    assert "url(" not in outside
+
+
+def test_hostile_strings_are_text_in_html():
+    page = REPORTERS["html"].render(EVERY_ANALYSIS["hostile strings"]())
+    for script in scripts_of(page):
+        page = page.replace(script, "")
+    assert "window.pwned" in page, "the text itself is shown"
+    assert "<script>window.pwned" not in page
+    assert "<img" not in page
+    assert "\u2028" not in page
+    assert "\x1b" not in page
+    assert page.count("</script>") == 3
+
+
+def test_hostile_strings_do_not_change_the_island():
+    page = REPORTERS["html"].render(EVERY_ANALYSIS["hostile strings"]())
+    (island,) = re.findall(r'<script type="application/json" id="data">(.*?)</script>', page, re.DOTALL)
+    labels = [
+        option["label"]
+        for one in json.loads(island)["filters"]
+        if one["key"] == "device"
+        for option in one["options"]
+    ]
+    assert HOSTILE[0] in labels
+    assert r"\x1b[31mred\x1b]0;title\x07" in labels
+
+
+def test_plotly_is_in_the_page_once():
+    page = REPORTERS["html"].render(EVERY_ANALYSIS["one message"]())
+    assert page.count("plotly.js v") == 1
+
+
+def test_a_campaign_of_the_paper_stays_below_8_mb():
+    page = REPORTERS["html"].render(EVERY_ANALYSIS["500 groups"]())
+    assert len(page.encode()) < 8_000_000

@@ -71,6 +71,13 @@ class Cell:
     repeat: int = 1
 
     @property
+    def middleware(self) -> str:
+        """The middlewares of ping and relay: `ros2-fastrtps`, `ros2-fastrtps to cyclonedds`."""
+        ping = _middleware_name(self.backend, self.rmw)
+        relay = _middleware_name(self.relay.backend, self.relay.rmw)
+        return ping if relay == ping else f"{ping} to {relay}"
+
+    @property
     def crosses_domains(self) -> bool:
         """Whether ping and relay are in different domains."""
         return self.bridge != "none"
@@ -102,7 +109,7 @@ class Cell:
             if self.relay_backend is not None or self.relay_rmw is not None
             else []
         )
-        data = self.data if self.size is None else f"{self.data}-{_size_name(self.size)}"
+        data = self.data if self.size is None else f"{self.data}-{format_cell_size(self.size)}"
         others = [
             _other_name(axis.name, getattr(self, axis.name))
             for axis in OTHER_AXES
@@ -163,7 +170,8 @@ def _middleware_name(backend: str, rmw: str | None) -> str:
     return f"{backend}-{short}" if short else backend
 
 
-def _size_name(size_bytes: int) -> str:
+def format_cell_size(size_bytes: int) -> str:
+    """The size as cells' names have it: `33KB`, `91B`."""
     return format_size(size_bytes).replace(" bytes", "B").replace(" ", "")
 
 

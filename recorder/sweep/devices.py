@@ -214,7 +214,7 @@ class PrintedDevice:
         """Shows the command to start there."""
         before = "end the relay there (Ctrl-C), then start" if self._running else "start on the other device"
         self._running = True
-        self._show(f"{before}: {printed_command(arguments, segment)}")
+        self._show(f"{before}: {printed_command(arguments, segment.split('-', maxsplit=1)[0])}")
         return _PrintedRelay()
 
     def collect(self, segment: str) -> Path | None:  # noqa: ARG002 - the role's signature
@@ -225,9 +225,9 @@ class PrintedDevice:
         """Nothing is here."""
 
 
-def printed_command(arguments: Sequence[str], segment: str) -> str:
-    """The relay's command line as a person types it."""
-    return f"dds-record {shlex.join(arguments)} --out relay-{segment}"
+def printed_command(arguments: Sequence[str], number: int | str) -> str:
+    """The command line of a group's relay as a person types it."""
+    return f"dds-record {shlex.join(arguments)} --out relay-{number}.mcap"
 
 
 class _RelayProgram:

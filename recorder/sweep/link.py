@@ -62,7 +62,7 @@ PRESETS: Mapping[str, Link] = {
     link.name: link
     for link in (
         Link("ethernet-1g", rate_mbit_s=1000),
-        Link("ethernet-100m", rate_mbit_s=100, delay_ms=0.1),
+        Link("ethernet-100m", rate_mbit_s=100),
         # 802.11g/a at its highest rate: the medium's rate is shared by both directions in the air and is
         # each direction's own here, so two-way load sees more than real Wi-Fi would give it.
         Link("wifi-54", rate_mbit_s=54, delay_ms=1, jitter_ms=0.5, loss_percent=0.1),

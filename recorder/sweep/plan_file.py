@@ -65,8 +65,9 @@ def parse_plan(
     root.allow(
         "name", "description", "axes", "matrix", "exclude", "run", "devices", "network", "link", "search"
     )
-    axes = _axis_values(root.table("axes"))
-    matrices = [_axis_values(matrix) for matrix in root.tables("matrix")] or [{}]
+    # One [axes] table or several [[axes]], each of them combined with each [[matrix]].
+    axes = [_axis_values(table) for table in root.tables("axes")] or [{}]
+    matrices = [_axis_values(table) for table in root.tables("matrix")] or [{}]
     exclusions = [
         Exclusion(
             values={axis: tuple(values) for axis, values in _axis_values(rule, ignore=("reason",)).items()},
@@ -74,7 +75,8 @@ def parse_plan(
         )
         for rule in root.tables("exclude")
     ]
-    listed = [cell for matrix in matrices for cell in _cells({**axes, **matrix}, installed)]
+    combined = [{**shared, **own} for shared in axes for own in matrices]
+    listed = [cell for values in combined for cell in _cells(values, installed)]
     if not listed:
         raise OptionError(f"{where}: the plan has no cell; give [axes] or [[matrix]] some values")
     cells, excluded = _apply(exclusions, listed)
@@ -275,6 +277,9 @@ class _Table:
         return _Table(self.take(key, dict, {}), self.path, f"{self.key}.{key}".lstrip("."))
 
     def tables(self, key: str) -> list[_Table]:
+        """The tables of an array of tables; a single table counts as one."""
+        if isinstance(self.values.get(key), dict):
+            return [self.table(key)]
         return [
             _Table(self.check(f"{key} number {i}", table, dict), self.path, f"[{key}]")
             for i, table in enumerate(self.take(key, list, []), 1)

@@ -16,7 +16,7 @@ class SweepProgress(Protocol):
     """Hears what a sweep does."""
 
     def begin(self, cells: int, done: int) -> None:
-        """The sweep has this many cells, of which some were done before."""
+        """The sweep has this many cells, of which some were done before; 0 cells if nobody knows how many."""
 
     def relay(self, name: str) -> None:
         """A relay is being started."""
@@ -57,7 +57,8 @@ class PlainProgress:
     def ended(self, name: str, outcome: str, *, complete: bool) -> None:
         """One line."""
         self._done += complete
-        self.note(f"[{self._done}/{self._cells}] {name}: {outcome}")
+        of = f"/{self._cells}" if self._cells else ""
+        self.note(f"[{self._done}{of}] {name}: {outcome}")
 
     def note(self, text: str) -> None:
         """One line; never markup, as it may hold what a program said."""
@@ -86,7 +87,7 @@ class RichProgress(PlainProgress):
     def begin(self, cells: int, done: int) -> None:
         """Shows the bar."""
         super().begin(cells, done)
-        self._progress.update(self._task, total=cells, completed=done)
+        self._progress.update(self._task, total=cells or None, completed=done)
         self._progress.start()
 
     def cell(self, name: str, remaining: Remaining) -> None:

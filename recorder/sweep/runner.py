@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import os
 import time
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
@@ -83,7 +82,6 @@ class Runner:
         self._progress = progress
         self.state = SweepState(folder / "state.json", plan.name, plan.digest)
         self._estimate = Estimate(plan)
-        self._new_segments = self._segment_names()
 
     def run(self, groups: list[Group]) -> list[str]:
         """Runs every cell that is not complete, and gives the names of those that still are not.
@@ -123,7 +121,9 @@ class Runner:
     @contextlib.contextmanager
     def relay(self, group: Group) -> Iterator[Relay]:
         """A relay for the cells of this group; when the block is left its part of each is in place."""
-        relay = Relay(self._station.device, relay_arguments(self.plan, group.need), self._new_segments)
+        relay = Relay(
+            self._station.device, relay_arguments(self.plan, group.need), self._segment_names(group)
+        )
         self._progress.relay(group.need.name)
         try:
             yield relay
@@ -244,9 +244,10 @@ class Runner:
         """The relay's trace of a cell."""
         return self.folder / f"{name}.relay.mcap"
 
-    def _segment_names(self) -> Iterator[str]:
-        began_s = int(time.time())
-        return (f"{began_s}-{os.getpid()}-{number}.mcap" for number in itertools.count(1))
+    def _segment_names(self, group: Group) -> Iterator[str]:
+        """Names that no earlier sweep in this folder has used; each begins with the group's number."""
+        began_ms = time.time_ns() // 1_000_000
+        return (f"{group.number}-{began_ms}-{start}.mcap" for start in itertools.count(1))
 
 
 class CellFailedError(Exception):

@@ -20,10 +20,12 @@ class Group:
     """Cells that one relay serves without a restart, in the order in which they run.
 
     Attributes:
+        number: 1, 2 ... in the order in which they run.
         need: what the relay is started with.
         bridge: of all the cells, where a half of it has to run beside the relay; else None.
     """
 
+    number: int
     need: RelayNeed
     bridge: str | None
     cells: tuple[Cell, ...]
@@ -46,7 +48,7 @@ def schedule(plan: Plan) -> list[Group]:
                 replace(group, cells=tuple(chance.sample(group.cells, len(group.cells)))) for group in of_pass
             ]
         groups += of_pass
-    return groups
+    return [replace(group, number=number) for number, group in enumerate(groups, 1)]
 
 
 def group_by_relay(plan: Plan, cells: Iterable[Cell]) -> list[Group]:
@@ -55,4 +57,7 @@ def group_by_relay(plan: Plan, cells: Iterable[Cell]) -> list[Group]:
     for cell in cells:
         beside_relay = cell.bridge if plan.relay.ssh and cell.crosses_domains else None
         served.setdefault((cell.relay, beside_relay), []).append(cell)
-    return [Group(need, bridge, tuple(listed)) for (need, bridge), listed in served.items()]
+    return [
+        Group(number, need, bridge, tuple(listed))
+        for number, ((need, bridge), listed) in enumerate(served.items(), 1)
+    ]

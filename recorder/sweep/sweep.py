@@ -91,4 +91,8 @@ def run_search(
         runner = Runner(searched, folder, station, progress)
         runner.resume()
         station.device.prepare()
-        return folder, list(find_max_rates(searched, runner))
+        progress.begin(0, 0)
+        try:
+            return folder, list(find_max_rates(searched, runner))
+        finally:
+            progress.end()

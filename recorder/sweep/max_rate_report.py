@@ -1,0 +1,140 @@
+"""The answers of a search for the highest rates as JSON, as a table and as a figure."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from dataclasses import asdict
+from html import escape
+from typing import TYPE_CHECKING
+
+from recorder.sweep.cells import format_cell_size
+from recorder.sweep.search import Answer
+from recorder.sweep.state import write_atomically
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from recorder.sweep.plan import Search
+    from recorder.sweep.search import MaxRate
+
+COLUMNS = ("middleware", "bridge", "data", "size", "max_rate_hz", "answer", "fails_at_hz", "held", "why")
+
+_ROW_PX, _LABEL_PX, _BAR_PX, _TOP_PX = 22, 330, 420, 64
+_COLOURS = {
+    Answer.FOUND: "#0072b2",
+    Answer.AT_LEAST: "#009e73",
+    Answer.BELOW: "#d55e00",
+    Answer.FAILED: "#999999",
+}
+"""Okabe and Ito's, told apart by the colour-blind; the answer stands in words beside each bar as well."""
+
+
+def write_max_rates(folder: Path, answers: list[MaxRate], search: Search) -> list[Path]:
+    """Writes `max_rate.json`, `.csv` and `.svg` and gives their paths."""
+    texts = {
+        "max_rate.json": json.dumps(
+            {
+                "search": asdict(search),
+                "answers": [{**asdict(found), "answer": found.answer.value} for found in answers],
+            },
+            indent=1,
+        ),
+        "max_rate.csv": max_rate_csv(answers),
+        "max_rate.svg": max_rate_svg(answers, search),
+    }
+    for name, text in texts.items():
+        write_atomically(folder / name, text)
+    return [folder / name for name in texts]
+
+
+def max_rate_rows(answers: list[MaxRate]) -> list[tuple[str, ...]]:
+    """One row of `COLUMNS` for each answer."""
+    return [
+        (
+            found.cell.middleware,
+            found.cell.bridge,
+            found.cell.data,
+            format_cell_size(found.cell.size) if found.cell.size is not None else "",
+            f"{found.cell.rate:g}" if found.answer in (Answer.FOUND, Answer.AT_LEAST) else "",
+            found.answer.value,
+            f"{found.failing_hz:g}" if found.failing_hz is not None else "",
+            "{}/{}".format(*found.held_repeats),
+            found.reason,
+        )
+        for found in answers
+    ]
+
+
+def max_rate_csv(answers: list[MaxRate]) -> str:
+    """The rows as CSV."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    writer.writerows(max_rate_rows(answers))
+    return text.getvalue()
+
+
+def max_rate_svg(answers: list[MaxRate], search: Search) -> str:
+    """A bar for each answer on a logarithmic axis of messages a second."""
+    height = _TOP_PX + _ROW_PX * len(answers) + 20
+    lines = [_HEAD.format(width=_LABEL_PX + _BAR_PX + 200, height=height, search=search)]
+    lines += [
+        _TICK.format(x=_LABEL_PX + _x(rate_hz, search), top=_TOP_PX, bottom=height - 16, rate_hz=rate_hz)
+        for rate_hz in _ticks(search)
+    ]
+    for row, (found, cells) in enumerate(zip(answers, max_rate_rows(answers), strict=True)):
+        said = (
+            f"{cells[4]} Hz"
+            if found.answer is Answer.FOUND
+            else f"{cells[5]} {cells[4] and cells[4] + ' Hz'}"
+        )
+        lines.append(
+            _BAR.format(
+                label=escape(" ".join(part for part in cells[:4] if part)),
+                said=said.strip(),
+                label_x=_LABEL_PX - 8,
+                x=_LABEL_PX,
+                y=_TOP_PX + _ROW_PX * row,
+                width=_x(found.cell.rate, search) if cells[4] else 2,
+                end_x=_LABEL_PX + (_x(found.cell.rate, search) if cells[4] else 2) + 6,
+                text_y=_TOP_PX + _ROW_PX * row + 12,
+                height=_ROW_PX - 7,
+                colour=_COLOURS[found.answer],
+            ),
+        )
+    return "".join([*lines, "</svg>\n"])
+
+
+def _x(rate_hz: float, search: Search) -> float:
+    share = math.log(max(rate_hz, search.min_rate) / search.min_rate) / math.log(
+        search.max_rate / search.min_rate
+    )
+    return max(2.0, min(1.0, share) * _BAR_PX)
+
+
+def _ticks(search: Search) -> list[float]:
+    powers = range(math.ceil(math.log10(search.min_rate)), math.floor(math.log10(search.max_rate)) + 1)
+    return [10.0**power for power in powers]
+
+
+_HEAD = """\
+<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" font-family="sans-serif" font-size="12">
+<rect width="100%" height="100%" fill="white"/>
+<text x="10" y="20" font-size="15">Highest rate that holds (messages a second, log axis)</text>
+<text x="10" y="38" fill="#555">holds: at most {search.loss_percent:g} % lost, response p{search.percentile:g} \
+within {search.deadline_ms:g} ms; longer is better</text>
+"""
+
+_TICK = """\
+<line x1="{x:.1f}" y1="{top}" x2="{x:.1f}" y2="{bottom}" stroke="#ddd"/>
+<text x="{x:.1f}" y="{top}" dy="-8" text-anchor="middle" fill="#555">{rate_hz:g}</text>
+"""
+
+_BAR = """\
+<text x="{label_x}" y="{text_y}" text-anchor="end">{label}</text>
+<rect x="{x}" y="{y}" width="{width:.1f}" height="{height}" fill="{colour}"/>
+<text x="{end_x:.1f}" y="{text_y}">{said}</text>
+"""

@@ -120,11 +120,12 @@ def _replacing(path: Path) -> Iterator[Path]:
     unfinished = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        yield unfinished
-        unfinished.replace(path)
+        try:
+            yield unfinished
+            unfinished.replace(path)
+        finally:
+            unfinished.unlink(missing_ok=True)
     except OSError as err:
         raise OutputError(
             f"{path} cannot be written ({err.strerror or err}); give another folder with --out"
         ) from err
-    finally:
-        unfinished.unlink(missing_ok=True)

@@ -88,7 +88,7 @@ def unlike_environments(evidence: Evidence) -> Iterator[Finding]:
                 "unlike_environments",
                 f"{vendor} {role} sessions".strip(),
                 f"{name} differs: "
-                + some((f"{value} {_on_devices(of)}" for value, of in found.items()), 4)
+                + some((f"{value} {_on_devices(of)}" for value, of in sorted(found.items())), 4)
                 + ".",
                 "Compare numbers across these sessions with care, or record again under equal conditions.",
             )

@@ -6,6 +6,8 @@ import shutil
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
+from rosbags.rosbag2 import StoragePlugin, Writer
 from trace_files import (
     RELAY_ID,
     RUN_ID,
@@ -20,7 +22,7 @@ from trace_files import (
     write_trace,
 )
 
-from analyzer import analyze
+from analyzer import analyze, default_output
 from analyzer.gather import gather_events, split_events
 from tracefile import EVENT_DTYPE, EventColumns, MissingEventsError, Stage, TraceFormatError, read_trace
 
@@ -82,6 +84,47 @@ def test_another_form_of_the_same_session_counts_once(tmp_path):
     assert both.roundtrips.equals(once.roundtrips)
     assert statuses(both)["ping.mcap"] == ("duplicate", 0)
     assert "duplicate_file" in codes(both)
+
+
+def convert(source, folder, storage):
+    """What `ros2 bag convert` makes of a file: the same messages in a rosbag2 folder."""
+    with source.open("rb") as stream, Writer(folder, version=9, storage_plugin=storage) as bag:
+        connections = {}
+        for schema, channel, message in make_reader(stream).iter_messages():
+            if channel.topic not in connections:
+                connections[channel.topic] = bag.add_connection(
+                    channel.topic, schema.name, msgdef=schema.data.decode(), rihs01="RIHS01_" + "0" * 64
+                )
+            bag.write(connections[channel.topic], message.log_time, message.data)
+
+
+@pytest.mark.parametrize("storage", list(StoragePlugin), ids=lambda plugin: plugin.name.lower())
+def test_bags_analyze_to_the_same_result_and_count_once_beside_their_files(tmp_path, storage):
+    files = write_pair(tmp_path / "files", TIMELINE)
+    for file in files:
+        convert(file, tmp_path / "bags" / file.stem, storage)
+    once = analyze(tmp_path / "files")
+    of_bags = analyze(tmp_path / "bags")
+    assert of_bags.roundtrips.equals(once.roundtrips)
+    assert of_bags.summary.equals(once.summary)
+    assert statuses(of_bags) == {"ping": ("read", 24), "relay": ("read", 24)}
+    both = analyze(tmp_path)
+    assert both.roundtrips.equals(once.roundtrips)
+    assert statuses(both) == {
+        "bags/ping": ("read", 24),
+        "bags/relay": ("read", 24),
+        "files/ping.mcap": ("duplicate", 0),
+        "files/relay.mcap": ("duplicate", 0),
+    }
+
+
+def test_a_bag_given_by_name_keeps_results_beside_it(tmp_path):
+    ping, _ = write_pair(tmp_path, TIMELINE)
+    convert(ping, tmp_path / "bag", StoragePlugin.SQLITE3)
+    assert statuses(analyze(tmp_path / "bag")) == {"bag": ("read", 24)}
+    assert default_output(tmp_path / "bag") == tmp_path / "analysis"
+    assert default_output(ping) == tmp_path / "analysis"
+    assert default_output(tmp_path) == tmp_path / "analysis"
 
 
 def test_a_copy_taken_before_the_end_adds_what_it_has(tmp_path):

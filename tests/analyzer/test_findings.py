@@ -1,0 +1,297 @@
+"""Each finding by hand: what brings it about, and that a sound recording has none."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from trace_files import (
+    PING_SESSION_ID,
+    RELAY_ID,
+    Message,
+    event,
+    ping_events,
+    ping_session,
+    relay_events,
+    relay_session,
+    run,
+    write_pair,
+    write_trace,
+)
+
+import analyzer.load
+from analyzer import Severity, analyze
+from analyzer.checks import groups, runs, sessions, sources
+from analyzer.findings import CHECKS
+from tracefile import Stage, read_trace
+
+MS = 1_000_000
+PERIOD = 100 * MS  # 10 Hz
+
+
+def sound(count=1000):
+    return [
+        Message(
+            s,
+            t0=s * PERIOD,
+            t1=s * PERIOD + 50,
+            t3=s * PERIOD,
+            t4=s * PERIOD + 20,
+            t2=s * PERIOD + 1000 + s % 7,
+        )
+        for s in range(count)
+    ]
+
+
+def described(messages, **changes):
+    return run(planned_messages=len(messages), published=len(messages), **changes)
+
+
+def findings(folder):
+    return {finding.code: finding for finding in analyze(folder).findings}
+
+
+def test_a_sound_recording_has_no_finding(tmp_path):
+    write_pair(tmp_path, sound())
+    assert analyze(tmp_path).findings == ()
+
+
+def test_every_check_is_in_the_table():
+    functions = {
+        value
+        for module in (groups, runs, sessions, sources)
+        for name, value in vars(module).items()
+        if callable(value)
+        and getattr(value, "__module__", "") == module.__name__
+        and not name.startswith("_")
+    }
+    assert functions == set(CHECKS)
+
+
+def test_the_most_severe_come_first(tmp_path):
+    write_pair(tmp_path, sound(5), ping=ping_session(dropped_events=2, state="open"))
+    severities = [finding.severity for finding in analyze(tmp_path).findings]
+    assert severities == sorted(severities, key=list(Severity).index)
+    assert severities[0] is Severity.ERROR
+
+
+def test_every_finding_says_what_where_and_what_to_do(tmp_path):
+    messages = sound(30)
+    messages[3] = replace(messages[3], t2=None)
+    write_pair(
+        tmp_path, messages, ping=ping_session(dropped_events=2), runs=[described(messages, rate_hz=50.0)]
+    )
+    found = analyze(tmp_path).findings
+    assert {f.code for f in found} == {"recorder_drops", "loss", "schedule_not_held", "few_samples"}
+    for finding in found:
+        assert finding.where
+        assert finding.what.endswith(".")
+        assert finding.action.endswith(".")
+
+
+def test_recorder_drops(tmp_path):
+    write_pair(tmp_path, sound(), relay=relay_session(dropped_events=17))
+    finding = findings(tmp_path)["recorder_drops"]
+    assert finding.severity is Severity.ERROR
+    assert "17 events" in finding.what
+    assert finding.where == "relay on beta (relay.mcap)"
+
+
+def test_unclosed_session(tmp_path):
+    write_pair(tmp_path, sound(), ping=ping_session(state="open"))
+    assert findings(tmp_path)["unclosed_session"].where == "ping on alpha (ping.mcap)"
+
+
+def test_loss_tells_where_messages_were_lost(tmp_path):
+    messages = sound()
+    messages[10] = replace(messages[10], t2=None)
+    messages[20] = replace(messages[20], t2=None, t4=None)
+    messages[30] = replace(messages[30], t2=None, t4=None, t3=None)
+    messages[31] = replace(messages[31], t2=None, t4=None, t3=None)
+    write_pair(tmp_path, messages)
+    finding = findings(tmp_path)["loss"]
+    assert finding.what == (
+        "4 of 1000 messages (0.4 %) did not come back: 2 lost_outbound, 1 lost_in_relay, 1 lost_return."
+    )
+    assert finding.where == "fastdds, binary 33000 B at 10 Hz, different domain"
+
+
+def test_nothing_received(tmp_path):
+    write_pair(tmp_path, [replace(m, t2=None) for m in sound(5)])
+    found = findings(tmp_path)
+    assert found["nothing_received"].what == "None of 5 messages came back (5 lost_return)."
+    assert "loss" not in found
+
+
+def test_names_of_groups_tell_them_apart(tmp_path):
+    events = {Stage.T1: [event(0, 1, run_id=r) for r in (1, 2)]}
+    variants = [run(run_id=1, serialization="raw"), run(run_id=2, serialization="typed")]
+    write_trace(tmp_path / "ping.mcap", ping_session(), variants, events)
+    where = [f.where for f in analyze(tmp_path).findings if f.code == "nothing_received"]
+    assert where == [
+        f"fastdds, binary 33000 B at 10 Hz, different domain, serialization {s}" for s in ("raw", "typed")
+    ]
+
+
+def test_few_samples_names_percentiles_and_counts(tmp_path):
+    messages = sound(50)
+    write_pair(tmp_path, messages)
+    finding = findings(tmp_path)["few_samples"]
+    assert finding.severity is Severity.INFO
+    assert finding.what == (
+        "Null for want of samples: p99 (takes 100), p99.9 (takes 1000) of rtt, intermediate, latency, response; "
+        "there are 50 samples."
+    )
+    assert "1000" in finding.action
+
+
+def test_metrics_with_fewer_samples_are_told_apart(tmp_path):
+    messages = sound(1000)
+    messages[:950] = [replace(m, t3=None, t4=None) for m in messages[:950]]
+    write_pair(tmp_path, messages)
+    found = [f.what for f in analyze(tmp_path).findings if f.code == "few_samples"]
+    assert found == [
+        "Null for want of samples: p99 (takes 100), p99.9 (takes 1000) of intermediate, latency; there are 50 samples."
+    ]
+    assert findings(tmp_path)["relay_trace_gaps"].what.startswith("950 of 1000 messages (95 %) came back")
+
+
+def test_schedule_not_held(tmp_path):
+    write_pair(tmp_path, sound(), runs=[described(sound(), rate_hz=12.0)])
+    assert findings(tmp_path)["schedule_not_held"].what == "Published at 10 Hz, asked for 12 Hz."
+    write_pair(tmp_path, sound(), runs=[described(sound(), rate_hz=10.1)])  # within 2 %
+    assert "schedule_not_held" not in findings(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "code", "text"),
+    [
+        ({"state": "started", "published": 0}, "unfinished_run", "The run has no end: 1000 messages"),
+        ({"published": 1000, "planned_messages": 1500}, "unfinished_run", "stopped after 1000 of 1500"),
+        ({"published": 1003}, "missing_publications", "3 of 1003 published messages have no T1"),
+        (
+            {"payload_bytes": 20},
+            "unlike_payloads",
+            "described as 20 B a message, its T1 events say 33000 to 33000 B",
+        ),
+        ({"relay_domain_id": 7}, "unlike_domains", "told relay domain 7, the relay was in 10"),
+    ],
+)
+def test_runs_that_are_not_what_they_say(tmp_path, changes, code, text):
+    messages = sound()
+    write_trace(
+        tmp_path / "ping.mcap",
+        ping_session(),
+        [replace(described(messages), **changes)],
+        ping_events(messages),
+    )
+    write_trace(tmp_path / "relay.mcap", relay_session(), (), relay_events(messages))
+    found = findings(tmp_path)
+    assert set(found) == {code}
+    assert text in found[code].what
+
+
+def test_times_below_zero(tmp_path):
+    messages = sound()
+    messages[5] = replace(messages[5], t4=messages[5].t3 - 3)  # leaves before it arrives
+    messages[6] = replace(messages[6], t4=messages[6].t3 + 5000)  # takes longer than the round trip
+    write_pair(tmp_path, messages)
+    finding = findings(tmp_path)["negative_times"]
+    assert finding.severity is Severity.ERROR
+    assert "intermediate of 1 messages, latency of 1 messages" in finding.what
+    assert f"relay {RELAY_ID:08x} on beta" in finding.where
+
+
+def test_labels_that_differ_within_a_group(tmp_path):
+    variants = [
+        run(run_id=1, labels={"tuning": "on", "site": "lab"}),
+        run(run_id=2, labels={"tuning": "off", "site": "lab"}),
+        run(run_id=3, labels={"site": "lab"}),
+    ]
+    events = {Stage.T1: [event(0, r.run_id, run_id=r.run_id) for r in variants]}
+    write_trace(tmp_path / "ping.mcap", ping_session(), variants, events)
+    assert "(tuning: None; off; on)" in findings(tmp_path)["mixed_labels"].what
+
+
+def test_unlike_environments(tmp_path):
+    host = {
+        "kernel": "6.1",
+        "wifi": {"wlan0": {"signal_dbm": -60}},
+        "socket_buffers": {"net.core.rmem_max": 212992},
+    }
+    other = {
+        "kernel": "6.6",
+        "wifi": {"wlan0": {"signal_dbm": -70}},
+        "socket_buffers": {"net.core.rmem_max": 212992},
+    }
+    write_pair(tmp_path, sound(), ping=ping_session(host=host), relay=relay_session(host=other))
+    assert "unlike_environments" not in findings(tmp_path)  # a ping is not compared with a relay
+    write_trace(
+        tmp_path / "second.mcap",
+        ping_session(session_id=9, device="omega", host=other),
+        [described(sound(), run_id=9, extra={})],
+        ping_events(sound(), run_id=9),
+    )
+    finding = findings(tmp_path)["unlike_environments"]
+    assert finding.what == 'kernel differs: "6.1" on alpha; "6.6" on omega.'
+    assert finding.where == "ping sessions"
+
+
+def test_versions_are_compared_within_a_vendor(tmp_path):
+    def second(vendor):
+        write_trace(
+            tmp_path / "second.mcap",
+            ping_session(session_id=9, vendor=vendor, rmw=f"rmw_{vendor}", host={"versions": {"rmw": "2"}}),
+            [described(sound(), run_id=9, extra={})],
+            ping_events(sound(), run_id=9),
+        )
+        return [f.what for f in analyze(tmp_path).findings if f.code == "unlike_environments"]
+
+    write_pair(tmp_path, sound(), ping=ping_session(host={"versions": {"rmw": "1"}}))
+    assert second("cyclonedds") == []
+    assert second("fastdds") == [
+        'rmw differs: "rmw_fastdds" on alpha; "rmw_fastrtps_cpp" on alpha.',
+        'versions.rmw differs: "1" on alpha; "2" on alpha.',
+    ]
+
+
+def test_events_without_a_publication(tmp_path):
+    messages = sound()
+    messages[4] = replace(messages[4], t1=None)
+    write_pair(tmp_path, messages, runs=[run(published=999, planned_messages=999)])
+    finding = findings(tmp_path)["orphan_events"]
+    assert finding.what.startswith("3 T2, T3 or T4 events")
+
+
+def test_repeated_publications(tmp_path):
+    events = ping_events(sound())
+    events[Stage.T1].append(event(7, 5 * MS, scheduled_ns=7 * PERIOD))
+    write_trace(tmp_path / "ping.mcap", ping_session(), [described(sound())], events)
+    assert findings(tmp_path)["repeated_publications"].what.startswith("1 T1 events repeat")
+
+
+def test_what_the_reader_noticed(tmp_path, monkeypatch):
+    write_pair(tmp_path, sound())
+
+    def noticing(path: Path):
+        return replace(
+            read_trace(path), ring_events=3, unreadable_messages=2, notes=("odd",), truncated="at byte 9"
+        )
+
+    monkeypatch.setattr(analyzer.load, "read_trace", noticing)
+    found = findings(tmp_path)
+    assert set(found) == {"truncated_file", "ring_recovered", "unreadable_messages", "reader_note"}
+    assert "at byte 9" in found["truncated_file"].what
+    assert "3 events" in found["ring_recovered"].what
+    assert "2 messages" in found["unreadable_messages"].what
+    assert found["reader_note"].what == "odd"
+
+
+def test_the_session_named_by_the_run_is_not_in_doubt(tmp_path):
+    write_trace(
+        tmp_path / "ping.mcap",
+        [ping_session(), ping_session(session_id=2)],
+        [described(sound(), extra={"session_id": f"{PING_SESSION_ID:016x}"})],
+        ping_events(sound()),
+    )
+    write_trace(tmp_path / "relay.mcap", relay_session(), (), relay_events(sound()))
+    assert findings(tmp_path) == {}

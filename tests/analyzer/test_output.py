@@ -1,0 +1,128 @@
+"""The Parquet files: types and units as any reader sees them, whole or not there."""
+
+import os
+
+import polars as pl
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from trace_files import Message, event, ping_events, ping_session, relay_session, run, write_pair, write_trace
+
+import analyzer.output
+from analyzer import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS, analyze
+from tracefile import OutputError, Stage
+
+TIMELINE = [Message(s, t0=1000 * s, t1=1000 * s + 5, t3=900, t4=930, t2=1000 * s + 205) for s in range(12)]
+
+# As docs/trace-format.md has them, by hand.
+TYPES = {
+    "run_id": pa.uint64(),
+    "relay_id": pa.uint32(),
+    "sequence": pa.uint64(),
+    "vendor": pa.string(),
+    "relay_vendor": pa.string(),
+    "ping_domain_id": pa.int32(),
+    "relay_domain_id": pa.int32(),
+    "domain_mode": pa.string(),
+    "payload_bytes": pa.uint32(),
+    "rate_hz": pa.float64(),
+    "depth": pa.int32(),
+    "scheduled_ns": pa.int64(),
+    "relay_out_ns": pa.int64(),
+    "latency_ns": pa.int64(),
+    "outcome": pa.string(),
+    "duplicates": pa.uint16(),
+    "reordered": pa.bool_(),
+}
+
+
+def test_types_units_and_meanings(tmp_path):
+    write_pair(tmp_path, TIMELINE)
+    outputs = analyze(tmp_path, out=tmp_path / "out").outputs
+    schema = pq.read_schema(outputs["roundtrips"])
+    assert schema.names == [column.name for column in ROUNDTRIP_COLUMNS]
+    assert {name: schema.field(name).type for name in TYPES} == TYPES
+    assert schema.field("latency_ns").metadata[b"unit"] == b"ns"
+    assert schema.field("payload_bytes").metadata[b"unit"] == b"B"
+    assert b"T4 - T3" in schema.field("intermediate_ns").metadata[b"meaning"]
+    summary = pq.read_schema(outputs["summary"])
+    assert summary.names == [column.name for column in SUMMARY_COLUMNS]
+    assert summary.field("latency_p99_9_ns").type == pa.float64()
+    assert summary.field("transfer_rate_bytes_per_s").metadata[b"unit"] == b"B/s"
+
+
+def test_what_is_read_back_is_what_was_analyzed(tmp_path, monkeypatch):
+    """Also over several row groups, with relays and texts that some rows lack."""
+    monkeypatch.setattr(analyzer.output, "_ROWS_PER_GROUP", 7)
+    write_pair(tmp_path, TIMELINE)
+    write_trace(
+        tmp_path / "other.mcap",
+        ping_session(session_id=5, rmw=None, vendor="zenoh", backend="zenoh"),
+        [run(run_id=5, extra={}, relay_domain_id=None, bridge="zenoh")],
+        {Stage.T1: [event(s, 10**7 + s, run_id=5) for s in range(6)]},
+    )
+    analysis = analyze(tmp_path, out=tmp_path / "out")
+    assert analysis.roundtrips.height == 18
+    assert pq.ParquetFile(analysis.outputs["roundtrips"]).num_row_groups == 3
+    for kind, frame in (("roundtrips", analysis.roundtrips), ("summary", analysis.summary)):
+        read = pl.read_parquet(analysis.outputs[kind])
+        assert read.schema == frame.schema
+        assert read.equals(frame)
+        assert pl.from_arrow(pq.read_table(analysis.outputs[kind])).equals(frame)
+
+
+def test_a_file_without_rows_has_its_columns(tmp_path):
+    write_pair(tmp_path, TIMELINE, runs=[run(warmup_messages=100)])
+    analysis = analyze(tmp_path, out=tmp_path / "out")
+    read = pl.read_parquet(analysis.outputs["roundtrips"])
+    assert read.height == 0
+    assert read.schema == analysis.roundtrips.schema
+
+
+def test_absurd_numbers_survive(tmp_path):
+    messages = [event(s, 10 + i, run_id=2**64 - 1) for i, s in enumerate((0, 2**63, 2**64 - 1))]
+    write_trace(
+        tmp_path / "ping.mcap",
+        ping_session(),
+        [run(run_id=2**64 - 1, payload_bytes=2**32 - 1)],
+        {Stage.T1: messages},
+    )
+    analysis = analyze(tmp_path, out=tmp_path / "out")
+    read = pl.read_parquet(analysis.outputs["roundtrips"])
+    assert read.select("run_id", "sequence", "payload_bytes").rows() == [
+        (2**64 - 1, s, 2**32 - 1) for s in (0, 2**63, 2**64 - 1)
+    ]
+
+
+def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):
+    write_pair(tmp_path, TIMELINE)
+    out = tmp_path / "out"
+    analyze(tmp_path, out=out)
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    write_trace(tmp_path / "relay.mcap", relay_session(), (), {})
+
+    def full(*_arguments, **_options):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(pq.ParquetWriter, "write_table", full)
+    with pytest.raises(
+        OutputError, match=r"roundtrips\.parquet cannot be written \(No space left on device\).*--out"
+    ):
+        analyze(tmp_path, out=out)
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_that_may_not_be_written(tmp_path):
+    write_pair(tmp_path, TIMELINE)
+    (tmp_path / "out").mkdir(mode=0o500)
+    with pytest.raises(OutputError):
+        analyze(tmp_path, out=tmp_path / "out")
+
+
+def test_equal_input_gives_equal_bytes(tmp_path):
+    write_trace(tmp_path / "ping.mcap", ping_session(), [run()], ping_events(TIMELINE))
+    first = analyze(tmp_path, out=tmp_path / "first").outputs
+    second = analyze(tmp_path, out=tmp_path / "second").outputs
+    for kind, path in first.items():
+        assert path.read_bytes() == second[kind].read_bytes()

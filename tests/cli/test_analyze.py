@@ -1,0 +1,128 @@
+"""`dds-analyze` as it is typed."""
+
+import json
+import subprocess
+import sys
+
+import polars as pl
+import pytest
+import typer
+from trace_files import Message, run, write_pair
+
+import cli.analyze
+from cli.analyze import COMMANDS, ReportKind, main
+from reports import REPORTERS
+
+TIMELINE = [Message(s, t0=1000 * s, t1=1000 * s + 5, t3=900, t4=930, t2=1000 * s + 205) for s in range(12)]
+
+
+def analyze(*arguments):
+    """Run the command; its exit code."""
+    with pytest.raises(SystemExit) as ended:
+        main([str(argument) for argument in arguments])
+    return ended.value.code or 0
+
+
+@pytest.fixture
+def runs(tmp_path):
+    write_pair(tmp_path / "runs", TIMELINE)
+    return tmp_path / "runs"
+
+
+def test_a_folder_gives_a_table_and_two_files(runs, capsys):
+    assert analyze(runs) == 0
+    shown = capsys.readouterr()
+    assert f"Wrote {runs / 'analysis' / 'roundtrips.parquet'}" in shown.out
+    assert f"Wrote {runs / 'analysis' / 'summary.parquet'}" in shown.out
+    assert "fastdds" in shown.out
+    assert shown.err == ""
+    assert pl.read_parquet(runs / "analysis" / "roundtrips.parquet")["latency_ns"].to_list() == [85] * 12
+    assert sorted(path.name for path in (runs / "analysis").iterdir()) == [
+        "roundtrips.parquet",
+        "summary.parquet",
+    ]
+
+
+def test_reports_are_those_asked_for_and_written_where_asked(runs, tmp_path, capsys):
+    assert (
+        analyze(runs, "--report", "html", "--report", "json", "--report", "md", "--out", tmp_path / "here")
+        == 0
+    )
+    lines = capsys.readouterr().out.splitlines()
+    assert all(line.startswith(f"Wrote {tmp_path / 'here'}") for line in lines)
+    assert len(lines) == 5
+    assert not (runs / "analysis").exists()
+    assert (tmp_path / "here" / "report.html").exists()
+    json.loads((tmp_path / "here" / "report.json").read_text())
+
+
+def test_a_second_analysis_replaces_the_first(runs):
+    assert analyze(runs) == 0
+    first = (runs / "analysis" / "roundtrips.parquet").read_bytes()
+    assert analyze(runs) == 0
+    assert (runs / "analysis" / "roundtrips.parquet").read_bytes() == first
+
+
+def test_doubts_that_spoil_numbers_go_to_stderr(tmp_path, capsys):
+    write_pair(tmp_path, TIMELINE, runs=[run(published=99)])
+    assert analyze(tmp_path) == 0
+    assert "87 of 99 published messages have no T1" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("make", "status", "text"),
+    [
+        (lambda folder: folder.mkdir(), 4, "empty"),
+        (lambda folder: folder.exists(), 4, "no such"),
+        (lambda folder: folder.write_bytes(b"no trace"), 3, "no MCAP file"),
+    ],
+)
+def test_errors_are_one_line_and_an_exit_code(tmp_path, capsys, make, status, text):
+    make(tmp_path / "runs")
+    assert analyze(tmp_path / "runs") == status
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert text in shown.err
+    assert shown.err.count("\n") == 1
+
+
+def test_a_folder_that_cannot_be_written(runs, tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    assert analyze(runs, "--out", tmp_path / "file" / "below") == 6
+    assert "--out" in capsys.readouterr().err
+
+
+def test_an_unknown_report_is_refused_before_anything_is_read(runs, capsys):
+    assert analyze(runs, "--report", "pdf") == 2
+    assert "pdf" in capsys.readouterr().err
+    assert not (runs / "analysis").exists()
+
+
+def test_every_reporter_can_be_asked_for():
+    assert {kind.value for kind in ReportKind} == set(REPORTERS)
+
+
+def test_help_takes_neither_polars_nor_a_middleware():
+    code = (
+        "import sys\n"
+        "from cli.analyze import main\n"
+        "try:\n    main(['--help'])\n"
+        "finally:\n    print(sorted({'polars', 'plotly', 'pyarrow', 'rclpy', 'jinja2'} & set(sys.modules)))\n"
+    )
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "--report" in shown.stdout
+    assert shown.stdout.endswith("[]\n")
+
+
+def test_a_named_command_leaves_the_folder_command_alone(runs, monkeypatch, capsys):
+    other = typer.Typer()
+
+    @other.command()
+    def compare(base: str):
+        print("compared", base)
+
+    monkeypatch.setattr(cli.analyze, "COMMANDS", {**COMMANDS, "compare": other})
+    assert analyze("compare", "x") == 0
+    assert capsys.readouterr().out == "compared x\n"
+    assert analyze(runs) == 0
+    assert "Wrote" in capsys.readouterr().out

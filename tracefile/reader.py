@@ -166,9 +166,8 @@ class _Gathered:
         ours = any(topic.startswith(TOPIC_PREFIX) for topic in self.topics)
         if not ours and (self.topics or not self.truncated):
             found = ", ".join(sorted(self.topics)[:3]) or "none"
-            raise TraceFormatError(
-                self.path, f"no trace: it has no topic {TOPIC_PREFIX}* (its topics: {found})"
-            )
+            what = f"no trace: it has no topic {TOPIC_PREFIX}* (its topics: {found})"
+            raise TraceFormatError(self.path, "; ".join([what, *self.notes[:1]]))
 
     def trace(self, events: Mapping[Stage, EventColumns]) -> Trace:
         self.check()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import sqlite3
+import struct
 from contextlib import closing
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
@@ -15,6 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+_HEADER = struct.Struct(">16xH10xI")  # page size, pages
 _BATCH_ROWS = 8192
 _BATCH_BYTES = 4 << 20
 
@@ -43,8 +46,9 @@ class SqliteSource:
     def __init__(self, path: Path, shown_as: Path | None = None, *, texts_only: bool = False) -> None:
         self._shown_as = shown_as or path
         self._texts_only = texts_only
-        self._size = path.stat().st_size
         try:
+            self._size = path.stat().st_size
+            self._missing_bytes = _missing_bytes(path)
             self._database = sqlite3.connect(f"file:{quote(str(path))}?mode=ro", uri=True)
             self._database.execute("PRAGMA trusted_schema = OFF")
             tables = self._one(_TABLES)
@@ -52,7 +56,7 @@ class SqliteSource:
                 self._database.execute(_TOPICS).fetchall() if tables == 2 else []
             )
             self._last_row = self._one(_LAST_ROW) if tables == 2 else 0
-        except (sqlite3.Error, ValueError) as err:
+        except (sqlite3.Error, OSError, ValueError) as err:
             raise TraceFormatError(self._shown_as, f"no rosbag2 database ({err})") from err
         if tables != 2:
             self.close()
@@ -98,6 +102,8 @@ class SqliteSource:
                     if rows.full:
                         yield from rows.batches()
                         rows = _Rows(self._shown_as)
+            if self._missing_bytes > 0:
+                last.truncated = f"ends early, {self._missing_bytes} bytes of the database are missing"
         except sqlite3.Error as err:
             last.truncated = f"ends early, the database is damaged ({err}); all rows before are used"
         yield from rows.batches()
@@ -115,6 +121,19 @@ class SqliteSource:
 
     def _one(self, query: str) -> Any:
         return self._database.execute(query).fetchone()[0]
+
+
+def _missing_bytes(path: Path) -> int:
+    """How much shorter the file is than its header says (https://www.sqlite.org/fileformat.html, 1.3)."""
+    with path.open("rb") as stream:
+        header = stream.read(_HEADER.size)
+        size = stream.seek(0, os.SEEK_END)
+    if len(header) < _HEADER.size:
+        return 0  # SQLite will say what it thinks of this file
+    page_bytes: int
+    pages: int
+    page_bytes, pages = _HEADER.unpack(header)
+    return (65536 if page_bytes == 1 else page_bytes) * pages - size
 
 
 class _Rows:

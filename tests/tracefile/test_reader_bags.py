@@ -1,0 +1,254 @@
+"""rosbag2 folders, written with the public `rosbags` package, analyze to the same trace as the file they came from."""
+
+from __future__ import annotations
+
+import itertools
+import shutil
+import sqlite3
+
+import pytest
+import zstandard
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
+from trace_files import (
+    EVENT,
+    STRING,
+    WALL_ANCHOR_NS,
+    Message,
+    ping_events,
+    ping_session,
+    run,
+    string_cdr,
+    write_trace,
+)
+
+from tracefile import (
+    EVENT_DTYPE,
+    HOST_TOPIC,
+    RUN_TOPIC,
+    SESSION_TOPIC,
+    Stage,
+    TraceFormatError,
+    expected_events,
+    find_traces,
+    iter_event_batches,
+    pack_event,
+    read_descriptions,
+    read_trace,
+)
+
+FIELDS = EVENT_DTYPE.names
+EVENTS = ping_events([Message(n, t0=n * 1000, t1=n * 1000 + 7, t2=n * 1000 + 500) for n in range(50)])
+STORAGES = [
+    pytest.param(plugin, mode, id=f"{plugin.name}-{mode.name}".lower())
+    for plugin, mode in itertools.product(
+        StoragePlugin, [CompressionMode.NONE, CompressionMode.FILE, CompressionMode.MESSAGE]
+    )
+] + [pytest.param(StoragePlugin.MCAP, CompressionMode.STORAGE, id="mcap-storage")]
+
+
+def rows(columns):
+    return list(zip(*(getattr(columns, name).tolist() for name in FIELDS), strict=True))
+
+
+def all_rows(trace):
+    return {stage: rows(columns) for stage, columns in trace.events.items()}
+
+
+def write_bag(folder, events=EVENTS, plugin=StoragePlugin.SQLITE3, mode=CompressionMode.NONE, version=9):
+    """A bag as a converter makes it of our trace: the same topics, messages in order of their log time."""
+    texts = [
+        (SESSION_TOPIC, ping_session().to_json()),
+        (RUN_TOPIC, run().to_json()),
+        (HOST_TOPIC, '{"cpu": 1}'),
+    ]
+    messages = [(topic, WALL_ANCHOR_NS, string_cdr(text), STRING) for topic, text in texts]
+    for stage, held in events.items():
+        messages += [(stage.topic, WALL_ANCHOR_NS + fields[2], pack_event(*fields), EVENT) for fields in held]
+    bag = Writer(folder, version=version, storage_plugin=plugin)
+    bag.set_compression(mode, CompressionFormat.ZSTD)
+    with bag:
+        connections = {}
+        for topic, log_time, data, (name, definition) in sorted(messages, key=lambda message: message[1]):
+            if topic not in connections:
+                connections[topic] = bag.add_connection(
+                    topic, name, msgdef=definition, rihs01="RIHS01_" + "0" * 64
+                )
+            bag.write(connections[topic], log_time, data)
+    return folder
+
+
+@pytest.mark.parametrize(("plugin", "mode"), STORAGES)
+def test_every_storage_gives_the_same_trace(tmp_path, plugin, mode):
+    original = read_trace(
+        write_trace(tmp_path / "t.mcap", ping_session(), [run()], EVENTS, host=[{"cpu": 1}])
+    )
+    trace = read_trace(write_bag(tmp_path / "bag", plugin=plugin, mode=mode))
+    assert all_rows(trace) == all_rows(original)
+    assert (trace.sessions, trace.runs) == (original.sessions, original.runs)
+    assert trace.host_samples == original.host_samples
+    assert (trace.truncated, trace.notes, trace.unreadable_messages) == (None, (), 0)
+
+
+@pytest.mark.parametrize(("plugin", "mode"), STORAGES)
+def test_every_storage_can_be_read_in_batches_and_outlined(tmp_path, plugin, mode):
+    bag = write_bag(tmp_path / "bag", plugin=plugin, mode=mode)
+    found = dict.fromkeys(Stage, 0)
+    for stage, columns in iter_event_batches(bag):
+        found[stage] += len(columns)
+    assert found == {Stage.T1: 50, Stage.T2: 50, Stage.T3: 0, Stage.T4: 0}
+    outline = read_descriptions(bag)
+    assert (outline.sessions, outline.runs, outline.event_count) == ((ping_session(),), (run(),), 0)
+    assert all(expected_events(bag)[stage] >= count for stage, count in found.items())
+
+
+def test_what_rosbags_reads_of_a_bag_is_what_we_read(tmp_path):
+    bag = write_bag(tmp_path / "bag")
+    with Reader(bag) as reader:
+        theirs = [
+            (connection.topic, bytes(data))
+            for connection, _, data in reader.messages()
+            if connection.topic.startswith("/dds_trace/t")
+        ]
+    ours = read_trace(bag).events
+    for stage in (Stage.T1, Stage.T2):
+        packed = [pack_event(*row) for row in rows(ours[stage])]
+        assert packed == [data for topic, data in theirs if topic == stage.topic]
+
+
+@pytest.mark.parametrize("plugin", StoragePlugin)
+def test_a_split_bag_is_one_trace_in_the_order_of_its_numbers(tmp_path, plugin):
+    suffix = {StoragePlugin.SQLITE3: ".db3", StoragePlugin.MCAP: ".mcap"}[plugin]
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    for number in range(12):  # bag_10 comes after bag_9, not after bag_1
+        part = {stage: held[number * 4 : number * 4 + 4] for stage, held in EVENTS.items()}
+        written = write_bag(tmp_path / f"part{number}", part, plugin)
+        shutil.move(written / f"part{number}{suffix}", bag / f"bag_{number}{suffix}")
+        shutil.move(written / "metadata.yaml", bag / "metadata.yaml")
+    trace = read_trace(bag)
+    assert all_rows(trace) == {stage: EVENTS.get(stage, [])[:48] for stage in Stage}
+    assert len(trace.sessions) == len(trace.runs) == 1
+    assert len(trace.host_samples) == 12
+
+
+def test_a_file_that_a_player_unpacked_beside_the_packed_one_counts_once(tmp_path):
+    bag = write_bag(tmp_path / "bag", mode=CompressionMode.FILE)
+    (packed,) = bag.glob("*.zstd")
+    with packed.open("rb") as stream, packed.with_suffix("").open("wb") as copy:
+        zstandard.ZstdDecompressor().copy_stream(stream, copy)
+    assert read_trace(bag).event_count == 100
+
+
+def test_bags_are_found_as_one_entry(tmp_path):
+    write_bag(tmp_path / "a")
+    write_bag(tmp_path / "b", plugin=StoragePlugin.MCAP)
+    write_bag(tmp_path / "c", mode=CompressionMode.FILE)
+    assert find_traces(tmp_path) == [tmp_path / "a", tmp_path / "b", tmp_path / "c"]
+
+
+class TestDatabases:
+    def database(self, tmp_path):
+        (path,) = write_bag(tmp_path / "bag").glob("*.db3")
+        return path
+
+    def change(self, path, *statements):
+        connection = sqlite3.connect(path)
+        with connection:
+            for statement in statements:
+                connection.execute(statement)
+        connection.close()
+
+    def test_a_database_cut_off_anywhere_is_a_trace_or_an_error_that_names_it(self, tmp_path):
+        path = self.database(tmp_path)
+        whole = path.read_bytes()
+        used = 0
+        for size in range(0, len(whole), 1024):
+            path.write_bytes(whole[:size])
+            try:
+                trace = read_trace(path.parent)
+            except TraceFormatError as err:
+                assert str(path) in str(err)  # noqa: PT017 - one or the other is right
+                continue
+            used += 1
+            assert trace.truncated
+            for stage in Stage:
+                held = rows(trace.events[stage])
+                assert held == EVENTS.get(stage, [])[: len(held)]
+        assert used
+
+    @pytest.mark.parametrize(
+        ("statement", "note"),
+        [
+            (
+                "UPDATE topics SET serialization_format = 'json' WHERE name = '/dds_trace/t1'",
+                "encoded as 'json'",
+            ),
+            ("UPDATE topics SET type = 'x/msg/X' WHERE name = '/dds_trace/t1'", "their type is 'x/msg/X'"),
+        ],
+    )
+    def test_event_topics_of_another_kind_are_named_and_not_used(self, tmp_path, statement, note):
+        path = self.database(tmp_path)
+        self.change(path, statement)
+        trace = read_trace(path.parent)
+        assert (len(trace.events[Stage.T1]), len(trace.events[Stage.T2])) == (0, 50)
+        assert trace.unreadable_messages == 50
+        assert note in trace.notes[0]
+
+    def test_rows_that_rosbag2_never_writes_are_unreadable(self, tmp_path):
+        path = self.database(tmp_path)
+        t1 = "(SELECT id FROM topics WHERE name = '/dds_trace/t1')"
+        self.change(
+            path,
+            f"INSERT INTO messages (topic_id, timestamp, data) VALUES ({t1}, 'now', x'00')",
+            f"INSERT INTO messages (topic_id, timestamp, data) VALUES ({t1}, 5, 'text')",
+            f"INSERT INTO messages (topic_id, timestamp, data) VALUES ({t1}, 5, zeroblob(100000000))",
+        )
+        trace = read_trace(path.parent)
+        assert (trace.event_count, trace.unreadable_messages) == (100, 3)
+
+    def test_a_table_that_is_a_view_is_not_read(self, tmp_path):
+        path = self.database(tmp_path)
+        self.change(
+            path,
+            "DROP TABLE messages",
+            "CREATE VIEW messages AS WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n)"
+            " SELECT i AS id, 1 AS topic_id, 1 AS timestamp, x'00' AS data FROM n",
+        )
+        with pytest.raises(TraceFormatError, match="no tables 'topics' and 'messages'"):
+            read_trace(path.parent)
+
+    def test_a_bag_of_other_topics_is_no_trace(self, tmp_path):
+        path = self.database(tmp_path)
+        self.change(path, "UPDATE topics SET name = '/x' || name")
+        with pytest.raises(TraceFormatError, match="no topic /dds_trace"):
+            read_trace(path.parent)
+
+    def test_a_file_that_is_no_database(self, tmp_path):
+        path = self.database(tmp_path)
+        path.write_bytes(b"nonsense" * 1000)
+        with pytest.raises(TraceFormatError, match="no rosbag2 database") as caught:
+            read_trace(path.parent)
+        assert caught.value.path == str(path)
+
+
+class TestPackedFiles:
+    @pytest.mark.parametrize("plugin", StoragePlugin)
+    def test_a_packed_file_that_is_cut_off_gives_what_could_be_unpacked_or_an_error(self, tmp_path, plugin):
+        bag = write_bag(tmp_path / "bag", plugin=plugin, mode=CompressionMode.FILE)
+        (path,) = bag.glob("*.zstd")
+        whole = path.read_bytes()
+        for size in range(0, len(whole), 101):
+            path.write_bytes(whole[:size])
+            try:
+                trace = read_trace(bag)
+            except TraceFormatError as err:
+                assert str(path) in str(err)  # noqa: PT017 - one or the other is right
+            else:
+                assert trace.truncated
+
+    def test_a_frame_that_grows_without_end_does_not_fill_the_disk(self, tmp_path):
+        bag = write_bag(tmp_path / "bag", plugin=StoragePlugin.MCAP, mode=CompressionMode.FILE)
+        (path,) = bag.glob("*.zstd")
+        path.write_bytes(zstandard.compress(bytes(200_000_000)))
+        with pytest.raises(TraceFormatError, match="unpacks to more than 1000 times its size"):
+            read_trace(bag)

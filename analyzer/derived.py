@@ -1,0 +1,218 @@
+"""Per-message latency as an MCAP for Foxglove and PlotJuggler, with a Foxglove layout that shows it.
+
+One channel per run and relay with `dds_trace_msgs/msg/MessageLatency` in CDR and its definition as `ros2msg`, so that
+Foxglove, PlotJuggler, `ros2 bag` and rosbags all read it without our software. The log time of a message is when it was
+sent, on the wall clock of the ping that sent it: with `outbound_ms` added it is when the relay received it, on the same
+clock, wrong by at most `clock_bound_ms`.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import polars as pl
+from mcap.writer import CompressionType, Writer
+
+from tracefile.errors import OutputError, OutputExistsError
+from tracefile.events import CDR_HEADER
+from tracefile.version import __version__
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+SCHEMA_NAME = "dds_trace_msgs/msg/MessageLatency"
+TIMES = ("latency", "rtt", "response", "intermediate", "outbound", "return", "clock_bound")
+"""The columns `<name>_ns` of the round trips; the message's fields are `<name>_ms`, not a number where unknown."""
+
+SCHEMA = "".join(
+    [
+        "uint64 sequence\n",
+        *(f"float64 {name}_ms\n" for name in TIMES),
+        "uint32 payload_bytes\n",
+        "bool lost\n",
+    ],
+)
+
+_RECORD = np.dtype(
+    [
+        ("cdr", f"V{len(CDR_HEADER)}"),
+        ("sequence", "<u8"),
+        *((f"{name}_ms", "<f8") for name in TIMES),
+        ("payload_bytes", "<u4"),
+        ("lost", "u1"),
+    ],
+)
+"""The message as it is serialized: fields in the schema's order need no padding."""
+
+PLOTTED_TOPICS = 12
+"""Series of a plot in the layout; more cannot be told apart. The other topics are in the file all the same."""
+
+
+@dataclass(frozen=True, slots=True)
+class DerivedTrace:
+    """What was written.
+
+    Attributes:
+        path: the MCAP file.
+        layout: the Foxglove layout (in Foxglove: Layouts, Import from file).
+        topics: the channels, in the order of their first message.
+        messages: messages of all channels.
+        without_wall_clock: runs whose ping gave no clock anchor; their times count from the device's boot.
+    """
+
+    path: Path
+    layout: Path
+    topics: tuple[str, ...]
+    messages: int
+    without_wall_clock: tuple[int, ...]
+
+
+def write_derived(
+    roundtrips: pl.DataFrame,
+    path: Path,
+    ping_wall: Mapping[int, int] | None = None,
+    *,
+    force: bool = False,
+) -> DerivedTrace:
+    """The file `path` and beside it `NAME.foxglove.json`.
+
+    Args:
+        roundtrips: frame of `docs/trace-format.md`; with `outbound_ns`, `return_ns`, `clock_bound_ns` where known.
+        path: ends in `.mcap`.
+        ping_wall: wall clock minus monotonic clock of each run's ping, ns (`ping_wall_offsets`).
+        force: overwrite existing files.
+
+    Raises:
+        OutputExistsError: a file is there already.
+        OutputError: a file cannot be written.
+    """
+    layout = path.with_suffix(".foxglove.json")
+    for target in (path, layout):
+        if target.exists() and not force:
+            raise OutputExistsError(f"{target}: exists already; choose another name or add --force")
+    rows = _in_order(roundtrips, ping_wall or {})
+    topics = tuple(rows["topic"].unique(maintain_order=True))
+    unfinished = path.with_name(f".{path.name}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with unfinished.open("wb") as file:
+            _write_messages(Writer(file, compression=CompressionType.ZSTD), rows, topics)
+        unfinished.replace(path)
+        layout.write_text(json.dumps(foxglove_layout(topics), indent=2) + "\n")
+    except OSError as err:
+        with suppress(OSError):
+            unfinished.unlink()
+        raise OutputError(
+            f"{path}: cannot be written ({err.strerror or err}); check disk space and permissions"
+        ) from err
+    known = set(ping_wall or {})
+    unknown = tuple(sorted(run_id for run_id in roundtrips["run_id"].unique() if run_id not in known))
+    return DerivedTrace(path, layout, topics, len(rows), unknown)
+
+
+def _in_order(roundtrips: pl.DataFrame, ping_wall: Mapping[int, int]) -> pl.DataFrame:
+    """The messages in the order of log time with their topic; `log_ns` is i64 and never below 0."""
+    runs = pl.Series(list(ping_wall), dtype=pl.UInt64)
+    offsets = pl.Series(list(ping_wall.values()), dtype=pl.Int64)
+    offset = pl.col("run_id").replace_strict(runs, offsets, default=0) if ping_wall else pl.lit(0, pl.Int64)
+    missing = [
+        pl.lit(None, pl.Int64).alias(f"{name}_ns") for name in TIMES if f"{name}_ns" not in roundtrips.columns
+    ]
+    keys = ["vendor", "bridge", "data_type", "payload_bytes", "rate_hz", "run_id", "relay_id"]
+    names = roundtrips.select(keys).unique()
+    named = names.with_columns(
+        pl.Series("topic", [topic_name(row) for row in names.iter_rows(named=True)], pl.String)
+    )
+    return (
+        roundtrips.with_columns(missing)
+        .with_columns(log_ns=(pl.col("publish_ns") + offset).clip(0))
+        .join(named.select("run_id", "relay_id", *keys[:5], "topic"), on=keys, how="left", nulls_equal=True)
+        .sort("log_ns", "run_id", "relay_id", "sequence")
+    )
+
+
+def topic_name(row: Mapping[str, Any]) -> str:
+    """The channel of a run and relay: `/latency/fastdds/builtin/binary_33000B_10Hz/run_RRRRRRRR/relay_PPPPPPPP`.
+
+    Only letters, digits and underscores between the slashes, so that every tool takes it as a topic.
+    """
+    cell = f"{row['data_type']}_{row['payload_bytes']}B_{row['rate_hz']:g}Hz"
+    words = [row["vendor"], row["bridge"], cell, f"run_{row['run_id']:016x}", f"relay_{row['relay_id']:08x}"]
+    return "/latency/" + "/".join(re.sub(r"[^A-Za-z0-9_]+", "_", str(word)) for word in words)
+
+
+def _write_messages(writer: Writer, rows: pl.DataFrame, topics: Sequence[str]) -> None:
+    writer.start(profile="ros2", library=f"dds-trace {__version__}")
+    schema = writer.register_schema(SCHEMA_NAME, "ros2msg", SCHEMA.encode())
+    channels = {topic: writer.register_channel(topic, "cdr", schema) for topic in topics}
+    records = np.zeros(len(rows), _RECORD)
+    records["cdr"] = np.void(CDR_HEADER)
+    records["sequence"] = rows["sequence"].to_numpy()
+    for name in TIMES:
+        records[f"{name}_ms"] = (rows[f"{name}_ns"].cast(pl.Float64) / 1e6).fill_null(float("nan")).to_numpy()
+    records["payload_bytes"] = rows["payload_bytes"].to_numpy()
+    records["lost"] = (rows["outcome"] != "completed").to_numpy()
+    size, data = _RECORD.itemsize, records.tobytes()
+    counts = dict.fromkeys(topics, 0)
+    for number, (topic, log_ns) in enumerate(rows.select("topic", "log_ns").iter_rows()):
+        message = data[number * size : (number + 1) * size]
+        writer.add_message(channels[topic], log_ns, message, log_ns, counts[topic])
+        counts[topic] += 1
+    writer.finish()  # type: ignore[no-untyped-call]  # mcap leaves this one untyped
+
+
+def foxglove_layout(topics: Sequence[str]) -> dict[str, Any]:
+    """A layout with four plots of the first `PLOTTED_TOPICS` topics: latency, response, one way each, losses."""
+    plots = {
+        "Plot!latency": ("Latency (ms)", ("latency_ms",)),
+        "Plot!response": ("Response: planned sending to reply (ms)", ("response_ms",)),
+        "Plot!oneway": (
+            "One way: outbound and return, and the clocks' bound (ms)",
+            ("outbound_ms", "return_ms", "clock_bound_ms"),
+        ),
+        "Plot!lost": ("Lost", ("lost",)),
+    }
+    shown = topics[:PLOTTED_TOPICS]
+    return {
+        "configById": {
+            panel: {
+                "title": title,
+                "paths": [
+                    {
+                        "value": f"{topic}.{name}",
+                        "enabled": True,
+                        "timestampMethod": "receiveTime",
+                        "label": topic.removeprefix("/latency/") + (f" {name}" if len(fields) > 1 else ""),
+                    }
+                    for topic in shown
+                    for name in fields
+                ],
+                "showLegend": True,
+                "legendDisplay": "left",
+                "showXAxisLabels": True,
+                "showYAxisLabels": True,
+                "isSynced": True,
+                "xAxisVal": "timestamp",
+            }
+            for panel, (title, fields) in plots.items()
+        },
+        "globalVariables": {},
+        "userNodes": {},
+        "playbackConfig": {"speed": 1},
+        "layout": {
+            "direction": "column",
+            "first": {"direction": "column", "first": "Plot!latency", "second": "Plot!response"},
+            "second": {
+                "direction": "column",
+                "first": "Plot!oneway",
+                "second": "Plot!lost",
+                "splitPercentage": 70,
+            },
+        },
+    }

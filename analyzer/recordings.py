@@ -1,0 +1,225 @@
+"""Messages of any recording (rosbag1, rosbag2, MCAP): topic, times, size and header stamp, never the whole content."""
+
+from __future__ import annotations
+
+import os
+import re
+import struct
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, BinaryIO
+
+from mcap.exceptions import McapError
+from mcap.records import Channel, Message, Schema
+from mcap.stream_reader import StreamReader
+from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.interfaces import MessageDefinitionFormat
+from rosbags.typesys import Stores, get_typestore
+from zstandard import ZstdError
+
+from tracefile.errors import MissingEventsError, TraceFormatError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Iterator
+
+    from rosbags.interfaces import Connection
+
+BAG_METADATA = "metadata.yaml"
+
+# What mcap, rosbags and the decompressors say of bytes that are not what they should be.
+_UNREADABLE = (
+    AnyReaderError,
+    EOFError,
+    KeyError,
+    McapError,
+    MemoryError,
+    OSError,
+    RuntimeError,
+    ValueError,
+    ZstdError,
+    struct.error,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """A topic of a recording.
+
+    Attributes:
+        encoding: `cdr`, `ros1`, `json`, `protobuf` ...
+        has_stamp: whether its messages begin with a header or a time that `stamp_ns` can be read from.
+    """
+
+    name: str
+    message_type: str
+    encoding: str
+    has_stamp: bool
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedMessage:
+    """One message; times in ns since 1970 (or since boot, as the recording has them).
+
+    Attributes:
+        log_ns: when it was recorded.
+        publish_ns: when it was published as the recorder was told; None where the format has no such time.
+        stamp_ns: the stamp of its header; None if it has none or the stamp is zero.
+    """
+
+    topic: Topic
+    log_ns: int
+    publish_ns: int | None
+    stamp_ns: int | None
+    payload_bytes: int
+
+
+def find_recordings(path: Path, *, skip: Collection[Path] = ()) -> list[Path]:
+    """All `.mcap` and `.bag` files and rosbag2 folders in a folder and below it, sorted; or the path itself.
+
+    Raises:
+        MissingEventsError: there is no such file or folder.
+    """
+    if path.is_file() or (path / BAG_METADATA).is_file():
+        return [path]
+    if not path.is_dir():
+        raise MissingEventsError(f"{path}: no such file or folder")
+    left_out = {other.resolve() for other in skip}
+    found: list[Path] = []
+    for name, folders, files in os.walk(path):
+        here = Path(name)
+        if here.resolve() in left_out:
+            folders.clear()
+        elif BAG_METADATA in files:
+            found.append(here)
+            folders.clear()
+        else:
+            found += [here / file for file in files if Path(file).suffix in {".mcap", ".bag", ".db3"}]
+    return sorted(found)
+
+
+def iter_messages(path: Path) -> Iterator[RecordedMessage]:
+    """The messages of one recording in the order they are stored.
+
+    Raises:
+        TraceFormatError: it is no recording, or it ends early; what was complete before has been given.
+    """
+    if path.is_dir():
+        files = sorted(path.glob("*.mcap"))
+        if files and not list(path.glob("*.zstd")):
+            for file in files:
+                yield from _mcap_messages(file)
+            return
+        yield from _bag_messages(path)
+        return
+    yield from (_mcap_messages if path.suffix == ".mcap" else _bag_messages)(path)
+
+
+def _mcap_messages(path: Path) -> Iterator[RecordedMessage]:
+    with path.open("rb") as file:
+        try:
+            yield from _mcap_stream(file)
+        except _UNREADABLE as err:
+            raise TraceFormatError(path, f"the recording cannot be read on: {err}", file.tell()) from err
+
+
+def _mcap_stream(file: BinaryIO) -> Iterator[RecordedMessage]:
+    """`StreamReader` and not the indexed reader: it gets to the end of what a truncated file holds."""
+    schemas: dict[int, Schema] = {}
+    topics: dict[int, tuple[Topic, Callable[[bytes], int | None]]] = {}
+    for record in StreamReader(file).records:
+        if isinstance(record, Message):
+            topic, stamp_of = topics[record.channel_id]
+            yield RecordedMessage(
+                topic=topic,
+                log_ns=record.log_time,
+                publish_ns=record.publish_time,
+                stamp_ns=stamp_of(record.data) if topic.has_stamp else None,
+                payload_bytes=len(record.data),
+            )
+        elif isinstance(record, Schema):
+            schemas[record.id] = record
+        elif isinstance(record, Channel):
+            schema = schemas.get(record.schema_id)
+            is_text = schema is not None and schema.encoding in {"ros1msg", "ros2msg"}
+            text = schema.data.decode(errors="replace") if schema is not None and is_text else ""
+            encoding = record.message_encoding
+            topic = Topic(
+                record.topic,
+                schema.name if schema else "",
+                encoding,
+                begins_with_stamp(text) and encoding in _STAMP_READERS,
+            )
+            topics[record.id] = topic, _STAMP_READERS.get(encoding, _no_stamp)
+
+
+def _bag_messages(path: Path) -> Iterator[RecordedMessage]:
+    """Through rosbags, which knows the storages and compressions of rosbag1 and rosbag2; it gives the log time only."""
+    try:
+        with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
+            encoding = "cdr" if reader.is2 else "ros1"
+            topics = {
+                (id(c.owner), c.id): Topic(c.topic, c.msgtype, encoding, _connection_has_stamp(c))
+                for c in reader.connections
+            }
+            for connection, log_ns, data in reader.messages():
+                topic = topics[id(connection.owner), connection.id]
+                stamp_ns = _STAMP_READERS[encoding](bytes(data[:24])) if topic.has_stamp else None
+                yield RecordedMessage(topic, log_ns, None, stamp_ns, len(data))
+    except _UNREADABLE as err:
+        raise TraceFormatError(path, f"the recording cannot be read on: {err}") from err
+
+
+def _connection_has_stamp(connection: Connection) -> bool:
+    if connection.msgdef.format == MessageDefinitionFormat.MSG:
+        return begins_with_stamp(connection.msgdef.data)
+    return connection.msgtype in _stamped_types()
+
+
+@cache
+def _stamped_types() -> frozenset[str]:
+    """Stock ROS 2 types whose first field is a header, for bags that do not hold their definitions."""
+    stamped = set()
+    for name, (_, fields) in get_typestore(Stores.LATEST).fielddefs.items():
+        if fields and fields[0][1][1] == "std_msgs/msg/Header":
+            stamped.add(name)
+    return frozenset(stamped)
+
+
+_COMMENT_OR_CONSTANT = re.compile(r"\s*(#.*)?|[^#]*=.*")
+_STAMPED = re.compile(r"\s*((std_msgs/(msg/)?)?Header\s+\w+|builtin_interfaces/(msg/)?Time\s+\w+)\s*(#.*)?")
+
+
+def begins_with_stamp(definition: str) -> bool:
+    """Whether a type's first field, by its `.msg` text, is a `std_msgs/Header` or a time."""
+    for line in definition.splitlines():
+        if line.startswith("==="):
+            return False
+        if not _COMMENT_OR_CONSTANT.fullmatch(line):
+            return _STAMPED.fullmatch(line) is not None
+    return False
+
+
+_CDR_ORDER = {0: ">", 1: "<", 6: ">", 7: "<"}
+"""Byte order by the second byte of the encapsulation: plain CDR, version 1 and 2 (OMG DDS-XTypes 1.3, 7.6.3.1.2)."""
+
+
+def _cdr_stamp(data: bytes) -> int | None:
+    if len(data) < 12 or data[0] or data[1] not in _CDR_ORDER:
+        return None
+    seconds, nanoseconds = struct.unpack_from(f"{_CDR_ORDER[data[1]]}iI", data, 4)
+    return seconds * 1_000_000_000 + nanoseconds or None
+
+
+def _ros1_stamp(data: bytes) -> int | None:
+    if len(data) < 12:
+        return None
+    seconds, nanoseconds = struct.unpack_from("<II", data, 4)  # after the sequence number
+    return seconds * 1_000_000_000 + nanoseconds or None
+
+
+def _no_stamp(_: bytes) -> None:
+    return None
+
+
+_STAMP_READERS: dict[str, Callable[[bytes], int | None]] = {"cdr": _cdr_stamp, "ros1": _ros1_stamp}

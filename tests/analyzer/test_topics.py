@@ -1,0 +1,229 @@
+"""Topics of foreign recordings: the same timeline written as rosbag1, rosbag2 (both storages) and MCAP reads the same."""
+
+from __future__ import annotations
+
+import json
+import struct
+
+import numpy as np
+import pytest
+from mcap.writer import CompressionType, Writer
+from rosbags.rosbag1 import Writer as Bag1Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import Writer as Bag2Writer
+from rosbags.typesys import Stores, get_typestore
+
+from analyzer.recordings import begins_with_stamp, find_recordings, iter_messages
+from analyzer.topics import analyze_topics
+from tracefile.errors import MissingEventsError, TraceFormatError
+
+MS = 1_000_000
+START_NS = 1_700_000_000 * 10**9
+
+# Logged at 0, 100, 200, 500, 600 ms: one gap (200 -> 500), median interval 100 ms. Stamped 5, 5, 7, 5, 9 ms before.
+LOGGED_MS = (0, 100, 200, 500, 600)
+AGE_MS = (5, 5, 7, 5, 9)
+
+
+def imu_messages(store, **fields):
+    imu, header = store.types["sensor_msgs/msg/Imu"], store.types["std_msgs/msg/Header"]
+    vector, quaternion = store.types["geometry_msgs/msg/Vector3"], store.types["geometry_msgs/msg/Quaternion"]
+    time = store.types["builtin_interfaces/msg/Time"]
+    for logged_ms, age_ms in zip(LOGGED_MS, AGE_MS, strict=True):
+        stamp_ns = START_NS + (logged_ms - age_ms) * MS
+        yield (
+            START_NS + logged_ms * MS,
+            imu(
+                header(stamp=time(stamp_ns // 10**9, stamp_ns % 10**9), frame_id="imu", **fields),
+                quaternion(0, 0, 0, 1),
+                np.zeros(9),
+                vector(0, 0, 0),
+                np.zeros(9),
+                vector(0, 0, 0),
+                np.zeros(9),
+            ),
+        )
+
+
+def write_bag1(path):
+    store = get_typestore(Stores.ROS1_NOETIC)
+    with Bag1Writer(path) as bag:
+        connection = bag.add_connection("/imu", "sensor_msgs/msg/Imu", typestore=store)
+        for log_ns, message in imu_messages(store, seq=7):
+            bag.write(connection, log_ns, store.serialize_ros1(message, "sensor_msgs/msg/Imu"))
+
+
+def write_bag2(path, storage, compression=None):
+    store = get_typestore(Stores.ROS2_JAZZY)
+    bag = Bag2Writer(path, version=9, storage_plugin=storage)
+    if compression is not None:
+        bag.set_compression(compression, CompressionFormat.ZSTD)
+    with bag:
+        connection = bag.add_connection("/imu", "sensor_msgs/msg/Imu", typestore=store)
+        for log_ns, message in imu_messages(store):
+            bag.write(connection, log_ns, store.serialize_cdr(message, "sensor_msgs/msg/Imu"))
+
+
+def write_mcap(path, messages, *, encoding="json", schema=None, compression=CompressionType.NONE):
+    """Messages (topic, log, publish, data) as one MCAP file."""
+    with path.open("wb") as file:
+        writer = Writer(file, compression=compression)
+        writer.start()
+        schema_id = writer.register_schema(*schema) if schema else 0
+        channels = {}
+        for topic, log_ns, publish_ns, data in messages:
+            if topic not in channels:
+                channels[topic] = writer.register_channel(topic, encoding, schema_id)
+            writer.add_message(channels[topic], log_ns, data, publish_ns)
+        writer.finish()
+
+
+WRITERS = {
+    "rosbag1": ("a.bag", write_bag1),
+    "rosbag2 sqlite3": ("a", lambda p: write_bag2(p, StoragePlugin.SQLITE3)),
+    "rosbag2 mcap": ("a", lambda p: write_bag2(p, StoragePlugin.MCAP)),
+    "rosbag2 compressed": ("a", lambda p: write_bag2(p, StoragePlugin.SQLITE3, CompressionMode.MESSAGE)),
+}
+
+
+@pytest.mark.parametrize("kind", WRITERS)
+def test_one_timeline_in_every_format(tmp_path, kind):
+    name, write = WRITERS[kind]
+    write(tmp_path / name)
+    report = analyze_topics(tmp_path)
+    (row,) = report.topics.iter_rows(named=True)
+    assert (row["topic"], row["message_type"]) == ("/imu", "sensor_msgs/msg/Imu")
+    assert (row["messages"], row["start_ns"], row["duration_ns"]) == (5, START_NS, 600 * MS)
+    assert row["rate_hz"] == pytest.approx(4 / 0.6)
+    assert (row["period_p50_ns"], row["gaps"], row["gap_max_ns"]) == (100 * MS, 1, 300 * MS)
+    assert row["jitter_ns"] == pytest.approx(
+        100 * MS
+    )  # of 100, 100, 300, 100: mean 150, sum of squares 30000, / 3
+    assert (row["age_from"], row["age_messages"], row["age_negative"]) == ("header", 5, 0)
+    assert (row["age_min_ns"], row["age_p50_ns"], row["age_max_ns"]) == (5 * MS, 5 * MS, 9 * MS)
+    assert (row["age_p99_ns"], row["stamps_backwards"]) == (None, 0)
+    assert row["payload_min_bytes"] == row["payload_max_bytes"] == row["payload_mean_bytes"]
+    assert row["rate_bytes_per_s"] == pytest.approx(5 * row["payload_mean_bytes"] / 0.6)
+    (source,) = report.sources
+    assert (source.status, source.events) == ("read", 5)
+
+
+def test_mcap_of_another_world_has_an_age_from_its_publish_time(tmp_path):
+    messages = [("/a", t * 10, t * 10 - 3, json.dumps({"t": t}).encode()) for t in range(1, 5)]
+    messages += [("/b", 50, 50, b"{}")]
+    write_mcap(tmp_path / "x.mcap", messages, compression=CompressionType.ZSTD)
+    a, b = analyze_topics(tmp_path).topics.iter_rows(named=True)
+    assert (a["topic"], a["encoding"], a["age_from"], a["age_p50_ns"]) == ("/a", "json", "publish", 3.0)
+    assert (b["messages"], b["rate_hz"], b["age_from"], b["jitter_ns"]) == (1, None, None, None)
+
+
+def stamped(seconds, nanoseconds=0, order=1):
+    return (
+        bytes([0, order, 0, 0])
+        + struct.pack("<iI" if order == 1 else ">iI", seconds, nanoseconds)
+        + b"\0" * 8
+    )
+
+
+def test_stamps_ahead_of_the_log_and_backwards_are_counted(tmp_path):
+    schema = (
+        "pkg/msg/Odd",
+        "ros2msg",
+        b"# a comment\nuint8 ODD=1\n\nstd_msgs/Header header  # first\nint32 x\n",
+    )
+    data = [
+        (10, stamped(8)),
+        (20, stamped(21)),  # a second ahead
+        (30, stamped(20, order=0)),  # big endian, and backwards
+        (40, stamped(0)),  # never set
+        (50, b"\x00\x01"),  # cut off
+    ]
+    write_mcap(
+        tmp_path / "x.mcap",
+        [("/odd", t * 10**9, t * 10**9, d) for t, d in data],
+        encoding="cdr",
+        schema=schema,
+    )
+    (row,) = analyze_topics(tmp_path).topics.iter_rows(named=True)
+    assert (row["messages"], row["age_messages"], row["age_negative"], row["stamps_backwards"]) == (
+        5,
+        3,
+        1,
+        1,
+    )
+    assert (row["age_min_ns"], row["age_max_ns"]) == (-(10**9), 10 * 10**9)
+
+
+@pytest.mark.parametrize(
+    ("definition", "expected"),
+    [
+        ("std_msgs/Header header\nfloat64 x\n", True),
+        ("std_msgs/msg/Header header", True),
+        ("Header header", True),
+        ("# text\n\nint32 A = 3\nbuiltin_interfaces/Time stamp\n", True),
+        ("float64 x\nstd_msgs/Header header\n", False),
+        ("std_msgs/Header[] headers\n", False),
+        ("\n=====\nMSG: std_msgs/Header\n", False),
+        ("", False),
+    ],
+)
+def test_first_fields(definition, expected):
+    assert begins_with_stamp(definition) is expected
+
+
+def test_a_truncated_recording_is_used_up_to_its_end(tmp_path):
+    whole = tmp_path / "x.mcap"
+    write_mcap(whole, [("/a", t, t, b"{}") for t in range(100)])
+    (tmp_path / "cut").mkdir()
+    with_chunk = whole.read_bytes()
+    cut = tmp_path / "cut" / "y.mcap"
+    cut.write_bytes(with_chunk[:-40])  # within the footer
+    report = analyze_topics(cut)
+    assert report.topics["messages"].to_list() == [100]
+    assert report.sources[0].status == "truncated"
+    assert "cannot be read on" in report.sources[0].detail
+
+
+def test_what_is_no_recording_is_named(tmp_path):
+    write_mcap(tmp_path / "good.mcap", [("/a", 1, 1, b"{}")])
+    (tmp_path / "bad.mcap").write_bytes(b"not an mcap at all")
+    (tmp_path / "bad.bag").write_bytes(b"#ROSBAG V9.9\n")
+    (tmp_path / "notes.txt").write_text("hello")
+    report = analyze_topics(tmp_path)
+    assert [(s.path.rsplit("/", 1)[1], s.status) for s in report.sources] == [
+        ("bad.bag", "skipped"),
+        ("bad.mcap", "skipped"),
+        ("good.mcap", "read"),
+    ]
+    assert report.topics.height == 1
+    with pytest.raises(TraceFormatError, match=r"bad\.mcap"):
+        list(iter_messages(tmp_path / "bad.mcap"))
+
+
+def test_nothing_readable_is_an_error(tmp_path):
+    with pytest.raises(MissingEventsError, match="no recording"):
+        analyze_topics(tmp_path)
+    (tmp_path / "bad.mcap").write_bytes(b"")
+    with pytest.raises(MissingEventsError, match=r"bad\.mcap"):
+        analyze_topics(tmp_path)
+    with pytest.raises(MissingEventsError, match="no such file"):
+        analyze_topics(tmp_path / "nowhere")
+
+
+def test_recordings_are_found_once_and_outputs_left_out(tmp_path):
+    write_bag2(tmp_path / "bag", StoragePlugin.MCAP)
+    (tmp_path / "analysis").mkdir()
+    write_mcap(tmp_path / "analysis" / "derived.mcap", [("/a", 1, 1, b"")])
+    write_mcap(tmp_path / "x.mcap", [("/a", 1, 1, b"")])
+    found = find_recordings(tmp_path, skip=[tmp_path / "analysis"])
+    assert found == [tmp_path / "bag", tmp_path / "x.mcap"]
+    seen = []
+    analyze_topics(tmp_path, skip=[tmp_path / "analysis"], progress=seen.append)
+    assert seen == found
+
+
+def test_no_allocation_by_a_size_that_a_file_claims(tmp_path):
+    huge = b"\x89MCAP0\r\n" + b"\x06" + struct.pack("<Q", 10**12) + b"\0" * 64
+    (tmp_path / "huge.mcap").write_bytes(huge)
+    with pytest.raises(TraceFormatError, match=r"huge\.mcap"):
+        list(iter_messages(tmp_path / "huge.mcap"))

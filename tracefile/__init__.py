@@ -1,5 +1,6 @@
 """The contract between the devices that record and the machine that analyzes: one `.mcap` file."""
 
+from tracefile.cost import RecorderCost, measure_recorder_cost
 from tracefile.descriptions import FORMAT_VERSION, Qos, Run, Session
 from tracefile.discovery import find_traces
 from tracefile.errors import (
@@ -24,6 +25,7 @@ from tracefile.events import (
     unpack_event,
 )
 from tracefile.reader import expected_events, iter_event_batches, read_descriptions, read_trace
+from tracefile.recovery import RecoveryReport, recover
 from tracefile.sink import ClosedTrace, TraceDestination, TraceSink
 from tracefile.trace import Trace
 from tracefile.version import __version__
@@ -44,6 +46,8 @@ __all__ = [
     "OutputError",
     "OutputExistsError",
     "Qos",
+    "RecorderCost",
+    "RecoveryReport",
     "Run",
     "Session",
     "Stage",
@@ -56,8 +60,10 @@ __all__ = [
     "expected_events",
     "find_traces",
     "iter_event_batches",
+    "measure_recorder_cost",
     "pack_event",
     "read_descriptions",
     "read_trace",
+    "recover",
     "unpack_event",
 ]

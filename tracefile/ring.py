@@ -66,7 +66,7 @@ SLOT_DTYPE = np.dtype(
 """Views of one slot: the event's bytes, its monotonic time (part of them), its mark, the mark's stage byte."""
 
 STAGE_MARKS = (0, *(number << 56 for number in range(1, len(Stage) + 1)))
-TICKET_MASK = (1 << 56) - 1
+TICKET_MASK = np.uint64((1 << 56) - 1)  # numpy 1 takes no Python int beside a single uint64
 STAGE_NUMBERS = dict(enumerate(Stage, start=1))
 
 Slots = np.ndarray[Any, Any]

@@ -233,13 +233,14 @@ class TraceSink:
     def close(self, **session_extra: Any) -> ClosedTrace:
         """Write what is pending, the closed session with `session_extra`, the summary; delete the ring.
 
-        Where that fails, the ring stays beside the file, and the two together are still a whole trace.
+        Where that fails, the ring stays beside the file, and the two together are still a whole trace. Not for
+        a signal handler: the thread that it interrupts may be recording.
         """
-        if self._closed is not None:
-            return self._closed
         self._wake.put(False)
         self._thread.join()
         with self._write_lock:
+            if self._closed is not None:
+                return self._closed
             with self._record_lock:  # from here on every event is dropped, and counted
                 self._limit = self._attention = self._head
                 self._session = self._session.closed(self._dropped, **session_extra)

@@ -169,8 +169,9 @@ def test_what_is_recorded_is_read(tmp_path_factory, written, ring_slots):
 @settings(deadline=None)  # two shared cores
 @given(written=st.lists(EVENT, min_size=1, max_size=60))
 def test_index_and_summary_lead_to_every_message(tmp_path_factory, written):
-    path = tmp_path_factory.mktemp("index") / "trace.mcap"
-    sink = open_sink(path)
+    folder = tmp_path_factory.mktemp("index") / "bag"
+    path = folder / "bag_0.mcap"
+    sink = open_sink(folder)
     for event in written:
         sink.record(*event)
     sink.close()
@@ -179,7 +180,7 @@ def test_index_and_summary_lead_to_every_message(tmp_path_factory, written):
     assert sorted(bytes(message.data) for _, _, message in by_index) == sorted(
         m.data for _, m in messages(path)
     )
-    with Reader(path) as bag:
+    with Reader(folder) as bag:
         assert bag.message_count == len(written) + 2
         assert sum(1 for _ in bag.messages()) == len(written) + 2
 

@@ -101,7 +101,7 @@ def test_a_real_disk_that_is_full(tmp_path):
     assert "the disk is full" in told["error"]
     assert told["events"] + told["ring_events"] + told["dropped_events"] == told["stamped"]
     assert told["events"] > 0
-    assert told["ring_events"] == full_disk_recorder.RING_SLOTS
+    assert 0 < told["ring_events"] <= full_disk_recorder.RING_SLOTS  # a last small chunk may have fitted
     found = sequences(left)
     assert len(found) == told["events"] + told["ring_events"]
     assert found[: told["events"]] == list(range(told["events"]))

@@ -168,8 +168,9 @@ def schedule_not_held(evidence: Evidence) -> Iterator[Finding]:
 
 
 def relays_without_trace(evidence: Evidence) -> Iterator[Finding]:
-    """Relays that are known by name only, and runs in which no relay took part."""
-    unrecorded: dict[int, list[int]] = defaultdict(list)
+    """Runs in which no relay took part, and relays whose events or description are missing."""
+    unrecorded: dict[tuple[int, bool], list[int]] = defaultdict(list)
+    undescribed: dict[int, list[int]] = defaultdict(list)
     for exchange in evidence.roundtrips.exchanges:
         if not exchange.took_part:
             yield Finding(
@@ -180,15 +181,28 @@ def relays_without_trace(evidence: Evidence) -> Iterator[Finding]:
                 "Start the relay first, in the same domain or behind the bridge, and add its trace.",
             )
         elif not exchange.relay_recorded:
-            unrecorded[exchange.relay_id].append(exchange.run.run_id)
-    for relay_id, runs in unrecorded.items():
+            unrecorded[exchange.relay_id, exchange.relay is not None].append(exchange.run.run_id)
+        elif exchange.relay is None:
+            undescribed[exchange.relay_id].append(exchange.run.run_id)
+    for (relay_id, described), runs in unrecorded.items():
         yield Finding(
             Severity.WARNING,
             "missing_relay_trace",
             f"relay {relay_id:08x}",
             f"{len(runs)} runs have replies of this relay but none of its events: latency and intermediate time "
             "are null, and losses are lost_unknown.",
-            "Copy the relay's trace into the folder and analyze again.",
+            "Its trace here does not know these runs: use the whole trace, or the one that is missing."
+            if described
+            else "Copy the relay's trace into the folder and analyze again.",
+        )
+    for relay_id, runs in undescribed.items():
+        yield Finding(
+            Severity.WARNING,
+            "undescribed_relay",
+            f"relay {relay_id:08x}",
+            f"{len(runs)} runs have events of this relay, but no session describes it: its vendor, backend and "
+            "device are null.",
+            "Keep the topic /dds_trace/session when filtering bags.",
         )
 
 

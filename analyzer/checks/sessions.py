@@ -71,25 +71,46 @@ def unlike_environments(evidence: Evidence) -> Iterator[Finding]:
     Pings are compared with pings and relays with relays; versions, configuration and settings of the
     middleware only within one vendor.
     """
-    sessions = {id(s): s for e in evidence.roundtrips.exchanges for s in (e.ping, e.relay) if s is not None}
-    values: dict[tuple[str, str, str], dict[str, list[Session]]] = defaultdict(lambda: defaultdict(list))
-    for session in sessions.values():
-        fields = {"rmw": session.rmw, **dict(_flattened(session.host))} if session.host else {}
+    held = {id(s): s for e in evidence.roundtrips.exchanges for s in (e.ping, e.relay) if s is not None}
+    alike: dict[str, list[Session]] = defaultdict(list)
+    of_vendor: dict[str, list[Session]] = defaultdict(list)
+    for session in held.values():
+        if session.host:
+            alike[f"{session.role} sessions"].append(session)
+            of_vendor[f"{session.vendor} {session.role} sessions"].append(session)
+    for where, sessions in sorted(alike.items()):
+        yield from _differences(where, [(s, _machine(s)) for s in sessions])
+    for where, sessions in sorted(of_vendor.items()):
+        found = [(s, _middleware(s)) for s in sessions]
+        names = {name for _, fields in found for name in fields}
+        # A setting made on one device only is a difference, too; an interface that only one device has is none.
+        yield from _differences(where, [(s, dict.fromkeys(names) | fields) for s, fields in found])
+
+
+def _machine(session: Session) -> dict[str, Any]:
+    parts = {k: v for k, v in session.host.items() if k not in (*_OF_MIDDLEWARE, *_FLEETING)}
+    return dict(_flattened(parts))
+
+
+def _middleware(session: Session) -> dict[str, Any]:
+    parts = {name: session.host.get(name, {}) for name in _OF_MIDDLEWARE}
+    return {"rmw": session.rmw, **dict(_flattened(parts))}
+
+
+def _differences(where: str, found: list[tuple[Session, dict[str, Any]]]) -> Iterator[Finding]:
+    """One finding for each field in which the sessions that have it differ."""
+    values: dict[str, dict[str, list[Session]]] = defaultdict(lambda: defaultdict(list))
+    for session, fields in found:
         for name, value in fields.items():
-            part = name.split(".", 1)[0]
-            if part in _FLEETING:
-                continue
-            vendor = session.vendor if part in (*_OF_MIDDLEWARE, "rmw") else ""
-            values[session.role, vendor, name][json.dumps(value, sort_keys=True)].append(session)
-    for (role, vendor, name), found in sorted(values.items()):
-        if len(found) > 1:
+            values[name][json.dumps(value, sort_keys=True)].append(session)
+    for name, by_value in sorted(values.items()):
+        if len(by_value) > 1:
+            listed = some((f"{value} {_on_devices(of)}" for value, of in sorted(by_value.items())), 4)
             yield Finding(
                 Severity.WARNING,
                 "unlike_environments",
-                f"{vendor} {role} sessions".strip(),
-                f"{name} differs: "
-                + some((f"{value} {_on_devices(of)}" for value, of in sorted(found.items())), 4)
-                + ".",
+                where,
+                f"{name} differs: {listed}.",
                 "Compare numbers across these sessions with care, or record again under equal conditions.",
             )
 

@@ -254,6 +254,21 @@ def test_versions_are_compared_within_a_vendor(tmp_path):
     ]
 
 
+def test_a_setting_made_in_one_session_only_is_a_difference(tmp_path):
+    tuned = {"settings": {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}, "mtu": {"eth0": 1500}}
+    plain = {"settings": {}, "mtu": {"wlan0": 1400}}
+    write_pair(tmp_path, sound(), ping=ping_session(host=tuned))
+    write_trace(
+        tmp_path / "second.mcap",
+        ping_session(session_id=9, host=plain),
+        [described(sound(), run_id=9, extra={})],
+        ping_events(sound(), run_id=9),
+    )
+    assert [f.what for f in analyze(tmp_path).findings if f.code == "unlike_environments"] == [
+        'settings.FASTDDS_BUILTIN_TRANSPORTS differs: "UDPv4" on alpha; null on alpha.'
+    ]
+
+
 def test_events_without_a_publication(tmp_path):
     messages = sound()
     messages[4] = replace(messages[4], t1=None)
@@ -295,3 +310,19 @@ def test_the_session_named_by_the_run_is_not_in_doubt(tmp_path):
     )
     write_trace(tmp_path / "relay.mcap", relay_session(), (), relay_events(sound()))
     assert findings(tmp_path) == {}
+
+
+def test_a_relay_that_nobody_describes(tmp_path):
+    write_trace(tmp_path / "ping.mcap", ping_session(), [described(sound())], ping_events(sound()))
+    write_trace(tmp_path / "relay.mcap", (), (), relay_events(sound()))
+    analysis = analyze(tmp_path)
+    assert [finding.code for finding in analysis.findings] == ["undescribed_relay"]
+    assert set(analysis.roundtrips["relay_vendor"]) == {None}
+    assert analysis.summary["latency_p50_ns"].null_count() == 0
+
+
+def test_a_relay_without_its_events(tmp_path):
+    write_trace(tmp_path / "ping.mcap", ping_session(), [described(sound())], ping_events(sound()))
+    assert "Copy the relay's trace" in findings(tmp_path)["missing_relay_trace"].action
+    write_trace(tmp_path / "relay.mcap", relay_session(), (), {})
+    assert "does not know these runs" in findings(tmp_path)["missing_relay_trace"].action

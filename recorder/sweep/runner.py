@@ -162,8 +162,13 @@ class Runner:
     def _ping(self, cell: Cell, relay: Relay) -> tuple[CellResult, dict[str, Any]]:
         """One attempt: the result, and what the emulated link did meanwhile."""
         draft = self._parts / f"{cell.name}.ping.mcap"
-        for left in self._parts.glob(f"{draft.name}*"):
-            left.unlink()
+        try:
+            return self._attempt(cell, relay, draft)
+        finally:  # of a whole one nothing is left here
+            for left in self._parts.glob(f"{draft.name}*"):
+                left.unlink()
+
+    def _attempt(self, cell: Cell, relay: Relay, draft: Path) -> tuple[CellResult, dict[str, Any]]:
         self._measure_link()
         began_s = time.monotonic()
         log = draft.with_name(draft.name + ".log")
@@ -196,7 +201,6 @@ class Runner:
             raise CellFailedError(f"it sent nothing: {program.last_words()}")
         link = self._measure_link()
         draft.replace(self.ping_path(cell.name))
-        log.unlink()
         self._estimate.measured(cell, time.monotonic() - began_s)
         return result, link
 

@@ -1,0 +1,341 @@
+"""The bookkeeping of a sweep, with a stand-in for `dds-record` that does as its script says."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import threading
+import time
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from trace_files import Message, ping_events, ping_session, relay_events, relay_session, run, write_trace
+
+import recorder.sweep.runner as runner_module
+from recorder.sweep.plan_file import parse_plan
+from recorder.sweep.state import Status, SweepState
+from recorder.sweep.sweep import run_sweep
+from tracefile import HOST_TOPIC, OptionError, Stage, read_trace
+
+STAND_IN = Path(__file__).parents[2] / "support" / "stand_in_recorder.py"
+
+PLAN = """
+[run]
+messages = 4
+warmup = 1
+settle_seconds = 0
+cutoff_seconds = 0
+[axes]
+rate = [100, 200]
+"""
+TWO_RELAYS = PLAN + 'reliability = ["reliable", "best_effort"]\n'
+FIRST, SECOND = "ros2_same_binary_100Hz", "ros2_same_binary_200Hz"
+THIRD, FOURTH = FIRST + "_best_effort", SECOND + "_best_effort"
+
+
+class Heard:
+    """A `SweepProgress` that remembers."""
+
+    def __init__(self):
+        self.begun, self.ended_cells, self.notes, self.relays = None, [], [], []
+
+    def begin(self, cells, done):
+        self.begun = (cells, done)
+
+    def relay(self, name):
+        self.relays.append(name)
+
+    def cell(self, name, remaining):
+        pass
+
+    def ended(self, name, outcome, *, complete):
+        self.ended_cells.append((name, outcome, complete))
+
+    def note(self, text):
+        self.notes.append(text)
+
+    def end(self):
+        pass
+
+
+RUNS, MESSAGES, WARMUP = 6, 4, 1
+
+# One message a millisecond, each reply 0.1 ms later than the one before; the last message is lost.
+TIMELINE = [
+    Message(
+        number,
+        t0=number * 1_000_000,
+        t1=number * 1_000_000,
+        t3=number * 1_000_000 + 40_000,
+        t4=number * 1_000_000 + 50_000,
+        t2=number * 1_000_000 + 100_000 * (number + 1) if number < MESSAGES else None,
+    )
+    for number in range(WARMUP + MESSAGES)
+]
+
+
+def write_ping(path, run_id, published=MESSAGES, state="finished"):
+    described = run(
+        run_id=run_id,
+        planned_messages=MESSAGES,
+        warmup_messages=WARMUP,
+        published=published + WARMUP,
+        state=state,
+    )
+    events = ping_events(TIMELINE[: published + WARMUP], run_id=run_id)
+    write_trace(path, ping_session(), [described], events)
+
+
+@pytest.fixture(scope="module")
+def invented_traces(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("invented")
+    for number in range(RUNS):
+        write_ping(folder / f"ok-{number}.mcap", 1 + number)
+    write_ping(folder / "half.mcap", 0x88, state="started")
+    write_ping(folder / "slow.mcap", 0x99, published=MESSAGES // 2)
+    served = [relay_events(TIMELINE, run_id=run_id) for run_id in (*range(1, RUNS + 1), 0x99)]
+    events = {stage: [row for rows in served for row in rows[stage]] for stage in (Stage.T3, Stage.T4)}
+    write_trace(folder / "relay.mcap", relay_session(), (), events)
+    write_trace(folder / "lossy.mcap", relay_session())
+    return folder
+
+
+class Desk:
+    """A folder for a sweep and a script for its stand-ins."""
+
+    def __init__(self, folder, invented_traces):
+        self.folder = folder
+        self.stand_in = folder / "stand-in"
+        self.stand_in.mkdir()
+        (self.stand_in / "traces").symlink_to(invented_traces)
+        self.script()
+
+    def script(self, **behaviours):
+        (self.stand_in / "script.json").write_text(json.dumps(behaviours))
+
+    def sweep(self, plan=PLAN):
+        self.heard = Heard()
+        return run_sweep(
+            parse_plan(plan, "plan", "plan.toml"),
+            self.folder / "runs",
+            self.heard,
+            command=[sys.executable, "-I", "-S", str(STAND_IN)],
+        )
+
+    @property
+    def starts(self):
+        path = self.stand_in / "starts.jsonl"
+        return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+    @property
+    def started(self):
+        return Counter(start["cell"] for start in self.starts)
+
+    @property
+    def traces(self):
+        return sorted(path.name for path in (self.folder / "runs" / "plan").rglob("*.mcap"))
+
+    def state(self, name, plan=PLAN):
+        digest = parse_plan(plan, "plan", "plan.toml").digest
+        return SweepState(self.folder / "runs" / "plan" / "state.json", "plan", digest)[name]
+
+
+@pytest.fixture
+def desk(tmp_path, invented_traces, monkeypatch):
+    made = Desk(tmp_path, invented_traces)
+    monkeypatch.setenv("STAND_IN_FOLDER", str(made.stand_in))
+    return made
+
+
+def files_of(*cells):
+    return sorted(f"{cell}.{role}.mcap" for cell in cells for role in ("ping", "relay"))
+
+
+def test_one_trace_for_each_device_and_cell(desk):
+    outcome = desk.sweep(TWO_RELAYS)
+    assert outcome.missing == {}
+    assert outcome.cells == 4
+    assert desk.traces == files_of(FIRST, SECOND, THIRD, FOURTH)
+    # one relay for both rates, another for the other reliability
+    assert desk.started == {FIRST: 1, SECOND: 1, THIRD: 1, FOURTH: 1, "relay": 2}
+    assert desk.heard.relays == ["ros2", "ros2 best_effort"]
+
+
+def test_relay_file_holds_the_cells_own_run_and_the_relays_session(desk):
+    desk.sweep()
+    ping = read_trace(desk.folder / "runs/plan" / f"{FIRST}.ping.mcap")
+    relay = read_trace(desk.folder / "runs/plan" / f"{FIRST}.relay.mcap")
+    for stage in (Stage.T3, Stage.T4):
+        assert relay.events[stage].run_id.tolist() == [ping.runs[0].run_id] * 5
+        assert relay.events[stage].sequence.tolist() == [0, 1, 2, 3, 4]
+    assert relay.events[Stage.T3].monotonic_ns.tolist() == [40_000 + 1_000_000 * n for n in range(5)]
+    assert [session.role for session in relay.sessions] == ["relay"]
+    assert relay.sessions[0].relay_id == 0xBEEF
+
+
+def test_result_is_what_the_timeline_says(desk):
+    desk.sweep()
+    result = desk.state(FIRST).result
+    # Warm-up is message 0; of 1..4 the last is lost; round trips are 0.2, 0.3, 0.4 ms
+    assert (result["planned"], result["published"], result["received"]) == (4, 4, 3)
+    assert result["rtt_ms"]["p50"] == 0.3
+    assert result["achieved_rate_hz"] == 1000.0
+    assert not result["cut_off"]
+
+
+def test_commands_have_what_the_cell_asks_for(desk):
+    desk.sweep(PLAN.replace("[100, 200]", "200") + 'reliability = "best_effort"\n')
+    arguments = {start["cell"]: start["arguments"] for start in desk.starts}
+    ping, relay = arguments[FOURTH], arguments["relay"]
+    for option, value in {
+        "--role": "ping",
+        "--domain": "10",
+        "--rate": "200",
+        "--reliability": "best_effort",
+        "--messages": "4",
+        "--warmup": "1",
+        "--discovery": "localhost",
+        "--connectivity": "loopback",
+    }.items():
+        assert ping[ping.index(option) + 1] == value
+    assert relay[:4] == ["--role", "relay", "--domain", "10"]
+    assert not {"--rate", "--messages", "--label", "--wait"} & set(relay)
+
+
+def test_second_call_records_nothing_again(desk):
+    desk.sweep()
+    before = desk.started
+    outcome = desk.sweep()
+    assert outcome.missing == {}
+    assert desk.started == before
+    assert desk.heard.begun == (2, 2)
+
+
+def test_more_cells_in_the_plan_are_recorded_and_no_others(desk):
+    desk.sweep()
+    outcome = desk.sweep(PLAN.replace("[100, 200]", "[100, 200, 300]"))
+    assert outcome.missing == {}
+    assert desk.started["ros2_same_binary_300Hz"] == 1
+    assert desk.started[FIRST] == 1
+
+
+def test_other_settings_need_another_folder(desk):
+    desk.sweep()
+    with pytest.raises(OptionError, match="other \\[run\\]"):
+        desk.sweep(PLAN.replace("messages = 4", "messages = 5"))
+
+
+def test_cell_that_fails_once_is_tried_again(desk):
+    desk.script(**{SECOND: ["fail"]})
+    assert desk.sweep().missing == {}
+    assert desk.started[SECOND] == 2
+    assert (SECOND, "failed: no echo; saw: nobody", False) in desk.heard.ended_cells
+    assert desk.state(SECOND).attempts == 2
+    assert desk.traces == files_of(FIRST, SECOND)
+
+
+def test_cell_that_goes_on_failing_is_marked_with_the_reason_and_tried_when_called_again(desk):
+    desk.script(**{SECOND: ["fail", "half"]})
+    outcome = desk.sweep()
+    assert list(outcome.missing) == [SECOND]
+    assert "the run was not finished" in outcome.missing[SECOND]
+    assert desk.state(SECOND).status is Status.FAILED
+    assert desk.traces == files_of(FIRST)
+    assert desk.sweep().missing == {}
+    assert desk.started == {FIRST: 1, SECOND: 3, "relay": 2}
+
+
+def test_cell_that_cannot_run_here_is_not_tried_again(desk):
+    desk.script(**{FIRST: ["unavailable"]})
+    assert desk.sweep().missing == {FIRST: "the middleware of this cell is not installed"}
+    assert desk.started[FIRST] == 1
+
+
+def test_relay_that_cannot_run_here_fails_its_cells_at_once(desk):
+    desk.script(relay=["unavailable"], **{FIRST: ["slow"]})
+    outcome = desk.sweep()
+    assert outcome.missing == dict.fromkeys(
+        (FIRST, SECOND), "the relay ended: the middleware of this cell is not installed"
+    )
+    assert desk.started == {FIRST: 1, "relay": 1}
+    assert desk.traces == []
+
+
+def test_relay_that_dies_is_started_again(desk):
+    desk.script(relay=["die"], **{FIRST: ["slow"]})
+    assert desk.sweep().missing == {}
+    assert desk.started == {FIRST: 2, SECOND: 1, "relay": 2}
+
+
+def test_cells_whose_relay_part_is_lost_are_not_complete(desk):
+    desk.script(relay=["lossy"])
+    outcome = desk.sweep()
+    assert outcome.missing == dict.fromkeys((FIRST, SECOND), "the relay's part of it is lost")
+    assert desk.traces == []
+    assert desk.sweep().missing == {}
+    assert desk.traces == files_of(FIRST, SECOND)
+
+
+def test_run_that_takes_too_long_is_cut_off_and_says_how_far_it_got(desk, monkeypatch):
+    monkeypatch.setattr(runner_module, "START_ALLOWANCE_S", -19.0)  # with the wait for an echo: one second
+    desk.script(**{FIRST: ["slow"]})
+    desk.sweep()
+    heard = {name: outcome for name, outcome, _ in desk.heard.ended_cells}
+    assert "cut off after 2 of 4" in heard[FIRST]
+
+
+def test_second_sweep_in_the_same_folder_is_refused(desk, monkeypatch):
+    from recorder.sweep import lock
+
+    monkeypatch.setattr(lock, "LOCK_PATIENCE_S", 0.0)
+    heard = []
+    with (
+        lock.holding_folder(desk.folder / "runs" / "plan", heard.append),
+        pytest.raises(OptionError, match="another sweep is at work"),
+    ):
+        desk.sweep()
+    assert heard == []
+    assert "is in use" in desk.heard.notes[0]
+
+
+def test_interruption_keeps_what_is_complete_and_goes_on_from_there(desk):
+    desk.script(**{SECOND: ["slow"]})
+
+    def press_ctrl_c():
+        while not (desk.stand_in / f"waiting-{SECOND}").exists():
+            time.sleep(0.01)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    presser = threading.Thread(target=press_ctrl_c)
+    presser.start()
+    with pytest.raises(KeyboardInterrupt):
+        desk.sweep()
+    presser.join()
+    assert desk.traces == files_of(FIRST)
+    assert desk.state(FIRST).status is Status.COMPLETE
+    assert desk.state(SECOND).status is Status.RUNNING
+    assert desk.sweep().missing == {}
+    assert desk.traces == files_of(FIRST, SECOND)
+    assert desk.started == {FIRST: 1, SECOND: 2, "relay": 2}
+
+
+def test_host_samples_of_the_relay_and_of_the_link_are_in_the_cells_file(desk, monkeypatch):
+    from contextlib import contextmanager
+    from dataclasses import replace
+
+    from recorder.sweep import sweep as sweep_module
+    from recorder.sweep.station import open_station
+
+    @contextmanager
+    def with_link(*arguments, **options):
+        with open_station(*arguments, **options) as station:
+            yield replace(station, measure_link=lambda: {"link": {"rate_mbit_s": 54}})
+
+    monkeypatch.setattr(sweep_module, "open_station", with_link)
+    desk.sweep()
+    relay = read_trace(desk.folder / "runs/plan" / f"{FIRST}.relay.mcap")
+    assert [sample["link"] for sample in relay.host_samples if "link" in sample] == [{"rate_mbit_s": 54}]
+    assert HOST_TOPIC == "/dds_trace/host"

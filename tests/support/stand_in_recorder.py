@@ -1,0 +1,72 @@
+"""NOT a recorder: stands in for `dds-record` where a test is about the sweep's bookkeeping and real runs cost only time.
+
+The traces that it "records" are copies of files that the test has written with invented time stamps; nothing of
+them may ever be shown as a result. In the folder `STAND_IN_FOLDER` it finds
+
+    script.json    {"CELL": ["fail", "ok"], "relay": ["die"]}: what to do, one entry a start; after that as usual
+    traces/        ok-0.mcap, ok-1.mcap ... (taken one after the other), half.mcap, slow.mcap, relay.mcap, lossy.mcap
+
+and there it notes every start in `starts.jsonl`. It needs the standard library alone, so that a start costs little.
+"""
+
+import fcntl
+import json
+import os
+import shutil
+import signal
+import sys
+import time
+from pathlib import Path
+
+told_to_stop = []
+signal.signal(signal.SIGTERM, lambda *_: told_to_stop.append(True))
+
+FOLDER = Path(os.environ["STAND_IN_FOLDER"])
+
+FAILURES = {
+    "fail": (8, "no echo\n  saw: nobody"),
+    "unavailable": (7, "the middleware of this cell is not installed"),
+    "die": (1, "the relay's middleware gave up"),
+}
+"""Behaviour -> exit code and last words."""
+
+UNTIL_STOPPED = {"slow", "relay", "lossy"}
+"""Behaviours that write their trace when they are told to stop; the others at once."""
+
+
+def main():
+    options = [value for option, value in zip(sys.argv[1:], sys.argv[2:]) if option == "--label"]  # noqa: B905 - runs in a bare Python
+    cell = next((label[len("cell=") :] for label in options if label.startswith("cell=")), "relay")
+    behaviour, trace = begin(cell)
+    if behaviour in FAILURES:
+        code, words = FAILURES[behaviour]
+        print(f"dds-record: {words}", file=sys.stderr)
+        return code
+    if behaviour in UNTIL_STOPPED:
+        (FOLDER / f"waiting-{cell}").touch()
+        while not told_to_stop:
+            time.sleep(0.01)
+    shutil.copy(FOLDER / "traces" / trace, sys.argv[sys.argv.index("--out") + 1])
+    return 0
+
+
+def begin(cell):
+    """Notes the start; gives the behaviour and the trace to copy."""
+    with (FOLDER / "script.json").open("r+") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        script = json.load(file)
+        usual = "relay" if cell == "relay" else "ok"
+        behaviour = script[cell].pop(0) if script.get(cell) else usual
+        number = script.get("number", 0)
+        if behaviour == "ok":
+            script["number"] = number + 1
+        file.seek(0)
+        file.truncate()
+        json.dump(script, file)
+    with (FOLDER / "starts.jsonl").open("a") as starts:
+        starts.write(json.dumps({"cell": cell, "arguments": sys.argv[1:]}) + "\n")
+    return behaviour, f"ok-{number}.mcap" if behaviour == "ok" else f"{behaviour}.mcap"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

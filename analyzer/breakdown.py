@@ -20,11 +20,12 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from analyzer.clocks import session_of_run
+from tracefile import Stage
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from tracefile import Run, Session
+    from tracefile import EventColumns, Run, Session
 
 STAGES = (
     "waiting_ns",
@@ -53,6 +54,36 @@ def relay_wall_offsets(sessions: Sequence[Session]) -> dict[int, int]:
         for s in sessions
         if s.role == "relay" and s.relay_id is not None
     }
+
+
+def with_stamps(roundtrips: pl.DataFrame, events: Mapping[Stage, EventColumns]) -> pl.DataFrame:
+    """The round trips with `STAMP_COLUMNS`, from the events of T2 and T3 that they were paired from.
+
+    Args:
+        roundtrips: frame of `docs/trace-format.md`.
+        events: T2 and T3 of all traces (`EventColumns.concatenate`); an event that is there twice counts once.
+    """
+    frame = roundtrips
+    for stage, instant, names in (
+        (Stage.T3, "relay_in_ns", STAMP_COLUMNS[:2]),
+        (Stage.T2, "receive_ns", STAMP_COLUMNS[2:]),
+    ):
+        columns = events[stage]
+        keys = ["run_id", "relay_id", "sequence", instant]
+        stamps = pl.DataFrame(
+            {
+                "run_id": columns.run_id,
+                "relay_id": columns.relay_id,
+                "sequence": columns.sequence,
+                instant: columns.monotonic_ns,
+                names[0]: columns.source_ns,
+                names[1]: columns.received_ns,
+            },
+        )
+        known = [pl.when(pl.col(name) != 0).then(pl.col(name)).alias(name) for name in names]
+        stamps = stamps.unique(keys, keep="first", maintain_order=True).with_columns(known)
+        frame = frame.join(stamps, on=keys, how="left", maintain_order="left")
+    return frame
 
 
 def break_down(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import polars as pl
 import pytest
 from roundtrip_frames import MS, roundtrips
@@ -13,9 +14,11 @@ from analyzer.breakdown import (
     relay_wall_offsets,
     response_against_latency,
     summarize_breakdown,
+    with_stamps,
 )
 from analyzer.clocks import align_clocks
 from tracefile.descriptions import Run, Session
+from tracefile.events import EVENT_DTYPE, EventColumns, Stage
 
 PING_WALL, RELAY_WALL = 10**18, 2 * 10**18  # wall clock at monotonic zero of each device
 
@@ -154,3 +157,27 @@ def test_frames_without_a_reply(rows):
     assert set(STAGES) <= set(parts.columns)
     assert all(parts.schema[name] == pl.Int64 for name in STAGES)
     assert response_against_latency(parts, ["vendor"]).is_empty()
+
+
+def test_stamps_come_from_the_very_events_that_were_paired():
+    def events(*rows):
+        names = ("run_id", "relay_id", "sequence", "monotonic_ns", "source_ns", "received_ns")
+        records = np.zeros(len(rows), EVENT_DTYPE)
+        for name, values in zip(names, zip(*rows, strict=True), strict=True):
+            records[name] = values
+        return EventColumns.from_records(records)
+
+    frame = roundtrips(
+        [{"publish_ns": 0, "relay_in_ns": 50, "receive_ns": 90}, {"publish_ns": 100, "receive_ns": 190}]
+    )
+    found = with_stamps(
+        frame,
+        {
+            Stage.T3: events(
+                (1, 1, 0, 55, 7, 8), (1, 1, 0, 50, 11, 12), (1, 1, 0, 50, 11, 12)
+            ),  # a duplicate, a copy
+            Stage.T2: events((1, 1, 0, 90, 21, 0), (1, 2, 1, 190, 5, 6)),  # the second is another relay's
+        },
+    )
+    assert found.select(frame.columns).equals(frame)
+    assert found.select(found.columns[-4:]).rows() == [(11, 12, 21, None), (None, None, None, None)]

@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from roundtrip_frames import MS, S, roundtrips
 
-from analyzer.clocks import align_clocks, clock_table, fit_clock, ping_boots
+from analyzer.clock_fit import fit_clock
+from analyzer.clocks import align_clocks, clock_table, ping_boots
 from tracefile.descriptions import Run, Session
 
 START_NS = (

@@ -6,6 +6,8 @@ function in `analyzer/checks/` and a line here.
 
 from __future__ import annotations
 
+from collections import defaultdict
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from analyzer.analysis import Finding, Severity
@@ -51,8 +53,26 @@ CHECKS: tuple[Check, ...] = (
 
 _RANK = {severity: rank for rank, severity in enumerate(Severity)}
 
+_OF_A_KIND = 20
+"""Findings of one severity and code that are listed one by one; a campaign of 500 runs may well have 500."""
+
 
 def find_findings(evidence: Evidence) -> tuple[Finding, ...]:
-    """The findings of every check, most severe first."""
-    found = [finding for check in CHECKS for finding in check(evidence)]
-    return tuple(sorted(found, key=lambda finding: _RANK[finding.severity]))
+    """The findings of every check, most severe first; of many of a kind the first ones and how many more."""
+    kinds: dict[tuple[Severity, str], list[Finding]] = defaultdict(list)
+    for check in CHECKS:
+        for finding in check(evidence):
+            kinds[finding.severity, finding.code].append(finding)
+    listed = [finding for found in kinds.values() for finding in _first_ones(found)]
+    return tuple(sorted(listed, key=lambda finding: _RANK[finding.severity]))
+
+
+def _first_ones(found: list[Finding]) -> list[Finding]:
+    more = len(found) - _OF_A_KIND
+    if more <= 1:
+        return found
+    last = found[_OF_A_KIND]
+    rest = replace(
+        last, where=f"{last.where}; and {more - 1} more", what=f"{more} more of this kind. {last.what}"
+    )
+    return [*found[:_OF_A_KIND], rest]

@@ -74,6 +74,17 @@ def test_the_most_severe_come_first(tmp_path):
     assert severities[0] is Severity.ERROR
 
 
+def test_of_many_findings_of_a_kind_the_rest_are_counted(tmp_path):
+    variants = [run(run_id=n, published=0, state="started") for n in range(1, 54)]
+    events = {Stage.T1: [event(0, r.run_id, run_id=r.run_id) for r in variants]}
+    write_trace(tmp_path / "ping.mcap", ping_session(), variants, events)
+    unfinished = [f for f in analyze(tmp_path).findings if f.code == "unfinished_run"]
+    assert len(unfinished) == 21
+    assert unfinished[19].where == "run 0000000000000014 (ping.mcap)"
+    assert unfinished[20].where == "run 0000000000000015 (ping.mcap); and 32 more"
+    assert unfinished[20].what.startswith("33 more of this kind. ")
+
+
 def test_every_finding_says_what_where_and_what_to_do(tmp_path):
     messages = sound(30)
     messages[3] = replace(messages[3], t2=None)

@@ -22,6 +22,7 @@ from recorder import (
     PingOptions,
     RecordOptions,
     Serialization,
+    Transport,
     parse_size,
     record,
 )
@@ -194,6 +195,27 @@ def main_command(  # noqa: PLR0917 - the options of a command line
             help="raw [dim](default)[/dim]: the client library gets bytes; typed: message objects.",
         ),
     ] = Serialization.RAW,
+    backend: Annotated[
+        str,
+        _middleware(
+            "--backend", metavar="NAME", help="API that carries the messages. [dim]Default: ros2[/dim]"
+        ),
+    ] = "ros2",
+    rmw: Annotated[
+        str | None,
+        _middleware(
+            "--rmw",
+            metavar="NAME",
+            help="ROS middleware to run on. [dim]Default: RMW_IMPLEMENTATION's, or ROS 2's[/dim]",
+        ),
+    ] = None,
+    transport: Annotated[
+        Transport,
+        _middleware("--transport", metavar="KIND", help="Of Fast DDS: default, udp, shm or large-data."),
+    ] = Transport.DEFAULT,
+    tuned: Annotated[
+        bool, _middleware("--tuned", metavar="", help="Apply the vendor's settings for large messages.")
+    ] = False,
     executor: Annotated[
         ExecutorKind,
         _middleware(
@@ -274,8 +296,12 @@ def main_command(  # noqa: PLR0917 - the options of a command line
             discovery=discovery or default_discovery(),
             qos=Qos(reliability.value, durability.value, history.value, depth),
             executor=executor,
+            rmw=rmw,
+            transport=transport,
+            tuned=tuned,
         ),
         ping=ping if role is Role.PING else None,
+        backend=backend,
         serialization=serialization,
         relay_id=relay_id,
         device=device,

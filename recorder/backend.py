@@ -57,6 +57,7 @@ class NodeOptions:
         discovery: how far the node looks for others.
         qos: of every data topic, unless an endpoint is given its own.
         executor: which executor calls the subscriptions (`ros2` alone has a choice).
+        rmw: the ROS middleware to run on, None for what the environment says (`ros2` alone has a choice).
         transport: which transports Fast DDS may use.
         tuned: apply the documented settings for large messages to the vendor.
         listens: this node waits for others to connect (a relay), where a backend has such sides.
@@ -68,6 +69,7 @@ class NodeOptions:
     discovery: Discovery = Discovery.SUBNET
     qos: Qos = field(default_factory=Qos)
     executor: ExecutorKind = ExecutorKind.AUTO
+    rmw: str | None = None
     transport: Transport = Transport.DEFAULT
     tuned: bool = False
     listens: bool = False

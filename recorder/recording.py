@@ -34,7 +34,7 @@ LOOK_S = 0.5
 QUIET_LOOKS = 10
 """A relay that had nothing to do for so many looks has time for housekeeping."""
 HOPELESS_S = 3.0
-"""After so long without an echo, quality of service that can never match ends the wait."""
+"""Every so often without an echo, quality of service that can never match ends the wait."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,11 +163,13 @@ class _Recording:
     def _wait_for_echo(self, ping: Ping, node: Node, wait_s: float, bridge: RunningBridge | None) -> None:
         data_type = ping.plan.payload.data_type
         self.watch.note(f"waiting for an echo of {data_type.topic} in domain {node.options.domain_id}")
-        waited_s = min(HOPELESS_S, wait_s)
-        came = ping.wait_for_echo(waited_s, self.stop)
-        if not came and not look_for_relays(node, data_type).is_hopeless:
-            came = ping.wait_for_echo(wait_s - waited_s, self.stop)
-            waited_s = wait_s
+        came, waited_s = False, 0.0
+        while not came and waited_s < wait_s and not self.stop.is_set() and node.error is None:
+            slice_s = min(HOPELESS_S, wait_s - waited_s)
+            came = ping.wait_for_echo(slice_s, self.stop)
+            waited_s += slice_s
+            if look_for_relays(node, data_type).is_hopeless:
+                break
         _raise_error_of(node)
         if bridge is not None:
             bridge.check()

@@ -77,6 +77,8 @@ class Ros2Backend:
 
     def open_node(self, options: NodeOptions) -> Node:
         """A node in a context of its own, so that several domains fit in one process."""
+        if options.rmw is not None:
+            os.environ["RMW_IMPLEMENTATION"] = options.rmw
         _check_installed()
         _set_environment(options)
         try:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import sys
+from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
 from cli import record as command
-from recorder import Discovery, PingProgress, RelayProgress, Serialization
-from tracefile import OptionError, OutputExistsError, Qos, TraceError
+from recorder import Discovery, PingProgress, Recorded, RelayProgress, Serialization, Transport
+from tracefile import ClosedTrace, OptionError, OutputError, OutputExistsError, Qos, Run, Session, TraceError
 
 
 @pytest.fixture
@@ -82,11 +84,17 @@ def test_everything_given(parsed, tmp_path):
         *("--history", "keep_all", "--serialization", "typed", "--executor", "single"),
         *("--device", "pi4", "--connectivity", "wireless", "--label", "room=lab", "--label", "x=a=b"),
         *("--discovery", "localhost", "--duration", 9, "--force"),
+        *("--backend", "ros2", "--rmw", "rmw_fastrtps_cpp", "--transport", "udp", "--tuned"),
     )
     assert options.destination.path == tmp_path / "x.mcap"
     assert options.destination.force
     assert options.node.qos == Qos("best_effort", "transient_local", "keep_all", 5)
     assert options.node.executor.value == "single"
+    assert (options.node.rmw, options.node.transport, options.node.tuned) == (
+        "rmw_fastrtps_cpp",
+        Transport.UDP,
+        True,
+    )
     assert options.serialization is Serialization.TYPED
     assert (options.device, options.connectivity, options.duration_s) == ("pi4", "wireless", 9)
     ping = options.ping
@@ -169,3 +177,45 @@ def test_progress_in_words():
     assert describe_progress(PingProgress(410, 0, 0, 0)).endswith("RTT p50 -, p99 -")
     assert describe_progress(RelayProgress(7, 2, 0)) == "7 messages sent back in 2 runs"
     assert describe_progress(RelayProgress(7, 2, 1)).endswith("1 without our stamp left alone")
+
+
+def recorded(error=None):
+    session = Session(
+        *(1, "ping", "pi4", "ros2", "fastdds", "rmw_fastrtps_cpp", 10, None, "wired"),
+        wall_anchor_ns=0,
+        monotonic_anchor_ns=0,
+    )
+    trace = ClosedTrace(Path("x.mcap"), 4, 1, 900, error)
+    run = Run(0xAB, "imu", 296, 10.0, 2, 0, published=2)
+    return Recorded(trace, session, PingProgress(2, 2, 2, 0, 800_000, 900_000), run)
+
+
+def test_the_result_in_words_and_as_json(capsys):
+    command._report(recorded(), as_json=False)
+    assert capsys.readouterr().out == (
+        "Wrote x.mcap\nsent 2/2, received 2, lost 0, RTT p50 0.8 ms, p99 0.9 ms; 4 events, 1 dropped\n"
+    )
+    command._report(recorded(), as_json=True)
+    assert json.loads(capsys.readouterr().out) == {
+        "path": "x.mcap",
+        "role": "ping",
+        "session_id": "0000000000000001",
+        "run_id": "00000000000000ab",
+        "relay_id": None,
+        "events": 4,
+        "dropped_events": 1,
+        "bytes": 900,
+        "error": None,
+        "planned": 2,
+        "sent": 2,
+        "received": 2,
+        "lost": 0,
+        "rtt_p50_ns": 800_000,
+        "rtt_p99_ns": 900_000,
+    }
+
+
+def test_a_trace_that_could_not_be_written_whole_is_an_error_after_the_counts(capsys):
+    with pytest.raises(OutputError, match="disk full"):
+        command._report(recorded(OutputError("disk full")), as_json=True)
+    assert json.loads(capsys.readouterr().out)["error"] == "disk full"

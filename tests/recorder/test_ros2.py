@@ -9,12 +9,13 @@ import sys
 import textwrap
 import threading
 import time
+from types import SimpleNamespace
 
 import pytest
 from processes import PATIENCE_S
 
 from recorder.backend import Discovery, ExecutorKind, NodeOptions, Serialization, Transport
-from recorder.backends import load_backend, open_node
+from recorder.backends import load_backend, open_node, ros2
 from recorder.payloads import BINARY, DATA_TYPES, IMU
 from tracefile import BackendUnavailableError, OptionError, Qos
 
@@ -112,6 +113,29 @@ def test_a_node_says_what_carries_it(domain_id):
     assert middleware.settings["executor"] == "events"
 
 
+def test_transports_and_tuning_are_recorded(domain_id):
+    done = python(
+        f"""
+        from recorder.backends import open_node
+        from recorder.backend import Discovery, NodeOptions, Transport
+        options = NodeOptions({domain_id}, discovery=Discovery.LOCALHOST, transport=Transport.UDP, tuned=True)
+        with open_node("ros2", options) as node:
+            print(*node.middleware.settings.values())
+        """
+    )
+    assert done.stdout.split() == ["events", "localhost", "udp", "true", "UDPv4?sockets_size=4MB"], (
+        done.stderr
+    )
+
+
+def test_an_rclpy_without_message_info_gets_the_callback_as_it_is(monkeypatch):
+    # Humble's subscriptions have no CallbackType and call with the message alone.
+    old = SimpleNamespace(subscription=SimpleNamespace(Subscription=object))
+    monkeypatch.setattr(ros2, "_rclpy", lambda: old)
+    receive = Mailbox().receive
+    assert ros2._with_info(receive) == receive
+
+
 @pytest.mark.parametrize("executor", EXECUTORS)
 def test_quality_of_service_that_never_matches_is_seen(domain_id, executor):
     with (
@@ -203,18 +227,22 @@ def python(code, **environment):
     )
 
 
-def test_a_middleware_that_is_not_here_is_one_line_and_no_dead_process(domain_id):
+@pytest.mark.parametrize(
+    ("option", "environment"),
+    [("None", {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}), ("'rmw_cyclonedds_cpp'", {})],
+)
+def test_a_middleware_that_is_not_here_is_one_line_and_no_dead_process(domain_id, option, environment):
     done = python(
         f"""
         from recorder.backends import open_node
         from recorder.backend import NodeOptions
         from tracefile import BackendUnavailableError
         try:
-            open_node("ros2", NodeOptions(domain_id={domain_id}))
+            open_node("ros2", NodeOptions(domain_id={domain_id}, rmw={option}))
         except BackendUnavailableError as error:
             print(error)
         """,
-        RMW_IMPLEMENTATION="rmw_cyclonedds_cpp",
+        **environment,
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("RMW_IMPLEMENTATION=rmw_cyclonedds_cpp does not work here: ")

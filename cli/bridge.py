@@ -93,6 +93,9 @@ def main_command(  # noqa: PLR0917 - the options of a command line
         Durability, _option("--durability", help="As of ping and relay. [dim]Default: volatile[/dim]")
     ] = Durability.VOLATILE,
     depth: Annotated[int, _option("--depth", help="Messages kept. [dim]Default: 10[/dim]")] = 10,
+    tuned: Annotated[
+        bool, _option("--tuned", help="Settings for large messages, as of ping and relay.")
+    ] = False,
 ) -> None:
     """Run a bridge between the domains of a ping and a relay until Ctrl-C.
 
@@ -116,6 +119,7 @@ def main_command(  # noqa: PLR0917 - the options of a command line
         to_domain,
         qos=Qos(reliability.value, durability.value, depth=depth),
         discovery=default_discovery() if discovery is None else Discovery(discovery.value),
+        tuned=tuned,
         half=Half.BOTH if half is None else Half(half.value),
         listen=listen,
         peers=tuple(peer or ()),

@@ -88,7 +88,7 @@ class BridgeOptions:
         qos: of every bridged topic on both sides, so that the bridge asks for no more than the nodes offer.
         discovery: how far the bridge looks for nodes.
         transport: of our own bridges' nodes, as of the roles' own (`NodeOptions`).
-        tuned: likewise.
+        tuned: apply the documented settings for large messages, to our own nodes and to the Cyclone DDS of zenoh's.
         half: which part runs here, for bridges that have one on each device.
         listen: `HOST:PORT` where this half waits for the other.
         peers: `HOST:PORT` of each other half that this one connects to.

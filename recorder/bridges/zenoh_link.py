@@ -38,11 +38,21 @@ CYCLONE_LOCALHOST = (
     '<Peers><Peer address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>'
 )
 
+# Cyclone DDS sends fragments of 1344 bytes and receives into the system's default buffer unless it is told otherwise;
+# a large message of another vendor then loses fragments faster than they are sent again.
+CYCLONE_TUNED = (
+    "<CycloneDDS><Domain><General><MaxMessageSize>65500B</MaxMessageSize><FragmentSize>60000B</FragmentSize></General>"
+    '<Internal><SocketReceiveBufferSize min="default" max="4MB"/></Internal></Domain></CycloneDDS>'
+)
+
 
 def zenoh_environment(options: BridgeOptions) -> Mapping[str, str]:
     """What the Cyclone DDS inside a zenoh bridge needs to meet ROS 2 nodes, and the log as we read it."""
+    parts = [
+        os.environ.get("CYCLONEDDS_URI", ""),
+        CYCLONE_LOCALHOST if options.discovery is Discovery.LOCALHOST else "",
+        CYCLONE_TUNED if options.tuned else "",
+    ]
     log = {"RUST_LOG": "z=info", "NO_COLOR": "1"}
-    if options.discovery is not Discovery.LOCALHOST:
-        return log
-    user = os.environ.get("CYCLONEDDS_URI")
-    return {**log, "CYCLONEDDS_URI": f"{user},{CYCLONE_LOCALHOST}" if user else CYCLONE_LOCALHOST}
+    settings = ",".join(filter(None, parts))
+    return {**log, "CYCLONEDDS_URI": settings} if settings else log

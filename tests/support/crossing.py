@@ -20,21 +20,31 @@ TIMEOUT_S = 60.0
 
 @dataclass(frozen=True)
 class Crossing:
-    """Messages of each topic: `heard` in the sender's own domain, `crossed` to the other, `echoed` back."""
+    """Messages of each topic: `sent`, `heard` in the sender's own domain, `crossed` to the other, `echoed` back."""
 
+    sent: dict[str, int]
     heard: dict[str, int]
     crossed: dict[str, int]
     echoed: dict[str, int]
 
 
-def watch_crossing(first, second, topics, *, until, count=5):
-    """Counts once `count` messages of each topic named in `until` ("heard" or "echoed") were seen.
+def watch_crossing(first, second, topics, *, until, count=5, reliability="reliable"):
+    """What was seen when all that `until` names had been seen `count` times.
 
     Args:
         topics: name -> type name.
-        until: ("echoed", names) or ("heard", names).
+        until: names of topics by what must be seen of them: {"echoed": [...], "heard": [...]}.
     """
-    order = json.dumps({"first": first, "second": second, "topics": topics, "until": until, "count": count})
+    order = json.dumps(
+        {
+            "first": first,
+            "second": second,
+            "topics": topics,
+            "until": until,
+            "count": count,
+            "reliability": reliability,
+        }
+    )
     ran = subprocess.run(
         [sys.executable, __file__, order], capture_output=True, text=True, timeout=TIMEOUT_S + 30, check=False
     )
@@ -42,16 +52,20 @@ def watch_crossing(first, second, topics, *, until, count=5):
     return Crossing(**json.loads(ran.stdout))
 
 
-def main(first, second, topics, until, count):
+def main(*, first, second, topics, until, count, reliability):
     from recorder.backend import Discovery, NodeOptions
     from recorder.backends import open_node
+    from tracefile import Qos
 
-    seen = {kind: dict.fromkeys(topics, 0) for kind in ("heard", "crossed", "echoed")}
-    kind, names = until
+    def open_one(domain_id, name):
+        qos = Qos(reliability=reliability)
+        return open_node("ros2", NodeOptions(domain_id, name, Discovery.LOCALHOST, qos))
+
+    seen = {kind: dict.fromkeys(topics, 0) for kind in ("sent", "heard", "crossed", "echoed")}
     with (
-        open_node("ros2", NodeOptions(first, "sender", Discovery.LOCALHOST)) as sender,
-        open_node("ros2", NodeOptions(first, "listener", Discovery.LOCALHOST)) as listener,
-        open_node("ros2", NodeOptions(second, "echoer", Discovery.LOCALHOST)) as echoer,
+        open_one(first, "sender") as sender,
+        open_one(first, "listener") as listener,
+        open_one(second, "echoer") as echoer,
     ):
 
         def on(kind, topic, answer=None):
@@ -64,7 +78,7 @@ def main(first, second, topics, until, count):
 
         publishers = []
         for topic, type_name in topics.items():
-            publishers.append(sender.create_publisher(topic, type_name))
+            publishers.append((topic, sender.create_publisher(topic, type_name)))
             listener.create_subscription(topic, type_name, on("heard", topic))
             answer = echoer.create_publisher(f"{topic}_relay", type_name)
             echoer.create_subscription(topic, type_name, on("crossed", topic, answer))
@@ -73,9 +87,10 @@ def main(first, second, topics, until, count):
             node.start()
         pause = Event()
         deadline = time.monotonic() + TIMEOUT_S
-        while any(seen[kind][name] < count for name in names):
+        while any(seen[kind][name] < count for kind, names in until.items() for name in names):
             assert time.monotonic() < deadline, f"not seen in time: {seen}"
-            for publisher in publishers:
+            for topic, publisher in publishers:
+                seen["sent"][topic] += 1
                 publisher.publish(CDR_HEADER + bytes(64))
             pause.wait(0.05)
     print(json.dumps(seen))

@@ -20,7 +20,7 @@ UP = "stand-in is up"
 class StandInBridge:
     part: str = "serves"
     installed: bool = True
-    has_halves: bool = False
+    halves: object = None  # of ours it imports nothing, so that it starts at once
     name: str = "stand-in"
     install: str = "it is a test's own"
     suffix: str = ".txt"

@@ -1,10 +1,14 @@
 from __future__ import annotations
 
+import socket
+from dataclasses import replace
+
 import pytest
 from crossing import watch_crossing
 
 from recorder.backend import Discovery
-from recorder.bridges import BRIDGED_TOPICS, BridgeOptions, load_bridge, open_bridge
+from recorder.bridges import BRIDGED_TOPICS, BridgeOptions, Half, load_bridge, open_bridge
+from tracefile import Qos
 
 pytestmark = pytest.mark.middleware
 
@@ -16,23 +20,65 @@ def pair(domains):
     return domains.take(), domains.take()
 
 
+def skip_if_missing(name):
+    if load_bridge(name).find() is None:
+        pytest.skip(f"{name} is not installed; {load_bridge(name).install}")
+
+
+def free_address():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"127.0.0.1:{probe.getsockname()[1]}"
+
+
 def test_without_a_bridge_no_message_crosses(pair):
-    seen = watch_crossing(*pair, ALLOWED, until=("heard", list(ALLOWED)))
+    seen = watch_crossing(*pair, ALLOWED, until={"heard": list(ALLOWED)})
     assert set(seen.crossed.values()) == {0}
     assert set(seen.echoed.values()) == {0}
 
 
 @pytest.mark.parametrize("name", ["builtin", "builtin-zenoh", "zenoh-bridge-dds"])
 def test_allowed_topics_cross_both_ways_and_no_other_does(name, pair):
-    if load_bridge(name).find() is None:
-        pytest.skip(f"{name} is not installed; {load_bridge(name).install}")
+    skip_if_missing(name)
     topics = {**ALLOWED, "not_on_the_list": "std_msgs/msg/String"}
     with open_bridge(name, BridgeOptions(*pair, discovery=Discovery.LOCALHOST)) as bridge:
-        seen = watch_crossing(*pair, topics, until=("echoed", list(ALLOWED)))
+        seen = watch_crossing(*pair, topics, until={"echoed": list(ALLOWED), "heard": ["not_on_the_list"]})
         bridge.mark_ready()
-    assert seen.heard["not_on_the_list"] > 0
     assert seen.crossed["not_on_the_list"] == 0
     assert bridge.describe()["state"] == "stopped"
-    # No loop: nothing is heard or echoed more often than it was sent once.
+    # No loop: nothing comes more often than it was sent.
     for topic in ALLOWED:
-        assert seen.echoed[topic] <= seen.crossed[topic] <= seen.heard["not_on_the_list"] + 1
+        assert seen.echoed[topic] <= seen.crossed[topic] <= seen.sent[topic]
+        assert seen.heard[topic] <= seen.sent[topic]
+
+
+@pytest.mark.parametrize("name", ["builtin-zenoh", "zenoh-bridge-dds"])
+def test_two_halves_started_apart_meet_as_on_two_devices(name, pair):
+    skip_if_missing(name)
+    address = free_address()
+    options = BridgeOptions(*pair, discovery=Discovery.LOCALHOST)
+    # The one that connects is first: on two devices nobody knows which will be.
+    with (
+        open_bridge(name, replace(options, half=Half.RELAY, peers=(address,))) as relay,
+        open_bridge(name, replace(options, half=Half.PING, listen=address)) as ping,
+    ):
+        watch_crossing(*pair, {"imu_data": ALLOWED["imu_data"]}, until={"echoed": ["imu_data"]})
+        assert list(ping.processes) == ["bridge_ping"]
+        assert list(relay.processes) == ["bridge_relay"]
+
+
+def test_best_effort_nodes_are_bridged_best_effort(pair):
+    qos = Qos(reliability="best_effort")
+    with open_bridge("builtin", BridgeOptions(*pair, qos=qos, discovery=Discovery.LOCALHOST)):
+        topics = {"string_data": ALLOWED["string_data"]}
+        watch_crossing(*pair, topics, until={"echoed": ["string_data"]}, reliability="best_effort")
+
+
+def test_the_configuration_and_the_load_of_a_real_bridge_are_told(pair):
+    with open_bridge("builtin", BridgeOptions(*pair, discovery=Discovery.LOCALHOST)) as bridge:
+        load = bridge.sample()["programs"]["bridge"]
+        (program,) = bridge.describe()["programs"]
+    assert load["memory_bytes"] > 10_000_000
+    assert load["processes"] == 1
+    assert f'"ping_domain_id": {pair[0]}' in program["configuration"]
+    assert program["version"]

@@ -13,7 +13,7 @@ import pytest
 import stand_in_bridge
 from stand_in_bridge import StandInBridge
 
-from recorder.bridges import BRIDGE_MODULES, BridgeError, BridgeOptions, BridgeState, open_bridge
+from recorder.bridges import BRIDGE_MODULES, BridgeError, BridgeOptions, BridgeState, Halves, open_bridge
 from recorder.bridges.guard import LOG_LIMIT_BYTES
 from tracefile import BackendUnavailableError, OptionError
 
@@ -23,8 +23,8 @@ def stand_in(monkeypatch):
     """Registers the stand-in in the part that the test gives it."""
     monkeypatch.setitem(BRIDGE_MODULES, "stand-in", "stand_in_bridge")
 
-    def play(part, **settings):
-        monkeypatch.setattr(stand_in_bridge, "BRIDGE", StandInBridge(part=part, **settings))
+    def play(part, halves=Halves.NEVER, **settings):
+        monkeypatch.setattr(stand_in_bridge, "BRIDGE", StandInBridge(part=part, halves=halves, **settings))
         return open_bridge(
             "stand-in", BridgeOptions(), **({"up_timeout_s": 0.5} if part == "never_up" else {})
         )
@@ -96,7 +96,7 @@ def test_one_that_dies_at_once_is_one_clear_line(stand_in):
 
 
 def test_one_that_never_comes_up_is_ended(stand_in):
-    with pytest.raises(BridgeError, match=r"did not come up within 0.5 s: stand-in is still thinking"):
+    with pytest.raises(BridgeError, match=r"the bridge stand-in did not come up within 0.5 s: "):
         stand_in("never_up").__enter__()
 
 
@@ -197,7 +197,7 @@ def test_no_orphan_when_the_guard_is_killed(stand_in):
 
 
 def test_two_halves_are_two_programs_joined_by_a_link_of_their_own(stand_in):
-    with stand_in("serves", has_halves=True) as bridge:
+    with stand_in("serves", halves=Halves.ALWAYS) as bridge:
         assert set(bridge.processes) == {"bridge_ping", "bridge_relay"}
         halves = [program["half"] for program in bridge.describe()["programs"]]
     assert halves == ["ping", "relay"]

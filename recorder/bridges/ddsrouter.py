@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from tracefile import Qos
 
 PROGRAM = "ddsrouter"
-CONFIGURATION_VERSION = "v4.0"
-"""Read by DDS Router 2 and, with a deprecation warning, 3."""
+CONFIGURATION_VERSION = "v5.0"
+"""The format of DDS Router 3; version 2, which read v4.0, has reached its end of life."""
 
 
 @dataclass(frozen=True, slots=True)

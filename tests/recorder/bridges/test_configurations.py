@@ -1,7 +1,7 @@
 """Each bridge's configuration against its product's documented format, field by field.
 
 The formats: zenoh-plugin-dds 1.10 `src/config.rs` and DEFAULT_CONFIG.json5; zenoh-plugin-ros2dds DEFAULT_CONFIG.json5;
-Integration Service "YAML Configuration" and "ROS 2 System Handle"; DDS Router "Configuration" (v4.0) and its JSON schema;
+Integration Service "YAML Configuration" and "ROS 2 System Handle"; DDS Router 3 "Configuration" (v5.0) and its JSON schema;
 RTI Routing Service 7 "Configuration"; domain_bridge `parse_domain_bridge_yaml_config.cpp`.
 """
 
@@ -188,7 +188,7 @@ def test_ddsrouter():
     (text,) = texts("ddsrouter", qos=BEST_EFFORT, discovery=Discovery.LOCALHOST)
     found = from_yaml(text)
     assert list(found) == ["version", "allowlist", "topics", "participants"]
-    assert found["version"] == "v4.0"
+    assert found["version"] == "v5.0"
     assert found["allowlist"] == [
         {"name": "rt/binary_image", "type": IMAGE},
         {"name": "rt/binary_image_relay", "type": IMAGE},

@@ -119,7 +119,7 @@ class Session:
             TraceFormatError: no JSON object, another format version, or a needed field is missing or of
                 another type; the message names `path` and the field.
         """
-        take = _Fields(text, path, "session")
+        take = _Fields.parse(text, path, "session")
         return cls(
             session_id=take.hex_id("session_id"),
             role=take.text("role"),
@@ -147,7 +147,7 @@ class Run:
         run_id: 64-bit random number, 16 hex digits in the JSON.
         data_type: `binary`, `string`, `imu` or another payload's name.
         payload_bytes: application bytes of a message, the stamp not counted.
-        planned_messages: messages that the schedule holds, warm-up included.
+        planned_messages: messages to be measured, the warm-up before them not counted.
         warmup_messages: the first messages, kept out of every statistic.
         bridge: `none` or the bridge between the two domains.
         relay_domain_id: the relay's domain as the ping was told, null if unknown.
@@ -199,7 +199,7 @@ class Run:
     @classmethod
     def from_json(cls, text: str, path: Path | str) -> Run:
         """The run that `text` describes; errors as for `Session.from_json`."""
-        take = _Fields(text, path, "run")
+        take = _Fields.parse(text, path, "run")
         qos = take.nested("qos")
         return cls(
             run_id=take.hex_id("run_id"),
@@ -228,28 +228,32 @@ class Run:
 class _Fields:
     """A JSON object from a trace, taken field by field; what is left at the end is unknown to us."""
 
-    def __init__(self, text: str, path: Path | str, what: str) -> None:
+    def __init__(self, found: dict[str, Any], path: Path | str, what: str) -> None:
+        self._left = found
         self._path = path
         self._what = what
+
+    @classmethod
+    def parse(cls, text: str, path: Path | str, what: str) -> _Fields:
+        """The fields of `text`, whose format version is one that we read."""
         try:
             found = json.loads(text)
         except ValueError as err:
             raise TraceFormatError(path, f"the {what} description is not JSON ({err})") from err
         if not isinstance(found, dict):
             raise TraceFormatError(path, f"the {what} description is not a JSON object")
-        self._left: dict[str, Any] = found
-        version = self.integer("format")
+        held = cls(found, path, what)
+        version = held.integer("format")
         if version != FORMAT_VERSION:
             raise TraceFormatError(
                 path,
                 f"the {what} description has format {version}, this version reads {FORMAT_VERSION}; "
                 "update dds-trace on this machine",
             )
+        return held
 
     def nested(self, name: str) -> _Fields:
-        inner = _Fields.__new__(_Fields)
-        inner._path, inner._what, inner._left = self._path, f"{self._what}.{name}", dict(self.mapping(name))
-        return inner
+        return _Fields(self.mapping(name), self._path, f"{self._what}.{name}")
 
     def _need(self, name: str, kinds: type | tuple[type, ...], kind_name: str) -> Any:
         if name not in self._left:

@@ -1,8 +1,7 @@
-"""Columns that are filled from several threads and end up holding exactly the events that came."""
+"""Columns that grow in place and end up holding exactly the events that came."""
 
 from __future__ import annotations
 
-from collections import deque
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,66 +10,44 @@ from tracefile.event_scan import records_at
 from tracefile.events import EVENT_DTYPE, EventColumns, Stage
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from concurrent.futures import Executor, Future
+    from collections.abc import Mapping
 
     from tracefile.event_scan import Index, Records
 
 _FIELDS = EVENT_DTYPE.names or ()
-_TASKS_IN_FLIGHT = 8  # each holds a block of unpacked records
 _SMALLEST_GROWTH = 1 << 14
 
 
 class ColumnsBuilder:
-    """The events of all stages, each batch copied into its place by `pool` while the next one is unpacked.
+    """The events of all stages, each batch copied into its place.
 
     Args:
-        pool: where the copying is done.
         expected: events that each stage may come to hold. Memory is reserved for them, and taken when they come.
     """
 
-    def __init__(self, pool: Executor, expected: Mapping[Stage, int]) -> None:
-        self._pool = pool
-        self._in_flight: deque[Future[None]] = deque()
+    def __init__(self, expected: Mapping[Stage, int]) -> None:
         self._columns = {stage: _reserve(expected.get(stage, 0)) for stage in Stage}
         self._filled = dict.fromkeys(Stage, 0)
 
-    def append(self, records: Records, groups: Sequence[tuple[Stage, Index]]) -> None:
-        """Put the events of each group, which lie at its index in `records`, behind those that its stage has."""
-        places: list[tuple[EventColumns, int, Index]] = []
-        for stage, index in groups:
-            start = self._filled[stage]
-            end = start + len(index)
-            if end > len(self._columns[stage]):
-                self._settle()
-                self._columns[stage] = _grown(self._columns[stage], start, end)
-            self._filled[stage] = end
-            places.append((self._columns[stage], start, index))
-        self._in_flight.append(self._pool.submit(_fill, records, places))
-        while len(self._in_flight) > _TASKS_IN_FLIGHT:
-            self._in_flight.popleft().result()
+    def append(self, stage: Stage, records: Records, index: Index) -> None:
+        """Put the events at `index` of `records` behind those that the stage has."""
+        start = self._filled[stage]
+        end = start + len(index)
+        if end > len(self._columns[stage]):
+            self._columns[stage] = _grown(self._columns[stage], start, end)
+        taken = records if len(index) == len(records) else records_at(records, index)
+        for name in _FIELDS:
+            getattr(self._columns[stage], name)[start:end] = taken[name]
+        self._filled[stage] = end
 
     def finish(self) -> dict[Stage, EventColumns]:
         """All events; the builder is used up."""
-        self._settle()
         return {stage: _first(columns, self._filled[stage]) for stage, columns in self._columns.items()}
-
-    def _settle(self) -> None:
-        """Wait until nobody writes into the columns, which may then be replaced."""
-        while self._in_flight:
-            self._in_flight.popleft().result()
 
 
 def columns_at(records: Records, index: Index) -> EventColumns:
     """The events at `index` of `records` as columns of their own."""
     return EventColumns.from_records(records_at(records, index))
-
-
-def _fill(records: Records, places: Sequence[tuple[EventColumns, int, Index]]) -> None:
-    for columns, start, index in places:
-        taken = records if len(index) == len(records) else records_at(records, index)
-        for name in _FIELDS:
-            getattr(columns, name)[start : start + len(index)] = taken[name]
 
 
 def _reserve(count: int) -> EventColumns:

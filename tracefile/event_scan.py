@@ -46,7 +46,7 @@ RECORD_DTYPE = np.dtype(
 
 _SINGLE_STEPS = 16  # so many events are looked at one by one before arrays pay
 _FIRST_STRETCH = 256
-_FEW_CHANNELS = 4  # looking for each is then quicker than sorting
+_FEW_CHANNELS = 6
 
 
 @dataclass(slots=True)
@@ -112,14 +112,22 @@ def scan_records(data: bytes, start: int, stop: int, accept: frozenset[int] | No
 
 def group_by_channel(records: Records) -> list[tuple[int, Index]]:
     """For each channel id among `records`, where its records are, in order."""
+    if not len(records):
+        return []
     channels = np.ascontiguousarray(records["channel"])
-    counts = np.bincount(channels)
-    ids: list[int] = np.flatnonzero(counts).tolist()
-    if len(ids) <= _FEW_CHANNELS:
-        return [(channel, np.flatnonzero(channels == channel)) for channel in ids]
+    first, last = int(channels.min()), int(channels.max())
+    if first == last:
+        return [(first, np.arange(len(channels)))]
+    if last - first < _FEW_CHANNELS:  # looking for each is quicker than sorting
+        found = [(channel, np.flatnonzero(channels == channel)) for channel in range(first, last + 1)]
+        return [(channel, index) for channel, index in found if len(index)]
     order = np.argsort(channels, kind="stable")
+    counts = np.bincount(channels)
     ends = np.cumsum(counts)
-    return [(channel, order[ends[channel] - counts[channel] : ends[channel]]) for channel in ids]
+    return [
+        (channel, order[ends[channel] - counts[channel] : ends[channel]])
+        for channel in np.flatnonzero(counts).tolist()
+    ]
 
 
 def records_at(records: Records, index: Index) -> Records:

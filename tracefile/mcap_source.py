@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from tracefile.blocks import Block
 
-_BLOCKS_AHEAD = 4
+_BLOCKS_AHEAD = 8
 _BYTES_AHEAD = 32 << 20  # chunks larger than usual are unpacked one after the other
 _NOTES = 20  # nobody reads more lines about one file
 _DECLARATIONS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL})

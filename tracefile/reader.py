@@ -49,13 +49,11 @@ def read_trace(path: Path) -> Trace:
         expected = Counter[Stage]()
         for source in sources:
             expected.update(source.expected_events())
-        columns = ColumnsBuilder(pool, expected)
+        columns = ColumnsBuilder(expected)
         for source, ring in zip(sources, rings, strict=True):
-            for batch in gathered.batches_of(source):
-                columns.append(batch.records, batch.groups)
-            if ring is not None:
-                batch = gathered.ring_batch(ring, source)
-                columns.append(batch.records, batch.groups)
+            for batch in gathered.batches_of(source, ring):
+                for stage, index in batch.groups:
+                    columns.append(stage, batch.records, index)
         return gathered.trace(columns.finish())
 
 
@@ -71,11 +69,7 @@ def iter_event_batches(path: Path) -> Iterator[tuple[Stage, EventColumns]]:
     for file in storage_files(path):
         ring = ring_beside(file)
         with _workers() as pool, open_source(file, pool) as source:
-            for batch in gathered.batches_of(source):
-                for stage, index in batch.groups:
-                    yield stage, columns_at(batch.records, index)
-            if ring is not None:
-                batch = gathered.ring_batch(ring, source)
+            for batch in gathered.batches_of(source, ring):
                 for stage, index in batch.groups:
                     yield stage, columns_at(batch.records, index)
     gathered.check()
@@ -133,20 +127,18 @@ class _Gathered:
     notes: list[str] = field(default_factory=list)
     truncated: list[str] = field(default_factory=list)
 
-    def batches_of(self, source: Source) -> Iterator[Batch]:
-        """The batches of one file; all but their events is kept here."""
+    def batches_of(self, source: Source, ring: RingBeside | None = None) -> Iterator[Batch]:
+        """The batches of one file, and one of the events that only its ring has; all else is kept here."""
         for batch in source.batches():
             self._add(batch)
             yield batch
         self.topics |= source.topics
-
-    def ring_batch(self, ring: RingBeside, source: Source) -> Batch:
-        """The events in the ring that its file does not have; the rest of what the ring says is kept here."""
-        batch = ring.batch(source.written_events)
-        self.ring_events += len(batch.records)
-        self._add(batch)
-        self.add_ring_session(ring)
-        return batch
+        if ring is not None:
+            batch = ring.batch(source.written_events)
+            self.ring_events += len(batch.records)
+            self._add(batch)
+            self.add_ring_session(ring)
+            yield batch
 
     def add_ring_session(self, ring: RingBeside) -> None:
         if ring.contents:

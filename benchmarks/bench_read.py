@@ -1,0 +1,197 @@
+"""Reading a trace to columns, against the public readers, against unpacking alone, and in memory.
+
+    python benchmarks/bench_read.py            1 M events, all bars: a minute and a half
+    python benchmarks/bench_read.py --large    20 M events too; the public readers' times are taken from 1 M times 20
+
+Every bar is a ratio of times of this run on this machine, each time the best of several taken in turn. The exit code
+is 1 if a bar is missed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import lz4.frame
+import zstandard
+from event_traces import write_event_trace
+from mcap.reader import make_reader
+from mcap.records import Chunk
+from mcap.stream_reader import StreamReader
+from rosbags.rosbag2 import Reader as RosbagsReader
+
+from tracefile import read_trace
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+EVENTS, LARGE = 1_000_000, 20_000_000
+REPEATS = {EVENTS: 25, LARGE: 5}  # the machine is not ours alone: more, where one is short
+CODECS = ("zstd", "lz4", "")
+UNPACKERS: dict[str, Callable[[bytes, int], bytes]] = {
+    "zstd": lambda packed, size: zstandard.ZstdDecompressor().decompress(packed, max_output_size=size),
+    "lz4": lambda packed, _size: lz4.frame.decompress(packed),
+}
+MOST_TIMES_UNPACKING = {"zstd": 1.4, "lz4": 2.0}
+LEAST_TIMES_FASTER = {"make_reader": 50.0, "StreamReader": 20.0, "rosbags raw": 15.0}
+MOST_RSS_ABOVE_RESULT = 100e6
+
+# A process of its own, and the kernel's figure for it alone: `ru_maxrss` would begin with that of its parent.
+READ_AND_TELL = """
+import json, re, sys
+from pathlib import Path
+from tracefile import EVENT_DTYPE, read_trace
+trace = read_trace(Path(sys.argv[1]))
+peak = re.search("VmHWM: *([0-9]+) kB", Path("/proc/self/status").read_text().replace("\\t", " "))
+print(json.dumps([int(peak[1]) * 1024, trace.event_count * EVENT_DTYPE.itemsize]))
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Bar:
+    """One figure with the bar it has to pass.
+
+    Attributes:
+        value: measured; a ratio, or MB.
+        bar: the most it may be if `at_most`, else the least.
+    """
+
+    codec: str
+    events: int
+    name: str
+    value: float
+    bar: float
+    at_most: bool
+
+    @property
+    def passed(self) -> bool:
+        """Whether the value is on the right side of the bar."""
+        return self.value <= self.bar if self.at_most else self.value >= self.bar
+
+
+def read_with_make_reader(path: Path) -> int:
+    """Messages that python mcap's reader hands out."""
+    with path.open("rb") as stream:
+        return sum(1 for _ in make_reader(stream).iter_messages())
+
+
+def read_with_stream_reader(path: Path) -> int:
+    """Records that python mcap's StreamReader hands out."""
+    with path.open("rb") as stream:
+        return sum(1 for _ in StreamReader(stream).records)
+
+
+def read_with_rosbags(path: Path) -> int:
+    """Messages that rosbags hands out, not deserialized."""
+    with RosbagsReader(path) as reader:
+        return sum(1 for _ in reader.messages())
+
+
+PUBLIC_READERS = {
+    "make_reader": read_with_make_reader,
+    "StreamReader": read_with_stream_reader,
+    "rosbags raw": read_with_rosbags,
+}
+
+
+def seconds(job: Callable[[], object]) -> float:
+    """How long one call takes."""
+    start = time.perf_counter()
+    job()
+    return time.perf_counter() - start
+
+
+def packed_chunks(path: Path) -> list[tuple[bytes, int]]:
+    """The chunks' packed records and their unpacked sizes."""
+    with path.open("rb") as stream:
+        records = StreamReader(stream, emit_chunks=True).records
+        return [(record.data, record.uncompressed_size) for record in records if isinstance(record, Chunk)]
+
+
+def ours_and_unpacking(path: Path, codec: str, events: int) -> tuple[float, float]:
+    """Best times of `read_trace` and of unpacking alone (one thread, chunks in memory already), taken in turn."""
+    chunks = packed_chunks(path) if codec in UNPACKERS else []
+    unpack = UNPACKERS.get(codec)
+
+    def unpack_all() -> None:
+        for packed, size in chunks:
+            if unpack:
+                unpack(packed, size)
+
+    times = [(seconds(lambda: read_trace(path)), seconds(unpack_all)) for _ in range(REPEATS[events])]
+    return min(ours for ours, _ in times), min(alone for _, alone in times)
+
+
+def memory_bar(path: Path, codec: str, events: int) -> Bar:
+    """Peak memory of a process that reads the trace, the result's size taken off, in MB."""
+    said = subprocess.run([sys.executable, "-c", READ_AND_TELL, str(path)], check=True, capture_output=True)
+    peak_bytes, result_bytes = json.loads(said.stdout)
+    above = (peak_bytes - result_bytes) / 1e6
+    return Bar(codec, events, "RSS above the result, MB", above, MOST_RSS_ABOVE_RESULT / 1e6, at_most=True)
+
+
+def bars_of(folder: Path, codec: str, events: int, public: dict[str, float]) -> list[Bar]:
+    """All bars of one file; `public` holds the public readers' times on `EVENTS` events, measured if it is empty."""
+    path = write_event_trace(folder / f"{codec or 'none'}_{events}.mcap", events, codec)
+    ours, alone = ours_and_unpacking(path, codec, events)
+    for name, read in PUBLIC_READERS.items():
+        if name not in public:
+            public[name] = seconds(lambda read=read: read(path))
+    scale = events / EVENTS
+    print(
+        f"{codec or 'none':5} {events:>9} events: read_trace {ours:.3f} s ({events / ours / 1e6:.1f} M events/s), "
+        f"unpacking alone {alone:.3f} s; "
+        + ", ".join(f"{name} {scale * public[name]:.1f} s" for name in PUBLIC_READERS)
+        + (" (1 M times 20)" if scale > 1 else ""),
+        file=sys.stderr,
+    )
+    bars = [
+        Bar(codec, events, f"times faster than {name}", scale * public[name] / ours, least, at_most=False)
+        for name, least in LEAST_TIMES_FASTER.items()
+    ]
+    if codec in MOST_TIMES_UNPACKING:
+        most = MOST_TIMES_UNPACKING[codec]
+        bars.append(Bar(codec, events, "times unpacking alone", ours / alone, most, at_most=True))
+    bars.append(memory_bar(path, codec, events))
+    path.unlink()
+    return bars
+
+
+def main() -> int:
+    """Measure, print, and say by the exit code whether every bar is passed."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--large", action="store_true", help="20 M events too")
+    parser.add_argument("--codec", choices=["zstd", "lz4", "none"], help="only this one")
+    parser.add_argument("--json", action="store_true", help="print JSON in place of the table")
+    options = parser.parse_args()
+    codecs = [codec for codec in CODECS if options.codec in {None, codec or "none"}]
+    bars: list[Bar] = []
+    with tempfile.TemporaryDirectory(prefix="bench-read-") as folder:
+        for codec in codecs:
+            public: dict[str, float] = {}
+            for events in [EVENTS, LARGE] if options.large else [EVENTS]:
+                bars += bars_of(Path(folder), codec, events, public)
+    if options.json:
+        print(json.dumps([{**asdict(bar), "passed": bar.passed} for bar in bars], indent=1))
+    else:
+        print(f"{'codec':6}{'events':>10}  {'figure':32}{'value':>8}  bar")
+        for bar in bars:
+            sign = "<=" if bar.at_most else ">="
+            verdict = "" if bar.passed else "  MISSED"
+            print(
+                f"{bar.codec or 'none':6}{bar.events:>10}  {bar.name:32}{bar.value:8.2f}  {sign} {bar.bar:g}{verdict}"
+            )
+    return 0 if all(bar.passed for bar in bars) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,229 @@
+"""Large traces for benchmarks, built with numpy in seconds and independent of the recorder's sink.
+
+The content is like a ping's: T1 and T2 alternate, times have jitter, so that it packs about as well as a real trace.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from typing import TYPE_CHECKING, Any
+
+import lz4.frame
+import numpy as np
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.records import Channel, ChunkIndex, DataEnd, Footer, Header, Schema, Statistics
+
+from tracefile import CDR_HEADER, EVENT_DTYPE, RUN_TOPIC, SESSION_TOPIC, Qos, Run, Session, Stage
+from tracefile.events import EVENT_DEFINITION, EVENT_SCHEMA_NAME
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+MAGIC = b"\x89MCAP0\r\n"
+CHUNK_EVENTS = 11_500  # one MiB, as most writers have it
+START_NS = 1_700_000_000_000_000_000
+MESSAGE_DTYPE = np.dtype(
+    [
+        ("opcode", "u1"),
+        ("length", "<u8"),
+        ("channel", "<u2"),
+        ("number", "<u4"),
+        ("log_time", "<u8"),
+        ("publish_time", "<u8"),
+        ("cdr", f"V{len(CDR_HEADER)}"),
+        *((name, EVENT_DTYPE[name]) for name in EVENT_DTYPE.names or ()),
+    ],
+)
+STAGES = (Stage.T1, Stage.T2)
+EVENT_CHANNELS = (1, 2)
+
+PACKERS: dict[str, Callable[[bytes], bytes]] = {
+    "zstd": zstandard.ZstdCompressor().compress,
+    "lz4": lz4.frame.compress,
+    "": bytes,
+}
+
+
+def write_event_trace(path: Path, events: int, compression: str, *, runs: int = 10, seed: int = 7) -> Path:
+    """A closed, indexed ping trace of `events` events, half T1 and half T2, spread evenly over `runs` runs.
+
+    Args:
+        path: the file, overwritten.
+        events: how many.
+        compression: `zstd`, `lz4` or empty.
+        runs: run ids that appear, one after the other.
+        seed: of the random times.
+    """
+    random = np.random.default_rng(seed)
+    indexes: list[ChunkIndex] = []
+    with path.open("wb") as stream:
+        stream.write(MAGIC + _record(Header("ros2", "dds-trace benchmark")))
+        declared = _declarations()
+        text = _chunk(stream.tell(), declared + _texts(runs, seed), compression)
+        stream.write(text[0])
+        indexes.append(text[1])
+        for start in range(0, events, CHUNK_EVENTS):
+            count = min(CHUNK_EVENTS, events - start)
+            messages = _messages(start, count, max(1, events // runs), random)
+            data, chunk_index = _chunk(stream.tell(), messages.tobytes(), compression, messages)
+            stream.write(data)
+            indexes.append(chunk_index)
+        stream.write(_record(DataEnd(0)))
+        start = stream.tell()
+        channel_counts = {1: events - events // 2, 2: events // 2, 3: 1, 4: runs}
+        statistics = Statistics(
+            attachment_count=0,
+            channel_count=len(channel_counts),
+            channel_message_counts=channel_counts,
+            chunk_count=len(indexes),
+            message_count=sum(channel_counts.values()),
+            message_end_time=max(index.message_end_time for index in indexes),
+            message_start_time=START_NS,
+            metadata_count=0,
+            schema_count=2,
+        )
+        summary = declared + _record(statistics) + b"".join(_record(index) for index in indexes)
+        footer = _record(Footer(summary_start=start, summary_offset_start=0, summary_crc=0))[:-4]
+        stream.write(summary + footer + struct.pack("<I", zlib.crc32(summary + footer)) + MAGIC)
+    return path
+
+
+def _messages(
+    start: int, count: int, events_per_run: int, random: np.random.Generator
+) -> np.ndarray[Any, Any]:
+    number = np.arange(start, start + count)
+    messages = np.zeros(count, MESSAGE_DTYPE)
+    messages["opcode"] = 5
+    messages["length"] = MESSAGE_DTYPE.itemsize - 9
+    messages["channel"] = 1 + number % 2
+    messages["number"] = number // 2
+    messages["cdr"] = np.void(CDR_HEADER)
+    messages["run_id"] = 0x5DEECE66D1234567 + number // events_per_run
+    messages["sequence"] = number % events_per_run // 2
+    jitter = random.integers(0, 200_000, count)
+    messages["monotonic_ns"] = number * 500_000 + jitter
+    is_reply = number % 2 == 1
+    messages["scheduled_ns"] = np.where(is_reply, 0, number * 500_000)
+    messages["source_ns"] = np.where(
+        is_reply, START_NS + number * 500_000 + jitter - random.integers(0, 99_000, count), 0
+    )
+    messages["received_ns"] = np.where(is_reply, messages["source_ns"] + random.integers(0, 50_000, count), 0)
+    messages["payload_bytes"] = 33_000
+    messages["relay_id"] = np.where(is_reply, 0xBEEF, 0)
+    messages["log_time"] = messages["publish_time"] = START_NS + messages["monotonic_ns"]
+    return messages
+
+
+def _chunk(
+    offset: int,
+    content: bytes,
+    compression: str,
+    messages: np.ndarray[Any, Any] | None = None,
+) -> tuple[bytes, ChunkIndex]:
+    packed = PACKERS[compression](content)
+    first = last = START_NS
+    by_channel: dict[int, Any] = {}
+    if messages is not None:
+        by_channel = {channel: np.flatnonzero(messages["channel"] == channel) for channel in EVENT_CHANNELS}
+        first, last = int(messages["log_time"].min()), int(messages["log_time"].max())
+    name = compression.encode()
+    body = struct.pack("<QQQII", first, last, len(content), zlib.crc32(content), len(name)) + name
+    body += struct.pack("<Q", len(packed)) + packed
+    chunk = struct.pack("<BQ", 6, len(body)) + body
+    parts = [chunk]
+    offsets = {}
+    at = offset + len(chunk)
+    for channel, index in by_channel.items():
+        entries = np.empty((len(index), 2), "<u8")
+        entries[:, 0] = messages["log_time"][index] if messages is not None else 0
+        entries[:, 1] = index * MESSAGE_DTYPE.itemsize
+        offsets[channel] = at
+        parts.append(struct.pack("<BQHI", 7, 6 + entries.nbytes, channel, entries.nbytes) + entries.tobytes())
+        at += len(parts[-1])
+    index = ChunkIndex(
+        chunk_length=len(chunk),
+        chunk_start_offset=offset,
+        compression=compression,
+        compressed_size=len(packed),
+        message_end_time=last,
+        message_index_length=at - offset - len(chunk),
+        message_index_offsets=offsets,
+        message_start_time=first,
+        uncompressed_size=len(content),
+    )
+    return b"".join(parts), index
+
+
+def _declarations() -> bytes:
+    topics = [stage.topic for stage in STAGES] + [SESSION_TOPIC, RUN_TOPIC]
+    schemas = [
+        Schema(id=1, name=EVENT_SCHEMA_NAME, encoding="ros2msg", data=EVENT_DEFINITION.encode()),
+        Schema(id=2, name="std_msgs/msg/String", encoding="ros2msg", data=b"string data\n"),
+    ]
+    channels = [
+        Channel(
+            id=number,
+            topic=topic,
+            message_encoding="cdr",
+            metadata={},
+            schema_id=1 if number <= len(STAGES) else 2,
+        )
+        for number, topic in enumerate(topics, start=1)
+    ]
+    return b"".join(_record(record) for record in [*schemas, *channels])
+
+
+def _texts(runs: int, seed: int) -> bytes:
+    session = Session(
+        session_id=seed,
+        role="ping",
+        device="bench",
+        backend="ros2",
+        vendor="fastdds",
+        rmw=None,
+        domain_id=5,
+        relay_id=None,
+        connectivity="loopback",
+        wall_anchor_ns=START_NS,
+        monotonic_anchor_ns=0,
+        state="closed",
+    )
+    described = [
+        Run(
+            0x5DEECE66D1234567 + number,
+            "binary",
+            33_000,
+            1000.0,
+            1,
+            0,
+            qos=Qos(),
+            extra={"session_id": f"{seed:016x}"},
+        )
+        for number in range(runs)
+    ]
+    return b"".join(
+        [
+            _text(3, 0, session.to_json()),
+            *(_text(4, number, run.to_json()) for number, run in enumerate(described)),
+        ],
+    )
+
+
+def _text(channel: int, number: int, text: str) -> bytes:
+    data = text.encode() + b"\0"
+    body = (
+        struct.pack("<HIQQ", channel, number, START_NS, START_NS)
+        + CDR_HEADER
+        + struct.pack("<I", len(data))
+        + data
+    )
+    return struct.pack("<BQ", 5, len(body)) + body
+
+
+def _record(record: Any) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)
+    return bytes(builder.end())

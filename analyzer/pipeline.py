@@ -9,11 +9,11 @@ from analyzer.analysis import Analysis
 from analyzer.evidence import Evidence
 from analyzer.exchanges import find_exchanges
 from analyzer.findings import find_findings
+from analyzer.frames import Batch, concatenate_frames, frames_of
 from analyzer.load import load_campaign
 from analyzer.output import write_frames
 from analyzer.roundtrips import pair_exchanges
 from analyzer.summarize import group_exchanges, summarize_groups
-from analyzer.timeline import draw_timeline
 from tracefile import MissingEventsError
 
 if TYPE_CHECKING:
@@ -66,7 +66,8 @@ def analyze(
     roundtrips = pair_exchanges(exchanges.held)
     grouping = group_exchanges(exchanges.held)
     summary = summarize_groups(roundtrips, grouping)
-    timeline = draw_timeline(roundtrips, grouping.group_of_exchange)
+    batch = Batch(roundtrips, grouping.group_of_exchange, len(exchanges.held))
+    frames = concatenate_frames([frames_of(batch)])
     findings = find_findings(Evidence(campaign, exchanges, roundtrips, grouping, summary))
     outputs = write_frames(roundtrips, summary.frame, Path(out)) if out is not None else {}
     return Analysis(
@@ -77,8 +78,8 @@ def analyze(
         roundtrips=roundtrips.frame,
         summary=summary.frame,
         distributions=summary.distributions,
-        timeline=timeline.frame,
-        timeline_decimated=timeline.decimated,
+        timeline=frames["timeline"],
+        timeline_decimated=frames["timeline"].height < roundtrips.frame.height,
         findings=findings,
         outputs=outputs,
     )

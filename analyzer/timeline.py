@@ -32,8 +32,10 @@ class Timeline:
     decimated: bool
 
 
-def draw_timeline(roundtrips: RoundTrips, group_of_exchange: NDArray[np.uint32]) -> Timeline:
-    """Rows of `roundtrips` worth drawing.
+def draw_timeline(
+    roundtrips: RoundTrips, group_of_exchange: NDArray[np.uint32], all_exchanges: int
+) -> Timeline:
+    """Rows of `roundtrips` worth drawing; `all_exchanges` of the campaign share the points there are.
 
     An exchange with more rows than its share of points is cut into stretches of equal length. Each keeps
     its lowest and its highest latency (round trip time, where the relay's trace is missing) and the first
@@ -44,7 +46,7 @@ def draw_timeline(roundtrips: RoundTrips, group_of_exchange: NDArray[np.uint32])
         there was no schedule, since that of the run's first counted message), `latency_ns` i64 null,
         `rtt_ns` i64 null, `outcome` str.
     """
-    kept = _worth_drawing(roundtrips)
+    kept = _worth_drawing(roundtrips, all_exchanges)
     drawn = roundtrips.frame[kept].with_columns(
         pl.Series("group", roundtrips.per_row(group_of_exchange)[kept]),
         pl.Series("exchange", roundtrips.exchange_of_row()[kept]),
@@ -65,11 +67,11 @@ def draw_timeline(roundtrips: RoundTrips, group_of_exchange: NDArray[np.uint32])
     return Timeline(frame, decimated=frame.height < roundtrips.frame.height)
 
 
-def _worth_drawing(roundtrips: RoundTrips) -> NDArray[np.int64]:
+def _worth_drawing(roundtrips: RoundTrips, all_exchanges: int) -> NDArray[np.int64]:
     """Rows to keep, rising."""
     rows, first = np.diff(roundtrips.bounds), roundtrips.bounds[:-1]
     low, high = _POINTS_OF_EXCHANGE
-    share = min(max(_ALL_POINTS // max(len(rows), 1), low), high)
+    share = min(max(_ALL_POINTS // max(all_exchanges, 1), low), high)
     if (rows <= share).all():
         return np.arange(roundtrips.frame.height)
 

@@ -120,13 +120,14 @@ class SshDevice:
         ]
         # The folder is not quoted, so that the shell there expands its ~.
         path = f"PATH={settings.path}:$PATH" if settings.path else ":"
-        self._setup = f"{path} && {settings.setup or ':'}"
+        # What the setup prints is not to be taken for an answer.
+        self._setup = f"{{ {path} && {settings.setup or ':'}; }} >&2 || exit 127;"
         self._folder = folder
         self._remote = f'"$HOME"/.cache/dds-trace/{shlex.quote(sweep)}'
 
     def prepare(self) -> None:
         """Makes the folder there and compares versions."""
-        said = self._run(f"{self._setup} && mkdir -p {self._remote} && dds-sweep --version").split()
+        said = self._run(f"mkdir -p {self._remote} && dds-sweep --version").split()
         there = said[-1] if said else "nothing"
         if there != __version__:
             raise OptionError(
@@ -140,7 +141,7 @@ class SshDevice:
         pid = self._pid_file(segment)
         # A command in the background reads from /dev/null unless it is given a copy of the input.
         script = (
-            f"{self._setup} || exit 127; exec 3<&0; {relay} </dev/null 3<&- & relay=$!; echo $relay >{pid}; "
+            f"{self._setup} exec 3<&0; {relay} </dev/null 3<&- & relay=$!; echo $relay >{pid}; "
             "{ cat <&3 >/dev/null; kill -TERM $relay; } 2>/dev/null & watch=$!; "
             f"wait $relay; code=$?; rm -f {pid}; kill $watch 2>/dev/null; exit $code"
         )
@@ -177,7 +178,7 @@ class SshDevice:
             raise BackendUnavailableError("ssh is not installed; apt install openssh-client")
         try:
             done = subprocess.run(
-                [*self._ssh, script],
+                [*self._ssh, f"{self._setup} {script}"],
                 stdin=subprocess.DEVNULL,
                 stdout=output,  # type: ignore[call-overload]  # a file or PIPE
                 stderr=subprocess.PIPE,

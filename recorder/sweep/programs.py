@@ -54,18 +54,17 @@ class Program:
         self.command = list(command)
         self.log = log
         self._stops_by_input = stops_by_input
-        try:
-            with log.open("wb") as output:
-                self._process = subprocess.Popen(
-                    [*_dying_with_us(), *command],
-                    stdin=subprocess.PIPE if stops_by_input else subprocess.DEVNULL,
-                    stdout=output,
-                    stderr=subprocess.STDOUT,
-                    pass_fds=() if held is None else (held,),
-                    start_new_session=True,  # Ctrl-C is for the sweep, which ends its programs in order
-                )
-        except FileNotFoundError as err:
-            raise BackendUnavailableError(f"{command[0]} is not installed") from err
+        if shutil.which(command[0]) is None:
+            raise BackendUnavailableError(f"{command[0]} is not installed")
+        with log.open("wb") as output:
+            self._process = subprocess.Popen(
+                [*_dying_with_us(), *command],
+                stdin=subprocess.PIPE if stops_by_input else subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                pass_fds=() if held is None else (held,),
+                start_new_session=True,  # Ctrl-C is for the sweep, which ends its programs in order
+            )
 
     @property
     def exit_code(self) -> int | None:

@@ -51,7 +51,7 @@ class CellResult:
     @property
     def loss_percent(self) -> float:
         """Published messages without a reply; 100 if nothing was published."""
-        return 100.0 * (1 - self.received / self.published) if self.published else 100.0
+        return 100.0 * (self.published - self.received) / self.published if self.published else 100.0
 
     def __str__(self) -> str:
         loss = f", {self.loss_percent:.2g} % lost" if self.received < self.published else ""

@@ -299,6 +299,7 @@ class Relay:
             f"the relay ended: {self._running.failure}",
             hopeless=self._running.exit_code in HOPELESS_EXIT_CODES,
         )
+        self._running.stop()
         self._running = None
         if failure.hopeless:
             self._hopeless = failure

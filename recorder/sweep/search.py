@@ -138,13 +138,14 @@ def why_not_held(search: Search, asked_hz: float, result: Mapping[str, Any]) -> 
         result: a `CellResult` as a mapping.
     """
     achieved_hz = result["achieved_rate_hz"] or 0.0
-    loss_percent = 100.0 * (1 - result["received"] / result["published"]) if result["published"] else 100.0
+    lost = result["published"] - result["received"]
+    loss_percent = 100.0 * lost / result["published"] if result["published"] else 100.0
     percentile = f"p{search.percentile:g}"
     response_ms = result["response_ms"][percentile] if result["response_ms"] else math.inf
     conditions = (
         (result["cut_off"], f"cut off after {result['published']} of {result['planned']} messages"),
         (achieved_hz < HELD_SHARE * asked_hz, f"{achieved_hz:.0f} of {asked_hz:g} messages a second sent"),
-        (loss_percent > search.loss_percent, f"{loss_percent:.2g} % lost"),
+        (loss_percent > search.loss_percent, f"{loss_percent:.3g} % lost"),
         (response_ms > search.deadline_ms, f"response {percentile} {response_ms:.3g} ms"),
     )
     return "; ".join(text for failed, text in conditions if failed)

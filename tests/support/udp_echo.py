@@ -1,7 +1,7 @@
 """Round trips of UDP datagrams between two namespaces: an independent look at a link.
 
     python udp_echo.py serve
-    python udp_echo.py ask ADDRESS BYTES COUNT PAUSE_S
+    python udp_echo.py ask ADDRESS BYTES COUNT TIMEOUT_S
 
 `ask` prints one round-trip time in milliseconds per line, or `lost`.
 """
@@ -22,9 +22,9 @@ def serve():
             server.sendto(data, sender)
 
 
-def ask(address, size_bytes, count, pause_s):
+def ask(address, size_bytes, count, timeout_s):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
-        client.settimeout(1.0)
+        client.settimeout(timeout_s)
         for number in range(count):
             data = number.to_bytes(4, "little").ljust(size_bytes, b"x")
             began_ns = time.monotonic_ns()
@@ -36,7 +36,6 @@ def ask(address, size_bytes, count, pause_s):
                 print("lost", flush=True)
             else:
                 print((time.monotonic_ns() - began_ns) / 1e6, flush=True)
-            time.sleep(pause_s)
 
 
 if __name__ == "__main__":

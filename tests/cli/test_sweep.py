@@ -1,0 +1,183 @@
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from cli import sweep as command
+from recorder.sweep import Cell, read_plan, schedule
+from recorder.sweep.search import Answer, MaxRate
+from recorder.sweep.sweep import SweepOutcome
+from tracefile import __version__
+
+ROOT = Path(__file__).parents[2]
+PLANS = sorted((ROOT / "plans").glob("*.toml"))
+
+PLAN = """
+[run]
+messages = 100
+warmup = 0
+[axes]
+size = ["33KB", "4MB"]
+rate = [10, 1000]
+[[exclude]]
+size = "33KB"
+rate = 1000
+reason = "for the test"
+"""
+
+
+@pytest.fixture
+def plan(tmp_path):
+    path = tmp_path / "small.toml"
+    path.write_text(PLAN)
+    return path
+
+
+@pytest.fixture
+def call(monkeypatch, capsys):
+    """Calls `dds-sweep`; its exit code, stdout and stderr."""
+
+    def calling(*arguments):
+        monkeypatch.setattr(sys, "argv", ["dds-sweep", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            command.main()
+        said = capsys.readouterr()
+        return ended.value.code or 0, said.out, said.err
+
+    return calling
+
+
+def installed():
+    return [("ros2", None), ("cyclonedds", None)]
+
+
+def test_paper_plan_has_the_papers_cells():
+    cells = read_plan(ROOT / "plans/paper.toml").cells
+    for rmw, bridge in (
+        ("rmw_fastrtps_cpp", "integration-service"),
+        ("rmw_cyclonedds_cpp", "zenoh-bridge-dds"),
+        ("rmw_connextdds", "routing-service"),
+    ):
+        of_vendor = [cell for cell in cells if cell.rmw == rmw]
+        for domains in ("none", bridge):
+            counts = {
+                data: sum(cell.data == data and cell.bridge == domains for cell in of_vendor)
+                for data in ("binary", "string", "imu")
+            }
+            # 9 sizes x 10 rates, 4 lengths x 8 rates, 8 rates
+            assert counts == {"binary": 90, "string": 32, "imu": 8}
+        assert len(of_vendor) == 260
+    assert len(cells) == 780
+
+
+def test_paper_plan_has_the_papers_sizes():
+    cells = read_plan(ROOT / "plans/paper.toml").cells
+    assert sorted({cell.size for cell in cells if cell.data == "binary"}) == [
+        *(33_000, 67_000, 87_000, 145_000, 294_000, 502_000, 1_000_000, 2_000_000, 4_000_000),
+    ]
+    assert sorted({cell.size for cell in cells if cell.data == "string"}) == [4, 91, 1405, 2675]
+
+
+@pytest.mark.parametrize("path", PLANS, ids=lambda path: path.stem)
+def test_every_plan_that_we_ship_can_be_read(path):
+    assert schedule(read_plan(path, installed))
+
+
+def test_quick_plan_is_the_three_kinds_of_data_in_one_domain_and_two():
+    cells = read_plan(ROOT / "plans/quick.toml").cells
+    assert {(cell.data, cell.bridge) for cell in cells} == {
+        (data, bridge) for data in ("binary", "string", "imu") for bridge in ("none", "builtin")
+    }
+
+
+def test_dry_run_of_the_papers_plan_from_the_command_line():
+    """As a user calls it: the whole list, quickly, without any middleware."""
+    done = subprocess.run(
+        [sys.executable, "-m", "cli.sweep", ROOT / "plans/paper.toml", "--dry-run"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    lines = done.stdout.splitlines()
+    assert sum(line.startswith("  ros2-") for line in lines) == 780
+    assert lines[-1].startswith("plan paper: 780 cells, 0 left out, 3 starts of a relay, about ")
+    assert done.stderr == ""
+
+
+def test_dry_run_names_what_is_left_out_and_what_cannot_be_carried(call, plan):
+    code, out, _ = call(plan, "--dry-run")
+    assert code == 0
+    assert "left out by [[exclude]]: 1 cells (for the test)" in out
+    assert (
+        "ros2_same_binary-4MB_1000Hz  0 s  asks 32000 of 10000 Mbit/s: will be cut off after 30 s more" in out
+    )
+    assert "plan small: 3 cells, 1 left out, 1 starts of a relay" in out
+
+
+def test_dry_run_with_the_commands_for_the_other_device(call, plan):
+    _, out, _ = call(plan, "--dry-run", "--print", "relay")
+    assert "relay 1: dds-record --role relay --domain 10 --discovery localhost --connectivity loopback" in out
+
+
+def test_dry_run_as_json(call, plan):
+    _, out, _ = call(plan, "--dry-run", "--json")
+    listed = json.loads(out)
+    assert listed["plan"] == "small"
+    assert listed["cells"][0]["name"] == "ros2_same_binary-33KB_10Hz"
+    assert listed["cells"][0]["seconds"] == 10.0
+
+
+def test_typo_in_a_plan_is_one_line_and_exit_code_2(call, tmp_path):
+    path = tmp_path / "typo.toml"
+    path.write_text("[run]\nmesages = 3\n")
+    code, out, err = call(path)
+    assert (code, out) == (2, "")
+    assert err == f"dds-sweep: {path}: [run]: there is no 'mesages'; did you mean 'messages'?\n"
+
+
+def test_version(call):
+    assert call("--version")[:2] == (0, f"dds-sweep {__version__}\n")
+
+
+def test_exit_codes_tell_complete_from_incomplete(call, plan, monkeypatch, tmp_path):
+    import recorder.sweep
+
+    outcomes = [SweepOutcome(tmp_path, 3, {}), SweepOutcome(tmp_path, 3, {"a": "no echo"})]
+    monkeypatch.setattr(recorder.sweep, "run_sweep", lambda *_arguments, **_options: outcomes.pop(0))
+    assert call(plan) == (0, f"Wrote {tmp_path}\n3 of 3 cells are complete\n", "")
+    assert call(plan) == (10, f"Wrote {tmp_path}\n2 of 3 cells are complete\n", "a: no echo\n")
+
+
+def test_interruption_has_the_shells_exit_code_and_says_how_to_go_on(call, plan, monkeypatch):
+    import recorder.sweep
+
+    def interrupted(*_arguments, **_options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(recorder.sweep, "run_sweep", interrupted)
+    code, _, err = call(plan)
+    assert code == 130
+    assert "the same command goes on" in err
+
+
+def test_max_rate_prints_a_table_and_writes_it(call, plan, monkeypatch, tmp_path):
+    import recorder.sweep
+
+    found = [MaxRate(Cell(size=33_000, rate=480.0), Answer.FOUND, 510.0, (3, 3), "2 % lost")]
+    monkeypatch.setattr(recorder.sweep, "run_search", lambda *_arguments: (tmp_path, found))
+    code, out, _ = call(plan, "--max-rate")
+    assert code == 0
+    assert "480" in out
+    assert f"Wrote {tmp_path / 'max_rate.svg'}" in out
+    assert call(plan, "--max-rate", "--print", "relay")[0] == 2
+
+
+def test_help_fits_80_columns(call, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    code, out, _ = call("--help")
+    assert code == 0
+    assert max(map(len, out.splitlines())) <= 80

@@ -1,0 +1,188 @@
+"""Relays on another device: through a real `ssh` to an `sshd` on loopback, and by printed commands."""
+
+from __future__ import annotations
+
+import sys
+import time
+
+import loopback_sshd
+import pytest
+
+from recorder.sweep.devices import LocalDevice, PrintedDevice, SshDevice
+from recorder.sweep.plan import DeviceSettings
+from recorder.sweep.programs import Program
+from tracefile import BackendUnavailableError, OptionError, __version__
+
+PATIENCE_S = 60.0
+
+# Instead of the two programs of the other device, so that these tests need no middleware there.
+RECORD = """#!/bin/sh
+out=
+while [ $# -gt 0 ]; do [ "$1" = --out ] && out=$2; shift; done
+trap 'echo closed >>"$out"; exit 0' TERM
+echo open >"$out"
+echo "dds-record: relay serves"
+while :; do sleep 0.05; done
+"""
+BROKEN_RECORD = """#!/bin/sh
+echo "dds-record: rmw_nowhere is not installed" >&2
+exit 7
+"""
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
+    if missing := loopback_sshd.missing_program():
+        pytest.skip(f"{missing} is not installed")
+    with loopback_sshd.sshd(tmp_path_factory.mktemp("sshd")) as running:
+        yield running
+
+
+@pytest.fixture
+def remote(server, tmp_path):
+    """Makes an `SshDevice` whose home there is a folder of the test's own."""
+    (tmp_path / "home").mkdir()
+    (tmp_path / "bin").mkdir()
+    (tmp_path / "parts").mkdir()
+
+    def make(record=RECORD, version=__version__, destination=server.destination):
+        for name, text in (("dds-record", record), ("dds-sweep", f"#!/bin/sh\necho dds-sweep {version}\n")):
+            (tmp_path / "bin" / name).write_text(text)
+            (tmp_path / "bin" / name).chmod(0o755)
+        settings = DeviceSettings(
+            ssh=destination,
+            ssh_options=server.options,
+            setup=f"HOME={tmp_path / 'home'}",
+            path=str(tmp_path / "bin"),
+        )
+        return SshDevice(settings, tmp_path / "parts", "my sweep")
+
+    return make
+
+
+def wait_for(condition):
+    deadline = time.monotonic() + PATIENCE_S
+    while not (found := condition()):
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    return found
+
+
+def there(tmp_path):
+    return tmp_path / "home/.cache/dds-trace/my sweep"
+
+
+def test_relay_is_started_there_stopped_and_its_trace_fetched(remote, tmp_path):
+    device = remote()
+    device.prepare()
+    relay = device.start(["--role", "relay", "--label", "two words"], "1-1.mcap")
+    wait_for((there(tmp_path) / "1-1.mcap").exists)
+    assert relay.failure is None
+    relay.stop()
+    fetched = device.collect("1-1.mcap")
+    assert fetched.read_text() == "open\nclosed\n"
+    device.discard("1-1.mcap")
+    assert list(there(tmp_path).iterdir()) == []
+    assert list((tmp_path / "parts").iterdir()) == []
+
+
+def test_relay_ends_when_this_side_is_killed_and_is_fetched_whole_later(remote, tmp_path):
+    device = remote()
+    device.prepare()
+    relay = device.start([], "1-1.mcap")
+    wait_for((there(tmp_path) / "1-1.mcap").exists)
+    relay._program._process.kill()
+    relay.stop()
+    assert device.collect("1-1.mcap").read_text() == "open\nclosed\n"
+
+
+def test_ring_of_a_killed_relay_comes_along(remote, tmp_path):
+    device = remote()
+    device.prepare()
+    for name in ("1-1.mcap", "1-1.mcap.ring"):
+        (there(tmp_path) / name).write_text(name)
+    assert device.collect("1-1.mcap") == tmp_path / "parts/1-1.mcap"
+    assert (tmp_path / "parts/1-1.mcap.ring").read_text() == "1-1.mcap.ring"
+
+
+def test_relay_that_fails_there_says_why(remote):
+    device = remote(record=BROKEN_RECORD)
+    device.prepare()
+    relay = device.start([], "1-1.mcap")
+    wait_for(lambda: relay.exit_code is not None)
+    assert (relay.exit_code, relay.failure) == (7, "rmw_nowhere is not installed")
+    relay.stop()
+    assert device.collect("1-1.mcap") is None
+
+
+def test_other_version_there_is_refused(remote):
+    with pytest.raises(OptionError, match=r"has dds-trace 0\.0\.9, this machine"):
+        remote(version="0.0.9").prepare()
+
+
+def test_device_that_does_not_answer_is_named(remote):
+    with pytest.raises(BackendUnavailableError, match=r"nobody@127\.0\.0\.1: .*try it by hand: ssh nobody@"):
+        remote(destination="nobody@127.0.0.1").prepare()
+
+
+def test_missing_program_there_is_a_clear_error(remote, tmp_path):
+    device = remote()
+    (tmp_path / "bin/dds-sweep").unlink()
+    device._setup = device._setup.replace("$PATH", "/bin:/usr/bin")
+    with pytest.raises(BackendUnavailableError, match="dds-sweep"):
+        device.prepare()
+
+
+def test_local_relay_writes_into_the_folder_and_leaves_nothing_when_discarded(tmp_path):
+    script = tmp_path / "record"
+    script.write_text(RECORD)
+    device = LocalDevice(tmp_path / "parts", ["sh", str(script)])
+    (tmp_path / "parts").mkdir()
+    relay = device.start([], "1-1.mcap")
+    wait_for((tmp_path / "parts/1-1.mcap").exists)
+    relay.stop()
+    assert device.collect("1-1.mcap").read_text() == "open\nclosed\n"
+    device.discard("1-1.mcap")
+    assert list((tmp_path / "parts").iterdir()) == []
+
+
+def test_printed_relay_is_a_command_line_for_a_person():
+    lines = []
+    device = PrintedDevice(lines.append)
+    device.start(["--role", "relay", "--device", "the robot"], "1-17-1.mcap").stop()
+    device.start(["--role", "relay"], "2-17-1.mcap")
+    assert lines == [
+        "start on the other device: dds-record --role relay --device 'the robot' --out relay-1.mcap",
+        "end the relay there (Ctrl-C), then start: dds-record --role relay --out relay-2.mcap",
+    ]
+    assert device.keeps_traces
+
+
+def program(tmp_path, script, **options):
+    return Program([sys.executable, "-c", script], tmp_path / "log", **options)
+
+
+def test_last_words_are_the_reason_of_our_programs_over_several_lines(tmp_path):
+    running = program(tmp_path, "print('starting'); print('dds-record: no echo\\n  saw: nobody\\n')")
+    assert running.wait(PATIENCE_S) == 0
+    assert running.last_words() == "no echo; saw: nobody"
+
+
+def test_last_words_of_a_crash_are_its_last_line(tmp_path):
+    running = program(tmp_path, "raise ValueError('x')")
+    assert running.wait(PATIENCE_S) == 1
+    assert running.last_words() == "ValueError: x"
+
+
+def test_program_that_ignores_the_word_to_stop_is_made_to(tmp_path):
+    running = program(
+        tmp_path,
+        "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); print('deaf', flush=True); time.sleep(600)",
+    )
+    wait_for(running.log.read_text)
+    assert running.stop(patience_s=0.1) == -9
+
+
+def test_program_that_is_not_there(tmp_path):
+    with pytest.raises(BackendUnavailableError, match="dds-nothing is not installed"):
+        Program(["dds-nothing"], tmp_path / "log")

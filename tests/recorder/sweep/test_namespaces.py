@@ -1,0 +1,166 @@
+"""Real namespaces with a real link between them, seen by plain UDP datagrams; root only."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+from statistics import median
+
+import pytest
+
+from recorder.sweep.link import PRESETS, Link
+from recorder.sweep.namespaces import NamespacePair, ip, remove_stale, require_root
+from tracefile import BackendUnavailableError, OptionError
+
+UDP_ECHO = Path(__file__).parents[2] / "support" / "udp_echo.py"
+
+
+def reason_to_skip():
+    if os.geteuid() != 0:
+        return "network namespaces need root"
+    if shutil.which("tc", path=os.environ["PATH"] + ":/usr/sbin:/sbin") is None:
+        return "iproute2 is not installed"
+    try:
+        ip("netns", "add", "ddstrace-probe")
+        ip("netns", "delete", "ddstrace-probe")
+    except BackendUnavailableError as err:
+        return f"no network namespaces here: {err}"
+    return None
+
+
+skipped = pytest.mark.skipif(reason_to_skip() is not None, reason=str(reason_to_skip()))
+needs_tap = pytest.mark.skipif(not Path("/dev/net/tun").exists(), reason="no TAP devices here")
+
+
+@contextmanager
+def echo(pair):
+    """A UDP echo server at the relay's end."""
+    server = subprocess.Popen(
+        [*pair.relay.prefix, sys.executable, str(UDP_ECHO), "serve"], stdout=subprocess.PIPE, text=True
+    )
+    assert server.stdout.readline() == "ready\n"
+    try:
+        yield
+    finally:
+        server.terminate()
+        server.communicate()
+
+
+def ask(pair, size_bytes, count, timeout_s=20):
+    """Round-trip times in ms of the datagrams that came back."""
+    done = subprocess.run(
+        [
+            *pair.ping.prefix,
+            sys.executable,
+            str(UDP_ECHO),
+            "ask",
+            pair.relay.address,
+            str(size_bytes),
+            str(count),
+            str(timeout_s),
+        ],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return [float(line) for line in done.stdout.split() if line != "lost"]
+
+
+@skipped
+def test_rate_is_found_in_the_time_that_bytes_take():
+    with NamespacePair(Link(rate_mbit_s=10)) as pair, echo(pair):
+        assert pair.applied_by == "veth+tbf"
+        small, large = ask(pair, 100, 10), ask(pair, 25_000, 10)
+        measured = pair.measure()
+    # 25,000 bytes take 20 ms at 10 Mbit/s; up to 3,028 bytes of each direction pass at once.
+    assert min(large) > 2 * (25_000 - 3_028) * 8 / 10e6 * 1e3
+    assert median(small) < median(large) / 5
+    assert measured["ping"]["sent_bytes"] > 10 * 25_000
+    assert measured["forwarder"] is None
+
+
+@skipped
+@needs_tap
+def test_delay_is_found_in_every_round_trip_and_its_lateness_is_told():
+    with NamespacePair(Link(delay_ms=20)) as pair, echo(pair):
+        times = ask(pair, 100, 20)
+        measured = pair.measure()
+    assert len(times) == 20
+    assert min(times) >= 40
+    if pair.applied_by == "tap_forwarder":
+        assert measured["forwarder"]["from_ping"]["carried"] >= 20
+        assert measured["forwarder"]["from_ping"]["lateness_p99_us"] >= 0
+
+
+@skipped
+@needs_tap
+def test_loss_is_of_fragments_so_large_datagrams_suffer_more():
+    with NamespacePair(Link(loss_percent=30)) as pair, echo(pair):
+        # 33,000 bytes are 23 fragments each way: 0.7 ** 46 come back, 1 in 13 million
+        assert ask(pair, 33_000, 3, timeout_s=0.2) == []
+        # 0.49 of the small ones do: none or all of 40 is 1 in 10 ** 11
+        assert 0 < len(ask(pair, 100, 40, timeout_s=0.2)) < 40
+
+
+@skipped
+@needs_tap
+def test_measure_counts_from_one_call_to_the_next():
+    with NamespacePair(Link(delay_ms=1)) as pair, echo(pair):
+        ask(pair, 100, 5)
+        first, second = pair.measure(), pair.measure()
+    assert first["ping"]["sent_packets"] >= 5
+    assert second["ping"]["sent_packets"] < first["ping"]["sent_packets"]
+    assert first["link"]["delay_ms"] == 1
+
+
+@skipped
+@pytest.mark.parametrize("link", [None, *PRESETS.values()], ids=str)
+def test_every_preset_can_be_applied_and_leaves_nothing_behind(link):
+    if link and not link.needs_only_rate and not Path("/dev/net/tun").exists():
+        pytest.skip("no TAP devices here")
+    pair = NamespacePair(link)
+    with pair:
+        assert pair.ping.namespace in ip("netns", "list")
+        assert pair.measure()["link"] == (link.to_dict() if link else None)
+        routes = ip("-n", pair.ping.namespace, "route", "show")
+        assert "224.0.0.0/4 dev link0" in routes
+    assert pair.ping.namespace not in ip("netns", "list")
+    assert pair._forwarder is None
+
+
+@skipped
+def test_namespaces_of_a_killed_sweep_are_removed_by_the_next():
+    ended = subprocess.Popen(["true"])
+    ended.wait()
+    stale, own = f"ddstrace-{ended.pid}-0-ping", f"ddstrace-{os.getpid()}-999-ping"
+    ip("netns", "add", stale)
+    ip("netns", "add", own)
+    try:
+        assert stale in remove_stale()
+        assert own in ip("netns", "list")
+    finally:
+        ip("netns", "delete", own)
+
+
+@skipped
+def test_failure_half_way_leaves_nothing_behind(monkeypatch):
+    from recorder.sweep import namespaces
+
+    def refuse(*_arguments):
+        raise BackendUnavailableError("tc: Specified qdisc kind is unknown.")
+
+    monkeypatch.setattr(namespaces, "tc", refuse)
+    pair = NamespacePair(Link(rate_mbit_s=10))
+    with pytest.raises(BackendUnavailableError, match="unknown"), pair:
+        pass
+    assert pair.ping.namespace not in ip("netns", "list")
+
+
+def test_without_root_the_error_says_what_to_do(monkeypatch):
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    with pytest.raises(OptionError, match="sudo"):
+        require_root()

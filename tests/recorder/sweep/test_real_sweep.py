@@ -1,0 +1,199 @@
+"""Real plans over real middleware: killed and resumed, across a shaped link, over ssh, with a person's help."""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+
+import loopback_sshd
+import psutil
+import pytest
+
+from recorder.sweep.namespaces import ip
+from tracefile import BackendUnavailableError, Stage, read_trace
+
+pytest.importorskip("rclpy", reason="no ROS 2 here")
+pytestmark = [pytest.mark.middleware, pytest.mark.timeout(300)]
+
+PATIENCE_S = 120.0
+BIN = Path(sys.executable).parent
+
+
+class Sweep:
+    """A plan and its `dds-sweep` processes."""
+
+    def __init__(self, folder, domains, text):
+        self.folder = folder
+        self.plan = folder / "small.toml"
+        head = f"[run]\nmessages = 20\nwarmup = 2\nsettle_seconds = 0\ndomain = {domains.take()}\nping_domain = {domains.take()}\n"
+        self.plan.write_text(head + text)
+        self.runs = folder / "runs" / "small"
+
+    def start(self, *options):
+        return subprocess.Popen(
+            [sys.executable, "-m", "cli.sweep", self.plan, "--out", self.folder / "runs", *options],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+
+    def run(self, *options):
+        with self.start(*options) as process:
+            stdout, stderr = process.communicate()
+        return process.returncode, stdout, stderr
+
+    @property
+    def cells(self):
+        path = self.runs / "state.json"
+        return json.loads(path.read_text())["cells"] if path.exists() else {}
+
+    def statuses(self):
+        return Counter(cell["status"] for cell in self.cells.values())
+
+    def traces(self, role):
+        return {
+            path.name.removesuffix(f".{role}.mcap"): read_trace(path)
+            for path in self.runs.glob(f"*.{role}.mcap")
+        }
+
+
+@pytest.fixture
+def sweep(tmp_path, domains):
+    return lambda text: Sweep(tmp_path, domains, text)
+
+
+def wait_for(condition):
+    deadline = time.monotonic() + PATIENCE_S
+    while not (found := condition()):
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    return found
+
+
+def check_pairs(sweep, cells):
+    """Each cell once: one run in its ping's trace, and exactly that run in its relay's."""
+    pings, relays = sweep.traces("ping"), sweep.traces("relay")
+    assert set(pings) == set(relays) == set(cells)
+    for name, ping in pings.items():
+        (run,) = ping.runs
+        assert run.labels["cell"] == name
+        assert run.state == "finished"
+        assert len(ping.events[Stage.T1]) == 22
+        for stage in (Stage.T3, Stage.T4):
+            assert set(relays[name].events[stage].run_id.tolist()) == {run.run_id}
+            assert sorted(relays[name].events[stage].sequence.tolist()) == list(range(22))
+    assert len({ping.runs[0].run_id for ping in pings.values()}) == len(cells)
+    assert [path.name for path in sweep.runs.rglob("*.mcap") if path.parent != sweep.runs] == []
+
+
+def test_killed_in_the_middle_and_resumed_each_cell_is_there_once(sweep):
+    small = sweep(
+        '[[matrix]]\ndata = "imu"\nrate = [50, 100]\n[[matrix]]\ndata = "string"\nbridge = "builtin"\nrate = 50\n'
+    )
+    first = small.start()
+    wait_for(lambda: small.statuses()["recorded"] >= 1 and small.statuses()["running"] == 1)
+    children = psutil.Process(first.pid).children(recursive=True)
+    assert children
+    first.send_signal(signal.SIGKILL)
+    first.communicate()
+    before = {name: cell["run_id"] for name, cell in small.cells.items() if cell["status"] == "recorded"}
+
+    code, stdout, stderr = small.run()
+    assert code == 0, stderr
+    assert "3 of 3 cells are complete" in stdout
+    check_pairs(small, small.cells)
+    assert small.statuses() == {"complete": 3}
+    assert {name: small.cells[name]["run_id"] for name in before} == before
+    assert not [child for child in children if child.is_running() and child.status() != psutil.STATUS_ZOMBIE]
+
+    after = small.cells
+    assert small.run()[0] == 0
+    assert small.cells == after
+
+
+def test_link_between_two_namespaces_is_found_in_the_latencies(sweep):
+    if os.geteuid() != 0:
+        pytest.skip("network namespaces need root")
+    try:
+        ip("netns", "list")
+    except BackendUnavailableError as err:
+        pytest.skip(str(err))
+    if not Path("/dev/net/tun").exists():
+        pytest.skip("no TAP devices here")
+    small = sweep('[axes]\nsize = "33KB"\nrate = 10\n[link]\nrate_mbit_s = 54\ndelay_ms = 10\n')
+    code, _, stderr = small.run()
+    assert code == 0, stderr
+    check_pairs(small, small.cells)
+    ((name, ping),) = small.traces("ping").items()
+    sent, replies = ping.events[Stage.T1], ping.events[Stage.T2]
+    rtt_ms = [
+        (receive_ns - dict(zip(sent.sequence.tolist(), sent.monotonic_ns.tolist(), strict=True))[sequence])
+        / 1e6
+        for sequence, receive_ns in zip(replies.sequence.tolist(), replies.monotonic_ns.tolist(), strict=True)
+    ]
+    # Each way: 10 ms of delay, and 33,000 bytes at 54 Mbit/s of which 3,028 pass at once.
+    assert min(rtt_ms) > 2 * (10 + (33_000 - 3_028) * 8 / 54e6 * 1e3)
+    assert ping.sessions[0].connectivity == "emulated-custom"
+    assert "54 Mbit/s, delay 10 ms" in ping.runs[0].labels["link"]
+    (link,) = [sample for sample in small.traces("relay")[name].host_samples if "link" in sample]
+    assert link["link"]["delay_ms"] == 10
+    assert link["ping"]["sent_bytes"] > 22 * 33_000
+    if link["forwarder"]:
+        assert link["forwarder"]["from_relay"]["lateness_p99_us"] > 0
+    assert f"ddstrace-{os.getpid()}" not in ip("netns", "list")
+
+
+def test_relay_over_ssh(sweep, tmp_path):
+    if missing := loopback_sshd.missing_program():
+        pytest.skip(f"{missing} is not installed")
+    (tmp_path / "home").mkdir()
+    (tmp_path / "sshd").mkdir()
+    with loopback_sshd.sshd(tmp_path / "sshd") as server:
+        small = sweep(
+            '[axes]\ndata = "imu"\nrate = [50, 100]\n[devices.relay]\nname = "robot"\n'
+            f"ssh = {json.dumps(server.destination)}\nssh_options = {json.dumps(server.options)}\n"
+            f'setup = "export HOME={tmp_path / "home"}"\npath = "{BIN}"\n'
+        )
+        # On one machine after all: nothing is to leave it.
+        small.plan.write_text(small.plan.read_text().replace("[run]", '[run]\ndiscovery = "localhost"'))
+        code, _, stderr = small.run()
+    assert code == 0, stderr
+    check_pairs(small, small.cells)
+    assert {trace.sessions[0].device for trace in small.traces("relay").values()} == {"robot"}
+    assert {trace.sessions[0].connectivity for trace in small.traces("ping").values()} == {"wired"}
+    assert list((tmp_path / "home").rglob("*.mcap")) == []
+
+
+def test_person_starts_what_is_printed_and_the_sweep_goes_on_by_echo(sweep, tmp_path):
+    small = sweep('[axes]\ndata = "imu"\nrate = [50, 100]\n')
+    process = small.start("--print", "relay")
+    lines = []
+    while not lines or not lines[-1].startswith("start on the other device: "):
+        lines.append(process.stderr.readline())
+        assert lines[-1], f"ended: {lines}"
+    assert lines[0].startswith("relay 1: dds-record --role relay")
+    command = shlex.split(lines[-1].removeprefix("start on the other device: "))
+    with subprocess.Popen([BIN / command[0], *command[1:]], cwd=tmp_path, stderr=subprocess.DEVNULL) as relay:
+        stdout, stderr = process.communicate()
+        relay.terminate()
+    assert process.returncode == 0, stderr
+    assert "2 of 2 cells are complete" in stdout
+    pings = small.traces("ping")
+    assert len(pings) == 2
+    served = read_trace(tmp_path / "relay-1.mcap").events[Stage.T3].run_id.tolist()
+    assert set(served) == {trace.runs[0].run_id for trace in pings.values()}
+
+
+def test_cells_that_cannot_be_recorded_are_named_and_the_exit_code_tells(sweep):
+    small = sweep('[axes]\ndata = "imu"\nrate = 50\nbridge = ["none", "no-such-bridge"]\n')
+    code, stdout, stderr = small.run()
+    assert code == 10
+    assert "1 of 2 cells are complete" in stdout
+    assert "no bridge 'no-such-bridge'" in stderr.splitlines()[-1]

@@ -1,0 +1,153 @@
+"""The search for the highest rate, on middlewares whose limit is known because the test made them up."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections import Counter
+from dataclasses import replace
+from xml.etree import ElementTree as ET
+
+import pytest
+
+from recorder.sweep.cells import Cell
+from recorder.sweep.max_rate_report import COLUMNS, max_rate_rows, max_rate_svg, write_max_rates
+from recorder.sweep.plan import Search
+from recorder.sweep.plan_file import parse_plan
+from recorder.sweep.search import Answer, Bisection, MaxRate, messages_needed, search_plan, why_not_held
+
+SEARCH = Search(min_rate=1, max_rate=1000, resolution=1.1, knee_repeats=3)
+
+
+def search(holds, settings=SEARCH):
+    """Answer, rates and the trials as {rate: runs}."""
+    trials = Counter()
+
+    def trial(rate_hz, number):
+        trials[rate_hz] += 1
+        return "" if holds(rate_hz, number) else f"{rate_hz:g} is too much"
+
+    return Bisection(settings, trial).run(), trials
+
+
+@pytest.mark.parametrize("limit_hz", [1.5, 7, 33, 100, 480, 990])
+def test_limit_is_found_within_the_resolution(limit_hz):
+    (answer, rate_hz, failing_hz, reason), trials = search(lambda rate_hz, _: rate_hz <= limit_hz)
+    assert answer is Answer.FOUND
+    assert rate_hz <= limit_hz < failing_hz <= rate_hz * 1.11
+    assert reason == f"{failing_hz:g} is too much"
+    assert sum(trials.values()) <= 14  # 7 halvings of a factor of 1000 to 1.1, and the repeats at the knee
+
+
+def test_middleware_that_holds_everything():
+    (answer, rate_hz, failing_hz, _), trials = search(lambda *_: True)
+    assert (answer, rate_hz, failing_hz) == (Answer.AT_LEAST, 1000, None)
+    assert trials[1000] == 2  # two of three decide
+
+
+def test_middleware_that_holds_nothing():
+    (answer, rate_hz, failing_hz, reason), trials = search(lambda *_: False)
+    assert (answer, rate_hz, failing_hz) == (Answer.BELOW, 1, 1)
+    assert reason == "1 is too much"
+    assert trials[1] == 2
+
+
+def test_one_bad_run_at_the_knee_is_outvoted():
+    """The first run at any rate up to 100 fails once, when it is repeated it holds."""
+
+    def holds(rate_hz, number):
+        return rate_hz <= 100 and (number > 1 or rate_hz < 90)
+
+    (answer, rate_hz, _, _), _ = search(holds)
+    assert answer is Answer.FOUND
+    assert 82 <= rate_hz <= 100
+
+
+def test_one_lucky_run_is_outvoted_and_the_answer_moves_down():
+    (answer, rate_hz, _, _), _ = search(
+        lambda rate_hz, number: rate_hz <= 50 or (number == 1 and rate_hz <= 120)
+    )
+    assert answer is Answer.FOUND
+    assert 45 <= rate_hz <= 50
+
+
+def result(**changes):
+    return {
+        "planned": 1000,
+        "published": 1000,
+        "received": 1000,
+        "achieved_rate_hz": 100.0,
+        "response_ms": {"p50": 1.0, "p99": 20.0},
+        "cut_off": False,
+        **changes,
+    }
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({}, ""),
+        ({"received": 999}, ""),
+        ({"received": 990}, "1 % lost"),
+        ({"achieved_rate_hz": 95.0}, ""),
+        ({"achieved_rate_hz": 94.0}, "94 of 100 messages a second sent"),
+        ({"achieved_rate_hz": None}, "0 of 100 messages a second sent"),
+        ({"response_ms": {"p50": 1.0, "p99": 51.0}}, "response p99 51 ms"),
+        ({"response_ms": None, "received": 0}, "100 % lost; response p99 inf ms"),
+        ({"cut_off": True, "published": 500, "received": 500}, "cut off after 500 of 1000 messages"),
+    ],
+)
+def test_conditions_of_a_rate_that_holds(changes, why):
+    assert why_not_held(Search(), 100.0, result(**changes)) == why
+
+
+def test_runs_are_long_enough_for_the_percentile():
+    assert [messages_needed(Search(percentile=p)) for p in (50.0, 90.0, 95.0, 99.0, 99.9)] == [
+        2,
+        10,
+        20,
+        100,
+        1000,
+    ]
+    plan = search_plan(
+        parse_plan("[run]\nmessages = 7\n[axes]\nrate = [1, 10]\n[search]\nseconds = 5\n", "p", "p")
+    )
+    assert plan.name == "p-max-rate"
+    assert len(plan.cells) == 1
+    assert plan.run.messages_at(2.0) == 100
+    assert plan.run.messages_at(100.0) == 500
+
+
+ANSWERS = [
+    MaxRate(Cell(size=33_000, rate=480.0), Answer.FOUND, 510.0, (3, 3), "2 % lost"),
+    MaxRate(Cell(size=91, rate=1000.0), Answer.AT_LEAST, None, (2, 2), ""),
+    MaxRate(Cell(size=4_000_000, rate=1.0), Answer.BELOW, 1.0, (0, 2), "response p99 80 ms"),
+    MaxRate(Cell(backend="<b>", rate=0.0), Answer.FAILED, None, (0, 0), "no echo"),
+]
+
+
+def test_table_has_a_rate_only_where_one_holds():
+    rows = [dict(zip(COLUMNS, row, strict=True)) for row in max_rate_rows(ANSWERS)]
+    assert [row["max_rate_hz"] for row in rows] == ["480", "1000", "", ""]
+    assert [row["fails_at_hz"] for row in rows] == ["510", "", "1", ""]
+    assert rows[0]["held"] == "3/3"
+    assert rows[0]["size"] == "33KB"
+
+
+def test_table_and_figure_are_written(tmp_path):
+    paths = write_max_rates(tmp_path, ANSWERS, SEARCH)
+    assert [path.name for path in paths] == ["max_rate.json", "max_rate.csv", "max_rate.svg"]
+    assert json.loads(paths[0].read_text())["answers"][0]["answer"] == "found"
+    assert len(list(csv.reader(paths[1].read_text().splitlines()))) == 1 + len(ANSWERS)
+    bars = [
+        float(element.get("width"))
+        for element in ET.parse(paths[2]).getroot()
+        if element.get("fill", "").startswith("#") and element.tag.endswith("rect")
+    ]
+    assert bars[1] > bars[0] > bars[2]
+
+
+def test_figure_escapes_what_it_is_given_and_is_drawn_of_nothing():
+    assert "<b>" not in max_rate_svg(ANSWERS, SEARCH)
+    assert "&lt;b&gt;" in max_rate_svg(ANSWERS, SEARCH)
+    ET.fromstring(max_rate_svg([], replace(SEARCH, min_rate=3, max_rate=7)))

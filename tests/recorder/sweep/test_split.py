@@ -1,0 +1,87 @@
+from __future__ import annotations
+
+import pytest
+from mcap.reader import make_reader
+from trace_files import Message, event, relay_events, relay_session, write_trace
+
+from recorder.sweep.split import Part, split_relay_trace
+from tracefile import HOST_TOPIC, Stage, TraceFormatError, read_trace
+
+SECOND_NS = 1_000_000_000
+FIRST_RUN, SECOND_RUN = 0x11, 0x22
+
+
+def messages(start_ns):
+    return [Message(n, t3=start_ns + n * 1000, t4=start_ns + n * 1000 + 400) for n in range(5)]
+
+
+@pytest.fixture
+def segment(tmp_path):
+    """Two runs, the first in second 0, the other in second 10; a host sample in every second from 0 to 13."""
+    first, second = (
+        relay_events(messages(0), run_id=FIRST_RUN),
+        relay_events(messages(10 * SECOND_NS), run_id=SECOND_RUN),
+    )
+    events = {stage: first[stage] + second[stage] for stage in (Stage.T3, Stage.T4)}
+    events[Stage.T3][7] = event(
+        2, 10 * SECOND_NS + 2000, run_id=SECOND_RUN, source_ns=5, received_ns=6, relay_id=0xBEEF
+    )
+    return write_trace(
+        tmp_path / "segment.mcap",
+        relay_session(dropped_events=3, extra={"unknown": "kept"}),
+        (),
+        events,
+        host=[{"second": n} for n in range(14)],
+    )
+
+
+def test_each_part_has_its_run_whole_and_nothing_of_the_other(segment, tmp_path):
+    paths = {run_id: tmp_path / f"{run_id}.mcap" for run_id in (FIRST_RUN, SECOND_RUN)}
+    counts = split_relay_trace(segment, [Part(run_id, path) for run_id, path in paths.items()])
+    assert counts == {FIRST_RUN: 10, SECOND_RUN: 10}
+    whole = read_trace(segment)
+    for run_id, path in paths.items():
+        part = read_trace(path)
+        for stage in (Stage.T3, Stage.T4):
+            expected = whole.events[stage].take(whole.events[stage].run_id == run_id)
+            for name in expected.__slots__:
+                assert getattr(part.events[stage], name).tolist() == getattr(expected, name).tolist()
+        assert part.sessions == whole.sessions
+        assert part.truncated is None
+
+
+def test_host_samples_are_those_of_the_runs_time_and_those_that_are_added(segment, tmp_path):
+    path = tmp_path / "part.mcap"
+    link = {"monotonic_ns": 11 * SECOND_NS, "link": {"delay_ms": 1}}
+    split_relay_trace(segment, [Part(SECOND_RUN, path, (link,))])
+    samples = read_trace(path).host_samples
+    assert [sample["second"] for sample in samples if "second" in sample] == [10, 11]
+    assert [sample["link"] for sample in samples if "link" in sample] == [{"delay_ms": 1}]
+
+
+def test_part_is_a_file_for_every_mcap_tool(segment, tmp_path):
+    path = tmp_path / "part.mcap"
+    split_relay_trace(segment, [Part(FIRST_RUN, path)])
+    with path.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        assert reader.get_header().profile == "ros2"
+        summary = reader.get_summary()
+        counts = {
+            summary.channels[channel].topic: count
+            for channel, count in summary.statistics.channel_message_counts.items()
+        }
+        assert counts == {"/dds_trace/session": 1, "/dds_trace/t3": 5, "/dds_trace/t4": 5, HOST_TOPIC: 2}
+        times = [message.log_time for _, _, message in reader.iter_messages()]
+        assert times == sorted(times)
+
+
+def test_run_that_the_relay_never_saw_gets_no_file(segment, tmp_path):
+    path = tmp_path / "part.mcap"
+    assert split_relay_trace(segment, [Part(0x33, path)]) == {0x33: 0}
+    assert not path.exists()
+
+
+def test_trace_without_a_session_has_no_clock(tmp_path):
+    path = write_trace(tmp_path / "a.mcap", (), (), relay_events(messages(0)))
+    with pytest.raises(TraceFormatError, match="names no session"):
+        split_relay_trace(path, [Part(1, tmp_path / "b.mcap")])

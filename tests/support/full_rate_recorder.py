@@ -2,8 +2,9 @@
 
     python full_rate_recorder.py TRACE PROGRESS THREADS [EVENTS]
 
-`PROGRESS` is a file of pages of `PROGRESS_BYTES`, one a thread: uint64 begun (the record call of so many events was
-entered), uint64 stamped (so many returned), uint64 state. With `EVENTS` a thread stops there and the trace is closed.
+`PROGRESS` is a file of `PROGRESS_BYTES` a thread: uint64 begun (the record call of so many events was entered), uint64
+stamped (so many returned), uint64 state. Each is stored whole, by one instruction, so that a kill leaves no half of it.
+With `EVENTS` a thread stops there and the trace is closed.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from tracefile import TraceDestination, TraceSink
 PROGRESS_BYTES = 64
 STATE_CLOSING = 1
 STATE_CLOSED = 2
+BEGUN, STAMPED, STATE = range(3)
 _WORDS = struct.Struct("<QQQ")
 
 RUN_ID = 0x5EED
@@ -49,36 +51,39 @@ def fields_of(thread: int, sequence: int) -> tuple[int, int, int, int, int, int]
     return (sequence * 3, sequence * 5, sequence * 7, sequence % 1000, thread + 1, thread % 4 + 1)
 
 
-def _record(sink: TraceSink, shared: mmap.mmap, thread: int, last: int) -> None:
-    record, now, tell = sink.record, time.monotonic_ns, struct.Struct("<Q").pack_into
-    begun, stamped = thread * PROGRESS_BYTES, thread * PROGRESS_BYTES + 8
+def _record(sink: TraceSink, told: memoryview, thread: int, last: int) -> None:
+    record, now = sink.record, time.monotonic_ns
     for sequence in range(last):
         source, received, scheduled, payload, relay, stage = fields_of(thread, sequence)
-        tell(shared, begun, sequence + 1)
+        told[BEGUN] = sequence + 1
         record(stage, RUN_ID, sequence, now(), scheduled, source, received, payload, relay)
-        tell(shared, stamped, sequence + 1)
+        told[STAMPED] = sequence + 1
 
 
 def main(trace: str, progress: str, threads: str, events: str = str(1 << 60)) -> None:
     """Record until killed or done."""
     with Path(progress).open("r+b") as stream:
-        shared = mmap.mmap(stream.fileno(), 0)
+        shared = memoryview(mmap.mmap(stream.fileno(), 0))
+    told = [
+        shared[thread * PROGRESS_BYTES : (thread + 1) * PROGRESS_BYTES].cast("Q")
+        for thread in range(int(threads))
+    ]
     anchor = {"wall_anchor_ns": time.time_ns(), "monotonic_anchor_ns": time.monotonic_ns()}
     sink = TraceSink(
         TraceDestination(Path(trace), chunk_seconds=CHUNK_SECONDS), ping_session(state="open", **anchor)
     )
     sink.write_run(run(run_id=RUN_ID, state="started"))
     recording = [
-        threading.Thread(target=_record, args=(sink, shared, thread, int(events)))
+        threading.Thread(target=_record, args=(sink, told[thread], thread, int(events)))
         for thread in range(int(threads))
     ]
     for thread in recording:
         thread.start()
     for thread in recording:
         thread.join()
-    _WORDS.pack_into(shared, 0, int(events), int(events), STATE_CLOSING)
+    told[0][STATE] = STATE_CLOSING
     sink.close()
-    _WORDS.pack_into(shared, 0, int(events), int(events), STATE_CLOSED)
+    told[0][STATE] = STATE_CLOSED
 
 
 if __name__ == "__main__":

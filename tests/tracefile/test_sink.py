@@ -240,11 +240,14 @@ def test_a_full_ring_drops_and_counts(tmp_path):
             sink.record(1, 1, sequence, sequence)
         assert sink.dropped_events == 3
     sink.write_json(HOST_TOPIC, {})
-    sink.record(1, 1, 11, 11)
+    with sink._write_lock:
+        for sequence in range(11, 20):
+            sink.record(1, 1, sequence, sequence)
+        assert sink.dropped_events == 4
     closed = sink.close()
-    assert (closed.events, closed.dropped_events) == (9, 3)
-    assert [event[2] for event in events(path)] == [*range(8), 11]
-    assert Session.from_json(texts(path, SESSION_TOPIC)[-1], path).dropped_events == 3
+    assert (closed.events, closed.dropped_events) == (16, 4)
+    assert [event[2] for event in events(path)] == [*range(8), *range(11, 19)]
+    assert Session.from_json(texts(path, SESSION_TOPIC)[-1], path).dropped_events == 4
 
 
 @pytest.mark.parametrize(

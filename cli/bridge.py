@@ -55,7 +55,7 @@ def _option(*names: str, help: str, **more: Any) -> Any:  # noqa: A002 - typer's
 
 
 @app.command(context_settings={"help_option_names": ["-h", "--help"]})
-def main_command(  # noqa: PLR0917 - the options of a command line
+def main_command(
     name: Annotated[
         str | None, typer.Argument(metavar="[NAME]", help="Which bridge; see --list.", show_default=False)
     ] = None,

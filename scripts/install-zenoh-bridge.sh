@@ -59,9 +59,10 @@ TOML
 
 echo "building zenohd $version and its DDS plugin with $(cargo --version), $jobs job(s) ..." >&2
 cd "$work"
+export CARGO_TARGET_DIR="${CARGO_TARGET_DIR:-$work/target}"
 cargo build --release --jobs "$jobs" -p zenohd -p zenoh-plugin-dds
 
 mkdir -p "$target"
-install -m 755 target/release/zenohd target/release/libzenoh_plugin_dds.so "$target"
+install -m 755 "$CARGO_TARGET_DIR"/release/{zenohd,libzenoh_plugin_dds.so} "$target"
 "$target/zenohd" --version | tail -n 1
 echo "Wrote $target"

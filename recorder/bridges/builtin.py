@@ -16,7 +16,7 @@ from recorder.bridges.bridge import Halves
 from recorder.bridges.builtin_common import (
     INSTALL_ROS2,
     UP_LINE,
-    forward,
+    Traffic,
     open_side,
     options_from_json,
     options_to_json,
@@ -74,11 +74,13 @@ def main(configuration: Path) -> None:
     sides = options.sides()
     with ExitStack() as stack:
         nodes = [stack.enter_context(open_side(side, options)) for side in sides]
+        traffic = Traffic()
         for side, here, there in zip(sides, nodes, reversed(nodes), strict=True):
             for name in side.takes:
                 type_name = options.type_of(name)
-                here.create_subscription(name, type_name, forward(there.create_publisher(name, type_name)))
-        serve(nodes, f"domains {options.ping_domain_id} and {options.relay_domain_id}")
+                publisher = there.create_publisher(name, type_name)
+                here.create_subscription(name, type_name, traffic.forward(publisher.publish))
+        serve(nodes, traffic, f"domains {options.ping_domain_id} and {options.relay_domain_id}")
 
 
 if __name__ == "__main__":

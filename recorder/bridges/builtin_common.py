@@ -12,17 +12,18 @@ from typing import TYPE_CHECKING, Any
 from recorder.backend import Discovery, NodeOptions, Transport
 from recorder.backends import open_node
 from recorder.bridges.bridge import BridgedTopic, BridgeOptions, Half
+from recorder.steady import collect_young, steady_interpreter
 from tracefile import Qos, TraceError, TraceFormatError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from recorder.backend import Node, Publisher, Receive
+    from recorder.backend import Node, Receive
     from recorder.bridges.bridge import BridgeSide
 
 INSTALL_ROS2 = "it needs ROS 2's rclpy: pip install 'dds-trace[ros2]', or source /opt/ros/DISTRO/setup.bash"
 UP_LINE = "bridging"
-LOOK_AT_NODES_S = 0.5
+LOOK_S = 0.5
 
 
 def options_to_json(options: BridgeOptions) -> str:
@@ -86,19 +87,32 @@ def open_side(side: BridgeSide, options: BridgeOptions) -> Node:
     )
 
 
-def forward(publisher: Publisher) -> Receive:
-    """A callback that hands each serialized message on as it is."""
-    publish = publisher.publish
+class Traffic:
+    """The messages that a bridge hands on, counted route by route, as each route may have a thread of its own."""
 
-    def receive(message: Any, source_ns: int = 0, received_ns: int = 0, /) -> None:
-        del source_ns, received_ns
-        publish(message)
+    def __init__(self) -> None:
+        self._counts: list[list[int]] = []
 
-    return receive
+    def forward(self, hand_on: Callable[[bytes], None]) -> Receive:
+        """A callback that hands each serialized message on as it is."""
+        count = [0]
+        self._counts.append(count)
+
+        def receive(message: Any, source_ns: int = 0, received_ns: int = 0, /) -> None:
+            del source_ns, received_ns
+            hand_on(message)
+            count[0] += 1
+
+        return receive
+
+    @property
+    def messages(self) -> int:
+        """How many were handed on so far."""
+        return sum(count[0] for count in self._counts)
 
 
-def serve(nodes: Sequence[Node], what: str) -> None:
-    """Start the nodes, say so, and wait for SIGINT or SIGTERM.
+def serve(nodes: Sequence[Node], traffic: Traffic, what: str) -> None:
+    """Start the nodes, say so, wait for SIGINT or SIGTERM, and say how many messages went through.
 
     Raises:
         BaseException: whatever ended a node's thread.
@@ -108,11 +122,16 @@ def serve(nodes: Sequence[Node], what: str) -> None:
         signal.signal(number, lambda *_: stop.set())
     for node in nodes:
         node.start()
-    print(f"{UP_LINE} {what}", flush=True)
-    while not stop.wait(LOOK_AT_NODES_S):
-        for node in nodes:
-            if node.error is not None:
-                raise node.error
+    with steady_interpreter():
+        print(f"{UP_LINE} {what}", flush=True)
+        before = 0
+        while not stop.wait(LOOK_S):
+            for node in nodes:
+                if node.error is not None:
+                    raise node.error
+            if before == (before := traffic.messages):  # a quiet moment
+                collect_young()
+    print(f"forwarded {traffic.messages} messages", flush=True)
 
 
 def run(main: Callable[[Path], None]) -> None:

@@ -19,6 +19,7 @@ from recorder.bridges.bridge import Halves
 from recorder.bridges.builtin_common import (
     INSTALL_ROS2,
     UP_LINE,
+    Traffic,
     open_side,
     options_from_json,
     options_to_json,
@@ -31,6 +32,7 @@ from tracefile import __version__
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    from recorder.backend import Receive
     from recorder.bridges.bridge import BridgeOptions
 
 KEY_PREFIX = "dds_trace/bridge"
@@ -80,6 +82,7 @@ def main(configuration: Path) -> None:
     zenoh.init_log_from_env_or("error")
     options = options_from_json(configuration)
     (side,) = options.sides()
+    traffic = Traffic()
     reliable = options.qos.reliability == "reliable"
     link = zenoh.Config.from_json5(json.dumps(zenoh_link(options, mode="peer")))
     with zenoh.open(link) as session, open_side(side, options) as node:
@@ -93,32 +96,21 @@ def main(configuration: Path) -> None:
                 reliability=zenoh.Reliability.RELIABLE if reliable else zenoh.Reliability.BEST_EFFORT,
                 express=True,  # at once, not in a batch with the next message
             )
-            node.create_subscription(name, options.type_of(name), _to_zenoh(key.put))
+            node.create_subscription(name, options.type_of(name), traffic.forward(key.put))
         subscribers = [
             session.declare_subscriber(
                 f"{KEY_PREFIX}/{name}",
-                _from_zenoh(node.create_publisher(name, options.type_of(name)).publish),
+                _from_zenoh(traffic.forward(node.create_publisher(name, options.type_of(name)).publish)),
             )
             for name in side.puts
         ]
-        serve([node], f"domain {side.domain_id} and zenoh")
+        serve([node], traffic, f"domain {side.domain_id} and zenoh")
         for subscriber in subscribers:  # before the node that they publish to is gone
             subscriber.undeclare()
 
 
-def _to_zenoh(put: Callable[[bytes], None]) -> Callable[..., None]:
-    def receive(message: bytes, source_ns: int = 0, received_ns: int = 0, /) -> None:
-        del source_ns, received_ns
-        put(message)
-
-    return receive
-
-
-def _from_zenoh(publish: Callable[[bytes], None]) -> Callable[[Any], None]:
-    def receive(sample: Any) -> None:
-        publish(sample.payload.to_bytes())
-
-    return receive
+def _from_zenoh(receive: Receive) -> Callable[[Any], None]:
+    return lambda sample: receive(sample.payload.to_bytes())
 
 
 if __name__ == "__main__":

@@ -77,7 +77,8 @@ def test_best_effort_nodes_are_bridged_best_effort(pair):
 def test_the_configuration_and_the_load_of_a_real_bridge_are_told(pair):
     with open_bridge("builtin", BridgeOptions(*pair, discovery=Discovery.LOCALHOST)) as bridge:
         load = bridge.sample()["programs"]["bridge"]
-        (program,) = bridge.describe()["programs"]
+    (program,) = bridge.describe()["programs"]
+    assert program["log_tail"].splitlines()[-1] == "forwarded 0 messages"
     assert load["memory_bytes"] > 10_000_000
     assert load["processes"] == 1
     assert f'"ping_domain_id": {pair[0]}' in program["configuration"]

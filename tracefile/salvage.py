@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tracefile.channels import ChannelTable
+from tracefile.errors import TraceFormatError
 from tracefile.event_chunks import MESSAGE_DTYPE
 from tracefile.event_scan import MESSAGE_HEADER, scan_records
 from tracefile.packed_chunks import DamagedChunkError, PackedChunk
 from tracefile.records import MAGIC, Opcode, TornRecordError
 from tracefile.ring import SLOT_DTYPE, STAGE_NUMBERS
+from tracefile.writer import LIBRARY
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
 
 _NUMBER_OF_STAGE = {stage: number for number, stage in STAGE_NUMBERS.items()}
 _CHANNEL_IDS = 1 << 16
+_KINDS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE})
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +38,9 @@ class SalvagedText:
 
 class Salvage:
     """Iterates once over what is complete in `file`, as arrays of `SLOT_DTYPE` (marks without tickets) and texts.
+
+    Raises:
+        TraceFormatError: while iterating: another program wrote the file, or it contradicts itself.
 
     Attributes (final after the last item):
         closed: the file has its footer.
@@ -66,10 +72,21 @@ class Salvage:
             except TornRecordError:
                 self.torn_bytes = max(self._file.size - at, 0)
                 break
-            if header.opcode == Opcode.CHUNK:
+            if header.opcode == Opcode.HEADER:
+                self._check_origin(header)
+            elif header.opcode == Opcode.CHUNK:
                 yield from self._chunk(header)
             self.closed = header.opcode == Opcode.FOOTER
             at = header.end
+
+    def _check_origin(self, header: RecordHeader) -> None:
+        """Other writers' files may hold what is neither event nor text, and would lose it."""
+        library = self._file.parse(header)["library"]
+        if not library.startswith(LIBRARY):
+            raise TraceFormatError(
+                self._file.path,
+                f"was written by {library!r}, not by dds-record; `mcap recover` closes such files",
+            )
 
     def _chunk(self, header: RecordHeader) -> Iterator[Slots | SalvagedText]:
         try:
@@ -77,7 +94,7 @@ class Salvage:
         except DamagedChunkError:
             self.damaged_chunks += 1
             return
-        scan = scan_records(data, 0, len(data))
+        scan = scan_records(data, 0, len(data), _KINDS)
         others = {content: (opcode, length) for opcode, content, length in scan.others}
         runs = dict(scan.runs)
         for at in sorted([*others, *runs]):
@@ -88,7 +105,7 @@ class Salvage:
             content = memoryview(data)[at : at + length]
             if opcode == Opcode.MESSAGE:
                 yield from self._text(content)
-            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            else:
                 self._channels.declare(opcode, content, header.offset)
                 for channel_id, channel in self._channels.items():
                     if channel.stage:

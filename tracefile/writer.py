@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from tracefile.ring import Slots
 
 MAGIC = b"\x89MCAP0\r\n"
+LIBRARY = "dds-trace"
 MAX_CHUNK_EVENTS = 1 << 14
 """1.5 MB before compression: long enough to compress well, short enough to read one at a time."""
 
@@ -105,7 +106,7 @@ class TraceWriter:
         except OSError as err:
             raise output_error(path, err) from err
         try:
-            self._append([MAGIC, _record(Header(profile="ros2", library=f"dds-trace {__version__}"))])
+            self._append([MAGIC, _record(Header(profile="ros2", library=f"{LIBRARY} {__version__}"))])
         except OutputError:
             os.close(self._descriptor)
             path.unlink(missing_ok=True)

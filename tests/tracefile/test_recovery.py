@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from mcap.reader import make_reader
+from mcap.writer import Writer
 from rosbags.rosbag2 import Reader
 from trace_files import ping_session, run, write_trace
 
@@ -252,3 +253,15 @@ def test_no_trace_at_all(tmp_path, content):
         (tmp_path / "a.mcap").write_bytes(content)
     with pytest.raises(TraceFormatError):
         recover(tmp_path / "a.mcap")
+
+
+def test_a_file_of_another_program_is_left_alone(tmp_path):
+    path = tmp_path / "bag.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros2", library="a camera driver")
+        writer.finish()
+    path.write_bytes(path.read_bytes()[:-20])
+    with pytest.raises(TraceFormatError, match="a camera driver"):
+        recover(path)
+    assert [p.name for p in tmp_path.iterdir()] == ["bag.mcap"]

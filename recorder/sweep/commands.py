@@ -37,7 +37,7 @@ def ping_arguments(plan: Plan, cell: Cell, wait_s: float) -> list[str]:
 
 def _common_arguments(plan: Plan, device: DeviceSettings) -> list[str]:
     named = ["--device", device.name] if device.name else []
-    return ["--discovery", plan.discovery, "--connectivity", plan.connectivity, *named]
+    return ["--discovery", plan.discovery, "--connectivity", plan.connectivity, *named, *device.options]
 
 
 def _axis_arguments(parameters: Cell | RelayNeed, axes: list[str]) -> list[str]:

@@ -76,7 +76,7 @@ class DeviceSettings:
         ssh_options: further arguments of `ssh`, such as `-p 2222`.
         setup: shell command that runs there first, such as `. /opt/ros/jazzy/setup.sh`.
         path: folder of `dds-record` there, where it is not found by itself: `~/dds-trace/.venv/bin`.
-        address: of the device, for middlewares that have to be told where the other side is.
+        options: further options of `dds-record` there, such as `--realtime`, `50`, `--cpu-affinity`, `3`.
     """
 
     name: str | None = None
@@ -84,7 +84,7 @@ class DeviceSettings:
     ssh_options: tuple[str, ...] = ()
     setup: str | None = None
     path: str | None = None
-    address: str | None = None
+    options: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +170,7 @@ class Plan:
                 for name, value in asdict(self.run).items()
                 if name not in ("repeats", "attempts", "seed", "order", "settle_seconds")
             },
-            "relay": self.relay.ssh,
+            "devices": [(device.ssh, device.options) for device in (self.ping, self.relay)],
             "namespaces": self.namespaces,
             "link": asdict(self.link) if self.link else None,
             "connectivity": self.connectivity,

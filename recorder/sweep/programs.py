@@ -17,8 +17,8 @@ from tracefile import BackendUnavailableError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-STOP_PATIENCE_S = 20.0
-"""A recorder closes its trace and stops its bridge before it ends."""
+STOP_PATIENCE_S = 60.0
+"""A recorder waits for late replies, closes its trace and stops its bridge before it ends."""
 
 LAST_WORDS_BYTES = 4096
 _REASON = re.compile(r"dds-\w+: ")

@@ -79,10 +79,11 @@ class RichProgress(PlainProgress):
             MofNCompleteColumn(),
             TimeElapsedColumn(),
             TextColumn("{task.fields[left]}"),
+            TextColumn("{task.fields[last]}"),
             console=console,
             transient=True,
         )
-        self._task = self._progress.add_task("sweep", cell="", left="")
+        self._task = self._progress.add_task("sweep", cell="", left="", last="")
 
     def begin(self, cells: int, done: int) -> None:
         """Shows the bar."""
@@ -97,7 +98,7 @@ class RichProgress(PlainProgress):
     def ended(self, name: str, outcome: str, *, complete: bool) -> None:
         """The line, and the bar moves."""
         super().ended(name, outcome, complete=complete)
-        self._progress.update(self._task, completed=self._done)
+        self._progress.update(self._task, completed=self._done, last=outcome.split(",", maxsplit=1)[0])
 
     def end(self) -> None:
         """The bar goes."""

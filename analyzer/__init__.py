@@ -5,6 +5,18 @@ a = analyze("runs/")          # a.summary, a.roundtrips ... are polars frames
 """
 
 from analyzer.analysis import Analysis, Finding, Severity, Source
+from analyzer.answers import Answer, Clarity, Contender, Headline, Win, find_answers, find_headlines
+from analyzer.breakdown import (
+    STAGES,
+    break_down,
+    ping_wall_offsets,
+    relay_wall_offsets,
+    response_against_latency,
+    summarize_breakdown,
+    with_stamps,
+)
+from analyzer.clock_fit import ClockFit, ClockKnot, ClockSegment, ClockStep
+from analyzer.clocks import Alignment, align_clocks, clock_table, ping_boots
 from analyzer.columns import (
     MEASURED_COLUMNS,
     PARAMETER_COLUMNS,
@@ -13,26 +25,110 @@ from analyzer.columns import (
     SUMMARY_COLUMNS,
     Column,
 )
+from analyzer.compare import (
+    MATCH_COLUMNS,
+    CompareOptions,
+    Comparison,
+    Verdict,
+    bridge_cost,
+    compare_roundtrips,
+)
+from analyzer.comparison_text import comparison_junit, comparison_markdown
+from analyzer.derived import DerivedTrace, write_derived
+from analyzer.freshness import freshness, outage_table
+from analyzer.gates import (
+    Gate,
+    GateOutcome,
+    GateResult,
+    judge_gates,
+    options_for,
+    overall_outcome,
+    parse_gate,
+)
+from analyzer.intervals import Interval, percentile_interval, ratio_interval
 from analyzer.metrics import METRICS
 from analyzer.pair import Outcome
 from analyzer.pipeline import analyze, default_output
+from analyzer.recommend import Candidate, Fit, Job, Recommendation, parse_job, recommend
+from analyzer.sample_size import (
+    RunLength,
+    minimum_messages,
+    plan_run,
+    planned_messages,
+    supported_percentiles,
+)
 from analyzer.statistics import PERCENTILES, Percentile
 
 __all__ = [
+    "MATCH_COLUMNS",
     "MEASURED_COLUMNS",
     "METRICS",
     "PARAMETER_COLUMNS",
     "PERCENTILES",
     "ROUNDTRIP_COLUMNS",
+    "STAGES",
     "STATISTICS",
     "SUMMARY_COLUMNS",
+    "Alignment",
     "Analysis",
+    "Answer",
+    "Candidate",
+    "Clarity",
+    "ClockFit",
+    "ClockKnot",
+    "ClockSegment",
+    "ClockStep",
     "Column",
+    "CompareOptions",
+    "Comparison",
+    "Contender",
+    "DerivedTrace",
     "Finding",
+    "Fit",
+    "Gate",
+    "GateOutcome",
+    "GateResult",
+    "Headline",
+    "Interval",
+    "Job",
     "Outcome",
     "Percentile",
+    "Recommendation",
+    "RunLength",
     "Severity",
     "Source",
+    "Verdict",
+    "Win",
+    "align_clocks",
     "analyze",
+    "break_down",
+    "bridge_cost",
+    "clock_table",
+    "compare_roundtrips",
+    "comparison_junit",
+    "comparison_markdown",
     "default_output",
+    "find_answers",
+    "find_headlines",
+    "freshness",
+    "judge_gates",
+    "minimum_messages",
+    "options_for",
+    "outage_table",
+    "overall_outcome",
+    "parse_gate",
+    "parse_job",
+    "percentile_interval",
+    "ping_boots",
+    "ping_wall_offsets",
+    "plan_run",
+    "planned_messages",
+    "ratio_interval",
+    "recommend",
+    "relay_wall_offsets",
+    "response_against_latency",
+    "summarize_breakdown",
+    "supported_percentiles",
+    "with_stamps",
+    "write_derived",
 ]

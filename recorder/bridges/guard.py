@@ -199,6 +199,8 @@ def main() -> int:
     )
     if drain.orphaned and drain.stopping:  # nobody else is left to tidy up
         shutil.rmtree(folder, ignore_errors=True)
+        with contextlib.suppress(OSError):  # the other half's folder is still in it
+            folder.parent.rmdir()
     return code
 
 

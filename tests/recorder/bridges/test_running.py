@@ -185,7 +185,7 @@ def test_no_orphan_when_the_recorder_is_killed(number):
         assert len(pids) == 4  # guard, program, two children
         recorder.send_signal(number)
     wait_until(lambda: gone(pids))
-    wait_until(lambda: not folder.exists())
+    wait_until(lambda: not folder.parent.exists())
 
 
 def test_no_orphan_when_the_guard_is_killed(stand_in):

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING
 
-from tracefile.event_scan import Scan, group_by_channel, scan_records
+from tracefile.event_scan import MESSAGES_AND_CHANNELS, Scan, group_by_channel, scan_records
 from tracefile.packed_chunks import DamagedChunkError, PackedChunk
 from tracefile.records import MAGIC, MAX_RECORD_BYTES, Opcode, TornRecordError, record_name
 
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
 BLOCK_BYTES = 1 << 20
 """Small chunks are handled together up to this size, so that their number costs no more than their bytes."""
-
-_OUTSIDE_CHUNKS = frozenset({Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL})
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +71,7 @@ class BlockJobs:
     truncated: str | None = None
     _chunks: list[PackedChunk] = field(default_factory=list)
     _at: int = 0
+    _chunk_offsets: list[int] | None = None
 
     def __iter__(self) -> Iterator[tuple[int, Callable[[], Block]]]:
         """Each block's size in bytes, and the job that makes it, to be called in any thread.
@@ -82,7 +81,7 @@ class BlockJobs:
         for header in self._headers():
             if header.opcode == Opcode.CHUNK:
                 yield from self._add_chunk(header)
-            elif header.opcode in _OUTSIDE_CHUNKS:
+            elif header.opcode in MESSAGES_AND_CHANNELS:
                 yield from self._chunks_so_far()
                 yield from self._outside(header)
         yield from self._chunks_so_far()
@@ -124,7 +123,7 @@ class BlockJobs:
             return
         size = max(header.end - header.offset, min(BLOCK_BYTES, self.file.size - header.offset))
         data = self.file.read(header.offset, size)
-        scan = scan_records(data, 0, len(data), _OUTSIDE_CHUNKS)
+        scan = scan_records(data, 0, len(data), only=True)
         self._at = header.offset + scan.end
         yield len(data), partial(_take_apart, data, scan, [(0, header.offset)], chunked=False)
 
@@ -150,7 +149,10 @@ class BlockJobs:
         if self.summary is None:
             self.truncated = f"ends early, {torn}; all that was complete before is used"
             return None
-        resumed_at = self.summary.chunk_behind(torn.offset)
+        if self._chunk_offsets is None:
+            self._chunk_offsets = self.summary.chunk_offsets()
+        behind = bisect(self._chunk_offsets, torn.offset)
+        resumed_at = self._chunk_offsets[behind] if behind < len(self._chunk_offsets) else None
         end = self.summary.data_end if resumed_at is None else resumed_at
         self.notes.append(f"damaged at {torn}; nothing is read from there up to byte {end}")
         return resumed_at

@@ -17,7 +17,7 @@ from tracefile.events import CDR_HEADER, EVENT_CDR_BYTES, EVENT_DTYPE
 from tracefile.records import RECORD_HEADER, Opcode
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Container, Mapping
 
 Records = np.ndarray[Any, np.dtype[np.void]]
 Index = np.ndarray[Any, np.dtype[np.intp]]
@@ -44,6 +44,8 @@ RECORD_DTYPE = np.dtype(
 )
 """One event with its MCAP record around it, 91 bytes; left out are log and publish time, made from `monotonic_ns`."""
 
+MESSAGES_AND_CHANNELS = frozenset({Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL})
+
 _SINGLE_STEPS = 16  # so many events are looked at one by one before arrays pay
 _FIRST_STRETCH = 256
 _FEW_CHANNELS = 6
@@ -55,7 +57,8 @@ class Scan:
 
     Attributes:
         runs: (byte offset, count) of each unbroken run of events.
-        others: (opcode, byte offset of the content, its length) of every other record, in order.
+        others: (opcode, byte offset of the content, its length) of every other record, in order; of those kinds only
+            that were asked for.
         end: where the records end: at the end of the buffer, or where what follows is none.
     """
 
@@ -85,11 +88,24 @@ class Scan:
         return np.concatenate(parts) if parts else np.empty(0, RECORD_DTYPE)
 
 
-def scan_records(data: bytes, start: int, stop: int, accept: frozenset[int] | None = None) -> Scan:
+def scan_records(
+    data: bytes,
+    start: int,
+    stop: int,
+    wanted: Container[int] = MESSAGES_AND_CHANNELS,
+    *,
+    only: bool = False,
+) -> Scan:
     """What lies in `data[start:stop]`, where `start` begins a record.
 
-    The scan ends early before a record that is cut off by `stop`, that has opcode 0 (MCAP has none such), or
-    whose opcode is not among those to `accept`.
+    The scan ends early before a record that is cut off by `stop`, or that has opcode 0 (MCAP has none such).
+
+    Args:
+        data: records.
+        start: where the first one begins.
+        stop: where the last one has to end.
+        wanted: opcodes of the other records that are of interest.
+        only: end also before a record of any other kind.
     """
     scan = Scan()
     at = start
@@ -102,9 +118,12 @@ def scan_records(data: bytes, start: int, stop: int, accept: frozenset[int] | No
             break
         opcode, length = RECORD_HEADER.unpack_from(data, at)
         content = at + RECORD_HEADER.size
-        if opcode == 0 or length > stop - content or (accept is not None and opcode not in accept):
+        if opcode == 0 or length > stop - content:
             break
-        scan.others.append((opcode, content, length))
+        if opcode in wanted:
+            scan.others.append((opcode, content, length))
+        elif only:
+            break
         at = content + length
     scan.end = at
     return scan

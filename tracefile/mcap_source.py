@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 _BLOCKS_AHEAD = 8
 _BYTES_AHEAD = 32 << 20  # chunks larger than usual are unpacked one after the other
-_NOTES = 20  # nobody reads more lines about one file
 _DECLARATIONS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL})
 
 
@@ -96,6 +95,8 @@ class McapSource:
         Raises:
             TraceFormatError: the device fails, or the file contradicts itself.
         """
+        if self._is_of_others():
+            return
         ahead: deque[tuple[int, Future[Block]]] = deque()
         for size, job in self._jobs:
             while ahead and (
@@ -169,6 +170,11 @@ class McapSource:
                     f"the statistics claim {claimed} messages of {channel.topic}, {found} were found"
                 )
         return notes
+
+    def _is_of_others(self) -> bool:
+        """Whether the summary says that no message is ours: a large bag of camera images need not be unpacked."""
+        topics = self._summary.topics() if self._summary else None
+        return bool(topics) and not any(topic.startswith(TOPIC_PREFIX) for topic in topics or ())
 
     def _room_for_events(self) -> int:
         """Events that the file's chunks, or its bytes outside of chunks, have room for."""

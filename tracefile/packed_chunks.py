@@ -19,6 +19,11 @@ if TYPE_CHECKING:
 
 _HEADER_BYTES = 64  # all fields before the records, with room for the name of any compression that we know
 
+LARGEST_RATIO = 1000
+"""Events pack 5 to 30 times. What grows more than this may be made to keep a reader busy for hours."""
+
+_UNSUSPECTED_BYTES = 1 << 20  # a blank image packs better still, and costs nothing
+
 _of_thread = threading.local()
 
 
@@ -67,6 +72,8 @@ class PackedChunk:
                 f"it claims {unpacked_bytes} bytes; at most {MAX_RECORD_BYTES} are read at once "
                 "(a file that really has such chunks can be written anew by `mcap compress`)",
             )
+        if unpacked_bytes > max(_UNSUSPECTED_BYTES, LARGEST_RATIO * packed_bytes):
+            raise DamagedChunkError(f"it claims {unpacked_bytes} bytes, packed into {packed_bytes}")
         if compression not in _UNPACKERS:
             raise DamagedChunkError(f"its compression {compression!r} is not known")
         return cls(header.offset, data_offset, packed_bytes, unpacked_bytes, crc, compression)

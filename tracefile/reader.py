@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from tracefile.batches import Batch, Source
     from tracefile.ring_events import RingBeside
 
+_NOTES = 20  # nobody reads more lines about one trace
 _MOST_WORKERS = 4  # beyond that, memory is what is waited for
 
 
@@ -161,6 +162,10 @@ class _Gathered:
             what = f"no trace: it has no topic {TOPIC_PREFIX}* (its topics: {found})"
             raise TraceFormatError(self.path, "; ".join([what, *self.notes[:1]]))
 
+    def _first_notes(self) -> list[str]:
+        more = len(self.notes) - _NOTES
+        return self.notes if more <= 0 else [*self.notes[:_NOTES], f"and {more} more notes like these"]
+
     def trace(self, events: Mapping[Stage, EventColumns]) -> Trace:
         self.check()
         if self.texts.unreadable_samples:
@@ -174,5 +179,5 @@ class _Gathered:
             truncated="; ".join(self.truncated) or None,
             ring_events=self.ring_events,
             unreadable_messages=self.unreadable,
-            notes=tuple(self.notes),
+            notes=tuple(self._first_notes()),
         )

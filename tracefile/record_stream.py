@@ -44,12 +44,11 @@ def read_records(path: Path) -> Iterator[tuple[Opcode, dict[str, Any]]]:
 
 
 def _records_in(data: bytes) -> Iterator[tuple[Opcode, dict[str, Any]]]:
-    scan = scan_records(data, 0, len(data))
+    scan = scan_records(data, 0, len(data), LAYOUTS)
     if scan.end != len(data):
         raise DamagedChunkError(f"{len(data) - scan.end} bytes in it are no records")
     for opcode, start, length in sorted([*_events(scan), *scan.others], key=lambda found: found[1]):
-        if opcode in LAYOUTS:
-            yield Opcode(opcode), LAYOUTS[Opcode(opcode)].parse(memoryview(data)[start : start + length])
+        yield Opcode(opcode), LAYOUTS[Opcode(opcode)].parse(memoryview(data)[start : start + length])
 
 
 def _events(scan: Scan) -> Iterator[tuple[int, int, int]]:

@@ -22,8 +22,10 @@ if TYPE_CHECKING:
 MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEADER = struct.Struct("<BQ")  # opcode, length of the content
 
-MAX_RECORD_BYTES = 256 << 20
-"""A record that we hold in memory whole is at most this long, packed or unpacked; writers' chunks are 0.7-4 MB."""
+MAX_RECORD_BYTES = 64 << 20
+"""A record that we hold in memory whole is at most this long, packed or unpacked; writers' chunks are 0.7-8 MB."""
+
+_MAX_MAP_BYTES = 1 << 20  # more than an entry for each of the 65,536 channels that a file can have
 
 
 class Opcode(IntEnum):
@@ -107,18 +109,24 @@ class Fields:
 
     def text_map(self) -> dict[str, str]:
         """Text to text."""
-        inner = Fields(self.short_bytes())
+        inner = self._map()
         return {key: inner.text() for key in inner.until_end(Fields.text)}
 
     def count_map(self) -> dict[int, int]:
         """Channel id to a count or an offset."""
-        inner = Fields(self.short_bytes())
+        inner = self._map()
         return {key: inner.u64() for key in inner.until_end(Fields.u16)}
 
     def time_offsets(self) -> list[tuple[int, int]]:
         """Pairs of log time and offset."""
         inner = Fields(self.short_bytes())
         return [(time, inner.u64()) for time in inner.until_end(Fields.u64)]
+
+    def _map(self) -> Fields:
+        content = self.short_bytes()
+        if len(content) > _MAX_MAP_BYTES:
+            raise ValueError(f"a map of {len(content)} bytes")
+        return Fields(content)
 
     def until_end(self, take: Callable[[Fields], Any]) -> Iterator[Any]:
         """`take` again and again until nothing is left."""

@@ -12,6 +12,7 @@ import zstandard
 
 from tracefile.errors import TraceFormatError
 from tracefile.mcap_source import McapSource
+from tracefile.packed_chunks import LARGEST_RATIO
 from tracefile.sqlite_source import SqliteSource
 
 if TYPE_CHECKING:
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
 BAG_METADATA = "metadata.yaml"
 ZSTD_SUFFIX = ".zstd"
 _COPY_BYTES = 1 << 20
-_LARGEST_RATIO = 1000  # events pack 5 to 20 times; a frame that grows without end must not fill the disk
 
 
 def _open_mcap(path: Path, shown_as: Path, pool: Executor, texts_only: bool) -> Source:
@@ -100,7 +100,7 @@ def _opener_suffix(file: Path) -> str | None:
 
 def _unpack_file(packed: Path, copy: Any) -> None:
     """Unpack what can be unpacked: a file that was cut off gives a cut off file, which its reader says."""
-    limit = packed.stat().st_size * _LARGEST_RATIO
+    limit = packed.stat().st_size * LARGEST_RATIO
     with packed.open("rb") as stream, zstandard.ZstdDecompressor().stream_reader(stream) as reader:
         written = 0
         while True:
@@ -115,7 +115,7 @@ def _unpack_file(packed: Path, copy: Any) -> None:
                 break
             if written > limit:
                 raise TraceFormatError(
-                    packed, f"unpacks to more than {_LARGEST_RATIO} times its size; not read"
+                    packed, f"unpacks to more than {LARGEST_RATIO} times its size; not read"
                 )
             copy.write(data)
         copy.flush()

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from tracefile.event_scan import scan_records
-from tracefile.records import LAYOUTS, MAGIC, MAX_RECORD_BYTES, RECORD_HEADER, Opcode, RecordLayout
+from tracefile.records import LAYOUTS, MAGIC, RECORD_HEADER, Opcode, RecordLayout
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from tracefile.records import RecordFile
 
 _FOOTER_LENGTH = 20
+_MAX_BYTES = 32 << 20  # chunk indexes of half a million chunks
+_KINDS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.CHUNK_INDEX})
 _FOOTER_BYTES = RECORD_HEADER.size + _FOOTER_LENGTH
 _CRC_BYTES = 4
 
@@ -54,6 +56,14 @@ class Summary:
             return counts
         return None
 
+    def topics(self) -> list[str] | None:
+        """The topics of all messages, by statistics and channels; None where these do not tell."""
+        counts = self.message_counts()
+        topics = {channel["id"]: channel["topic"] for channel in self.parsed(Opcode.CHANNEL)}
+        if counts is None or not counts.keys() <= topics.keys():
+            return None
+        return list(topics.values())
+
     def chunk_channels(self) -> dict[int, frozenset[int]]:
         """The channels that each chunk has messages of, by the chunk's offset; chunks without index are left out."""
         return {
@@ -61,10 +71,10 @@ class Summary:
             for index in self.parsed(Opcode.CHUNK_INDEX)
         }
 
-    def chunk_behind(self, offset: int) -> int | None:
-        """Offset of the first chunk behind `offset`, if the chunk index names one."""
-        starts = (index["chunk_start_offset"] for index in self.parsed(Opcode.CHUNK_INDEX))
-        return min((start for start in starts if offset < start < self.data_end), default=None)
+    def chunk_offsets(self) -> list[int]:
+        """Where the chunks begin, as the chunk index has it, in order."""
+        offsets = {index["chunk_start_offset"] for index in self.parsed(Opcode.CHUNK_INDEX)}
+        return sorted(offset for offset in offsets if offset < self.data_end)
 
 
 def read_summary(file: RecordFile) -> Summary | None:
@@ -80,9 +90,9 @@ def read_summary(file: RecordFile) -> Summary | None:
         return None
     footer = LAYOUTS[Opcode.FOOTER].parse(end[RECORD_HEADER.size : _FOOTER_BYTES])
     start, crc = footer["summary_start"], footer["summary_crc"]
-    if not len(MAGIC) <= start < footer_at or footer_at - start > MAX_RECORD_BYTES:
+    if not len(MAGIC) <= start < footer_at or footer_at - start > _MAX_BYTES:
         return Summary(footer_at)
     data = file.read(start, footer_at - start)
     if crc and zlib.crc32(end[: _FOOTER_BYTES - _CRC_BYTES], zlib.crc32(data)) != crc:
         return Summary(footer_at)
-    return Summary(start, data, scan_records(data, 0, len(data)).others)
+    return Summary(start, data, scan_records(data, 0, len(data), _KINDS).others)

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from tracefile.batches import Text
 
 _HEADER_BYTES = 8  # CDR header and the string's length
+_MAX_BYTES = 4 << 20  # a session with every configuration file of its host is a few kilobytes
 
 
 class TextCollector:
@@ -56,6 +57,9 @@ class TextCollector:
             take(text)
         except TraceFormatError as err:
             raise TraceFormatError(err.path, err.what, text.offset) from err
+        except RecursionError as err:
+            what = f"the JSON of a message of {text.topic} is nested deeper than can be meant"
+            raise TraceFormatError(text.path, what, text.offset) from err
 
     def add_ring_session(self, described: Session, dropped_events: int) -> None:
         """Take the session that a ring names, unless the trace itself has it, and the drops that the ring counts."""
@@ -89,6 +93,10 @@ def _string(text: Text) -> str:
         TraceFormatError: it is none.
     """
     data = text.data
+    if len(data) > _MAX_BYTES:
+        raise TraceFormatError(
+            text.path, f"a message of {text.topic} has {len(data)} bytes, more than can be meant"
+        )
     order = {b"\x00\x00": "big", b"\x00\x01": "little"}.get(data[:2])
     size = int.from_bytes(data[4:_HEADER_BYTES], "big" if order == "big" else "little")
     if order is None or not 1 <= size <= len(data) - _HEADER_BYTES:

@@ -314,6 +314,12 @@ class TestNoTrace:
         with pytest.raises(TraceFormatError, match="no topic /dds_trace/"):
             list(iter_event_batches(path))
 
+    def test_a_bag_of_other_topics_is_not_unpacked_where_its_summary_says_so(self, tmp_path, monkeypatch):
+        path = write_messages(tmp_path / "t.mcap", [RawMessage("/camera", b"123", kind=("x/msg/X", ""))])
+        monkeypatch.setattr("tracefile.packed_chunks.PackedChunk.unpack", None)
+        with pytest.raises(TraceFormatError, match="its topics: /camera"):
+            read_trace(path)
+
     def test_a_closed_file_without_any_topic(self, tmp_path):
         with pytest.raises(TraceFormatError, match="no topic"):
             read_trace(write_messages(tmp_path / "t.mcap", []))

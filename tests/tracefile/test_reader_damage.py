@@ -9,7 +9,17 @@ import subprocess
 import sys
 
 import pytest
-from trace_files import Message, ping_events, ping_session, run, write_trace
+from trace_files import (
+    STRING,
+    Message,
+    RawMessage,
+    ping_events,
+    ping_session,
+    run,
+    string_cdr,
+    write_messages,
+    write_trace,
+)
 
 from tracefile import EVENT_DTYPE, Stage, TraceFormatError, read_descriptions, read_trace
 from tracefile.records import MAGIC, Opcode, RecordFile
@@ -245,7 +255,7 @@ class TestClaims:
     """Sizes that a file claims cost no memory."""
 
     @pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
-    @pytest.mark.parametrize("claim", [1 << 40, (256 << 20) + 1, (1 << 64) - 1])
+    @pytest.mark.parametrize("claim", [1 << 40, (64 << 20) + 1, (1 << 64) - 1])
     def test_a_chunk_that_claims_a_terabyte(self, tmp_path, compression, claim):
         path = small_trace(tmp_path, compression=compression)
         ends = record_ends(path)
@@ -257,7 +267,7 @@ class TestClaims:
         assert f"the chunk at byte {start} is damaged and left out: it claims {claim} bytes" in said
 
     @pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
-    @pytest.mark.parametrize("claim", [0, 1, 255 << 20])
+    @pytest.mark.parametrize("claim", [0, 1, 63 << 20])
     def test_a_chunk_that_claims_a_little_more_or_less(self, tmp_path, compression, claim):
         path = small_trace(tmp_path, compression=compression, crcs=False)
         ends = record_ends(path)
@@ -289,6 +299,60 @@ class TestClaims:
         trace = read_trace(path)
         assert {stage: rows(trace.events[stage]) for stage in EVENTS} == EVENTS
         assert trace.notes == ("the statistics claim 1 messages of /dds_trace/t1, 12 were found",)
+
+    def test_a_frame_that_grows_beyond_belief_is_left_out(self, tmp_path):
+        path = write_trace(tmp_path / "t.mcap", ping_session(), host=[{"x": "x" * 3_000_000}])
+        trace = read_trace(path)
+        assert "it claims 3000" in trace.notes[0]
+        assert ", packed into " in trace.notes[0]
+
+    def test_an_index_full_of_chunks_that_are_none_costs_no_time(self, tmp_path):
+        # 20,000 chunk indexes, each naming a place that holds no record: each is tried once.
+        path = small_trace(tmp_path, crcs=False)
+        data = path.read_bytes()
+        chunk = next(
+            start
+            for (_, start), (opcode, _) in itertools.pairwise(record_ends(path))
+            if opcode == Opcode.CHUNK
+        )
+        index = struct.Struct("<BQQQQQIQIQQ")
+        body = index.size - 9
+        filler = bytes(20_000)
+        torn = data[:chunk] + filler
+        start = len(torn)
+        summary = b"".join(
+            index.pack(Opcode.CHUNK_INDEX, body, 0, 0, chunk + number, 9, 0, 0, 0, 0, 0)
+            for number in range(20_000)
+        )
+        footer_record = struct.pack("<BQQQI", Opcode.FOOTER, 20, start, 0, 0)
+        path.write_bytes(torn + summary + footer_record + MAGIC)
+        with pytest.raises(TraceFormatError, match="no topic"):
+            read_trace(path)
+
+    def test_only_the_first_notes_are_kept(self, tmp_path):
+        path = write_trace(
+            tmp_path / "t.mcap", ping_session(), events=ping_events(MESSAGES * 10), chunk_bytes=100
+        )
+        data = bytearray(path.read_bytes())
+        starts = [
+            start
+            for (_, start), (opcode, _) in itertools.pairwise(record_ends(path))
+            if opcode == Opcode.CHUNK
+        ]
+        for start in starts[5:]:
+            data[start + 9 + 24] ^= 1  # the CRC
+        path.write_bytes(data)
+        trace = read_trace(path)
+        assert len(trace.notes) == 21
+        assert trace.notes[-1].endswith("more notes like these")
+
+    def test_a_session_nested_without_end(self, tmp_path):
+        text = ping_session().to_json()[:-1] + ', "x": ' + "[" * 100_000 + "]" * 100_000 + "}"
+        path = write_messages(
+            tmp_path / "t.mcap", [RawMessage("/dds_trace/session", string_cdr(text), kind=STRING)]
+        )
+        with pytest.raises(TraceFormatError, match="nested deeper"):
+            read_trace(path)
 
     def test_a_record_of_any_length(self, tmp_path):
         path = small_trace(tmp_path, indexed=False)

@@ -81,7 +81,10 @@ class Salvage:
 
     def _check_origin(self, header: RecordHeader) -> None:
         """Other writers' files may hold what is neither event nor text, and would lose it."""
-        library = self._file.parse(header)["library"]
+        try:
+            library = self._file.parse(header)["library"]
+        except TornRecordError:  # damaged: then the content has to speak for itself
+            return
         if not library.startswith(LIBRARY):
             raise TraceFormatError(
                 self._file.path,

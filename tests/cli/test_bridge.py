@@ -5,12 +5,14 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
 from recorder.bridges import BRIDGE_MODULES
+from tracefile import Stage, TraceError
 
 BRIDGE = [sys.executable, "-m", "cli.bridge"]
 
@@ -165,3 +167,61 @@ def test_a_bridge_that_dies_ends_the_command_with_the_tail_of_its_log(domains):
     assert "the bridge builtin ended with status 137" in said
     assert "bridging domains" in said
     assert not guard.is_running()
+
+
+@pytest.mark.middleware
+def test_a_bridge_that_dies_in_mid_run_is_told_in_a_trace_that_is_kept(domains, tmp_path):
+    import psutil
+    from mcap.reader import make_reader
+
+    from tracefile import read_trace
+
+    def received():
+        try:
+            return len(read_trace(out).events[Stage.T2])
+        except TraceError:
+            return 0  # not begun yet
+
+    def wait_until(condition):
+        deadline = time.monotonic() + 60
+        while not condition():
+            assert time.monotonic() < deadline, "did not happen in time"
+            time.sleep(0.1)
+
+    ping_domain, relay_domain = str(domains.take()), str(domains.take())
+    out = tmp_path / "ping.mcap"
+    record = [sys.executable, "-m", "cli.record", "--discovery", "localhost"]
+    relay = [*record, "--role", "relay", "--domain", relay_domain, "--out", str(tmp_path / "relay.mcap")]
+    ping = [
+        *record,
+        "--role",
+        "ping",
+        "--domain",
+        ping_domain,
+        "--relay-domain",
+        relay_domain,
+        "--rate",
+        "50",
+    ]
+    ping += ["--bridge", "builtin", "--messages", "400", "--size", "1KB", "--out", str(out)]
+    with subprocess.Popen(relay) as relaying, subprocess.Popen(ping) as pinging:
+        wait_until(lambda: received() > 20)
+        bridge = next(
+            child
+            for child in psutil.Process(pinging.pid).children(recursive=True)
+            if "recorder.bridges.builtin" in child.cmdline() and "guard.py" not in " ".join(child.cmdline())
+        )
+        bridge.kill()
+        pinging.wait(60)
+        relaying.send_signal(signal.SIGTERM)
+    with out.open("rb") as stream:
+        sessions = [
+            json.loads(message.data[8:].rstrip(b"\0"))
+            for _, _, message in make_reader(stream, validate_crcs=True).iter_messages(["/dds_trace/session"])
+        ]
+    told = sessions[-1]["bridge"]
+    assert sessions[-1]["state"] == "closed"
+    assert told["state"] == "died"
+    assert told["programs"][0]["exit_code"] == 128 + signal.SIGKILL
+    assert told["programs"][0]["log_tail"].startswith("bridging domains")
+    assert received() > 20

@@ -20,6 +20,7 @@ UP = "stand-in is up"
 class StandInBridge:
     part: str = "serves"
     installed: bool = True
+    program: str = sys.executable
     halves: object = None  # of ours it imports nothing, so that it starts at once
     name: str = "stand-in"
     install: str = "it is a test's own"
@@ -30,7 +31,7 @@ class StandInBridge:
         return f"{self.part}\n"
 
     def find(self):
-        return Path(sys.executable) if self.installed else None
+        return Path(self.program) if self.installed else None
 
     def version(self, _program):
         return "0.1-stand-in"

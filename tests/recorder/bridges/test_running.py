@@ -95,6 +95,13 @@ def test_one_that_dies_at_once_is_one_clear_line(stand_in):
         stand_in("dies_at_once").__enter__()
 
 
+def test_one_that_cannot_be_started_is_one_clear_line(stand_in, tmp_path):
+    broken = tmp_path / "ddsrouter"
+    broken.write_text("no program at all")
+    with pytest.raises(BridgeError, match=r"cannot start .*/ddsrouter: .*Permission denied"):
+        stand_in("serves", program=str(broken)).__enter__()
+
+
 def test_one_that_never_comes_up_is_ended(stand_in):
     with pytest.raises(BridgeError, match=r"the bridge stand-in did not come up within 0.5 s: "):
         stand_in("never_up").__enter__()

@@ -35,7 +35,7 @@ from analyzer.compare import (
 )
 from analyzer.comparison_text import comparison_junit, comparison_markdown
 from analyzer.derived import DerivedTrace, write_derived
-from analyzer.freshness import freshness, outage_table
+from analyzer.freshness import outage_table, summarize_freshness
 from analyzer.gates import (
     Gate,
     GateOutcome,
@@ -49,7 +49,7 @@ from analyzer.intervals import Interval, percentile_interval, ratio_interval
 from analyzer.metrics import METRICS
 from analyzer.pair import Outcome
 from analyzer.pipeline import analyze, default_output
-from analyzer.recommend import Candidate, Fit, Job, Recommendation, parse_job, recommend
+from analyzer.recommend import Candidate, Fit, Job, Recommendation, parse_job, recommend_settings
 from analyzer.sample_size import (
     RunLength,
     minimum_messages,
@@ -110,7 +110,6 @@ __all__ = [
     "default_output",
     "find_answers",
     "find_headlines",
-    "freshness",
     "judge_gates",
     "minimum_messages",
     "options_for",
@@ -124,10 +123,11 @@ __all__ = [
     "plan_run",
     "planned_messages",
     "ratio_interval",
-    "recommend",
+    "recommend_settings",
     "relay_wall_offsets",
     "response_against_latency",
     "summarize_breakdown",
+    "summarize_freshness",
     "supported_percentiles",
     "with_stamps",
     "write_derived",

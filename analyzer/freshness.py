@@ -167,7 +167,7 @@ FRESHNESS_SCHEMA = {
 }
 
 
-def freshness(
+def summarize_freshness(
     roundtrips: pl.DataFrame, deadline_ns: int | None = None, metric: str = "latency_ns"
 ) -> pl.DataFrame:
     """One row per run and relay: deadline misses, age of information, outages.

@@ -213,7 +213,7 @@ def delivered_latencies(roundtrips: pl.DataFrame) -> NDArray[np.float64]:
     return values.to_series().drop_nulls().to_numpy()
 
 
-def recommend(roundtrips: pl.DataFrame, job: Job, confidence: float = 0.95) -> Recommendation:
+def recommend_settings(roundtrips: pl.DataFrame, job: Job, confidence: float = 0.95) -> Recommendation:
     """The ranking of every setting that the traces say something about.
 
     Args:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from roundtrip_frames import MS, roundtrips, steady
 
 from analyzer.clocks import align_clocks
-from analyzer.freshness import age_of_information, freshness, longest_run, outage_table, runs_of
+from analyzer.freshness import age_of_information, longest_run, outage_table, runs_of, summarize_freshness
 
 
 def times(*values):
@@ -63,7 +63,7 @@ def test_runs():
 def test_deadline_misses_by_hand():
     # One message each 100 ms, deadline 20 ms:      ok  late  lost  late   ok   ok  late
     frame = steady([5 * MS, 30 * MS, None, 21 * MS, 20 * MS, 5 * MS, 90 * MS])
-    row = freshness(frame, deadline_ns=20 * MS).row(0, named=True)
+    row = summarize_freshness(frame, deadline_ns=20 * MS).row(0, named=True)
     assert (row["messages"], row["judged"], row["missed"]) == (7, 7, 4)
     assert row["missed_ratio"] == pytest.approx(4 / 7)
     assert (row["longest_missed"], row["longest_missed_ns"]) == (3, 300 * MS)  # from 100 ms to 400 ms
@@ -72,15 +72,15 @@ def test_deadline_misses_by_hand():
 
 
 def test_without_a_deadline_nothing_is_judged():
-    row = freshness(steady([5 * MS, None])).row(0, named=True)
+    row = summarize_freshness(steady([5 * MS, None])).row(0, named=True)
     assert (row["deadline_ns"], row["judged"], row["missed"], row["missed_ratio"]) == (None, None, None, None)
 
 
 def test_a_reply_without_the_relays_trace_is_judged_on_rtt_only():
     frame = roundtrips([{"publish_ns": 0, "receive_ns": 10 * MS}, {"publish_ns": 100 * MS}])
-    by_latency = freshness(frame, deadline_ns=20 * MS).row(0, named=True)
+    by_latency = summarize_freshness(frame, deadline_ns=20 * MS).row(0, named=True)
     assert (by_latency["judged"], by_latency["missed"]) == (1, 1)
-    by_rtt = freshness(frame, deadline_ns=20 * MS, metric="rtt_ns").row(0, named=True)
+    by_rtt = summarize_freshness(frame, deadline_ns=20 * MS, metric="rtt_ns").row(0, named=True)
     assert (by_rtt["judged"], by_rtt["missed"]) == (2, 1)
 
 
@@ -100,7 +100,7 @@ def test_age_at_the_ping_and_at_the_relay():
             relay_device="ping-pi",
         ),
     ).roundtrips
-    row = freshness(frame).row(0, named=True)
+    row = summarize_freshness(frame).row(0, named=True)
     # From 21 to 121 on average over each 100 ms; at the relay from 10 to 110. One machine: no clock error.
     assert (row["age_mean_ns"], row["age_peak_mean_ns"], row["age_peak_max_ns"]) == (
         71 * MS,
@@ -122,7 +122,7 @@ def test_an_outage_and_its_recovery():
     assert outage["duration_ns"] == 620 * MS + 1000
     # Five in a row in time begin with message 20, whose reply came at 2010 ms.
     assert outage["recovery_ns"] == (2010 - 1620) * MS
-    row = freshness(frame, deadline_ns=20 * MS).row(0, named=True)
+    row = summarize_freshness(frame, deadline_ns=20 * MS).row(0, named=True)
     assert (row["outages"], row["outage_longest_ns"], row["recovery_longest_ns"]) == (
         1,
         620 * MS + 1000,
@@ -146,7 +146,7 @@ def test_runs_and_relays_have_rows_of_their_own():
     frame = pl.concat(
         [steady([5 * MS, None], run_id=9), steady([5 * MS], run_id=2), steady([5 * MS], run_id=9, relay_id=7)]
     )
-    table = freshness(frame.sample(fraction=1, shuffle=True, seed=1), deadline_ns=MS)
+    table = summarize_freshness(frame.sample(fraction=1, shuffle=True, seed=1), deadline_ns=MS)
     assert table.select("run_id", "relay_id", "messages", "missed").rows() == [
         (2, 1, 1, 1),
         (9, 1, 2, 2),
@@ -155,7 +155,7 @@ def test_runs_and_relays_have_rows_of_their_own():
 
 
 def test_nothing_at_all():
-    assert freshness(steady([]), deadline_ns=1).is_empty()
+    assert summarize_freshness(steady([]), deadline_ns=1).is_empty()
     assert outage_table(steady([])).is_empty()
-    row = freshness(steady([None, None, None]), deadline_ns=1).row(0, named=True)
+    row = summarize_freshness(steady([None, None, None]), deadline_ns=1).row(0, named=True)
     assert (row["missed"], row["age_mean_ns"], row["outages"], row["outage_longest_ns"]) == (3, None, 1, None)

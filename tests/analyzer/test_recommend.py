@@ -9,7 +9,7 @@ import polars as pl
 import pytest
 from roundtrip_frames import MS, steady
 
-from analyzer.recommend import Fit, Job, delivered_latencies, parse_job, recommend
+from analyzer.recommend import Fit, Job, delivered_latencies, parse_job, recommend_settings
 from tracefile.errors import OptionError
 
 JOB = Job("binary", 33_000, 10.0, 20 * MS, 0.9)
@@ -78,7 +78,7 @@ def test_a_ranking_by_what_is_sure():
             steady([9 * MS] * 30, vendor="socket", run_id=5),  # 36 messages are needed for p90
         ],
     )
-    ranking = recommend(frame, JOB)
+    ranking = recommend_settings(frame, JOB)
     assert [(c.setting["vendor"], c.fit.value) for c in ranking.candidates] == [
         ("cyclonedds", "meets"),
         ("fastdds", "meets"),
@@ -98,13 +98,13 @@ def test_a_ranking_by_what_is_sure():
 
 def test_two_that_cannot_be_told_apart_are_both_best():
     frame = pl.concat([steady(noisy(10 * MS)), steady(noisy(10 * MS, seed=5), vendor="zenoh", run_id=2)])
-    ranking = recommend(frame, JOB)
+    ranking = recommend_settings(frame, JOB)
     assert {c.setting["vendor"] for c in ranking.best} == {"fastdds", "zenoh"}
     assert not ranking.is_conclusive
 
 
 def test_a_deadline_inside_the_interval_is_inconclusive():
-    (candidate,) = recommend(
+    (candidate,) = recommend_settings(
         steady(noisy(10 * MS)), Job("binary", 33_000, 10.0, int(10.85 * MS), 0.9)
     ).candidates
     assert candidate.lower_ns < 10.85 * MS < candidate.upper_ns
@@ -114,7 +114,7 @@ def test_a_deadline_inside_the_interval_is_inconclusive():
 
 def test_losses_miss_a_deadline_that_every_latency_meets():
     lossy = [None if i % 3 == 0 else 5 * MS for i in range(300)]
-    (candidate,) = recommend(steady(lossy), JOB).candidates
+    (candidate,) = recommend_settings(steady(lossy), JOB).candidates
     assert candidate.fit is Fit.MISSES
     assert candidate.latency_ns == math.inf
     assert candidate.margin_ns is None
@@ -129,14 +129,14 @@ def test_settings_are_candidates_of_their_own_and_domains_can_be_chosen():
             steady(noisy(10 * MS), run_id=3, **apart),
         ],
     )
-    assert len(recommend(frame, JOB).candidates) == 3
-    (only,) = recommend(frame, Job("binary", 33_000, 10.0, 20 * MS, 0.9, "different")).candidates
+    assert len(recommend_settings(frame, JOB).candidates) == 3
+    (only,) = recommend_settings(frame, Job("binary", 33_000, 10.0, 20 * MS, 0.9, "different")).candidates
     assert only.setting["bridge"] == "builtin"
 
 
 def test_without_the_relays_trace_there_is_no_answer():
     frame = steady([5 * MS] * 50).with_columns(latency_ns=pl.lit(None, pl.Int64))
-    (candidate,) = recommend(frame, JOB).candidates
+    (candidate,) = recommend_settings(frame, JOB).candidates
     assert (candidate.fit, candidate.latency_ns) == (Fit.INCONCLUSIVE, None)
     assert "no relay trace" in candidate.reason
 
@@ -144,20 +144,20 @@ def test_without_the_relays_trace_there_is_no_answer():
 def test_an_unmeasured_cell_is_a_guess_that_says_so():
     sizes = (10_000, 20_000, 40_000, 80_000, 160_000)
     frame = pl.concat([steady([size * 100] * 40, run_id=size, payload_bytes=size) for size in sizes])
-    (candidate,) = recommend(frame, Job("binary", 30_000, 10.0, 20 * MS, 0.9)).candidates
+    (candidate,) = recommend_settings(frame, Job("binary", 30_000, 10.0, 20 * MS, 0.9)).candidates
     assert not candidate.measured
     assert candidate.latency_ns == pytest.approx(3 * MS, rel=1e-3)
     assert (candidate.messages, candidate.held_out) == (0, 3)
     assert candidate.fit is Fit.MEETS
     assert candidate.reason.startswith("not measured: interpolated")
-    assert recommend(frame, Job("binary", 300_000, 10.0, 20 * MS, 0.9)).candidates == ()
+    assert recommend_settings(frame, Job("binary", 300_000, 10.0, 20 * MS, 0.9)).candidates == ()
 
 
 def test_nothing_measured_nothing_recommended():
-    ranking = recommend(steady([]), JOB)
+    ranking = recommend_settings(steady([]), JOB)
     assert ranking.candidates == ranking.best == ()
     assert not ranking.is_conclusive
 
 
 def test_all_surely_late_is_an_answer_too():
-    assert recommend(steady(noisy(40 * MS)), JOB).is_conclusive
+    assert recommend_settings(steady(noisy(40 * MS)), JOB).is_conclusive

@@ -81,11 +81,12 @@ def _panel(title: str) -> Any:
 
 
 _role, _message, _schedule = _panel("Role and output"), _panel("Message (ping)"), _panel("Schedule (ping)")
-_middleware, _description = _panel("Middleware"), _panel("Description in the trace")
+_middleware, _process = _panel("Middleware"), _panel("Process")
+_description = _panel("Description in the trace")
 
 
 @app.command(context_settings={"help_option_names": ["-h", "--help"]})
-def main_command(  # noqa: PLR0917 - the options of a command line
+def main_command(
     role: Annotated[
         Role, _role("--role", metavar="ROLE", help="[bold]ping[/bold] sends, [bold]relay[/bold] sends back.")
     ],
@@ -136,6 +137,9 @@ def main_command(  # noqa: PLR0917 - the options of a command line
     wait: Annotated[
         float | None,
         _schedule("--wait", metavar="SECONDS", help="For a first echo. [dim]Default: 20[/dim]"),
+    ] = None,
+    relays: Annotated[
+        int | None, _schedule("--relays", metavar="N", help="Relays to wait for. [dim]Default: 1[/dim]")
     ] = None,
     domain: Annotated[
         int | None,
@@ -224,6 +228,13 @@ def main_command(  # noqa: PLR0917 - the options of a command line
             help="Of rclpy: events, single, or auto [dim](default: the best)[/dim].",
         ),
     ] = ExecutorKind.AUTO,
+    cpu_affinity: Annotated[
+        str | None, _process("--cpu-affinity", metavar="CPUS", help="Run on these alone: 3, or 0,2-3.")
+    ] = None,
+    realtime: Annotated[
+        int | None,
+        _process("--realtime", metavar="PRIORITY", help="1 to 99: SCHED_FIFO, with all memory locked."),
+    ] = None,
     device: Annotated[
         str | None,
         _description("--device", metavar="NAME", help="Of this device. [dim]Default: its host name[/dim]"),
@@ -264,6 +275,7 @@ def main_command(  # noqa: PLR0917 - the options of a command line
         "--messages": messages,
         "--warmup": warmup,
         "--wait": wait,
+        "--relays": relays,
         "--bridge": bridge,
         "--relay-domain": relay_domain,
         "--label": label or None,
@@ -284,6 +296,7 @@ def main_command(  # noqa: PLR0917 - the options of a command line
         messages=_messages(messages, duration, rate_hz, warmup),
         warmup=warmup,
         wait_s=20.0 if wait is None else wait,
+        relays=1 if relays is None else relays,
         seed=seed,
         bridge=bridge or "none",
         relay_domain_id=relay_domain,
@@ -307,6 +320,8 @@ def main_command(  # noqa: PLR0917 - the options of a command line
         device=device,
         connectivity=connectivity,
         duration_s=duration,
+        cpu_affinity=cpu_affinity,
+        realtime_priority=realtime,
     )
     _report(_record(options), as_json=as_json)
 

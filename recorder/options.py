@@ -29,6 +29,7 @@ class PingOptions:
         messages: messages that count, warm-up not included.
         warmup: messages before them.
         wait_s: how long to wait for an echo.
+        relays: how many relays must send one; those in sight are waited for in any case.
         seed: of the payload's random content, drawn if None.
         bridge: `none`, or the bridge to the relay's domain, started and ended with the recording.
         relay_domain_id: the domain of the relay, the ping's own if None.
@@ -40,6 +41,7 @@ class PingOptions:
     messages: int = DEFAULT_MESSAGES
     warmup: int = DEFAULT_WARMUP
     wait_s: float = 20.0
+    relays: int = 1
     seed: int | None = None
     bridge: str = "none"
     relay_domain_id: int | None = None
@@ -59,6 +61,8 @@ class PingOptions:
             raise OptionError(f"--messages {self.messages}: give at least one message to measure")
         if self.warmup < 0:
             raise OptionError(f"--warmup {self.warmup}: give 0 or more")
+        if self.relays < 1:
+            raise OptionError(f"--relays {self.relays}: give at least one relay to wait for")
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +75,8 @@ class RecordOptions:
         device: the device's name, by default its host name.
         connectivity: how it reaches the others, by default looked up (`session.default_connectivity`).
         duration_s: end after so many seconds; a relay without it goes on until stopped.
+        cpu_affinity: CPUs to run on, as `privileges.parse_cpus` reads them.
+        realtime_priority: 1 to 99 for SCHED_FIFO with locked memory.
     """
 
     destination: TraceDestination
@@ -82,6 +88,8 @@ class RecordOptions:
     device: str | None = None
     connectivity: str | None = None
     duration_s: float | None = None
+    cpu_affinity: str | None = None
+    realtime_priority: int | None = None
 
     def check(self) -> None:
         """Refuse what cannot be meant, and an output that is there already.

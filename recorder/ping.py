@@ -109,6 +109,7 @@ class Ping:
         ]
 
         self._nonces: dict[int, int] = {}  # of a probe -> when it was sent
+        self._echoes: set[int] = set()  # relays that sent a probe back
         self._echoed_ns = 0
         self._longest_rtt_ns = 0  # probes included
         self._record: Any = None
@@ -142,6 +143,7 @@ class Ping:
         if run_id != self.run_id or sequence >= self.plan.total:
             if run_id == PROBE_RUN_ID and sequence in self._nonces:
                 self._echoed_ns = receive_ns
+                self._echoes.add(relay_id)
                 self._longest_rtt_ns = max(self._longest_rtt_ns, receive_ns - self._nonces[sequence])
             return
         self._record(
@@ -169,24 +171,34 @@ class Ping:
             self._highest = max(self._highest, sequence)
         self._last_reply_ns = receive_ns
 
-    def wait_for_echo(self, timeout_s: float, stop: threading.Event) -> bool:
-        """Send probes until one comes back and all is quiet again; False if none did in `timeout_s` or `stop` was set."""
+    def wait_for_echo(self, timeout_s: float, stop: threading.Event, relays: int = 1) -> bool:
+        """Send probes until so many relays have sent one back and all is quiet again.
+
+        Returns:
+            False if that did not happen in `timeout_s`, or `stop` was set.
+        """
         began_ns = next_ns = self._now()
-        message, nonce = self._messages[0], secrets.randbits(63)
+        message, nonce, sent = self._messages[0], secrets.randbits(63), 0
         while not stop.is_set():
             now_ns = self._now()
-            if self._echoed_ns:
+            if len(self._echoes) >= relays:
                 if now_ns - self._echoed_ns >= SETTLE_NS:
                     return True
             elif now_ns - began_ns > timeout_s * SECOND_NS:
                 return False
             elif now_ns >= next_ns:
-                self._stamps.write(message, PROBE_RUN_ID, nonce + len(self._nonces))
-                self._nonces[nonce + len(self._nonces)] = now_ns
+                self._stamps.write(message, PROBE_RUN_ID, nonce + sent)
+                self._nonces[nonce + sent] = now_ns
                 self._publisher.publish(message)
-                next_ns = now_ns + PROBE_PERIODS_NS[min(len(self._nonces), len(PROBE_PERIODS_NS)) - 1]
+                next_ns = now_ns + PROBE_PERIODS_NS[min(sent, len(PROBE_PERIODS_NS) - 1)]
+                sent += 1
             self._clock.wait_until(now_ns + LOOK_NS, stop)
         return False
+
+    @property
+    def echoing_relays(self) -> int:
+        """Relays that have sent a probe back."""
+        return len(self._echoes)
 
     def run(self, sink: TraceSink, stop: threading.Event) -> Run:
         """Send the plan on this thread and collect the replies; the run as it was finished.

@@ -7,6 +7,7 @@ import threading
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 from recorder.backends import open_node
@@ -15,10 +16,12 @@ from recorder.domains import check_domain
 from recorder.echo import explain_silence, look_for_relays
 from recorder.payloads import DATA_TYPES, data_type_called
 from recorder.ping import Ping, RunPlan
+from recorder.privileges import apply_privileges
 from recorder.relay import Relay
+from recorder.sampling import HostSampler
 from recorder.session import describe_session
 from recorder.steady import collect_young, steady_interpreter
-from tracefile import NoEchoError, TraceSink
+from tracefile import HOST_TOPIC, NoEchoError, TraceSink
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -35,6 +38,8 @@ QUIET_LOOKS = 10
 """A relay that had nothing to do for so many looks has time for housekeeping."""
 HOPELESS_S = 3.0
 """Every so often without an echo, quality of service that can never match ends the wait."""
+ALL_RELAYS_S = 3.0
+"""After a first relay has answered, how long to wait for the others in sight."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +78,8 @@ class _Recording:
         self.watch = watch
         self.clock = SystemClock()
         self.session_id = secrets.randbits(64)
+        self.privileges = apply_privileges(options.cpu_affinity, options.realtime_priority)
+        self._told_of_disk = False
 
     def relay(self) -> Recorded:
         options = self.options
@@ -92,7 +99,8 @@ class _Recording:
                 self.watch.note(
                     f"relay {relay_id:08x} serves domain {options.node.domain_id} until it is stopped"
                 )
-                self._watch_relay(relay, node)
+                with _sampled(sink):
+                    self._watch_relay(relay, node, sink)
                 relay.close()
                 return Recorded(sink.close(), session, relay.progress())
 
@@ -102,10 +110,11 @@ class _Recording:
             ping = Ping(node, self._plan(asked), self.clock)
             node.start()
             bridge = self._open_bridge(asked, stack)
-            self._wait_for_echo(ping, node, asked.wait_s, bridge)
+            self._wait_for_echo(ping, node, asked, bridge)
             session = self._describe("ping", node)
             sink = stack.enter_context(self._open_trace(session))
-            run = None if self.stop.is_set() else self._run(ping, node, sink)
+            with _sampled(sink, bridge):
+                run = None if self.stop.is_set() else self._run(ping, node, sink)
             trace = sink.close(**({} if bridge is None else {"bridge": bridge.describe()}))
             return Recorded(trace, session, ping.progress(), run)
 
@@ -123,6 +132,7 @@ class _Recording:
             device=self.options.device,
             connectivity=self.options.connectivity,
             relay_id=relay_id,
+            extra=self.privileges,
         )
 
     @contextmanager
@@ -133,6 +143,11 @@ class _Recording:
             yield sink
         finally:
             sink.close()
+
+    def _tell_of_disk(self, sink: TraceSink) -> None:
+        if sink.error is not None and not self._told_of_disk:
+            self._told_of_disk = True
+            self.watch.note(f"{sink.error}; the node goes on answering, what was written stays readable")
 
     def _plan(self, asked: PingOptions) -> RunPlan:
         own_domain_id = self.options.node.domain_id
@@ -160,13 +175,15 @@ class _Recording:
         wanted = BridgeOptions(node.domain_id, relay_domain_id, qos=node.qos, discovery=node.discovery)
         return stack.enter_context(open_bridge(asked.bridge, wanted))
 
-    def _wait_for_echo(self, ping: Ping, node: Node, wait_s: float, bridge: RunningBridge | None) -> None:
+    def _wait_for_echo(
+        self, ping: Ping, node: Node, asked: PingOptions, bridge: RunningBridge | None
+    ) -> None:
         data_type = ping.plan.payload.data_type
         self.watch.note(f"waiting for an echo of {data_type.topic} in domain {node.options.domain_id}")
         came, waited_s = False, 0.0
-        while not came and waited_s < wait_s and not self.stop.is_set() and node.error is None:
-            slice_s = min(HOPELESS_S, wait_s - waited_s)
-            came = ping.wait_for_echo(slice_s, self.stop)
+        while not came and waited_s < asked.wait_s and not self.stop.is_set() and node.error is None:
+            slice_s = min(HOPELESS_S, asked.wait_s - waited_s)
+            came = ping.wait_for_echo(slice_s, self.stop, asked.relays)
             waited_s += slice_s
             if look_for_relays(node, data_type).is_hopeless:
                 break
@@ -174,9 +191,16 @@ class _Recording:
         if bridge is not None:
             bridge.check()
         if not came and not self.stop.is_set():
-            raise NoEchoError(explain_silence(node, ping.plan, waited_s))
+            answers = (
+                f"{ping.echoing_relays} of {asked.relays} relays answer; " if ping.echoing_relays else ""
+            )
+            raise NoEchoError(answers + explain_silence(node, ping.plan, waited_s))
         if came and bridge is not None:
             bridge.mark_ready()
+        # One that was found later may need a moment more; behind a bridge nobody sees how many there are.
+        relays = len(look_for_relays(node, data_type).publishers) if bridge is None else 1
+        if came and not ping.wait_for_echo(ALL_RELAYS_S, self.stop, relays):
+            self.watch.note(f"{ping.echoing_relays} of {relays} relays in sight answer")
 
     def _run(self, ping: Ping, node: Node, sink: TraceSink) -> Run:
         """The run on a thread of its own; this one looks at it now and then."""
@@ -184,20 +208,21 @@ class _Recording:
         with ThreadPoolExecutor(1, thread_name_prefix="ping") as pool:
             future = pool.submit(ping.run, sink, enough)
             while not future.done():
-                wait(
-                    [future], timeout=LOOK_S if enough.is_set() else max(min(LOOK_S, self._left_s(end_ns)), 0)
-                )
+                left_s = LOOK_S if enough.is_set() else max(self._left_s(end_ns), 0)
+                wait([future], timeout=min(LOOK_S, left_s))
                 if self.stop.is_set() or node.error is not None or self._left_s(end_ns) <= 0:
                     enough.set()
+                self._tell_of_disk(sink)
                 self.watch.progress(ping.progress())
             run = future.result()
         _raise_error_of(node)
         return run
 
-    def _watch_relay(self, relay: Relay, node: Node) -> None:
+    def _watch_relay(self, relay: Relay, node: Node, sink: TraceSink) -> None:
         end_ns, told, quiet, relayed = self._end_ns(), set[str](), 0, 0
         while (left_s := self._left_s(end_ns)) > 0 and not self.stop.wait(min(LOOK_S, left_s)):
             _raise_error_of(node)
+            self._tell_of_disk(sink)
             progress = relay.progress()
             self.watch.progress(progress)
             quiet = quiet + 1 if progress.relayed == relayed else 0
@@ -215,6 +240,11 @@ class _Recording:
 
     def _left_s(self, end_ns: int | None) -> float:
         return float("inf") if end_ns is None else (end_ns - self.clock.monotonic_ns()) / 1e9
+
+
+def _sampled(sink: TraceSink, bridge: RunningBridge | None = None) -> HostSampler:
+    """Load of this host, of this process and of the bridge's, written once a second within the block."""
+    return HostSampler(partial(sink.write_json, HOST_TOPIC), {} if bridge is None else bridge.processes)
 
 
 def _raise_error_of(node: Node) -> None:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from recorder.backend import Discovery
 from recorder.host import host_fingerprint
 from tracefile import Session
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from recorder.backend import Node
     from recorder.clock import ClockAnchor
 
@@ -24,6 +26,7 @@ def describe_session(
     device: str | None = None,
     connectivity: str | None = None,
     relay_id: int | None = None,
+    extra: Mapping[str, Any] | None = None,
 ) -> Session:
     """The session of a role on an open node, as the running middleware and this device are.
 
@@ -35,6 +38,7 @@ def describe_session(
         device: the device's name, by default its host name.
         connectivity: how it reaches the others, by default `default_connectivity`.
         relay_id: of a relay.
+        extra: further fields.
     """
     middleware = node.middleware
     host = host_fingerprint(middleware.versions)
@@ -51,6 +55,7 @@ def describe_session(
         wall_anchor_ns=anchor.wall_ns,
         monotonic_anchor_ns=anchor.monotonic_ns,
         host={**host, "middleware": dict(middleware.settings)},
+        extra=extra or {},
     )
 
 

@@ -85,6 +85,7 @@ def test_everything_given(parsed, tmp_path):
         *("--device", "pi4", "--connectivity", "wireless", "--label", "room=lab", "--label", "x=a=b"),
         *("--discovery", "localhost", "--duration", 9, "--force"),
         *("--backend", "ros2", "--rmw", "rmw_fastrtps_cpp", "--transport", "udp", "--tuned"),
+        *("--cpu-affinity", "0", "--realtime", 10),
     )
     assert options.destination.path == tmp_path / "x.mcap"
     assert options.destination.force
@@ -96,6 +97,7 @@ def test_everything_given(parsed, tmp_path):
         True,
     )
     assert options.serialization is Serialization.TYPED
+    assert (options.cpu_affinity, options.realtime_priority) == ("0", 10)
     assert (options.device, options.connectivity, options.duration_s) == ("pi4", "wireless", 9)
     ping = options.ping
     assert (ping.data_type, ping.size_bytes, ping.rate_hz) == ("string", 1024, 100)
@@ -130,6 +132,7 @@ def test_what_cannot_be_meant_is_refused(parsed, arguments, role, message):
         (["--rate", "0"], "ping", "--rate 0"),
         (["--messages", "0"], "ping", "--messages 0"),
         (["--warmup", "-1"], "ping", "--warmup -1"),
+        (["--relays", "0"], "ping", "--relays 0"),
         (["--depth", "0"], "relay", "--depth 0"),
         (["--duration", "0"], "relay", "--duration 0"),
         (["--relay-id", "0"], "relay", "--relay-id 0"),

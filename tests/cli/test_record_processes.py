@@ -35,7 +35,7 @@ class Read:
 
     def __init__(self, path):
         self.events = {stage: [] for stage in ("t1", "t2", "t3", "t4")}
-        self.sessions, self.runs = [], []
+        self.sessions, self.runs, self.host = [], [], []
         with path.open("rb") as file:
             reader = make_reader(file, validate_crcs=True)
             assert reader.get_header().profile == "ros2"
@@ -43,9 +43,9 @@ class Read:
                 name = channel.topic.removeprefix("/dds_trace/")
                 if name in self.events:
                     self.events[name].append(dict(zip(FIELDS, unpack_event(message.data), strict=True)))
-                elif name in ("session", "run"):
-                    found = json.loads(message.data[8:].rstrip(b"\0"))
-                    (self.sessions if name == "session" else self.runs).append(found)
+                else:
+                    kept = {"session": self.sessions, "run": self.runs, "host": self.host}[name]
+                    kept.append(json.loads(message.data[8:].rstrip(b"\0")))
 
     def by_sequence(self, stage, run_id):
         return {each["sequence"]: each for each in self.events[stage] if each["run_id"] == run_id}
@@ -126,7 +126,20 @@ def test_two_pings_and_two_relays_at_once(domain_id, tmp_path):
                         "--out",
                         tmp_path / f"{data}.mcap",
                     ),
-                    *("--data", data, "--messages", 40, "--warmup", 0, "--rate", 50, "--json", *ROOMY),
+                    *(
+                        "--data",
+                        data,
+                        "--messages",
+                        40,
+                        "--warmup",
+                        0,
+                        "--rate",
+                        50,
+                        "--json",
+                        "--relays",
+                        2,
+                        *ROOMY,
+                    ),
                 )
             )
             for data in ("binary", "imu")
@@ -186,11 +199,13 @@ def test_a_duration_ends_a_ping(domain_id, tmp_path):
 
 
 def test_a_duration_ends_a_relay(domain_id, tmp_path):
-    with relay(domain_id, tmp_path / "relay.mcap", "--duration", 0.5) as command:
+    with relay(domain_id, tmp_path / "relay.mcap", "--duration", 0.5, "--cpu-affinity", 0) as command:
         done = command.finish()
     assert done.status == 0, done.stderr
     assert done.stdout.startswith(f"Wrote {tmp_path / 'relay.mcap'}\n0 messages sent back")
-    assert Read(tmp_path / "relay.mcap").sessions[-1]["state"] == "closed"
+    trace = Read(tmp_path / "relay.mcap")
+    assert (trace.sessions[-1]["state"], trace.sessions[-1]["cpu_affinity"]) == ("closed", [0])
+    assert trace.host
 
 
 def test_progress_is_drawn_on_a_terminal_alone(domain_id, tmp_path):
@@ -235,6 +250,7 @@ def test_a_folder_is_a_rosbag(domain_id, tmp_path):
         command.stop()
     with highlevel.AnyReader([tmp_path / "ping"]) as reader:
         counts = {each.topic: each.msgcount for each in reader.connections}
+        assert counts.pop("/dds_trace/host") >= 1
         assert counts == {
             "/dds_trace/t1": 5,
             "/dds_trace/t2": 5,
@@ -315,6 +331,7 @@ def test_a_bridge_joins_two_domains(domains, tmp_path):
         relay_domain,
     )
     assert trace.sessions[-1]["bridge"]["state"] == "ready"
+    assert {"self", "bridge"} <= set(trace.host[-1]["processes"])
 
 
 @pytest.mark.parametrize(

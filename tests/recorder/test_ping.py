@@ -187,6 +187,15 @@ def test_readiness_is_an_echo_and_no_event():
     assert [stamp.run_id for stamp in stamps] == [0]
 
 
+def test_readiness_of_several_relays_takes_an_echo_of_each():
+    link = Link(plan(), relays=(1, 2))
+    assert link.ping.wait_for_echo(5, NEVER, relays=2)
+    assert link.ping.echoing_relays == 2
+    assert len(link.sent) == 1
+    assert not link.ping.wait_for_echo(2, NEVER, relays=3)
+    assert link.ping.wait_for_echo(2, NEVER, relays=2)  # at once: they have answered
+
+
 def test_probes_are_repeated_with_new_numbers_and_slow_down():
     link = Link(plan(), delay_ns=lambda _: None)
     assert not link.ping.wait_for_echo(4, NEVER)

@@ -79,7 +79,7 @@ def percentile_interval(values: Values, quantile: float, confidence: float = 0.9
     The ranks are those for as many independent values as the series is worth, stretched to its length. Simulated
     with autoregressive series (correlation of neighbours 0, 0.5 and 0.8; p50 to p99; 150 to 10,000 messages),
     a 95 % interval holds the true quantile in 90 to 99 of 100 series. It is too narrow where neighbours are nearly
-    equal and the series short: with correlation 0.95, p90 of 150 messages is held by 64 of 100, of 1000 by 93.
+    equal and the series short: with correlation 0.95, p90 of 150 messages is held by 64 of 100, p95 of 1000 by 93.
 
     Args:
         values: the series in the order of time, so that neighbours are neighbours; infinity for a lost message.

@@ -46,6 +46,10 @@ test-slow *args: setup
 samples: setup
     DDS_TRACE_BIN={{bin}} sample_traces/record.sh
 
+# Build the real zenoh-bridge-dds from crates (cargo, about a quarter of an hour)
+install-zenoh-bridge:
+    scripts/install-zenoh-bridge.sh
+
 # All benchmarks: ratios measured side by side in one run
 bench: setup
     for script in benchmarks/bench_*.py; do {{bin}}/python $script; done

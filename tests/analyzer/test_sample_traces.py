@@ -38,9 +38,7 @@ def test_the_analyzer_gives_the_plain_numbers(name: str, tmp_path: Path) -> None
     for run_id, run in runs.items():
         rows = analysis.roundtrips.filter(pl.col("run_id") == int(run_id, 16))
         assert len(rows) == run["published"]
-        assert {
-            key: (rows["outcome"] == key).sum() for key in run["outcomes"]
-        } == run["outcomes"]
+        assert {key: (rows["outcome"] == key).sum() for key in run["outcomes"]} == run["outcomes"]
         (group,) = analysis.summary.filter(
             *(pl.col(key) == run[key] for key in ("data_type", "payload_bytes", "rate_hz", "bridge")),
         ).to_dicts()
@@ -54,7 +52,10 @@ def test_the_analyzer_gives_the_plain_numbers(name: str, tmp_path: Path) -> None
             for statistic in STATISTICS:
                 found = group[f"{metric}_{statistic}_ns"]
                 wanted = run[metric].get(statistic)
-                assert found == (None if wanted is None else pytest.approx(wanted, rel=1e-12)), (metric, statistic)
+                assert found == (None if wanted is None else pytest.approx(wanted, rel=1e-12)), (
+                    metric,
+                    statistic,
+                )
 
 
 def test_losses_are_real() -> None:

@@ -9,10 +9,12 @@ from __future__ import annotations
 import json
 import math
 import struct
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mcap.reader import make_reader
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 PERCENTILES = {"p50": 0.50, "p90": 0.90, "p95": 0.95, "p99": 0.99, "p99_9": 0.999}
 SUPPORT = {"p50": 1, "p90": 10, "p95": 20, "p99": 100, "p99_9": 1000}
@@ -85,6 +87,14 @@ def analyze_plain(folder: Path) -> dict[str, Any]:
     return {"runs": dict(sorted(runs.items()))}
 
 
+def _outcome(t2: Any, t3: Any, t4: Any) -> str:
+    if t2 is not None:
+        return "completed"
+    if t3 is None:
+        return "lost_outbound"
+    return "lost_in_relay" if t4 is None else "lost_return"
+
+
 def _one_run(held: Any, run: Any, session: Any, arrivals: Any, departures: Any) -> dict[str, Any]:
     run_id = int(run["run_id"], 16)
     replies: dict[int, dict[str, Any]] = {}
@@ -102,14 +112,7 @@ def _one_run(held: Any, run: Any, session: Any, arrivals: Any, departures: Any) 
         t2 = replies.get(sequence)
         t3 = arrivals.get((run_id, sequence))
         t4 = departures.get((run_id, sequence))
-        if t2 is not None:
-            outcomes["completed"] += 1
-        elif t3 is None:
-            outcomes["lost_outbound"] += 1
-        elif t4 is None:
-            outcomes["lost_in_relay"] += 1
-        else:
-            outcomes["lost_return"] += 1
+        outcomes[_outcome(t2, t3, t4)] += 1
         if t2 is not None:
             values["rtt"].append(t2["t"] - t1["t"])
             values["response"].append(t2["t"] - t1["t0"])

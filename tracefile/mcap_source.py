@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
+from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 from tracefile.batches import TOPIC_PREFIX, Batch, Text, event_batch, plain
@@ -51,12 +52,12 @@ class McapSource:
         self._pool = pool
         self._file = RecordFile(path, shown_as)
         self._channels = ChannelTable(self._path)
-        self._summary = read_summary(self._file)
-        if self._summary is not None:
-            for opcode, start, length in self._summary.found:
-                if opcode in _DECLARATIONS:
-                    content = memoryview(self._summary.data)[start : start + length]
-                    self._channels.declare(opcode, content, self._summary.offset(start))
+        with ExitStack() as undo:
+            undo.callback(self.close)
+            self._summary = read_summary(self._file)
+            for declaration in self._summary.declarations() if self._summary else ():
+                self._channels.declare(*declaration)
+            undo.pop_all()
         self._jobs = BlockJobs(
             self._file, self._summary, self._chunks_without_texts() if texts_only else frozenset()
         )

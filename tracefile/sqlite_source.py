@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sqlite3
 import struct
-from contextlib import closing
+from contextlib import ExitStack, closing
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
@@ -46,23 +46,26 @@ class SqliteSource:
     def __init__(self, path: Path, shown_as: Path | None = None, *, texts_only: bool = False) -> None:
         self._shown_as = shown_as or path
         self._texts_only = texts_only
-        try:
-            self._size = path.stat().st_size
-            self._missing_bytes = _missing_bytes(path)
-            self._database = sqlite3.connect(f"file:{quote(str(path))}?mode=ro", uri=True)
-            self._database.execute("PRAGMA trusted_schema = OFF")
-            tables = self._one(_TABLES)
-            self._topics: list[tuple[int, str, str, str]] = (
-                self._database.execute(_TOPICS).fetchall() if tables == 2 else []
-            )
-            self._last_row = self._one(_LAST_ROW) if tables == 2 else 0
-        except (sqlite3.Error, OSError, ValueError) as err:
-            raise TraceFormatError(self._shown_as, f"no rosbag2 database ({err})") from err
-        if tables != 2:
-            self.close()
-            raise TraceFormatError(
-                self._shown_as, "no rosbag2 database: it has no tables 'topics' and 'messages'"
-            )
+        with ExitStack() as undo:
+            try:
+                self._size = path.stat().st_size
+                self._missing_bytes = _missing_bytes(path)
+                self._database = sqlite3.connect(f"file:{quote(str(path))}?mode=ro", uri=True)
+                undo.callback(self.close)
+                self._database.execute("PRAGMA trusted_schema = OFF")
+                if self._one(_TABLES) != 2:
+                    raise TraceFormatError(
+                        self._shown_as, "no rosbag2 database: no tables 'topics' and 'messages'"
+                    )
+                topics = self._database.execute(_TOPICS).fetchall()
+                self._last_row = self._one(_LAST_ROW)
+            except (sqlite3.Error, OSError, ValueError) as err:
+                raise TraceFormatError(self._shown_as, f"no rosbag2 database ({err})") from err
+            undo.pop_all()
+        # SQLite keeps columns to no type: a damaged page may hold anything.
+        self._topics: list[tuple[int, str, str, str]] = [
+            row for row in topics if isinstance(row[0], int) and isinstance(row[1], str)
+        ]
 
     def close(self) -> None:
         """Give the file back."""
@@ -71,7 +74,7 @@ class SqliteSource:
     @property
     def topics(self) -> frozenset[str]:
         """All topics, ours or not."""
-        return frozenset(name for _, name, *_ in self._topics if isinstance(name, str))
+        return frozenset(name for _, name, *_ in self._topics)
 
     @property
     def written_events(self) -> int:
@@ -85,12 +88,12 @@ class SqliteSource:
 
     def batches(self) -> Iterator[Batch]:
         """All messages in the order in which they were stored; a damaged page ends them."""
-        names = {topic_id: name for topic_id, name, *_ in self._topics if isinstance(name, str)}
+        names = {topic_id: name for topic_id, name, *_ in self._topics}
         ours = {topic_id: name for topic_id, name in names.items() if name.startswith(TOPIC_PREFIX)}
         faults = self._faults()
         if self._texts_only:
             ours = {topic_id: name for topic_id, name in ours.items() if name not in STAGE_OF_TOPIC}
-        wanted = ",".join(str(int(topic_id)) for topic_id in ours)
+        wanted = ",".join(map(str, ours))
         last = Batch(
             notes=[f"messages of {names[topic_id]} are not used: {why}" for topic_id, why in faults.items()]
         )

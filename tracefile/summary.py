@@ -35,9 +35,11 @@ class Summary:
     data: bytes = b""
     found: list[tuple[int, int, int]] = field(default_factory=list)
 
-    def offset(self, position: int) -> int:
-        """Where in the file the byte at `position` of `data` lies."""
-        return self.data_end + position
+    def declarations(self) -> Iterator[tuple[int, memoryview, int]]:
+        """Opcode, content, and offset in the file of each schema and channel."""
+        for opcode, start, length in self.found:
+            if opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
+                yield opcode, memoryview(self.data)[start : start + length], self.data_end + start
 
     def parsed(self, opcode: Opcode) -> Iterator[dict[str, Any]]:
         """The fields of each record of one kind; those that are damaged are left out."""

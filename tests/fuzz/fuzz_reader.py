@@ -242,7 +242,7 @@ def write_seeds(corpus: Path) -> None:
 
 if __name__ == "__main__":
     folders = [Path(argument) for argument in sys.argv[1:] if not argument.startswith("-")]
-    if folders:
+    if folders and not folders[0].is_file():  # a file is a find to be tried again
         write_seeds(folders[0])
     atheris.Setup([sys.argv[0], *LIMITS, *sys.argv[1:]], test_one_input)
     atheris.Fuzz()

@@ -206,6 +206,20 @@ class TestDatabases:
         trace = read_trace(path.parent)
         assert (trace.event_count, trace.unreadable_messages) == (100, 3)
 
+    @pytest.mark.parametrize("topic_id", ["NULL", "'x'", "1.5", "x'00'"])
+    def test_topics_without_a_number_are_passed_over(self, tmp_path, topic_id):  # a find of fuzzing
+        path = self.database(tmp_path)
+        self.change(
+            path,
+            "CREATE TABLE kept AS SELECT * FROM topics",
+            "DROP TABLE topics",
+            "CREATE TABLE topics (id, name, type, serialization_format)",
+            "INSERT INTO topics SELECT id, name, type, serialization_format FROM kept",
+            f"UPDATE topics SET id = {topic_id} WHERE name = '/dds_trace/t1'",
+        )
+        trace = read_trace(path.parent)
+        assert (len(trace.events[Stage.T1]), len(trace.events[Stage.T2])) == (0, 50)
+
     def test_a_table_that_is_a_view_is_not_read(self, tmp_path):
         path = self.database(tmp_path)
         self.change(

@@ -40,7 +40,7 @@ def _print_version(asked: bool) -> None:
 
 
 @app.command(context_settings={"help_option_names": ["-h", "--help"]})
-def main_command(  # noqa: PLR0917 - the options of a command line
+def main_command(
     plan: Annotated[
         Path, typer.Argument(help="The plan, a TOML file such as plans/quick.toml.", show_default=False)
     ],
@@ -75,32 +75,32 @@ def main_command(  # noqa: PLR0917 - the options of a command line
     """
     from recorder.sweep import installed_middlewares, read_plan
 
-    asked = read_plan(plan, installed_middlewares)
+    asked = read_plan(plan, installed_middlewares, by_hand=printed is not None)
     if max_rate and printed:
         raise OptionError("--max-rate starts its relays itself; leave --print out")
     if dry_run:
-        _show(asked, with_commands=printed is not None, as_json=as_json)
+        _show(asked, as_json)
         return
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        code = _search(asked, out, as_json) if max_rate else _sweep(asked, out, printed is not None, as_json)
+        code = _search(asked, out, as_json) if max_rate else _sweep(asked, out, as_json)
     except KeyboardInterrupt:
         print("Interrupted; the same command goes on from here", file=sys.stderr)
         code = INTERRUPTED_EXIT_CODE
     raise typer.Exit(code)
 
 
-def _sweep(plan: Plan, out: Path, by_hand: bool, as_json: bool) -> int:
+def _sweep(plan: Plan, out: Path, as_json: bool) -> int:
     from rich.console import Console
 
     from recorder.sweep import INCOMPLETE_EXIT_CODE, make_progress, run_sweep
 
     console = Console(stderr=True)
     progress = make_progress(console)
-    if by_hand:
+    if plan.by_hand:
         for line in _relay_commands(plan):
             progress.note(line)
-    done = run_sweep(plan, out, progress, show_commands=progress.note if by_hand else None)
+    done = run_sweep(plan, out, progress)
     complete = done.cells - len(done.missing)
     if as_json:
         print(json.dumps({"folder": str(done.folder), "cells": done.cells, "missing": done.missing}))
@@ -141,7 +141,7 @@ def _search(plan: Plan, out: Path, as_json: bool) -> int:
     return INCOMPLETE_EXIT_CODE if any(found.answer is Answer.FAILED for found in answers) else 0
 
 
-def _show(plan: Plan, with_commands: bool, as_json: bool) -> None:
+def _show(plan: Plan, as_json: bool) -> None:
     """Prints the cells in the order in which they run."""
     from recorder.sweep import plan_seconds, schedule
 
@@ -159,7 +159,7 @@ def _show(plan: Plan, with_commands: bool, as_json: bool) -> None:
         print(f"left out by [[exclude]]: {count} cells" + (f" ({reason})" if reason else ""))
     if plan.link is not None:
         print(f"link: {plan.link}")
-    if with_commands:
+    if plan.by_hand:
         for line in _relay_commands(plan):
             print(line)
     print(
@@ -182,12 +182,16 @@ def _doubt(plan: Plan, cell: Cell) -> str:
 
 def _relay_commands(plan: Plan) -> list[str]:
     """What a person starts on the other device, in order."""
-    from recorder.sweep import printed_command, relay_arguments, schedule
+    from recorder.sweep import half_arguments, printed_command, relay_arguments, schedule
 
-    return [
-        f"relay {group.number}: {printed_command(relay_arguments(plan, group.need), group.number)}"
-        for group in schedule(plan)
-    ]
+    lines = []
+    for group in schedule(plan):
+        lines.append(
+            f"relay {group.number}: {printed_command(relay_arguments(plan, group.need), group.number)}"
+        )
+        if group.bridge:
+            lines.append(f"beside it: dds-bridge {' '.join(half_arguments(plan, group, 'relay'))}")
+    return lines
 
 
 def main() -> None:

@@ -1,7 +1,7 @@
 """The whole parameter space from one plan: cells, their order, the devices, the link between them, the state."""
 
 from recorder.sweep.cells import Cell
-from recorder.sweep.commands import relay_arguments
+from recorder.sweep.commands import half_arguments, relay_arguments
 from recorder.sweep.devices import printed_command
 from recorder.sweep.estimate import Remaining, plan_seconds
 from recorder.sweep.installed import installed_middlewares
@@ -29,6 +29,7 @@ __all__ = [
     "Remaining",
     "SweepOutcome",
     "SweepProgress",
+    "half_arguments",
     "installed_middlewares",
     "make_progress",
     "max_rate_rows",

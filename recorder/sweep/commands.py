@@ -9,6 +9,10 @@ from recorder.sweep.cells import AXES, RELAY_AXES
 if TYPE_CHECKING:
     from recorder.sweep.cells import Cell, RelayNeed
     from recorder.sweep.plan import DeviceSettings, Plan
+    from recorder.sweep.schedule import Group
+
+BRIDGE_PORT = 7447
+"""Where the two halves of a bridge meet; Zenoh's own port, so that firewalls may know it."""
 
 
 def relay_arguments(plan: Plan, need: RelayNeed) -> list[str]:
@@ -20,10 +24,29 @@ def relay_arguments(plan: Plan, need: RelayNeed) -> list[str]:
     ]
 
 
+def half_arguments(plan: Plan, group: Group, half: str) -> list[str]:
+    """Arguments of `dds-bridge` for the half of the group's bridge that runs beside its `ping` or its `relay`."""
+    assert group.bridge is not None
+    need = group.need
+    meeting = (
+        ["--listen", f"0.0.0.0:{BRIDGE_PORT}"]
+        if half == "ping"
+        else ["--peer", f"{plan.ping.address}:{BRIDGE_PORT}"]
+    )
+    return [
+        *(group.bridge, "--half", half, *meeting),
+        *("--from", str(plan.run.ping_domain), "--to", str(plan.run.domain), "--discovery", plan.discovery),
+        *("--reliability", need.reliability, "--durability", need.durability, "--depth", str(need.depth)),
+        *(["--tuned"] if need.tuned else []),
+    ]
+
+
 def ping_arguments(plan: Plan, cell: Cell, wait_s: float) -> list[str]:
     """Arguments of the ping of this cell, without `--out`; it waits so long for an echo."""
     domain = plan.run.ping_domain if cell.crosses_domains else plan.run.domain
     bridged = ["--relay-domain", str(plan.run.domain)] if cell.crosses_domains else []
+    if plan.runs_halves(cell):
+        bridged.append("--bridge-running")
     return [
         *("--role", "ping", "--domain", str(domain), *bridged),
         *_axis_arguments(cell, [axis for axis in AXES if axis not in ("relay_backend", "relay_rmw")]),
@@ -37,7 +60,8 @@ def ping_arguments(plan: Plan, cell: Cell, wait_s: float) -> list[str]:
 
 def _common_arguments(plan: Plan, device: DeviceSettings) -> list[str]:
     named = ["--device", device.name] if device.name else []
-    return ["--discovery", plan.discovery, "--connectivity", plan.connectivity, *named, *device.options]
+    link = ["--connectivity", plan.connectivity] if plan.connectivity else []
+    return ["--discovery", plan.discovery, *link, *named, *device.options]
 
 
 def _axis_arguments(parameters: Cell | RelayNeed, axes: list[str]) -> list[str]:

@@ -7,7 +7,7 @@ import shutil
 import subprocess
 from typing import TYPE_CHECKING, Protocol
 
-from recorder.sweep.programs import Program
+from recorder.sweep.programs import Program, local_program
 from tracefile import BackendUnavailableError, OptionError, __version__
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ SSH_TIMEOUT_S = 60.0
 
 
 class RunningRelay(Protocol):
-    """A relay that has been started."""
+    """A relay, or a half of a bridge, that has been started."""
 
     @property
     def failure(self) -> str | None:
@@ -51,6 +51,9 @@ class RelayDevice(Protocol):
 
     def start(self, arguments: Sequence[str], segment: str) -> RunningRelay:
         """A relay that writes the trace `segment`."""
+
+    def start_half(self, arguments: Sequence[str], segment: str) -> RunningRelay:
+        """The relay's half of a bridge, beside the relay that writes `segment`."""
 
     def collect(self, segment: str) -> Path | None:
         """The trace `segment` on this machine, None if it was never begun.
@@ -86,6 +89,10 @@ class LocalDevice:
         """A relay on this machine."""
         command = [*self._command, *arguments, "--out", str(self._folder / segment)]
         return _RelayProgram(Program(command, _log_path(self._folder, segment), held=self._held))
+
+    def start_half(self, arguments: Sequence[str], segment: str) -> RunningRelay:
+        """A half on this machine."""
+        return start_local_half(arguments, self._folder, segment, self._held)
 
     def collect(self, segment: str) -> Path | None:
         """The trace, where it was written."""
@@ -137,15 +144,23 @@ class SshDevice:
 
     def start(self, arguments: Sequence[str], segment: str) -> RunningRelay:
         """A relay there."""
-        relay = f"dds-record {shlex.join(arguments)} --out {self._remote}/{shlex.quote(segment)}"
-        pid = self._pid_file(segment)
+        command = f"dds-record {shlex.join(arguments)} --out {self._remote}/{shlex.quote(segment)}"
+        return self._start(command, self._pid_file(segment), _log_path(self._folder, segment))
+
+    def start_half(self, arguments: Sequence[str], segment: str) -> RunningRelay:
+        """A half there."""
+        name = f"{segment}.half"
+        return self._start(
+            f"dds-bridge {shlex.join(arguments)}", self._pid_file(name), _log_path(self._folder, name)
+        )
+
+    def _start(self, command: str, pid: str, log: Path) -> RunningRelay:
         # A command in the background reads from /dev/null unless it is given a copy of the input.
         script = (
-            f"{self._setup} exec 3<&0; {relay} </dev/null 3<&- & relay=$!; echo $relay >{pid}; "
-            "{ cat <&3 >/dev/null; kill -TERM $relay; } 2>/dev/null & watch=$!; "
-            f"wait $relay; code=$?; rm -f {pid}; kill $watch 2>/dev/null; exit $code"
+            f"{self._setup} exec 3<&0; {command} </dev/null 3<&- & program=$!; echo $program >{pid}; "
+            "{ cat <&3 >/dev/null; kill -TERM $program; } 2>/dev/null & watch=$!; "
+            f"wait $program; code=$?; rm -f {pid}; kill $watch 2>/dev/null; exit $code"
         )
-        log = _log_path(self._folder, segment)
         return _RelayProgram(Program([*self._ssh, script], log, stops_by_input=True))
 
     def collect(self, segment: str) -> Path | None:
@@ -218,12 +233,28 @@ class PrintedDevice:
         self._show(f"{before}: {printed_command(arguments, segment.split('-', maxsplit=1)[0])}")
         return _PrintedRelay()
 
+    def start_half(self, arguments: Sequence[str], segment: str) -> RunningRelay:  # noqa: ARG002 - the role's signature
+        """Shows the command to start beside the relay there."""
+        self._show(f"and beside it: dds-bridge {shlex.join(arguments)}")
+        return _PrintedRelay()
+
     def collect(self, segment: str) -> Path | None:  # noqa: ARG002 - the role's signature
         """The trace stays there; copied into the sweep's folder later, it is paired by its run ids."""
         return None
 
     def discard(self, segment: str) -> None:
         """Nothing is here."""
+
+
+def start_local_half(
+    arguments: Sequence[str],
+    folder: Path,
+    segment: str,
+    held: int | None,
+) -> RunningRelay:
+    """A half of a bridge on this machine; its log lies beside that of the relay that writes `segment`."""
+    command = [*local_program("dds-bridge"), *arguments]
+    return _RelayProgram(Program(command, _log_path(folder, f"{segment}.own-half"), held=held))
 
 
 def printed_command(arguments: Sequence[str], number: int | str) -> str:

@@ -8,6 +8,9 @@ from dataclasses import asdict, dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Any
 
+from recorder.bridges import BRIDGE_MODULES, load_bridge
+from recorder.bridges.bridge import Halves
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
@@ -76,6 +79,7 @@ class DeviceSettings:
         ssh_options: further arguments of `ssh`, such as `-p 2222`.
         setup: shell command that runs there first, such as `. /opt/ros/jazzy/setup.sh`.
         path: folder of `dds-record` there, where it is not found by itself: `~/dds-trace/.venv/bin`.
+        address: of the device as the other one reaches it, for a bridge with a half on each.
         options: further options of `dds-record` there, such as `--realtime`, `50`, `--cpu-affinity`, `3`.
     """
 
@@ -84,6 +88,7 @@ class DeviceSettings:
     ssh_options: tuple[str, ...] = ()
     setup: str | None = None
     path: str | None = None
+    address: str | None = None
     options: tuple[str, ...] = ()
 
 
@@ -139,7 +144,8 @@ class Plan:
         excluded: cells left out, with the reason.
         namespaces: ping and relay each in a network namespace of its own.
         link: between the namespaces, None for a bare veth.
-        connectivity: as written to the trace.
+        connectivity: as written to the trace; None lets each device look it up.
+        by_hand: a person starts the relay, on another device.
     """
 
     name: str
@@ -151,7 +157,8 @@ class Plan:
     relay: DeviceSettings = DeviceSettings()
     namespaces: bool = False
     link: Link | None = None
-    connectivity: str = "loopback"
+    connectivity: str | None = "loopback"
+    by_hand: bool = False
     search: Search = Search()
 
     @property
@@ -159,7 +166,19 @@ class Plan:
         """How far the nodes look for each other."""
         if self.run.discovery is not None:
             return self.run.discovery
-        return "subnet" if self.namespaces or self.connectivity != "loopback" else "localhost"
+        return "subnet" if self.namespaces or self.has_two_devices else "localhost"
+
+    @property
+    def has_two_devices(self) -> bool:
+        """Whether the relay is on another device."""
+        return self.by_hand or self.relay.ssh is not None
+
+    def runs_halves(self, cell: Cell) -> bool:
+        """Whether the cell's bridge runs one half beside the ping and one beside the relay.
+
+        On one machine, and where a bridge is one program, the ping's `dds-record` runs all of it.
+        """
+        return self.has_two_devices and cell.crosses_domains and has_halves(cell.bridge)
 
     @property
     def digest(self) -> str:
@@ -176,3 +195,8 @@ class Plan:
             "connectivity": self.connectivity,
         }
         return hashlib.sha256(json.dumps(told, sort_keys=True, default=str).encode()).hexdigest()[:16]
+
+
+def has_halves(bridge: str) -> bool:
+    """Whether a bridge is one process for each domain in any case; False for one that we do not know."""
+    return bridge in BRIDGE_MODULES and load_bridge(bridge).halves is Halves.ALWAYS

@@ -31,12 +31,13 @@ INSTALLED = "installed"
 """As `backend`: every middleware that this machine has."""
 
 
-def read_plan(path: Path, installed: FindInstalled = tuple) -> Plan:
+def read_plan(path: Path, installed: FindInstalled = tuple, *, by_hand: bool = False) -> Plan:
     """The plan in a TOML file.
 
     Args:
         path: the file.
         installed: gives (backend, rmw) of every middleware of this machine; called where the plan asks for it.
+        by_hand: a person starts the relay, on another device.
 
     Raises:
         OptionError: there is no such file, it is no TOML, or something in it cannot be meant.
@@ -47,7 +48,7 @@ def read_plan(path: Path, installed: FindInstalled = tuple) -> Plan:
         raise OptionError(
             f"{path}: {err.strerror}; give the path of a plan such as plans/quick.toml"
         ) from err
-    return parse_plan(text, path.stem, str(path), installed)
+    return parse_plan(text, path.stem, str(path), installed, by_hand=by_hand)
 
 
 def parse_plan(
@@ -55,6 +56,8 @@ def parse_plan(
     name: str,
     where: str,
     installed: FindInstalled = tuple,
+    *,
+    by_hand: bool = False,
 ) -> Plan:
     """The plan in a TOML text; `where` goes into the error messages, which are those of `read_plan`."""
     try:
@@ -96,7 +99,10 @@ def parse_plan(
         relay=relay,
         namespaces=network.namespaces or link is not None,
         link=link,
-        connectivity=devices.take("connectivity", str, _connectivity(link, network.namespaces, relay)),
+        connectivity=devices.take(
+            "connectivity", str, _connectivity(link, network.namespaces, relay, by_hand)
+        ),
+        by_hand=by_hand,
         search=_record(Search, root.table("search")),
     )
     _check(plan, where)
@@ -110,10 +116,12 @@ class _Network:
     namespaces: bool = False
 
 
-def _connectivity(link: Link | None, namespaces: bool, relay: DeviceSettings) -> str:
+def _connectivity(link: Link | None, namespaces: bool, relay: DeviceSettings, by_hand: bool) -> str | None:
     if link is not None:
         return link.connectivity
-    return "wired" if namespaces or relay.ssh else "loopback"
+    if relay.ssh is not None or by_hand:
+        return None
+    return "wired" if namespaces else "loopback"
 
 
 def _cells(axes: Mapping[str, list[Any]], installed: FindInstalled) -> Iterator[Cell]:
@@ -169,7 +177,11 @@ def _check(plan: Plan, where: str) -> None:
             any(cell.crosses_domains for cell in plan.cells) and run.domain == run.ping_domain,
             "[run] domain and ping_domain are the same, and a bridge joins two",
         ),
-        (relay.ssh is not None and plan.namespaces, "[link] and [network] need both devices on this machine"),
+        (plan.has_two_devices and plan.namespaces, "[link] and [network] need both devices on this machine"),
+        (
+            plan.ping.address is None and any(plan.runs_halves(cell) for cell in plan.cells),
+            "a bridge with a half on each device needs [devices.ping] address, where the relay's half finds the other",
+        ),
         (plan.ping.ssh is not None, "the ping is always on this machine; give [devices.relay] the ssh"),
         (
             plan.search.percentile not in PERCENTILES,

@@ -13,9 +13,11 @@ import contextlib
 import itertools
 import time
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from recorder.sweep.commands import ping_arguments, relay_arguments
+from recorder.sweep.commands import half_arguments, ping_arguments, relay_arguments
+from recorder.sweep.devices import start_local_half
 from recorder.sweep.estimate import Estimate
 from recorder.sweep.programs import Program
 from recorder.sweep.result import CellResult, read_result
@@ -124,12 +126,20 @@ class Runner:
         relay = Relay(
             self._station.device, relay_arguments(self.plan, group.need), self._segment_names(group)
         )
+        if group.bridge is not None:
+            relay.halves = (
+                partial(self._station.device.start_half, half_arguments(self.plan, group, "relay")),
+                partial(self._start_own_half, half_arguments(self.plan, group, "ping")),
+            )
         self._progress.relay(group.need.name)
         try:
             yield relay
         finally:
             for segment in relay.stop():
                 self._collect(segment)
+
+    def _start_own_half(self, arguments: Sequence[str], segment: str) -> RunningRelay:
+        return start_local_half(arguments, self._parts, segment, self._station.held)
 
     def record(self, cell: Cell, relay: Relay) -> CellState:
         """Records one cell, as often as the plan allows; its state afterwards."""
@@ -227,7 +237,10 @@ class Runner:
                     name, status=Status.FAILED, segment="", reason="the relay's part of it is lost"
                 )
                 self._progress.note(f"{name}: the relay's part of it is lost")
-        device.discard(segment)
+        try:
+            device.discard(segment)
+        except BackendUnavailableError as err:
+            self._progress.note(f"{err}; a trace that is no longer needed stays there")
 
     def _split(self, path: Path | None, cells: Mapping[str, CellState]) -> dict[int, int]:
         parts = [
@@ -263,15 +276,20 @@ class CellFailedError(Exception):
 
 
 class Relay:
-    """The relay of a group of cells, started again in a new segment when it has ended by itself."""
+    """The relay of a group of cells, started again in a new segment when it has ended by itself.
+
+    Attributes:
+        halves: start the halves of the group's bridge, given the segment's name.
+    """
 
     def __init__(self, device: RelayDevice, arguments: Sequence[str], new_segments: Iterator[str]) -> None:
         self._device = device
         self._arguments = arguments
         self._new_segments = new_segments
         self._segments: list[str] = []
-        self._running: RunningRelay | None = None
+        self._running: dict[str, RunningRelay] = {}
         self._hopeless: CellFailedError | None = None
+        self.halves: tuple[Callable[[str], RunningRelay], ...] = ()
 
     def serve(self) -> str:
         """Sees to it that a relay runs, and gives the segment that it writes.
@@ -281,32 +299,35 @@ class Relay:
         """
         if self._hopeless is not None:
             raise self._hopeless
-        if self._running is None:
+        if not self._running:
             segment = next(self._new_segments)
             self._segments.append(segment)
-            self._running = self._device.start(self._arguments, segment)
+            self._running["relay"] = self._device.start(self._arguments, segment)
+            for number, start in enumerate(self.halves, 1):
+                self._running[f"bridge's half {number}"] = start(segment)
         return self._segments[-1]
 
     def check(self) -> None:
-        """Says so when the relay has ended by itself; `serve` then starts another one.
+        """Says so when the relay or a half of its bridge has ended by itself; `serve` then starts them again.
 
         Raises:
-            CellFailedError: it has.
+            CellFailedError: one has.
         """
-        if self._running is None or self._running.failure is None:
+        ended = next((name for name, running in self._running.items() if running.failure is not None), None)
+        if ended is None:
             return
         failure = CellFailedError(
-            f"the relay ended: {self._running.failure}",
-            hopeless=self._running.exit_code in HOPELESS_EXIT_CODES,
+            f"the {ended} ended: {self._running[ended].failure}",
+            hopeless=self._running[ended].exit_code in HOPELESS_EXIT_CODES,
         )
-        self._running.stop()
-        self._running = None
+        self.stop()
         if failure.hopeless:
             self._hopeless = failure
         raise failure
 
     def stop(self) -> list[str]:
-        """Ends the relay, and gives the segments that it wrote."""
-        if self._running is not None:
-            self._running.stop()
+        """Ends what runs, and gives the segments that were written."""
+        for running in reversed(self._running.values()):
+            running.stop()
+        self._running.clear()
         return self._segments

@@ -22,7 +22,7 @@ class Group:
     Attributes:
         number: 1, 2 ... in the order in which they run.
         need: what the relay is started with.
-        bridge: of all the cells, where a half of it has to run beside the relay; else None.
+        bridge: of all the cells, where one half of it runs beside the ping and one beside the relay; else None.
     """
 
     number: int
@@ -55,7 +55,7 @@ def group_by_relay(plan: Plan, cells: Iterable[Cell]) -> list[Group]:
     """The cells by the relay that serves them, relays and cells in the order of their first appearance."""
     served: dict[tuple[RelayNeed, str | None], list[Cell]] = {}
     for cell in cells:
-        beside_relay = cell.bridge if plan.relay.ssh and cell.crosses_domains else None
+        beside_relay = cell.bridge if plan.runs_halves(cell) else None
         served.setdefault((cell.relay, beside_relay), []).append(cell)
     return [
         Group(number, need, bridge, tuple(listed))

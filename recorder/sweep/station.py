@@ -27,7 +27,7 @@ def open_station(
     folder: Path,
     held: int,
     *,
-    show_commands: Callable[[str], None] | None = None,
+    show: Callable[[str], None],
     command: Sequence[str] | None = None,
 ) -> Iterator[Station]:
     """The station of a plan while the block runs.
@@ -36,7 +36,7 @@ def open_station(
         plan: says where the relay is and what is between the roles.
         folder: of the sweep.
         held: the lock of the folder.
-        show_commands: prints the relays' commands for a person to start; None starts them.
+        show: prints a line, such as a command that a person is to start.
         command: `dds-record` on this machine, the installed one unless given.
 
     Raises:
@@ -44,8 +44,8 @@ def open_station(
     """
     own = list(command or local_program("dds-record"))
     parts = folder / PARTS
-    if show_commands is not None:
-        yield Station(own, PrintedDevice(show_commands), held, wait_s=PERSON_WAIT_S)
+    if plan.by_hand:
+        yield Station(own, PrintedDevice(show), held, wait_s=PERSON_WAIT_S)
     elif plan.relay.ssh is not None:
         yield Station(own, SshDevice(plan.relay, parts, plan.name), held, wait_s=ECHO_WAIT_S)
     elif plan.namespaces:

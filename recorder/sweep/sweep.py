@@ -12,7 +12,7 @@ from recorder.sweep.search import find_max_rates, search_plan
 from recorder.sweep.station import open_station
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
     from recorder.sweep.plan import Plan
@@ -43,7 +43,6 @@ def run_sweep(
     out: Path,
     progress: SweepProgress,
     *,
-    show_commands: Callable[[str], None] | None = None,
     command: Sequence[str] | None = None,
 ) -> SweepOutcome:
     """Records every cell of the plan that is not complete below `out`.
@@ -52,7 +51,6 @@ def run_sweep(
         plan: what to record.
         out: the plan's folder is made in it.
         progress: hears what happens.
-        show_commands: as for `open_station`.
         command: as for `open_station`.
 
     Raises:
@@ -62,11 +60,13 @@ def run_sweep(
     groups = schedule(plan)
     with (
         holding_folder(folder, progress.note) as held,
-        open_station(plan, folder, held, show_commands=show_commands, command=command) as station,
+        open_station(plan, folder, held, show=progress.note, command=command) as station,
     ):
         runner = Runner(plan, folder, station, progress)
         missing = runner.run(groups)
-        reasons = {name: runner.state[name].reason or runner.state[name].status.value for name in missing}
+        reasons = {
+            name: runner.state[name].reason or "the relay's trace is still on its device" for name in missing
+        }
     return SweepOutcome(folder, sum(len(group.cells) for group in groups), reasons)
 
 
@@ -86,7 +86,7 @@ def run_search(
     folder = out / searched.name
     with (
         holding_folder(folder, progress.note) as held,
-        open_station(searched, folder, held, command=command) as station,
+        open_station(searched, folder, held, show=progress.note, command=command) as station,
     ):
         runner = Runner(searched, folder, station, progress)
         runner.resume()

@@ -120,7 +120,7 @@ def test_dry_run_names_what_is_left_out_and_what_cannot_be_carried(call, plan):
 
 def test_dry_run_with_the_commands_for_the_other_device(call, plan):
     _, out, _ = call(plan, "--dry-run", "--print", "relay")
-    assert "relay 1: dds-record --role relay --domain 10 --discovery localhost --connectivity loopback" in out
+    assert "relay 1: dds-record --role relay --domain 10 --discovery subnet --out relay-1.mcap" in out
 
 
 def test_dry_run_as_json(call, plan):

@@ -24,6 +24,11 @@ echo open >"$out"
 echo "dds-record: relay serves"
 while :; do sleep 0.05; done
 """
+HALF = """#!/bin/sh
+trap 'echo "half closed" >"$HOME/half"; exit 0' TERM
+echo "$@" >"$HOME/half"
+while :; do sleep 0.05; done
+"""
 BROKEN_RECORD = """#!/bin/sh
 echo "dds-record: rmw_nowhere is not installed" >&2
 exit 7
@@ -46,7 +51,11 @@ def remote(server, tmp_path):
     (tmp_path / "parts").mkdir()
 
     def make(record=RECORD, version=__version__, destination=server.destination):
-        for name, text in (("dds-record", record), ("dds-sweep", f"#!/bin/sh\necho dds-sweep {version}\n")):
+        for name, text in (
+            ("dds-record", record),
+            ("dds-bridge", HALF),
+            ("dds-sweep", f"#!/bin/sh\necho dds-sweep {version}\n"),
+        ):
             (tmp_path / "bin" / name).write_text(text)
             (tmp_path / "bin" / name).chmod(0o755)
         settings = DeviceSettings(
@@ -81,6 +90,21 @@ def test_relay_is_started_there_stopped_and_its_trace_fetched(remote, tmp_path):
     relay.stop()
     fetched = device.collect("1-1.mcap")
     assert fetched.read_text() == "open\nclosed\n"
+    device.discard("1-1.mcap")
+    assert list(there(tmp_path).iterdir()) == []
+    assert list((tmp_path / "parts").iterdir()) == []
+
+
+def test_half_of_a_bridge_runs_beside_the_relay_there(remote, tmp_path):
+    device = remote()
+    device.prepare()
+    relay = device.start([], "1-1.mcap")
+    half = device.start_half(["zenoh-bridge-dds", "--half", "relay"], "1-1.mcap")
+    told = tmp_path / "home/half"
+    wait_for(lambda: told.exists() and told.read_text() == "zenoh-bridge-dds --half relay\n")
+    half.stop()
+    relay.stop()
+    assert told.read_text() == "half closed\n"
     device.discard("1-1.mcap")
     assert list(there(tmp_path).iterdir()) == []
     assert list((tmp_path / "parts").iterdir()) == []
@@ -151,9 +175,11 @@ def test_printed_relay_is_a_command_line_for_a_person():
     device = PrintedDevice(lines.append)
     device.start(["--role", "relay", "--device", "the robot"], "1-17-1.mcap").stop()
     device.start(["--role", "relay"], "2-17-1.mcap")
+    device.start_half(["zenoh-bridge-dds", "--half", "relay"], "2-17-1.mcap")
     assert lines == [
         "start on the other device: dds-record --role relay --device 'the robot' --out relay-1.mcap",
         "end the relay there (Ctrl-C), then start: dds-record --role relay --out relay-2.mcap",
+        "and beside it: dds-bridge zenoh-bridge-dds --half relay",
     ]
     assert device.keeps_traces
 

@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import pytest
 
 from recorder.sweep.link import PRESETS
@@ -160,3 +163,12 @@ def test_digest_tells_unlike_recordings_from_more_cells():
     assert parse("[run]\nmessages = 10\nattempts = 5\n").digest == plan.digest
     assert parse("[run]\nmessages = 11\n").digest != plan.digest
     assert parse(RUN + "[link]\npreset = '5g'\n").digest != plan.digest
+
+
+def test_examples_of_the_documentation_are_plans():
+    text = (Path(__file__).parents[3] / "docs" / "sweep.md").read_text()
+    whole, *parts = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
+    # 2 rmw x 2 bridges x (2 sizes x 2 rates + 2 rates of imu), without 2 bridges x 2 rates of Cyclone at 4 MB
+    assert len(parse(whole).cells) == 20
+    for part in parts:
+        parse(RUN + part)

@@ -157,22 +157,22 @@ def test_relay_over_ssh(sweep, tmp_path):
     (tmp_path / "sshd").mkdir()
     with loopback_sshd.sshd(tmp_path / "sshd") as server:
         small = sweep(
-            '[axes]\ndata = "imu"\nrate = [50, 100]\n[devices.relay]\nname = "robot"\n'
+            # On one machine after all: nothing is to leave it.
+            'discovery = "localhost"\n[axes]\ndata = "imu"\nrate = [50, 100]\n'
+            '[devices]\nconnectivity = "wireless"\n[devices.relay]\nname = "robot"\n'
             f"ssh = {json.dumps(server.destination)}\nssh_options = {json.dumps(server.options)}\n"
             f'setup = "export HOME={tmp_path / "home"}"\npath = "{BIN}"\n'
         )
-        # On one machine after all: nothing is to leave it.
-        small.plan.write_text(small.plan.read_text().replace("[run]", '[run]\ndiscovery = "localhost"'))
         code, _, stderr = small.run()
     assert code == 0, stderr
     check_pairs(small, small.cells)
     assert {trace.sessions[0].device for trace in small.traces("relay").values()} == {"robot"}
-    assert {trace.sessions[0].connectivity for trace in small.traces("ping").values()} == {"wired"}
+    assert {trace.sessions[0].connectivity for trace in small.traces("ping").values()} == {"wireless"}
     assert list((tmp_path / "home").rglob("*.mcap")) == []
 
 
 def test_person_starts_what_is_printed_and_the_sweep_goes_on_by_echo(sweep, tmp_path):
-    small = sweep('[axes]\ndata = "imu"\nrate = [50, 100]\n')
+    small = sweep('discovery = "localhost"\n[axes]\ndata = "imu"\nrate = [50, 100]\n')
     process = small.start("--print", "relay")
     lines = []
     while not lines or not lines[-1].startswith("start on the other device: "):

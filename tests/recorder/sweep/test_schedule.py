@@ -1,8 +1,12 @@
 from __future__ import annotations
 
+import pytest
+
+from recorder.sweep.commands import half_arguments, ping_arguments
 from recorder.sweep.estimate import Remaining, plan_seconds
 from recorder.sweep.plan_file import parse_plan
 from recorder.sweep.schedule import schedule
+from tracefile import OptionError
 
 PLAN = """
 [run]
@@ -46,14 +50,43 @@ def test_shuffled_order_is_a_permutation_that_the_seed_decides():
     assert repeats == sorted(repeats)
 
 
-def test_bridge_splits_groups_only_where_half_of_it_runs_beside_a_distant_relay():
-    distant = parse_plan(PLAN.format(order="") + '[devices.relay]\nssh = "pi@robot"\n', "p", "p.toml")
-    assert [(group.need.reliability, group.bridge) for group in schedule(distant)][:4] == [
-        ("reliable", None),
-        ("reliable", "builtin"),
-        ("best_effort", None),
-        ("best_effort", "builtin"),
+DISTANT = '[devices.relay]\nssh = "pi@robot"\n[devices.ping]\naddress = "192.168.0.5"\n'
+
+
+def test_bridge_of_halves_has_a_relay_of_its_own_where_that_is_on_another_device():
+    text = PLAN.format(order="").replace('"builtin"', '"builtin", "zenoh-bridge-dds"')
+    assert [group.bridge for group in schedule(parse_plan(text, "p", "p.toml"))] == [None] * 4
+    distant = parse_plan(text + DISTANT, "p", "p.toml")
+    groups = schedule(distant)[:4]
+    assert [(group.need.reliability, group.bridge, len(group.cells)) for group in groups] == [
+        ("reliable", None, 6),  # the builtin bridge is one program, beside the ping
+        ("reliable", "zenoh-bridge-dds", 3),
+        ("best_effort", None, 6),
+        ("best_effort", "zenoh-bridge-dds", 3),
     ]
+
+
+def test_halves_meet_at_the_pings_address_and_the_ping_leaves_them_running():
+    distant = parse_plan(
+        PLAN.format(order="").replace("builtin", "zenoh-bridge-dds") + DISTANT, "p", "p.toml"
+    )
+    group = schedule(distant)[1]
+    ping, relay = (" ".join(half_arguments(distant, group, half)) for half in ("ping", "relay"))
+    rest = "--from 5 --to 10 --discovery subnet --reliability reliable --durability volatile --depth 10"
+    assert ping == f"zenoh-bridge-dds --half ping --listen 0.0.0.0:7447 {rest}"
+    assert relay == f"zenoh-bridge-dds --half relay --peer 192.168.0.5:7447 {rest}"
+    assert "--bridge-running" in ping_arguments(distant, group.cells[0], 20)
+    assert "--bridge-running" not in ping_arguments(distant, schedule(distant)[0].cells[0], 20)
+
+
+def test_halves_need_to_know_where_to_meet():
+    with pytest.raises(OptionError, match=r"\[devices\.ping\] address"):
+        parse_plan(
+            PLAN.format(order="").replace("builtin", "zenoh-bridge-dds")
+            + '[devices.relay]\nssh = "pi@robot"\n',
+            "p",
+            "p.toml",
+        )
 
 
 def test_estimate_is_schedules_plus_overheads():

@@ -1,0 +1,68 @@
+from __future__ import annotations
+
+import io
+
+from rich.console import Console
+
+from recorder.sweep.estimate import Estimate, Remaining
+from recorder.sweep.plan_file import parse_plan
+from recorder.sweep.progress import PlainProgress, RichProgress, make_progress
+
+
+def tell(progress):
+    progress.begin(3, 1)
+    progress.relay("ros2")
+    progress.cell("a_10Hz", Remaining(61))
+    progress.ended("a_10Hz", "RTT p50 0.92 p99 2.10 ms, 50/50 messages", complete=True)
+    progress.ended("b_10Hz", "failed: [bold]no echo[/bold]", complete=False)
+    progress.end()
+
+
+def console(*, terminal):
+    return Console(file=io.StringIO(), force_terminal=terminal, width=120, _environ={"TERM": "xterm"})
+
+
+def test_plain_lines_for_a_log():
+    there = console(terminal=False)
+    progress = make_progress(there)
+    assert type(progress) is PlainProgress
+    tell(progress)
+    assert there.file.getvalue().splitlines() == [
+        "1 of 3 cells are there already",
+        "relay: ros2",
+        "[2/3] a_10Hz: RTT p50 0.92 p99 2.10 ms, 50/50 messages",
+        "[2/3] b_10Hz: failed: [bold]no echo[/bold]",
+    ]
+
+
+def test_bar_on_a_terminal_shows_the_time_left_and_the_last_percentiles():
+    there = console(terminal=True)
+    progress = make_progress(there)
+    assert type(progress) is RichProgress
+    tell(progress)
+    task = progress._progress.tasks[0]
+    assert (task.completed, task.total) == (2, 3)
+    assert task.fields["left"] == "1 min 01 s left"
+    assert "[2/3] a_10Hz: RTT p50 0.92 p99 2.10 ms" in there.file.getvalue()
+
+
+def test_number_of_cells_may_be_unknown():
+    there = console(terminal=False)
+    progress = PlainProgress(there)
+    progress.begin(0, 0)
+    progress.ended("a", "held", complete=True)
+    assert there.file.getvalue() == "[1] a: held\n"
+
+
+def test_estimate_learns_what_a_run_costs_beside_its_schedule():
+    plan = parse_plan(
+        "[run]\nmessages = 90\nwarmup = 10\nsettle_seconds = 1\n[axes]\nrate = [10, 100]\n", "p", "p"
+    )
+    estimate = Estimate(plan)
+    slow, fast = plan.cells
+    assert estimate.cell_seconds(slow) == 10 + 3.5 + 1
+    estimate.measured(slow, 12.0)
+    estimate.measured(fast, 5.0)
+    # overheads of 2 and 4 s
+    assert estimate.cell_seconds(fast) == 1 + 3 + 1
+    assert estimate.remaining([slow, fast]).seconds == 14 + 5

@@ -161,7 +161,7 @@ def _check(plan: Plan, where: str) -> None:
     Raises:
         OptionError: one of them is broken.
     """
-    run, relay = plan.run, plan.relay
+    run = plan.run
     rules = (
         (
             (run.messages > 0) == (run.seconds > 0),

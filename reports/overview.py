@@ -132,7 +132,8 @@ def _when(analysis: Analysis) -> str:
         return ""
     sessions = {f"{session.session_id:016x}": session for session in analysis.sessions}
     session_of = {run.run_id: sessions.get(str(run.extra.get("session_id"))) for run in analysis.runs}
-    for run_id, publish_ns in analysis.roundtrips.group_by("run_id").agg(pl.max("publish_ns")).iter_rows():
+    last = analysis.scan_roundtrips().group_by("run_id").agg(pl.max("publish_ns")).collect()
+    for run_id, publish_ns in last.iter_rows():
         session = session_of.get(run_id)
         if session is not None and publish_ns is not None:
             instants.append(session.wall_ns(publish_ns))

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
     import polars as pl
 
+    from analyzer.rows import RoundTripRows
     from tracefile import Run, Session
 
 
@@ -69,7 +70,7 @@ class Analysis:
         sources: the files that were looked at.
         sessions: the recording processes, sorted by start.
         runs: the runs, sorted by start.
-        roundtrips: one row per published message and relay (`docs/trace-format.md`).
+        rows: one row per published message and relay; see `roundtrips` and `scan_roundtrips`.
         summary: one row per group (`docs/trace-format.md`), sorted by its parameter columns; row number i
             is group i wherever another frame has a column `group`.
         distributions: `group` u32, `metric` str (`rtt`, `intermediate`, `latency`, `response`), `value_ns`
@@ -86,10 +87,22 @@ class Analysis:
     sources: tuple[Source, ...]
     sessions: tuple[Session, ...]
     runs: tuple[Run, ...]
-    roundtrips: pl.DataFrame
+    rows: RoundTripRows
     summary: pl.DataFrame
     distributions: pl.DataFrame
     timeline: pl.DataFrame
     timeline_decimated: bool
     findings: tuple[Finding, ...]
     outputs: Mapping[str, Path] = field(default_factory=dict)
+
+    @property
+    def roundtrips(self) -> pl.DataFrame:
+        """One row per published message and relay (`docs/trace-format.md`), by group, run, relay and sequence.
+
+        Of a large campaign they are in a file, and this reads all of it: take `scan_roundtrips` for a part.
+        """
+        return self.rows.frame()
+
+    def scan_roundtrips(self) -> pl.LazyFrame:
+        """The same, of which only what is asked for is read."""
+        return self.rows.scan()

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from analyzer.exchanges import Exchange, Exchanges
     from analyzer.load import Campaign
     from analyzer.pair import Published
-    from analyzer.roundtrips import RoundTrips
+    from analyzer.roundtrips import PairedExchanges
     from analyzer.summarize import Grouping, Summary
     from tracefile import Session
 
@@ -25,7 +25,7 @@ class Evidence:
 
     campaign: Campaign
     exchanges: Exchanges
-    roundtrips: RoundTrips
+    roundtrips: PairedExchanges
     grouping: Grouping
     summary: Summary
 

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from analyzer.columns import PARAMETER_NAMES
-from tracefile import Stage
+from tracefile import EventColumns, Stage
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Mapping
 
-    from analyzer.gather import Key
+    from analyzer.gather import Key, StageKey
     from analyzer.load import Campaign
-    from tracefile import EventColumns, Run, Session
+    from tracefile import Run, Session
 
 NO_RELAY = 0
 
@@ -37,7 +37,10 @@ class Exchange:
         ping: the session that ran it.
         relay_id: the relay.
         relay: the relay's session; None without its trace.
-        t1: the run's publications; shared by all exchanges of the run.
+        start_ns: the run's first T1, wall clock by the anchor of the ping.
+        counts: events of T1, T2, T3 and T4 in all traces; copies count.
+        t1: the run's publications; shared by all exchanges of the run. Like the next three, empty in what goes
+            through the whole analysis: events are there only while the exchange's batch is worked at.
         t2: replies that name run and relay.
         t3: arrivals at the relay.
         t4: departures from the relay.
@@ -47,20 +50,42 @@ class Exchange:
     ping: Session
     relay_id: int
     relay: Session | None
-    t1: EventColumns
-    t2: EventColumns
-    t3: EventColumns
-    t4: EventColumns
+    start_ns: int
+    counts: tuple[int, int, int, int]
+    t1: EventColumns = field(default_factory=EventColumns.empty)
+    t2: EventColumns = field(default_factory=EventColumns.empty)
+    t3: EventColumns = field(default_factory=EventColumns.empty)
+    t4: EventColumns = field(default_factory=EventColumns.empty)
 
     @property
     def took_part(self) -> bool:
         """Whether there is a relay at all."""
-        return len(self.t2) + len(self.t3) + len(self.t4) > 0
+        return sum(self.counts[1:]) > 0
 
     @property
     def relay_recorded(self) -> bool:
         """Whether the relay's own events are there."""
-        return len(self.t3) + len(self.t4) > 0
+        return sum(self.counts[2:]) > 0
+
+    def event_keys(self) -> tuple[StageKey, StageKey, StageKey, StageKey]:
+        """What its events go by, T1 to T4."""
+        run_id, relay_id = self.run.run_id, self.relay_id
+        return (
+            (Stage.T1, run_id, NO_RELAY),
+            (Stage.T2, run_id, relay_id),
+            (Stage.T3, run_id, relay_id),
+            (Stage.T4, run_id, relay_id),
+        )
+
+    def with_events(self, events: Mapping[StageKey, EventColumns]) -> Exchange:
+        """The same with its events; `events` has all of `event_keys`."""
+        t1, t2, t3, t4 = (events[key] for key in self.event_keys())
+        return replace(self, t1=t1, t2=t2, t3=t3, t4=t4)
+
+    def without_events(self) -> Exchange:
+        """The same without its events."""
+        none = EventColumns.empty()
+        return replace(self, t1=none, t2=none, t3=none, t4=none)
 
     @property
     def relay_domain_id(self) -> int | None:
@@ -160,31 +185,33 @@ def find_exchanges(campaign: Campaign) -> Exchanges:
         if key not in published:
             unplaced += _of_relays("no_ping_trace", campaign, run_id, relays[run_id])
             continue
-        t1, traces = campaign.events.columns(Stage.T1, key), campaign.events.traces(Stage.T1, key)
+        traces = campaign.events.traces(Stage.T1, key)
         if run is None:
-            unplaced.append(Unplaced("no_run_description", run_id, NO_RELAY, len(t1), traces))
+            events = len(campaign.events.columns(Stage.T1, key))
+            unplaced.append(Unplaced("no_run_description", run_id, NO_RELAY, events, traces))
             continue
         ping = _ping_session(campaign, run, doubts)
         if ping is None:
-            unplaced.append(Unplaced("no_ping_session", run_id, NO_RELAY, len(t1), traces))
+            events = len(campaign.events.columns(Stage.T1, key))
+            unplaced.append(Unplaced("no_ping_session", run_id, NO_RELAY, events, traces))
             continue
+        start_ns = ping.wall_ns(campaign.events.first_ns(Stage.T1, key))
         for relay_id in sorted(relays.get(run_id, {NO_RELAY})):
             of_relay = (run_id, relay_id)
             relay = _relay_session(campaign, of_relay, doubts) if run_id in relays else None
             flaw = next(_flaws(run, ping, relay), "")
             if flaw:
-                unplaced.append(Unplaced("impossible_description", run_id, relay_id, len(t1), traces, flaw))
+                events = len(campaign.events.columns(Stage.T1, key))
+                unplaced.append(Unplaced("impossible_description", run_id, relay_id, events, traces, flaw))
                 continue
-            replies, arrivals, departures = (
-                campaign.events.columns(stage, of_relay) for stage in _REPLY_STAGES
-            )
-            held.append(Exchange(run, ping, relay_id, relay, t1, replies, arrivals, departures))
+            t2, t3, t4 = (campaign.events.count(stage, of_relay) for stage in _REPLY_STAGES)
+            t1 = campaign.events.count(Stage.T1, key)
+            held.append(Exchange(run, ping, relay_id, relay, start_ns, (t1, t2, t3, t4)))
     return Exchanges(tuple(sorted(held, key=_start)), tuple(unplaced), tuple(doubts))
 
 
 def _start(exchange: Exchange) -> tuple[int, int, int]:
-    start_ns = exchange.ping.wall_ns(int(exchange.t1.monotonic_ns.min()))
-    return start_ns, exchange.run.run_id, exchange.relay_id
+    return exchange.start_ns, exchange.run.run_id, exchange.relay_id
 
 
 def _relays_by_run(campaign: Campaign) -> dict[int, set[int]]:
@@ -214,22 +241,22 @@ def _ping_session(campaign: Campaign, run: Run, doubts: list[Doubt]) -> Session 
     candidates = _sessions_in(campaign, traces, "ping")
     if len(candidates) > 1:
         doubts.append(Doubt("ping", run.run_id, NO_RELAY, tuple(s.session_id for s in candidates)))
-    return _last_started_before(candidates, campaign.events.columns(Stage.T1, key))
+    return _last_started_before(candidates, campaign.events.first_ns(Stage.T1, key))
 
 
 def _relay_session(campaign: Campaign, key: Key, doubts: list[Doubt]) -> Session | None:
     """The session of the relay in the traces that hold its events, else any that has its relay_id."""
     run_id, relay_id = key
-    columns = next((c for stage in _RELAY_STAGES if len(c := campaign.events.columns(stage, key))), None)
-    if columns is None:
+    stages = [stage for stage in _RELAY_STAGES if campaign.events.parts(stage, key)]
+    if not stages:
         same_relay = [s for s in campaign.sessions.values() if s.role == "relay" and s.relay_id == relay_id]
         return max(same_relay, key=lambda session: session.wall_anchor_ns, default=None)
-    traces = {trace for stage in _RELAY_STAGES for trace in campaign.events.traces(stage, key)}
+    traces = {trace for stage in stages for trace in campaign.events.traces(stage, key)}
     there = _sessions_in(campaign, traces, "relay")
     candidates = [s for s in there if s.relay_id == relay_id] or [s for s in there if s.relay_id is None]
     if len(candidates) > 1:
         doubts.append(Doubt("relay", run_id, relay_id, tuple(s.session_id for s in candidates)))
-    return _last_started_before(candidates, columns)
+    return _last_started_before(candidates, campaign.events.first_ns(stages[0], key))
 
 
 def _sessions_in(campaign: Campaign, traces: set[int], role: str) -> list[Session]:
@@ -242,10 +269,9 @@ def _sessions_in(campaign: Campaign, traces: set[int], role: str) -> list[Sessio
     return sorted(found, key=lambda session: (session.wall_anchor_ns, session.session_id))
 
 
-def _last_started_before(candidates: list[Session], events: EventColumns) -> Session | None:
+def _last_started_before(candidates: list[Session], first_ns: int) -> Session | None:
     if not candidates:
         return None
-    first_ns = int(events.monotonic_ns.min())
     before = [session for session in candidates if session.monotonic_anchor_ns <= first_ns]
     return (before or candidates[:1])[-1]
 

@@ -53,7 +53,7 @@ class Batch:
 
 
 def _timeline(batch: Batch) -> pl.DataFrame:
-    return draw_timeline(batch.roundtrips, batch.group_of_exchange, batch.all_exchanges).frame
+    return draw_timeline(batch.roundtrips, batch.group_of_exchange, batch.all_exchanges)
 
 
 MAKERS: Mapping[str, Callable[[Batch], pl.DataFrame]] = {

@@ -1,4 +1,4 @@
-"""A folder of traces becomes one `Campaign`: what was looked at, who recorded, and every event once."""
+"""A folder of traces becomes one `Campaign`: what was looked at, who recorded, and where every event is."""
 
 from __future__ import annotations
 
@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from analyzer.analysis import Source
-from analyzer.gather import EventsByKey, gather_events
-from tracefile import MissingEventsError, TraceFormatError, find_traces, read_trace
+from analyzer.cache import TraceShelf
+from analyzer.gather import Copies, EventsByKey, index_parts
+from tracefile import MissingEventsError, TraceFormatError, find_traces
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
+    from analyzer.cache import LoadedTrace
     from tracefile import Run, Session, Trace
 
     Progress = Callable[[int, int, Path], None]
@@ -29,13 +31,15 @@ class Campaign:
 
     Attributes:
         folder: the folder, or the one file, that was looked at.
-        sources: every file that was looked at.
+        sources: every file that was looked at; before `with_copies`, as if none held events of another.
         traces: the traces read, without their events; positions are those of `events`.
         sessions: session_id -> latest description.
         runs: run_id -> latest description.
         session_traces: session_id -> positions of the traces that name it.
         run_traces: run_id -> positions of the traces that describe it.
         events: the events by stage, run and relay.
+        event_counts: events in each trace.
+        copies: what each trace holds that another holds as well.
     """
 
     folder: Path
@@ -46,6 +50,14 @@ class Campaign:
     session_traces: Mapping[int, tuple[int, ...]]
     run_traces: Mapping[int, tuple[int, ...]]
     events: EventsByKey
+    event_counts: tuple[int, ...]
+    copies: tuple[Copies, ...] = ()
+
+    def with_copies(self, copies: tuple[Copies, ...]) -> Campaign:
+        """The same, once it is known which events were there more than once."""
+        skipped = [source for source in self.sources if source.status == "skipped"]
+        sources = [*_read_sources(self.folder, self.traces, self.event_counts, copies), *skipped]
+        return replace(self, copies=copies, sources=tuple(sorted(sources, key=lambda source: source.path)))
 
     def name(self, trace: int) -> str:
         """What the trace at this position is called in findings."""
@@ -56,79 +68,83 @@ class Campaign:
         return ", ".join(self.name(trace) for trace in sorted(set(traces)))
 
 
-def load_campaign(path: Path, *, skip: Collection[Path] = (), progress: Progress | None = None) -> Campaign:
+def load_campaign(
+    path: Path,
+    *,
+    skip: Collection[Path] = (),
+    progress: Progress | None = None,
+    shelf: TraceShelf | None = None,
+) -> Campaign:
     """Read every trace at or below `path`.
 
     Args:
         path: a folder, a trace file, or a rosbag2 folder.
         skip: folders that are not looked into (where results are written).
         progress: told of each trace before it is read.
+        shelf: reads, and keeps the events; by default all in memory or temporary files.
 
     Raises:
         MissingEventsError: there is nothing at `path`, or no trace among it.
         TraceFormatError: `path` is one file or rosbag2 folder, and it is no trace.
     """
     candidates = find_traces(path, skip=skip)
-    alone = candidates == [path]
-    traces: list[Trace] = []
+    shelf = shelf or TraceShelf()
+    loaded: list[LoadedTrace] = []
     skipped: list[Source] = []
     for position, candidate in enumerate(candidates):
         if progress is not None:
             progress(position, len(candidates), candidate)
         try:
-            traces.append(_read(candidate))
+            loaded.append(shelf.load(candidate, len(loaded)))
         except TraceFormatError as err:
-            if alone:
+            if candidates == [path]:
                 raise
-            skipped.append(Source(_relative(candidate, path), "skipped", err.what, 0))
-    if not alone:
+            skipped.append(skipped_source(candidate, path, err.what))
+    if candidates != [path]:
         skipped += [
-            Source(_relative(other, path), "skipped", "neither an .mcap file nor a rosbag2 folder", 0)
+            skipped_source(other, path, "neither an .mcap file nor a rosbag2 folder")
             for other in _other_files(path, candidates, skip)
         ]
-    if not traces:
+    return campaign_of(path, loaded, skipped)
+
+
+def skipped_source(candidate: Path, folder: Path, why: str) -> Source:
+    """A file that is no trace."""
+    return Source(_relative(candidate, folder), "skipped", why, 0)
+
+
+def campaign_of(path: Path, loaded: Sequence[LoadedTrace], skipped: Sequence[Source]) -> Campaign:
+    """What the traces found at `path` say together; positions in the parts of `loaded` are those in it.
+
+    Raises:
+        MissingEventsError: there are none.
+    """
+    if not loaded:
         raise MissingEventsError(_nothing_found(path, skipped))
-    return _campaign(path, traces, skipped)
-
-
-def _read(path: Path) -> Trace:
-    """The trace at `path`; a file in which nothing was ever written is none."""
-    try:
-        trace = read_trace(path)
-    except OSError as err:
-        raise TraceFormatError(path, f"cannot be read ({err.strerror})") from err
-    if not (trace.sessions or trace.runs or trace.event_count):
-        raise TraceFormatError(path, f"holds nothing of a trace ({trace.truncated or 'it is complete'})")
-    return trace
-
-
-def _campaign(path: Path, traces: list[Trace], skipped: list[Source]) -> Campaign:
-    events = gather_events(traces)
     sessions: dict[int, Session] = {}
     runs: dict[int, Run] = {}
     session_traces: dict[int, tuple[int, ...]] = {}
     run_traces: dict[int, tuple[int, ...]] = {}
-    for position, trace in enumerate(traces):
-        for session in trace.sessions:
+    for position, held in enumerate(loaded):
+        for session in held.trace.sessions:
             known = sessions.setdefault(session.session_id, session)
             sessions[session.session_id] = max(known, session, key=_session_age)
             session_traces[session.session_id] = (*session_traces.get(session.session_id, ()), position)
-        for run in trace.runs:
+        for run in held.trace.runs:
             runs[run.run_id] = max(runs.setdefault(run.run_id, run), run, key=_run_age)
             run_traces[run.run_id] = (*run_traces.get(run.run_id, ()), position)
-    return Campaign(
+    campaign = Campaign(
         folder=path,
-        sources=tuple(
-            sorted([*_read_sources(path, traces, events), *skipped], key=lambda source: source.path)
-        ),
-        # The events live on in `events`; a trace is kept for what else it says.
-        traces=tuple(replace(trace, events={}) for trace in traces),
+        sources=tuple(skipped),
+        traces=tuple(held.trace for held in loaded),
         sessions=sessions,
         runs=runs,
         session_traces=session_traces,
         run_traces=run_traces,
-        events=events,
+        events=index_parts(held.parts for held in loaded),
+        event_counts=tuple(held.events for held in loaded),
     )
+    return campaign.with_copies(())
 
 
 def _session_age(session: Session) -> tuple[bool, int]:
@@ -140,14 +156,16 @@ def _run_age(run: Run) -> tuple[bool, int]:
     return run.state == "finished", run.published
 
 
-def _read_sources(folder: Path, traces: list[Trace], events: EventsByKey) -> Iterator[Source]:
-    copies = {copy.trace: copy for copy in events.copies}
-    for position, trace in enumerate(traces):
-        name, held = _relative(trace.path, folder), trace.event_count
+def _read_sources(
+    folder: Path, traces: Sequence[Trace], counts: Sequence[int], copies: Iterable[Copies]
+) -> Iterator[Source]:
+    of_trace = {copy.trace: copy for copy in copies}
+    for position, (trace, held) in enumerate(zip(traces, counts, strict=True)):
+        name = _relative(trace.path, folder)
         status, detail = ("truncated", trace.truncated) if trace.truncated else ("read", "")
-        copied = copies[position].events if position in copies else 0
+        copied = of_trace[position].events if position in of_trace else 0
         if copied:
-            others = ", ".join(_relative(traces[other].path, folder) for other in copies[position].others)
+            others = ", ".join(_relative(traces[other].path, folder) for other in of_trace[position].others)
             remark = f"{copied} of its {held} events are also in {others or 'itself'} and counted once"
             detail = f"{detail}; {remark}" if detail else remark
             status = "duplicate" if copied == held else status
@@ -177,7 +195,7 @@ def _relative(path: Path, folder: Path) -> str:
     )
 
 
-def _nothing_found(path: Path, skipped: list[Source]) -> str:
+def _nothing_found(path: Path, skipped: Sequence[Source]) -> str:
     looked_at = [f"{source.path} ({source.detail})" for source in skipped[:_NAMED_AT_MOST]]
     more = len(skipped) - len(looked_at)
     named = "; ".join(looked_at) + (f"; and {more} more" if more > 0 else "")

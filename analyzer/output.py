@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import base64
 import os
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
+import numpy as np
 import polars as pl
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -18,6 +19,7 @@ from tracefile import OutputError
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
+    from types import TracebackType
 
     from analyzer.roundtrips import RoundTrips
 
@@ -35,72 +37,90 @@ _ARROW_TYPES = {
 }
 
 
-def write_frames(roundtrips: RoundTrips, summary: pl.DataFrame, folder: Path) -> dict[str, Path]:
-    """Write `roundtrips.parquet` and `summary.parquet` into `folder`, replacing those of an earlier analysis.
+class RoundTripsWriter:
+    """`roundtrips.parquet`, written batch by batch; the file takes its place once it is complete.
 
     A reader sees the old file or the new one, never half of it. Every field's metadata holds `meaning` and,
-    where it has one, `unit`.
+    where it has one, `unit`. Times rise by steps or stay within a range, which delta encoding keeps in a quarter of
+    the bytes and of the time that plain values under zstd take.
 
-    Returns:
-        Kind (`roundtrips`, `summary`) -> file.
+    Args:
+        path: the file; its folder is made.
 
     Raises:
-        OutputError: the folder or a file cannot be written.
+        OutputError: the folder or the file cannot be written.
     """
-    written = {kind: folder / f"{kind}.parquet" for kind in ("roundtrips", "summary")}
-    with _replacing(written["roundtrips"]) as unfinished:
-        _write_roundtrips(roundtrips, unfinished)
-    with _replacing(written["summary"]) as unfinished:
-        pq.write_table(summary.to_arrow().cast(_schema(SUMMARY_COLUMNS)), unfinished, compression="zstd")
-    return written
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._stack = ExitStack()
+
+    def __enter__(self) -> RoundTripsWriter:  # noqa: PYI034 - `Self` is Python 3.11's
+        """Begin the file."""
+        with ExitStack() as stack:
+            unfinished = stack.enter_context(_replacing(self.path))
+            deltas = [c.name for c in ROUNDTRIP_COLUMNS if c.unit == "ns" or c.name == "sequence"]
+            self._writer = stack.enter_context(
+                pq.ParquetWriter(
+                    unfinished,
+                    _AS_WRITTEN,
+                    compression="zstd",
+                    compression_level=1,
+                    use_dictionary=[name for name in _AS_WRITTEN.names if name not in deltas],
+                    column_encoding=dict.fromkeys(deltas, "DELTA_BINARY_PACKED"),
+                    store_schema=False,
+                )
+            )
+            self._stack = stack.pop_all()
+        return self
+
+    def write(self, table: pa.Table) -> None:
+        """Write the rows of one batch, made by `table_of`."""
+        with _telling(self.path):
+            self._writer.write_table(table, row_group_size=_ROWS_PER_GROUP)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Put the file into its place, or nothing if something went wrong."""
+        if error is None:
+            # A dictionary is how a text is stored; readers are told that it is a text, and its unit and meaning.
+            serialized = base64.b64encode(ROUNDTRIPS_SCHEMA.serialize().to_pybytes()).decode()
+            self._writer.add_key_value_metadata({"ARROW:schema": serialized})
+        with _telling(self.path):
+            self._stack.__exit__(kind, error, trace)
 
 
-def _write_roundtrips(roundtrips: RoundTrips, path: Path) -> None:
-    """Write the frame a million rows at a time.
-
-    Texts are known by exchange and go into Parquet's dictionaries as they are, so no row's text is looked at.
-    Times rise by steps or stay within a range, which delta encoding keeps in a quarter of the bytes and of the
-    time that plain values under zstd take.
-    """
-    schema = _schema(ROUNDTRIP_COLUMNS)
+def table_of(roundtrips: RoundTrips) -> pa.Table:
+    """The rows as they are written: texts, which are known by exchange, as dictionaries, so that none is looked at."""
     texts = {
         name: roundtrips.described[name].to_arrow().cast(pa.string()).dictionary_encode()
         for name in roundtrips.described.columns
         if roundtrips.described[name].dtype == pl.String
     }
     outcomes = pa.array([outcome.value for outcome in OUTCOMES])
-    exchange_of_row = roundtrips.exchange_of_row()
+    exchange_of_row = pa.array(roundtrips.exchange_of_row())
 
-    def column(name: str, start: int, stop: int) -> pa.Array:
+    def column(name: str) -> pa.Array:
         if name in texts:
-            return texts[name].take(pa.array(exchange_of_row[start:stop]))
+            return texts[name].take(exchange_of_row)
         if name == "outcome":
-            return pa.DictionaryArray.from_arrays(
-                pa.array(roundtrips.outcome[start:stop]).cast(pa.int32()), outcomes
-            )
-        return roundtrips.frame[name][start:stop].to_arrow()
+            return pa.DictionaryArray.from_arrays(pa.array(roundtrips.outcome.astype(np.int32)), outcomes)
+        if name in roundtrips.described.columns:
+            return roundtrips.described[name].to_arrow().take(exchange_of_row)
+        return roundtrips.measured[name].to_arrow()
 
-    deltas = [c.name for c in ROUNDTRIP_COLUMNS if c.unit == "ns" or c.name == "sequence"]
-    as_written = pa.schema(
-        pa.field(f.name, pa.dictionary(pa.int32(), pa.string()) if pa.types.is_string(f.type) else f.type)
-        for f in schema
-    )
-    with pq.ParquetWriter(
-        path,
-        as_written,
-        compression="zstd",
-        compression_level=1,
-        use_dictionary=[name for name in schema.names if name not in deltas],
-        column_encoding=dict.fromkeys(deltas, "DELTA_BINARY_PACKED"),
-        store_schema=False,
-    ) as writer:
-        for start in range(0, roundtrips.frame.height, _ROWS_PER_GROUP):
-            stop = min(start + _ROWS_PER_GROUP, roundtrips.frame.height)
-            arrays = [column(name, start, stop) for name in schema.names]
-            writer.write_table(pa.Table.from_arrays(arrays, schema=as_written))
-        # A dictionary is how a text is stored; readers are told that it is a text, and its unit and meaning.
-        serialized = base64.b64encode(schema.serialize().to_pybytes()).decode()
-        writer.add_key_value_metadata({"ARROW:schema": serialized})
+    return pa.Table.from_arrays([column(name) for name in _AS_WRITTEN.names], schema=_AS_WRITTEN)
+
+
+def write_summary(summary: pl.DataFrame, path: Path) -> None:
+    """Write `summary.parquet`, as `RoundTripsWriter` writes.
+
+    Raises:
+        OutputError: the folder or the file cannot be written.
+    """
+    with _replacing(path) as unfinished, _telling(path):
+        pq.write_table(summary.to_arrow().cast(_schema(SUMMARY_COLUMNS)), unfinished, compression="zstd")
 
 
 def _schema(columns: tuple[Column, ...]) -> pa.Schema:
@@ -114,17 +134,32 @@ def _schema(columns: tuple[Column, ...]) -> pa.Schema:
     )
 
 
+ROUNDTRIPS_SCHEMA = _schema(ROUNDTRIP_COLUMNS)
+_AS_WRITTEN = pa.schema(
+    pa.field(f.name, pa.dictionary(pa.int32(), pa.string()) if pa.types.is_string(f.type) else f.type)
+    for f in ROUNDTRIPS_SCHEMA
+)
+
+
 @contextmanager
 def _replacing(path: Path) -> Iterator[Path]:
     """A file beside `path` that takes its place once it is complete."""
     unfinished = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
+    with _telling(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            yield unfinished
+    try:
+        yield unfinished
+        with _telling(path):
             unfinished.replace(path)
-        finally:
-            unfinished.unlink(missing_ok=True)
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+@contextmanager
+def _telling(path: Path) -> Iterator[None]:
+    """What the system says becomes an error that says which file, and what to do."""
+    try:
+        yield
     except OSError as err:
         raise OutputError(
             f"{path} cannot be written ({err.strerror or err}); give another folder with --out"

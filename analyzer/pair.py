@@ -10,7 +10,7 @@ counts, and events that agree in message and instant are one event.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +26,7 @@ MISSING = np.iinfo(np.int64).min
 """Stands for null in an int64 column until the frame is made; no clock reads it."""
 
 _NEVER = np.iinfo(np.int64).max
+_UINT32_MAX = np.iinfo(np.uint32).max
 
 
 class Outcome(Enum):
@@ -56,6 +57,7 @@ class Published:
         warmup_messages: messages below this sequence number are not counted.
         messages: distinct messages with a T1, warm-up included.
         repeated: T1 events beyond the first of their message, which a sound trace never has.
+        payload_range_bytes: smallest and largest payload that a T1 event of the run names.
     """
 
     sequence: NDArray[np.uint64]
@@ -64,9 +66,15 @@ class Published:
     warmup_messages: int
     messages: int
     repeated: int
+    payload_range_bytes: tuple[int, int]
 
     def __len__(self) -> int:
         return len(self.sequence)
+
+    def counts_only(self) -> Published:
+        """What is known of the messages as a whole, without the messages."""
+        none = np.empty(0, np.int64)
+        return replace(self, sequence=np.empty(0, np.uint64), publish_ns=none, scheduled_ns=none)
 
     def rows(self, sequence: NDArray[np.uint64]) -> NDArray[np.int64]:
         """The row of each sequence number, -1 where no counted message has it."""
@@ -125,6 +133,10 @@ def published_messages(t1: EventColumns, warmup_messages: int) -> Published:
         warmup_messages=warmup_messages,
         messages=len(sequence),
         repeated=repeated,
+        payload_range_bytes=(
+            int(t1.payload_bytes.min(initial=_UINT32_MAX)),
+            int(t1.payload_bytes.max(initial=0)),
+        ),
     )
 
 

@@ -6,25 +6,32 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from analyzer.analysis import Analysis
+from analyzer.batches import Work, plan_batches
+from analyzer.engine import LocalEngine
 from analyzer.evidence import Evidence
 from analyzer.exchanges import find_exchanges
 from analyzer.findings import find_findings
-from analyzer.frames import Batch, concatenate_frames, frames_of
-from analyzer.load import load_campaign
-from analyzer.output import write_frames
-from analyzer.roundtrips import pair_exchanges
-from analyzer.summarize import group_exchanges, summarize_groups
+from analyzer.merge import MergedResults
+from analyzer.output import write_summary
+from analyzer.rows import RowKeeper
+from analyzer.summarize import group_exchanges
 from tracefile import MissingEventsError
 
 if TYPE_CHECKING:
     import os
+    from collections.abc import Iterator
 
+    from analyzer.engine import Engine
     from analyzer.exchanges import Exchanges
     from analyzer.load import Campaign, Progress
+    from analyzer.summarize import Grouping
     from tracefile import Run
 
 OUTPUT_FOLDER = "analysis"
 """Where results go by default, below the analyzed folder."""
+
+CACHE_FOLDER = "cache"
+"""Where events are kept for the next analysis, below the folder for the results."""
 
 
 def default_output(path: Path) -> Path:
@@ -38,6 +45,7 @@ def analyze(
     *,
     out: str | os.PathLike[str] | None = None,
     progress: Progress | None = None,
+    cache: bool = False,
 ) -> Analysis:
     """Analyze every trace in a folder.
 
@@ -49,6 +57,8 @@ def analyze(
         path: a folder (looked through to its depths), one trace file, or one rosbag2 folder.
         out: folder for `roundtrips.parquet` and `summary.parquet`; None writes nothing. It is never looked
             into for traces, nor is `analysis/` in `path`.
+        cache: keep the events of every trace below `out`, so that the next analysis with the same `out` reads
+            only traces that are new; a third to a half of the bytes that they take in memory.
         progress: called before each trace is read with the number done, the number of all, and its path.
 
     Raises:
@@ -56,33 +66,52 @@ def analyze(
         TraceFormatError: `path` is one file, and it is no trace.
         OutputError: the results cannot be written.
     """
-    folder = Path(path)
-    own = {default_output(folder)} | ({Path(out)} if out is not None else set())
-    campaign = load_campaign(folder, skip=own, progress=progress)
+    folder, target = Path(path), Path(out) if out is not None else None
+    engine = LocalEngine(target / CACHE_FOLDER if target and cache else None)
+    try:
+        return _analyze(folder, target, engine, progress)
+    finally:
+        engine.close()
+
+
+def _analyze(folder: Path, out: Path | None, engine: Engine, progress: Progress | None) -> Analysis:
+    own = {default_output(folder)} | ({out} if out is not None else set())
+    campaign = engine.load(folder, own, progress)
     exchanges = find_exchanges(campaign)
     if not exchanges.held:
         raise MissingEventsError(_nothing_to_pair(campaign, exchanges))
 
-    roundtrips = pair_exchanges(exchanges.held)
     grouping = group_exchanges(exchanges.held)
-    summary = summarize_groups(roundtrips, grouping)
-    batch = Batch(roundtrips, grouping.group_of_exchange, len(exchanges.held))
-    frames = concatenate_frames([frames_of(batch)])
-    findings = find_findings(Evidence(campaign, exchanges, roundtrips, grouping, summary))
-    outputs = write_frames(roundtrips, summary.frame, Path(out)) if out is not None else {}
+    outputs = {kind: out / f"{kind}.parquet" for kind in ("roundtrips", "summary")} if out else {}
+    merged = MergedResults(sketch=False)
+    with RowKeeper(outputs.get("roundtrips")) as keeper:
+        for worked in engine.work(list(_batches(grouping)), campaign.events):
+            keeper.add(worked.table)
+            merged.add(worked)
+    paired, frames, summary = merged.paired(), merged.frames(), merged.summary(grouping)
+    if out is not None:
+        write_summary(summary.frame, outputs["summary"])
+    campaign = campaign.with_copies(merged.copies(campaign.events))
     return Analysis(
         title=folder.resolve().name,
         sources=campaign.sources,
         sessions=tuple(sorted(campaign.sessions.values(), key=lambda s: (s.wall_anchor_ns, s.session_id))),
         runs=_runs_by_start(campaign, exchanges),
-        roundtrips=roundtrips.frame,
+        rows=keeper.finished(),
         summary=summary.frame,
         distributions=summary.distributions,
         timeline=frames["timeline"],
-        timeline_decimated=frames["timeline"].height < roundtrips.frame.height,
-        findings=findings,
+        timeline_decimated=frames["timeline"].height < merged.rows,
+        findings=find_findings(Evidence(campaign, exchanges, paired, grouping, summary)),
         outputs=outputs,
     )
+
+
+def _batches(grouping: Grouping) -> Iterator[Work]:
+    exchanges = grouping.exchanges
+    for plan in plan_batches(exchanges, grouping.group_of_exchange):
+        here = slice(plan.first, plan.after)
+        yield Work(exchanges[here], grouping.group_of_exchange[here], len(exchanges), plan.whole)
 
 
 def _runs_by_start(campaign: Campaign, exchanges: Exchanges) -> tuple[Run, ...]:

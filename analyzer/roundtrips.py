@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
@@ -25,27 +26,41 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 _STAMPS = ("scheduled_ns", "publish_ns", "receive_ns", "relay_in_ns", "relay_out_ns")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class RoundTrips:
-    """Paired events of all exchanges.
+    """Paired events of some exchanges.
 
     Attributes:
-        frame: the columns of `columns.ROUNDTRIP_COLUMNS`; rows by exchange, then by sequence.
+        measured: `sequence` and the columns of `columns.MEASURED_COLUMNS`; rows by exchange, then by sequence.
         described: run_id, relay_id and the parameter columns, one row per exchange.
-        exchanges: in the order of their rows.
+        exchanges: in the order of their rows, with their events.
         outcome: uint8, for each row the position of its outcome in `pair.OUTCOMES`.
         bounds: int64, exchange i has the rows `bounds[i]` to `bounds[i + 1]` (not included).
         published: the counted messages of each exchange's run.
         orphans: int64, T2, T3 and T4 events of each exchange whose message has no T1.
     """
 
-    frame: pl.DataFrame
+    measured: pl.DataFrame
     described: pl.DataFrame
     exchanges: tuple[Exchange, ...]
     outcome: NDArray[np.uint8]
     bounds: NDArray[np.int64]
     published: tuple[Published, ...]
     orphans: NDArray[np.int64]
+
+    @cached_property
+    def frame(self) -> pl.DataFrame:
+        """The columns of `columns.ROUNDTRIP_COLUMNS`, made when first wanted: texts take more memory than numbers."""
+        described = _repeated(self.described, np.diff(self.bounds))
+        return self.measured.with_columns(*described).select(column.name for column in ROUNDTRIP_COLUMNS)
+
+    def counted(self) -> PairedExchanges:
+        """What pairing has to say beside the rows."""
+        return PairedExchanges(
+            tuple(exchange.without_events() for exchange in self.exchanges),
+            tuple(published.counts_only() for published in self.published),
+            self.orphans,
+        )
 
     def per_row(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
         """A value of each exchange, repeated for each of its rows."""
@@ -54,6 +69,30 @@ class RoundTrips:
     def exchange_of_row(self) -> NDArray[np.uint32]:
         """For each row the position of its exchange."""
         return self.per_row(np.arange(len(self.exchanges), dtype=np.uint32))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairedExchanges:
+    """All exchanges and what pairing counted of each, without events and rows.
+
+    Attributes:
+        exchanges: in the order of their rows, without events.
+        published: the messages of each exchange's run; counts only.
+        orphans: int64, T2, T3 and T4 events of each exchange whose message has no T1.
+    """
+
+    exchanges: tuple[Exchange, ...]
+    published: tuple[Published, ...]
+    orphans: NDArray[np.int64]
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[PairedExchanges]) -> PairedExchanges:
+        """The exchanges of all parts (at least one), one after the other."""
+        return cls(
+            tuple(exchange for part in parts for exchange in part.exchanges),
+            tuple(published for part in parts for published in part.published),
+            np.concatenate([part.orphans for part in parts]),
+        )
 
 
 def pair_exchanges(exchanges: Sequence[Exchange]) -> RoundTrips:
@@ -89,9 +128,8 @@ def pair_exchanges(exchanges: Sequence[Exchange]) -> RoundTrips:
         schema=schema_of((*KEY_COLUMNS[:2], *PARAMETER_COLUMNS)),
         orient="row",
     )
-    frame = with_metrics(
+    measured = with_metrics(
         pl.DataFrame({"sequence": sequence}).with_columns(
-            *_repeated(described, np.diff(bounds)),
             *(_null_where_missing(name, values) for name, values in stamps.items()),
             _outcome_names(outcome),
             pl.Series("duplicates", duplicates),
@@ -99,7 +137,7 @@ def pair_exchanges(exchanges: Sequence[Exchange]) -> RoundTrips:
         )
     )
     return RoundTrips(
-        frame=frame.select(column.name for column in ROUNDTRIP_COLUMNS),
+        measured=measured,
         described=described,
         exchanges=tuple(exchanges),
         outcome=outcome,
@@ -123,7 +161,7 @@ def _repeated(described: pl.DataFrame, counts: NDArray[np.int64]) -> Iterator[pl
     """Each column of `described` with every value repeated; one that is the same throughout takes no memory."""
     exchange = pl.Series(np.repeat(np.arange(described.height, dtype=np.uint32), counts))
     for column in described.iter_columns():
-        if column.n_unique() == 1:
+        if column.n_unique() == 1 and len(exchange):
             yield pl.lit(column[0], column.dtype).alias(column.name)
         else:
             yield column.gather(exchange)

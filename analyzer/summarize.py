@@ -10,7 +10,7 @@ import polars as pl
 
 from analyzer.columns import PARAMETER_COLUMNS, STATISTICS, SUMMARY_COLUMNS, schema_of
 from analyzer.metrics import METRICS
-from analyzer.pair import LOSSES, Outcome
+from analyzer.pair import LOSSES, OUTCOMES, Outcome
 from analyzer.statistics import Histogram, histogram_of, summarize_values
 
 if TYPE_CHECKING:
@@ -24,6 +24,13 @@ if TYPE_CHECKING:
 
 _NS_PER_S = 1_000_000_000
 
+_STATISTICS_SCHEMA: dict[str, type[pl.DataType]] = {
+    "group": pl.UInt32,
+    "metric": pl.String,
+    "samples": pl.Int64,
+    **dict.fromkeys(STATISTICS, pl.Float64),
+}
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grouping:
@@ -31,10 +38,12 @@ class Grouping:
 
     Attributes:
         parameters: the parameter columns of each group.
-        group_of_exchange: uint32, for each exchange the position of its group.
+        exchanges: by group, then as they came (by start of the run, then by relay).
+        group_of_exchange: uint32, rising: for each exchange the position of its group.
     """
 
     parameters: pl.DataFrame
+    exchanges: tuple[Exchange, ...]
     group_of_exchange: NDArray[np.uint32]
 
     def members(self) -> list[list[int]]:
@@ -62,51 +71,95 @@ class Summary:
     of_exchange: pl.DataFrame
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Statistics:
+    """The metrics of some groups.
+
+    Attributes:
+        frame: one row per group and metric: `group` u32, `metric` str, `samples` i64, and a column for each of
+            `columns.STATISTICS`, f64 ns, null where the sample does not support it.
+        distributions: `group` u32, `metric` str, `value_ns` f64, `count` u64: histograms.
+    """
+
+    frame: pl.DataFrame
+    distributions: pl.DataFrame
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[Statistics]) -> Statistics:
+        """Those of all parts, one after the other."""
+        return cls(pl.concat([p.frame for p in parts]), pl.concat([p.distributions for p in parts]))
+
+
 def group_exchanges(exchanges: Sequence[Exchange]) -> Grouping:
     """Find the groups: exchanges that agree in every parameter column, whatever their run or relay_id."""
     parameters = [exchange.parameters() for exchange in exchanges]
     groups = sorted(set(parameters), key=lambda values: [(value is None, value) for value in values])
     number = {values: group for group, values in enumerate(groups)}
+    group_of_exchange = np.array([number[values] for values in parameters], np.uint32)
+    order = np.argsort(group_of_exchange, kind="stable")
     return Grouping(
         pl.DataFrame(groups, schema=schema_of(PARAMETER_COLUMNS), orient="row"),
-        np.array([number[values] for values in parameters], np.uint32),
+        tuple(exchanges[position] for position in order.tolist()),
+        group_of_exchange[order],
     )
 
 
-def summarize_groups(roundtrips: RoundTrips, grouping: Grouping) -> Summary:
-    """Counts, rates, statistics and histograms of every group."""
-    statistics: dict[str, list[float | None]] = {
-        f"{metric}_{statistic}_ns": [] for metric in METRICS for statistic in STATISTICS
-    }
-    samples = {metric: np.zeros(grouping.parameters.height, np.int64) for metric in METRICS}
-    histograms: list[tuple[int, str, Histogram]] = []
-    for group, members in enumerate(grouping.members()):
-        for metric in METRICS:
-            values_ns = np.sort(_values(roundtrips, f"{metric}_ns", members))
-            samples[metric][group] = len(values_ns)
-            histograms.append((group, metric, histogram_of(values_ns)))
-            for statistic, value in summarize_values(values_ns).items():
-                statistics[f"{metric}_{statistic}_ns"].append(value)
-    measured = pl.DataFrame(statistics, schema=dict.fromkeys(statistics, pl.Float64))
-    of_exchange = count_exchanges(roundtrips)
-    counts = _counts_and_rates(of_exchange, roundtrips, grouping)
-    frame = pl.concat([grouping.parameters, counts, measured], how="horizontal")
+def metric_values(roundtrips: RoundTrips, metric: str, first: int, after: int) -> NDArray[np.int64]:
+    """The values of a metric in the rows of exchanges `first` to `after` (not included), without nulls."""
+    rows = roundtrips.bounds[[first, after]].tolist()
+    return roundtrips.measured[f"{metric}_ns"].slice(rows[0], rows[1] - rows[0]).drop_nulls().to_numpy()
+
+
+def measure_batch(roundtrips: RoundTrips, group_of_exchange: NDArray[np.uint32]) -> Statistics:
+    """Statistics and histograms of every group in rising order of `group_of_exchange`."""
+    groups, first = np.unique(group_of_exchange, return_index=True)
+    after = np.append(first[1:], len(group_of_exchange))
+    return measure_groups(
+        (group, metric, metric_values(roundtrips, metric, start, stop))
+        for group, start, stop in zip(groups.tolist(), first.tolist(), after.tolist(), strict=True)
+        for metric in METRICS
+    )
+
+
+def measure_groups(values: Iterable[tuple[int, str, NDArray[np.int64]]]) -> Statistics:
+    """Statistics and histograms from (group, metric, values in any order)."""
+    rows, histograms = [], []
+    for group, metric, values_ns in values:
+        ordered_ns = np.sort(values_ns)
+        rows.append(
+            {"group": group, "metric": metric, "samples": len(ordered_ns), **summarize_values(ordered_ns)}
+        )
+        histograms.append((group, metric, histogram_of(ordered_ns)))
+    return Statistics(pl.DataFrame(rows, schema=_STATISTICS_SCHEMA), _distributions(histograms))
+
+
+def summarize_groups(
+    grouping: Grouping, exchanges: Sequence[Exchange], of_exchange: pl.DataFrame, statistics: Statistics
+) -> Summary:
+    """One row per group, from what was counted and measured batch by batch.
+
+    Args:
+        grouping: the groups.
+        exchanges: in the order of `of_exchange`.
+        of_exchange: frames of `count_exchanges`, one behind the other.
+        statistics: of every group.
+    """
+    of_exchange = of_exchange.with_columns(exchange=pl.int_range(pl.len(), dtype=pl.UInt32))
+    counts = _counts_and_rates(of_exchange, exchanges, grouping)
+    measured = statistics.frame.sort("group", maintain_order=True)
+    wide = [
+        measured.filter(metric=metric).select(
+            pl.col(name).alias(f"{metric}_{name}_ns") for name in STATISTICS
+        )
+        for metric in METRICS
+    ]
+    frame = pl.concat([grouping.parameters, counts, *wide], how="horizontal")
     return Summary(
         frame=frame.select(pl.col(column.name).cast(column.dtype) for column in SUMMARY_COLUMNS),
-        distributions=_distributions(histograms),
-        samples=samples,
+        distributions=statistics.distributions,
+        samples={metric: measured.filter(metric=metric)["samples"].to_numpy() for metric in METRICS},
         of_exchange=of_exchange,
     )
-
-
-def _values(roundtrips: RoundTrips, column: str, members: Iterable[int]) -> NDArray[np.int64]:
-    """The column's values in the rows of some exchanges, without nulls."""
-    series = roundtrips.frame[column]
-    parts = [
-        series.slice(first, after - first).drop_nulls().to_numpy()
-        for first, after in ((int(roundtrips.bounds[m]), int(roundtrips.bounds[m + 1])) for m in members)
-    ]
-    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def _distributions(histograms: list[tuple[int, str, Histogram]]) -> pl.DataFrame:
@@ -134,15 +187,19 @@ def count_exchanges(roundtrips: RoundTrips) -> pl.DataFrame:
     """
     t0, t1, t2 = pl.col("scheduled_ns"), pl.col("publish_ns"), pl.col("receive_ns")
     t3, t4 = pl.col("relay_in_ns"), pl.col("relay_out_ns")
-    outcome = pl.col("outcome")
+    outcome = pl.col("outcome_code")
+    code = {kind.value: OUTCOMES.index(kind) for kind in OUTCOMES}
     found = (
-        roundtrips.frame.lazy()
-        .with_columns(pl.Series("exchange", roundtrips.exchange_of_row()))
+        roundtrips.measured.lazy()
+        .with_columns(
+            pl.Series("exchange", roundtrips.exchange_of_row()),
+            pl.Series("outcome_code", roundtrips.outcome),
+        )
         .group_by("exchange")
         .agg(
             pl.len().alias("published"),
-            (outcome == Outcome.COMPLETED.value).sum().alias("received"),
-            *((outcome == loss).sum().alias(loss) for loss in LOSSES),
+            (outcome == code[Outcome.COMPLETED.value]).sum().alias("received"),
+            *((outcome == code[loss]).sum().alias(loss) for loss in LOSSES),
             pl.col("duplicates").cast(pl.UInt64).sum(),
             pl.col("reordered").sum(),
             (t2.is_not_null() & (t3.is_null() | t4.is_null())).sum().alias("relay_gaps"),
@@ -162,16 +219,19 @@ def count_exchanges(roundtrips: RoundTrips) -> pl.DataFrame:
     return exchanges.join(found, on="exchange", how="left").sort("exchange").collect()
 
 
-def _counts_and_rates(of_exchange: pl.DataFrame, roundtrips: RoundTrips, grouping: Grouping) -> pl.DataFrame:
+def _counts_and_rates(
+    of_exchange: pl.DataFrame, exchanges: Sequence[Exchange], grouping: Grouping
+) -> pl.DataFrame:
     """The columns of `columns.COUNT_COLUMNS`, one row per group."""
-    recorded = pl.Series([exchange.relay_recorded for exchange in roundtrips.exchanges], dtype=pl.Boolean)
+    recorded = pl.Series([exchange.relay_recorded for exchange in exchanges], dtype=pl.Boolean)
+    payload_bytes = pl.Series([exchange.run.payload_bytes for exchange in exchanges], dtype=pl.Int64)
     moved = pl.when(recorded).then("relayed").otherwise("replied")
     return (
         of_exchange.lazy()
         .with_columns(
             pl.Series("group", grouping.group_of_exchange),
             (pl.col("published") - 1).alias("intervals"),
-            (moved * roundtrips.described["payload_bytes"].cast(pl.Int64)).alias("moved_bytes"),
+            (moved * payload_bytes).alias("moved_bytes"),
             pl.when(recorded).then("relay_span_ns").otherwise("reply_span_ns").alias("moved_span_ns"),
         )
         .group_by("group")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,17 +23,9 @@ _KEPT_PER_STRETCH = 4
 """Lowest, highest, first loss, and the one that a second kind of loss may add."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Timeline:
-    """`analysis.Analysis.timeline`, and whether rows were left out of it."""
-
-    frame: pl.DataFrame
-    decimated: bool
-
-
 def draw_timeline(
     roundtrips: RoundTrips, group_of_exchange: NDArray[np.uint32], all_exchanges: int
-) -> Timeline:
+) -> pl.DataFrame:
     """Rows of `roundtrips` worth drawing; `all_exchanges` of the campaign share the points there are.
 
     An exchange with more rows than its share of points is cut into stretches of equal length. Each keeps
@@ -47,14 +38,16 @@ def draw_timeline(
         `rtt_ns` i64 null, `outcome` str.
     """
     kept = _worth_drawing(roundtrips, all_exchanges)
-    drawn = roundtrips.frame[kept].with_columns(
-        pl.Series("group", roundtrips.per_row(group_of_exchange)[kept]),
-        pl.Series("exchange", roundtrips.exchange_of_row()[kept]),
+    exchange = roundtrips.exchange_of_row()[kept]
+    drawn = roundtrips.measured[kept].with_columns(
+        pl.Series("group", group_of_exchange[exchange]),
+        *(roundtrips.described[name].gather(exchange) for name in ("run_id", "relay_id")),
+        pl.Series("exchange", exchange),
     )
     planned_ns = pl.coalesce("scheduled_ns", "publish_ns")
     # The first counted message of an exchange is always among the rows kept.
     elapsed_ns = planned_ns - planned_ns.first().over("exchange")
-    frame = drawn.select(
+    return drawn.select(
         "group",
         "run_id",
         "relay_id",
@@ -64,7 +57,6 @@ def draw_timeline(
         "rtt_ns",
         "outcome",
     )
-    return Timeline(frame, decimated=frame.height < roundtrips.frame.height)
 
 
 def _worth_drawing(roundtrips: RoundTrips, all_exchanges: int) -> NDArray[np.int64]:
@@ -73,17 +65,17 @@ def _worth_drawing(roundtrips: RoundTrips, all_exchanges: int) -> NDArray[np.int
     low, high = _POINTS_OF_EXCHANGE
     share = min(max(_ALL_POINTS // max(all_exchanges, 1), low), high)
     if (rows <= share).all():
-        return np.arange(roundtrips.frame.height)
+        return np.arange(roundtrips.measured.height)
 
     # Stretches are numbered throughout; in an exchange with few rows every row is one.
     stretches = np.where(rows <= share, rows, share // _KEPT_PER_STRETCH)
     offset = np.cumsum(stretches) - stretches
-    position = np.arange(roundtrips.frame.height) - roundtrips.per_row(first)
+    position = np.arange(roundtrips.measured.height) - roundtrips.per_row(first)
     stretch = roundtrips.per_row(offset) + position * roundtrips.per_row(stretches) // roundtrips.per_row(
         rows
     )
     recorded = np.array([exchange.relay_recorded for exchange in roundtrips.exchanges])
-    numbered = roundtrips.frame.lazy().select(
+    numbered = roundtrips.measured.lazy().select(
         pl.int_range(pl.len(), dtype=pl.Int64).alias("row"),
         pl.lit(pl.Series(stretch)).alias("stretch"),
         pl.when(pl.lit(pl.Series(roundtrips.per_row(recorded))))

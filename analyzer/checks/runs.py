@@ -237,9 +237,9 @@ def unlike_domains(evidence: Evidence) -> Iterator[Finding]:
 
 def unlike_payloads(evidence: Evidence) -> Iterator[Finding]:
     """Runs whose messages are not as long as the run says."""
-    for run_id, (exchange, _) in evidence.published_by_run().items():
-        described, sent = exchange.run.payload_bytes, exchange.t1.payload_bytes
-        low, high = int(sent.min()), int(sent.max())
+    for run_id, (exchange, published) in evidence.published_by_run().items():
+        described = exchange.run.payload_bytes
+        low, high = published.payload_range_bytes
         if (low, high) != (described, described):
             yield Finding(
                 Severity.WARNING,

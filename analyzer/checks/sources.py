@@ -99,7 +99,7 @@ def copied_files(evidence: Evidence) -> Iterator[Finding]:
                 f"Not counted again: {source.detail}.",
                 "Nothing to do; remove the copy to save time.",
             )
-    for copy in evidence.campaign.events.copies:
+    for copy in evidence.campaign.copies:
         name = evidence.campaign.name(copy.trace)
         if any(source.path == name and source.status != "duplicate" for source in evidence.campaign.sources):
             yield Finding(

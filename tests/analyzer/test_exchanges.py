@@ -230,7 +230,7 @@ def test_two_pings_at_one_relay(tmp_path):
     assert [described.run_id for described in analysis.runs] == [RUN_ID, 7]
 
 
-def test_several_runs_in_one_file_are_rows_by_start(tmp_path):
+def test_several_runs_in_one_file_are_rows_by_group_and_runs_by_start(tmp_path):
     late, early = run(run_id=1, payload_bytes=10), run(run_id=2, payload_bytes=20)
     events = ping_events([Message(0, t0=9000, t1=9000, t2=9100)], run_id=1)
     for stage, of_early in ping_events([Message(0, t0=100, t1=100, t2=300)], run_id=2).items():
@@ -238,8 +238,8 @@ def test_several_runs_in_one_file_are_rows_by_start(tmp_path):
     write_trace(tmp_path / "ping.mcap", ping_session(), [late, early], events)
     analysis = analyze(tmp_path)
     assert [(r["run_id"], r["payload_bytes"], r["rtt_ns"]) for r in rows(analysis)] == [
-        (2, 20, 200),
         (1, 10, 100),
+        (2, 20, 200),
     ]
     assert [described.run_id for described in analysis.runs] == [2, 1]
 

@@ -18,7 +18,7 @@ from trace_files import (
     write_trace,
 )
 
-import analyzer.load
+import analyzer.cache
 from analyzer import Severity, analyze
 from analyzer.checks import groups, runs, sessions, sources
 from analyzer.findings import CHECKS
@@ -303,7 +303,7 @@ def test_what_the_reader_noticed(tmp_path, monkeypatch):
             read_trace(path), ring_events=3, unreadable_messages=2, notes=("odd",), truncated="at byte 9"
         )
 
-    monkeypatch.setattr(analyzer.load, "read_trace", noticing)
+    monkeypatch.setattr(analyzer.cache, "read_trace", noticing)
     found = findings(tmp_path)
     assert set(found) == {"truncated_file", "ring_recovered", "unreadable_messages", "reader_note"}
     assert "at byte 9" in found["truncated_file"].what

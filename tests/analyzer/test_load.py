@@ -23,7 +23,7 @@ from trace_files import (
 )
 
 from analyzer import analyze, default_output
-from analyzer.gather import gather_events, split_events
+from analyzer.gather import gather_events, merge_parts, split_events, total_copies
 from tracefile import EVENT_DTYPE, EventColumns, MissingEventsError, Stage, TraceFormatError, read_trace
 
 TIMELINE = [
@@ -268,7 +268,8 @@ def test_what_was_copied_is_counted_per_trace(tmp_path):
     write_trace(tmp_path / "part.mcap", relay_session(), (), relay_events(TIMELINE[:3]))
     traces = [read_trace(tmp_path / name) for name in ("ping.mcap", "relay.mcap", "part.mcap")]
     events = gather_events(traces)
-    assert [(copy.trace, copy.events, copy.others) for copy in events.copies] == [(2, 6, (1,))]
+    copies = total_copies(copy for _, parts in events.in_several() for copy in merge_parts(parts)[1])
+    assert [(copy.trace, copy.events, copy.others) for copy in copies] == [(2, 6, (1,))]
     assert len(events.columns(Stage.T3, (RUN_ID, RELAY_ID))) == 12
     assert events.traces(Stage.T3, (RUN_ID, RELAY_ID)) == (1, 2)
     assert len(events.columns(Stage.T3, (RUN_ID, 1))) == 0

@@ -1,0 +1,93 @@
+"""Events in a file of our own: the columns of each stage, run and relay, to be read back alone and at once.
+
+A column that is one value throughout (run, relay, payload size), or that counts upwards by one (sequence numbers of
+a whole run), is kept as that; the others as they are in memory. That is a third of the bytes of the events.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tracefile import EVENT_DTYPE, EventColumns
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+    from typing import BinaryIO, TypeVar
+
+    Label = TypeVar("Label")
+    Column = tuple[str, int]
+    """How a column is kept (`constant`, `counting`, `array`), and its value, first value, or offset in the file."""
+
+_FIELDS = EVENT_DTYPE.names or ()
+
+
+@dataclass(frozen=True, slots=True)
+class StoredEvents:
+    """Where some events of one stage, run and relay are.
+
+    Attributes:
+        file: the file.
+        count: how many there are.
+        columns: field of the event -> how and where it is kept.
+    """
+
+    file: Path
+    count: int
+    columns: Mapping[str, Column]
+
+    def load(self) -> EventColumns:
+        """Read them."""
+        with self.file.open("rb") as stream:
+            arrays: dict[str, Any] = {
+                name: _read_column(stream, EVENT_DTYPE[name], self.count, *self.columns[name])
+                for name in _FIELDS
+            }
+        return EventColumns(**arrays)
+
+
+def write_events(path: Path, parts: Mapping[Label, EventColumns]) -> dict[Label, StoredEvents]:
+    """Write the events of `parts` into one file, which takes the place of `path` once it is complete.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    unfinished = path.with_name(f"{path.name}.part")
+    with unfinished.open("wb") as stream:
+        written = {
+            label: StoredEvents(
+                path, len(columns), {name: _write_column(stream, getattr(columns, name)) for name in _FIELDS}
+            )
+            for label, columns in parts.items()
+        }
+    unfinished.replace(path)
+    return written
+
+
+def _write_column(stream: BinaryIO, values: np.ndarray[Any, Any]) -> Column:
+    first = int(values[0])
+    if (values == values[0]).all():
+        return "constant", first
+    if values[-1] > values[0] and int(values[-1]) - first == len(values) - 1 and (np.diff(values) == 1).all():
+        return "counting", first
+    offset = stream.tell()
+    stream.write(np.ascontiguousarray(values).data)
+    return "array", offset
+
+
+def _read_column(
+    stream: BinaryIO, dtype: np.dtype[Any], count: int, how: str, value: int
+) -> np.ndarray[Any, Any]:
+    if how == "constant":
+        return np.full(count, value, dtype)
+    if how == "counting":
+        counting: np.ndarray[Any, Any] = np.arange(count, dtype=dtype) + np.array(value, dtype)
+        return counting
+    stream.seek(value)
+    found: np.ndarray[Any, Any] = np.fromfile(stream, dtype, count)
+    if len(found) < count:
+        raise OSError(5, f"{stream.name} is shorter than it was written")
+    return found

@@ -1,0 +1,119 @@
+"""The rows of `roundtrips` once they are all there: in memory where they are few, else in their Parquet file."""
+
+from __future__ import annotations
+
+import tempfile
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+import polars as pl
+import pyarrow as pa
+
+from analyzer.columns import ROUNDTRIP_COLUMNS, schema_of
+from analyzer.output import ROUNDTRIPS_SCHEMA, RoundTripsWriter
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+MOST_HELD_ROWS = 1_000_000
+"""Rows that are kept in memory, some hundred bytes each; of more, only what is asked for is read from the file."""
+
+
+class RoundTripRows:
+    """The rows of a campaign, wherever they are.
+
+    Args:
+        held: the rows in memory, or None.
+        path: the Parquet file that has them, where they are not in memory.
+        folder: a temporary folder with that file; it lives as long as this.
+    """
+
+    def __init__(
+        self,
+        held: pl.DataFrame | None,
+        path: Path | None = None,
+        folder: tempfile.TemporaryDirectory[str] | None = None,
+    ) -> None:
+        self._held = held
+        self._path = path
+        self._folder = folder
+
+    @classmethod
+    def none(cls) -> RoundTripRows:
+        """No rows: they were not brought here."""
+        return cls(pl.DataFrame(schema=schema_of(ROUNDTRIP_COLUMNS)))
+
+    def frame(self) -> pl.DataFrame:
+        """All rows; those in a file are read anew at every call."""
+        if self._held is not None:
+            return self._held
+        assert self._path is not None
+        return pl.read_parquet(self._path)
+
+    def scan(self) -> pl.LazyFrame:
+        """All rows, to be read when they are collected, and only the columns and rows that it takes."""
+        if self._held is not None:
+            return self._held.lazy()
+        assert self._path is not None
+        return pl.scan_parquet(self._path)
+
+
+class RowKeeper:
+    """Takes rows batch by batch, writes them, and holds them while they are few.
+
+    Args:
+        path: `roundtrips.parquet`; None writes a temporary file, and that only of many rows.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+
+    def __init__(self, path: Path | None) -> None:
+        self._path = path
+        self._held: list[pa.Table] = []
+        self._rows = 0
+        self._stack = ExitStack()
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        self._writer: RoundTripsWriter | None = None
+
+    def __enter__(self) -> RowKeeper:  # noqa: PYI034 - `Self` is Python 3.11's
+        """Begin the file, if one is asked for."""
+        if self._path is not None:
+            self._writer = self._stack.enter_context(RoundTripsWriter(self._path))
+        return self
+
+    def add(self, table: pa.Table) -> None:
+        """Take the rows of the next batch."""
+        self._rows += len(table)
+        if self._writer is not None:
+            self._writer.write(table)
+        if self._rows <= MOST_HELD_ROWS:
+            self._held.append(table)
+            return
+        if self._writer is None:
+            self._folder = tempfile.TemporaryDirectory(prefix="dds-analyze-")
+            path = Path(self._folder.name) / "roundtrips.parquet"
+            self._writer = self._stack.enter_context(RoundTripsWriter(path))
+            for early in (*self._held, table):
+                self._writer.write(early)
+        self._held.clear()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Complete the file, or leave what was there before."""
+        self._stack.__exit__(kind, error, trace)
+
+    def finished(self) -> RoundTripRows:
+        """The rows, after the file is complete."""
+        if self._rows <= MOST_HELD_ROWS:
+            whole = pa.concat_tables([ROUNDTRIPS_SCHEMA.empty_table(), *(_plain(t) for t in self._held)])
+            return RoundTripRows(cast("pl.DataFrame", pl.from_arrow(whole)).rechunk())
+        assert self._writer is not None
+        return RoundTripRows(None, self._writer.path, self._folder)
+
+
+def _plain(table: pa.Table) -> pa.Table:
+    """With texts in place of dictionaries."""
+    return table.cast(ROUNDTRIPS_SCHEMA)

@@ -9,6 +9,7 @@ import sqlite3
 import pytest
 import zstandard
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from trace_files import (
     EVENT,
     STRING,
@@ -71,10 +72,16 @@ def write_bag(folder, events=EVENTS, plugin=StoragePlugin.SQLITE3, mode=Compress
         for topic, log_time, data, (name, definition) in sorted(messages, key=lambda message: message[1]):
             if topic not in connections:
                 connections[topic] = bag.add_connection(
-                    topic, name, msgdef=definition, rihs01="RIHS01_" + "0" * 64
+                    topic, name, msgdef=definition, rihs01=type_hash(name, definition)
                 )
             bag.write(connections[topic], log_time, data)
     return folder
+
+
+def type_hash(name, definition):
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(definition, name))
+    return store.hash_rihs01(name)
 
 
 @pytest.mark.parametrize(("plugin", "mode"), STORAGES)

@@ -42,12 +42,19 @@ def main():
         code, words = FAILURES[behaviour]
         print(f"dds-record: {words}", file=sys.stderr)
         return code
+    if behaviour == "ok":  # a real ping ends well only after the relay's echo
+        wait_for((FOLDER / "waiting-relay").exists)
     if behaviour in UNTIL_STOPPED:
         (FOLDER / f"waiting-{cell}").touch()
-        while not told_to_stop:
-            time.sleep(0.01)
+        wait_for(lambda: told_to_stop)
+        (FOLDER / f"waiting-{cell}").unlink()
     shutil.copy(FOLDER / "traces" / trace, sys.argv[sys.argv.index("--out") + 1])
     return 0
+
+
+def wait_for(condition):
+    while not condition():
+        time.sleep(0.01)
 
 
 def begin(cell):

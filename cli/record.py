@@ -169,6 +169,14 @@ def main_command(
             help="localhost or subnet. [dim]Default: what ROS 2's environment says, else subnet[/dim]",
         ),
     ] = None,
+    peer: Annotated[
+        list[str] | None,
+        _middleware(
+            "--peer",
+            metavar="HOST",
+            help="Device of a relay, or HOST:PORT, where a backend does not look for it (socket, zenoh); repeatable.",
+        ),
+    ] = None,
     reliability: Annotated[
         Reliability,
         _middleware(
@@ -312,6 +320,7 @@ def main_command(
             rmw=rmw,
             transport=transport,
             tuned=tuned,
+            peers=tuple(peer or ()),
         ),
         ping=ping if role is Role.PING else None,
         backend=backend,

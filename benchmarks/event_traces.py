@@ -39,6 +39,7 @@ MESSAGE_DTYPE = np.dtype(
 )
 STAGES = (Stage.T1, Stage.T2)
 EVENT_CHANNELS = (1, 2)
+RELAY_ID = 0xBEEF
 
 PACKERS: dict[str, Callable[[bytes], bytes]] = {
     "zstd": zstandard.ZstdCompressor().compress,
@@ -47,7 +48,17 @@ PACKERS: dict[str, Callable[[bytes], bytes]] = {
 }
 
 
-def write_event_trace(path: Path, events: int, compression: str, *, runs: int = 10, seed: int = 7) -> Path:
+def write_event_trace(
+    path: Path,
+    events: int,
+    compression: str,
+    *,
+    runs: int = 10,
+    seed: int = 7,
+    relay: bool = False,
+    first_run: int = 0,
+    groups: int = 1,
+) -> Path:
     """A closed, indexed ping trace of `events` events, half T1 and half T2, spread evenly over `runs` runs.
 
     Args:
@@ -55,25 +66,35 @@ def write_event_trace(path: Path, events: int, compression: str, *, runs: int = 
         events: how many.
         compression: `zstd`, `lz4` or empty.
         runs: run ids that appear, one after the other.
-        seed: of the random times.
+        seed: of the random times, and the number of the session.
+        relay: what the relay of these runs recorded instead, T3 and T4.
+        first_run: number of the first run; runs of files that are analyzed together must differ.
+        groups: payload sizes that the runs are described with, in turn.
     """
+    stages = (Stage.T3, Stage.T4) if relay else STAGES
     random = np.random.default_rng(seed)
     indexes: list[ChunkIndex] = []
     with path.open("wb") as stream:
         stream.write(MAGIC + _record(Header("ros2", "dds-trace benchmark")))
-        declared = _declarations()
-        text = _chunk(stream.tell(), declared + _texts(runs, seed), compression)
+        declared = _declarations(stages)
+        numbers = range(first_run, first_run if relay else first_run + runs)
+        text = _chunk(stream.tell(), declared + _texts(numbers, seed, groups, relay=relay), compression)
         stream.write(text[0])
         indexes.append(text[1])
         for start in range(0, events, CHUNK_EVENTS):
             count = min(CHUNK_EVENTS, events - start)
             messages = _messages(start, count, max(1, events // runs), random)
+            messages["run_id"] += np.uint64(first_run)
+            if relay:
+                messages["relay_id"] = RELAY_ID
+                messages["monotonic_ns"] += 50_000
+                messages["scheduled_ns"] = 0
             data, chunk_index = _chunk(stream.tell(), messages.tobytes(), compression, messages)
             stream.write(data)
             indexes.append(chunk_index)
         stream.write(_record(DataEnd(0)))
         start = stream.tell()
-        channel_counts = {1: events - events // 2, 2: events // 2, 3: 1, 4: runs}
+        channel_counts = {1: events - events // 2, 2: events // 2, 3: 1, 4: len(numbers)}
         statistics = Statistics(
             attachment_count=0,
             channel_count=len(channel_counts),
@@ -112,7 +133,7 @@ def _messages(
     )
     messages["received_ns"] = np.where(is_reply, messages["source_ns"] + random.integers(0, 50_000, count), 0)
     messages["payload_bytes"] = 33_000
-    messages["relay_id"] = np.where(is_reply, 0xBEEF, 0)
+    messages["relay_id"] = np.where(is_reply, RELAY_ID, 0)
     messages["log_time"] = messages["publish_time"] = START_NS + messages["monotonic_ns"]
     return messages
 
@@ -157,8 +178,8 @@ def _chunk(
     return b"".join(parts), index
 
 
-def _declarations() -> bytes:
-    topics = [stage.topic for stage in STAGES] + [SESSION_TOPIC, RUN_TOPIC]
+def _declarations(stages: tuple[Stage, Stage]) -> bytes:
+    topics = [stage.topic for stage in stages] + [SESSION_TOPIC, RUN_TOPIC]
     schemas = [
         Schema(id=1, name=EVENT_SCHEMA_NAME, encoding="ros2msg", data=EVENT_DEFINITION.encode()),
         Schema(id=2, name="std_msgs/msg/String", encoding="ros2msg", data=b"string data\n"),
@@ -169,23 +190,23 @@ def _declarations() -> bytes:
             topic=topic,
             message_encoding="cdr",
             metadata={},
-            schema_id=1 if number <= len(STAGES) else 2,
+            schema_id=1 if number <= len(EVENT_CHANNELS) else 2,
         )
         for number, topic in enumerate(topics, start=1)
     ]
     return b"".join(_record(record) for record in [*schemas, *channels])
 
 
-def _texts(runs: int, seed: int) -> bytes:
+def _texts(runs: range, seed: int, groups: int, *, relay: bool) -> bytes:
     session = Session(
         session_id=seed,
-        role="ping",
+        role="relay" if relay else "ping",
         device="bench",
         backend="ros2",
         vendor="fastdds",
         rmw=None,
         domain_id=5,
-        relay_id=None,
+        relay_id=RELAY_ID if relay else None,
         connectivity="loopback",
         wall_anchor_ns=START_NS,
         monotonic_anchor_ns=0,
@@ -195,14 +216,14 @@ def _texts(runs: int, seed: int) -> bytes:
         Run(
             0x5DEECE66D1234567 + number,
             "binary",
-            33_000,
+            33_000 + number % groups,
             1000.0,
             1,
             0,
             qos=Qos(),
             extra={"session_id": f"{seed:016x}"},
         )
-        for number in range(runs)
+        for number in runs
     ]
     return b"".join(
         [

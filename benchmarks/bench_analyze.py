@@ -1,0 +1,174 @@
+"""From traces to `roundtrips.parquet` and `summary.parquet`, against decompressing plus writing; and its memory.
+
+    python benchmarks/bench_analyze.py               2 M events, 50 runs
+    python benchmarks/bench_analyze.py --full        20 M events, 500 runs
+    python benchmarks/bench_analyze.py --files 200   200 files of 1 M events too: peak memory, all runs one group
+
+Times are wall time, the best of several taken in turn; unpacking (of chunks that are in memory) and writing are done by
+one thread each, one after the other. The exit code is 1 if a bar is missed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pyarrow.parquet as pq
+import zstandard
+from event_traces import write_event_trace
+from mcap.records import Chunk
+from mcap.stream_reader import StreamReader
+
+from analyzer import analyze
+from analyzer.output import RoundTripsWriter
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+EVENTS, RUNS, REPEATS = 2_000_000, 50, 5
+FULL_EVENTS, FULL_RUNS, FULL_REPEATS = 20_000_000, 500, 3
+EVENTS_OF_FILE = 1_000_000
+MOST_TIMES_UNPACK_AND_WRITE = 1.8
+MOST_RSS_BYTES = 4e9
+
+ANALYZE_AND_TELL = """
+import json, re, sys
+from pathlib import Path
+from analyzer import analyze
+analysis = analyze(sys.argv[1], out=sys.argv[2])
+peak = re.search("VmHWM: *([0-9]+) kB", Path("/proc/self/status").read_text().replace("\\t", " "))
+print(json.dumps([int(peak[1]) * 1024, int(analysis.summary["published"].sum())]))
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Bar:
+    """One figure and the most that it may be."""
+
+    name: str
+    value: float
+    bar: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether it is no more than that."""
+        return self.value <= self.bar
+
+
+def write_campaign(folder: Path, events: int, runs: int, *, pairs: int = 4, groups: int) -> list[Path]:
+    """Traces of `pairs` pings and as many relays, `events` in all."""
+    folder.mkdir()
+    of_file = events // pairs // 2
+    return [
+        write_event_trace(
+            folder / f"{'relay' if relay else 'ping'}{pair}.mcap",
+            of_file,
+            "zstd",
+            runs=runs // pairs,
+            seed=1 + 2 * pair + relay,
+            relay=relay,
+            first_run=pair * 10_000,
+            groups=groups,
+        )
+        for pair in range(pairs)
+        for relay in (False, True)
+    ]
+
+
+def seconds(job: Callable[[], object]) -> float:
+    """How long one call takes."""
+    start = time.perf_counter()
+    job()
+    return time.perf_counter() - start
+
+
+def packed_chunks(path: Path) -> list[tuple[bytes, int]]:
+    """The chunks' packed records and their unpacked sizes."""
+    with path.open("rb") as stream:
+        records = StreamReader(stream, emit_chunks=True).records
+        return [(record.data, record.uncompressed_size) for record in records if isinstance(record, Chunk)]
+
+
+def unpack_all(chunks: Sequence[tuple[bytes, int]]) -> None:
+    """Unpack every chunk, on one thread."""
+    decompress = zstandard.ZstdDecompressor().decompress
+    for packed, size in chunks:
+        decompress(packed, max_output_size=size)
+
+
+def time_bars(folder: Path, events: int, runs: int, repeats: int) -> list[Bar]:
+    """Analyzing against unpacking and writing, and how many cores took part."""
+    traces = write_campaign(folder / "runs", events, runs, groups=runs)
+    out = folder / "out"
+    outputs = analyze(folder / "runs", out=out).outputs
+    names = pq.read_schema(outputs["roundtrips"])
+    texts = [field.name for field in names if field.type == "string"]
+    table = pq.read_table(outputs["roundtrips"], read_dictionary=texts)
+
+    def write() -> None:
+        with RoundTripsWriter(folder / "again.parquet") as writer:
+            writer.write(table)
+
+    chunks = [chunk for path in traces for chunk in packed_chunks(path)]
+    ours, unpacking, writing, cores = [], [], [], []
+    for _ in range(repeats):
+        before = os.times()
+        ours.append(seconds(lambda: analyze(folder / "runs", out=out)))
+        after = os.times()
+        cores.append((after.user + after.system - before.user - before.system) / ours[-1])
+        unpacking.append(seconds(lambda: unpack_all(chunks)))
+        writing.append(seconds(write))
+    print(
+        f"{events} events, {runs} runs, {len(traces)} files: analyze {min(ours):.2f} s, unpacking alone "
+        f"{min(unpacking):.2f} s, writing alone {min(writing):.2f} s; {max(cores):.2f} of {os.cpu_count()} cores used",
+        file=sys.stderr,
+    )
+    ratio = min(ours) / (min(unpacking) + min(writing))
+    return [Bar(f"{events} events: times unpacking and writing", ratio, MOST_TIMES_UNPACK_AND_WRITE)]
+
+
+def memory_bar(folder: Path, files: int) -> Bar:
+    """Peak memory of a process that analyzes many files; all their runs are one group, the hardest case."""
+    write_campaign(folder / "many", files * EVENTS_OF_FILE, files * 5, pairs=files // 2, groups=1)
+    said = subprocess.run(
+        [sys.executable, "-c", ANALYZE_AND_TELL, str(folder / "many"), str(folder / "out_of_many")],
+        check=True,
+        capture_output=True,
+    )
+    peak_bytes, published = json.loads(said.stdout)
+    print(f"{files} files of {EVENTS_OF_FILE} events: {published} messages", file=sys.stderr)
+    return Bar(f"{files} files of 1 M events: peak RSS, GB", peak_bytes / 1e9, MOST_RSS_BYTES / 1e9)
+
+
+def main() -> int:
+    """Measure, print, and say by the exit code whether every bar is passed."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--full", action="store_true", help="20 M events and 500 runs")
+    parser.add_argument("--files", type=int, default=0, help="check memory with so many files of 1 M events")
+    parser.add_argument("--json", action="store_true", help="print JSON in place of the table")
+    options = parser.parse_args()
+    size = (FULL_EVENTS, FULL_RUNS, FULL_REPEATS) if options.full else (EVENTS, RUNS, REPEATS)
+    with tempfile.TemporaryDirectory(prefix="bench-analyze-") as name:
+        bars = time_bars(Path(name), *size)
+        if options.files:
+            bars.append(memory_bar(Path(name), options.files))
+    if options.json:
+        print(json.dumps([{**asdict(bar), "passed": bar.passed} for bar in bars], indent=1))
+    else:
+        for bar in bars:
+            print(f"{bar.name:48}{bar.value:8.2f}  <= {bar.bar:g}{'' if bar.passed else '  MISSED'}")
+    return 0 if all(bar.passed for bar in bars) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -97,7 +97,9 @@ def unpack_event(data: bytes | memoryview) -> tuple[int, ...]:
         ValueError: `data` is not 60 bytes of little-endian CDR.
     """
     if len(data) != EVENT_CDR_BYTES or bytes(data[:2]) != CDR_HEADER[:2]:
-        raise ValueError(f"an event is {EVENT_CDR_BYTES} bytes of little-endian CDR, this is {len(data)} bytes")
+        raise ValueError(
+            f"an event is {EVENT_CDR_BYTES} bytes of little-endian CDR, this is {len(data)} bytes"
+        )
     return EVENT_STRUCT.unpack_from(data, len(CDR_HEADER))
 
 

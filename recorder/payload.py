@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
+    import threading
     from collections.abc import Callable, Sequence
 
     from recorder.backend import Serialization
@@ -28,17 +29,37 @@ class Message:
     payload_bytes: int
 
 
+class Feed(Protocol):
+    """A live source of messages, whose arrivals are the schedule."""
+
+    def begin(self) -> None:
+        """Keep what arrives from now on."""
+
+    def take(self, stop: threading.Event) -> tuple[Message, int] | None:
+        """The next message and when it arrived (monotonic ns); waits for it, None if `stop` is set."""
+
+    @property
+    def skipped(self) -> int:
+        """Messages that arrived while too many waited already, and were not kept."""
+
+
 @dataclass(frozen=True, slots=True)
 class Payload:
     """The messages of a run, sent in turn and from the start again.
 
     Attributes:
         payload_bytes: of the messages; of the largest, if they differ.
+        rate_hz: at which the data was recorded, None if it has no rate of its own.
+        source: where the data is from, as `--data` named it; empty for random data.
+        feed: gives the messages of the run as they arrive from a live source; `messages` are for probes then.
     """
 
     data_type: DataType
     messages: Sequence[Message]
     payload_bytes: int
+    rate_hz: float | None = None
+    source: str = ""
+    feed: Feed | None = None
 
 
 @dataclass(frozen=True, slots=True)

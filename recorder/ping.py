@@ -16,11 +16,11 @@ from recorder.steady import steady_interpreter
 from tracefile import Qos, Run
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
     from recorder.backend import Node
     from recorder.clock import Clock
-    from recorder.payload import Payload
+    from recorder.payload import Feed, Payload
     from tracefile import TraceSink
 
 SECOND_NS = 1_000_000_000
@@ -102,7 +102,7 @@ class Ping:
         self._now = self._clock.monotonic_ns
         data_type, typed = plan.payload.data_type, plan.serialization is Serialization.TYPED
         self._stamps = data_type.stamps[plan.serialization]
-        self._sizes = [message.payload_bytes for message in plan.payload.messages]
+        self._feed = plan.payload.feed
         self._messages = [
             node.message_from_cdr(data_type.type_name, message.data) if typed else message.data
             for message in plan.payload.messages
@@ -114,7 +114,9 @@ class Ping:
         self._longest_rtt_ns = 0  # probes included
         self._record: Any = None
         self._published = 0
+        self._ended = False  # nothing that is missing will come any more
         self._publish_ns = array("q", bytes(8 * plan.total))
+        self._payload_bytes = array("I", bytes(4 * plan.total))
         self._rtt_ns = array("q", bytes(8 * plan.total))  # of the first reply; 0 while there is none
         self._received = 0
         self._highest = -1
@@ -154,7 +156,7 @@ class Ping:
             0,
             source_ns,
             received_ns,
-            self._sizes[sequence % len(self._sizes)],
+            self._payload_bytes[sequence],
             relay_id,
         )
         answered = self._answered.get(relay_id)
@@ -214,27 +216,50 @@ class Ping:
         with steady_interpreter():
             self._send(stop)
             self._drain()
-        finished = description.finished(self._published)
+        self._ended = True
+        finished = description.finished(
+            self._published, **({} if self._feed is None else {"skipped_messages": self._feed.skipped})
+        )
         sink.write_run(finished)
         return finished
 
     def _send(self, stop: threading.Event) -> None:
-        plan, run_id, record, now = self.plan, self.run_id, self._record, self._now
-        stamps, publish, wait_until = self._stamps, self._publisher.publish, self._clock.wait_until
+        run_id, record, now = self.run_id, self._record, self._now
+        stamps, publish = self._stamps, self._publisher.publish
         wall_offset_ns = self._clock.anchor().offset_ns
-        start_ns = now() + LEAD_NS
-        for sequence in range(plan.total):
-            position = sequence % len(self._messages)
-            message = self._messages[position]
-            scheduled_ns = plan.scheduled_ns(start_ns, sequence)
-            stamps.write(message, run_id, sequence)
-            if not wait_until(scheduled_ns, stop):
-                break
+        due = self._planned(stop) if self._feed is None else self._arriving(self._feed, stop)
+        for sequence, (message, payload_bytes, scheduled_ns) in enumerate(due):
+            self._payload_bytes[sequence] = payload_bytes
             self._publish_ns[sequence] = publish_ns = now()
             stamps.write_time(message, publish_ns + wall_offset_ns)
             publish(message)
-            record(T1, run_id, sequence, publish_ns, scheduled_ns, 0, 0, self._sizes[position], 0)
+            record(T1, run_id, sequence, publish_ns, scheduled_ns, 0, 0, payload_bytes, 0)
             self._published = sequence + 1
+
+    def _planned(self, stop: threading.Event) -> Iterator[tuple[Any, int, int]]:
+        """Each message with its bytes and T0, stamped, at the instant that the schedule planned for it."""
+        plan, wait_until = self.plan, self._clock.wait_until
+        sizes = [message.payload_bytes for message in plan.payload.messages]
+        start_ns = self._now() + LEAD_NS
+        for sequence in range(plan.total):
+            position = sequence % len(sizes)
+            message = self._messages[position]
+            scheduled_ns = plan.scheduled_ns(start_ns, sequence)
+            self._stamps.write(message, self.run_id, sequence)
+            if not wait_until(scheduled_ns, stop):
+                return
+            yield message, sizes[position], scheduled_ns
+
+    def _arriving(self, feed: Feed, stop: threading.Event) -> Iterator[tuple[Any, int, int]]:
+        """Likewise for messages of a live source: T0 is when each arrived here."""
+        feed.begin()
+        for sequence in range(self.plan.total):
+            arrival = feed.take(stop)
+            if arrival is None:
+                return
+            message, arrival_ns = arrival
+            self._stamps.write(message.data, self.run_id, sequence)
+            yield message.data, message.payload_bytes, arrival_ns
 
     def _drain(self) -> None:
         began_ns, patience = self._now(), threading.Event()  # a wait that nobody cuts short
@@ -253,7 +278,8 @@ class Ping:
         """How far the run is; may be called from any thread."""
         p50_ns, p99_ns = rtt_percentiles_ns(self._rtt_ns)
         received = self._received
-        lost = max(self._highest + 1 - received, 0)
+        expected = self._published if self._ended else self._highest + 1
+        lost = max(expected - received, 0)
         return PingProgress(self.plan.total, self._published, received, lost, p50_ns, p99_ns)
 
     @property

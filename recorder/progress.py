@@ -22,7 +22,7 @@ class PingProgress:
         planned: messages of the schedule, warm-up included.
         sent: handed to the middleware.
         received: messages with at least one reply.
-        lost: messages without one although a later message has one.
+        lost: messages without one although a later message has one; at the end, all without one.
         rtt_p50_ns: median round trip so far, None before the first reply; likewise `rtt_p99_ns`.
     """
 

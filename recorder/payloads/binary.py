@@ -32,6 +32,13 @@ def make_payload(size_bytes: int | None, seed: int) -> Payload:
     size = DEFAULT_BYTES if size_bytes is None else size_bytes
     if not 1 <= size <= MAX_BYTES:
         raise OptionError(f"--size {size}: a binary payload has 1 to {MAX_BYTES} bytes")
+    data = random.Random(seed).randbytes(size)  # noqa: S311 - reproducible noise, no secret
+    return Payload(BINARY, (image_message(data),), size)
+
+
+def image_message(data: bytes) -> Message:
+    """An image of one row that holds `data`, 1 to `MAX_BYTES` of them."""
+    size = len(data)
     writer = CdrWriter()
     writer.header(stamp_text(0, 0))
     writer.uint32(1)  # height
@@ -39,8 +46,8 @@ def make_payload(size_bytes: int | None, seed: int) -> Payload:
     writer.string(b"mono8")
     writer.uint8(0)  # is_bigendian
     writer.uint32(size)  # step
-    writer.octets(random.Random(seed).randbytes(size))  # noqa: S311 - reproducible noise, no secret
-    return Payload(BINARY, (Message(writer.message(), size),), size)
+    writer.octets(data)
+    return Message(writer.message(), size)
 
 
 def payload_bytes_of(message: RawMessage) -> int:

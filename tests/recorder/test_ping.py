@@ -222,11 +222,18 @@ def test_a_late_echo_of_a_probe_does_not_disturb_the_run():
     assert len(link.sink.of_stage(2)) == 2
 
 
-def test_progress_counts_what_a_later_reply_has_overtaken():
+def test_while_it_runs_only_what_a_later_reply_has_overtaken_is_lost():
+    link, seen = Link(plan(messages=4), delay_ns=lambda n: None if n in (1, 3) else 2 * MS), []
+    link.clock.at(START_NS + LEAD_NS + 35 * MS, lambda: seen.append(link.ping.progress()))
+    link.run()
+    assert [(each.sent, each.received, each.lost) for each in seen] == [(4, 2, 1)]
+
+
+def test_at_the_end_a_trailing_message_without_a_reply_is_lost_too():
     link = Link(plan(messages=4), delay_ns=lambda n: None if n in (1, 3) else (2 + n) * MS)
     link.run()
     progress = link.ping.progress()
-    assert (progress.planned, progress.sent, progress.received, progress.lost) == (4, 4, 2, 1)
+    assert (progress.planned, progress.sent, progress.received, progress.lost) == (4, 4, 2, 2)
     assert (progress.rtt_p50_ns, progress.rtt_p99_ns) == (2 * MS, 4 * MS)
 
 

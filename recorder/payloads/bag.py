@@ -1,0 +1,132 @@
+"""`bag:PATH#TOPIC`: the messages of a rosbag1, rosbag2 or MCAP file, sent again with our stamp in their header."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from difflib import get_close_matches
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from recorder.backend import Serialization
+from recorder.payload import Message, Payload
+from recorder.payloads.binary import BINARY
+from recorder.payloads.header import header_data_type
+from recorder.payloads.imu import IMU
+from recorder.payloads.limits import check_held_bytes
+from recorder.payloads.string import STRING
+from recorder.stamp import stamp_text
+from tracefile import BackendUnavailableError, OptionError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from recorder.payload import DataType
+
+HEADER_TYPE = "std_msgs/msg/Header"
+
+
+def load_payload(where: str) -> Payload:
+    """The messages of `PATH#TOPIC` as CDR, each with room for the stamp, and the mean rate of their recording.
+
+    Raises:
+        OptionError: no bag, no such topic in it, a type that cannot carry the stamp, or too much data.
+        BackendUnavailableError: rosbags is not installed.
+    """
+    name, hash_sign, topic = where.rpartition("#")
+    if not (hash_sign and name and topic):
+        raise OptionError(
+            f"--data bag:{where}: write bag:PATH#TOPIC, for example bag:drive.mcap#/camera/image"
+        )
+    path = Path(name)
+    with _opened(path) as reader:
+        connections = _connections_of(reader, topic, path)
+        type_name = connections[0].msgtype
+        stamped = _Stamper(reader, type_name, path)
+        messages, times_ns, held_bytes = [], [], 0
+        for _, time_ns, data in reader.messages(connections):
+            message = stamped(data)
+            messages.append(message)
+            times_ns.append(time_ns)
+            held_bytes += len(message.data)
+            check_held_bytes(held_bytes, path)
+    if not messages:
+        raise OptionError(f"--data bag:{where}: the bag holds no message of that topic")
+    span_ns = times_ns[-1] - times_ns[0]
+    return Payload(
+        stamped.data_type,
+        tuple(messages),
+        max(message.payload_bytes for message in messages),
+        rate_hz=(len(times_ns) - 1) / span_ns * 1e9 if span_ns > 0 else None,
+        source=f"bag:{where}",
+    )
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """A reader of the bag; whatever a bag can do wrong within the block becomes one line."""
+    try:
+        from rosbags.highlevel import AnyReader  # noqa: PLC0415 - only bags need it
+        from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
+    except ImportError as err:
+        raise BackendUnavailableError(
+            "reading a bag needs the Python package rosbags; pip install 'dds-trace[bags]'"
+        ) from err
+    try:
+        # Bags of sqlite3 before ROS 2 Iron hold no definitions; the stock types have hardly changed since.
+        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+            yield reader
+    except (OptionError, BackendUnavailableError):
+        raise
+    except FileNotFoundError as err:
+        raise OptionError(f"--data bag:{path}: there is no such file or folder") from err
+    except Exception as err:  # rosbags and the codecs below it raise many kinds on a damaged file
+        raise OptionError(f"--data bag:{path}: it cannot be read as a bag ({err})") from err
+
+
+def _connections_of(reader: Any, topic: str, path: Path) -> list[Any]:
+    found = [each for each in reader.connections if each.topic.lstrip("/") == topic.lstrip("/")]
+    if not found:
+        there = sorted({each.topic for each in reader.connections})
+        nearest = get_close_matches(topic, there, 1, 0) or ["nothing at all"]
+        raise OptionError(f"{path} has no topic {topic}; the nearest of its {len(there)} is {nearest[0]}")
+    types = sorted({each.msgtype for each in found})
+    if len(types) > 1:
+        raise OptionError(f"{path} has {topic} with several types ({', '.join(types)}); none can be chosen")
+    return found
+
+
+class _Stamper:
+    """Turns recorded messages of one type into ours: CDR, with our stamp's 46 characters in their place."""
+
+    def __init__(self, reader: Any, type_name: str, path: Path) -> None:
+        self.data_type = _data_type(reader, type_name, path)
+        self._reader = reader
+        self._type_name = type_name
+        self._bytes_of = self.data_type.payload_bytes_of[Serialization.RAW]
+
+    def __call__(self, data: bytes) -> Message:
+        message = self._reader.deserialize(data, self._type_name)
+        stamp = stamp_text(0, 0).decode()
+        if self.data_type is STRING:
+            message.data = stamp + message.data
+        else:
+            message.header.frame_id = stamp
+        cdr = bytearray(self._reader.typestore.serialize_cdr(message, self._type_name, little_endian=True))
+        return Message(cdr, self._bytes_of(cdr))
+
+
+def _data_type(reader: Any, type_name: str, path: Path) -> DataType:
+    """One of the three that every relay serves, where the type is theirs.
+
+    Raises:
+        OptionError: there is no place for the stamp.
+    """
+    own = {data_type.type_name: data_type for data_type in (BINARY, STRING, IMU)}
+    if type_name in own:
+        return own[type_name]
+    fields = reader.typestore.fielddefs[type_name][1]
+    if not fields or HEADER_TYPE not in fields[0][1]:
+        raise OptionError(
+            f"{path}: {type_name} does not begin with a std_msgs/Header, so it cannot carry the stamp"
+        )
+    return header_data_type(type_name)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import settings
+from shared_memory import middleware_files, remove_orphans
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -63,3 +64,17 @@ def domains() -> Iterator[DomainLease]:
 def domain_id(domains: DomainLease) -> int:
     """One domain id of the test's own."""
     return domains.take()
+
+
+_SHM_BEFORE = pytest.StashKey["set[Path]"]()
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Note the shared-memory files of others."""
+    session.config.stash[_SHM_BEFORE] = middleware_files()
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Remove what killed processes left, once all workers are done."""
+    if not hasattr(session.config, "workerinput"):
+        remove_orphans(session.config.stash[_SHM_BEFORE])

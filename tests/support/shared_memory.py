@@ -1,0 +1,40 @@
+"""Shared-memory files that killed middleware processes leave in /dev/shm, where nobody else would remove them.
+
+Tests that SIGKILL a recorder are about our traces; that Fast DDS and zenoh cannot clean up then is no fault of
+theirs, and the machine is left as it was found.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+
+SHM = Path("/dev/shm")
+PATTERNS = ("fastrtps_*", "sem.fastrtps_*", "fastdds_*", "sem.fastdds_*", "*.zenoh")
+
+
+def middleware_files() -> set[Path]:
+    """The middlewares' files in shared memory."""
+    return {path for pattern in PATTERNS for path in SHM.glob(pattern)}
+
+
+def files_in_use() -> set[str]:
+    """Files of shared memory that some process has mapped or open."""
+    used: set[str] = set()
+    for process in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):  # it has ended meanwhile
+            lines = (process / "maps").read_text().splitlines()
+            used.update(line[line.index("/dev/shm/") :] for line in lines if "/dev/shm/" in line)
+            for descriptor in (process / "fd").iterdir():
+                with suppress(OSError):
+                    used.add(str(descriptor.readlink()))
+    return used
+
+
+def remove_orphans(found_before: set[Path]) -> list[Path]:
+    """Remove what came since `found_before` and no process uses any more; what was removed."""
+    used = files_in_use()
+    orphans = [path for path in middleware_files() - found_before if str(path) not in used]
+    for path in orphans:
+        path.unlink(missing_ok=True)
+    return orphans

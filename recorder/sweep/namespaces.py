@@ -8,6 +8,7 @@ import itertools
 import json
 import os
 import re
+import shutil
 import struct
 import subprocess
 import sys
@@ -30,6 +31,7 @@ INTERFACE = "link0"
 
 _NAME = re.compile(r"ddstrace-(\d+)-\d+-(?:ping|relay)")
 _ROLES = ("ping", "relay")
+_PATH = os.environ.get("PATH", "") + ":/usr/sbin:/sbin"  # where Debian has `ip` and `tc`
 _counter = itertools.count()
 
 # <linux/if_tun.h>
@@ -56,7 +58,7 @@ class Side:
     @property
     def prefix(self) -> list[str]:
         """What stands before a command that is to run in this namespace."""
-        return ["ip", "netns", "exec", self.namespace]
+        return [shutil.which("ip", path=_PATH) or "ip", "netns", "exec", self.namespace]
 
 
 class NamespacePair:
@@ -286,13 +288,11 @@ def tc(*arguments: str) -> str:
 
 
 def _system(program: str, *arguments: str) -> str:
-    variables = {**os.environ, "PATH": os.environ.get("PATH", "") + ":/usr/sbin:/sbin"}
+    found = shutil.which(program, path=_PATH)
+    if found is None:
+        raise BackendUnavailableError(f"{program} is not installed; apt install iproute2")
     try:
-        return subprocess.run(
-            [program, *arguments], capture_output=True, text=True, check=True, env=variables
-        ).stdout
-    except FileNotFoundError as err:
-        raise BackendUnavailableError(f"{program} is not installed; apt install iproute2") from err
+        return subprocess.run([found, *arguments], capture_output=True, text=True, check=True).stdout
     except subprocess.CalledProcessError as err:
         raise BackendUnavailableError(
             f"{program} {' '.join(arguments)}: {err.stderr.strip() or err.returncode}",

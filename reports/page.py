@@ -24,7 +24,7 @@ from reports.groups import METRICS, STATISTICS, data_type_label, groups_info
 from reports.overview import findings_by_code, overview_info
 from reports.recording import record_tables
 from reports.styles import PALETTE, series_styles, vendor_places
-from reports.text import format_hz, format_size, json_island, visible
+from reports.text import MAX_FINDING_CHARACTERS, format_hz, format_size, json_island, visible
 from reports.values import values_info
 
 if TYPE_CHECKING:
@@ -167,7 +167,10 @@ def _findings(analysis: Analysis) -> list[dict[str, Any]]:
     shown = []
     for first, *more in findings_by_code(analysis):
         texts = [
-            {"where": visible(one.where), "what": visible(one.what), "action": visible(one.action)}
+            {
+                name: visible(getattr(one, name), MAX_FINDING_CHARACTERS)
+                for name in ("where", "what", "action")
+            }
             for one in (first, *more)
         ]
         shown.append({**texts[0], "severity": first.severity.value, "more": texts[1:]})

@@ -16,7 +16,15 @@ from reports.answer import answer_info
 from reports.curves import curves_info
 from reports.groups import METRICS, groups_info
 from reports.overview import findings_by_code, overview_info
-from reports.text import MISSING, format_hz, format_ns, format_ratio, format_size, visible
+from reports.text import (
+    MAX_FINDING_CHARACTERS,
+    MISSING,
+    format_hz,
+    format_ns,
+    format_ratio,
+    format_size,
+    visible,
+)
 from reports.values import values_info
 
 if TYPE_CHECKING:
@@ -79,11 +87,11 @@ def _findings(analysis: Analysis) -> list[RenderableType]:
         lines.append(
             Text.assemble(
                 (severity, f"bold {_COLORS[severity]}"),
-                f" {visible(first.where)}{also}: ",
-                visible(first.what),
+                f" {visible(first.where, MAX_FINDING_CHARACTERS)}{also}: ",
+                visible(first.what, MAX_FINDING_CHARACTERS),
             )
         )
-        lines.append(Padding(Text(visible(first.action), style="dim"), (0, 0, 0, 2)))
+        lines.append(Padding(Text(visible(first.action, MAX_FINDING_CHARACTERS), style="dim"), (0, 0, 0, 2)))
     return [*lines, Text()] if lines else []
 
 

@@ -15,6 +15,9 @@ from typing import Any
 MAX_SHOWN_CHARACTERS = 300
 """A label of a million characters would bury the page; the JSON report keeps it whole."""
 
+MAX_FINDING_CHARACTERS = 3000
+"""A finding may name several groups in full."""
+
 MISSING = "-"
 """What stands where there is no number. Never 0."""
 
@@ -27,11 +30,11 @@ _HIDDEN_CATEGORIES = frozenset({"Cc", "Cf", "Zl", "Zp", "Cs", "Co"})
 _MARKDOWN_PLAIN = frozenset(" ,()%+-=/'.;:?!\"")
 
 
-def visible(text: object) -> str:
-    r"""The text with every control or invisible character spelled out (`\x1b`, `\u2028`), cut to a sane length."""
+def visible(text: object, most: int = MAX_SHOWN_CHARACTERS) -> str:
+    r"""The text with every control or invisible character spelled out (`\x1b`, `\u2028`), cut to `most` characters."""
     shown = str(text)
-    if len(shown) > MAX_SHOWN_CHARACTERS:
-        shown = shown[: MAX_SHOWN_CHARACTERS - 1] + "…"
+    if len(shown) > most:
+        shown = shown[: most - 1] + "…"
     return "".join(_spelled(c) if unicodedata.category(c) in _HIDDEN_CATEGORIES else c for c in shown)
 
 
@@ -49,7 +52,7 @@ def markdown(text: object) -> str:
     because mentions and issue references are looked for after entities are resolved.
     """
     parts = []
-    for c in visible(text):
+    for c in visible(text, MAX_FINDING_CHARACTERS):
         if c.isalnum() or c in _MARKDOWN_PLAIN:
             parts.append(c)
         elif c in "@#":

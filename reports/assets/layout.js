@@ -99,7 +99,8 @@ function loadAxis(values, title = "") {
   const first = Math.floor(Math.log10(low)) - 1;
   const powers = Array.from({ length: Math.ceil(Math.log10(high)) - first + 2 }, (_, step) => 10 ** (first + step));
   const inside = powers.filter((value) => value >= low / 1.5 && value <= high * 1.5);
-  const ticks = inside.length > 2 ? inside : powers.flatMap((value) => [value, 3 * value]);
+  const near = powers.flatMap((value) => [value, 3 * value]).filter((value) => value >= low / 1.3 && value <= high * 1.3);
+  const ticks = inside.length > 2 ? inside : near.length > 1 ? near : [...new Set([low, high])];
   return {
     type: "log", tickmode: "array", tickvals: ticks, ticktext: ticks.map((value) => plain(formatBytesPerS(value))), zeroline: false, tickangle: 0,
     range: [Math.log10(low) - 0.12, Math.log10(high) + 0.12], title: { text: plain(title), font: { size: 11, color: theme().soft }, standoff: 4 },

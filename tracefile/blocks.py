@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 BLOCK_BYTES = 1 << 20
 """Small chunks are handled together up to this size, so that their number costs no more than their bytes."""
 
+_BLOCK_CHUNKS = 1000
+
 
 @dataclass(frozen=True, slots=True)
 class Block:
@@ -70,6 +72,7 @@ class BlockJobs:
     notes: list[str] = field(default_factory=list)
     truncated: str | None = None
     _chunks: list[PackedChunk] = field(default_factory=list)
+    _chunks_bytes: int = 0
     _at: int = 0
     _chunk_offsets: list[int] | None = None
 
@@ -135,14 +138,15 @@ class BlockJobs:
         except DamagedChunkError as err:
             self.notes.append(_left_out(header.offset, err))
             return
-        if sum(held.unpacked_bytes for held in self._chunks) + chunk.unpacked_bytes > BLOCK_BYTES:
+        if self._chunks_bytes + chunk.unpacked_bytes > BLOCK_BYTES or len(self._chunks) == _BLOCK_CHUNKS:
             yield from self._chunks_so_far()
         self._chunks.append(chunk)
+        self._chunks_bytes += chunk.unpacked_bytes
 
     def _chunks_so_far(self) -> Iterator[tuple[int, Callable[[], Block]]]:
         if self._chunks:
-            yield sum(held.unpacked_bytes for held in self._chunks), partial(_unpack, self.file, self._chunks)
-            self._chunks = []
+            yield self._chunks_bytes, partial(_unpack, self.file, self._chunks)
+            self._chunks, self._chunks_bytes = [], 0
 
     def _behind(self, torn: TornRecordError) -> int | None:
         """Where to go on behind a record that is none; None if that is nowhere."""

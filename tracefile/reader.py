@@ -51,8 +51,8 @@ def read_trace(path: Path) -> Trace:
         for source in sources:
             expected.update(source.expected_events())
         columns = ColumnsBuilder(expected)
-        for source, ring in zip(sources, rings, strict=True):
-            for batch in gathered.batches_of(source, ring):
+        for file, source, ring in zip(files, sources, rings, strict=True):
+            for batch in gathered.batches_of(file, source, ring):
                 for stage, index in batch.groups:
                     columns.append(stage, batch.records, index)
         return gathered.trace(columns.finish())
@@ -70,7 +70,7 @@ def iter_event_batches(path: Path) -> Iterator[tuple[Stage, EventColumns]]:
     for file in storage_files(path):
         ring = ring_beside(file)
         with _workers() as pool, open_source(file, pool) as source:
-            for batch in gathered.batches_of(source, ring):
+            for batch in gathered.batches_of(file, source, ring):
                 for stage, index in batch.groups:
                     yield stage, columns_at(batch.records, index)
     gathered.check()
@@ -88,7 +88,7 @@ def read_descriptions(path: Path) -> Trace:
     for file in storage_files(path):
         ring = ring_beside(file)
         with _workers() as pool, open_source(file, pool, texts_only=True) as source:
-            for _ in gathered.batches_of(source):
+            for _ in gathered.batches_of(file, source):
                 pass
         if ring is not None:
             gathered.add_ring_session(ring)
@@ -111,7 +111,7 @@ def expected_events(path: Path) -> dict[Stage, int]:
 
 
 def _workers() -> ThreadPoolExecutor:
-    """Threads that unpack chunks and fill columns: zstandard, lz4, zlib and numpy let each other run."""
+    """Threads that unpack and check chunks, while the caller's fills columns: the libraries let each other run."""
     cores = len(os.sched_getaffinity(0))
     return ThreadPoolExecutor(min(_MOST_WORKERS, cores), thread_name_prefix="read_trace")
 
@@ -128,16 +128,16 @@ class _Gathered:
     notes: list[str] = field(default_factory=list)
     truncated: list[str] = field(default_factory=list)
 
-    def batches_of(self, source: Source, ring: RingBeside | None = None) -> Iterator[Batch]:
+    def batches_of(self, file: Path, source: Source, ring: RingBeside | None = None) -> Iterator[Batch]:
         """The batches of one file, and one of the events that only its ring has; all else is kept here."""
         for batch in source.batches():
-            self._add(batch)
+            self._add(batch, file)
             yield batch
         self.topics |= source.topics
         if ring is not None:
             batch = ring.batch(source.written_events)
             self.ring_events += len(batch.records)
-            self._add(batch)
+            self._add(batch, file)
             self.add_ring_session(ring)
             yield batch
 
@@ -146,13 +146,14 @@ class _Gathered:
             self.texts.add_ring_session(ring.contents.session, ring.contents.dropped_events)
             self.topics.add(SESSION_TOPIC)
 
-    def _add(self, batch: Batch) -> None:
+    def _add(self, batch: Batch, file: Path) -> None:
         self.unreadable += batch.unreadable
         for text in batch.texts:
             self.texts.add(text)
-        self.notes += batch.notes
+        which = "" if file == self.path else f"{file.name}: "  # a bag may have many
+        self.notes += [which + note for note in batch.notes]
         if batch.truncated:
-            self.truncated.append(batch.truncated)
+            self.truncated.append(which + batch.truncated)
 
     def check(self) -> None:
         """Raise an error if this is no trace. A file that was cut off before its first topic may be one."""

@@ -138,6 +138,16 @@ def test_a_split_bag_is_one_trace_in_the_order_of_its_numbers(tmp_path, plugin):
     assert len(trace.host_samples) == 12
 
 
+def test_the_part_that_ends_early_is_named(tmp_path):
+    bag = write_bag(tmp_path / "bag", plugin=StoragePlugin.MCAP)
+    (part,) = bag.glob("*.mcap")
+    shutil.copy(part, bag / "bag_1.mcap")
+    part.rename(bag / "bag_0.mcap")
+    whole = (bag / "bag_1.mcap").read_bytes()
+    (bag / "bag_1.mcap").write_bytes(whole[:-100])
+    assert read_trace(bag).truncated.startswith("bag_1.mcap: ends early, byte ")
+
+
 def test_a_file_that_a_player_unpacked_beside_the_packed_one_counts_once(tmp_path):
     bag = write_bag(tmp_path / "bag", mode=CompressionMode.FILE)
     (packed,) = bag.glob("*.zstd")

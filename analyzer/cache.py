@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import shutil
 import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from analyzer.event_store import StoredEvents, write_events
 from analyzer.gather import Part, split_trace
+from analyzer.objects import is_remote, local_copy, remote_key
 from tracefile import OutputError, Run, Session, Stage, Trace, TraceFormatError, read_trace
 
 if TYPE_CHECKING:
@@ -58,10 +58,13 @@ def load_trace(path: Path, position: int) -> LoadedTrace:
     Raises:
         TraceFormatError: it is no trace, or cannot be read.
     """
-    try:
-        trace = read_trace(path)
-    except OSError as err:
-        raise TraceFormatError(path, f"cannot be read ({err.strerror})") from err
+    with local_copy(path) as local:
+        try:
+            trace = replace(read_trace(local), path=path)
+        except OSError as err:
+            raise TraceFormatError(path, f"cannot be read ({err.strerror})") from err
+        except TraceFormatError as err:
+            raise TraceFormatError(path, err.what) from err
     if not (trace.sessions or trace.runs or trace.event_count):
         raise TraceFormatError(path, f"holds nothing of a trace ({trace.truncated or 'it is complete'})")
     return LoadedTrace(replace(trace, events={}), split_trace(trace, position))
@@ -146,6 +149,9 @@ def content_key(path: Path) -> str:
         TraceFormatError: it cannot be read.
     """
     digest = hashlib.sha1(usedforsecurity=False)
+    if is_remote(path):
+        digest.update(remote_key(path).encode())
+        return digest.hexdigest()
     try:
         files = path.rglob("*") if path.is_dir() else path.parent.glob("*")
         own = sorted(
@@ -161,11 +167,6 @@ def content_key(path: Path) -> str:
     except OSError as err:
         raise TraceFormatError(path, f"cannot be read ({err.strerror})") from err
     return digest.hexdigest()
-
-
-def remove_cache(folder: Path) -> None:
-    """Remove the cache of an earlier analysis."""
-    shutil.rmtree(folder, ignore_errors=True)
 
 
 def _known(folder: Path, key: str, path: Path, position: int) -> LoadedTrace | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -13,7 +13,6 @@ from tracefile import EventColumns, Stage
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from analyzer.event_store import StoredEvents
     from tracefile import Trace
 
 Key = tuple[int, int]
@@ -21,6 +20,13 @@ Key = tuple[int, int]
 
 StageKey = tuple[Stage, int, int]
 """Stage, run_id and relay_id."""
+
+
+class EventsElsewhere(Protocol):
+    """Events that are in a file, or on another machine."""
+
+    def load(self) -> EventColumns:
+        """Fetch them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,7 +43,7 @@ class Part:
     trace: int
     count: int
     first_ns: int
-    events: EventColumns | StoredEvents
+    events: EventColumns | EventsElsewhere
 
     def load(self) -> EventColumns:
         """The events themselves."""

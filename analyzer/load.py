@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 from analyzer.analysis import Source
 from analyzer.cache import TraceShelf
 from analyzer.gather import Copies, EventsByKey, index_parts
-from tracefile import MissingEventsError, TraceFormatError, find_traces
+from analyzer.objects import find_anywhere
+from tracefile import MissingEventsError, TraceFormatError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -87,7 +88,7 @@ def load_campaign(
         MissingEventsError: there is nothing at `path`, or no trace among it.
         TraceFormatError: `path` is one file or rosbag2 folder, and it is no trace.
     """
-    candidates = find_traces(path, skip=skip)
+    candidates = find_anywhere(path, skip)
     shelf = shelf or TraceShelf()
     loaded: list[LoadedTrace] = []
     skipped: list[Source] = []

@@ -5,15 +5,20 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from analyzer.analysis import Analysis
+from analyzer.analysis import Analysis, Finding, Severity
+from analyzer.batch import Wanted
 from analyzer.batches import Work, plan_batches
+from analyzer.cluster import ClusterEngine
+from analyzer.details import collect_details
 from analyzer.engine import LocalEngine
 from analyzer.evidence import Evidence
 from analyzer.exchanges import find_exchanges
 from analyzer.findings import find_findings
 from analyzer.merge import MergedResults
+from analyzer.objects import is_remote
 from analyzer.output import write_summary
 from analyzer.rows import RowKeeper
+from analyzer.sketch import RELATIVE_ERROR
 from analyzer.summarize import group_exchanges
 from tracefile import MissingEventsError
 
@@ -24,6 +29,7 @@ if TYPE_CHECKING:
     from analyzer.engine import Engine
     from analyzer.exchanges import Exchanges
     from analyzer.load import Campaign, Progress
+    from analyzer.recommend import Job
     from analyzer.summarize import Grouping
     from tracefile import Run
 
@@ -34,8 +40,20 @@ CACHE_FOLDER = "cache"
 """Where events are kept for the next analysis, below the folder for the results."""
 
 
+_SKETCHED = Finding(
+    Severity.INFO,
+    "sketched",
+    "all groups",
+    f"Percentiles come from histograms and may be off by {RELATIVE_ERROR:.2%} of their value; counts, means, "
+    "standard deviations and extremes are exact.",
+    "Analyze without --sketch for exact percentiles and the rows in roundtrips.parquet.",
+)
+
+
 def default_output(path: Path) -> Path:
-    """The folder for the results of `path`: `analysis/` in it, or beside it if it is itself a trace."""
+    """The folder for the results of `path`: `analysis/` in it, beside it if it is itself a trace, here if it is remote."""
+    if is_remote(path):
+        return Path(OUTPUT_FOLDER)
     is_trace = path.is_file() or (path / "metadata.yaml").is_file()
     return (path.parent if is_trace else path) / OUTPUT_FOLDER
 
@@ -46,6 +64,11 @@ def analyze(
     out: str | os.PathLike[str] | None = None,
     progress: Progress | None = None,
     cache: bool = False,
+    cluster: str | None = None,
+    sketch: bool = False,
+    details: bool = True,
+    deadline_ns: int | None = None,
+    job: Job | None = None,
 ) -> Analysis:
     """Analyze every trace in a folder.
 
@@ -59,6 +82,14 @@ def analyze(
             into for traces, nor is `analysis/` in `path`.
         cache: keep the events of every trace below `out`, so that the next analysis with the same `out` reads
             only traces that are new; a third to a half of the bytes that they take in memory.
+        cluster: address of a Dask scheduler (`tcp://host:8786`) whose workers do the work; they read the traces
+            themselves, so `path` must be the same for them, or in object storage (`s3://...`). Keeps no cache.
+        sketch: percentiles from histograms, off by `sketch.RELATIVE_ERROR` at most, and no rows: neither
+            `roundtrips` nor its file. So no rows travel, and a group may be of any size.
+        details: one-way times, `Analysis.details` and the findings that rest on them; without, these are null, None
+            and absent, and a large campaign takes a fraction of the time.
+        deadline_ns: judge every message against it (`Analysis.details.freshness`).
+        job: what to recommend settings for (`Analysis.details.recommendation`).
         progress: called before each trace is read with the number done, the number of all, and its path.
 
     Raises:
@@ -67,14 +98,27 @@ def analyze(
         OutputError: the results cannot be written.
     """
     folder, target = Path(path), Path(out) if out is not None else None
-    engine = LocalEngine(target / CACHE_FOLDER if target and cache else None)
+    engine: Engine
+    if cluster is not None:
+        engine = ClusterEngine(cluster)
+    else:
+        engine = LocalEngine(target / CACHE_FOLDER if target and cache else None)
     try:
-        return _analyze(folder, target, engine, progress)
+        wanted = Wanted(details, deadline_ns, job)
+        return _analyze(folder, target, engine, progress, wanted, sketch=sketch)
     finally:
         engine.close()
 
 
-def _analyze(folder: Path, out: Path | None, engine: Engine, progress: Progress | None) -> Analysis:
+def _analyze(
+    folder: Path,
+    out: Path | None,
+    engine: Engine,
+    progress: Progress | None,
+    wanted: Wanted,
+    *,
+    sketch: bool,
+) -> Analysis:
     own = {default_output(folder)} | ({out} if out is not None else set())
     campaign = engine.load(folder, own, progress)
     exchanges = find_exchanges(campaign)
@@ -83,35 +127,45 @@ def _analyze(folder: Path, out: Path | None, engine: Engine, progress: Progress 
 
     grouping = group_exchanges(exchanges.held)
     outputs = {kind: out / f"{kind}.parquet" for kind in ("roundtrips", "summary")} if out else {}
-    merged = MergedResults(sketch=False)
+    if sketch and outputs:
+        outputs.pop("roundtrips").unlink(
+            missing_ok=True
+        )  # that of an earlier analysis would not fit the summary
+    merged = MergedResults(sketch=sketch)
     with RowKeeper(outputs.get("roundtrips")) as keeper:
-        for worked in engine.work(list(_batches(grouping)), campaign.events):
-            keeper.add(worked.table)
+        for worked in engine.work(list(_batches(grouping, wanted, with_rows=not sketch)), campaign.events):
+            if worked.table is not None:
+                keeper.add(worked.table)
             merged.add(worked)
     paired, frames, summary = merged.paired(), merged.frames(), merged.summary(grouping)
     if out is not None:
         write_summary(summary.frame, outputs["summary"])
     campaign = campaign.with_copies(merged.copies(campaign.events))
+    rows = keeper.finished()
+    details = collect_details(campaign, frames, rows, wanted) if wanted.details else None
     return Analysis(
         title=folder.resolve().name,
         sources=campaign.sources,
         sessions=tuple(sorted(campaign.sessions.values(), key=lambda s: (s.wall_anchor_ns, s.session_id))),
         runs=_runs_by_start(campaign, exchanges),
-        rows=keeper.finished(),
+        rows=rows,
         summary=summary.frame,
         distributions=summary.distributions,
         timeline=frames["timeline"],
         timeline_decimated=frames["timeline"].height < merged.rows,
-        findings=find_findings(Evidence(campaign, exchanges, paired, grouping, summary)),
+        findings=find_findings(Evidence(campaign, exchanges, paired, grouping, summary, details))
+        + ((_SKETCHED,) if sketch else ()),
         outputs=outputs,
+        details=details,
     )
 
 
-def _batches(grouping: Grouping) -> Iterator[Work]:
+def _batches(grouping: Grouping, wanted: Wanted, *, with_rows: bool) -> Iterator[Work]:
     exchanges = grouping.exchanges
     for plan in plan_batches(exchanges, grouping.group_of_exchange):
         here = slice(plan.first, plan.after)
-        yield Work(exchanges[here], grouping.group_of_exchange[here], len(exchanges), plan.whole)
+        groups = grouping.group_of_exchange[here]
+        yield Work(exchanges[here], groups, len(exchanges), plan.whole, with_rows, wanted)
 
 
 def _runs_by_start(campaign: Campaign, exchanges: Exchanges) -> tuple[Run, ...]:

@@ -1,0 +1,119 @@
+"""What the second analysis of a grown campaign reads, and that nothing it keeps changes a number."""
+
+import shutil
+
+import numpy as np
+import pytest
+from campaigns import assert_same_results, write_runs
+
+import analyzer.batches
+import analyzer.cache
+import analyzer.rows
+from analyzer import analyze
+from analyzer.event_store import write_events
+from tracefile import EVENT_DTYPE, EventColumns, read_trace
+
+
+@pytest.fixture
+def files_read(monkeypatch):
+    """Names of the traces that are read from here on."""
+    names = []
+
+    def reading(path):
+        names.append(path.name)
+        return read_trace(path)
+
+    monkeypatch.setattr(analyzer.cache, "read_trace", reading)
+    return names
+
+
+def test_a_grown_campaign_reads_only_new_files(tmp_path, files_read):
+    runs, out = tmp_path / "runs", tmp_path / "out"
+    write_runs(runs, range(3))
+    analyze(runs, out=out, cache=True)
+    assert sorted(files_read) == [
+        "ping0.mcap",
+        "ping1.mcap",
+        "ping2.mcap",
+        *(f"relay{n}.mcap" for n in range(3)),
+    ]
+    files_read.clear()
+    write_runs(runs, range(3, 4))
+    grown = analyze(runs, out=out, cache=True)
+    assert sorted(files_read) == ["ping3.mcap", "relay3.mcap"]
+    assert_same_results(grown, analyze(runs))
+
+
+def test_a_file_that_was_moved_is_known_and_one_that_changed_is_not(tmp_path, files_read):
+    runs, out = tmp_path / "runs", tmp_path / "out"
+    write_runs(runs, range(2))
+    first = analyze(runs, out=out, cache=True)
+    files_read.clear()
+    (runs / "ping0.mcap").rename(runs / "other.mcap")
+    again = analyze(runs, out=out, cache=True)
+    assert files_read == []
+    assert again.roundtrips.equals(first.roundtrips)
+    assert "other.mcap" in {source.path for source in again.sources}
+    write_runs(runs, range(1, 2), latency_ns=999)
+    assert not analyze(runs, out=out, cache=True).roundtrips.equals(first.roundtrips)
+    assert files_read == ["ping1.mcap"]  # the relay saw the same
+
+
+def test_what_is_no_longer_there_leaves_the_cache(tmp_path):
+    runs, out = tmp_path / "runs", tmp_path / "out"
+    write_runs(runs, range(2))
+    analyze(runs, out=out, cache=True)
+    assert len(list((out / "cache").iterdir())) == 8
+    (runs / "ping1.mcap").unlink()
+    (runs / "relay1.mcap").unlink()
+    analyze(runs, out=out, cache=True)
+    assert len(list((out / "cache").iterdir())) == 4
+
+
+@pytest.mark.parametrize("damage", ["cut", "garbage", "format"])
+def test_a_damaged_entry_is_not_used(tmp_path, files_read, damage):
+    runs, out = tmp_path / "runs", tmp_path / "out"
+    write_runs(runs, range(1))
+    first = analyze(runs, out=out, cache=True)
+    files_read.clear()
+    for entry in (out / "cache").iterdir():
+        if damage == "cut" and entry.suffix == ".events":
+            entry.write_bytes(entry.read_bytes()[:-1])
+        elif damage == "garbage" and entry.suffix == ".json":
+            entry.write_text("{")
+        elif damage == "format" and entry.suffix == ".json":
+            entry.write_text(entry.read_text().replace('"format": 1', '"format": 99'))
+    assert_same_results(analyze(runs, out=out, cache=True), first)
+    assert len(files_read) == 2
+
+
+def test_small_memory_changes_nothing(tmp_path, monkeypatch):
+    """Events in temporary files, groups in parts, rows in a file: the numbers are those of the whole."""
+    runs = tmp_path / "runs"
+    write_runs(runs, range(6), groups=2)
+    shutil.copy(runs / "ping2.mcap", runs / "copy.mcap")
+    whole = analyze(runs, out=tmp_path / "whole")
+    monkeypatch.setattr(analyzer.cache, "MOST_HELD_EVENTS", 100)
+    monkeypatch.setattr(analyzer.batches, "BATCH_EVENTS", 150)
+    monkeypatch.setattr(analyzer.batches, "WHOLE_GROUP_EVENTS", 200)
+    monkeypatch.setattr(analyzer.rows, "MOST_HELD_ROWS", 10)
+    parts = analyze(runs, out=tmp_path / "parts")
+    assert_same_results(parts, whole)
+    assert parts.scan_roundtrips().select("latency_ns").collect()["latency_ns"].sum() > 0
+    assert_same_results(analyze(runs), whole)
+
+
+def test_columns_come_back_however_they_are_kept(tmp_path):
+    records = np.zeros(5, EVENT_DTYPE)
+    records["run_id"] = 2**64 - 1
+    records["sequence"] = np.arange(2**63, 2**63 + 5, dtype=np.uint64)
+    records["monotonic_ns"] = [5, -3, 2**62, 0, 1]
+    records["relay_id"] = 2**32 - 1
+    columns = EventColumns.from_records(records)
+    stored = write_events(tmp_path / "x.events", {"a": columns, "b": columns.take(np.array([1]))})
+    assert (tmp_path / "x.events").stat().st_size == 5 * 8
+    for label, expected in (("a", columns), ("b", columns.take(np.array([1])))):
+        for name in EVENT_DTYPE.names:
+            found = getattr(stored[label].load(), name)
+            assert found.dtype == EVENT_DTYPE[name]
+            assert found.tolist() == getattr(expected, name).tolist()

@@ -1,0 +1,182 @@
+"""The same numbers from a cluster: a real scheduler, two worker processes, object storage, a worker killed."""
+
+import os
+import subprocess
+import sys
+import threading
+
+import polars as pl
+import pytest
+from campaigns import assert_same_results, write_runs
+
+import analyzer.batches
+import analyzer.cluster
+from analyzer import METRICS, PERCENTILES, analyze
+from tracefile import BackendUnavailableError
+
+pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
+
+pytestmark = pytest.mark.filterwarnings("ignore")  # vendors' own, at their start and end
+
+
+def start(module, *arguments, env=None):
+    """A process of Dask on loopback, and what it says line by line."""
+    return subprocess.Popen(
+        [sys.executable, "-m", module, *arguments],
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, **(env or {})},
+    )
+
+
+def said(process, text):
+    """The line of the process with `text` in it; all that comes later is read away."""
+    for line in process.stderr:
+        if text in line:
+            threading.Thread(target=process.stderr.read, daemon=True).start()
+            return line
+    raise AssertionError(f"ended with {process.wait()} before it said {text!r}")
+
+
+@pytest.fixture(scope="module")
+def bucket():
+    """Where an S3 server on loopback listens, with a bucket `bucket`, and what a client must be told."""
+    server = pytest.importorskip("moto.server").ThreadedMotoServer(
+        ip_address="127.0.0.1", port=0, verbose=False
+    )
+    server.start()
+    host, port = server.get_host_and_port()
+    env = {
+        "AWS_ENDPOINT_URL": f"http://{host}:{port}",
+        "AWS_ACCESS_KEY_ID": "test",
+        "AWS_SECRET_ACCESS_KEY": "test",
+        "AWS_DEFAULT_REGION": "us-east-1",
+    }
+    before = dict(os.environ)
+    os.environ.update(env)
+    import s3fs
+
+    s3fs.S3FileSystem().mkdir("bucket")
+    yield env
+    os.environ.clear()
+    os.environ.update(before)
+    server.stop()
+
+
+@pytest.fixture(scope="module")
+def cluster(bucket, tmp_path_factory):
+    """Address of a scheduler, and its two workers."""
+    folder = tmp_path_factory.mktemp("dask")
+    quiet = ("--no-dashboard", "--host", "127.0.0.1")
+    scheduler = start("distributed.cli.dask_scheduler", *quiet, "--port", "0")
+    processes = [scheduler]
+    try:
+        address = said(scheduler, "Scheduler at:").split()[-1]
+        workers = [
+            start(
+                "distributed.cli.dask_worker",
+                address,
+                *quiet,
+                "--no-nanny",
+                "--nthreads",
+                "1",
+                "--local-directory",
+                str(folder),
+                env=bucket,
+            )
+            for _ in range(2)
+        ]
+        processes += workers
+        for worker in workers:
+            said(worker, "Registered to:")
+        yield address, workers
+    finally:
+        for process in reversed(processes):
+            process.terminate()
+        for process in processes:
+            process.wait(20)
+
+
+@pytest.fixture
+def runs(tmp_path):
+    write_runs(tmp_path / "runs", range(6), groups=2)
+    (tmp_path / "runs" / "odd.mcap").write_bytes(b"no trace")
+    return tmp_path / "runs"
+
+
+def test_a_cluster_finds_what_one_machine_finds(cluster, runs, tmp_path):
+    address, _ = cluster
+    alone = analyze(runs, out=tmp_path / "alone")
+    together = analyze(runs, out=tmp_path / "together", cluster=address)
+    assert_same_results(together, alone)
+    assert pl.read_parquet(together.outputs["roundtrips"]).equals(alone.roundtrips)
+
+
+def test_parts_of_a_group_from_several_workers_are_exact(cluster, runs, monkeypatch):
+    alone = analyze(runs)
+    monkeypatch.setattr(analyzer.batches, "BATCH_EVENTS", 150)
+    monkeypatch.setattr(analyzer.batches, "WHOLE_GROUP_EVENTS", 200)
+    together = analyze(runs, cluster=cluster[0])
+    assert together.summary.equals(alone.summary)
+    assert together.roundtrips.equals(alone.roundtrips)
+
+
+@pytest.mark.parametrize("in_parts", [False, True])
+def test_a_sketch_is_near_and_says_so(cluster, runs, tmp_path, monkeypatch, in_parts):
+    alone = analyze(runs, out=tmp_path / "out")
+    if in_parts:
+        monkeypatch.setattr(analyzer.batches, "BATCH_EVENTS", 150)
+        monkeypatch.setattr(analyzer.batches, "WHOLE_GROUP_EVENTS", 200)
+    sketch = analyze(runs, out=tmp_path / "out", cluster=cluster[0], sketch=True)
+    assert sketch.roundtrips.is_empty()
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["summary.parquet"]
+    (finding,) = (f for f in sketch.findings if f.code == "sketched")
+    assert "0.05%" in finding.what
+    for near, exact in zip(sketch.summary.to_dicts(), alone.summary.to_dicts(), strict=True):
+        assert near["published"] == exact["published"]
+        for metric in METRICS:
+            for name in ("mean", "std", "min", "max"):
+                assert near[f"{metric}_{name}_ns"] == pytest.approx(exact[f"{metric}_{name}_ns"], rel=1e-9)
+            for percentile in PERCENTILES:
+                name = f"{metric}_{percentile.name}_ns"
+                assert near[name] == pytest.approx(exact[name], rel=1e-3)
+    assert sketch.distributions.equals(alone.distributions)
+
+
+def test_object_storage(cluster, runs, tmp_path, monkeypatch):
+    import s3fs
+
+    s3fs.S3FileSystem().put(str(runs), "bucket/campaign", recursive=True)
+    alone = analyze(runs)
+    for where in ({"cluster": cluster[0]}, {"out": tmp_path / "out", "cache": True}):
+        remote = analyze("s3://bucket/campaign", **where)
+        assert remote.roundtrips.equals(alone.roundtrips)
+        assert remote.summary.equals(alone.summary)
+        assert remote.sources == alone.sources
+    read = []
+    monkeypatch.setattr(analyzer.cache, "read_trace", read.append)
+    assert analyze("s3://bucket/campaign", out=tmp_path / "out", cache=True).summary.equals(alone.summary)
+    assert [path.name for path in read] == ["odd.mcap"] or read == []
+
+
+def test_a_killed_worker_costs_no_data(cluster, runs, monkeypatch):
+    """The last test: one of the workers is gone after it."""
+    address, workers = cluster
+    alone = analyze(runs)
+    from analyzer.cluster import ClusterEngine
+
+    work = ClusterEngine.work
+
+    def work_after_a_kill(self, batches, events):
+        workers[0].kill()  # the traces that it has read are gone with it
+        workers[0].wait()
+        return work(self, batches, events)
+
+    monkeypatch.setattr(ClusterEngine, "work", work_after_a_kill)
+    assert_same_results(analyze(runs, cluster=address), alone)
+
+
+def test_no_scheduler_is_one_line(runs, monkeypatch):
+    monkeypatch.setattr(analyzer.cluster, "_TIMEOUT_S", 1)
+    with pytest.raises(BackendUnavailableError, match="no Dask scheduler answers at tcp://"):
+        analyze(runs, cluster="tcp://127.0.0.1:1")

@@ -1,0 +1,69 @@
+"""Campaigns of several runs in files of their own, and two analyses of one compared."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from trace_files import Message, ping_session, relay_session, run, write_pair
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
+
+    from analyzer import Analysis
+
+MESSAGES = 40
+MS = 1_000_000
+
+
+def write_runs(folder: Path, numbers: Iterable[int], *, latency_ns: int = 100, groups: int = 1) -> None:
+    """`pingN.mcap` and `relayN.mcap` of each number: 40 messages, every seventh lost, latency rising with the run.
+
+    Args:
+        folder: where; made if it is not there.
+        numbers: of the runs.
+        latency_ns: of the first message of run 0.
+        groups: payload sizes that the runs have in turn.
+    """
+    for number in numbers:
+        start = number * 1000 * MS
+        messages = [
+            Message(
+                s,
+                t0=start + s * MS,
+                t1=start + s * MS + 3,
+                t3=start + s * MS + 50,
+                t4=start + s * MS + 60,
+                t2=None if s % 7 == 6 else start + s * MS + 13 + 2 * (latency_ns + s + 1000 * number),
+            )
+            for s in range(MESSAGES)
+        ]
+        ping, relay = write_pair(
+            folder / f"{number}",
+            messages,
+            ping=ping_session(session_id=1 + number),
+            relay=relay_session(session_id=1001 + number, relay_id=0xBEEF),
+            runs=[
+                run(
+                    run_id=7 + number,
+                    payload_bytes=1000 + number % groups,
+                    planned_messages=MESSAGES,
+                    published=MESSAGES,
+                    extra={"session_id": f"{1 + number:016x}"},
+                )
+            ],
+        )
+        ping.rename(folder / f"ping{number}.mcap")
+        relay.rename(folder / f"relay{number}.mcap")
+        (folder / f"{number}").rmdir()
+
+
+def assert_same_results(found: Analysis, expected: Analysis) -> None:
+    """Every number of two analyses agrees."""
+    assert found.roundtrips.equals(expected.roundtrips)
+    assert found.summary.equals(expected.summary)
+    assert found.distributions.equals(expected.distributions)
+    assert found.timeline.equals(expected.timeline)
+    assert found.findings == expected.findings
+    assert found.sources == expected.sources
+    assert found.runs == expected.runs

@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _HEADER = struct.Struct(">16xH10xI")  # page size, pages
+_SQLITE_ERRORS = (
+    sqlite3.Error,
+    MemoryError,
+)  # it also says that memory is short where a size in the file is absurd
 _BATCH_ROWS = 8192
 _BATCH_BYTES = 4 << 20
 
@@ -59,8 +63,8 @@ class SqliteSource:
                     )
                 topics = self._database.execute(_TOPICS).fetchall()
                 self._last_row = self._one(_LAST_ROW)
-            except (sqlite3.Error, OSError, ValueError) as err:
-                raise TraceFormatError(self._shown_as, f"no rosbag2 database ({err})") from err
+            except (*_SQLITE_ERRORS, OSError, ValueError) as err:
+                raise TraceFormatError(self._shown_as, f"no rosbag2 database ({err!r})") from err
             undo.pop_all()
         # SQLite keeps columns to no type: a damaged page may hold anything.
         self._topics: list[tuple[int, str, str, str]] = [
@@ -107,8 +111,8 @@ class SqliteSource:
                         rows = _Rows(self._shown_as)
             if self._missing_bytes > 0:
                 last.truncated = f"ends early, {self._missing_bytes} bytes of the database are missing"
-        except sqlite3.Error as err:
-            last.truncated = f"ends early, the database is damaged ({err}); all rows before are used"
+        except _SQLITE_ERRORS as err:
+            last.truncated = f"ends early, the database is damaged ({err!r}); all rows before are used"
         yield from rows.batches()
         yield last
 

@@ -1,0 +1,456 @@
+"""`cyclonedds`: native Cyclone DDS through its Python package, with the topics and types of ROS 2.
+
+It talks to ROS 2 nodes of any DDS vendor: topic `NAME` is `rt/NAME` in DDS, type `sensor_msgs/msg/Image` is
+`sensor_msgs::msg::dds_::Image_`. Messages pass as they are serialized; the package's own serializer in Python would
+take 32 ms for a megabyte. The only file that imports cyclonedds.
+"""
+
+# ruff: noqa: PLC0415 - Cyclone DDS is loaded when a node is opened, so that other backends run without it
+
+from __future__ import annotations
+
+import re
+import threading
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache, partial
+from importlib import import_module, metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from recorder.backend import Discovery, Endpoint, Middleware, TopicView
+from recorder.backends.checks import refuse_others_options, refuse_peers, refuse_typed
+from recorder.cyclone_settings import CYCLONE_LOOPBACK, cyclone_settings
+from recorder.qos import incompatible_pairs
+from tracefile import BackendUnavailableError, OptionError, Qos
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import TracebackType
+
+    from recorder.backend import Node, NodeOptions, Publisher, RawMessage, Receive, Subscription
+
+WAIT_NS = 100_000_000
+"""One round of the thread; how long `close` may have to wait for it."""
+LAST_ACKNOWLEDGEMENT_NS = 500_000_000
+FOREVER_NS = (1 << 63) - 1
+MAX_ENDPOINTS = 10_000
+
+INSTALL = "pip install 'dds-trace[cyclonedds]' (wheels for x86_64), or build the package `cyclonedds` on this device"
+
+
+class CycloneBackend:
+    """Cyclone DDS; see `Backend` for the names."""
+
+    name = "cyclonedds"
+
+    def open_node(self, options: NodeOptions) -> Node:
+        """A participant in its domain."""
+        refuse_others_options(self.name, options)
+        refuse_peers(self.name, options)
+        try:
+            return CycloneNode(options)
+        except ImportError as err:
+            raise BackendUnavailableError(f"Cyclone DDS cannot be loaded ({err}); {INSTALL}") from err
+
+
+BACKEND = CycloneBackend()
+
+
+class CycloneNode:
+    """One participant with its readers' thread; see `Node` for the names."""
+
+    def __init__(self, options: NodeOptions) -> None:
+        from cyclonedds.core import DDSException, WaitSet
+        from cyclonedds.domain import DomainParticipant
+        from cyclonedds.qos import Policy
+        from cyclonedds.qos import Qos as CycloneQos
+
+        self._options = options
+        localhost = CYCLONE_LOOPBACK if options.discovery is Discovery.LOCALHOST else ""
+        ours = cyclone_settings(options.discovery, tuned=options.tuned)
+        settings = ",".join(filter(None, (localhost, ours)))
+        try:
+            self._domain = _configured_domain(options.domain_id, settings)
+            self._participant = DomainParticipant(
+                options.domain_id, qos=CycloneQos(Policy.EntityName(options.name))
+            )
+        except DDSException as err:
+            raise BackendUnavailableError(
+                f"Cyclone DDS cannot join domain {options.domain_id} ({err}); its reasons are on stderr, "
+                "its settings in CYCLONEDDS_URI"
+            ) from err
+        self._waitset = WaitSet(self._participant)
+        self._builtin = _BuiltinReaders(self._participant)
+        self._readers: dict[int, tuple[Any, Receive]] = {}
+        self._writers: list[_CyclonePublisher] = []
+        self._middleware = Middleware(
+            "cyclonedds",
+            "cyclonedds",
+            None,
+            {"cyclonedds": metadata.version("cyclonedds"), **_library_version()},
+            {
+                "discovery": options.discovery.value,
+                "tuned": str(options.tuned).lower(),
+                **({"CYCLONEDDS_URI": settings} if settings else {}),
+            },
+        )
+        self._thread: threading.Thread | None = None
+        self._stopping = False
+        self._error: BaseException | None = None
+
+    @property
+    def options(self) -> NodeOptions:
+        """What the node was opened with."""
+        return self._options
+
+    @property
+    def middleware(self) -> Middleware:
+        """What carries the messages."""
+        return self._middleware
+
+    def create_publisher(
+        self, topic: str, type_name: str, *, qos: Qos | None = None, typed: bool = False
+    ) -> Publisher:
+        """A writer of bytes."""
+        from cyclonedds.pub import DataWriter
+
+        refuse_typed("cyclonedds", typed)
+        kept = _cyclone_qos(qos or self._options.qos)
+        writer = DataWriter(self._participant, self._topic(topic, type_name), qos=kept)
+        made = _CyclonePublisher(topic, writer)
+        self._writers.append(made)
+        return made
+
+    def create_subscription(
+        self, topic: str, type_name: str, receive: Receive, *, qos: Qos | None = None, typed: bool = False
+    ) -> Subscription:
+        """A reader of bytes."""
+        from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState
+        from cyclonedds.sub import DataReader
+
+        refuse_typed("cyclonedds", typed)
+        kept = _cyclone_qos(qos or self._options.qos)
+        reader = DataReader(self._participant, self._topic(topic, type_name), qos=kept)
+        condition = ReadCondition(reader, SampleState.Any | ViewState.Any | InstanceState.Any)
+        self._waitset.attach(condition)
+        self._readers = {**self._readers, reader._ref: (condition, receive)}  # noqa: SLF001 - see `_take`
+        return _CycloneSubscription(partial(self._withdraw, reader))
+
+    def _topic(self, topic: str, type_name: str) -> Any:
+        from cyclonedds.topic import Topic
+
+        return Topic(self._participant, f"rt/{topic}", _type_called(type_name))
+
+    def _withdraw(self, reader: Any) -> None:
+        readers = dict(self._readers)
+        condition, _ = readers.pop(reader._ref, (None, None))  # noqa: SLF001 - see `_take`
+        if condition is not None:
+            self._readers = readers
+            self._waitset.detach(condition)
+            _delete(condition)
+            _delete(reader)
+
+    def message_from_cdr(self, type_name: str, data: RawMessage) -> Any:
+        """There are no message objects."""
+        del type_name, data
+        refuse_typed("cyclonedds", True)
+
+    def start(self) -> None:
+        """Start the thread that waits for data."""
+        self._thread = threading.Thread(
+            target=self._wait, name=f"cyclonedds-domain-{self._options.domain_id}"
+        )
+        self._thread.daemon = True
+        self._thread.start()
+
+    def _wait(self) -> None:
+        # A listener would call from the thread that receives for all of Cyclone DDS, acknowledgements included: a
+        # relay's write that waits for one would wait for itself.
+        take, wait = _take(), self._waitset.wait
+        try:
+            while not self._stopping:
+                wait(WAIT_NS)
+                for reader, (_, receive) in self._readers.items():
+                    while samples := take(reader):
+                        for data, info in samples:
+                            if info.valid_data:
+                                receive(data, info.source_timestamp)
+        except BaseException as error:  # noqa: BLE001 - kept for whoever looks at the node; a thread has no caller
+            self._error = error
+
+    @property
+    def error(self) -> BaseException | None:
+        """What ended the thread."""
+        return self._error
+
+    def look_at(self, topic: str) -> TopicView:
+        """Endpoints as Cyclone DDS has discovered them; a ROS 2 node's name is not among what they tell."""
+        names = {key: name for key, name in self._builtin.participants().items() if name}
+        publishers = tuple(self._builtin.endpoints("publications", f"rt/{topic}", names))
+        subscriptions = tuple(self._builtin.endpoints("subscriptions", f"rt/{topic}", names))
+        named = incompatible_pairs(topic, publishers, subscriptions, self._options.name)
+        return TopicView(topic, publishers, subscriptions, tuple(named))
+
+    def count_participants(self) -> int | None:
+        """Participants in the domain."""
+        return len(self._builtin.participants())
+
+    def close(self) -> None:
+        """Stop the thread, wait for acknowledgements of the last messages, leave the domain."""
+        if self._stopping:
+            return
+        self._stopping = True
+        if self._thread is not None:
+            self._thread.join()
+        for writer in self._writers:
+            writer.wait_until_acknowledged()
+        _delete(self._participant)  # and all that it made
+        if self._domain is not None:
+            _delete(self._domain)
+
+    def __enter__(self) -> CycloneNode:  # noqa: PYI034 - `Self` is Python 3.11's
+        """The node itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close."""
+        self.close()
+
+
+class _CyclonePublisher:
+    """Publishes serialized messages."""
+
+    def __init__(self, topic: str, writer: Any) -> None:
+        self._topic = topic
+        self._writer = writer
+        # DataWriter.write would serialize an object
+        self._write = partial(_c_layer().ddspy_write, writer._ref)  # noqa: SLF001
+
+    def publish(self, message: RawMessage, /) -> None:
+        if len(message) % 4:  # Cyclone DDS takes whole words; a copy, but of a message that is seldom large
+            message = message.ljust(-(-len(message) // 4) * 4, b"\0")
+        status = self._write(message)
+        if status < 0:
+            raise BackendUnavailableError(
+                f"Cyclone DDS cannot send on {self._topic} (status {status}, {len(message)} bytes)"
+            )
+
+    def wait_until_acknowledged(self) -> None:
+        """A participant that leaves at once takes its last messages with it."""
+        with suppress(Exception):  # closed before: nothing to wait for
+            self._writer.wait_for_acks(LAST_ACKNOWLEDGEMENT_NS)
+
+    def close(self) -> None:
+        self.wait_until_acknowledged()
+        _delete(self._writer)
+
+
+@dataclass(frozen=True, slots=True)
+class _CycloneSubscription:
+    withdraw: Callable[[], None]
+
+    def close(self) -> None:
+        self.withdraw()
+
+
+class _BuiltinReaders:
+    """What Cyclone DDS has discovered, kept current by the readers of DDS's own topics."""
+
+    def __init__(self, participant: Any) -> None:
+        from cyclonedds import builtin
+        from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState
+
+        self._readers = {
+            "participants": builtin.BuiltinDataReader(participant, builtin.BuiltinTopicDcpsParticipant),
+            "publications": builtin.BuiltinDataReader(participant, builtin.BuiltinTopicDcpsPublication),
+            "subscriptions": builtin.BuiltinDataReader(participant, builtin.BuiltinTopicDcpsSubscription),
+        }
+        present = SampleState.Any | ViewState.Any | InstanceState.Alive
+        self._present = {name: ReadCondition(reader, present) for name, reader in self._readers.items()}
+
+    def _read(self, name: str) -> list[Any]:
+        samples = self._readers[name].read(MAX_ENDPOINTS, self._present[name])
+        return [sample for sample in samples if sample.sample_info.valid_data]
+
+    def participants(self) -> dict[Any, str]:
+        """Name of each participant by its key, empty if it has none."""
+        from cyclonedds.qos import Policy
+
+        return {
+            found.key: found.qos[Policy.EntityName].name if Policy.EntityName in found.qos else ""
+            for found in self._read("participants")
+        }
+
+    def endpoints(self, kind: str, dds_topic: str, names: dict[Any, str]) -> list[Endpoint]:
+        """Writers (`publications`) or readers (`subscriptions`) of a topic."""
+        return [
+            Endpoint(names.get(found.participant_key, ""), _ros_name(found.type_name), _qos(found.qos))
+            for found in self._read(kind)
+            if found.topic_name == dds_topic
+        ]
+
+
+def _configured_domain(domain_id: int, settings: str) -> Any:
+    """The domain with our settings, or None if a node of this process is in it already and has set it up."""
+    from cyclonedds.core import DDSException
+    from cyclonedds.domain import Domain
+
+    try:
+        return Domain(domain_id, settings)
+    except DDSException as err:
+        if err.code == DDSException.DDS_RETCODE_PRECONDITION_NOT_MET:
+            return None
+        raise
+
+
+def _c_layer() -> Any:
+    """The compiled part of the package, which knows messages as bytes."""
+    return import_module("cyclonedds._clayer")
+
+
+def _take() -> Callable[[int], list[tuple[bytes, Any]]]:
+    """Takes the next message of a reader: its bytes and what DDS knows of it; nothing if there is none."""
+    from cyclonedds.core import DDSException, InstanceState, SampleState, ViewState
+
+    ddspy_take = _c_layer().ddspy_take
+    everything = SampleState.Any | ViewState.Any | InstanceState.Any
+
+    def take(reader: int) -> list[tuple[bytes, Any]]:
+        # One at a time: the time stamp of a message must not wait for the next one's copy. DataReader.take would
+        # make an object of it.
+        samples = ddspy_take(reader, everything, 1)
+        if isinstance(samples, int):
+            if samples == DDSException.DDS_RETCODE_ALREADY_DELETED:
+                return []
+            raise DDSException(samples, "while taking a message")
+        return list(samples)
+
+    return take
+
+
+@cache
+def _types() -> dict[str, Any]:
+    """The message types by their ROS names; Cyclone DDS checks each serialized message against its type.
+
+    Raises:
+        ImportError: there is no Cyclone DDS.
+    """
+    from cyclonedds.idl import make_idl_struct
+
+    idl: Any = import_module("cyclonedds.idl.types")  # its annotations hide that the types take parameters
+    octets, covariance = idl.sequence[idl.uint8], idl.array[idl.float64, 9]
+    made: dict[str, Any] = {}
+
+    def add(ros_name: str, **fields: Any) -> Any:
+        package, kind, name = ros_name.split("/")
+        made[ros_name] = make_idl_struct(name, f"{package}.{kind}.dds_.{name}_", fields)
+        return made[ros_name]
+
+    time = add("builtin_interfaces/msg/Time", sec=idl.int32, nanosec=idl.uint32)
+    header = add("std_msgs/msg/Header", stamp=time, frame_id=str)
+    add("std_msgs/msg/String", data=str)
+    add(
+        "sensor_msgs/msg/Image",
+        header=header,
+        height=idl.uint32,
+        width=idl.uint32,
+        encoding=str,
+        is_bigendian=idl.uint8,
+        step=idl.uint32,
+        data=octets,
+    )
+    add("sensor_msgs/msg/CompressedImage", header=header, format=str, data=octets)
+    vector = add("geometry_msgs/msg/Vector3", x=idl.float64, y=idl.float64, z=idl.float64)
+    quaternion = add(
+        "geometry_msgs/msg/Quaternion", x=idl.float64, y=idl.float64, z=idl.float64, w=idl.float64
+    )
+    add(
+        "sensor_msgs/msg/Imu",
+        header=header,
+        orientation=quaternion,
+        orientation_covariance=covariance,
+        angular_velocity=vector,
+        angular_velocity_covariance=covariance,
+        linear_acceleration=vector,
+        linear_acceleration_covariance=covariance,
+    )
+    point_field = add(
+        "sensor_msgs/msg/PointField", name=str, offset=idl.uint32, datatype=idl.uint8, count=idl.uint32
+    )
+    add(
+        "sensor_msgs/msg/PointCloud2",
+        header=header,
+        height=idl.uint32,
+        width=idl.uint32,
+        fields=idl.sequence[point_field],
+        is_bigendian=bool,
+        point_step=idl.uint32,
+        row_step=idl.uint32,
+        data=octets,
+        is_dense=bool,
+    )
+    return made
+
+
+def _type_called(type_name: str) -> Any:
+    found = _types().get(type_name)
+    if found is None:
+        known = ", ".join(name for name in _types() if name.startswith(("sensor_msgs", "std_msgs")))
+        raise OptionError(f"the backend cyclonedds does not know the type {type_name}; it knows {known}")
+    return found
+
+
+def _ros_name(dds_type: str) -> str:
+    """`sensor_msgs/msg/Image` of `sensor_msgs::msg::dds_::Image_`; any other name as it is."""
+    found = re.fullmatch(r"(\w+)::(\w+)::dds_::(\w+)_", dds_type)
+    return dds_type if found is None else "/".join(found.groups())
+
+
+def _cyclone_qos(qos: Qos) -> Any:
+    from cyclonedds.qos import Policy
+    from cyclonedds.qos import Qos as CycloneQos
+
+    reliabilities = {
+        # As ROS 2 has it: a writer that must wait for a slow reader waits, and drops nothing behind one's back.
+        "reliable": Policy.Reliability.Reliable(max_blocking_time=FOREVER_NS),
+        "best_effort": Policy.Reliability.BestEffort,
+    }
+    durabilities = {
+        "volatile": Policy.Durability.Volatile,
+        "transient_local": Policy.Durability.TransientLocal,
+    }
+    histories = {"keep_last": Policy.History.KeepLast(qos.depth), "keep_all": Policy.History.KeepAll}
+    try:
+        history = histories[qos.history]
+        policies = [reliabilities[qos.reliability], durabilities[qos.durability], history]
+    except KeyError as err:
+        raise OptionError(f"Cyclone DDS has no quality of service {err}") from err
+    if qos.durability == "transient_local":  # what is kept for late readers, as much as ROS 2 keeps
+        policies.append(Policy.DurabilityService(0, history, -1, -1, -1))
+    return CycloneQos(*policies)
+
+
+def _qos(found: Any) -> Qos:
+    """Ours, of an endpoint that was discovered; what it does not tell is empty."""
+    from cyclonedds.qos import Policy
+
+    reliability, durability = (
+        re.sub(r"(?<=[a-z])(?=[A-Z])", "_", type(found[policy]).__name__).lower() if policy in found else ""
+        for policy in (Policy.Reliability, Policy.Durability)
+    )
+    return Qos(reliability, durability, "", 0)
+
+
+def _delete(entity: Any) -> None:
+    entity.__del__()  # dds_delete; the package has no other word for it
+
+
+def _library_version() -> dict[str, str]:
+    """Version of the library that is loaded, from its file name."""
+    with suppress(OSError):
+        if found := re.search(r"libddsc\S*\.so\.([\d.]+)", Path("/proc/self/maps").read_text()):
+            return {"libddsc": found[1]}
+    return {}

@@ -1,0 +1,41 @@
+"""Settings of Cyclone DDS, wherever it runs: in our own `cyclonedds` backend and inside zenoh's bridges."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+from recorder.backend import Discovery
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+# ROS 2's LOCALHOST range has no multicast: its nodes look for others at the well-known unicast ports of 127.0.0.1.
+# Cyclone DDS takes such a port only with a participant index, and finds the nodes only as peers.
+CYCLONE_LOCALHOST = (
+    "<CycloneDDS><Domain><General><AllowMulticast>false</AllowMulticast></General><Discovery>"
+    "<ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>31</MaxAutoParticipantIndex>"
+    '<Peers><Peer address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>'
+)
+
+# Without this Cyclone DDS binds to an interface of the network, and its data to this very machine goes out there.
+CYCLONE_LOOPBACK = '<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="lo"/></Interfaces></General></Domain></CycloneDDS>'
+
+# Cyclone DDS sends fragments of 1344 bytes and receives into the system's default buffer unless it is told otherwise;
+# a large message of another vendor then loses fragments faster than they are sent again.
+CYCLONE_TUNED = (
+    "<CycloneDDS><Domain><General><MaxMessageSize>65500B</MaxMessageSize><FragmentSize>60000B</FragmentSize></General>"
+    '<Internal><SocketReceiveBufferSize min="default" max="4MB"/></Internal></Domain></CycloneDDS>'
+)
+
+
+def cyclone_settings(
+    discovery: Discovery, *, tuned: bool, environment: Mapping[str, str] = os.environ
+) -> str:
+    """A value of CYCLONEDDS_URI: the user's own settings, then ours, which win; empty if there are none."""
+    parts = [
+        environment.get("CYCLONEDDS_URI", ""),
+        CYCLONE_LOCALHOST if discovery is Discovery.LOCALHOST else "",
+        CYCLONE_TUNED if tuned else "",
+    ]
+    return ",".join(filter(None, parts))

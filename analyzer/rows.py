@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 import tempfile
+import weakref
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -26,18 +28,19 @@ class RoundTripRows:
     Args:
         held: the rows in memory, or None.
         path: the Parquet file that has them, where they are not in memory.
-        folder: a temporary folder with that file; it lives as long as this.
+        folder: a temporary folder with that file; it goes away with this.
     """
 
     def __init__(
         self,
         held: pl.DataFrame | None,
         path: Path | None = None,
-        folder: tempfile.TemporaryDirectory[str] | None = None,
+        folder: Path | None = None,
     ) -> None:
         self._held = held
         self._path = path
-        self._folder = folder
+        if folder is not None:
+            weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
 
     @classmethod
     def none(cls) -> RoundTripRows:
@@ -74,7 +77,7 @@ class RowKeeper:
         self._held: list[pa.Table] = []
         self._rows = 0
         self._stack = ExitStack()
-        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        self._folder: Path | None = None
         self._writer: RoundTripsWriter | None = None
 
     def __enter__(self) -> RowKeeper:  # noqa: PYI034 - `Self` is Python 3.11's
@@ -92,9 +95,8 @@ class RowKeeper:
             self._held.append(table)
             return
         if self._writer is None:
-            self._folder = tempfile.TemporaryDirectory(prefix="dds-analyze-")
-            path = Path(self._folder.name) / "roundtrips.parquet"
-            self._writer = self._stack.enter_context(RoundTripsWriter(path))
+            self._folder = Path(tempfile.mkdtemp(prefix="dds-analyze-"))
+            self._writer = self._stack.enter_context(RoundTripsWriter(self._folder / "roundtrips.parquet"))
             for early in (*self._held, table):
                 self._writer.write(early)
         self._held.clear()
@@ -104,6 +106,8 @@ class RowKeeper:
     ) -> None:
         """Complete the file, or leave what was there before."""
         self._stack.__exit__(kind, error, trace)
+        if error is not None and self._folder is not None:
+            shutil.rmtree(self._folder, ignore_errors=True)
 
     def finished(self) -> RoundTripRows:
         """The rows, after the file is complete."""

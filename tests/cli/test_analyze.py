@@ -1,6 +1,7 @@
 """`dds-analyze` as it is typed."""
 
 import json
+import shutil
 import subprocess
 import sys
 
@@ -38,9 +39,13 @@ def test_a_folder_gives_a_table_and_two_files(runs, capsys):
     assert shown.err == ""
     assert pl.read_parquet(runs / "analysis" / "roundtrips.parquet")["latency_ns"].to_list() == [85] * 12
     assert sorted(path.name for path in (runs / "analysis").iterdir()) == [
+        "cache",
         "roundtrips.parquet",
         "summary.parquet",
     ]
+    shutil.rmtree(runs / "analysis")
+    assert analyze(runs, "--no-cache", "--sketch") == 0
+    assert [path.name for path in (runs / "analysis").iterdir()] == ["summary.parquet"]
 
 
 def test_reports_are_those_asked_for_and_written_where_asked(runs, tmp_path, capsys):

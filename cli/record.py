@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cli.errors import run_command
+from cli.record_tools import recover_trace, report_own_cost
 from recorder import (
     DEFAULT_MESSAGES,
     DEFAULT_WARMUP,
@@ -23,6 +24,7 @@ from recorder import (
     RecordOptions,
     Serialization,
     Transport,
+    parse_duration,
     parse_size,
     record,
 )
@@ -42,14 +44,6 @@ class Role(str, Enum):
 
     PING = "ping"
     RELAY = "relay"
-
-
-class DataName(str, Enum):
-    """What a ping sends."""
-
-    BINARY = "binary"
-    STRING = "string"
-    IMU = "imu"
 
 
 class Reliability(str, Enum):
@@ -83,25 +77,36 @@ def _panel(title: str) -> Any:
 _role, _message, _schedule = _panel("Role and output"), _panel("Message (ping)"), _panel("Schedule (ping)")
 _middleware, _process = _panel("Middleware"), _panel("Process")
 _description = _panel("Description in the trace")
+_relay, _tools = _panel("Relay"), _panel("Instead of recording")
 
 
 @app.command(context_settings={"help_option_names": ["-h", "--help"]})
 def main_command(
     role: Annotated[
-        Role, _role("--role", metavar="ROLE", help="[bold]ping[/bold] sends, [bold]relay[/bold] sends back.")
-    ],
+        Role | None,
+        _role("--role", metavar="ROLE", help="[bold]ping[/bold] sends, [bold]relay[/bold] sends back."),
+    ] = None,
     out: Annotated[
-        Path,
+        Path | None,
         _role("--out", metavar="PATH", help="A [bold].mcap[/bold] file, or the name of a rosbag2 folder."),
-    ],
+    ] = None,
     force: Annotated[bool, _role("--force", metavar="", help="Overwrite what is there.")] = False,
+    fsync: Annotated[
+        bool,
+        _role("--fsync", metavar="", help="Have each second of the trace on the disk, not in its cache."),
+    ] = False,
     duration: Annotated[
         float | None, _role("--duration", metavar="SECONDS", help="End then. A relay goes on until stopped.")
     ] = None,
     as_json: Annotated[bool, _role("--json", metavar="", help="Print the result as JSON.")] = False,
     data: Annotated[
-        DataName | None,
-        _message("--data", metavar="KIND", help="binary [dim](default)[/dim], string or imu."),
+        str | None,
+        _message(
+            "--data",
+            metavar="KIND",
+            help="binary [dim](default)[/dim], string, imu, file:PATH (or a folder's files), bag:PATH#TOPIC, or "
+            "topic:/NAME (live).",
+        ),
     ] = None,
     size: Annotated[
         str | None,
@@ -116,7 +121,10 @@ def main_command(
         int | None, _message("--seed", metavar="N", help="Of the random content. [dim]Default: drawn[/dim]")
     ] = None,
     rate: Annotated[
-        float | None, _schedule("--rate", metavar="HZ", help="Messages a second. [dim]Default: 10[/dim]")
+        float | None,
+        _schedule(
+            "--rate", metavar="HZ", help="Messages a second. [dim]Default: 10; of a bag its own rate[/dim]"
+        ),
     ] = None,
     messages: Annotated[
         int | None,
@@ -152,6 +160,25 @@ def main_command(
     bridge: Annotated[
         str | None,
         _middleware("--bridge", metavar="NAME", help="Start this bridge to the relay's domain, say builtin."),
+    ] = None,
+    bridge_running: Annotated[
+        bool, _middleware("--bridge-running", metavar="", help="That bridge is up already: start nothing.")
+    ] = False,
+    bridge_listen: Annotated[
+        str | None,
+        _middleware(
+            "--bridge-listen",
+            metavar="ADDRESS",
+            help="Start the ping's half alone; it waits at HOST:PORT for the relay's (dds-bridge --half relay).",
+        ),
+    ] = None,
+    bridge_peer: Annotated[
+        list[str] | None,
+        _middleware(
+            "--bridge-peer",
+            metavar="ADDRESS",
+            help="Likewise, but it goes to the other half at HOST:PORT; repeatable.",
+        ),
     ] = None,
     relay_domain: Annotated[
         int | None,
@@ -199,6 +226,16 @@ def main_command(
     depth: Annotated[
         int, _middleware("--depth", metavar="N", help="Messages that keep_last keeps. [dim]Default: 10[/dim]")
     ] = 10,
+    deadline: Annotated[
+        str | None,
+        _middleware(
+            "--deadline", metavar="TIME", help="Between two messages at most: 20ms, 1.5s; both sides."
+        ),
+    ] = None,
+    lifespan: Annotated[
+        str | None,
+        _middleware("--lifespan", metavar="TIME", help="Older messages are not delivered: 20ms, 1.5s."),
+    ] = None,
     serialization: Annotated[
         Serialization,
         _middleware(
@@ -265,6 +302,26 @@ def main_command(
             "--relay-id", metavar="N", help="A relay's number in the trace. [dim]Default: drawn[/dim]"
         ),
     ] = None,
+    types: Annotated[
+        list[str] | None,
+        _relay(
+            "--type",
+            metavar="TYPE",
+            help="Send this type back too: sensor_msgs/msg/PointCloud2, say; repeatable.",
+        ),
+    ] = None,
+    recover_path: Annotated[
+        Path | None,
+        _tools(
+            "--recover", metavar="TRACE", help="Make a closed trace of what a killed recorder left, and end."
+        ),
+    ] = None,
+    self_test: Annotated[
+        bool,
+        _tools(
+            "--self-test", metavar="", help="Measure what recording itself costs on this machine, and end."
+        ),
+    ] = False,
 ) -> None:
     """Record latency of ROS 2 / DDS messages as a ping or as a relay.
 
@@ -275,6 +332,16 @@ def main_command(
 
     [bold]dds-record --role ping  --out ping.mcap[/bold]
     """
+    if recover_path is not None:
+        recover_trace(recover_path)
+        return
+    discovery = discovery or default_discovery()
+    if self_test:
+        domain = default_domain() if domain is None else domain
+        report_own_cost(out, backend, NodeOptions(domain, discovery=discovery, executor=executor, rmw=rmw))
+        return
+    if role is None or out is None:
+        raise OptionError("give --role ping or --role relay, and --out PATH for its trace (see --help)")
     of_ping = {
         "--data": data,
         "--size": size,
@@ -286,36 +353,46 @@ def main_command(
         "--relays": relays,
         "--bridge": bridge,
         "--relay-domain": relay_domain,
+        "--bridge-running": bridge_running or None,
+        "--bridge-listen": bridge_listen,
+        "--bridge-peer": bridge_peer or None,
         "--label": label or None,
     }
-    of_relay = {"--relay-id": relay_id}
+    of_relay = {"--relay-id": relay_id, "--type": types or None}
     _refuse_others(role, of_relay if role is Role.PING else of_ping)
     is_bridged = bridge not in (None, "none")
     if domain is None:
         domain = BRIDGED_PING_DOMAIN if is_bridged else default_domain()
     if is_bridged and relay_domain is None:
         relay_domain = default_domain()
-    rate_hz = 10.0 if rate is None else rate
-    warmup = DEFAULT_WARMUP if warmup is None else warmup
     ping = PingOptions(
-        data_type="binary" if data is None else data.value,
+        data="binary" if data is None else data,
         size_bytes=None if size is None else parse_size(size),
-        rate_hz=rate_hz,
-        messages=_messages(messages, duration, rate_hz, warmup),
-        warmup=warmup,
+        rate_hz=rate,
+        messages=messages,
+        warmup=DEFAULT_WARMUP if warmup is None else warmup,
         wait_s=20.0 if wait is None else wait,
         relays=1 if relays is None else relays,
         seed=seed,
         bridge=bridge or "none",
+        bridge_running=bridge_running,
+        bridge_listen=bridge_listen,
+        bridge_peers=tuple(bridge_peer or ()),
         relay_domain_id=relay_domain,
         labels=parse_labels(label or []),
     )
     options = RecordOptions(
-        destination=TraceDestination(out, force=force),
+        destination=TraceDestination(out, force=force, fsync=fsync),
         node=NodeOptions(
             domain_id=domain,
-            discovery=discovery or default_discovery(),
-            qos=Qos(reliability.value, durability.value, history.value, depth),
+            discovery=discovery,
+            qos=Qos(
+                reliability.value,
+                durability.value,
+                history.value,
+                depth,
+                _duration_policies(deadline, lifespan),
+            ),
             executor=executor,
             rmw=rmw,
             transport=transport,
@@ -326,6 +403,7 @@ def main_command(
         backend=backend,
         serialization=serialization,
         relay_id=relay_id,
+        types=tuple(types or ()),
         device=device,
         connectivity=connectivity,
         duration_s=duration,
@@ -342,13 +420,10 @@ def _refuse_others(role: Role, others: dict[str, Any]) -> None:
         raise OptionError(f"{', '.join(given)} cannot be given to a {role.value}, only to the other role")
 
 
-def _messages(messages: int | None, duration_s: float | None, rate_hz: float, warmup: int) -> int:
-    """As many as were asked for, or as fit the duration."""
-    if messages is not None:
-        return messages
-    if duration_s is None:
-        return DEFAULT_MESSAGES
-    return max(round(duration_s * rate_hz) - warmup, 1)
+def _duration_policies(deadline: str | None, lifespan: str | None) -> dict[str, int]:
+    """What was given, in ns, as it stands in the trace."""
+    given = {"deadline_ns": deadline, "lifespan_ns": lifespan}
+    return {name: parse_duration(text) for name, text in given.items() if text is not None}
 
 
 def default_domain() -> int:

@@ -71,7 +71,7 @@ def explain_silence(node: Node, plan: RunPlan, waited_s: float) -> str:
 def _advice(sight: Sight, node: Node, plan: RunPlan) -> str:
     data_type = plan.payload.data_type
     if sight.incompatible:
-        return "give ping and relay the same --reliability and --durability"
+        return "give ping and relay the same --reliability, --durability and --deadline"
     types = {endpoint.type_name for endpoint in sight.subscriptions} - {data_type.type_name, ""}
     if types:
         return f"another program uses {data_type.topic} with {', '.join(sorted(types))}; stop it"

@@ -15,6 +15,7 @@ MAX_RELAY_ID = (1 << 32) - 1
 MAX_RATE_HZ = 1e6
 DEFAULT_MESSAGES = 400
 """A two-sided 95 % interval for p99 takes 368 (order statistics, binomial)."""
+DEFAULT_RATE_HZ = 10.0
 DEFAULT_WARMUP = 10
 
 
@@ -23,27 +24,33 @@ class PingOptions:
     """What a ping sends.
 
     Attributes:
-        data_type: `binary`, `string`, `imu`.
+        data: `binary`, `string`, `imu`, `file:PATH`, `bag:PATH#TOPIC` or `topic:/NAME`.
         size_bytes: application bytes of a message, None for the type's default.
-        rate_hz: messages a second.
-        messages: messages that count, warm-up not included.
+        rate_hz: messages a second; None for the rate of the data, or 10 if it has none.
+        messages: messages that count, warm-up not included; None for what fits the duration, or 400.
         warmup: messages before them.
         wait_s: how long to wait for an echo.
         relays: how many relays must send one; those in sight are waited for in any case.
         seed: of the payload's random content, drawn if None.
         bridge: `none`, or the bridge to the relay's domain, started and ended with the recording.
+        bridge_running: the bridge runs already; nothing is started.
+        bridge_listen: `HOST:PORT` where the ping's half of the bridge waits for the relay's.
+        bridge_peers: `HOST:PORT` of each other half that the ping's half connects to.
         relay_domain_id: the domain of the relay, the ping's own if None.
     """
 
-    data_type: str = "binary"
+    data: str = "binary"
     size_bytes: int | None = None
-    rate_hz: float = 10.0
-    messages: int = DEFAULT_MESSAGES
+    rate_hz: float | None = None
+    messages: int | None = None
     warmup: int = DEFAULT_WARMUP
     wait_s: float = 20.0
     relays: int = 1
     seed: int | None = None
     bridge: str = "none"
+    bridge_running: bool = False
+    bridge_listen: str | None = None
+    bridge_peers: tuple[str, ...] = ()
     relay_domain_id: int | None = None
     labels: Mapping[str, str] = field(default_factory=dict)
 
@@ -53,16 +60,21 @@ class PingOptions:
         Raises:
             OptionError: naming the option.
         """
-        if not 0 < self.rate_hz <= MAX_RATE_HZ:
+        if self.rate_hz is not None and not 0 < self.rate_hz <= MAX_RATE_HZ:
             raise OptionError(
                 f"--rate {self.rate_hz:g}: give more than 0 and at most {MAX_RATE_HZ:.0f} a second"
             )
-        if self.messages < 1:
+        if self.messages is not None and self.messages < 1:
             raise OptionError(f"--messages {self.messages}: give at least one message to measure")
         if self.warmup < 0:
             raise OptionError(f"--warmup {self.warmup}: give 0 or more")
         if self.relays < 1:
             raise OptionError(f"--relays {self.relays}: give at least one relay to wait for")
+        joins_halves = self.bridge_listen is not None or bool(self.bridge_peers)
+        if self.bridge == "none" and (self.bridge_running or joins_halves):
+            raise OptionError("--bridge-running, --bridge-listen and --bridge-peer need --bridge NAME")
+        if self.bridge_running and joins_halves:
+            raise OptionError("--bridge-running starts nothing: leave --bridge-listen and --bridge-peer out")
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +84,7 @@ class RecordOptions:
     Attributes:
         node: how to join; its `name` and `listens` are set by the role.
         relay_id: of a relay, drawn if None.
+        types: message types that a relay serves beside those of binary, string and imu.
         device: the device's name, by default its host name.
         connectivity: how it reaches the others, by default looked up (`session.default_connectivity`).
         duration_s: end after so many seconds; a relay without it goes on until stopped.
@@ -85,6 +98,7 @@ class RecordOptions:
     backend: str = "ros2"
     serialization: Serialization = Serialization.RAW
     relay_id: int | None = None
+    types: tuple[str, ...] = ()
     device: str | None = None
     connectivity: str | None = None
     duration_s: float | None = None

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from recorder.durations import format_duration
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
@@ -18,12 +20,19 @@ RANKS = {
 
 
 def mismatches(offered: Qos, requested: Qos) -> list[str]:
-    """The policies in which `offered` falls short of `requested`; a value that is unknown is no mismatch."""
+    """The policies in which `offered` falls short of `requested`; a value that is unknown is no mismatch.
+
+    A deadline (`Qos.extra`, `deadline_ns`) falls short if it is longer than the requested one or there is none.
+    """
     found = []
     for policy, ranks in RANKS.items():
         offers, requests = getattr(offered, policy), getattr(requested, policy)
         if offers in ranks and requests in ranks and ranks.index(offers) < ranks.index(requests):
             found.append(f"{policy} ({offers} offered, {requests} requested)")
+    offers_ns, requests_ns = offered.extra.get("deadline_ns"), requested.extra.get("deadline_ns")
+    if requests_ns is not None and (offers_ns is None or offers_ns > requests_ns):
+        offers = "none" if offers_ns is None else format_duration(offers_ns)
+        found.append(f"deadline ({offers} offered, {format_duration(requests_ns)} requested)")
     return found
 
 

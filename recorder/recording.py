@@ -11,11 +11,14 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from recorder.backends import open_node
+from recorder.bridging import open_asked_bridge
 from recorder.clock import SystemClock
+from recorder.cost import measured_cost
 from recorder.domains import check_domain
 from recorder.echo import explain_silence, look_for_relays
-from recorder.payloads import DATA_TYPES, data_type_called
-from recorder.ping import Ping, RunPlan
+from recorder.payloads import load_payload, open_live_payload, served_data_types
+from recorder.ping import Ping
+from recorder.planning import check_serialization, plan_run
 from recorder.privileges import apply_privileges
 from recorder.relay import Relay
 from recorder.sampling import HostSampler
@@ -29,11 +32,14 @@ if TYPE_CHECKING:
     from recorder.backend import Node
     from recorder.bridges import RunningBridge
     from recorder.options import PingOptions, RecordOptions
+    from recorder.payload import Payload
     from recorder.progress import PingProgress, RelayProgress, Watch
     from tracefile import ClosedTrace, Run, Session
 
 LOOK_S = 0.5
 """Between two looks at a role while it runs."""
+LIVE_PREFIX = "topic:"
+"""Of `--data` for a live source."""
 QUIET_LOOKS = 10
 """A relay that had nothing to do for so many looks has time for housekeeping."""
 HOPELESS_S = 3.0
@@ -84,6 +90,8 @@ class _Recording:
     def relay(self) -> Recorded:
         options = self.options
         relay_id = options.relay_id or secrets.randbits(32) or 1
+        data_types = served_data_types(options.types)
+        check_serialization(data_types, options.serialization)
         with self._open_node("relay") as node, steady_interpreter():
             session = self._describe("relay", node, relay_id)
             with self._open_trace(session) as sink:
@@ -91,7 +99,7 @@ class _Recording:
                     node,
                     sink,
                     relay_id,
-                    data_types=DATA_TYPES.values(),
+                    data_types=data_types,
                     qos=options.node.qos,
                     serialization=options.serialization,
                 )
@@ -105,16 +113,21 @@ class _Recording:
                 return Recorded(sink.close(), session, relay.progress())
 
     def ping(self, asked: PingOptions) -> Recorded:
+        seed = secrets.randbits(32) if asked.seed is None else asked.seed
         with ExitStack() as stack:
+            payload = self._open_payload(asked, seed, stack)
+            plan = plan_run(self.options, asked, payload, session_id=self.session_id, seed=seed)
             node = stack.enter_context(self._open_node("ping"))
-            ping = Ping(node, self._plan(asked), self.clock)
+            ping = Ping(node, plan, self.clock)
             node.start()
-            bridge = self._open_bridge(asked, stack)
+            bridge = open_asked_bridge(self.options, asked, payload.data_type, stack)
             self._wait_for_echo(ping, node, asked, bridge)
             session = self._describe("ping", node)
             sink = stack.enter_context(self._open_trace(session))
             with _sampled(sink, bridge):
                 run = None if self.stop.is_set() else self._run(ping, node, sink)
+            if bridge is not None:
+                bridge.stop()  # so that its description says how it ended
             trace = sink.close(**({} if bridge is None else {"bridge": bridge.describe()}))
             return Recorded(trace, session, ping.progress(), run)
 
@@ -132,7 +145,7 @@ class _Recording:
             device=self.options.device,
             connectivity=self.options.connectivity,
             relay_id=relay_id,
-            extra=self.privileges,
+            extra={**self.privileges, **measured_cost()},
         )
 
     @contextmanager
@@ -149,31 +162,13 @@ class _Recording:
             self._told_of_disk = True
             self.watch.note(f"{sink.error}; the node goes on answering, what was written stays readable")
 
-    def _plan(self, asked: PingOptions) -> RunPlan:
-        own_domain_id = self.options.node.domain_id
-        seed = secrets.randbits(32) if asked.seed is None else asked.seed
-        return RunPlan(
-            payload=data_type_called(asked.data_type).make(asked.size_bytes, seed),
-            rate_hz=asked.rate_hz,
-            messages=asked.messages,
-            warmup=asked.warmup,
-            qos=self.options.node.qos,
-            serialization=self.options.serialization,
-            bridge=asked.bridge,
-            relay_domain_id=own_domain_id if asked.relay_domain_id is None else asked.relay_domain_id,
-            labels=asked.labels,
-            extra={"session_id": f"{self.session_id:016x}", "seed": seed},
-        )
-
-    def _open_bridge(self, asked: PingOptions, stack: ExitStack) -> RunningBridge | None:
-        if asked.bridge == "none":
-            return None
-        from recorder.bridges import BridgeOptions, open_bridge  # noqa: PLC0415 - nothing else needs it loaded
-
-        node = self.options.node
-        relay_domain_id = node.domain_id if asked.relay_domain_id is None else asked.relay_domain_id
-        wanted = BridgeOptions(node.domain_id, relay_domain_id, qos=node.qos, discovery=node.discovery)
-        return stack.enter_context(open_bridge(asked.bridge, wanted))
+    def _open_payload(self, asked: PingOptions, seed: int, stack: ExitStack) -> Payload:
+        """Data that is made up or read before any node is there, or a live source with a node of its own."""
+        live = asked.data.removeprefix(LIVE_PREFIX)
+        if live == asked.data:
+            return load_payload(asked.data, asked.size_bytes, seed)
+        open_source = partial(self._open_node, "source")
+        return stack.enter_context(open_live_payload(live, open_source, asked.wait_s, self.stop))
 
     def _wait_for_echo(
         self, ping: Ping, node: Node, asked: PingOptions, bridge: RunningBridge | None
@@ -185,11 +180,11 @@ class _Recording:
             slice_s = min(HOPELESS_S, asked.wait_s - waited_s)
             came = ping.wait_for_echo(slice_s, self.stop, asked.relays)
             waited_s += slice_s
+            _raise_error_of(node)
+            if bridge is not None:
+                bridge.check()
             if look_for_relays(node, data_type).is_hopeless:
                 break
-        _raise_error_of(node)
-        if bridge is not None:
-            bridge.check()
         if not came and not self.stop.is_set():
             answers = (
                 f"{ping.echoing_relays} of {asked.relays} relays answer; " if ping.echoing_relays else ""

@@ -36,6 +36,9 @@ SPIN_S = 0.1
 """One round of the executor; how long `close` may have to wait for the thread."""
 LAST_ACKNOWLEDGEMENT_S = 0.5
 WRONG_RMW_TIMEOUT_S = 30.0
+DURATION_POLICIES = ("deadline", "lifespan")
+INFINITE_NS = 1 << 62
+"""A vendor's word for a duration without end is a little below 2^63 ns; 0 is ROS 2's word for the default."""
 
 INSTALL = (
     "pip install 'dds-trace[ros2]' (wheels, x86_64), or install ROS 2 from apt and run "
@@ -151,6 +154,10 @@ class Ros2Node:
     def message_from_cdr(self, type_name: str, data: RawMessage) -> Any:
         """The message object."""
         return _rclpy().serialization.deserialize_message(bytes(data), _message_class(type_name))
+
+    def message_to_cdr(self, message: Any) -> bytes:
+        """The serialized message."""
+        return bytes(_rclpy().serialization.serialize_message(message))
 
     def start(self) -> None:
         """Start the thread that spins the executor."""
@@ -390,6 +397,11 @@ def _qos_profile(qos: Qos) -> Any:
             durability=kinds.DurabilityPolicy[qos.durability.upper()],
             history=kinds.HistoryPolicy[qos.history.upper()],
             depth=qos.depth,
+            **{
+                policy: _rclpy().duration.Duration(nanoseconds=qos.extra[f"{policy}_ns"])
+                for policy in DURATION_POLICIES
+                if f"{policy}_ns" in qos.extra
+            },
         )
     except KeyError as err:
         raise OptionError(f"ROS 2 has no quality of service {err}") from err
@@ -405,6 +417,11 @@ def _endpoint(info: Any) -> Endpoint:
             profile.durability.name.lower(),
             profile.history.name.lower(),
             profile.depth,
+            {
+                f"{policy}_ns": duration_ns
+                for policy in DURATION_POLICIES
+                if 0 < (duration_ns := getattr(profile, policy).nanoseconds) < INFINITE_NS
+            },
         ),
     )
 

@@ -6,9 +6,11 @@ from typing import TYPE_CHECKING
 
 from recorder.payloads import bag, file
 from recorder.payloads.binary import BINARY
+from recorder.payloads.foreign import OWN_TYPES
 from recorder.payloads.header import header_data_type
 from recorder.payloads.imu import IMU
 from recorder.payloads.string import STRING
+from recorder.payloads.topic import open_payload as open_live_payload
 from tracefile import OptionError
 
 if TYPE_CHECKING:
@@ -60,8 +62,7 @@ def served_data_types(type_names: Iterable[str] = ()) -> tuple[DataType, ...]:
     Raises:
         OptionError: one of `type_names` is no name of a message type.
     """
-    own = {data_type.type_name for data_type in DATA_TYPES.values()}
-    further = dict.fromkeys(name for name in type_names if name not in own)
+    further = dict.fromkeys(name for name in type_names if name not in OWN_TYPES)
     return (*DATA_TYPES.values(), *map(header_data_type, further))
 
 
@@ -74,5 +75,6 @@ __all__ = [
     "data_type_called",
     "header_data_type",
     "load_payload",
+    "open_live_payload",
     "served_data_types",
 ]

@@ -9,20 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 from recorder.backend import Serialization
 from recorder.payload import Message, Payload
-from recorder.payloads.binary import BINARY
-from recorder.payloads.header import header_data_type
-from recorder.payloads.imu import IMU
+from recorder.payloads.foreign import foreign_data_type, make_room
 from recorder.payloads.limits import check_held_bytes
-from recorder.payloads.string import STRING
-from recorder.stamp import stamp_text
 from tracefile import BackendUnavailableError, OptionError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from recorder.payload import DataType
-
-HEADER_TYPE = "std_msgs/msg/Header"
+NAMED_FIELD = 2
+"""rosbags' mark of a field that is a message itself."""
 
 
 def load_payload(where: str) -> Payload:
@@ -99,34 +94,16 @@ class _Stamper:
     """Turns recorded messages of one type into ours: CDR, with our stamp's 46 characters in their place."""
 
     def __init__(self, reader: Any, type_name: str, path: Path) -> None:
-        self.data_type = _data_type(reader, type_name, path)
+        fields = reader.typestore.fielddefs[type_name][1]
+        kind, detail = fields[0][1] if fields else (0, "")
+        first_field_type = detail if kind == NAMED_FIELD else ""
+        self.data_type = foreign_data_type(type_name, first_field_type, str(path))
         self._reader = reader
         self._type_name = type_name
         self._bytes_of = self.data_type.payload_bytes_of[Serialization.RAW]
 
     def __call__(self, data: bytes) -> Message:
         message = self._reader.deserialize(data, self._type_name)
-        stamp = stamp_text(0, 0).decode()
-        if self.data_type is STRING:
-            message.data = stamp + message.data
-        else:
-            message.header.frame_id = stamp
+        make_room(message, self.data_type)
         cdr = bytearray(self._reader.typestore.serialize_cdr(message, self._type_name, little_endian=True))
         return Message(cdr, self._bytes_of(cdr))
-
-
-def _data_type(reader: Any, type_name: str, path: Path) -> DataType:
-    """One of the three that every relay serves, where the type is theirs.
-
-    Raises:
-        OptionError: there is no place for the stamp.
-    """
-    own = {data_type.type_name: data_type for data_type in (BINARY, STRING, IMU)}
-    if type_name in own:
-        return own[type_name]
-    fields = reader.typestore.fielddefs[type_name][1]
-    if not fields or HEADER_TYPE not in fields[0][1]:
-        raise OptionError(
-            f"{path}: {type_name} does not begin with a std_msgs/Header, so it cannot carry the stamp"
-        )
-    return header_data_type(type_name)

@@ -11,7 +11,20 @@ from typer.testing import CliRunner
 
 from cli import record as command
 from recorder import Discovery, PingProgress, Recorded, RelayProgress, Serialization, Transport
-from tracefile import ClosedTrace, OptionError, OutputError, OutputExistsError, Qos, Run, Session, TraceError
+from tracefile import (
+    BackendUnavailableError,
+    ClosedTrace,
+    OptionError,
+    OutputError,
+    OutputExistsError,
+    Qos,
+    RecorderCost,
+    Run,
+    Session,
+    TraceDestination,
+    TraceError,
+    TraceSink,
+)
 
 
 @pytest.fixture
@@ -43,8 +56,8 @@ def test_a_ping_with_nothing_given(parsed):
     assert options.serialization is Serialization.RAW
     assert options.duration_s is None
     ping = options.ping
-    assert (ping.data_type, ping.size_bytes, ping.rate_hz) == ("binary", None, 10.0)
-    assert (ping.messages, ping.warmup, ping.bridge, ping.relay_domain_id) == (400, 10, "none", None)
+    assert (ping.data, ping.size_bytes, ping.rate_hz) == ("binary", None, None)
+    assert (ping.messages, ping.warmup, ping.bridge, ping.relay_domain_id) == (None, 10, "none", None)
 
 
 def test_a_relay_with_nothing_given_is_where_the_ping_is(parsed):
@@ -100,15 +113,27 @@ def test_everything_given(parsed, tmp_path):
     assert (options.cpu_affinity, options.realtime_priority) == ("0", 10)
     assert (options.device, options.connectivity, options.duration_s) == ("pi4", "wireless", 9)
     ping = options.ping
-    assert (ping.data_type, ping.size_bytes, ping.rate_hz) == ("string", 1024, 100)
+    assert (ping.data, ping.size_bytes, ping.rate_hz) == ("string", 1024, 100)
     assert (ping.messages, ping.warmup, ping.wait_s, ping.seed) == (7, 3, 2.5, 4)
     assert ping.labels == {"room": "lab", "x": "a=b"}
 
 
-def test_a_duration_without_messages_sends_what_fits(parsed):
-    assert parsed("--duration", 10, "--rate", 50).ping.messages == 490
-    assert parsed("--duration", 10, "--rate", 50, "--messages", 5).ping.messages == 5
-    assert parsed("--duration", 0.1, "--rate", 1).ping.messages == 1
+def test_deadline_and_lifespan_are_durations(parsed):
+    assert parsed("--deadline", "20ms").node.qos.extra == {"deadline_ns": 20_000_000}
+    assert parsed("--lifespan", "1.5s", role="relay").node.qos.extra == {"lifespan_ns": 1_500_000_000}
+
+
+def test_a_relay_serves_further_types(parsed):
+    types = "sensor_msgs/msg/PointCloud2", "nav_msgs/msg/Odometry"
+    assert parsed("--type", types[0], "--type", types[1], role="relay").types == types
+
+
+def test_a_half_of_a_bridge(parsed):
+    ping = parsed("--bridge", "builtin-zenoh", "--bridge-listen", "0.0.0.0:7447", "--fsync").ping
+    assert (ping.bridge, ping.bridge_listen, ping.bridge_peers) == ("builtin-zenoh", "0.0.0.0:7447", ())
+    ping = parsed("--bridge", "builtin-zenoh", "--bridge-peer", "10.0.0.2:7447").ping
+    assert (ping.bridge_listen, ping.bridge_peers) == (None, ("10.0.0.2:7447",))
+    assert parsed("--bridge", "builtin", "--bridge-running").ping.bridge_running
 
 
 @pytest.mark.parametrize(
@@ -117,6 +142,10 @@ def test_a_duration_without_messages_sends_what_fits(parsed):
         (["--size", "3KQ"], "ping", "size '3KQ' is not understood"),
         (["--label", "novalue"], "ping", "--label 'novalue': write KEY=VALUE"),
         (["--relay-id", "5"], "ping", "--relay-id cannot be given to a ping"),
+        (["--type", "a/msg/B"], "ping", "--type cannot be given to a ping"),
+        (["--bridge-running"], "relay", "--bridge-running cannot be given to a relay"),
+        (["--deadline", "20"], "ping", "duration '20' is not understood"),
+        (["--lifespan", "0ms"], "relay", "duration '0ms' is not understood"),
         (["--rate", "5", "--size", "1"], "relay", "--size, --rate cannot be given to a relay"),
     ],
 )
@@ -136,6 +165,24 @@ def test_what_cannot_be_meant_is_refused(parsed, arguments, role, message):
         (["--depth", "0"], "relay", "--depth 0"),
         (["--duration", "0"], "relay", "--duration 0"),
         (["--relay-id", "0"], "relay", "--relay-id 0"),
+        (["--type", "PointCloud2"], "relay", "'PointCloud2' is no message type"),
+        (
+            ["--type", "sensor_msgs/msg/PointCloud2", "--serialization", "typed"],
+            "relay",
+            "--serialization typed: sensor_msgs/msg/PointCloud2 is sent as raw bytes alone",
+        ),
+        (["--bridge-running"], "ping", "--bridge-running, --bridge-listen and --bridge-peer need --bridge"),
+        (
+            ["--bridge", "x", "--bridge-running", "--bridge-peer", "a:1"],
+            "ping",
+            "--bridge-running starts nothing",
+        ),
+        (["--data", "video"], "ping", "there is no data type 'video'"),
+        (["--data", "file:/nowhere"], "ping", "--data file:/nowhere: No such file"),
+        (["--data", "bag:/nowhere#/x"], "ping", "--data bag:/nowhere: there is no such file or folder"),
+        (["--data", "bag:/nowhere"], "ping", "--data bag:/nowhere: write bag:PATH#TOPIC"),
+        (["--data", "file:/nowhere", "--size", "5"], "ping", "--size 5: the messages of file:/nowhere have"),
+        (["--data", "topic:/imu_data_relay"], "ping", "--data topic:/imu_data_relay: pings travel on"),
     ],
 )
 def test_what_cannot_be_recorded_is_refused_before_anything_is_opened(
@@ -158,6 +205,52 @@ def test_an_existing_file_is_refused_before_anything_is_opened(role, tmp_path, m
     assert isinstance(result.exception, OutputExistsError)
     assert "--force" in str(result.exception)
     assert out.read_text() == "precious"
+
+
+def test_without_a_role_nothing_is_recorded():
+    result = CliRunner().invoke(command.app, ["--messages", "5"])
+    assert isinstance(result.exception, OptionError)
+    assert str(result.exception).startswith("give --role ping or --role relay, and --out PATH")
+
+
+def test_a_whole_trace_has_nothing_to_recover(tmp_path):
+    path = tmp_path / "x.mcap"
+    TraceSink(TraceDestination(path), recorded().session).close()
+    result = CliRunner().invoke(command.app, ["--recover", str(path)])
+    assert result.exit_code == 0, result.output
+    assert result.output == f"{path} is closed and whole (0 events); nothing to recover\n"
+
+
+def test_a_trace_that_was_cut_off_is_closed_again(tmp_path):
+    path = tmp_path / "x.mcap"
+    sink = TraceSink(TraceDestination(path), recorded().session)
+    for sequence in range(5):
+        sink.record(1, 7, sequence, 1000 + sequence)
+    sink.close()
+    path.write_bytes(path.read_bytes()[:-200])  # into the summary
+    result = CliRunner().invoke(command.app, ["--recover", str(path)])
+    assert result.exit_code == 0, result.output
+    assert result.output.startswith("Wrote ")
+    assert "5 events in the file, 0 more in the ring" in result.output
+
+
+def test_the_cost_of_recording_is_printed_without_middleware_too(monkeypatch, tmp_path):
+    cost = RecorderCost(30.0, 500.0, 900.0, 4_000.0, 9_000.0, 3000)
+    monkeypatch.setattr(
+        "cli.record_tools.measure_recorder_cost", lambda folder: cost if folder == tmp_path else None
+    )
+
+    def without_middleware(*_):
+        raise BackendUnavailableError("no ROS 2 here")
+
+    monkeypatch.setattr("cli.record_tools.measure_floor", without_middleware)
+    result = CliRunner().invoke(command.app, ["--self-test", "--out", str(tmp_path / "x.mcap")])
+    assert result.exit_code == 0, result.output
+    assert result.output.splitlines() == [
+        "recording an event: median 0.5 us, p99 0.9 us, slowest 4 us (3000 events at 1 kHz)",
+        "slowest ten events in a row: 9 us; reading the clock: 0.03 us",
+        "floor of the client library: not measured, no ROS 2 here",
+    ]
 
 
 def test_help_fits_80_columns_and_needs_no_middleware(monkeypatch):

@@ -1,0 +1,55 @@
+"""What `dds-record` does beside recording: `--recover` and `--self-test`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from recorder import measure_floor
+from tracefile import TraceError, measure_recorder_cost, recover
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from recorder import NodeOptions
+
+
+def recover_trace(path: Path) -> None:
+    """Print what was found at `path` and where the closed trace is.
+
+    Raises:
+        TraceFormatError: it is no trace of ours.
+    """
+    report = recover(path)
+    if report.recovered is not None:
+        print(f"Wrote {report.recovered}")
+    print("\n".join(report.lines()))
+
+
+def report_own_cost(out: Path | None, backend: str, options: NodeOptions) -> None:
+    """Print the recorder's own cost, and the client library's floor if its middleware is here.
+
+    Args:
+        out: beside which the measured trace lies for a moment, since its disk may have a part in it.
+        backend: whose floor is measured.
+        options: of the node that sends to itself.
+
+    Raises:
+        OutputError: nothing can be written there.
+    """
+    cost = measure_recorder_cost(None if out is None else out.absolute().parent)
+    print(f"recording an event: median {_us(cost.record_median_ns)}, p99 {_us(cost.record_p99_ns)}, ", end="")
+    print(f"slowest {_us(cost.record_max_ns)} ({cost.events} events at 1 kHz)")
+    print(
+        f"slowest ten events in a row: {_us(cost.stall_of_ten_ns)}; reading the clock: {_us(cost.timer_ns)}"
+    )
+    try:
+        floor = measure_floor(backend, options)
+    except TraceError as error:
+        print(f"floor of the client library: not measured, {error}")
+        return
+    print(f"floor of the client library ({backend}, a node to itself, {floor.messages} messages): ", end="")
+    print(f"median {_us(floor.median_ns)}, p99 {_us(floor.p99_ns)}")
+
+
+def _us(duration_ns: float) -> str:
+    return f"{duration_ns / 1e3:.3g} us"

@@ -1,0 +1,51 @@
+"""The bridge that a ping asks for: started around its recording, for the topics of its data."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from contextlib import ExitStack
+
+    from recorder.bridges import RunningBridge
+    from recorder.options import PingOptions, RecordOptions
+    from recorder.payload import DataType
+
+
+def open_asked_bridge(
+    options: RecordOptions, asked: PingOptions, data_type: DataType, stack: ExitStack
+) -> RunningBridge | None:
+    """The bridge, which ends with `stack`; None if none is asked for or it runs already.
+
+    Raises:
+        OptionError: there is no such bridge, or it cannot do what is asked.
+        BackendUnavailableError: its program is not on this machine.
+        BridgeError: it did not come up.
+    """
+    if asked.bridge == "none":
+        return None
+    from recorder.bridges import (  # noqa: PLC0415 - nothing else needs it loaded
+        BRIDGED_TOPICS,
+        BridgedTopic,
+        BridgeOptions,
+        load_bridge,
+        open_bridge,
+    )
+
+    if asked.bridge_running:
+        load_bridge(asked.bridge)  # the trace keeps its name, so there must be one
+        return None
+    node = options.node
+    topic = BridgedTopic(data_type.topic, data_type.type_name)
+    wanted = BridgeOptions(
+        node.domain_id,
+        node.domain_id if asked.relay_domain_id is None else asked.relay_domain_id,
+        topics=tuple(dict.fromkeys((*BRIDGED_TOPICS, topic))),
+        qos=node.qos,
+        discovery=node.discovery,
+        transport=node.transport,
+        tuned=node.tuned,
+        listen=asked.bridge_listen,
+        peers=asked.bridge_peers,
+    )
+    return stack.enter_context(open_bridge(asked.bridge, wanted))

@@ -1,0 +1,180 @@
+"""`topic:/NAME`: each message of a running topic, a camera's say, becomes the next ping as it arrives."""
+
+from __future__ import annotations
+
+import queue
+import time
+from collections import deque
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+
+from recorder.backend import Serialization
+from recorder.payload import RELAY_SUFFIX, Message, Payload
+from recorder.payloads.foreign import OWN_TYPES, foreign_data_type, make_room
+from recorder.stamp import STAMP_PREFIX
+from tracefile import OptionError, Qos
+
+if TYPE_CHECKING:
+    import threading
+    from collections.abc import Callable, Iterator
+
+    from recorder.backend import Endpoint, Node
+    from recorder.payload import DataType
+
+MAX_WAITING = 64
+"""Messages that may wait for those before them to be published; more are counted and left out."""
+RATE_MESSAGES = 10
+"""From so many arrivals the topic's rate is taken,"""
+RATE_S = 3.0
+"""or from those of so many seconds."""
+LOOK_S = 0.05
+_OWN_TOPICS = {data_type.topic for data_type in OWN_TYPES.values()}
+
+
+@runtime_checkable
+class SerializingNode(Protocol):
+    """A node that can also turn a message object into CDR: what a live source needs."""
+
+    def message_to_cdr(self, message: Any) -> bytes:
+        """The serialized message."""
+
+
+@contextmanager
+def open_payload(
+    name: str, open_node: Callable[[], Node], wait_s: float, stop: threading.Event
+) -> Iterator[Payload]:
+    """The live payload of the topic `name` while the block runs, on a node of its own.
+
+    Of its own, because the node that stamps T2 must not be busy with a camera's messages.
+
+    Args:
+        name: of the topic, with or without its first slash.
+        open_node: opens the node, which is closed with the block.
+        wait_s: how long to wait for the topic and its first messages.
+        stop: ends the wait.
+
+    Raises:
+        OptionError: nobody publishes the topic, it is silent, it is ours, or its type cannot carry the stamp.
+    """
+    topic, where = name.strip("/"), f"--data topic:{name}"
+    if topic.startswith("data_") or topic.endswith(RELAY_SUFFIX) or topic in _OWN_TOPICS:
+        raise OptionError(f"{where}: pings travel on this topic themselves; name the topic of the sensor")
+    deadline_s = time.monotonic() + wait_s
+    with open_node() as node:
+        if not isinstance(node, SerializingNode):
+            raise OptionError(f"{where}: a running topic can be sent with --backend ros2 alone")
+        publisher = _find_publisher(node, topic, where, deadline_s, stop)
+        feed = LiveFeed(node, publisher.type_name, where)
+        # What a camera offers is what can be asked of it.
+        offered = publisher.qos or Qos("best_effort")
+        qos = Qos(offered.reliability, "volatile", "keep_last", MAX_WAITING)
+        subscription = node.create_subscription(topic, publisher.type_name, feed.receive, qos=qos, typed=True)
+        node.start()
+        try:
+            yield feed.payload(deadline_s, stop, source=f"topic:{name}")
+        finally:
+            subscription.close()
+
+
+class LiveFeed:
+    """What arrives on the topic, serialized with room for the stamp; see `recorder.payload.Feed`."""
+
+    def __init__(self, node: SerializingNode, type_name: str, where: str) -> None:
+        self.skipped = 0
+        self._node = node
+        self._type_name = type_name
+        self._where = where
+        self._data_type: DataType | None = None
+        self._sample: Message | None = None
+        self._arrivals_ns: deque[int] = deque(maxlen=RATE_MESSAGES)
+        self._waiting: queue.SimpleQueue[tuple[Message, int]] = queue.SimpleQueue()
+        self._is_keeping = False
+        self._error: OptionError | None = None
+
+    def receive(self, message: Any, _source_ns: int = 0, _received_ns: int = 0, /) -> None:
+        """Called for each message of the topic, on the thread of the source's node."""
+        arrival_ns = time.monotonic_ns()
+        if self._sample is None:
+            self._take_sample(message)
+        self._arrivals_ns.append(arrival_ns)
+        if not self._is_keeping or self._error is not None:
+            return
+        if self._waiting.qsize() >= MAX_WAITING:
+            self.skipped += 1
+        elif (made := self._message_of(message)) is not None:
+            self._waiting.put((made, arrival_ns))
+
+    def begin(self) -> None:
+        """Keep what arrives from now on."""
+        self._is_keeping = True
+
+    def take(self, stop: threading.Event) -> tuple[Message, int] | None:
+        """The next message and when it arrived; None once `stop` is set."""
+        while not stop.is_set():
+            with suppress(queue.Empty):
+                return self._waiting.get(timeout=LOOK_S)
+        return None
+
+    def payload(self, deadline_s: float, stop: threading.Event, source: str) -> Payload:
+        """The payload, as soon as the topic's rate is known; its one message is for probes.
+
+        Raises:
+            OptionError: fewer than two messages came in time, or their type cannot carry the stamp.
+        """
+        began_s: float | None = None
+        while not stop.is_set() and time.monotonic() < deadline_s and self._error is None:
+            arrivals = len(self._arrivals_ns)
+            if arrivals and began_s is None:
+                began_s = time.monotonic()
+            is_time = began_s is not None and time.monotonic() - began_s > RATE_S
+            if arrivals >= RATE_MESSAGES or (arrivals > 1 and is_time):
+                break
+            time.sleep(LOOK_S)
+        if self._error is not None:
+            raise self._error
+        arrivals_ns = list(self._arrivals_ns)
+        if self._sample is None or self._data_type is None or len(arrivals_ns) < 2:
+            raise OptionError(
+                f"{self._where}: {len(arrivals_ns)} messages came; look whether its publisher sends, "
+                "or give a longer --wait"
+            )
+        rate_hz = (len(arrivals_ns) - 1) / (arrivals_ns[-1] - arrivals_ns[0]) * 1e9
+        return Payload(
+            self._data_type,
+            (self._sample,),
+            self._sample.payload_bytes,
+            rate_hz=float(f"{rate_hz:.2g}"),  # what the publisher means, not how it jitters
+            source=source,
+            feed=self,
+        )
+
+    def _take_sample(self, message: Any) -> None:
+        first_field_type = next(iter(message.get_fields_and_field_types().values()), "")
+        try:
+            self._data_type = foreign_data_type(self._type_name, first_field_type, self._where)
+        except OptionError as error:  # told by `payload`, to those who wait
+            self._error = error
+            return
+        self._sample = self._message_of(message)
+
+    def _message_of(self, message: Any) -> Message | None:
+        """The message as we send it; None for one that is ours already and came back here."""
+        assert self._data_type is not None
+        text = message.data if self._data_type.name == "string" else message.header.frame_id
+        if text.startswith(STAMP_PREFIX.decode()):
+            return None
+        make_room(message, self._data_type)
+        data = bytearray(self._node.message_to_cdr(message))
+        return Message(data, self._data_type.payload_bytes_of[Serialization.RAW](data))
+
+
+def _find_publisher(node: Node, topic: str, where: str, deadline_s: float, stop: threading.Event) -> Endpoint:
+    while not stop.is_set() and time.monotonic() < deadline_s:
+        for publisher in node.look_at(topic).publishers:
+            if publisher.type_name:
+                return publisher
+        time.sleep(LOOK_S)
+    raise OptionError(
+        f"{where}: nobody publishes it in domain {node.options.domain_id}; start its publisher, "
+        "or give a longer --wait"
+    )

@@ -118,7 +118,10 @@ def _zstd() -> zstandard.ZstdDecompressor:
 
 
 def _unpack_lz4(packed: bytes, unpacked_bytes: int) -> bytes:
-    data: bytes = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=unpacked_bytes)
+    if not hasattr(_of_thread, "lz4"):
+        _of_thread.lz4 = lz4.frame.create_decompression_context()
+    lz4.frame.reset_decompression_context(_of_thread.lz4)
+    data: bytes = lz4.frame.decompress_chunk(_of_thread.lz4, packed, max_length=unpacked_bytes)[0]
     return data
 
 

@@ -4,7 +4,7 @@ from analyzer import analyze
 a = analyze("runs/")          # a.summary, a.roundtrips ... are polars frames
 """
 
-from analyzer.analysis import Analysis, Finding, Severity, Source
+from analyzer.analysis import Analysis, Details, Finding, Severity, Source
 from analyzer.answers import Answer, Clarity, Contender, Headline, Win, find_answers, find_headlines
 from analyzer.breakdown import (
     STAGES,
@@ -58,6 +58,7 @@ from analyzer.sample_size import (
     supported_percentiles,
 )
 from analyzer.statistics import PERCENTILES, Percentile
+from analyzer.topics import TopicReport, analyze_topics
 
 __all__ = [
     "MATCH_COLUMNS",
@@ -83,6 +84,7 @@ __all__ = [
     "Comparison",
     "Contender",
     "DerivedTrace",
+    "Details",
     "Finding",
     "Fit",
     "Gate",
@@ -97,10 +99,12 @@ __all__ = [
     "RunLength",
     "Severity",
     "Source",
+    "TopicReport",
     "Verdict",
     "Win",
     "align_clocks",
     "analyze",
+    "analyze_topics",
     "break_down",
     "bridge_cost",
     "clock_table",

@@ -12,6 +12,8 @@ if TYPE_CHECKING:
 
     import polars as pl
 
+    from analyzer.answers import Answer
+    from analyzer.recommend import Recommendation
     from analyzer.rows import RoundTripRows
     from tracefile import Run, Session
 
@@ -60,6 +62,56 @@ class Source:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Details:
+    """What takes a closer look than rows and summary. `group` is the row number in `summary`; times in ns.
+
+    Attributes:
+        intervals: every percentile with its confidence interval (`group_frames.interval_frame`): `group` u32,
+            `metric` str (`rtt`, `intermediate`, `latency`, `response`, `outbound`, `return`), `percentile` str
+            (`p50` ... `p99_9`), `quantile` f64, `estimate_ns`, `low_ns`, `high_ns` f64 null where the sample does
+            not support them, `method` str null, `confidence` f64, `messages` u64, `independent` u64.
+        one_way: way out and way back (`group_frames.one_way_frame`): `group` u32, `metric` str (`outbound`,
+            `return`), `messages` u64, `mean_ns`, `min_ns`, `p50_ns` ... `p99_9_ns`, `max_ns` f64, `bound_p50_ns`,
+            `bound_max_ns` f64: asymmetry of the link inside the bound cannot be seen.
+        breakdown: where the time goes (`breakdown.summarize_breakdown`), a row per part in the order of time:
+            `group` u32, `part` str, `order` u32, `messages` u64, `mean_ns`, `p50_ns`, `p99_ns`, `bound_ns` f64.
+        responses: response time against round trip time (`breakdown.response_against_latency`), a row per group
+            with a schedule: `group` u32, `messages` u64, `late_ratio` f64, `waiting_max_ns` i64, `rtt_p50_ns`,
+            `response_p50_ns`, `rtt_p99_ns`, `response_p99_ns`, `hidden_p50_ns`, `hidden_p99_ns` f64.
+        freshness: a row per run and relay: `group` u32, then the columns of `freshness.FRESHNESS_SCHEMA`.
+        outages: a row per outage: `group` u32, `run_id` u64, `relay_id` u32, `first_sequence`, `messages` u64,
+            `start_ns`, `end_ns`, `duration_ns`, `recovery_ns` i64 null.
+        clock_fits: a row per pair of devices, boot and stretch without a step (`one_way.segment_table`):
+            `ping_device`, `relay_device` str, `boot` i64, `same_clock` bool, `segment` u32, `start_ns`, `end_ns`,
+            `at_ns`, `offset_ns`, `bound_ns` i64, `drift_ppb`, `drift_bound_ppb` f64, `residual_ns`, `step_before_ns`,
+            `step_bound_ns` i64.
+        clock_knots: offsets over time, what the fits rest on (`one_way.knots_of`): `group` u32, `run_id` u64,
+            `relay_id` u32, `ping_device`, `relay_device` str, `messages` u64, `at_ns`, `offset_ns`, `bound_ns` i64.
+        host_samples: load of the devices over time (`host_samples.host_sample_frame`), columns of
+            `host_samples.HOST_SAMPLE_SCHEMA`.
+        bridge_costs: different domains against the same domain for equal parameters (`compare.bridge_cost`), p50 and
+            p99 of the latency; no rows of a campaign too large to be held in memory.
+        answers: who is fastest for each kind of message, likewise; empty of a campaign too large for memory.
+        deadline_ns: the deadline that `freshness` judges; None for none.
+        recommendation: what was asked for with `job`, if anything was.
+    """
+
+    intervals: pl.DataFrame
+    one_way: pl.DataFrame
+    breakdown: pl.DataFrame
+    responses: pl.DataFrame
+    freshness: pl.DataFrame
+    outages: pl.DataFrame
+    clock_fits: pl.DataFrame
+    clock_knots: pl.DataFrame
+    host_samples: pl.DataFrame
+    bridge_costs: pl.DataFrame
+    answers: tuple[Answer, ...]
+    deadline_ns: int | None = None
+    recommendation: Recommendation | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Analysis:
     """Everything that was computed from one folder of traces; reports draw it and compute nothing.
 
@@ -81,6 +133,7 @@ class Analysis:
         timeline_decimated: whether `timeline` leaves rows out.
         findings: most severe first.
         outputs: files written, by kind (`roundtrips`, `summary`).
+        details: what takes more time than rows and summary; None where it was not asked for.
     """
 
     title: str
@@ -94,6 +147,7 @@ class Analysis:
     timeline_decimated: bool
     findings: tuple[Finding, ...]
     outputs: Mapping[str, Path] = field(default_factory=dict)
+    details: Details | None = None
 
     @property
     def roundtrips(self) -> pl.DataFrame:

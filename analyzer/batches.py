@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analyzer.frames import Batch, frames_of
+from analyzer.batch import Batch, Wanted
+from analyzer.frames import frames_of
 from analyzer.gather import merge_parts
 from analyzer.metrics import METRICS
 from analyzer.output import table_of
@@ -62,6 +63,7 @@ class Work:
         all_exchanges: exchanges of the whole campaign.
         whole: whether these are whole groups.
         with_rows: whether the rows are wanted, and of a part of a group the values of its metrics.
+        wanted: what is asked for beside rows and summary.
     """
 
     exchanges: tuple[Exchange, ...]
@@ -69,6 +71,7 @@ class Work:
     all_exchanges: int
     whole: bool
     with_rows: bool = True
+    wanted: Wanted = field(default_factory=Wanted)
 
     def event_keys(self) -> list[StageKey]:
         """What the events of its exchanges go by, each once."""
@@ -151,8 +154,10 @@ def work_at(work: Work, parts: Mapping[StageKey, Sequence[Part]]) -> Worked:
     """
     merged = {key: merge_parts(parts.get(key, ())) for key in work.event_keys()}
     events = {key: columns for key, (columns, _) in merged.items()}
-    roundtrips = pair_exchanges([exchange.with_events(events) for exchange in work.exchanges])
-    batch = Batch(roundtrips, work.group_of_exchange, work.all_exchanges, work.whole)
+    roundtrips = pair_exchanges(
+        [exchange.with_events(events) for exchange in work.exchanges], one_way=work.wanted.details
+    )
+    batch = Batch(roundtrips, work.group_of_exchange, work.all_exchanges, work.whole, work.wanted)
     values = None
     if work.with_rows and not work.whole:
         values = {metric: metric_values(roundtrips, metric, 0, len(work.exchanges)) for metric in METRICS}

@@ -69,6 +69,11 @@ MEASURED_COLUMNS = (
     Column("outcome", pl.String, "", "completed, lost_outbound, lost_in_relay, lost_return or lost_unknown"),
     Column("duplicates", pl.UInt16, "", "extra T2 for the same message, at most 65535"),
     Column("reordered", pl.Boolean, "", "its T2 came after the T2 of a later sequence"),
+    Column("outbound_ns", pl.Int64, "ns", "T1 to T3 on the ping's clock; null without all four stamps"),
+    Column("return_ns", pl.Int64, "ns", "T4 to T2 on the ping's clock; rtt - intermediate - outbound"),
+    Column(
+        "clock_bound_ns", pl.Int64, "ns", "outbound and return are wrong by at most this, one up as one down"
+    ),
 )
 
 ROUNDTRIP_COLUMNS = KEY_COLUMNS + PARAMETER_COLUMNS + MEASURED_COLUMNS

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from analyzer.analysis import Details
     from analyzer.exchanges import Exchange, Exchanges
     from analyzer.load import Campaign
     from analyzer.pair import Published
@@ -21,13 +22,14 @@ _ALWAYS_NAMED = ("vendor", "data_type", "payload_bytes", "rate_hz", "domain_mode
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """The results of every step of one analysis."""
+    """The results of every step of one analysis; `details` None where they were not asked for."""
 
     campaign: Campaign
     exchanges: Exchanges
     roundtrips: PairedExchanges
     grouping: Grouping
     summary: Summary
+    details: Details | None = None
 
     def published_by_run(self) -> dict[int, tuple[Exchange, Published]]:
         """run_id -> one exchange of the run (all share run and T1) and the run's messages."""

@@ -9,47 +9,28 @@ A new frame is a function of a `Batch` and a line in `MAKERS`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import polars as pl
 
+from analyzer.group_frames import (
+    breakdown_frame,
+    freshness_frame,
+    interval_frame,
+    knot_frame,
+    one_way_frame,
+    outage_frame,
+    response_frame,
+)
 from analyzer.timeline import draw_timeline
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from analyzer.roundtrips import RoundTrips
+    from analyzer.batch import Batch
 
     Frames = dict[str, pl.DataFrame]
-    """Name -> frame; the names are those of `MAKERS`."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Batch:
-    """All exchanges of some groups, paired.
-
-    Attributes:
-        roundtrips: their rows by group, then by start of the run, then by relay, then by sequence; each exchange
-            in it has its run, its sessions and its events.
-        group_of_exchange: uint32, rising: the group of each exchange, numbered throughout the campaign as the
-            rows of `summary` are.
-        all_exchanges: exchanges of the whole campaign, for what must share something (points to draw).
-        whole: False for a part of the one group that is larger than memory: it comes in several batches, each
-            with whole runs. What cannot be told from a part of a group gives no rows then.
-    """
-
-    roundtrips: RoundTrips
-    group_of_exchange: NDArray[np.uint32]
-    all_exchanges: int
-    whole: bool = True
-
-    def group_of_row(self) -> NDArray[np.uint32]:
-        """For each row of `roundtrips.frame` the number of its group."""
-        return self.roundtrips.per_row(self.group_of_exchange)
+    """Name -> frame; the names are those of `MAKERS` and, where asked for, of `DETAIL_MAKERS`."""
 
 
 def _timeline(batch: Batch) -> pl.DataFrame:
@@ -61,12 +42,24 @@ MAKERS: Mapping[str, Callable[[Batch], pl.DataFrame]] = {
 }
 """Name -> how it is made from a batch. A frame of no rows has its columns all the same."""
 
+DETAIL_MAKERS: Mapping[str, Callable[[Batch], pl.DataFrame]] = {
+    "intervals": interval_frame,
+    "one_way": one_way_frame,
+    "breakdown": breakdown_frame,
+    "responses": response_frame,
+    "freshness": freshness_frame,
+    "outages": outage_frame,
+    "clock_knots": knot_frame,
+}
+"""The same for frames that take more time than rows and summary together: made only where they are asked for."""
+
 
 def frames_of(batch: Batch) -> Frames:
-    """Every frame of one batch."""
-    return {name: make(batch) for name, make in MAKERS.items()}
+    """Every frame of one batch that is asked for."""
+    makers = {**MAKERS, **DETAIL_MAKERS} if batch.wanted.details else MAKERS
+    return {name: make(batch) for name, make in makers.items()}
 
 
 def concatenate_frames(parts: Sequence[Frames]) -> Frames:
     """The frames of the campaign from those of its batches (at least one), in their order."""
-    return {name: pl.concat([part[name] for part in parts]) for name in MAKERS}
+    return {name: pl.concat([part[name] for part in parts]) for name in parts[0]}

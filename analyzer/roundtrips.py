@@ -11,6 +11,7 @@ import polars as pl
 
 from analyzer.columns import KEY_COLUMNS, PARAMETER_COLUMNS, ROUNDTRIP_COLUMNS, schema_of
 from analyzer.metrics import with_metrics
+from analyzer.one_way import OneWay, fit_exchanges
 from analyzer.pair import MISSING, OUTCOMES, Published, pair_messages, published_messages
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from analyzer.clock_fit import ClockFit
     from analyzer.exchanges import Exchange
 
 
@@ -38,6 +40,7 @@ class RoundTrips:
         bounds: int64, exchange i has the rows `bounds[i]` to `bounds[i + 1]` (not included).
         published: the counted messages of each exchange's run.
         orphans: int64, T2, T3 and T4 events of each exchange whose message has no T1.
+        clock_fits: of each exchange by its own messages; None without a message to fit, or where not asked for.
     """
 
     measured: pl.DataFrame
@@ -47,6 +50,7 @@ class RoundTrips:
     bounds: NDArray[np.int64]
     published: tuple[Published, ...]
     orphans: NDArray[np.int64]
+    clock_fits: tuple[ClockFit | None, ...]
 
     @cached_property
     def frame(self) -> pl.DataFrame:
@@ -95,8 +99,13 @@ class PairedExchanges:
         )
 
 
-def pair_exchanges(exchanges: Sequence[Exchange]) -> RoundTrips:
-    """Pair the events of every exchange and compute the metrics of every round trip."""
+def pair_exchanges(exchanges: Sequence[Exchange], *, one_way: bool = True) -> RoundTrips:
+    """Pair the events of every exchange and compute the metrics of every round trip.
+
+    Args:
+        exchanges: with their events.
+        one_way: fit clocks; without, the columns of one-way times are null.
+    """
     published = _published_by_run(exchanges)
     counted = [published[exchange.run.run_id] for exchange in exchanges]
     bounds = np.concatenate([[0], np.cumsum([len(p) for p in counted])]).astype(np.int64)
@@ -128,12 +137,16 @@ def pair_exchanges(exchanges: Sequence[Exchange]) -> RoundTrips:
         schema=schema_of((*KEY_COLUMNS[:2], *PARAMETER_COLUMNS)),
         orient="row",
     )
+    clocks = (
+        fit_exchanges(exchanges, bounds, stamps, MISSING) if one_way else OneWay.unknown(rows, len(exchanges))
+    )
     measured = with_metrics(
         pl.DataFrame({"sequence": sequence}).with_columns(
             *(_null_where_missing(name, values) for name, values in stamps.items()),
             _outcome_names(outcome),
             pl.Series("duplicates", duplicates),
             pl.Series("reordered", reordered),
+            *clocks.columns,
         )
     )
     return RoundTrips(
@@ -144,6 +157,7 @@ def pair_exchanges(exchanges: Sequence[Exchange]) -> RoundTrips:
         bounds=bounds,
         published=tuple(counted),
         orphans=orphans,
+        clock_fits=clocks.fits,
     )
 
 

@@ -221,7 +221,8 @@ def test_one_way_times_of_a_frame():
     assert aligned.roundtrips["outbound_ns"].to_list() == [100, None, None]
     assert aligned.roundtrips["return_ns"].to_list() == [100, None, None]
     assert aligned.roundtrips["clock_bound_ns"].to_list() == [101, None, None]
-    assert aligned.roundtrips.select(frame.columns).equals(frame)
+    one_way = ["outbound_ns", "return_ns", "clock_bound_ns"]
+    assert aligned.roundtrips.drop(one_way).equals(frame.drop(one_way))
     (fit,) = aligned.fits
     assert (fit.ping_device, fit.relay_device) == ("ping-pi", "relay-pi")
     table = clock_table(aligned.fits)

@@ -1,0 +1,138 @@
+"""The frame `host_samples`: load of every recording device over time, few enough rows to draw."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import polars as pl
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from tracefile import Session, Trace
+
+MOST_OF_SESSION = 2000
+"""Samples of a session that are kept; of more, the one with the busiest processor of each stretch."""
+
+HOST_SAMPLE_SCHEMA: dict[str, type[pl.DataType]] = {
+    "session_id": pl.UInt64,
+    "role": pl.String,
+    "device": pl.String,
+    "wall_ns": pl.Int64,
+    "monotonic_ns": pl.Int64,
+    "cpu_percent": pl.Float64,
+    "cpu_busiest_percent": pl.Float64,
+    "cpu_mhz": pl.Float64,
+    "temperature_c": pl.Float64,
+    "memory_used_bytes": pl.Float64,
+    "memory_available_bytes": pl.Float64,
+    "load_1min": pl.Float64,
+    "node_cpu_percent": pl.Float64,
+    "node_memory_bytes": pl.Float64,
+    "bridge_cpu_percent": pl.Float64,
+    "wifi_signal_dbm": pl.Float64,
+    "udp_receive_errors": pl.Float64,
+    "sampling_cpu_ns": pl.Float64,
+}
+
+
+def host_sample_frame(traces: Sequence[Trace]) -> pl.DataFrame:
+    """One row per sample, by session, then by time.
+
+    Returns:
+        Columns of `HOST_SAMPLE_SCHEMA`, null where a device does not say. `wall_ns` ns since 1970; `monotonic_ns` of
+        the session's device; `cpu_percent` mean of all processors, `cpu_busiest_percent` the busiest one;
+        `node_*` the recording process and `bridge_cpu_percent` the bridge's, of one processor each;
+        `wifi_signal_dbm` the weakest interface; `udp_receive_errors` datagrams that the kernel threw away for want
+        of buffer since the session's first sample; `sampling_cpu_ns` what taking the sample before this one cost.
+    """
+    rows: dict[tuple[int, int], dict[str, Any]] = {}
+    for trace in traces:
+        for sample in trace.host_samples:
+            session = _session_at(trace.sessions, _number(sample.get("log_time_ns")))
+            row = _row(sample)
+            if session is not None and row["monotonic_ns"] is None and row["wall_ns"] is not None:
+                row["monotonic_ns"] = int(
+                    session.monotonic_anchor_ns + row["wall_ns"] - session.wall_anchor_ns
+                )
+            if session is not None and row["wall_ns"] is not None:
+                described = {
+                    "session_id": session.session_id,
+                    "role": session.role,
+                    "device": session.device,
+                }
+                rows.setdefault((session.session_id, row["wall_ns"]), described | row)  # files may be copies
+    frame = pl.DataFrame(list(rows.values()), schema=HOST_SAMPLE_SCHEMA).sort("session_id", "wall_ns")
+    errors = pl.col("udp_receive_errors")
+    position, count = pl.int_range(pl.len()), pl.len()
+    stretch = (position * (MOST_OF_SESSION // 2) // count).over("session_id")
+    return (
+        frame.with_columns(
+            (errors - errors.drop_nulls().first()).over("session_id").alias("udp_receive_errors"),
+            stretch=pl.when(count.over("session_id") > MOST_OF_SESSION)
+            .then(stretch)
+            .otherwise(position.over("session_id")),
+        )
+        .filter(
+            pl.col("cpu_busiest_percent")
+            .fill_null(0)
+            .rank("ordinal", descending=True)
+            .over("session_id", "stretch")
+            == 1
+        )
+        .drop("stretch")
+    )
+
+
+def _session_at(sessions: Sequence[Session], wall_ns: float | None) -> Session | None:
+    """The last session of a trace that had begun."""
+    if wall_ns is None:
+        return None
+    begun = [session for session in sessions if session.wall_anchor_ns <= wall_ns] or list(sessions)[:1]
+    return max(begun, key=lambda session: session.wall_anchor_ns, default=None)
+
+
+def _row(sample: Mapping[str, Any]) -> dict[str, Any]:
+    host, processes = _object(sample.get("host")), _object(sample.get("processes"))
+    node = _object(processes.get("self"))
+    each = host.get("cpu_percent_each")
+    wall_ns, monotonic_ns = _number(sample.get("log_time_ns")), _number(sample.get("monotonic_ns"))
+    bridges = [_object(held).get("cpu_percent") for name, held in processes.items() if name != "self"]
+    return {
+        "wall_ns": None if wall_ns is None else int(wall_ns),
+        "monotonic_ns": None if monotonic_ns is None else int(monotonic_ns),
+        **{
+            name: _number(host.get(name))
+            for name in (
+                "cpu_percent",
+                "cpu_mhz",
+                "temperature_c",
+                "memory_used_bytes",
+                "memory_available_bytes",
+                "load_1min",
+            )
+        },
+        "cpu_busiest_percent": max(_numbers(each if isinstance(each, list) else []), default=None),
+        "node_cpu_percent": _number(node.get("cpu_percent")),
+        "node_memory_bytes": _number(node.get("memory_bytes")),
+        "bridge_cpu_percent": sum(_numbers(bridges)) if _numbers(bridges) else None,
+        "wifi_signal_dbm": min(
+            _numbers(_object(w).get("signal_dbm") for w in _object(sample.get("wifi")).values()), default=None
+        ),
+        "udp_receive_errors": _number(_object(sample.get("udp")).get("RcvbufErrors")),
+        "sampling_cpu_ns": _number(sample.get("sampling_cpu_ns")),
+    }
+
+
+def _object(value: object) -> Mapping[str, Any]:
+    """A JSON object, empty for anything else: a trace may hold what it likes on this topic."""
+    return value if isinstance(value, dict) else {}
+
+
+def _number(value: object) -> float | None:
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return value if is_number and -(2.0**63) < value < 2.0**63 else None  # type: ignore[operator,return-value]  # narrowed above
+
+
+def _numbers(values: Iterable[object]) -> list[float]:
+    return [number for value in values if (number := _number(value)) is not None]

@@ -1,0 +1,209 @@
+"""`Analysis.details` from drawn timelines: the same whatever is analyzed beside it."""
+
+from dataclasses import fields
+
+import polars as pl
+import pytest
+from polars.testing import assert_frame_equal
+from trace_files import (
+    Message,
+    event,
+    ping_events,
+    ping_session,
+    relay_events,
+    relay_session,
+    run,
+    write_pair,
+    write_trace,
+)
+
+from analyzer import analyze, parse_job
+from tracefile import Stage
+
+MS = 1_000_000
+PERIOD = 100 * MS
+AHEAD = 5_000 * MS  # the relay's clock
+
+
+def drawn(count=200, ahead=AHEAD, first=0):
+    """Out in 2 ms, 1 ms in the relay, back in 3 ms; sent 50 ns late."""
+    times = [(s, (first + s) * PERIOD) for s in range(count)]
+    return [
+        Message(
+            s, t0=t, t1=t + 50, t3=t + 50 + 2 * MS + ahead, t4=t + 50 + 3 * MS + ahead, t2=t + 50 + 6 * MS
+        )
+        for s, t in times
+    ]
+
+
+def test_one_way_times_are_in_the_rows_and_hold_the_truth_within_their_bound(tmp_path):
+    write_pair(tmp_path, drawn())
+    analysis = analyze(tmp_path)
+    rows = analysis.roundtrips
+    assert rows.columns[-3:] == ["outbound_ns", "return_ns", "clock_bound_ns"]
+    assert (rows["outbound_ns"] + rows["return_ns"] == 5 * MS).all()
+    # Nothing tells 2 ms out and 3 ms back from a clock that is off by half a millisecond.
+    assert ((rows["outbound_ns"] - 2 * MS).abs() <= rows["clock_bound_ns"]).all()
+    assert rows["clock_bound_ns"].min() >= 2.5 * MS
+    assert rows["clock_bound_ns"].max() < 2.6 * MS
+    assert analysis.details is not None
+    assert analysis.details.one_way["metric"].to_list() == ["outbound", "return"]
+    assert analysis.details.one_way["messages"].to_list() == [200, 200]
+
+
+def test_intervals_repeat_the_summary_and_are_null_where_the_sample_is_too_small(tmp_path):
+    write_pair(tmp_path, drawn())
+    analysis = analyze(tmp_path)
+    assert analysis.details is not None
+    latency = analysis.details.intervals.filter(metric="latency")
+    assert latency["percentile"].to_list() == ["p50", "p90", "p95", "p99", "p99_9"]
+    assert latency["estimate_ns"].to_list() == [2.5 * MS] * 4 + [None]
+    assert latency["high_ns"].to_list() == [2.5 * MS] * 3 + [
+        None,
+        None,
+    ]  # 200 messages end below p99's upper end
+    assert latency["method"].to_list() == ["order_statistics"] * 3 + [None, None]
+    assert latency["messages"].to_list() == [200] * 5
+    for name in ("p50", "p90", "p95", "p99"):
+        assert analysis.summary[f"latency_{name}_ns"][0] == 2.5 * MS
+
+
+def test_breakdown_without_stamps_of_the_middleware_has_four_parts(tmp_path):
+    write_pair(tmp_path, drawn())
+    details = analyze(tmp_path).details
+    assert details is not None
+    parts = dict(details.breakdown.select("part", "mean_ns").rows())
+    assert list(parts) == ["waiting_ns", "outbound_ns", "relay_ns", "return_ns"]
+    assert (parts["waiting_ns"], parts["relay_ns"]) == (50, MS)
+    assert sum(parts.values()) == pytest.approx(6 * MS + 50)
+    assert details.responses.select("messages", "late_ratio", "waiting_max_ns").rows() == [(200, 0.0, 50)]
+
+
+def test_freshness_with_a_deadline(tmp_path):
+    messages = drawn()
+    lost = [Message(m.sequence, t0=m.t0, t1=m.t1) if 20 <= m.sequence < 25 else m for m in messages]
+    write_pair(tmp_path, lost)
+    details = analyze(tmp_path, deadline_ns=3 * MS).details
+    assert details is not None
+    assert details.deadline_ns == 3 * MS
+    (row,) = details.freshness.iter_rows(named=True)
+    assert (row["group"], row["judged"], row["missed"], row["longest_missed"]) == (0, 200, 5, 5)
+    assert row["longest_missed_ns"] == 5 * PERIOD
+    (outage,) = details.outages.iter_rows(named=True)
+    assert (outage["group"], outage["first_sequence"], outage["messages"]) == (0, 20, 5)
+    assert outage["duration_ns"] == 5 * PERIOD + 50 + 6 * MS
+
+
+def write_runs(folder, clocks, **sessions):
+    """Runs 1, 2 ... one after the other, each with the relay's clock so far ahead."""
+    runs, ping, relay = [], {stage: [] for stage in Stage}, {stage: [] for stage in Stage}
+    for number, ahead in enumerate(clocks):
+        messages = drawn(ahead=ahead, first=300 * number)
+        runs.append(run(run_id=number + 1, planned_messages=200, published=200))
+        for events, made in ((ping, ping_events), (relay, relay_events)):
+            for stage, of_stage in made(messages, run_id=number + 1).items():
+                events[stage] += of_stage
+    write_trace(folder / "ping.mcap", sessions.get("ping", ping_session()), runs, ping)
+    write_trace(folder / "relay.mcap", sessions.get("relay", relay_session()), (), relay)
+
+
+def test_the_clock_of_two_devices_is_fitted_over_all_their_runs(tmp_path):
+    write_runs(tmp_path, [AHEAD, AHEAD])
+    details = analyze(tmp_path).details
+    assert details is not None
+    (fit,) = details.clock_fits.iter_rows(named=True)
+    assert (fit["ping_device"], fit["relay_device"], fit["same_clock"]) == ("alpha", "beta", False)
+    assert abs(fit["offset_ns"] - AHEAD) <= fit["bound_ns"]
+    assert abs(fit["drift_ppb"]) <= fit["drift_bound_ppb"]
+    assert fit["step_before_ns"] is None
+
+
+def test_a_step_between_two_runs_is_found(tmp_path):
+    write_runs(tmp_path, [AHEAD, AHEAD + 1000 * MS])
+    details = analyze(tmp_path).details
+    assert details is not None
+    before, after = details.clock_fits.iter_rows(named=True)
+    assert (before["segment"], after["segment"]) == (0, 1)
+    assert abs(after["step_before_ns"] - 1000 * MS) <= after["step_bound_ns"] < 30 * MS
+
+
+def test_on_one_machine_one_way_times_are_exact(tmp_path):
+    write_pair(tmp_path, drawn(ahead=0), relay=relay_session(device="alpha"))
+    analysis = analyze(tmp_path)
+    assert analysis.details is not None
+    assert analysis.details.clock_fits["same_clock"].to_list() == [True]
+    assert analysis.roundtrips["outbound_ns"].unique().to_list() == [2 * MS]
+    assert analysis.roundtrips["clock_bound_ns"].unique().to_list() == [0]
+
+
+def test_a_group_has_the_same_details_alone_and_beside_another(tmp_path):
+    write_pair(tmp_path / "alone", drawn())
+    write_pair(tmp_path / "both" / "one", drawn())
+    write_trace(
+        tmp_path / "both" / "other.mcap",
+        ping_session(session_id=7, vendor="zenoh"),
+        [run(run_id=9, planned_messages=1, published=1, extra={})],
+        {Stage.T1: [event(0, 1, run_id=9)]},
+    )
+    alone, both = analyze(tmp_path / "alone").details, analyze(tmp_path / "both").details
+    assert alone is not None
+    assert both is not None
+    for name in ("intervals", "one_way", "breakdown", "responses", "freshness", "outages", "clock_knots"):
+        assert_frame_equal(getattr(alone, name), getattr(both, name).filter(pl.col("group") == 0))
+
+
+def test_host_samples(tmp_path):
+    samples = [
+        {
+            "monotonic_ns": second * 10**9,
+            "host": {"cpu_percent": 40.0, "cpu_percent_each": [10.0, 70.0], "temperature_c": None},
+            "udp": {"RcvbufErrors": 100 + second},
+            "wifi": {"wlan0": {"signal_dbm": -61}},
+            "processes": {"self": {"cpu_percent": 12.5}, "bridge": {"cpu_percent": 5.0}},
+        }
+        for second in range(3)
+    ]
+    events = ping_events(drawn())
+    write_trace(
+        tmp_path / "ping.mcap",
+        ping_session(),
+        [run(planned_messages=200, published=200)],
+        events,
+        host=[*samples, {"host": [], "wifi": {"w": 3}, "processes": None}],
+    )
+    details = analyze(tmp_path).details
+    assert details is not None
+    columns = ["monotonic_ns", "cpu_percent", "cpu_busiest_percent", "wifi_signal_dbm", "udp_receive_errors"]
+    assert details.host_samples.select(columns).rows() == [
+        (0, 40.0, 70.0, -61.0, 0.0),
+        (10**9, 40.0, 70.0, -61.0, 1.0),
+        (2 * 10**9, 40.0, 70.0, -61.0, 2.0),
+        (3 * 10**9, None, None, None, None),
+    ]
+    assert details.host_samples["bridge_cpu_percent"].to_list() == [5.0, 5.0, 5.0, None]
+
+
+def test_without_details_the_columns_are_there_and_null(tmp_path):
+    write_pair(tmp_path, drawn())
+    analysis = analyze(tmp_path, details=False)
+    assert analysis.details is None
+    assert analysis.roundtrips["outbound_ns"].null_count() == 200
+
+
+def test_a_job_gets_its_recommendation(tmp_path):
+    write_pair(tmp_path, drawn())
+    job = parse_job("data=binary size=33KB rate=10 deadline=50ms reliability=0.9")
+    details = analyze(tmp_path, job=job).details
+    assert details is not None
+    assert details.recommendation is not None
+    assert [c.fit.value for c in details.recommendation.candidates] == ["meets"]
+
+
+def test_every_frame_has_its_columns_where_nothing_came_back(tmp_path):
+    write_trace(tmp_path / "ping.mcap", ping_session(), [run()], {Stage.T1: [event(0, 1)]})
+    write_pair(tmp_path / "full", drawn(), runs=[run(run_id=5)])
+    one, other = analyze(tmp_path / "ping.mcap").details, analyze(tmp_path / "full").details
+    for field in fields(one):
+        value = getattr(one, field.name)
+        if isinstance(value, pl.DataFrame):
+            assert value.schema == getattr(other, field.name).schema, field.name

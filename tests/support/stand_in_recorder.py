@@ -39,6 +39,8 @@ def main():
     cell = next((label[len("cell=") :] for label in options if label.startswith("cell=")), "relay")
     behaviour, trace = begin(cell)
     if behaviour in FAILURES:
+        if cell == "relay":  # so that it dies while a ping is at work, which has to be a slow one
+            wait_for(lambda: any(FOLDER.glob("waiting-ros2*")))
         code, words = FAILURES[behaviour]
         print(f"dds-record: {words}", file=sys.stderr)
         return code

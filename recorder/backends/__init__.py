@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 BACKEND_MODULES = {
     "ros2": "recorder.backends.ros2",
     "cyclonedds": "recorder.backends.cyclonedds",
+    "zenoh": "recorder.backends.zenoh",
     "socket": "recorder.backends.socket",
 }
 """Name of each backend and the module that holds its `BACKEND`."""

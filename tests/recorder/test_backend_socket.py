@@ -1,0 +1,254 @@
+"""The `socket` backend: real processes over TCP and UDP, and its stamps against a relay written apart from it."""
+
+from __future__ import annotations
+
+import statistics
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from backend_pairs import all_data_types, events
+from processes import PATIENCE_S, ping, relay, running
+
+from recorder.backend import Discovery, ExecutorKind, NodeOptions, Transport
+from recorder.backends import open_node
+from recorder.backends.checks import SOCKET_PORT, port_of
+from recorder.backends.socket_links import FRAGMENT_BYTES
+from recorder.payloads import BINARY, IMU
+from tracefile import OptionError, Qos, Stage, read_trace
+
+SOCKET = ("--backend", "socket")
+UDP = ("--transport", "udp", "--reliability", "best_effort")
+BEST_EFFORT = Qos(reliability="best_effort")
+
+
+def options(domain_id, **more):
+    return NodeOptions(domain_id=domain_id, **{"name": "one", "discovery": Discovery.LOCALHOST, **more})
+
+
+@contextmanager
+def pair(domain_id, receive, **more):
+    """A listening node that hands what it gets to `receive`, and the publisher of one that has met it."""
+    with (
+        open_node("socket", options(domain_id, name="relay", listens=True, **more)) as there,
+        open_node("socket", options(domain_id, name="ping", **more)) as here,
+    ):
+        there.create_subscription(BINARY.topic, BINARY.type_name, receive)
+        publisher = here.create_publisher(BINARY.topic, BINARY.type_name)
+        there.start()
+        here.start()
+        deadline = time.monotonic() + PATIENCE_S
+        while "relay" not in [each.node_name for each in here.look_at(BINARY.topic).subscriptions]:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        yield here, there, publisher
+
+
+@pytest.mark.middleware
+@pytest.mark.parametrize(("protocol", "more"), [("tcp", ()), ("udp", UDP)])
+def test_all_data_types_go_there_and_back(domain_id, tmp_path, protocol, more):
+    here, there = all_data_types(domain_id, tmp_path, "socket", "socket", *more)
+    for session in (here, there):
+        assert (session.backend, session.vendor, session.rmw) == ("socket", "socket", None)
+        assert session.connectivity == "loopback"
+        assert session.host["middleware"]["protocol"] == protocol
+        assert session.host["middleware"]["tuned"] == "false"
+
+
+def independent_delays(domain_id, folder, delay_s):
+    """RTT and the time within the relay, by the relay's own clock readings, of each message (ns)."""
+    folder.mkdir()
+    script = Path(__file__).parents[1] / "support" / "plain_echo.py"
+    port = port_of(domain_id, SOCKET_PORT)
+    with subprocess.Popen(
+        [sys.executable, script, str(port), IMU.topic, IMU.type_name, str(delay_s)],
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as echo:
+        try:
+            assert echo.stdout.readline() == "ready\n"
+            done = ping(
+                *(domain_id, folder / "ping.mcap", *SOCKET, "--data", "imu"),
+                *("--messages", 60, "--warmup", 0, "--rate", 40),
+            )
+            assert done.status == 0, done.stderr
+            stamps = [tuple(map(int, line.split())) for line in echo.stdout]
+            assert echo.wait(PATIENCE_S) == 0
+        finally:
+            echo.kill()
+    trace = read_trace(folder / "ping.mcap")
+    run_id = trace.runs[0].run_id
+    (sent, t1), (received, t2) = (events(trace, stage, run_id) for stage in (Stage.T1, Stage.T2))
+    found = []
+    for run, sequence, in_ns, out_ns in stamps:
+        if run != run_id:  # a probe
+            continue
+        publish_ns, receive_ns = (
+            int(t1.monotonic_ns[sent[sequence]]),
+            int(t2.monotonic_ns[received[sequence]]),
+        )
+        assert publish_ns <= in_ns <= out_ns <= receive_ns  # one machine, one clock
+        found.append((receive_ns - publish_ns, out_ns - in_ns))
+    assert len(found) == 60
+    return found
+
+
+@pytest.mark.middleware
+def test_a_known_delay_in_an_independent_relay_comes_back(domain_id, tmp_path):
+    """Drawn out: RTT = way there + delay + way back, and the ways do not know of the delay."""
+    delay_ns = 10_000_000
+    plain = independent_delays(domain_id, tmp_path / "plain", 0)
+    delayed = independent_delays(domain_id, tmp_path / "delayed", delay_ns / 1e9)
+    assert all(delay_ns <= inside_ns <= rtt_ns for rtt_ns, inside_ns in delayed)
+    ways = [statistics.median(rtt_ns - inside_ns for rtt_ns, inside_ns in each) for each in (plain, delayed)]
+    # What is left of the RTT is the link's and the scheduler's; a sleeper wakes later than a busy one answers.
+    assert abs(ways[1] - ways[0]) < delay_ns / 2
+    rtts = [statistics.median(rtt_ns for rtt_ns, _ in each) for each in (plain, delayed)]
+    inside = [statistics.median(inside_ns for _, inside_ns in each) for each in (plain, delayed)]
+    assert abs((rtts[1] - rtts[0]) - (inside[1] - inside[0])) < delay_ns / 2
+
+
+@pytest.mark.parametrize(
+    ("more", "sizes"),
+    [
+        ({}, (1, 33_000, 1_000_000, 4_000_000)),
+        (
+            {"transport": Transport.UDP, "qos": BEST_EFFORT, "tuned": True},
+            (1, FRAGMENT_BYTES, FRAGMENT_BYTES + 1, 100_000),
+        ),
+    ],
+    ids=["tcp", "udp"],
+)
+def test_bytes_arrive_as_they_were_sent(domain_id, more, sizes):
+    got, some = [], threading.Event()
+
+    def receive(message, *_):
+        got.append(bytes(message))
+        some.set()
+
+    with pair(domain_id, receive, **more) as (here, there, publisher):
+        for size in sizes:
+            data = BINARY.make(size, 1).messages[0].data
+            deadline = time.monotonic() + PATIENCE_S
+            some.clear()
+            publisher.publish(data)
+            while not some.wait(1):  # UDP promises nothing
+                assert more, "TCP lost a message"
+                assert time.monotonic() < deadline
+                publisher.publish(data)
+            assert got[-1] == data
+        assert here.error is None
+        assert there.error is None
+        assert here.count_participants() == there.count_participants() == 2
+
+
+def test_a_relay_that_ends_and_comes_again_is_found_again(domain_id):
+    with open_node("socket", options(domain_id, name="ping")) as here:
+        publisher = here.create_publisher(BINARY.topic, BINARY.type_name)
+        here.start()
+        for _ in range(2):
+            some = threading.Event()
+            with open_node("socket", options(domain_id, name="relay", listens=True)) as there:
+                there.create_subscription(BINARY.topic, BINARY.type_name, lambda *_, some=some: some.set())
+                there.start()
+                deadline = time.monotonic() + PATIENCE_S
+                while not some.wait(0.05):
+                    assert time.monotonic() < deadline
+                    publisher.publish(b"x")
+        assert here.error is None
+
+
+def test_an_error_in_a_callback_is_kept(domain_id):
+    def fail(*_):
+        raise OSError("ours")
+
+    with pair(domain_id, fail) as (_, there, publisher):
+        publisher.publish(b"x")
+        deadline = time.monotonic() + PATIENCE_S
+        while there.error is None:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        assert str(there.error) == "ours"
+
+
+def test_strangers_do_no_harm(domain_id):
+    import socket
+
+    got = threading.Event()
+    with pair(domain_id, lambda *_: got.set()) as (_, there, publisher):
+        for noise in (b"GET / HTTP/1.1\r\n\r\n", b"\xff" * 4096, b"\0" * 6, b""):
+            with socket.create_connection(("127.0.0.1", port_of(domain_id, SOCKET_PORT))) as stranger:
+                stranger.sendall(noise)
+        publisher.publish(b"x")
+        assert got.wait(PATIENCE_S)
+        assert there.error is None
+
+
+def test_strangers_on_udp_do_no_harm(domain_id):
+    import socket
+
+    got = threading.Event()
+    with (
+        pair(domain_id, lambda *_: got.set(), transport=Transport.UDP, qos=BEST_EFFORT) as (
+            _,
+            there,
+            publisher,
+        ),
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger,
+    ):
+        for noise in (b"", b"x", b"\xff" * 4096, b"\0" * 10 + b"{}", b"\0" * 6 + b"\1\0\0\0[]"):
+            stranger.sendto(noise, ("127.0.0.1", port_of(domain_id, SOCKET_PORT)))
+        while not got.wait(0.1):
+            publisher.publish(b"x")
+        assert there.error is None
+
+
+@pytest.mark.parametrize(
+    ("more", "line"),
+    [
+        ({"discovery": Discovery.SUBNET}, "--peer HOST"),
+        ({"peers": ("pi4:x",)}, "write HOST or HOST:PORT"),
+        ({"transport": Transport.SHM}, "knows default, udp"),
+        ({"transport": Transport.UDP}, "--reliability best_effort"),
+        ({"qos": Qos(durability="transient_local")}, "keep no message"),
+        ({"rmw": "rmw_fastrtps_cpp"}, "--rmw"),
+        ({"executor": ExecutorKind.EVENTS}, "--executor"),
+        ({"domain_id": 232}, "0 to 231"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(domain_id, more, line):
+    with pytest.raises(OptionError, match=line):
+        open_node("socket", options(**{"domain_id": domain_id, **more}))
+
+
+def test_message_objects_are_refused(domain_id):
+    with (
+        open_node("socket", options(domain_id)) as node,
+        pytest.raises(OptionError, match="serialized messages alone"),
+    ):
+        node.create_publisher("x", IMU.type_name, typed=True)
+
+
+@pytest.mark.middleware
+def test_a_second_relay_of_the_domain_is_one_line(domain_id, tmp_path):
+    with (
+        relay(domain_id, tmp_path / "one.mcap", *SOCKET),
+        running(
+            *("dds-record", "--role", "relay", "--domain", domain_id, "--out", tmp_path / "two.mcap"), *SOCKET
+        ) as second,
+    ):
+        done = second.finish()
+    assert done.status == 2
+    assert "one relay for each domain of a device" in done.stderr
+
+
+@pytest.mark.middleware
+def test_nobody_answers(domain_id, tmp_path):
+    done = ping(domain_id, tmp_path / "ping.mcap", *SOCKET, "--wait", 1)
+    assert done.status == 8
+    assert "saw: 0 other nodes" in done.stderr
+    assert not (tmp_path / "ping.mcap").exists()

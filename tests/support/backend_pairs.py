@@ -1,0 +1,60 @@
+"""A ping and a relay as real processes on any two backends, and their traces checked against each other."""
+
+from __future__ import annotations
+
+import numpy as np
+from processes import ping, relay
+
+from tracefile import Stage, read_trace
+
+SIZES = {"binary": 33_000, "string": 1405, "imu": 296}
+MESSAGES, WARMUP = 20, 3
+ROOMY = ("--depth", 1000)
+"""On a machine that is busy with other tests a node may sleep for longer than ten messages; keep_last 10 forgets then."""
+
+
+def events(trace, stage, run_id):
+    """The events of a run at one stage, by sequence."""
+    columns = trace.events[stage]
+    rows = np.flatnonzero(columns.run_id == run_id)
+    return {int(columns.sequence[row]): row for row in rows}, columns
+
+
+def assert_whole(ping_trace, relay_trace, *, has_source=False):
+    """Every message went there and back once, and its four time stamps are in order: one machine, one clock."""
+    (run,) = ping_trace.runs
+    relay_id = relay_trace.sessions[-1].relay_id
+    tables = {
+        stage: events(ping_trace if stage in (Stage.T1, Stage.T2) else relay_trace, stage, run.run_id)
+        for stage in (Stage.T1, Stage.T3, Stage.T4, Stage.T2)
+    }
+    for stage, (rows, columns) in tables.items():
+        assert sorted(rows) == list(range(MESSAGES + WARMUP)), stage
+        assert {int(columns.payload_bytes[row]) for row in rows.values()} == {run.payload_bytes}
+        ids = {int(columns.relay_id[row]) for row in rows.values()}
+        assert ids == {0 if stage is Stage.T1 else relay_id}
+        if stage in (Stage.T2, Stage.T3):
+            assert all(bool(columns.source_ns[row]) is has_source for row in rows.values())
+    for sequence in range(MESSAGES + WARMUP):
+        times = [int(columns.monotonic_ns[rows[sequence]]) for rows, columns in tables.values()]
+        assert times == sorted(times)
+
+
+def all_data_types(domain_id, folder, ping_backend, relay_backend, *more, relay_more=(), has_source=False):
+    """Each data type there and back once; the sessions of the last ping and of the relay."""
+    with relay(
+        domain_id, folder / "relay.mcap", "--backend", relay_backend, *ROOMY, *more, *relay_more
+    ) as command:
+        for data, size in SIZES.items():
+            done = ping(
+                *(domain_id, folder / f"{data}.mcap", "--backend", ping_backend, *ROOMY, *more),
+                *("--data", data, "--size", size, "--messages", MESSAGES, "--warmup", WARMUP, "--rate", 50),
+            )
+            assert done.status == 0, done.stderr
+        done = command.stop()
+    assert done.status == 0, done.stderr
+    relay_trace = read_trace(folder / "relay.mcap")
+    for data in SIZES:
+        trace = read_trace(folder / f"{data}.mcap")
+        assert_whole(trace, relay_trace, has_source=has_source)
+    return trace.sessions[-1], relay_trace.sessions[-1]

@@ -15,7 +15,7 @@ _default:
 # Make .venv with all extras (quick when nothing changed)
 setup:
     @test -x {{bin}}/python || uv venv --quiet --python '{{python}}' {{venv}}
-    @uv pip install --quiet --python {{bin}}/python -e '.[ros2,cyclonedds,zenoh,analyze,test,check]'
+    @uv pip install --quiet --python {{bin}}/python -e '.[ros2,cyclonedds,zenoh,connext,analyze,cluster,test,check]'
 
 # The main job on this machine: real ROS 2, same domain and domains 5 and 10 through the builtin bridge
 demo: setup

@@ -33,17 +33,20 @@ from analyzer.compare import (
     bridge_cost,
     compare_roundtrips,
 )
-from analyzer.comparison_text import comparison_junit, comparison_markdown
+from analyzer.comparison_text import comparison_junit, comparison_markdown, plain_line
 from analyzer.derived import DerivedTrace, write_derived
+from analyzer.exports import EXPORTERS, export_tables
 from analyzer.freshness import outage_table, summarize_freshness
 from analyzer.gates import (
     Gate,
     GateOutcome,
     GateResult,
+    group_words,
     judge_gates,
     options_for,
     overall_outcome,
     parse_gate,
+    varying_columns,
 )
 from analyzer.intervals import Interval, percentile_interval, ratio_interval
 from analyzer.metrics import METRICS
@@ -61,6 +64,7 @@ from analyzer.statistics import PERCENTILES, Percentile
 from analyzer.topics import TopicReport, analyze_topics
 
 __all__ = [
+    "EXPORTERS",
     "MATCH_COLUMNS",
     "MEASURED_COLUMNS",
     "METRICS",
@@ -112,8 +116,10 @@ __all__ = [
     "comparison_junit",
     "comparison_markdown",
     "default_output",
+    "export_tables",
     "find_answers",
     "find_headlines",
+    "group_words",
     "judge_gates",
     "minimum_messages",
     "options_for",
@@ -124,6 +130,7 @@ __all__ = [
     "percentile_interval",
     "ping_boots",
     "ping_wall_offsets",
+    "plain_line",
     "plan_run",
     "planned_messages",
     "ratio_interval",
@@ -133,6 +140,7 @@ __all__ = [
     "summarize_breakdown",
     "summarize_freshness",
     "supported_percentiles",
+    "varying_columns",
     "with_stamps",
     "write_derived",
 ]

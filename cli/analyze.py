@@ -5,17 +5,23 @@ one, and anything else belongs to the command without a name. So no command chan
 means; a folder that bears the name of a command is written `./compare`.
 """
 
+import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from enum import Enum
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cli import compare
 from cli.errors import run_command
+from tracefile import OptionError
+
+if TYPE_CHECKING:
+    from analyzer import Analysis
 
 
 class ReportKind(str, Enum):
@@ -25,6 +31,13 @@ class ReportKind(str, Enum):
     MD = "md"
     JSON = "json"
     TERMINAL = "terminal"
+
+
+class ExportKind(str, Enum):
+    """What `--export` takes; the keys of `analyzer.EXPORTERS`."""
+
+    CSV = "csv"
+    ARROW = "arrow"
 
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich")
@@ -75,6 +88,37 @@ def main_command(
         bool,
         typer.Option("--no-cache", help="Read every trace anew, and keep nothing for the next analysis."),
     ] = False,
+    deadline: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TIME", help="Count messages later than this, such as 20ms.", show_default=False
+        ),
+    ] = None,
+    recommend: Annotated[
+        str | None,
+        typer.Option(
+            metavar="JOB",
+            help="Rank middleware, bridges and settings for a job: "
+            "'data=binary size=502KB rate=20 deadline=50ms reliability=0.999'.",
+            show_default=False,
+        ),
+    ] = None,
+    export: Annotated[
+        list[ExportKind] | None,
+        typer.Option(metavar="KIND", help="csv or arrow beside the Parquet; repeatable.", show_default=False),
+    ] = None,
+    derived_mcap: Annotated[
+        bool,
+        typer.Option(
+            "--derived-mcap", help="Latency of every message as MCAP, and a layout for Foxglove; replaced."
+        ),
+    ] = False,
+    topics: Annotated[
+        bool,
+        typer.Option(
+            "--topics", help="Recordings that are not ours: rate, gaps, jitter, size and age of every topic."
+        ),
+    ] = False,
 ) -> None:
     """Analyze traces: latency, losses and rates for every middleware, domain, size and frequency.
 
@@ -83,16 +127,35 @@ def main_command(
 
     [bold]dds-analyze runs/ --report html[/bold]
     """
-    from analyzer import Severity, analyze, default_output
+    from analyzer import Severity, analyze, default_output, export_tables, parse_job
     from reports import write_report
 
     target = default_output(folder) if out is None else out
+    deadline_ns = None if deadline is None else _duration_ns(deadline)
+    job = None if recommend is None else parse_job(recommend)
+    if topics:
+        _show_topics(folder, target)
+        return
     with _reading_bar() as progress:
         analysis = analyze(
-            folder, out=target, progress=progress, cache=not no_cache, cluster=cluster, sketch=sketch
+            folder,
+            out=target,
+            progress=progress,
+            cache=not no_cache,
+            cluster=cluster,
+            sketch=sketch,
+            deadline_ns=deadline_ns,
+            job=job,
         )
     reports = [write_report(analysis, kind.value, target) for kind in report or [ReportKind.TERMINAL]]
-    for path in (*analysis.outputs.values(), *reports):
+    exported = [path for kind in export or [] for path in export_tables(analysis, kind.value, target)]
+    if derived_mcap:
+        exported += _write_derived(analysis, target)
+    if analysis.details is not None and analysis.details.recommendation is not None:
+        from cli.analyze_text import print_recommendation
+
+        print_recommendation(analysis.details.recommendation)
+    for path in (*analysis.outputs.values(), *reports, *exported):
         if path is not None:
             print(f"Wrote {path}")
     for finding in analysis.findings:
@@ -100,7 +163,36 @@ def main_command(
             print(f"{finding.where}: {finding.what} {finding.action}", file=sys.stderr)
 
 
-COMMANDS: Mapping[str, typer.Typer] = {}
+_NS = {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9}
+
+
+def _duration_ns(text: str) -> int:
+    found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*(ns|us|ms|s)", text.strip())
+    if found is None or not (value := round(float(found[1]) * _NS[found[2]])) or value >= 1 << 63:
+        raise OptionError(f"--deadline {text!r}: write a time such as 20ms (ns, us, ms, s)")
+    return value
+
+
+def _show_topics(folder: Path, target: Path) -> None:
+    from analyzer import analyze_topics
+    from cli.analyze_text import print_topics
+
+    report = analyze_topics(folder, skip=[target])
+    print_topics(report)
+    for source in report.sources:
+        if source.status != "read":
+            print(f"{source.path}: {source.status}: {source.detail}", file=sys.stderr)
+
+
+def _write_derived(analysis: "Analysis", target: Path) -> list[Path]:
+    from analyzer import ping_wall_offsets, write_derived
+
+    wall = ping_wall_offsets(analysis.sessions, analysis.runs)
+    derived = write_derived(analysis.roundtrips, target / "latency.derived.mcap", wall, force=True)
+    return [derived.path, derived.layout]
+
+
+COMMANDS: Mapping[str, typer.Typer] = {"compare": compare.app}
 """Name -> command, beside the one without a name."""
 
 

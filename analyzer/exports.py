@@ -1,0 +1,46 @@
+"""Rows and summary in further formats, beside the Parquet files."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from polars.exceptions import PolarsError
+
+from tracefile import OutputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from pathlib import Path
+
+    import polars as pl
+
+    from analyzer.analysis import Analysis
+
+EXPORTERS: Mapping[str, Callable[[pl.LazyFrame, Path], object]] = {
+    "csv": lambda rows, path: rows.sink_csv(path),
+    "arrow": lambda rows, path: rows.sink_ipc(path),
+}
+"""Kind, which is also the ending of the files -> how rows are written, without holding all of them."""
+
+
+def export_tables(analysis: Analysis, kind: str, folder: Path) -> list[Path]:
+    """Write `roundtrips` and `summary` as `kind` into a folder; earlier ones are replaced.
+
+    Args:
+        analysis: what was analyzed.
+        kind: a key of `EXPORTERS`. CSV has no place for units: they are in the names of the columns.
+        folder: is made where it is missing.
+
+    Raises:
+        OutputError: they cannot be written.
+    """
+    written = []
+    for name, rows in (("roundtrips", analysis.scan_roundtrips()), ("summary", analysis.summary.lazy())):
+        path = folder / f"{name}.{kind}"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            EXPORTERS[kind](rows, path)
+        except (OSError, PolarsError) as err:
+            raise OutputError(f"{path} cannot be written ({err}); give another folder with --out") from err
+        written.append(path)
+    return written

@@ -1,0 +1,68 @@
+"""What `dds-analyze` prints beside the reports: a recommendation, and topics of recordings that are not ours."""
+
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+if TYPE_CHECKING:
+    from analyzer import Recommendation, TopicReport
+
+
+def _ms(value_ns: float | None) -> str:
+    if value_ns is None:
+        return "unknown"
+    return "lost" if value_ns == float("inf") else f"{value_ns / 1e6:.3f}"
+
+
+def print_recommendation(found: "Recommendation") -> None:
+    """The ranking; `inconclusive` where these traces do not tell."""
+    job = found.job
+    table = Table("setting", "does it", "latency ms", "interval ms", "margin ms", "remark")
+    for one in found.candidates:
+        words = " ".join(f"{name}={value}" for name, value in one.setting.items() if value is not None)
+        cells = (
+            words,
+            one.fit.value,
+            _ms(one.latency_ns),
+            f"{_ms(one.lower_ns)} to {_ms(one.upper_ns)}",
+            _ms(one.margin_ns),
+            one.reason,
+        )
+        table.add_row(*(Text(_plain(cell)) for cell in cells))
+    console = Console(width=160)
+    what = f"{job.data_type} {job.payload_bytes} B at {job.rate_hz:g} Hz within {job.deadline_ns / 1e6:g} ms"
+    console.print(Text(f"{_plain(what)}, {job.reliability:.4%} of messages"))
+    console.print(table)
+    if not found.candidates:
+        console.print("The traces say nothing of such messages.")
+    elif not found.is_conclusive:
+        console.print("Inconclusive: these traces do not tell one best setting.")
+
+
+def print_topics(report: "TopicReport") -> None:
+    """A row per recording and topic."""
+    table = Table(
+        "recording", "topic", "messages", "rate Hz", "gaps", "jitter ms", "mean B", "age p50 ms", "age from"
+    )
+    for row in report.topics.iter_rows(named=True):
+        rate = "" if row["rate_hz"] is None else f"{row['rate_hz']:.4g}"
+        cells = (
+            row["recording"],
+            row["topic"],
+            str(row["messages"]),
+            rate,
+            "" if row["gaps"] is None else str(row["gaps"]),
+            "" if row["jitter_ns"] is None else _ms(row["jitter_ns"]),
+            f"{row['payload_mean_bytes']:.0f}",
+            "" if row["age_p50_ns"] is None else _ms(row["age_p50_ns"]),
+            row["age_from"] or "",
+        )
+        table.add_row(*(Text(_plain(cell)) for cell in cells))
+    Console(width=160).print(table)
+
+
+def _plain(text: str) -> str:
+    """Without what steers a terminal."""
+    return "".join(c if c.isprintable() else " " for c in text)

@@ -1,0 +1,100 @@
+"""`dds-analyze compare` as it is typed: outcomes, exit codes, formats."""
+
+from xml.etree import ElementTree as ET
+
+import pytest
+from trace_files import Message, ping_session, write_pair
+
+from cli.analyze import main
+
+MS = 1_000_000
+PERIOD = 100 * MS
+
+
+def drawn(slower=1, count=600):
+    """Latency 1 to 1.06 ms, times `slower`."""
+    messages = []
+    for s in range(count):
+        t, way = s * PERIOD, slower * (MS + (s * 7 % 60) * 1000)
+        messages.append(Message(s, t0=t, t1=t, t3=t + way, t4=t + way, t2=t + 2 * way))
+    return messages
+
+
+def run_main(*arguments):
+    with pytest.raises(SystemExit) as ended:
+        main([str(argument) for argument in arguments])
+    return ended.value.code or 0
+
+
+@pytest.fixture
+def folders(tmp_path):
+    write_pair(tmp_path / "base", drawn())
+    write_pair(tmp_path / "same", drawn())
+    write_pair(tmp_path / "slow", drawn(slower=2))
+    write_pair(tmp_path / "few", drawn(count=20))
+    write_pair(tmp_path / "other", drawn(), ping=ping_session(vendor="zenoh"))
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("new", "gate", "status", "said"),
+    [
+        ("same", "latency_p90 > +10%", 0, "passed"),
+        ("slow", "latency_p90 > +10%", 20, "regressed"),
+        ("few", "latency_p99 > +10%", 21, "inconclusive"),
+        ("other", "latency_p90 > +10%", 22, "nothing to compare"),
+    ],
+)
+def test_every_outcome_has_its_exit_code(folders, capsys, new, gate, status, said):
+    assert run_main("compare", folders / "base", folders / new, "--fail-if", gate) == status
+    assert capsys.readouterr().err == f"dds-analyze compare: {said}\n"
+
+
+def test_without_a_gate_it_shows_and_passes(folders, capsys):
+    assert run_main("compare", folders / "base", folders / "slow") == 0
+    shown = capsys.readouterr()
+    assert "worse" in shown.out
+    assert "+100.0%" in shown.out
+    assert shown.err == ""
+
+
+def test_junit_into_a_file(folders, capsys):
+    out = folders / "ci" / "gates.xml"
+    gate = ("--fail-if", "latency_p50 > +10%", "--fail-if", "received_ratio < 99%")
+    assert (
+        run_main("compare", folders / "base", folders / "slow", *gate, "--report", "junit", "--out", out)
+        == 20
+    )
+    assert f"Wrote {out}" in capsys.readouterr().out
+    root = ET.fromstring(out.read_text())
+    assert (root.get("tests"), root.get("failures")) == ("2", "1")
+
+
+def test_markdown_on_stdout(folders, capsys):
+    assert run_main("compare", folders / "base", folders / "same", "--report", "md") == 0
+    assert capsys.readouterr().out.startswith("# Comparison of latency\n")
+
+
+def test_a_gate_that_is_none_is_one_line_before_anything_is_read(tmp_path, capsys):
+    assert run_main("compare", tmp_path / "no", tmp_path / "such", "--fail-if", "latncy_p99 > +10%") == 2
+    shown = capsys.readouterr().err
+    assert "did you mean 'latency_p99'" in shown
+    assert shown.count("\n") == 1
+
+
+def test_a_file_that_cannot_be_written(folders, capsys):
+    (folders / "file").write_text("")
+    assert (
+        run_main(
+            "compare", folders / "base", folders / "same", "--report", "md", "--out", folders / "file" / "x"
+        )
+        == 6
+    )
+    assert "--out" in capsys.readouterr().err
+
+
+def test_help_tells_the_exit_codes(capsys):
+    assert run_main("compare", "--help") == 0
+    shown = capsys.readouterr().out
+    for code in ("20", "21", "22"):
+        assert code in shown

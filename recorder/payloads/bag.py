@@ -16,6 +16,7 @@ from tracefile import BackendUnavailableError, OptionError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+HEADER_TYPE = "std_msgs/msg/Header"
 NAMED_FIELD = 2
 """rosbags' mark of a field that is a message itself."""
 
@@ -99,11 +100,25 @@ class _Stamper:
         first_field_type = detail if kind == NAMED_FIELD else ""
         self.data_type = foreign_data_type(type_name, first_field_type, str(path))
         self._reader = reader
+        self._store = reader.typestore if reader.is2 else _store_of_ros2(reader.typestore)
         self._type_name = type_name
         self._bytes_of = self.data_type.payload_bytes_of[Serialization.RAW]
 
     def __call__(self, data: bytes) -> Message:
         message = self._reader.deserialize(data, self._type_name)
         make_room(message, self.data_type)
-        cdr = bytearray(self._reader.typestore.serialize_cdr(message, self._type_name, little_endian=True))
+        cdr = bytearray(self._store.serialize_cdr(message, self._type_name, little_endian=True))
         return Message(cdr, self._bytes_of(cdr))
+
+
+def _store_of_ros2(ros1: Any) -> Any:
+    """The types of a ROS 1 bag as ROS 2 has them: its header has no `seq`."""
+    from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - only bags need it
+
+    types = dict(ros1.fielddefs)
+    if HEADER_TYPE in types:
+        constants, fields = types[HEADER_TYPE]
+        types[HEADER_TYPE] = constants, [field for field in fields if field[0] != "seq"]
+    store = get_typestore(Stores.EMPTY)
+    store.register(types)
+    return store

@@ -1,0 +1,168 @@
+"""Data of others as payloads: files, and bags of every kind whose messages get our stamp and keep all else."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+
+from recorder.backend import Serialization
+from recorder.payloads import BINARY, IMU, STRING, header_data_type, load_payload, served_data_types
+from recorder.payloads import limits as limits_module
+from recorder.stamp import RAW_HEADER_STAMP, stamp_text
+from tracefile import BackendUnavailableError, OptionError
+
+pytest.importorskip("rosbags", reason="rosbags is not installed")
+
+from bags import ROS1, ROS2, image, imu, jpeg, points, text, write_bag1, write_bag2
+from rosbags.rosbag2 import StoragePlugin
+
+STAMP = stamp_text(0, 0).decode()
+
+
+def load(data):
+    return load_payload(data, None, 0)
+
+
+def test_a_file_is_the_data_of_an_image(tmp_path):
+    (tmp_path / "photo.jpg").write_bytes(b"\xff\xd8" + bytes(range(200)))
+    payload = load(f"file:{tmp_path}/photo.jpg")
+    assert payload.data_type is BINARY
+    assert (payload.payload_bytes, payload.rate_hz, payload.feed) == (202, None, None)
+    assert payload.source == f"file:{tmp_path}/photo.jpg"
+    (message,) = payload.messages
+    sent = ROS2.deserialize_cdr(bytes(message.data), "sensor_msgs/msg/Image")
+    assert sent.data.tobytes() == b"\xff\xd8" + bytes(range(200))
+    assert (sent.header.frame_id, sent.height, sent.width, sent.step) == (STAMP, 1, 202, 202)
+
+
+def test_a_folder_is_its_files_in_turn(tmp_path):
+    for name, size in (("b.png", 5), ("a.png", 9), (".hidden", 3)):
+        (tmp_path / name).write_bytes(bytes(size))
+    (tmp_path / "folder").mkdir()
+    payload = load(f"file:{tmp_path}")
+    assert [message.payload_bytes for message in payload.messages] == [9, 5]
+    assert payload.payload_bytes == 9
+
+
+def test_files_that_cannot_be_sent(tmp_path, monkeypatch):
+    with pytest.raises(OptionError, match="No such file"):
+        load("file:/nowhere")
+    with pytest.raises(OptionError, match="the folder holds no files"):
+        load(f"file:{tmp_path}")
+    (tmp_path / "empty").touch()
+    with pytest.raises(OptionError, match=r"empty: the file is empty"):
+        load(f"file:{tmp_path}")
+    (tmp_path / "empty").write_bytes(bytes(11))
+    monkeypatch.setattr(limits_module, "MAX_HELD_BYTES", 10)
+    with pytest.raises(OptionError, match="more than 0 GiB"):
+        load(f"file:{tmp_path}")
+
+
+@pytest.mark.parametrize("plugin", StoragePlugin, ids=lambda plugin: plugin.value)
+def test_messages_of_a_bag_keep_all_but_their_header(tmp_path, plugin):
+    bag = write_bag2(tmp_path / "bag", {"/points": [points(n) for n in (3, 100, 7)]}, plugin)
+    payload = load(f"bag:{bag}#/points")
+    data_type = payload.data_type
+    assert (data_type.name, data_type.topic) == ("pointcloud2", "data_sensor_msgs_PointCloud2")
+    assert (data_type.type_name, data_type.relay_topic) == (
+        "sensor_msgs/msg/PointCloud2",
+        "data_sensor_msgs_PointCloud2_relay",
+    )
+    assert payload.rate_hz == pytest.approx(50.0)
+    assert len(payload.messages) == 3
+    for count, message in zip((3, 100, 7), payload.messages, strict=True):
+        stamps = data_type.stamps[Serialization.RAW]
+        stamps.write(message.data, 0xAB, 12)
+        stamps.write_time(message.data, 8_000_000_009)
+        assert stamps.read(message.data) == (0xAB, 12, 0)
+        sent, original = ROS2.deserialize_cdr(bytes(message.data), data_type.type_name), points(count)
+        assert sent.header.frame_id == stamp_text(0xAB, 12).decode()
+        assert (sent.header.stamp.sec, sent.header.stamp.nanosec) == (8, 9)
+        assert sent.data.tobytes() == original.data.tobytes()
+        assert [field.name for field in sent.fields] == ["x", "y", "z"]
+        assert (sent.width, sent.row_step, sent.is_dense) == (count, 16 * count, True)
+        # Behind the header: height, width, three fields (length, then name 4 + 2, offset, datatype, count, aligned),
+        # flag, steps, the data with its length, is_dense; the exact number is what a relay finds as well.
+        assert message.payload_bytes == data_type.payload_bytes_of[Serialization.RAW](message.data)
+        assert 16 * count < message.payload_bytes < 16 * count + 120
+        filled = message.data + bytes(-len(message.data) % 4)  # by a vendor, on the way
+        assert data_type.payload_bytes_of[Serialization.RAW](filled) == message.payload_bytes
+    assert payload.payload_bytes == max(message.payload_bytes for message in payload.messages)
+
+
+def test_a_single_mcap_file_is_a_bag(tmp_path):
+    folder = write_bag2(tmp_path / "bag", {"/jpeg": [jpeg(500)] * 2})
+    (file,) = folder.glob("*.mcap")
+    payload = load(f"bag:{file}#/jpeg")
+    assert (payload.data_type.name, len(payload.messages)) == ("compressedimage", 2)
+    # format: length 4, "jpeg" and zero 5; behind it 3 to align, length 4, data 500; header ends one short of 64
+    assert payload.payload_bytes == 4 + 5 + 3 + 4 + 500
+
+
+@pytest.mark.parametrize("name", ["/camera", "camera"])
+def test_images_imu_and_strings_travel_as_those_of_our_making(tmp_path, name):
+    topics = {"/camera": [image(4)], "/imu": [imu(0.5)], "/text": [text("héllo")]}
+    bag = write_bag2(tmp_path / "bag", topics)
+    payload = load(f"bag:{bag}#{name}")
+    assert (payload.data_type, payload.payload_bytes, payload.rate_hz) == (BINARY, 120, None)
+    payload = load(f"bag:{bag}#/imu")
+    assert (payload.data_type, payload.payload_bytes) == (IMU, 296)
+    assert struct.unpack_from("<d", payload.messages[0].data, 68 + 16) == (0.5,)
+    payload = load(f"bag:{bag}#/text")
+    assert (payload.data_type, payload.payload_bytes) == (STRING, 6)
+    sent = ROS2.deserialize_cdr(bytes(payload.messages[0].data), "std_msgs/msg/String")
+    assert sent.data == STAMP + "héllo"
+
+
+def test_a_bag_of_ros_1_becomes_cdr(tmp_path):
+    topics = {"/points": [points(9, ROS1), points(4, ROS1)], "/camera": [image(2, ROS1)]}
+    bag = write_bag1(tmp_path / "x.bag", topics)
+    payload = load(f"bag:{bag}#/points")
+    assert (payload.data_type.name, payload.rate_hz) == ("pointcloud2", pytest.approx(50.0))
+    sent = ROS2.deserialize_cdr(bytes(payload.messages[0].data), "sensor_msgs/msg/PointCloud2")
+    assert (sent.header.frame_id, sent.width) == (STAMP, 9)
+    assert sent.data.tobytes() == points(9).data.tobytes()
+    assert RAW_HEADER_STAMP.read(payload.messages[1].data) == (0, 0, 0)
+    assert load(f"bag:{bag}#/camera").payload_bytes == 60
+
+
+def test_what_cannot_be_sent_from_a_bag_is_one_line(tmp_path, monkeypatch):
+    vector = ROS2.types["geometry_msgs/msg/Vector3"](1.0, 2.0, 3.0)
+    bag = write_bag2(tmp_path / "bag", {"/camera/image": [image(4)] * 3, "/vector": [vector]})
+    with pytest.raises(
+        OptionError, match=r"bag has no topic /camra/image; the nearest of its 2 is /camera/image$"
+    ):
+        load(f"bag:{bag}#/camra/image")
+    with pytest.raises(OptionError, match=r"geometry_msgs/msg/Vector3 does not begin with a std_msgs/Header"):
+        load(f"bag:{bag}#/vector")
+    with pytest.raises(OptionError, match=r"write bag:PATH#TOPIC"):
+        load(f"bag:{bag}")
+    (tmp_path / "text.mcap").write_text("no bag")
+    with pytest.raises(OptionError, match="it cannot be read as a bag"):
+        load(f"bag:{tmp_path}/text.mcap#/x")
+    with pytest.raises(OptionError, match="it cannot be read as a bag"):
+        load(f"bag:{__file__}#/x")
+    with pytest.raises(OptionError, match="there is no such file or folder"):
+        load(f"bag:{tmp_path}/nothing#/x")
+    monkeypatch.setattr(limits_module, "MAX_HELD_BYTES", 300)
+    with pytest.raises(OptionError, match="holds more than"):
+        load(f"bag:{bag}#/camera/image")
+
+
+def test_without_rosbags_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "rosbags.highlevel", None)
+    with pytest.raises(BackendUnavailableError, match=r"pip install 'dds-trace\[bags\]'"):
+        load("bag:x#/y")
+
+
+def test_a_relay_serves_each_type_once():
+    served = served_data_types(
+        ["sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2"]
+    )
+    assert [data_type.name for data_type in served] == ["binary", "string", "imu", "pointcloud2"]
+
+
+def test_nothing_of_a_further_type_can_be_made_up():
+    with pytest.raises(OptionError, match="only binary, string and imu can be made up"):
+        header_data_type("nav_msgs/msg/Odometry").make(None, 0)

@@ -1,0 +1,103 @@
+"""Bags as other programs record them, made with rosbags: ROS 1, ROS 2 folders, single MCAP files."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_typestore
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+ROS2 = get_typestore(Stores.ROS2_JAZZY)
+ROS1 = get_typestore(Stores.ROS1_NOETIC)
+PERIOD_NS = 20_000_000
+"""Between two messages of a bag: 50 Hz."""
+
+
+def header(store: Any = ROS2, frame_id: str = "lidar_link") -> Any:
+    time = store.types["builtin_interfaces/msg/Time"](sec=5, nanosec=6)
+    more = {"seq": 9} if store is ROS1 else {}
+    return store.types["std_msgs/msg/Header"](stamp=time, frame_id=frame_id, **more)
+
+
+def points(count: int, store: Any = ROS2) -> Any:
+    """A PointCloud2 of `count` random points, 16 bytes each."""
+    field = store.types["sensor_msgs/msg/PointField"]
+    return store.types["sensor_msgs/msg/PointCloud2"](
+        header=header(store),
+        height=1,
+        width=count,
+        fields=[field(name=name, offset=4 * n, datatype=7, count=1) for n, name in enumerate("xyz")],
+        is_bigendian=False,
+        point_step=16,
+        row_step=16 * count,
+        data=np.random.default_rng(count).integers(0, 256, 16 * count, np.uint8),
+        is_dense=True,
+    )
+
+
+def image(count: int, store: Any = ROS2) -> Any:
+    """An Image of `count` rows of 30 bytes."""
+    return store.types["sensor_msgs/msg/Image"](
+        header=header(store, "camera"),
+        height=count,
+        width=10,
+        encoding="rgb8",
+        is_bigendian=0,
+        step=30,
+        data=np.full(30 * count, count, np.uint8),
+    )
+
+
+def jpeg(count: int, store: Any = ROS2) -> Any:
+    """A CompressedImage of `count` bytes."""
+    return store.types["sensor_msgs/msg/CompressedImage"](
+        header=header(store), format="jpeg", data=np.full(count, 7, np.uint8)
+    )
+
+
+def imu(yaw: float, store: Any = ROS2) -> Any:
+    vector, quaternion = (store.types[f"geometry_msgs/msg/{name}"] for name in ("Vector3", "Quaternion"))
+    return store.types["sensor_msgs/msg/Imu"](
+        header=header(store),
+        orientation=quaternion(0.0, 0.0, yaw, 1.0),
+        orientation_covariance=np.zeros(9),
+        angular_velocity=vector(1.0, 2.0, 3.0),
+        angular_velocity_covariance=np.zeros(9),
+        linear_acceleration=vector(4.0, 5.0, 6.0),
+        linear_acceleration_covariance=np.zeros(9),
+    )
+
+
+def text(data: str, store: Any = ROS2) -> Any:
+    return store.types["std_msgs/msg/String"](data=data)
+
+
+def write_bag2(
+    path: Path, topics: dict[str, Sequence[Any]], plugin: StoragePlugin = StoragePlugin.MCAP
+) -> Path:
+    """A rosbag2 folder with the messages of each topic, 50 Hz; the folder."""
+    with Writer2(path, version=9, storage_plugin=plugin) as writer:
+        for topic, messages in topics.items():
+            connection = writer.add_connection(topic, messages[0].__msgtype__, typestore=ROS2)
+            for n, message in enumerate(messages):
+                data = ROS2.serialize_cdr(message, message.__msgtype__)
+                writer.write(connection, 1_700_000_000_000_000_000 + n * PERIOD_NS, data)
+    return path
+
+
+def write_bag1(path: Path, topics: dict[str, Sequence[Any]]) -> Path:
+    """Likewise as a ROS 1 bag, from messages of `ROS1`."""
+    with Writer1(path) as writer:
+        for topic, messages in topics.items():
+            connection = writer.add_connection(topic, messages[0].__msgtype__, typestore=ROS1)
+            for n, message in enumerate(messages):
+                data = ROS1.serialize_ros1(message, message.__msgtype__)
+                writer.write(connection, 1_700_000_000_000_000_000 + n * PERIOD_NS, data)
+    return path

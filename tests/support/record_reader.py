@@ -1,0 +1,34 @@
+"""A trace as the public `mcap` reader gives it."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+from mcap.reader import make_reader
+
+from tracefile import unpack_event
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+FIELDS = (
+    *("run_id", "sequence", "monotonic_ns", "scheduled_ns", "source_ns", "received_ns"),
+    *("payload_bytes", "relay_id"),
+)
+
+
+def events_of(path: Path, stage: str) -> list[dict[str, int]]:
+    """The events of `t1` ... `t4`, in the order of the file."""
+    with path.open("rb") as file:
+        messages = make_reader(file, validate_crcs=True).iter_messages([f"/dds_trace/{stage}"])
+        return [dict(zip(FIELDS, unpack_event(message.data), strict=True)) for _, _, message in messages]
+
+
+def last_json(path: Path, name: str) -> dict[str, Any]:
+    """The last `run` or `session` description."""
+    with path.open("rb") as file:
+        messages = make_reader(file, validate_crcs=True).iter_messages([f"/dds_trace/{name}"])
+        *_, (_, _, message) = messages
+    found: dict[str, Any] = json.loads(message.data[8:].rstrip(b"\0"))
+    return found

@@ -87,7 +87,12 @@ def write_event_trace(
             messages["run_id"] += np.uint64(first_run)
             if relay:
                 messages["relay_id"] = RELAY_ID
-                messages["monotonic_ns"] += 50_000
+                # Between T1 and T2 of the same message: they lie at 0 to 0.2 ms and at 0.5 to 0.7 ms.
+                time_ns = messages["monotonic_ns"]
+                is_out = time_ns // 500_000 % 2
+                messages["monotonic_ns"] = (
+                    time_ns // 1_000_000 * 1_000_000 + 210_000 + time_ns % 500_000 // 4 + 100_000 * is_out
+                )
                 messages["scheduled_ns"] = 0
             data, chunk_index = _chunk(stream.tell(), messages.tobytes(), compression, messages)
             stream.write(data)

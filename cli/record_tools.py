@@ -36,7 +36,9 @@ def report_own_cost(out: Path | None, backend: str, options: NodeOptions) -> Non
     Raises:
         OutputError: nothing can be written there.
     """
-    cost = measure_recorder_cost(None if out is None else out.absolute().parent)
+    # A folder that recording would make lies on the disk of the one that will hold it.
+    folder = None if out is None else next(each for each in out.absolute().parents if each.is_dir())
+    cost = measure_recorder_cost(folder)
     print(f"recording an event: median {_us(cost.record_median_ns)}, p99 {_us(cost.record_p99_ns)}, ", end="")
     print(f"slowest {_us(cost.record_max_ns)} ({cost.events} events at 1 kHz)")
     print(

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from recorder.payloads import DATA_TYPES
+
 if TYPE_CHECKING:
     from recorder.backend import Endpoint, Node
     from recorder.payload import DataType
@@ -80,9 +82,10 @@ def _advice(sight: Sight, node: Node, plan: RunPlan) -> str:
             "a relay is in sight, so the messages do not get through: look at firewalls between the devices, try a "
             "smaller --size or a longer --wait"
         )
+    further = "" if data_type.name in DATA_TYPES else f"--type {data_type.type_name} "
     return (
         f"start `dds-record --role relay --domain {plan.relay_domain_id} --discovery {node.options.discovery.value} "
-        "--out relay.mcap`; if it runs, check that both have the same domain and discovery range, and that the "
+        f"{further}--out relay.mcap`; if it runs, check that both have the same domain and discovery range, and that the "
         "network lets multicast through"
     )
 

@@ -22,6 +22,15 @@ LATCHED = Qos(durability="transient_local")
         (LATCHED, RELIABLE, []),
         (Qos(reliability="unknown"), RELIABLE, []),
         (Qos(depth=1), Qos(depth=1000, history="keep_all"), []),
+        (Qos(extra={"deadline_ns": 20_000_000}), Qos(extra={"deadline_ns": 20_000_000}), []),
+        (Qos(extra={"deadline_ns": 5}), Qos(), []),
+        (Qos(), Qos(extra={"deadline_ns": 20_000_000}), ["deadline (none offered, 20ms requested)"]),
+        (
+            Qos(extra={"deadline_ns": 1_500_000_000}),
+            Qos(extra={"deadline_ns": 20_000_000}),
+            ["deadline (1.5s offered, 20ms requested)"],
+        ),
+        (Qos(), Qos(extra={"lifespan_ns": 5}), []),
     ],
 )
 def test_offered_against_requested(offered, requested, found):

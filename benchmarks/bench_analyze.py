@@ -43,7 +43,7 @@ ANALYZE_AND_TELL = """
 import json, re, sys
 from pathlib import Path
 from analyzer import analyze
-analysis = analyze(sys.argv[1], out=sys.argv[2])
+analysis = analyze(sys.argv[1], out=sys.argv[2], details=False)
 peak = re.search("VmHWM: *([0-9]+) kB", Path("/proc/self/status").read_text().replace("\\t", " "))
 print(json.dumps([int(peak[1]) * 1024, int(analysis.summary["published"].sum())]))
 """
@@ -108,7 +108,7 @@ def time_bars(folder: Path, events: int, runs: int, repeats: int) -> list[Bar]:
     """Analyzing against unpacking and writing, and how many cores took part."""
     traces = write_campaign(folder / "runs", events, runs, groups=runs)
     out = folder / "out"
-    outputs = analyze(folder / "runs", out=out).outputs
+    outputs = analyze(folder / "runs", out=out, details=False).outputs
     names = pq.read_schema(outputs["roundtrips"])
     texts = [field.name for field in names if field.type == "string"]
     table = pq.read_table(outputs["roundtrips"], read_dictionary=texts)
@@ -121,7 +121,7 @@ def time_bars(folder: Path, events: int, runs: int, repeats: int) -> list[Bar]:
     ours, unpacking, writing, cores = [], [], [], []
     for _ in range(repeats):
         before = os.times()
-        ours.append(seconds(lambda: analyze(folder / "runs", out=out)))
+        ours.append(seconds(lambda: analyze(folder / "runs", out=out, details=False)))
         after = os.times()
         cores.append((after.user + after.system - before.user - before.system) / ours[-1])
         unpacking.append(seconds(lambda: unpack_all(chunks)))

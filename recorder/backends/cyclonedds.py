@@ -438,7 +438,9 @@ def _qos(found: Any) -> Qos:
     from cyclonedds.qos import Policy
 
     reliability, durability = (
-        re.sub(r"(?<=[a-z])(?=[A-Z])", "_", type(found[policy]).__name__).lower() if policy in found else ""
+        re.sub(r"(?<=[a-z])(?=[A-Z])", "_", type(found[policy]).__name__.rpartition(".")[2]).lower()
+        if policy in found
+        else ""
         for policy in (Policy.Reliability, Policy.Durability)
     )
     return Qos(reliability, durability, "", 0)

@@ -1,0 +1,176 @@
+"""The `cyclonedds` backend on this machine's loopback interface."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+from backend_pairs import all_data_types
+from processes import PATIENCE_S, ping, relay
+
+from recorder.backend import Discovery, ExecutorKind, NodeOptions, Transport
+from recorder.backends import open_node
+from recorder.payloads import BINARY, DATA_TYPES, IMU
+from tracefile import OptionError, Qos
+
+pytest.importorskip("cyclonedds", reason="no Cyclone DDS here")
+pytestmark = pytest.mark.middleware
+
+CYCLONE = ("--backend", "cyclonedds")
+
+
+def options(domain_id, **more):
+    return NodeOptions(domain_id=domain_id, **{"name": "one", "discovery": Discovery.LOCALHOST, **more})
+
+
+def test_all_data_types_go_there_and_back(domain_id, tmp_path):
+    here, there = all_data_types(domain_id, tmp_path, "cyclonedds", "cyclonedds", has_source=True)
+    for session in (here, there):
+        assert (session.backend, session.vendor, session.rmw) == ("cyclonedds", "cyclonedds", None)
+        versions = session.host["versions"]
+        assert versions["cyclonedds"].split(".")[:2] == versions["libddsc"].split(".")[:2]
+        settings = session.host["middleware"]
+        assert settings["tuned"] == "false"
+        assert "FragmentSize" not in settings["CYCLONEDDS_URI"]
+        assert '<NetworkInterface name="lo"/>' in settings["CYCLONEDDS_URI"]
+
+
+def test_tuned_is_applied_and_recorded(domain_id):
+    with open_node("cyclonedds", options(domain_id, tuned=True)) as node:
+        settings = node.middleware.settings
+    assert settings["tuned"] == "true"
+    assert "<FragmentSize>60000B</FragmentSize>" in settings["CYCLONEDDS_URI"]
+
+
+@pytest.mark.parametrize("data_type", DATA_TYPES.values(), ids=lambda data_type: data_type.name)
+def test_bytes_arrive_as_they_were_sent(domain_id, data_type):
+    message = data_type.make(None, 1).messages[0].data
+    got, some = [], threading.Event()
+
+    def receive(*arguments):
+        got.append(arguments)
+        some.set()
+
+    with open_node("cyclonedds", options(domain_id)) as node:
+        node.create_subscription(data_type.topic, data_type.type_name, receive)
+        publisher = node.create_publisher(data_type.topic, data_type.type_name)
+        node.start()
+        before_ns, deadline = time.time_ns(), time.monotonic() + PATIENCE_S
+        while not some.wait(0.1):
+            assert time.monotonic() < deadline
+            publisher.publish(message)
+        received, source_ns, *_ = got[0]
+        assert received[: len(message)] == message
+        assert len(received) - len(message) < 4  # filled up to whole words
+        assert before_ns <= source_ns <= time.time_ns()
+        assert node.error is None
+
+
+def test_quality_of_service_that_never_matches_is_seen(domain_id):
+    with (
+        open_node("cyclonedds", options(domain_id, name="one")) as one,
+        open_node("cyclonedds", options(domain_id, name="two")) as two,
+    ):
+        one.create_publisher(IMU.topic, IMU.type_name, qos=Qos(reliability="best_effort"))
+        two.create_subscription(
+            IMU.topic, IMU.type_name, lambda *_: None, qos=Qos(durability="transient_local")
+        )
+        deadline = time.monotonic() + PATIENCE_S
+        while not (one.look_at(IMU.topic).incompatible and two.look_at(IMU.topic).incompatible):
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        (line,) = one.look_at(IMU.topic).incompatible
+        assert line.startswith(f"{IMU.topic}: publisher of one and subscription of two differ in ")
+        assert "reliability (best_effort offered, reliable requested)" in line
+        assert "durability (volatile offered, transient_local requested)" in line
+        assert one.count_participants() == 2
+
+
+def test_a_process_that_never_matches_is_told(domain_id, tmp_path):
+    with relay(domain_id, tmp_path / "relay.mcap", *CYCLONE) as command:
+        done = ping(
+            domain_id, tmp_path / "ping.mcap", *CYCLONE, "--reliability", "best_effort", "--wait", PATIENCE_S
+        )
+        command.stop()
+    assert done.status == 8
+    assert "differ in reliability (best_effort offered, reliable requested)" in done.stderr
+
+
+def test_late_subscriptions_get_what_transient_local_kept(domain_id):
+    kept, message = Qos(durability="transient_local"), IMU.make(None, 1).messages[0].data
+    got = threading.Event()
+    with (
+        open_node("cyclonedds", options(domain_id, qos=kept, name="one")) as one,
+        open_node("cyclonedds", options(domain_id, qos=kept, name="two")) as two,
+    ):
+        one.create_publisher(IMU.topic, IMU.type_name).publish(message)
+        two.create_subscription(IMU.topic, IMU.type_name, lambda *_: got.set())
+        two.start()
+        assert got.wait(PATIENCE_S)
+
+
+def test_an_error_in_a_callback_is_kept(domain_id):
+    def fail(*_):
+        raise ValueError("ours")
+
+    with open_node("cyclonedds", options(domain_id)) as node:
+        node.create_subscription(IMU.topic, IMU.type_name, fail)
+        publisher = node.create_publisher(IMU.topic, IMU.type_name)
+        node.start()
+        deadline = time.monotonic() + PATIENCE_S
+        while node.error is None:
+            assert time.monotonic() < deadline
+            publisher.publish(IMU.make(None, 1).messages[0].data)
+            time.sleep(0.05)
+        assert str(node.error) == "ours"
+
+
+@pytest.mark.parametrize(
+    ("more", "line"),
+    [
+        ({"peers": ("pi4",)}, "finds the others by itself"),
+        ({"transport": Transport.SHM}, "knows default"),
+        ({"rmw": "rmw_fastrtps_cpp"}, "--rmw"),
+        ({"executor": ExecutorKind.SINGLE}, "--executor"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(domain_id, more, line):
+    with pytest.raises(OptionError, match=line):
+        open_node("cyclonedds", options(domain_id, **more))
+
+
+def test_types_and_qualities_that_it_does_not_know_are_refused(domain_id):
+    with open_node("cyclonedds", options(domain_id)) as node:
+        with pytest.raises(OptionError, match="does not know the type nowhere_msgs/msg/None"):
+            node.create_publisher("x", "nowhere_msgs/msg/None")
+        with pytest.raises(OptionError, match="rather"):
+            node.create_publisher("x", IMU.type_name, qos=Qos(reliability="rather"))
+        with pytest.raises(OptionError, match="serialized messages alone"):
+            node.create_publisher("x", IMU.type_name, typed=True)
+
+
+def test_closing_twice_is_allowed(domain_id):
+    node = open_node("cyclonedds", options(domain_id))
+    node.create_publisher(BINARY.topic, BINARY.type_name).close()
+    node.create_subscription(BINARY.topic, BINARY.type_name, lambda *_: None).close()
+    node.start()
+    node.close()
+    node.close()
+
+
+def test_without_cyclonedds_it_says_how_to_get_it():
+    code = (
+        "import sys; sys.modules['cyclonedds'] = None\n"
+        "from recorder.backend import NodeOptions\n"
+        "from recorder.backends import open_node\n"
+        "from tracefile import BackendUnavailableError\n"
+        "try: open_node('cyclonedds', NodeOptions())\n"
+        "except BackendUnavailableError as error: print(error)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=PATIENCE_S
+    )
+    assert "pip install 'dds-trace[cyclonedds]'" in done.stdout

@@ -1,0 +1,159 @@
+"""The `zenoh` backend: real processes over loopback TCP, nothing multicast."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+from backend_pairs import all_data_types
+from processes import PATIENCE_S, ping, relay, running
+
+from recorder.backend import Discovery, ExecutorKind, NodeOptions, Transport
+from recorder.backends import open_node
+from recorder.backends.checks import ZENOH_PORT, port_of
+from recorder.payloads import BINARY, IMU
+from tracefile import OptionError, Qos
+
+pytest.importorskip("zenoh", reason="no eclipse-zenoh here")
+pytestmark = pytest.mark.middleware
+
+ZENOH = ("--backend", "zenoh")
+
+
+def options(domain_id, **more):
+    return NodeOptions(domain_id=domain_id, **{"name": "one", "discovery": Discovery.LOCALHOST, **more})
+
+
+def test_all_data_types_go_there_and_back(domain_id, tmp_path):
+    here, there = all_data_types(domain_id, tmp_path, "zenoh", "zenoh")
+    for session in (here, there):
+        assert (session.backend, session.vendor, session.rmw) == ("zenoh", "zenoh", None)
+        assert session.host["versions"]["eclipse-zenoh"][0].isdigit()
+        assert session.host["middleware"]["multicast"] == "false"
+    address = f"tcp/127.0.0.1:{port_of(domain_id, ZENOH_PORT)}"
+    assert there.host["middleware"]["listen"] == here.host["middleware"]["connect"] == address
+    assert there.host["middleware"]["connect"] == here.host["middleware"]["listen"] == ""
+
+
+def test_a_ping_may_be_there_first_and_a_relay_may_come_again(domain_id):
+    data = BINARY.make(1_000_000, 1).messages[0].data
+    with open_node("zenoh", options(domain_id, name="ping")) as here:
+        publisher = here.create_publisher(BINARY.topic, BINARY.type_name)
+        here.start()
+        assert here.count_participants() == 1
+        for _ in range(2):
+            got, some = [], threading.Event()
+
+            def receive(message, *_, got=got, some=some):
+                got.append(message)
+                some.set()
+
+            with open_node("zenoh", options(domain_id, name="relay", listens=True)) as there:
+                there.create_subscription(BINARY.topic, BINARY.type_name, receive)
+                there.start()
+                deadline = time.monotonic() + PATIENCE_S
+                while not some.wait(0.1):
+                    assert time.monotonic() < deadline
+                    publisher.publish(data)
+                assert got[0] == data
+                view = here.look_at(BINARY.topic)
+                assert [each.node_name for each in view.publishers] == ["ping"]
+                assert [(each.node_name, each.type_name) for each in view.subscriptions] == [
+                    ("relay", BINARY.type_name)
+                ]
+                assert here.count_participants() == 2
+
+
+def test_domains_stay_apart_even_at_one_address(domains):
+    one, other = domains.take(), domains.take()
+    got = threading.Event()
+    peers = (f"127.0.0.1:{port_of(one, ZENOH_PORT)}",)
+    with (
+        open_node("zenoh", options(one, name="relay", listens=True)) as there,
+        open_node("zenoh", options(other, name="stranger", peers=peers)) as stranger,
+        open_node("zenoh", options(one, name="ping")) as here,
+    ):
+        there.create_subscription(
+            IMU.topic, IMU.type_name, lambda message, *_: got.set() or seen.add(message)
+        )
+        seen = set()
+        there.start()
+        strange = stranger.create_publisher(IMU.topic, IMU.type_name)
+        ours = here.create_publisher(IMU.topic, IMU.type_name)
+        deadline = time.monotonic() + PATIENCE_S
+        while not got.wait(0.05) or stranger.count_participants() < 2:
+            assert time.monotonic() < deadline
+            strange.publish(b"strange")
+            ours.publish(b"ours")
+        assert stranger.look_at(IMU.topic).subscriptions == ()
+    assert seen == {b"ours"}
+
+
+def test_an_error_in_a_callback_is_kept(domain_id):
+    def fail(*_):
+        raise ValueError("ours")
+
+    with (
+        open_node("zenoh", options(domain_id, listens=True)) as there,
+        open_node("zenoh", options(domain_id)) as here,
+    ):
+        there.create_subscription(IMU.topic, IMU.type_name, fail)
+        publisher = here.create_publisher(IMU.topic, IMU.type_name)
+        there.start()
+        deadline = time.monotonic() + PATIENCE_S
+        while there.error is None:
+            assert time.monotonic() < deadline
+            publisher.publish(b"x")
+            time.sleep(0.02)
+        assert str(there.error) == "ours"
+
+
+@pytest.mark.parametrize(
+    ("more", "line"),
+    [
+        ({"discovery": Discovery.SUBNET}, "--peer HOST"),
+        ({"peers": ("multicast",)}, "--discovery subnet"),
+        ({"transport": Transport.UDP}, "knows default"),
+        ({"qos": Qos(durability="transient_local")}, "keeps no message"),
+        ({"executor": ExecutorKind.SINGLE}, "--executor"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(domain_id, more, line):
+    with pytest.raises(OptionError, match=line):
+        open_node("zenoh", options(domain_id, **more))
+
+
+def test_a_second_relay_of_the_domain_is_one_line(domain_id, tmp_path):
+    with (
+        relay(domain_id, tmp_path / "one.mcap", *ZENOH),
+        running(
+            *("dds-record", "--role", "relay", "--domain", domain_id, "--out", tmp_path / "two.mcap"), *ZENOH
+        ) as second,
+    ):
+        done = second.finish()
+    assert done.status == 2
+    assert "one relay for each domain of a device" in done.stderr
+
+
+def test_nobody_answers(domain_id, tmp_path):
+    done = ping(domain_id, tmp_path / "ping.mcap", *ZENOH, "--wait", 1)
+    assert done.status == 8
+    assert "saw: 0 other nodes" in done.stderr
+
+
+def test_without_zenoh_it_says_how_to_get_it():
+    code = (
+        "import sys; sys.modules['zenoh'] = None\n"
+        "from recorder.backend import Discovery, NodeOptions\n"
+        "from recorder.backends import open_node\n"
+        "from tracefile import BackendUnavailableError\n"
+        "try: open_node('zenoh', NodeOptions(discovery=Discovery.LOCALHOST))\n"
+        "except BackendUnavailableError as error: print(error)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=PATIENCE_S
+    )
+    assert "pip install 'dds-trace[zenoh]'" in done.stdout

@@ -1,0 +1,39 @@
+"""Ping and relay on two vendors: Fast DDS through ROS 2 and native Cyclone DDS, both ways, up to 4 MB."""
+
+from __future__ import annotations
+
+import pytest
+from backend_pairs import MESSAGES, ROOMY, WARMUP, all_data_types, assert_whole
+from processes import ping, relay
+
+from tracefile import read_trace
+
+pytest.importorskip("rclpy", reason="no ROS 2 here")
+pytest.importorskip("cyclonedds", reason="no Cyclone DDS here")
+pytestmark = pytest.mark.middleware
+
+PAIRS = [("ros2", "cyclonedds"), ("cyclonedds", "ros2")]
+VENDORS = {"ros2": "fastdds", "cyclonedds": "cyclonedds"}
+
+
+@pytest.mark.parametrize(("ping_backend", "relay_backend"), PAIRS)
+def test_all_data_types_cross(domain_id, tmp_path, ping_backend, relay_backend):
+    here, there = all_data_types(domain_id, tmp_path, ping_backend, relay_backend, has_source=True)
+    assert (here.vendor, there.vendor) == (VENDORS[ping_backend], VENDORS[relay_backend])
+
+
+@pytest.mark.parametrize(("ping_backend", "relay_backend"), PAIRS)
+@pytest.mark.parametrize("size", ["145KB", "502KB", "1MB", "4MB"])
+def test_large_messages_cross_when_tuned(domain_id, tmp_path, ping_backend, relay_backend, size):
+    more = ("--tuned", *ROOMY)
+    with relay(domain_id, tmp_path / "relay.mcap", "--backend", relay_backend, *more) as command:
+        done = ping(
+            *(domain_id, tmp_path / "ping.mcap", "--backend", ping_backend, *more, "--size", size),
+            *("--messages", MESSAGES, "--warmup", WARMUP, "--rate", 10, "--wait", 60),
+        )
+        assert done.status == 0, done.stderr
+        assert command.stop().status == 0
+    trace, relay_trace = read_trace(tmp_path / "ping.mcap"), read_trace(tmp_path / "relay.mcap")
+    assert_whole(trace, relay_trace, has_source=True)
+    for session in (trace.sessions[-1], relay_trace.sessions[-1]):
+        assert session.host["middleware"]["tuned"] == "true"

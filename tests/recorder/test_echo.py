@@ -7,7 +7,8 @@ from fake_node import FakeNode
 
 from recorder.backend import Discovery, Endpoint, NodeOptions, TopicView
 from recorder.echo import explain_silence, look_for_relays
-from recorder.payloads import BINARY
+from recorder.payload import Message, Payload
+from recorder.payloads import BINARY, header_data_type
 from recorder.ping import RunPlan
 
 IMAGE = "sensor_msgs/msg/Image"
@@ -75,3 +76,9 @@ def test_a_backend_that_cannot_count(node, plan):
     node.participants = None
     see(node)
     assert "an unknown number of other nodes" in explain_silence(node, plan, 3)
+
+
+def test_the_type_that_a_relay_must_be_told_is_named(node):
+    payload = Payload(header_data_type("sensor_msgs/msg/PointCloud2"), (Message(bytearray(200), 136),), 136)
+    text = explain_silence(node, RunPlan(payload, 10.0, 5, relay_domain_id=5), 20)
+    assert "--discovery localhost --type sensor_msgs/msg/PointCloud2 --out relay.mcap`" in text

@@ -1,0 +1,55 @@
+"""A ping beside a bridge that runs already, and with its own half of one whose other half runs elsewhere."""
+
+from __future__ import annotations
+
+import socket
+from importlib.util import find_spec
+
+import pytest
+from processes import ping, relay, running
+from record_reader import last_json
+
+pytest.importorskip("rclpy", reason="no ROS 2 here")
+pytestmark = pytest.mark.middleware
+
+DATA = ("--data", "imu", "--messages", 10, "--warmup", 0, "--rate", 50, "--depth", 1000)
+
+
+def test_a_bridge_that_runs_already_is_left_alone(domains, tmp_path):
+    near, far, out = domains.take(), domains.take(), tmp_path / "ping.mcap"
+    with (
+        relay(far, tmp_path / "relay.mcap", "--depth", 1000),
+        running("dds-bridge", "builtin", "--from", near, "--to", far, "--depth", 1000) as bridge,
+    ):
+        bridge.wait_for_line("builtin runs")
+        done = ping(near, out, "--bridge", "builtin", "--bridge-running", "--relay-domain", far, *DATA)
+        assert done.status == 0, done.stderr
+        assert bridge.stop().status == 0
+    run = last_json(out, "run")
+    assert (run["bridge"], run["bridge_running"], run["relay_domain_id"]) == ("builtin", True, far)
+    assert run["published"] == 10
+    assert "bridge" not in last_json(out, "session")
+
+
+@pytest.mark.skipif(find_spec("zenoh") is None, reason="eclipse-zenoh is not installed")
+def test_each_device_has_its_half(domains, tmp_path):
+    near, far, out = domains.take(), domains.take(), tmp_path / "ping.mcap"
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{probe.getsockname()[1]}"
+    name = "builtin-zenoh"
+    with (
+        relay(far, tmp_path / "relay.mcap", "--depth", 1000),
+        running(
+            *("dds-bridge", name, "--from", near, "--to", far, "--depth", 1000),
+            *("--half", "relay", "--listen", address),
+        ) as bridge,
+    ):
+        bridge.wait_for_line("builtin-zenoh runs")
+        done = ping(near, out, "--bridge", name, "--bridge-peer", address, "--relay-domain", far, *DATA)
+        assert done.status == 0, done.stderr
+        assert bridge.stop().status == 0
+    described = last_json(out, "session")["bridge"]
+    assert described["state"] == "stopped"
+    assert [program["half"] for program in described["programs"]] == ["ping"]
+    assert last_json(out, "run")["published"] == 10

@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from analyzer.analysis import Finding, Severity
-from analyzer.checks import groups, runs, sessions, sources
+from analyzer.checks import clocks, groups, load, runs, sessions, sizes, sources
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 CHECKS: tuple[Check, ...] = (
     sessions.recorder_drops,
+    sessions.failed_bridges,
     runs.unplaced_events,
     runs.relays_without_trace,
     runs.gaps_of_relays,
@@ -29,6 +30,8 @@ CHECKS: tuple[Check, ...] = (
     runs.repeated_publications,
     runs.orphan_events,
     groups.losses,
+    groups.outages,
+    runs.restarted_relays,
     groups.unmeasured_groups,
     groups.impossible_times,
     groups.duplicates,
@@ -41,6 +44,11 @@ CHECKS: tuple[Check, ...] = (
     sessions.unlike_environments,
     sessions.unclosed_sessions,
     sessions.doubtful_sessions,
+    clocks.clock_steps,
+    clocks.clock_drifts,
+    load.cpu_saturation,
+    load.kernel_drops,
+    sizes.unlike_sizes,
     groups.few_samples,
     sources.skipped_files,
     sources.truncated_files,

@@ -152,3 +152,22 @@ def few_samples(evidence: Evidence) -> Iterator[Finding]:
 
 def _shown(percentile: Percentile) -> str:
     return percentile.name.replace("_", ".")
+
+
+def outages(evidence: Evidence) -> Iterator[Finding]:
+    """Groups that lost several messages in a row."""
+    if evidence.details is None:
+        return
+    names = evidence.group_names()
+    for (group,), found in evidence.details.outages.group_by(["group"], maintain_order=True):
+        durations_ns = found["duration_ns"].drop_nulls().to_list()
+        longest = f"; the longest lasted {max(durations_ns) / 1e6:.3f} ms" if durations_ns else ""
+        endless = len(found) - len(durations_ns)
+        yield Finding(
+            Severity.WARNING,
+            "outage",
+            names[int(str(group))],
+            f"{len(found)} times several messages in a row were lost, {found['messages'].sum()} in all{longest}"
+            + (f"; {endless} lasted to the end of the run." if endless else "."),
+            "Look at the timeline: a link that drops out, a bridge or relay that restarts, a full buffer.",
+        )

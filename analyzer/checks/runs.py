@@ -249,3 +249,21 @@ def unlike_payloads(evidence: Evidence) -> Iterator[Finding]:
                 "sizes and transfer rates here go by the description.",
                 "Give each size a run of its own.",
             )
+
+
+def restarted_relays(evidence: Evidence) -> Iterator[Finding]:
+    """Runs in which several relays of one device took part: one that was started anew, or two at once."""
+    relays: dict[tuple[int, str], list[int]] = defaultdict(list)
+    for exchange in evidence.roundtrips.exchanges:
+        if exchange.took_part and exchange.relay is not None:
+            relays[exchange.run.run_id, exchange.relay.device].append(exchange.relay_id)
+    for (run_id, device), ids in relays.items():
+        if len(ids) > 1:
+            listed = some(f"{relay_id:08x}" for relay_id in ids)
+            yield Finding(
+                Severity.WARNING,
+                "relay_restarted",
+                evidence.run_name(run_id),
+                f"{len(ids)} relays on {device} took part ({listed}): the relay was started anew, or two ran at once.",
+                "Every message has a row for each, lost with all but one: repeat the run with one relay throughout.",
+            )

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 _OF_MIDDLEWARE = ("versions", "configuration", "settings")
 """Parts of the fingerprint that differ by nature between middlewares: compared within one vendor only."""
 
+_BRIDGE_FAILURES = {"died": "ended by itself", "never_ready": "never carried a message"}
+
 _FLEETING = ("wifi",)
 """Parts that differ from one minute to the next on the same device."""
 
@@ -127,3 +129,27 @@ def _flattened(host: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str,
 def _on_devices(sessions: list[Session]) -> str:
     devices = Counter(session.device for session in sessions)
     return "on " + ", ".join(f"{device} ({n} sessions)" if n > 1 else device for device, n in devices.items())
+
+
+def failed_bridges(evidence: Evidence) -> Iterator[Finding]:
+    """Bridges that ended by themselves, or never carried a message."""
+    for session in evidence.campaign.sessions.values():
+        bridge = session.extra.get("bridge")
+        if isinstance(bridge, dict) and bridge.get("state") in _BRIDGE_FAILURES:
+            failure = str(bridge.get("failure") or "it said nothing")
+            yield Finding(
+                Severity.ERROR,
+                "bridge_failed",
+                evidence.session_name(session),
+                f"The bridge {bridge.get('bridge')} {_BRIDGE_FAILURES[bridge['state']]}: {failure.rstrip('.')}. "
+                f"Its last words: {_last_words(bridge)}.",
+                "Losses here are the bridge's: repeat the runs; its whole output is in the session of the trace.",
+            )
+
+
+def _last_words(bridge: Mapping[str, Any]) -> str:
+    programs = bridge.get("programs")
+    tails = [str(bridge.get("log_tail") or "")]
+    tails += [str(p.get("log_tail") or "") for p in programs or () if isinstance(p, dict)]
+    lines = [line.strip() for tail in tails for line in tail.splitlines()[-1:] if line.strip()]
+    return "; ".join(line[:200].rstrip(".") for line in lines) or "none"

@@ -20,7 +20,7 @@ from trace_files import (
 
 import analyzer.cache
 from analyzer import Severity, analyze
-from analyzer.checks import groups, runs, sessions, sources
+from analyzer.checks import clocks, groups, load, runs, sessions, sizes, sources
 from analyzer.findings import CHECKS
 from tracefile import Stage, read_trace
 
@@ -58,7 +58,7 @@ def test_a_sound_recording_has_no_finding(tmp_path):
 def test_every_check_is_in_the_table():
     functions = {
         value
-        for module in (groups, runs, sessions, sources)
+        for module in (clocks, groups, load, runs, sessions, sizes, sources)
         for name, value in vars(module).items()
         if callable(value)
         and getattr(value, "__module__", "") == module.__name__

@@ -1,0 +1,171 @@
+"""Findings that rest on clocks, load, sizes, bridges and relays, each brought about by a drawn timeline."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from trace_files import (
+    Message,
+    ping_events,
+    ping_session,
+    relay_events,
+    relay_session,
+    run,
+    write_pair,
+    write_trace,
+)
+
+import analyzer.checks
+from analyzer import Severity, analyze
+from tracefile import Stage
+
+MS = 1_000_000
+PERIOD = 100 * MS
+
+
+def drawn(way=MS, count=200, ahead=0, drift=0.0, first=0):
+    messages = []
+    for s in range(first, first + count):
+        t = s * PERIOD
+        there = t + way + ahead + round(drift * t)
+        messages.append(Message(s, t0=t, t1=t, t3=there, t4=there, t2=t + 2 * way))
+    return messages
+
+
+def findings(folder, **options):
+    return {finding.code: finding for finding in analyze(folder, **options).findings}
+
+
+def test_clock_step(tmp_path):
+    stepped = drawn(count=100) + drawn(count=100, first=100, ahead=500 * MS)
+    write_pair(tmp_path, stepped)
+    found = findings(tmp_path)["clock_step"]
+    assert found.where == "beta against alpha"
+    size = float(re.search(r"jumped by ([\d.]+) ms", found.what)[1])
+    assert abs(size - 500) < 5
+    assert "clock_step" not in findings(tmp_path, details=False)
+
+
+def test_clock_drift(tmp_path):
+    write_pair(tmp_path, drawn(count=600, drift=300e-6))
+    assert "ppm" in findings(tmp_path)["clock_drift"].what
+    write_pair(tmp_path / "sound", drawn(count=600, drift=20e-6))
+    assert "clock_drift" not in findings(tmp_path / "sound")
+
+
+@pytest.mark.parametrize(("busy", "is_found"), [(3, True), (1, False)])
+def test_cpu_saturation_in_more_than_a_tenth_of_the_samples(tmp_path, busy, is_found):
+    host = [
+        {
+            "host": {"cpu_percent_each": [5.0, 100.0 if second < busy else 30.0]},
+            "udp": {"RcvbufErrors": second},
+        }
+        for second in range(10)
+    ]
+    write_trace(
+        tmp_path / "ping.mcap",
+        ping_session(),
+        [run(planned_messages=200, published=200)],
+        ping_events(drawn()),
+        host=host,
+    )
+    found = findings(tmp_path)
+    assert ("cpu_saturated" in found) is is_found
+    if is_found:
+        assert "In 3 of 10 seconds" in found["cpu_saturated"].what
+    assert "threw away 9 datagrams" in found["udp_buffer_overflow"].what
+
+
+def write_sizes(folder, ways, **sessions):
+    """One run for each size, with this way there and back."""
+    runs, ping, relay = [], {stage: [] for stage in Stage}, {stage: [] for stage in Stage}
+    for number, (size, way) in enumerate(ways.items(), 1):
+        runs.append(run(run_id=number, payload_bytes=size, planned_messages=200, published=200))
+        messages = [
+            Message(m.sequence, *(t + number * 300 * PERIOD for t in (m.t0, m.t1, m.t3, m.t4, m.t2)))
+            for m in drawn(way=way)
+        ]
+        for events, made in ((ping, ping_events), (relay, relay_events)):
+            for stage, of_stage in made(messages, run_id=number, payload_bytes=size).items():
+                events[stage] += of_stage
+    write_trace(folder / "ping.mcap", sessions.get("ping") or ping_session(), runs, ping)
+    write_trace(folder / "relay.mcap", sessions.get("relay") or relay_session(), (), relay)
+
+
+def test_latency_that_falls_with_size_beyond_the_segment_of_one_machine(tmp_path):
+    write_sizes(tmp_path, {502_000: 8 * MS, 1_000_000: 3 * MS}, relay=relay_session(device="alpha"))
+    found = findings(tmp_path)["latency_falls_with_size"]
+    assert found.severity is Severity.INFO
+    assert "from 8.000 ms at 502000 B to 3.000 ms at 1000000 B" in found.what
+    assert "shared-memory segment of 524288 B" in found.what
+
+
+def test_latency_that_jumps_beyond_the_socket_buffer(tmp_path):
+    host = {"socket_buffers": {"rmem_default": 212_992}}
+    write_sizes(tmp_path, {145_000: MS, 290_000: 10 * MS}, relay=relay_session(host=host))
+    found = findings(tmp_path)["latency_jumps_with_size"]
+    assert "socket buffer of beta (net.core.rmem_default 212992 B)" in found.what
+
+
+def test_latency_that_grows_with_size_is_no_finding(tmp_path):
+    write_sizes(tmp_path, {33_000: MS, 145_000: 3 * MS})
+    assert not {"latency_falls_with_size", "latency_jumps_with_size"} & set(findings(tmp_path))
+
+
+def test_without_a_cause_it_says_so(tmp_path):
+    write_sizes(tmp_path, {33_000: 5 * MS, 145_000: MS})
+    assert "no cause" in findings(tmp_path)["latency_falls_with_size"].what
+
+
+def test_outage(tmp_path):
+    messages = drawn()
+    for s in (50, 51, 52, 53):
+        messages[s] = replace(messages[s], t2=None)
+    write_pair(tmp_path, messages)
+    # From message 50, planned at 5 s, to the reply to 54 at 5.402 s.
+    assert "1 times several messages in a row were lost, 4 in all; the longest lasted 402.000 ms." in (
+        findings(tmp_path)["outage"].what
+    )
+
+
+@pytest.mark.parametrize(("state", "words"), [("died", "ended by itself"), ("never_ready", "never carried")])
+def test_failed_bridge(tmp_path, state, words):
+    bridge = {
+        "bridge": "builtin",
+        "state": state,
+        "failure": "exit code 3",
+        "programs": [{"log_tail": "up\nlost its way\n"}],
+    }
+    write_pair(tmp_path, drawn(), ping=ping_session(extra={"bridge": bridge}))
+    found = findings(tmp_path)["bridge_failed"]
+    assert found.severity is Severity.ERROR
+    assert words in found.what
+    assert "exit code 3. Its last words: lost its way." in found.what
+
+
+def test_a_bridge_that_went_well_is_no_finding(tmp_path):
+    write_pair(tmp_path, drawn(), ping=ping_session(extra={"bridge": {"state": "stopped"}}))
+    assert "bridge_failed" not in findings(tmp_path)
+
+
+def test_restarted_relay(tmp_path):
+    first, second = drawn(count=100), drawn(count=100, first=100)
+    ping = ping_events(first)
+    for stage, events in ping_events(second, relay_id=2).items():
+        ping[stage] += events
+    write_trace(tmp_path / "ping.mcap", ping_session(), [run(planned_messages=200, published=200)], ping)
+    write_trace(tmp_path / "one.mcap", relay_session(), (), relay_events(first))
+    anew = relay_session(session_id=9, relay_id=2)
+    write_trace(tmp_path / "two.mcap", anew, (), relay_events(second, relay_id=2))
+    assert "2 relays on beta took part (00000002; 0000beef)" in findings(tmp_path)["relay_restarted"].what
+
+
+def test_every_code_is_in_the_documentation():
+    written = "".join(path.read_text() for path in Path(analyzer.checks.__file__).parent.glob("*.py"))
+    codes = set(re.findall(r'^\s+(?:Severity\.\w+,\s*)?"([a-z]+(?:_[a-z]+)*)",$', written, re.MULTILINE))
+    codes |= set(re.findall(r'"(latency_\w+_with_size)"', written))
+    page = Path(__file__).parents[2].joinpath("docs", "analysis.md").read_text()
+    documented = set(re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE))
+    assert len(codes) > 30
+    assert codes <= documented

@@ -14,6 +14,7 @@ BACKEND_MODULES = {
     "ros2": "recorder.backends.ros2",
     "cyclonedds": "recorder.backends.cyclonedds",
     "zenoh": "recorder.backends.zenoh",
+    "connext": "recorder.backends.connext",
     "socket": "recorder.backends.socket",
 }
 """Name of each backend and the module that holds its `BACKEND`."""

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 from recorder.backend import Discovery, Endpoint, Middleware, TopicView
 from recorder.backends.checks import refuse_others_options, refuse_peers, refuse_typed
+from recorder.backends.dds_types import DDS_TYPES, check_known, dds_name, split_type
 from recorder.cyclone_settings import CYCLONE_LOOPBACK, cyclone_settings
 from recorder.qos import incompatible_pairs
 from tracefile import BackendUnavailableError, OptionError, Qos
@@ -332,75 +333,28 @@ def _take() -> Callable[[int], list[tuple[bytes, Any]]]:
 
 
 @cache
-def _types() -> dict[str, Any]:
-    """The message types by their ROS names; Cyclone DDS checks each serialized message against its type.
+def _type_called(type_name: str) -> Any:
+    """The message type as Cyclone DDS knows it, which checks each serialized message against it.
 
     Raises:
-        ImportError: there is no Cyclone DDS.
+        OptionError: the type is not known here.
     """
     from cyclonedds.idl import make_idl_struct
 
+    check_known("cyclonedds", type_name)
+    package, kind, name = dds_name(type_name)
+    members = {member: _member_type(text) for member, text in DDS_TYPES[type_name].items()}
+    return make_idl_struct(name, f"{package}.{kind}.dds_.{name}", members)
+
+
+def _member_type(text: str) -> Any:
     idl: Any = import_module("cyclonedds.idl.types")  # its annotations hide that the types take parameters
-    octets, covariance = idl.sequence[idl.uint8], idl.array[idl.float64, 9]
-    made: dict[str, Any] = {}
-
-    def add(ros_name: str, **fields: Any) -> Any:
-        package, kind, name = ros_name.split("/")
-        made[ros_name] = make_idl_struct(name, f"{package}.{kind}.dds_.{name}_", fields)
-        return made[ros_name]
-
-    time = add("builtin_interfaces/msg/Time", sec=idl.int32, nanosec=idl.uint32)
-    header = add("std_msgs/msg/Header", stamp=time, frame_id=str)
-    add("std_msgs/msg/String", data=str)
-    add(
-        "sensor_msgs/msg/Image",
-        header=header,
-        height=idl.uint32,
-        width=idl.uint32,
-        encoding=str,
-        is_bigendian=idl.uint8,
-        step=idl.uint32,
-        data=octets,
-    )
-    add("sensor_msgs/msg/CompressedImage", header=header, format=str, data=octets)
-    vector = add("geometry_msgs/msg/Vector3", x=idl.float64, y=idl.float64, z=idl.float64)
-    quaternion = add(
-        "geometry_msgs/msg/Quaternion", x=idl.float64, y=idl.float64, z=idl.float64, w=idl.float64
-    )
-    add(
-        "sensor_msgs/msg/Imu",
-        header=header,
-        orientation=quaternion,
-        orientation_covariance=covariance,
-        angular_velocity=vector,
-        angular_velocity_covariance=covariance,
-        linear_acceleration=vector,
-        linear_acceleration_covariance=covariance,
-    )
-    point_field = add(
-        "sensor_msgs/msg/PointField", name=str, offset=idl.uint32, datatype=idl.uint8, count=idl.uint32
-    )
-    add(
-        "sensor_msgs/msg/PointCloud2",
-        header=header,
-        height=idl.uint32,
-        width=idl.uint32,
-        fields=idl.sequence[point_field],
-        is_bigendian=bool,
-        point_step=idl.uint32,
-        row_step=idl.uint32,
-        data=octets,
-        is_dense=bool,
-    )
-    return made
-
-
-def _type_called(type_name: str) -> Any:
-    found = _types().get(type_name)
-    if found is None:
-        known = ", ".join(name for name in _types() if name.startswith(("sensor_msgs", "std_msgs")))
-        raise OptionError(f"the backend cyclonedds does not know the type {type_name}; it knows {known}")
-    return found
+    name, length = split_type(text)
+    plain = {"string": str, "bool": bool}
+    element = _type_called(name) if name in DDS_TYPES else plain.get(name) or getattr(idl, name)
+    if length is None:
+        return element
+    return idl.array[element, length] if length else idl.sequence[element]
 
 
 def _ros_name(dds_type: str) -> str:

@@ -1,0 +1,75 @@
+"""The ROS message types for backends that speak DDS without ROS and must be told what a type is made of."""
+
+from __future__ import annotations
+
+from tracefile import OptionError
+
+_OCTETS, _COVARIANCE = "uint8[]", "float64[9]"
+
+DDS_TYPES: dict[str, dict[str, str]] = {
+    "builtin_interfaces/msg/Time": {"sec": "int32", "nanosec": "uint32"},
+    "std_msgs/msg/Header": {"stamp": "builtin_interfaces/msg/Time", "frame_id": "string"},
+    "std_msgs/msg/String": {"data": "string"},
+    "geometry_msgs/msg/Vector3": {"x": "float64", "y": "float64", "z": "float64"},
+    "geometry_msgs/msg/Quaternion": {"x": "float64", "y": "float64", "z": "float64", "w": "float64"},
+    "sensor_msgs/msg/Image": {
+        "header": "std_msgs/msg/Header",
+        "height": "uint32",
+        "width": "uint32",
+        "encoding": "string",
+        "is_bigendian": "uint8",
+        "step": "uint32",
+        "data": _OCTETS,
+    },
+    "sensor_msgs/msg/CompressedImage": {"header": "std_msgs/msg/Header", "format": "string", "data": _OCTETS},
+    "sensor_msgs/msg/Imu": {
+        "header": "std_msgs/msg/Header",
+        "orientation": "geometry_msgs/msg/Quaternion",
+        "orientation_covariance": _COVARIANCE,
+        "angular_velocity": "geometry_msgs/msg/Vector3",
+        "angular_velocity_covariance": _COVARIANCE,
+        "linear_acceleration": "geometry_msgs/msg/Vector3",
+        "linear_acceleration_covariance": _COVARIANCE,
+    },
+    "sensor_msgs/msg/PointField": {
+        "name": "string",
+        "offset": "uint32",
+        "datatype": "uint8",
+        "count": "uint32",
+    },
+    "sensor_msgs/msg/PointCloud2": {
+        "header": "std_msgs/msg/Header",
+        "height": "uint32",
+        "width": "uint32",
+        "fields": "sensor_msgs/msg/PointField[]",
+        "is_bigendian": "bool",
+        "point_step": "uint32",
+        "row_step": "uint32",
+        "data": _OCTETS,
+        "is_dense": "bool",
+    },
+}
+"""Type -> member -> type, in the order of the .msg files; `[]` is a sequence, `[9]` an array."""
+
+
+def split_type(text: str) -> tuple[str, int | None]:
+    """The element type and the length of an array, 0 for a sequence, None for a single value."""
+    element, bracket, length = text.removesuffix("]").partition("[")
+    return element, int(length or 0) if bracket else None
+
+
+def check_known(backend: str, type_name: str) -> None:
+    """Refuse a type that is not in `DDS_TYPES`.
+
+    Raises:
+        OptionError: naming those that are.
+    """
+    if type_name not in DDS_TYPES:
+        known = ", ".join(name for name in DDS_TYPES if name.startswith(("sensor_msgs", "std_msgs")))
+        raise OptionError(f"the backend {backend} does not know the type {type_name}; it knows {known}")
+
+
+def dds_name(type_name: str) -> tuple[str, str, str]:
+    """Package, kind and name of the type as ROS 2 calls it in DDS: `sensor_msgs`, `msg`, `Image_`."""
+    package, kind, name = type_name.split("/")
+    return package, kind, f"{name}_"

@@ -1,0 +1,77 @@
+"""A live source: what is kept, what is left out, and the rate that is taken from its arrivals."""
+
+from __future__ import annotations
+
+import threading
+import time
+from types import SimpleNamespace
+
+import pytest
+
+from recorder.payloads.topic import MAX_WAITING, LiveFeed
+from recorder.stamp import stamp_text
+from tracefile import OptionError
+
+NEVER = threading.Event()
+
+
+def message(frame_id="lidar", fields=("std_msgs/Header",)):
+    return SimpleNamespace(
+        header=SimpleNamespace(frame_id=frame_id),
+        get_fields_and_field_types=lambda: dict(zip(("header", "x"), fields, strict=False)),
+    )
+
+
+@pytest.fixture
+def feed():
+    node = SimpleNamespace(message_to_cdr=lambda each: bytes(16) + each.header.frame_id.encode() + bytes(38))
+    return LiveFeed(node, "sensor_msgs/msg/PointCloud2", "--data topic:/x")
+
+
+def payload_of(feed, wait_s=5.0):
+    return feed.payload(time.monotonic() + wait_s, NEVER, source="topic:/x")
+
+
+def test_the_first_message_is_for_probes_and_only_what_comes_later_is_sent(feed):
+    for _ in range(10):
+        feed.receive(message())
+    payload = payload_of(feed)
+    assert (payload.data_type.name, payload.payload_bytes, payload.feed) == ("pointcloud2", 36, feed)
+    assert payload.rate_hz > 0
+    assert payload.messages[0].data[16:62] == stamp_text(0, 0)
+    feed.begin()
+    before_ns = time.monotonic_ns()
+    feed.receive(message())
+    made, arrival_ns = feed.take(NEVER)
+    assert before_ns <= arrival_ns <= time.monotonic_ns()
+    assert made.data[16:62] == stamp_text(0, 0)
+    stop = threading.Event()
+    stop.set()
+    assert feed.take(stop) is None
+
+
+def test_messages_of_ours_do_not_echo(feed):
+    feed.receive(message())
+    feed.begin()
+    feed.receive(message(stamp_text(7, 1).decode()))
+    feed.receive(message())
+    assert feed.take(NEVER) is not None
+    assert feed._waiting.empty()
+    assert feed.skipped == 0
+
+
+def test_what_cannot_wait_is_counted(feed):
+    feed.receive(message())
+    feed.begin()
+    for _ in range(MAX_WAITING + 3):
+        feed.receive(message())
+    assert feed.skipped == 3
+    assert feed._waiting.qsize() == MAX_WAITING
+
+
+def test_a_silent_topic_and_a_type_without_header_are_told(feed):
+    with pytest.raises(OptionError, match="--data topic:/x: 0 messages came"):
+        payload_of(feed, wait_s=0.1)
+    feed.receive(message(fields=("double",)))
+    with pytest.raises(OptionError, match="PointCloud2 does not begin with a std_msgs/Header"):
+        payload_of(feed)

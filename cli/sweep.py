@@ -190,7 +190,7 @@ def _relay_commands(plan: Plan) -> list[str]:
             f"relay {group.number}: {printed_command(relay_arguments(plan, group.need), group.number)}"
         )
         if group.bridge:
-            lines.append(f"beside it: dds-bridge {' '.join(half_arguments(plan, group, 'relay'))}")
+            lines.append(f"beside it: dds-bridge {' '.join(half_arguments(plan, group))}")
     return lines
 
 

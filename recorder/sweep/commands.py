@@ -5,14 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from recorder.sweep.cells import AXES, RELAY_AXES
+from recorder.sweep.plan import BACKENDS_WITH_PEERS
 
 if TYPE_CHECKING:
     from recorder.sweep.cells import Cell, RelayNeed
     from recorder.sweep.plan import DeviceSettings, Plan
     from recorder.sweep.schedule import Group
-
-BRIDGE_PORT = 7447
-"""Where the two halves of a bridge meet; Zenoh's own port, so that firewalls may know it."""
 
 
 def relay_arguments(plan: Plan, need: RelayNeed) -> list[str]:
@@ -24,32 +22,38 @@ def relay_arguments(plan: Plan, need: RelayNeed) -> list[str]:
     ]
 
 
-def half_arguments(plan: Plan, group: Group, half: str) -> list[str]:
-    """Arguments of `dds-bridge` for the half of the group's bridge that runs beside its `ping` or its `relay`."""
+def half_arguments(plan: Plan, group: Group) -> list[str]:
+    """Arguments of `dds-bridge` for the half of the group's bridge that runs beside its relay.
+
+    It waits for the ping's half, which each ping starts anew: so nothing has to be found again between two cells.
+    """
     assert group.bridge is not None
     need = group.need
-    meeting = (
-        ["--listen", f"0.0.0.0:{BRIDGE_PORT}"]
-        if half == "ping"
-        else ["--peer", f"{plan.ping.address}:{BRIDGE_PORT}"]
-    )
+    interface = "127.0.0.1" if plan.discovery == "localhost" else "0.0.0.0"  # noqa: S104 - the other device is outside
     return [
-        *(group.bridge, "--half", half, *meeting),
+        *(group.bridge, "--half", "relay", "--listen", f"{interface}:{plan.relay.bridge_port}"),
         *("--from", str(plan.run.ping_domain), "--to", str(plan.run.domain), "--discovery", plan.discovery),
         *("--reliability", need.reliability, "--durability", need.durability, "--depth", str(need.depth)),
         *(["--tuned"] if need.tuned else []),
     ]
 
 
-def ping_arguments(plan: Plan, cell: Cell, wait_s: float) -> list[str]:
-    """Arguments of the ping of this cell, without `--out`; it waits so long for an echo."""
+def ping_arguments(plan: Plan, cell: Cell, wait_s: float, relay_address: str | None) -> list[str]:
+    """Arguments of the ping of this cell, without `--out`.
+
+    Args:
+        plan: what all cells have in common.
+        cell: what this one has of its own.
+        wait_s: how long it waits for an echo.
+        relay_address: of the relay's device, None on one machine.
+    """
     domain = plan.run.ping_domain if cell.crosses_domains else plan.run.domain
-    bridged = ["--relay-domain", str(plan.run.domain)] if cell.crosses_domains else []
-    if plan.runs_halves(cell):
-        bridged.append("--bridge-running")
     return [
-        *("--role", "ping", "--domain", str(domain), *bridged),
+        *("--role", "ping", "--domain", str(domain)),
+        *(("--relay-domain", str(plan.run.domain)) if cell.crosses_domains else ()),
         *_axis_arguments(cell, [axis for axis in AXES if axis not in ("relay_backend", "relay_rmw")]),
+        *(("--bridge-peer", f"{relay_address}:{plan.relay.bridge_port}") if plan.runs_halves(cell) else ()),
+        *(("--peer", relay_address) if relay_address and cell.backend in BACKENDS_WITH_PEERS else ()),
         *("--messages", str(plan.run.messages_at(cell.rate)), "--warmup", str(plan.run.warmup)),
         *("--wait", f"{wait_s:g}"),
         *("--label", f"sweep={plan.name}", "--label", f"cell={cell.name}"),

@@ -7,7 +7,7 @@ import shutil
 import subprocess
 from typing import TYPE_CHECKING, Protocol
 
-from recorder.sweep.programs import Program, local_program
+from recorder.sweep.programs import Program
 from tracefile import BackendUnavailableError, OptionError, __version__
 
 if TYPE_CHECKING:
@@ -91,8 +91,8 @@ class LocalDevice:
         return _RelayProgram(Program(command, _log_path(self._folder, segment), held=self._held))
 
     def start_half(self, arguments: Sequence[str], segment: str) -> RunningRelay:
-        """A half on this machine."""
-        return start_local_half(arguments, self._folder, segment, self._held)
+        """Not called: on one machine the ping's `dds-record` runs both halves."""
+        raise NotImplementedError
 
     def collect(self, segment: str) -> Path | None:
         """The trace, where it was written."""
@@ -244,17 +244,6 @@ class PrintedDevice:
 
     def discard(self, segment: str) -> None:
         """Nothing is here."""
-
-
-def start_local_half(
-    arguments: Sequence[str],
-    folder: Path,
-    segment: str,
-    held: int | None,
-) -> RunningRelay:
-    """A half of a bridge on this machine; its log lies beside that of the relay that writes `segment`."""
-    command = [*local_program("dds-bridge"), *arguments]
-    return _RelayProgram(Program(command, _log_path(folder, f"{segment}.own-half"), held=held))
 
 
 def printed_command(arguments: Sequence[str], number: int | str) -> str:

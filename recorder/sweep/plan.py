@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from recorder.sweep.link import Link
 
 
+BACKENDS_WITH_PEERS = ("socket", "zenoh")
+"""Backends whose ping connects to an address instead of looking for the relay."""
+
+
 class Order(Enum):
     """In which order cells run."""
 
@@ -79,7 +83,8 @@ class DeviceSettings:
         ssh_options: further arguments of `ssh`, such as `-p 2222`.
         setup: shell command that runs there first, such as `. /opt/ros/jazzy/setup.sh`.
         path: folder of `dds-record` there, where it is not found by itself: `~/dds-trace/.venv/bin`.
-        address: of the device as the other one reaches it, for a bridge with a half on each.
+        address: of the device as the other one reaches it, where that has to be told; None for that of `ssh`.
+        bridge_port: where the half of a bridge beside the relay waits for the ping's; by default Zenoh's own port.
         options: further options of `dds-record` there, such as `--realtime`, `50`, `--cpu-affinity`, `3`.
     """
 
@@ -89,7 +94,13 @@ class DeviceSettings:
     setup: str | None = None
     path: str | None = None
     address: str | None = None
+    bridge_port: int = 7447
     options: tuple[str, ...] = ()
+
+    @property
+    def reached_at(self) -> str | None:
+        """Where the other device finds this one, None if the plan does not say."""
+        return self.address or (self.ssh.rpartition("@")[2] if self.ssh else None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,6 +183,10 @@ class Plan:
     def has_two_devices(self) -> bool:
         """Whether the relay is on another device."""
         return self.by_hand or self.relay.ssh is not None
+
+    def needs_address(self, cell: Cell) -> bool:
+        """Whether the cell's ping has to be told where the relay's device is."""
+        return cell.backend in BACKENDS_WITH_PEERS or self.runs_halves(cell)
 
     def runs_halves(self, cell: Cell) -> bool:
         """Whether the cell's bridge runs one half beside the ping and one beside the relay.

@@ -179,8 +179,8 @@ def _check(plan: Plan, where: str) -> None:
         ),
         (plan.has_two_devices and plan.namespaces, "[link] and [network] need both devices on this machine"),
         (
-            plan.ping.address is None and any(plan.runs_halves(cell) for cell in plan.cells),
-            "a bridge with a half on each device needs [devices.ping] address, where the relay's half finds the other",
+            plan.has_two_devices and not plan.relay.reached_at and any(map(plan.needs_address, plan.cells)),
+            "the ping has to be told where the relay is; give [devices.relay] its address",
         ),
         (plan.ping.ssh is not None, "the ping is always on this machine; give [devices.relay] the ssh"),
         (

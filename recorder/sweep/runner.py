@@ -13,11 +13,9 @@ import contextlib
 import itertools
 import time
 from dataclasses import asdict, dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from recorder.sweep.commands import half_arguments, ping_arguments, relay_arguments
-from recorder.sweep.devices import start_local_half
 from recorder.sweep.estimate import Estimate
 from recorder.sweep.programs import Program
 from recorder.sweep.result import CellResult, read_result
@@ -54,6 +52,7 @@ class Station:
         device: of the relay.
         held: the lock of `holding_folder`, for the programs to hold as well.
         wait_s: how long a ping waits for the relay's echo.
+        relay_address: of the relay's device as the ping reaches it, None on one machine.
         measure_link: what the emulated link did since the call before; None without one.
     """
 
@@ -61,6 +60,7 @@ class Station:
     device: RelayDevice
     held: int | None = None
     wait_s: float = 20.0
+    relay_address: str | None = None
     measure_link: Callable[[], Mapping[str, Any]] | None = None
 
 
@@ -124,22 +124,17 @@ class Runner:
     def relay(self, group: Group) -> Iterator[Relay]:
         """A relay for the cells of this group; when the block is left its part of each is in place."""
         relay = Relay(
-            self._station.device, relay_arguments(self.plan, group.need), self._segment_names(group)
+            self._station.device,
+            relay_arguments(self.plan, group.need),
+            half_arguments(self.plan, group) if group.bridge else None,
+            self._segment_names(group),
         )
-        if group.bridge is not None:
-            relay.halves = (
-                partial(self._station.device.start_half, half_arguments(self.plan, group, "relay")),
-                partial(self._start_own_half, half_arguments(self.plan, group, "ping")),
-            )
         self._progress.relay(group.need.name)
         try:
             yield relay
         finally:
             for segment in relay.stop():
                 self._collect(segment)
-
-    def _start_own_half(self, arguments: Sequence[str], segment: str) -> RunningRelay:
-        return start_local_half(arguments, self._parts, segment, self._station.held)
 
     def record(self, cell: Cell, relay: Relay) -> CellState:
         """Records one cell, as often as the plan allows; its state afterwards."""
@@ -184,7 +179,7 @@ class Runner:
         log = draft.with_name(draft.name + ".log")
         command = [
             *self._station.ping_command,
-            *ping_arguments(self.plan, cell, self._station.wait_s),
+            *ping_arguments(self.plan, cell, self._station.wait_s, self._station.relay_address),
             "--out",
             str(draft),
         ]
@@ -278,18 +273,24 @@ class CellFailedError(Exception):
 class Relay:
     """The relay of a group of cells, started again in a new segment when it has ended by itself.
 
-    Attributes:
-        halves: start the halves of the group's bridge, given the segment's name.
+    Args:
+        half: arguments of the half of a bridge that runs beside it, None where there is none.
     """
 
-    def __init__(self, device: RelayDevice, arguments: Sequence[str], new_segments: Iterator[str]) -> None:
+    def __init__(
+        self,
+        device: RelayDevice,
+        arguments: Sequence[str],
+        half: Sequence[str] | None,
+        new_segments: Iterator[str],
+    ) -> None:
         self._device = device
         self._arguments = arguments
+        self._half = half
         self._new_segments = new_segments
         self._segments: list[str] = []
         self._running: dict[str, RunningRelay] = {}
         self._hopeless: CellFailedError | None = None
-        self.halves: tuple[Callable[[str], RunningRelay], ...] = ()
 
     def serve(self) -> str:
         """Sees to it that a relay runs, and gives the segment that it writes.
@@ -303,12 +304,12 @@ class Relay:
             segment = next(self._new_segments)
             self._segments.append(segment)
             self._running["relay"] = self._device.start(self._arguments, segment)
-            for number, start in enumerate(self.halves, 1):
-                self._running[f"bridge's half {number}"] = start(segment)
+            if self._half is not None:
+                self._running["bridge's half"] = self._device.start_half(self._half, segment)
         return self._segments[-1]
 
     def check(self) -> None:
-        """Says so when the relay or a half of its bridge has ended by itself; `serve` then starts them again.
+        """Says so when the relay or the half of a bridge beside it has ended by itself; `serve` then starts them again.
 
         Raises:
             CellFailedError: one has.

@@ -45,15 +45,15 @@ def open_station(
     own = list(command or local_program("dds-record"))
     parts = folder / PARTS
     if plan.by_hand:
-        yield Station(own, PrintedDevice(show), held, wait_s=PERSON_WAIT_S)
+        yield Station(own, PrintedDevice(show), held, PERSON_WAIT_S, plan.relay.reached_at)
     elif plan.relay.ssh is not None:
-        yield Station(own, SshDevice(plan.relay, parts, plan.name), held, wait_s=ECHO_WAIT_S)
+        yield Station(own, SshDevice(plan.relay, parts, plan.name), held, ECHO_WAIT_S, plan.relay.reached_at)
     elif plan.namespaces:
         with ExitStack() as stack:
             pair = stack.enter_context(NamespacePair(plan.link))
             relay = LocalDevice(parts, [*pair.relay.prefix, *own], held)
             yield Station(
-                [*pair.ping.prefix, *own], relay, held, wait_s=ECHO_WAIT_S, measure_link=pair.measure
+                [*pair.ping.prefix, *own], relay, held, ECHO_WAIT_S, pair.relay.address, pair.measure
             )
     else:
-        yield Station(own, LocalDevice(parts, own, held), held, wait_s=ECHO_WAIT_S)
+        yield Station(own, LocalDevice(parts, own, held), held, ECHO_WAIT_S)

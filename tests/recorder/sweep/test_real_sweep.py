@@ -6,6 +6,7 @@ import json
 import os
 import shlex
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -150,25 +151,46 @@ def test_link_between_two_namespaces_is_found_in_the_latencies(sweep):
     assert f"ddstrace-{os.getpid()}" not in ip("netns", "list")
 
 
-def test_relay_over_ssh(sweep, tmp_path):
+@pytest.fixture
+def robot(tmp_path):
+    """The `[devices]` of a plan whose relay is reached through ssh; it is this machine after all."""
     if missing := loopback_sshd.missing_program():
         pytest.skip(f"{missing} is not installed")
-    (tmp_path / "home").mkdir()
-    (tmp_path / "sshd").mkdir()
+    for name in ("home", "sshd"):
+        (tmp_path / name).mkdir()
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        bridge_port = probe.getsockname()[1]
     with loopback_sshd.sshd(tmp_path / "sshd") as server:
-        small = sweep(
-            # On one machine after all: nothing is to leave it.
-            'discovery = "localhost"\n[axes]\ndata = "imu"\nrate = [50, 100]\n'
+        yield (
             '[devices]\nconnectivity = "wireless"\n[devices.relay]\nname = "robot"\n'
             f"ssh = {json.dumps(server.destination)}\nssh_options = {json.dumps(server.options)}\n"
-            f'setup = "export HOME={tmp_path / "home"}"\npath = "{BIN}"\n'
+            f'setup = "export HOME={tmp_path / "home"}"\npath = "{BIN}"\nbridge_port = {bridge_port}\n'
         )
-        code, _, stderr = small.run()
+
+
+def test_relay_over_ssh(sweep, robot, tmp_path):
+    # On one machine after all: nothing is to leave it.
+    small = sweep('discovery = "localhost"\n[axes]\ndata = "imu"\nrate = [50, 100]\n' + robot)
+    code, _, stderr = small.run()
     assert code == 0, stderr
     check_pairs(small, small.cells)
     assert {trace.sessions[0].device for trace in small.traces("relay").values()} == {"robot"}
     assert {trace.sessions[0].connectivity for trace in small.traces("ping").values()} == {"wireless"}
     assert list((tmp_path / "home").rglob("*.mcap")) == []
+
+
+def test_half_of_a_bridge_beside_the_relay_over_ssh(sweep, robot):
+    pytest.importorskip("zenoh", reason="no zenoh here")
+    small = sweep(
+        'discovery = "localhost"\n[axes]\ndata = "imu"\nrate = 50\nbridge = ["none", "builtin-zenoh"]\n'
+        + robot
+    )
+    code, _, stderr = small.run()
+    assert code == 0, stderr
+    check_pairs(small, small.cells)
+    domains = {trace.runs[0].bridge: trace.sessions[0].domain_id for trace in small.traces("ping").values()}
+    assert domains["none"] != domains["builtin-zenoh"]
 
 
 def test_person_starts_what_is_printed_and_the_sweep_goes_on_by_echo(sweep, tmp_path):

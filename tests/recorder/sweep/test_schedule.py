@@ -50,7 +50,7 @@ def test_shuffled_order_is_a_permutation_that_the_seed_decides():
     assert repeats == sorted(repeats)
 
 
-DISTANT = '[devices.relay]\nssh = "pi@robot"\n[devices.ping]\naddress = "192.168.0.5"\n'
+DISTANT = '[devices.relay]\nssh = "pi@robot"\n'
 
 
 def test_bridge_of_halves_has_a_relay_of_its_own_where_that_is_on_another_device():
@@ -66,27 +66,35 @@ def test_bridge_of_halves_has_a_relay_of_its_own_where_that_is_on_another_device
     ]
 
 
-def test_halves_meet_at_the_pings_address_and_the_ping_leaves_them_running():
+def test_half_beside_the_relay_waits_and_the_pings_half_goes_there():
     distant = parse_plan(
         PLAN.format(order="").replace("builtin", "zenoh-bridge-dds") + DISTANT, "p", "p.toml"
     )
-    group = schedule(distant)[1]
-    ping, relay = (" ".join(half_arguments(distant, group, half)) for half in ("ping", "relay"))
-    rest = "--from 5 --to 10 --discovery subnet --reliability reliable --durability volatile --depth 10"
-    assert ping == f"zenoh-bridge-dds --half ping --listen 0.0.0.0:7447 {rest}"
-    assert relay == f"zenoh-bridge-dds --half relay --peer 192.168.0.5:7447 {rest}"
-    assert "--bridge-running" in ping_arguments(distant, group.cells[0], 20)
-    assert "--bridge-running" not in ping_arguments(distant, schedule(distant)[0].cells[0], 20)
+    same, crossing = schedule(distant)[:2]
+    assert " ".join(half_arguments(distant, crossing)) == (
+        "zenoh-bridge-dds --half relay --listen 0.0.0.0:7447 --from 5 --to 10 --discovery subnet "
+        "--reliability reliable --durability volatile --depth 10"
+    )
+    arguments = ping_arguments(distant, crossing.cells[0], 20, "robot")
+    assert arguments[arguments.index("--bridge-peer") + 1] == "robot:7447"
+    assert "--bridge-peer" not in ping_arguments(distant, same.cells[0], 20, "robot")
 
 
-def test_halves_need_to_know_where_to_meet():
-    with pytest.raises(OptionError, match=r"\[devices\.ping\] address"):
-        parse_plan(
-            PLAN.format(order="").replace("builtin", "zenoh-bridge-dds")
-            + '[devices.relay]\nssh = "pi@robot"\n',
-            "p",
-            "p.toml",
-        )
+@pytest.mark.parametrize(("backend", "told"), [("ros2", False), ("zenoh", True), ("socket", True)])
+def test_ping_is_told_the_relays_address_where_its_backend_does_not_look_for_it(backend, told):
+    plan = parse_plan(f'[run]\nmessages = 1\n[axes]\nbackend = "{backend}"\n', "p", "p.toml")
+    (cell,) = plan.cells
+    assert ("--peer" in ping_arguments(plan, cell, 20, "10.213.0.2")) is told
+    assert "--peer" not in ping_arguments(plan, cell, 20, None)
+
+
+def test_relays_address_is_that_of_ssh_or_has_to_be_given():
+    text = PLAN.format(order="").replace("builtin", "zenoh-bridge-dds")
+    assert parse_plan(text + DISTANT, "p", "p.toml").relay.reached_at == "robot"
+    other = parse_plan(text + DISTANT + 'address = "10.0.0.7"\n', "p", "p.toml")
+    assert other.relay.reached_at == "10.0.0.7"
+    with pytest.raises(OptionError, match=r"\[devices\.relay\] its address"):
+        parse_plan(text, "p", "p.toml", by_hand=True)
 
 
 def test_estimate_is_schedules_plus_overheads():

@@ -80,6 +80,14 @@ class Scan:
         self.others += behind.others
         self.end = behind.end
 
+    def places(self, index: Index) -> list[tuple[int, int]]:
+        """Byte offset and length of the contents of the event-shaped records at `index` of `events`."""
+        starts = np.concatenate(
+            [offset + EVENT_RECORD_BYTES * np.arange(count) for offset, count in self.runs]
+        )
+        length = EVENT_RECORD_BYTES - RECORD_HEADER.size
+        return [(start + RECORD_HEADER.size, length) for start in starts[index].tolist()]
+
     def events(self, data: bytes) -> Records:
         """The events of all runs as records of `RECORD_DTYPE`; a view of `data` where they lie in one run."""
         parts = [np.frombuffer(data, RECORD_DTYPE, count, offset) for offset, count in self.runs]

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 _BLOCKS_AHEAD = 8
 _BYTES_AHEAD = 32 << 20  # chunks larger than usual are unpacked one after the other
-_DECLARATIONS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL})
 
 
 class McapSource:
@@ -111,33 +110,42 @@ class McapSource:
 
     def _batches_of(self, block: Block) -> Iterator[Batch]:
         batch = Batch(block.events, notes=block.notes)
-        singles: list[tuple[Stage, bytes]] = []
+        singles: list[tuple[int, int]] = []
         for opcode, start, length in block.scan.others:
-            content = memoryview(block.data)[start : start + length]
-            if opcode in _DECLARATIONS:
+            if opcode == Opcode.MESSAGE:
+                singles.append((start, length))
+            else:
+                content = memoryview(block.data)[start : start + length]
                 self._channels.declare(opcode, content, block.offset(start))
-            elif opcode == Opcode.MESSAGE and length >= MESSAGE_HEADER.size:
-                self._add_single(content, block.offset(start), batch, singles)
         for channel_id, index in block.groups:
-            self._messages[channel_id] += len(index)
             channel = self._channels.get(channel_id)
+            if channel and not channel.stage and channel.topic.startswith(TOPIC_PREFIX):
+                singles += block.scan.places(index)  # a text that happens to be as long as an event
+                continue
+            self._messages[channel_id] += len(index)
             if channel and channel.fault:
                 batch.unreadable += len(index)
             elif channel and channel.stage:
                 batch.groups.append((channel.stage, index))
                 self._numbered[channel_id] = int(block.events["number"][index[-1]]) + 1
+        packed: list[tuple[Stage, bytes]] = []
+        for start, length in sorted(singles):
+            content = memoryview(block.data)[start : start + length]
+            self._add_single(content, block.offset(start), batch, packed)
         yield batch
-        if singles:
-            yield event_batch(singles)
+        if packed:
+            yield event_batch(packed)
 
     def _add_single(
         self,
         content: memoryview,
         offset: int,
         batch: Batch,
-        singles: list[tuple[Stage, bytes]],
+        packed: list[tuple[Stage, bytes]],
     ) -> None:
-        """One message that has not the shape of an event: a text, or an event that was packed on its own, or neither."""
+        """One message that is not taken as an array: a text, an event that was packed on its own, or neither."""
+        if len(content) < MESSAGE_HEADER.size:
+            return
         channel_id, _, log_time_ns, _ = MESSAGE_HEADER.unpack_from(content)
         self._messages[channel_id] += 1
         channel = self._channels.get(channel_id)
@@ -147,7 +155,7 @@ class McapSource:
         if channel.fault:
             batch.unreadable += 1
         elif channel.stage:
-            singles.append((channel.stage, plain(data)))
+            packed.append((channel.stage, plain(data)))
         else:
             batch.texts.append(Text(channel.topic, log_time_ns, plain(data), self._path, offset))
 

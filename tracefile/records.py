@@ -7,6 +7,7 @@ file, chunks opened; the event reader uses only `RecordFile` and the tables, and
 from __future__ import annotations
 
 import os
+import stat
 import struct
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -298,10 +299,16 @@ class RecordFile(AbstractContextManager["RecordFile"]):
     def __init__(self, path: Path, shown_as: Path | None = None) -> None:
         self.path = shown_as or path
         try:
-            self._descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+            self._descriptor = os.open(
+                path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK
+            )  # a pipe would wait for a writer
         except OSError as err:
             raise TraceFormatError(self.path, f"cannot be read ({err.strerror})") from err
-        self.size = os.fstat(self._descriptor).st_size
+        status = os.fstat(self._descriptor)
+        self.size = status.st_size
+        if not stat.S_ISREG(status.st_mode):
+            self.close()
+            raise TraceFormatError(self.path, "no MCAP file: it is no regular file")
         begin = self.read(0, min(len(MAGIC), self.size))
         if begin != MAGIC[: len(begin)]:
             self.close()

@@ -51,7 +51,10 @@ def storage_files(path: Path) -> list[Path]:
     """
     if not path.is_dir():
         return [path]
-    found = [file for file in path.iterdir() if _opener_suffix(file) and file.is_file()]
+    try:
+        found = [file for file in path.iterdir() if _opener_suffix(file) and file.is_file()]
+    except OSError as err:
+        raise TraceFormatError(path, f"cannot be read ({err.strerror})") from err
     files = [file for file in found if file.suffix != ZSTD_SUFFIX or file.with_suffix("") not in found]
     if not files:
         raise TraceFormatError(path, "no rosbag2 folder: no .mcap or .db3 file is in it")
@@ -65,7 +68,10 @@ def storage_files(path: Path) -> list[Path]:
 
 def is_bag(folder: Path) -> bool:
     """Whether a folder is a rosbag2 folder: `metadata.yaml` is there, and a storage file."""
-    return (folder / BAG_METADATA).is_file() and any(_opener_suffix(file) for file in folder.iterdir())
+    try:
+        return (folder / BAG_METADATA).is_file() and any(_opener_suffix(file) for file in folder.iterdir())
+    except OSError:  # no permission: nothing in it can be found either
+        return False
 
 
 @contextmanager

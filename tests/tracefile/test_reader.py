@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import os
 
 import numpy as np
 import pytest
@@ -245,6 +246,19 @@ class TestDescriptions:
         with pytest.raises(TraceFormatError, match="no serialized std_msgs/msg/String"):
             read_trace(path)
 
+    @pytest.mark.parametrize("chunked", [True, False])
+    def test_a_text_as_long_as_an_event_is_still_a_text(self, tmp_path, chunked):
+        texts = [json.dumps({"cpu": n, "x": "y" * (29 + n)}) for n in range(10)]
+        messages = [RawMessage(HOST_TOPIC, string_cdr(text), kind=STRING) for text in texts]
+        lengths = [len(message.data) for message in messages]
+        assert 60 in lengths
+        assert lengths[0] < 60 < lengths[-1]
+        messages.insert(5, RawMessage(Stage.T1.topic, pack_event(1, 2, 3)))
+        trace = read_trace(write_messages(tmp_path / "t.mcap", messages, chunked=chunked))
+        assert [sample["cpu"] for sample in trace.host_samples] == list(range(10))
+        assert rows(trace.events[Stage.T1]) == [(1, 2, 3, 0, 0, 0, 0, 0)]
+        assert trace.notes == ()
+
     def test_host_samples_that_are_no_objects_are_noted(self, tmp_path):
         texts = ["[1]", "nonsense", "[" * 100_000, '{"cpu": 2}']
         messages = [RawMessage(HOST_TOPIC, string_cdr(text), kind=STRING) for text in texts]
@@ -323,6 +337,11 @@ class TestNoTrace:
     def test_a_closed_file_without_any_topic(self, tmp_path):
         with pytest.raises(TraceFormatError, match="no topic"):
             read_trace(write_messages(tmp_path / "t.mcap", []))
+
+    def test_a_pipe(self, tmp_path):
+        os.mkfifo(tmp_path / "t.mcap")
+        with pytest.raises(TraceFormatError, match="no regular file"):
+            read_trace(tmp_path / "t.mcap")
 
     def test_nothing_there(self, tmp_path):
         with pytest.raises(TraceFormatError, match=r"No such file"):

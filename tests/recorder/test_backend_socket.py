@@ -252,3 +252,15 @@ def test_nobody_answers(domain_id, tmp_path):
     assert done.status == 8
     assert "saw: 0 other nodes" in done.stderr
     assert not (tmp_path / "ping.mcap").exists()
+
+
+@pytest.mark.middleware
+def test_a_ping_is_told_where_the_relay_is(domain_id, tmp_path):
+    with relay(domain_id, tmp_path / "relay.mcap", *SOCKET) as command:
+        done = ping(
+            *(domain_id, tmp_path / "ping.mcap", *SOCKET, "--data", "imu", "--messages", 5, "--rate", 50),
+            *("--discovery", "subnet", "--peer", f"127.0.0.1:{port_of(domain_id, SOCKET_PORT)}"),
+        )
+        command.stop()
+    assert done.status == 0, done.stderr
+    assert len(read_trace(tmp_path / "ping.mcap").events[Stage.T2]) == 15

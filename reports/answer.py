@@ -4,26 +4,27 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from reports.figures.domain_difference import domain_pairs
-from reports.groups import METRICS, data_type_label, domain_label, groups_info, vendor_pair_label
-from reports.text import format_count, format_ns, format_ratio
+import polars as pl
+
+from reports.groups import METRICS, data_type_label, groups_info, pair_label, vendor_pair_label
+from reports.text import format_count, format_ns, format_ratio, visible
 from reports.values import values_info
 from reports.verdicts import (
     CLEARLY,
     MODES,
     Verdict,
     cells_label,
-    clearly_faster,
     contender_labels,
     verdicts_info,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping, Sequence
 
-    from analyzer.analysis import Analysis
+    from analyzer import Analysis
+    from analyzer import Answer as CellAnswer
     from reports.groups import Groups
     from reports.values import Values
 
@@ -48,7 +49,7 @@ class Answer:
 
 
 def answer_info(analysis: Analysis) -> Answer:
-    """The answer that `analysis.summary` supports."""
+    """The answer that `analysis.details` supports."""
     groups, values = groups_info(analysis), values_info(analysis)
     metric = values.default_metric
     if not groups.groups:
@@ -57,20 +58,25 @@ def answer_info(analysis: Analysis) -> Answer:
         return Answer(
             "No message came back, so there is no time to compare.", metric, (), (_losses(values),), ""
         )
-    verdicts = verdicts_info(groups, values, metric)
-    bridges = _bridge_remarks(analysis, groups, values, metric)
+    # Answers are about the latency. Without any relay's trace nobody knows it, and there is nothing to judge.
+    known = analysis.details if metric == "latency" else None
+    answers = known.answers if known else ()
+    verdicts = verdicts_info(answers)
+    bridges = _bridge_remarks(known.bridge_costs) if known else []
     remarks = (*_unknown_remarks(metric), *_level_remarks(groups, values, metric), *bridges, _losses(values))
     return Answer(
-        _headline(verdicts, groups), metric, verdicts, remarks, CLEARLY if verdicts or bridges else ""
+        _headline(verdicts, groups, answers), metric, verdicts, remarks, CLEARLY if verdicts else ""
     )
 
 
-def _headline(verdicts: tuple[Verdict, ...], groups: Groups) -> str:
+def _headline(verdicts: tuple[Verdict, ...], groups: Groups, answers: Sequence[CellAnswer]) -> str:
+    vendors = sorted({vendor_pair_label(series) for series in groups.series})
     if not verdicts:
-        vendors = sorted({vendor_pair_label(series) for series in groups.series})
         if len(vendors) == 1:
             return f"Only {vendors[0]} was measured, so there is no choice of middleware to make."
-        names = sorted(set(contender_labels(groups).values()))
+        if not answers:
+            return f"{_and(vendors)} were not compared: that takes the latency of every message in memory."
+        names = sorted(set(contender_labels(answers).values()))
         return f"{_and(names)} were not measured under equal conditions, so no choice can be made from this."
     if not any(verdict.wins for verdict in verdicts):
         cells = sum(verdict.cells for verdict in verdicts)
@@ -127,33 +133,41 @@ def _place(groups: Groups, index: int) -> str:
     return f"{cell}, {label}"
 
 
-def _bridge_remarks(analysis: Analysis, groups: Groups, values: Values, metric: str) -> list[str]:
-    """What crossing to another domain did to the median, per vendor and way."""
-    ways: dict[str, list[tuple[int, int]]] = {}
-    for same, different in domain_pairs(analysis):
-        medians = values.times_ns[metric]["p50"]
-        if medians[same] is not None and medians[different] is not None:
-            series = groups.series_of(groups.groups[different])
-            ways.setdefault(f"{vendor_pair_label(series)}, {domain_label(series)}", []).append(
-                (same, different)
-            )
-    return [_bridge_remark(way, pairs, values, metric) for way, pairs in ways.items()]
+def _bridge_remarks(costs: pl.DataFrame) -> list[str]:
+    """What crossing to another domain did to the median latency, per vendor and bridge, by measured intervals."""
+    ways: dict[str, list[dict[str, Any]]] = {}
+    known = (pl.col("statistic") == "p50") & (pl.col("metric") == "latency")
+    for row in costs.filter(known & pl.col("difference_ns").is_not_null()).iter_rows(named=True):
+        ways.setdefault(way_label(row), []).append(row)
+    return [_bridge_remark(way, rows) for way, rows in ways.items()]
 
 
-def _bridge_remark(way: str, pairs: list[tuple[int, int]], values: Values, metric: str) -> str:
-    medians = values.times_ns[metric]["p50"]
-    added = sorted((medians[different] or 0) - (medians[same] or 0) for same, different in pairs)
-    slower = sum(clearly_faster(values, metric, same, different) for same, different in pairs)
-    faster = sum(clearly_faster(values, metric, different, same) for same, different in pairs)
-    if len(pairs) == 1:
-        verdict = "clearly slower" if slower else "clearly faster" if faster else "inconclusive"
-        return (
-            f"{way}: median {_signed(added[0])} against the same domain in the one cell compared; {verdict}."
-        )
-    counts = [f"clearly slower in {slower} of {cells_label(len(pairs))}"] if slower else []
-    counts += [f"clearly faster in {faster}"] if faster else []
-    counts += [f"inconclusive in {len(pairs) - slower - faster}"] if slower + faster < len(pairs) else []
+# Verdict of `analyzer.compare` on the way through a bridge, in words and in the order in which they are said.
+_BRIDGE_VERDICTS = {
+    "worse": "clearly slower",
+    "better": "clearly faster",
+    "same": "the same within 5 %",
+    "inconclusive": "inconclusive",
+}
+
+
+def _bridge_remark(way: str, rows: list[dict[str, Any]]) -> str:
+    added = sorted(row["difference_ns"] for row in rows)
+    if len(rows) == 1:
+        said = _BRIDGE_VERDICTS[rows[0]["verdict"]]
+        low, high = rows[0]["difference_low_ns"], rows[0]["difference_high_ns"]
+        between = "" if low is None or high is None else f" (95 %: {_signed(low)} to {_signed(high)})"
+        return f"{way}: median {_signed(added[0])}{between} against the same domain in the one cell compared; {said}."
+    found = Counter(row["verdict"] for row in rows)
+    counts = [f"{words} in {found[name]}" for name, words in _BRIDGE_VERDICTS.items() if found[name]]
+    counts[0] += f" of {cells_label(len(rows))}"
     return f"{way}: median {_signed(added[0])} to {_signed(added[-1])} against the same domain; {', '.join(counts)}."
+
+
+def way_label(row: Mapping[str, Any]) -> str:
+    """As in `Fast DDS, via builtin`, of a row of `bridge_costs`."""
+    way = "different domains" if row["bridge"] == "none" else f"via {visible(row['bridge'])}"
+    return f"{pair_label(row['vendor'], row['relay_vendor'])}, {way}"
 
 
 def _signed(value_ns: float) -> str:

@@ -142,10 +142,14 @@ def data_type_label(data_type: str) -> str:
 
 def vendor_pair_label(series: Series) -> str:
     """The vendor, or both where ping and relay differ."""
-    relay = series.relay_vendor
-    if relay is None or relay == series.vendor:
-        return vendor_label(series.vendor)
-    return f"{vendor_label(series.vendor)} → {vendor_label(relay)}"
+    return pair_label(series.vendor, series.relay_vendor)
+
+
+def pair_label(vendor: str, relay_vendor: str | None) -> str:
+    """The same of two vendors; the relay's is None without its trace."""
+    if relay_vendor is None or relay_vendor == vendor:
+        return vendor_label(vendor)
+    return f"{vendor_label(vendor)} → {vendor_label(relay_vendor)}"
 
 
 def domain_label(series: Series) -> str:

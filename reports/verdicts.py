@@ -1,51 +1,42 @@
-"""Which contender is clearly faster, cell by cell: the only judgement that a report makes.
+"""Which contender is clearly fastest, by kind of data: the analyzer's answers (`analyzer.answers`) with names for people.
 
-Nothing is computed but comparisons and counts of what `summary` holds.
+Nothing is judged here: what overlaps and what leads was measured.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from reports.groups import data_type_label, device_label, qos_label, vendor_pair_label
+from analyzer import find_headlines
+from reports.groups import DATA_TYPES, data_type_label, pair_label
 from reports.text import visible
 
 if TYPE_CHECKING:
-    from reports.groups import Groups, Series
-    from reports.values import Values
+    from collections.abc import Mapping, Sequence
+
+    from analyzer import Answer, Headline
 
 CLEARLY = (
-    "A cell is one data type, size and rate. One is called clearly faster only where nine of ten of its messages were faster than half of the other's "
-    "(its p90 is below the other's median) and it lost no larger share of them; anything closer is inconclusive. "
-    "This compares what was recorded; repeat a run before you rely on it."
+    "A cell is one data type, size and rate. One is called clearly fastest only where the 95 % confidence interval of its p99 "
+    "(of its median, where a sample is too small for that) lies wholly below the intervals of all the others; lost messages count as "
+    "infinitely late. Where intervals overlap the answer is inconclusive."
 )
 
 MODES = {"same": "same domain", "different": "different domains"}
 
-
-@dataclass(frozen=True, slots=True)
-class Contender:
-    """What a reader can choose: a middleware, how it is called, and the bridge it needs."""
-
-    vendor: str
-    relay_vendor: str | None
-    backend: str
-    relay_backend: str | None
-    rmw: str | None
-    bridge: str
-
-
-@dataclass(frozen=True, slots=True)
-class Context:
-    """What must be equal for a fair comparison, all as labels, the most telling first."""
-
-    mode: str
-    qos: str
-    serialization: str
-    devices: str
-    connectivity: str
+# Columns of a setting that tell two contenders of one name apart, the most telling first.
+_FURTHER = (
+    "backend",
+    "relay_backend",
+    "rmw",
+    "reliability",
+    "durability",
+    "history",
+    "depth",
+    "serialization",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +53,7 @@ class Verdict:
     """What one kind of data says about its contenders, over all cells in which at least two were measured.
 
     Attributes:
-        data: data type and domain mode (and what else tells contexts apart), as in `Binary, same domain`.
+        data: data type and domain mode (and the link where several were measured), as in `Binary, same domain`.
         mode: the domain mode in words.
         cells: compared cells.
         wins: most cells first.
@@ -89,57 +80,44 @@ class Verdict:
         return "; ".join(parts) + "."
 
 
-def clearly_faster(values: Values, metric: str, one: int, other: int) -> bool:
-    """Whether group `one` is told apart from group `other` by the rule of `CLEARLY`."""
-    p90, median = values.times_ns[metric]["p90"][one], values.times_ns[metric]["p50"][other]
-    kept, others_kept = values.plain["received_ratio"][one], values.plain["received_ratio"][other]
-    if p90 is None or median is None or kept is None or others_kept is None:
-        return False
-    return p90 < median and kept >= others_kept
-
-
-def verdicts_info(groups: Groups, values: Values, metric: str) -> tuple[Verdict, ...]:
-    """One verdict per data type and context in which two contenders met, in the order of cells."""
-    names = contender_labels(groups)
-    contests: dict[tuple[str, Context], dict[int, list[int]]] = {}
-    for group in sorted(groups.groups, key=lambda group: (group.cell, group.series)):
-        if values.times_ns[metric]["p50"][group.index] is not None:
-            place = (groups.cell_of(group).data_type, _context(groups.series_of(group)))
-            contests.setdefault(place, {}).setdefault(group.cell, []).append(group.index)
-    telling = _telling_parts([context for _, context in contests])
+def verdicts_info(answers: Sequence[Answer]) -> tuple[Verdict, ...]:
+    """One verdict per kind of data in which two contenders met, data types and domain modes in their usual order."""
+    contenders = {one.name: one for answer in answers for one in answer.contenders}
+    labels = contender_labels(answers)
+    several_links = len({answer.connectivity for answer in answers}) > 1
     verdicts = []
-    for (data_type, context), cells in contests.items():
-        compared = [entries for entries in cells.values() if _is_contest(entries, groups)]
-        if not compared:
+    for headline in sorted(find_headlines(answers), key=_order):
+        if not headline.cases:
             continue
-        winners = [_winner(entries, values, metric) for entries in compared]
-        counts = Counter(_contender(groups.series_of(groups.groups[w])) for w in winners if w is not None)
-        wins = [Win(names[contender], contender.vendor, count) for contender, count in counts.items()]
+        mode = MODES.get(headline.domain_mode, visible(headline.domain_mode))
+        link = [visible(headline.connectivity)] if several_links else []
         verdicts.append(
             Verdict(
-                ", ".join([data_type_label(data_type), *(getattr(context, part) for part in telling)]),
-                context.mode,
-                len(compared),
-                tuple(sorted(wins, key=lambda win: (-win.cells, win.contender))),
-                winners.count(None),
+                data=", ".join([data_type_label(headline.data_type), mode, *link]),
+                mode=mode,
+                cells=headline.cases,
+                wins=tuple(
+                    Win(labels[win.name], str(contenders[win.name].setting["vendor"]), win.cases)
+                    for win in headline.wins
+                ),
+                inconclusive=headline.inconclusive,
             )
         )
     return tuple(verdicts)
 
 
-def contender_labels(groups: Groups) -> dict[Contender, str]:
-    """Each contender's name, with backend or rmw where two would else have the same."""
-    labels = {}
-    for series in groups.series:
-        via = "" if series.bridge == "none" else f" via {visible(series.bridge)}"
-        labels[_contender(series)] = vendor_pair_label(series) + via
-    for detail in ("backend", "rmw"):
+def contender_labels(answers: Sequence[Answer]) -> dict[str, str]:
+    """The label of each contender by its name in the answers: vendor and bridge, and more where these are not enough."""
+    settings = {one.name: one.setting for answer in answers for one in answer.contenders}
+    labels = {name: _label(setting) for name, setting in settings.items()}
+    for column in _FURTHER:
         twice = {label for label, count in Counter(labels.values()).items() if count > 1}
+        differing = {
+            label for label in twice if len({settings[n][column] for n in labels if labels[n] == label}) > 1
+        }
         labels = {
-            one: f"{label} ({visible(getattr(one, detail))})"
-            if label in twice and getattr(one, detail)
-            else label
-            for one, label in labels.items()
+            name: f"{label}, {_value(settings[name], column)}" if label in differing else label
+            for name, label in labels.items()
         }
     return labels
 
@@ -149,35 +127,17 @@ def cells_label(count: int) -> str:
     return f"{count} cell{'' if count == 1 else 's'}"
 
 
-def _contender(series: Series) -> Contender:
-    return Contender(**{name: getattr(series, name) for name in Contender.__dataclass_fields__})
+def _label(setting: Mapping[str, Any]) -> str:
+    pair = pair_label(setting["vendor"], setting["relay_vendor"])
+    return pair if setting["bridge"] == "none" else f"{pair} via {visible(setting['bridge'])}"
 
 
-def _context(series: Series) -> Context:
-    return Context(
-        MODES.get(series.domain_mode, visible(series.domain_mode)),
-        qos_label(series),
-        visible(series.serialization),
-        device_label(series),
-        visible(series.connectivity),
-    )
+def _value(setting: Mapping[str, Any], column: str) -> str:
+    value = setting[column]
+    return visible(f"depth {value}" if column == "depth" else value)
 
 
-def _is_contest(entries: list[int], groups: Groups) -> bool:
-    return len({_contender(groups.series_of(groups.groups[entry])) for entry in entries}) > 1
-
-
-def _winner(entries: list[int], values: Values, metric: str) -> int | None:
-    for one in entries:
-        if all(one == other or clearly_faster(values, metric, one, other) for other in entries):
-            return one
-    return None
-
-
-def _telling_parts(contexts: list[Context]) -> list[str]:
-    """The parts of the contexts worth naming: the domain mode, and each in which they differ."""
-    return [
-        part
-        for part in Context.__dataclass_fields__
-        if part == "mode" or len({getattr(context, part) for context in contexts}) > 1
-    ]
+def _order(headline: Headline) -> tuple[int, str, bool, str]:
+    known = [*DATA_TYPES, headline.data_type]
+    place = known.index(headline.data_type)
+    return place, headline.data_type, headline.domain_mode != "same", headline.connectivity

@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
-from analyzer.analysis import Analysis, Finding, Severity, Source
+from analyzer.analysis import Analysis, Details, Finding, Severity, Source
+from analyzer.answers import find_answers
+from analyzer.breakdown import break_down, response_against_latency, summarize_breakdown
+from analyzer.compare import CompareOptions, bridge_cost
+from analyzer.freshness import outage_table, summarize_freshness
+from analyzer.group_frames import INTERVAL_SCHEMA, ONE_WAY_SCHEMA
+from analyzer.host_samples import HOST_SAMPLE_SCHEMA
+from analyzer.intervals import percentile_interval
+from analyzer.one_way import KNOT_SCHEMA, SEGMENT_SCHEMA
 from analyzer.rows import RoundTripRows
 from tracefile.descriptions import Qos, Run, Session
 
@@ -20,7 +28,10 @@ if TYPE_CHECKING:
 
 MS = 1_000_000
 WALL_START_NS = 1_790_000_000 * 10**9  # 2026-09-21 14:13:20 UTC
+QUANTILES = {"p50": 0.5, "p90": 0.9, "p95": 0.95, "p99": 0.99, "p99_9": 0.999}
 NEEDED = {"p50": 1, "p90": 10, "p95": 20, "p99": 100, "p99_9": 1000}
+RECORDER_COST = {"timer_ns": 60, "record_median_ns": 900, "record_p99_ns": 2000, "record_max_ns": 30_000}
+CLOCK_BOUND_NS = 50_000
 LOSSES = ("lost_outbound", "lost_in_relay", "lost_return", "lost_unknown")
 
 PARAMETERS: dict[str, Any] = {
@@ -59,6 +70,7 @@ ROUNDTRIPS: dict[str, Any] = {
     "outcome": pl.String,
     "duplicates": pl.UInt16,
     "reordered": pl.Boolean,
+    **dict.fromkeys(("outbound_ns", "return_ns", "clock_bound_ns"), pl.Int64),
 }
 SUMMARY: dict[str, Any] = {
     **PARAMETERS,
@@ -156,6 +168,11 @@ class Measured:
             relay_in = 500 + publish + message
             row.update(relay_in_ns=relay_in, relay_out_ns=relay_in + self.intermediate_ns)
             row.update(intermediate_ns=self.intermediate_ns, latency_ns=message)
+            # The way out takes a tenth longer than the way back, in whole microseconds.
+            longer = message // 20_000 * 1000
+            row.update(
+                outbound_ns=message + longer, return_ns=message - longer, clock_bound_ns=CLOCK_BOUND_NS
+            )
         return row
 
 
@@ -214,7 +231,143 @@ def make_analysis(*measured: Measured, findings: Sequence[Finding] = (), title: 
         timeline=pl.DataFrame(timeline, schema=TIMELINE),
         timeline_decimated=False,
         findings=tuple(findings),
+        details=_details(ordered, pl.DataFrame(roundtrips, schema=ROUNDTRIPS)),
     )
+
+
+def _details(ordered: Sequence[Measured], roundtrips: pl.DataFrame) -> Details:
+    """By the functions of the analyzer where they take rows; by hand what rests on other events."""
+    rows = roundtrips.with_columns(group=(pl.col("run_id") - 0xA000).cast(pl.UInt32))
+    group_of_run = rows.select("run_id", "relay_id", "group").unique(maintain_order=True)
+
+    def of_groups(frame: pl.DataFrame) -> pl.DataFrame:
+        return frame.join(group_of_run, on=["run_id", "relay_id"], how="left", maintain_order="left").select(
+            "group", *frame.columns
+        )
+
+    return Details(
+        intervals=_intervals(rows),
+        one_way=_one_way(rows),
+        breakdown=summarize_breakdown(break_down(rows), ["group"]),
+        responses=response_against_latency(rows, ["group"]),
+        freshness=of_groups(summarize_freshness(rows)),
+        outages=of_groups(outage_table(rows)),
+        clock_fits=_clock_fits(ordered),
+        clock_knots=_clock_knots(ordered),
+        host_samples=_host_samples(ordered),
+        bridge_costs=bridge_cost(
+            roundtrips, CompareOptions(metrics=("latency",), statistics=("p50", "p99"), replicates=100)
+        ),
+        answers=find_answers(roundtrips),
+    )
+
+
+def _intervals(rows: pl.DataFrame) -> pl.DataFrame:
+    found = []
+    for (group,), part in rows.group_by(["group"], maintain_order=True):
+        for metric in ("rtt", "intermediate", "latency", "response"):
+            values = part[f"{metric}_ns"].drop_nulls().to_numpy()
+            for name, quantile in QUANTILES.items() if len(values) else ():
+                interval = percentile_interval(values, quantile)
+                found.append(
+                    {
+                        "group": group,
+                        "metric": metric,
+                        "percentile": name,
+                        "quantile": quantile,
+                        "estimate_ns": interval.value,
+                        "low_ns": interval.lower,
+                        "high_ns": interval.upper,
+                        "method": "order_statistics" if interval.is_two_sided else None,
+                        "confidence": interval.confidence,
+                        "messages": interval.samples,
+                        "independent": interval.independent,
+                    }
+                )
+    return pl.DataFrame(found, schema=INTERVAL_SCHEMA)
+
+
+def _one_way(rows: pl.DataFrame) -> pl.DataFrame:
+    found = []
+    for (group,), part in rows.group_by(["group"], maintain_order=True):
+        for metric in ("outbound", "return"):
+            values = part[f"{metric}_ns"].drop_nulls().to_list()
+            if values:
+                described = describe(values)
+                del described["std"]
+                found.append(
+                    {"group": group, "metric": metric, "messages": len(values)}
+                    | {f"{name}_ns": value for name, value in described.items()}
+                    | {"bound_p50_ns": CLOCK_BOUND_NS, "bound_max_ns": CLOCK_BOUND_NS}
+                )
+    return pl.DataFrame(found, schema=ONE_WAY_SCHEMA)
+
+
+def _pairs(ordered: Sequence[Measured]) -> list[tuple[str, str]]:
+    return sorted({(one.ping_device, one.relay_device) for one in ordered if one.relay_device is not None})
+
+
+def _clock_fits(ordered: Sequence[Measured]) -> pl.DataFrame:
+    """Every relay's clock is 500 ns ahead at the first second and gains 20 ppm."""
+    rows = [
+        {
+            "ping_device": ping,
+            "relay_device": relay,
+            "boot": 0,
+            "same_clock": False,
+            "segment": 0,
+            "start_ns": 10**9,
+            "end_ns": 11 * 10**9,
+            "at_ns": 10**9,
+            "offset_ns": 500,
+            "bound_ns": CLOCK_BOUND_NS,
+            "drift_ppb": 20_000.0,
+            "drift_bound_ppb": 1_000.0,
+            "residual_ns": 100,
+        }
+        for ping, relay in _pairs(ordered)
+    ]
+    return pl.DataFrame(rows, schema=SEGMENT_SCHEMA)
+
+
+def _clock_knots(ordered: Sequence[Measured]) -> pl.DataFrame:
+    rows = [
+        {
+            "group": group,
+            "run_id": 0xA000 + group,
+            "relay_id": 7,
+            "ping_device": one.ping_device,
+            "relay_device": one.relay_device,
+            "messages": len(one.messages),
+            "at_ns": (1 + second) * 10**9,
+            "offset_ns": 500 + 20_000 * second,
+            "bound_ns": CLOCK_BOUND_NS,
+        }
+        for group, one in enumerate(ordered)
+        if one.relayed and any(not isinstance(message, str) for message in one.messages)
+        for second in (0, 10)
+    ]
+    return pl.DataFrame(rows, schema=KNOT_SCHEMA)
+
+
+def _host_samples(ordered: Sequence[Measured]) -> pl.DataFrame:
+    """One sample a second of each session for three seconds, the relay twice as busy as the ping."""
+    rows = [
+        {
+            "session_id": session.session_id,
+            "role": session.role,
+            "device": session.device,
+            "wall_ns": WALL_START_NS + second * 10**9,
+            "monotonic_ns": (1 + second) * 10**9,
+            "cpu_percent": 10.0 + second,
+            "cpu_busiest_percent": (20.0 if session.role == "ping" else 40.0) + second,
+            "bridge_cpu_percent": 30.0 if session.role == "ping" else None,
+            "wifi_signal_dbm": -50.0 - second if session.connectivity == "wireless" else None,
+        }
+        for session in _sessions(ordered)
+        for second in range(3)
+    ]
+    return pl.DataFrame(rows, schema=HOST_SAMPLE_SCHEMA)
 
 
 def _summary_row(one: Measured, rows: list[dict[str, Any]]) -> dict[str, Any]:
@@ -258,6 +411,7 @@ def _sessions(measured: Sequence[Measured]) -> tuple[Session, ...]:
             monotonic_anchor_ns=10**9,
             host={"cpu_model": "Cortex-A76", "cores": 4, "kernel": "6.6.31"},
             state="closed",
+            extra={"recorder_cost": RECORDER_COST},
         )
         for number, (role, (device, vendor, backend, connectivity)) in enumerate(
             [("ping", one) for one in pings] + [("relay", one) for one in relays]

@@ -57,8 +57,22 @@ class Side:
 
     @property
     def prefix(self) -> list[str]:
-        """What stands before a command that is to run in this namespace."""
-        return [shutil.which("ip", path=_PATH) or "ip", "netns", "exec", self.namespace]
+        """What stands before a command that is to run in this namespace, with shared memory of its own.
+
+        `ip netns exec` gives the command its own view of mounts, so the mount is for it alone. With one `/dev/shm` for
+        both sides a middleware that finds the other one there would send its messages past the link (Zenoh does).
+        """
+        own_memory = 'mount -t tmpfs -o mode=1777 tmpfs /dev/shm && exec "$@"'
+        return [
+            shutil.which("ip", path=_PATH) or "ip",
+            "netns",
+            "exec",
+            self.namespace,
+            "sh",
+            "-c",
+            own_memory,
+            "sh",
+        ]
 
 
 class NamespacePair:

@@ -31,6 +31,7 @@ class CellResult:
         planned: messages that the schedule held.
         published: messages handed to the middleware.
         received: published messages whose reply came.
+        sent_bytes: application bytes of the published messages, of the warm-up as well.
         achieved_rate_hz: of publishing, None with fewer than two messages.
         rtt_ms: percentile (`p50`, `p90`, `p95`, `p99`, `p99.9`) -> T2 - T1, None without replies.
         response_ms: likewise T2 - T0.
@@ -42,6 +43,7 @@ class CellResult:
     planned: int
     published: int
     received: int
+    sent_bytes: int
     achieved_rate_hz: float | None
     rtt_ms: dict[str, float] | None
     response_ms: dict[str, float] | None
@@ -86,6 +88,7 @@ def read_result(path: Path) -> CellResult:
         planned=run.planned_messages,
         published=len(sent),
         received=len(both),
+        sent_bytes=int(trace.events[Stage.T1].payload_bytes.sum(dtype=np.int64)),
         achieved_rate_hz=(len(sent) - 1) / (span_ns / 1e9) if span_ns else None,
         rtt_ms=_percentiles(receive_ns[in_answered] - sent.monotonic_ns[in_sent]),
         response_ms=_percentiles(receive_ns[in_answered] - sent.scheduled_ns[in_sent]),

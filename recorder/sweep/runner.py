@@ -205,6 +205,11 @@ class Runner:
         if not result.published:
             raise CellFailedError(f"it sent nothing: {program.last_words()}")
         link = self._measure_link()
+        if link and link["ping"]["sent_bytes"] < result.sent_bytes:
+            raise CellFailedError(
+                f"its messages did not cross the link: {link['ping']['sent_bytes']} bytes of {result.sent_bytes} did",
+                hopeless=True,
+            )
         draft.replace(self.ping_path(cell.name))
         self._estimate.measured(cell, time.monotonic() - began_s)
         return result, link

@@ -133,6 +133,22 @@ def test_every_preset_can_be_applied_and_leaves_nothing_behind(link):
 
 
 @skipped
+def test_shared_memory_does_not_reach_from_one_side_to_the_other(tmp_path):
+    look = "import os, sys; print(*os.listdir('/dev/shm')); open('/dev/shm/ddstrace-test', 'w')"
+    with NamespacePair(None) as pair:
+        for side in (pair.ping, pair.relay):
+            done = subprocess.run(
+                [*side.prefix, sys.executable, "-c", look],
+                capture_output=True,
+                text=True,
+                check=True,
+                cwd=tmp_path,
+            )
+            assert done.stdout.split() == []
+    assert not Path("/dev/shm/ddstrace-test").exists()
+
+
+@skipped
 def test_namespaces_of_a_killed_sweep_are_removed_by_the_next():
     ended = subprocess.Popen(["true"])
     ended.wait()

@@ -29,6 +29,7 @@ def write(path, messages=TIMELINE, *, dropped=0, **fields):
 def test_numbers_of_a_run_by_hand(tmp_path):
     result = read_result(write(tmp_path / "a.mcap", dropped=2))
     assert (result.planned, result.published, result.received) == (4, 4, 3)
+    assert result.sent_bytes == 5 * 33_000
     assert result.loss_percent == 25.0
     assert result.rtt_ms["p50"] == 2.0  # of 1, 2, 3
     assert result.response_ms["p50"] == 3.0  # of 1, 4, 3

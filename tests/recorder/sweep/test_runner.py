@@ -9,17 +9,21 @@ import sys
 import threading
 import time
 from collections import Counter
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from trace_files import Message, ping_events, ping_session, relay_events, relay_session, run, write_trace
 
 import recorder.sweep.runner as runner_module
+from recorder.sweep import sweep as sweep_module
 from recorder.sweep.plan_file import parse_plan
 from recorder.sweep.search import Answer
 from recorder.sweep.state import Status, SweepState
+from recorder.sweep.station import open_station
 from recorder.sweep.sweep import run_search, run_sweep
-from tracefile import HOST_TOPIC, OptionError, Stage, read_trace
+from tracefile import OptionError, Stage, read_trace
 
 STAND_IN = Path(__file__).parents[2] / "support" / "stand_in_recorder.py"
 COMMAND = [sys.executable, "-I", "-S", str(STAND_IN)]
@@ -344,20 +348,29 @@ def test_interruption_keeps_what_is_complete_and_goes_on_from_there(desk):
     assert desk.started == {FIRST: 1, SECOND: 2, "relay": 2}
 
 
-def test_host_samples_of_the_relay_and_of_the_link_are_in_the_cells_file(desk, monkeypatch):
-    from contextlib import contextmanager
-    from dataclasses import replace
-
-    from recorder.sweep import sweep as sweep_module
-    from recorder.sweep.station import open_station
+@pytest.fixture
+def link(monkeypatch):
+    """What the stand-ins' link is said to have done; the test fills it in."""
+    measured = {"link": {"rate_mbit_s": 54}, "ping": {"sent_bytes": 5 * 33_000}}
 
     @contextmanager
     def with_link(*arguments, **options):
         with open_station(*arguments, **options) as station:
-            yield replace(station, measure_link=lambda: {"link": {"rate_mbit_s": 54}})
+            yield replace(station, measure_link=lambda: measured)
 
     monkeypatch.setattr(sweep_module, "open_station", with_link)
+    return measured
+
+
+def test_what_the_link_did_is_in_the_cells_file(desk, link):
     desk.sweep()
     relay = read_trace(desk.folder / "runs/plan" / f"{FIRST}.relay.mcap")
-    assert [sample["link"] for sample in relay.host_samples if "link" in sample] == [{"rate_mbit_s": 54}]
-    assert HOST_TOPIC == "/dds_trace/host"
+    assert [sample["link"] for sample in relay.host_samples if "link" in sample] == [link["link"]]
+
+
+def test_messages_that_went_past_the_link_are_no_measurement_of_it(desk, link):
+    link["ping"]["sent_bytes"] = 2000
+    assert desk.sweep().missing == dict.fromkeys(
+        (FIRST, SECOND), "its messages did not cross the link: 2000 bytes of 165000 did"
+    )
+    assert desk.traces == []

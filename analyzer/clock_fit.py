@@ -209,6 +209,8 @@ def fit_clock(
             low[start + begin : start + end] = np.maximum(lowest, window.lower)
             high[start + begin : start + end] = np.minimum(highest, window.upper)
             best.append(_Best.of(window, lines))
+        if not best:  # its messages speak for themselves, each within its own bound
+            continue
         if segments:
             steps.append(_step(points.time[[before - 1, start]], edge, best[0].first, time_origin_ns))
         segments.append(_segment(stretch, best, time_origin_ns, offset_origin_ns))

@@ -135,7 +135,8 @@ def _search(plan: Plan, out: Path, as_json: bool) -> int:
         table = Table(*COLUMNS, box=None)
         for row in rows:
             table.add_row(*row)
-        Console().print(table)
+        # A terminal folds what is too long for it; a file is to have whole lines.
+        Console(width=None if sys.stdout.isatty() else 200).print(table)
         for path in written:
             print(f"Wrote {path}")
     return INCOMPLETE_EXIT_CODE if any(found.answer is Answer.FAILED for found in answers) else 0

@@ -219,3 +219,20 @@ def test_cells_that_cannot_be_recorded_are_named_and_the_exit_code_tells(sweep):
     assert code == 10
     assert "1 of 2 cells are complete" in stdout
     assert "no bridge 'no-such-bridge'" in stderr.splitlines()[-1]
+
+
+@pytest.mark.slow
+def test_highest_rate_is_what_the_link_carries(sweep):
+    """100 KB in 70 segments of at most 1448 bytes are 105 KB on the wire: 100 Mbit/s carry 119 a second."""
+    if os.geteuid() != 0:
+        pytest.skip("network namespaces need root")
+    small = sweep(
+        '[axes]\nbackend = "socket"\nsize = "100KB"\n[link]\nrate_mbit_s = 100\n'
+        "[search]\nmin_rate = 10\nmax_rate = 1000\ndeadline_ms = 100\nseconds = 3\n"
+    )
+    code, stdout, stderr = small.run("--max-rate", "--json")
+    assert code == 0, stderr
+    (found,) = json.loads(stdout)
+    assert found["answer"] == "found"
+    assert float(found["max_rate_hz"]) < 119.5
+    assert (small.runs.parent / "small-max-rate" / "max_rate.svg").exists()

@@ -18,7 +18,7 @@ from reports.groups import (
     vendor_label,
     vendor_pair_label,
 )
-from reports.text import format_count, format_hz, format_size, visible
+from reports.text import format_count, format_hz, format_ns, format_size, visible
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -64,6 +64,7 @@ def overview_info(analysis: Analysis) -> Overview:
         Fact("Rates", _rates(groups)),
         Fact("When", _when(analysis)),
         Fact("Traces", _traces(analysis)),
+        Fact("Own cost", _own_cost(analysis)),
     )
     return Overview(visible(analysis.title), tuple(fact for fact in facts if fact.value))
 
@@ -152,6 +153,18 @@ def _utc(wall_ns: int) -> datetime | None:
         return datetime.fromtimestamp(wall_ns / 1e9, tz=timezone.utc)
     except (OverflowError, OSError, ValueError):
         return None
+
+
+def _own_cost(analysis: Analysis) -> str:
+    """What keeping a time stamp cost the recorders, as each measured it when it began; the slowest of them."""
+    costs = [cost for one in analysis.sessions if isinstance(cost := one.extra.get("recorder_cost"), dict)]
+    median_ns, p99_ns = (
+        max((value for cost in costs if isinstance(value := cost.get(name), (int, float))), default=None)
+        for name in ("record_median_ns", "record_p99_ns")
+    )
+    if median_ns is None or p99_ns is None:
+        return ""
+    return f"keeping an event took {format_ns(median_ns)} (p99 {format_ns(p99_ns)})"
 
 
 def _traces(analysis: Analysis) -> str:

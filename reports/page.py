@@ -21,6 +21,7 @@ from reports.curves import curves_info
 from reports.figures import CAMPAIGN_FIGURES, CELL_FIGURES, Figure, LeftOut
 from reports.filters import filters_info
 from reports.groups import METRICS, STATISTICS, data_type_label, groups_info
+from reports.intervals import intervals_info
 from reports.overview import findings_by_code, overview_info
 from reports.recording import record_tables
 from reports.styles import PALETTE, series_styles, vendor_places
@@ -40,6 +41,7 @@ SCRIPTS = (
     "view.js",
     "layout.js",
     "kinds.js",
+    "details.js",
     "tables.js",
     "export.js",
     "figures.js",
@@ -140,6 +142,7 @@ def _island(analysis: Analysis, figures: list[Figure]) -> dict[str, Any]:
         ],
         "values": values,
         "curves": curves_info(analysis),
+        "intervals": intervals_info(analysis),
         "figures": {
             figure.name: {"title": figure.title, "kind": figure.kind, "plan": figure.plan}
             for figure in figures

@@ -50,7 +50,7 @@ class FigureBlock {
   }
 
   legend() {
-    if (this.drawn.parts) return this.drawn.parts.map(({ name, color }) => element("span", {}, swatch({ fill: color }), name));
+    if (this.drawn.parts) return this.drawn.parts.map(({ name, color, hatched }) => element("span", {}, swatch({ fill: color, hatched }), name));
     return [...this.drawn.series].sort((a, b) => a - b).map((place) => {
       const series = DATA.series[place];
       return element("span", {}, swatch({ series, bar: this.figure.kind === "pairs" }), series.label);
@@ -77,7 +77,7 @@ const SYMBOL_PATHS = {
 const DASH_ARRAYS = { solid: "", dash: "6 4", dot: "2 3", dashdot: "6 3 2 3", longdash: "9 4", longdashdot: "9 3 2 3" };
 
 /** The small picture in a legend: line and symbol, or a plain or hatched bar. */
-function swatch({ series, bar = false, fill }) {
+function swatch({ series, bar = false, fill, hatched = bar && series.different }) {
   const draw = (tag, attributes) => {
     const made = document.createElementNS("http://www.w3.org/2000/svg", tag);
     for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
@@ -86,7 +86,6 @@ function swatch({ series, bar = false, fill }) {
   const picture = draw("svg", { width: 34, height: 14, viewBox: "-17 -7 34 14", "aria-hidden": "true" });
   const color = fill || seriesColor(series);
   if (fill || bar) {
-    const hatched = bar && series.different;
     picture.append(draw("rect", { x: -9, y: -6, width: 18, height: 12, fill: hatched ? "none" : color, stroke: color, "stroke-width": 1.2 }));
     if (hatched) picture.append(draw("path", { d: "M-9 0L-3-6M-9 6L3-6M-3 6L9-6M3 6L9 0", stroke: color, "stroke-width": 1.6 }));
     return picture;

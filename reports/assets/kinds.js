@@ -53,6 +53,20 @@ function marks(seriesPlace, points, { x, y, hover, mode = "lines+markers", size 
   };
 }
 
+/** The trace with an error bar at each point whose group has an interval of the chosen statistic. */
+function withInterval(trace, points, factor) {
+  const bars = errorBars(points.map((point) => point.value), points.map((point) => intervalOf(point.group)), factor, trace.marker.color);
+  return bars ? { ...trace, error_y: bars } : trace;
+}
+
+/** Whether the chosen statistic has intervals at all; means and extremes have none. */
+const INTERVALS = () => Boolean(DATA.intervals.low_ns[view.metric]?.[view.statistic]);
+
+function intervalHover(group) {
+  const [low, high] = intervalOf(group);
+  return low === null && high === null ? [] : [`95 %: ${formatNs(low)} to ${formatNs(high)}`];
+}
+
 /** The axis of times in one unit, on the chosen scale. */
 function timeAxis() {
   return view.scale === "log" ? { type: "log", minor: { showgrid: false }, dtick: null, nticks: 5, tickformat: "~g" } : { type: "linear", rangemode: "tozero", nticks: 6, tickformat: "~g" };
@@ -72,18 +86,18 @@ const KINDS = {
       const positions = [...at.keys()].sort((a, b) => a - b);
       return {
         title: panel.title, share: cellOf(panel.lines[0].points[0].group).data,
-        traces: panel.lines.map((line) => marks(line.series, line.points, {
+        traces: panel.lines.map((line) => withInterval(marks(line.series, line.points, {
           x: (point) => point.x, y: (point) => point.value / unit.factor,
-          hover: (point) => groupHover(point.group, `${statisticLabel()}: ${formatNs(point.value)}`, sampleHover(point.group)),
-        })),
+          hover: (point) => groupHover(point.group, `${statisticLabel()}: ${formatNs(point.value)}`, ...intervalHover(point.group), sampleHover(point.group)),
+        }), line.points, unit.factor)),
         x: tickedAxis(positions, positions.map((x) => at.get(x)), { room: plan.x_unit === "bytes" ? 46 : 26, title: plan.x_title }), y: timeAxis(),
       };
     });
     return {
       ...gridOf(panels, width, { yTitle: `${statisticLabel()} (${unit.label})`, below: 46 }),
       series: found.series, missing: found.missing,
-      columns: [...GROUP_COLUMNS, { label: statisticLabel(), unit: "ns", format: formatNs }],
-      rows: points.map((point) => groupRow(point.group, point.value)),
+      columns: [...GROUP_COLUMNS, { label: statisticLabel(), unit: "ns", format: formatNs }, ...(INTERVALS() ? [LOW, HIGH] : [])],
+      rows: points.map((point) => groupRow(point.group, point.value, ...(INTERVALS() ? intervalOf(point.group) : []))),
     };
   },
 
@@ -101,10 +115,13 @@ const KINDS = {
       const rank = new Map(places.map((place, index) => [place, index]));
       return {
         title: panel.title, weight: places.length, share: percent ? "" : DATA.cells[places[0]].data,
-        traces: panel.lines.map((line) => marks(line.series, line.points, {
-          x: (point) => rank.get(point.x), y: (point) => point.value / unit.factor, mode: "markers", size: 8, open: percent,
-          hover: (point) => groupHover(point.group, `${label}: ${format(point.value)}`, sampleHover(point.group)),
-        })),
+        traces: panel.lines.map((line) => {
+          const trace = marks(line.series, line.points, {
+            x: (point) => rank.get(point.x), y: (point) => point.value / unit.factor, mode: "markers", size: 8, open: percent,
+            hover: (point) => groupHover(point.group, `${label}: ${format(point.value)}`, ...(percent ? [] : intervalHover(point.group)), sampleHover(point.group)),
+          });
+          return percent ? trace : withInterval(trace, line.points, unit.factor);
+        }),
         ...cellAxis(places.map((place) => DATA.cells[place])),
         y: percent ? { type: "linear", range: [floor - (100 - floor) * 0.04, 100 + (100 - floor) * 0.06], nticks: 5 } : timeAxis(),
       };
@@ -113,8 +130,8 @@ const KINDS = {
     return {
       ...gridOf(panels, width, { yTitle: `${label} (${unit.label})`, minWidth: Math.min(width, Math.max(300, most * 17)), height: percent ? 150 : 230 }),
       series: found.series, missing: found.missing, foot: "Numbers below the axis: rate in Hz, and under it the size.",
-      columns: [...GROUP_COLUMNS, { label, unit: percent ? "ratio" : "ns", format }],
-      rows: points.map((point) => groupRow(point.group, point.value)),
+      columns: [...GROUP_COLUMNS, { label, unit: percent ? "ratio" : "ns", format }, ...(!percent && INTERVALS() ? [LOW, HIGH] : [])],
+      rows: points.map((point) => groupRow(point.group, point.value, ...(!percent && INTERVALS() ? intervalOf(point.group) : []))),
     };
   },
 
@@ -262,41 +279,6 @@ const KINDS = {
     };
   },
 
-  breakdown(plan, width) {
-    const { response, rtt, intermediate } = DATA.values.times_ns;
-    const parts = [
-      ["Late send (T1 - T0)", (group) => response.mean[group] - rtt.mean[group]],
-      ["There and back", (group) => rtt.mean[group] - intermediate.mean[group]],
-      ["In the relay (T4 - T3)", (group) => intermediate.mean[group]],
-    ];
-    const found = collected(plan, (group) => response.mean[group]);
-    const points = found.panels.flatMap((panel) => panel.lines.flatMap((line) => line.points));
-    const unit = axisUnit(points.map((point) => point.value));
-    const colors = theme();
-    const panels = found.panels.map((panel) => {
-      const shown = panel.lines.flatMap((line) => line.points);
-      return {
-        title: panel.title, weight: shown.length,
-        traces: parts.map(([name, of], part) => ({
-          type: "bar", name, x: shown.map((_, place) => place), y: shown.map((point) => of(point.group) / unit.factor),
-          marker: { color: colors.parts[part] }, hoverinfo: "text",
-          hovertext: shown.map((point) => groupHover(point.group, ...parts.map(([each, value]) => `${each}: ${formatNs(value(point.group))}`))),
-        })),
-        ...cellAxis(shown.map((point) => DATA.cells[point.x])),
-        y: { type: "linear", rangemode: "tozero", nticks: 5 },
-      };
-    });
-    const most = Math.max(1, ...panels.map((panel) => panel.weight));
-    const drawn = gridOf(panels, width, { yTitle: `Mean (${unit.label})`, minWidth: Math.min(width, Math.max(300, most * 15)), height: 190 });
-    Object.assign(drawn.layout, { barmode: "relative", bargap: 0.2 });
-    return {
-      ...drawn, series: new Set(), parts: parts.map(([name], part) => ({ name, color: colors.parts[part] })), missing: found.missing,
-      foot: "Numbers below the axis: rate in Hz, and under it the size.",
-      columns: [...GROUP_COLUMNS, ...parts.map(([name]) => ({ label: name, unit: "ns", format: formatNs }))],
-      rows: points.map((point) => groupRow(point.group, ...parts.map(([, of]) => of(point.group)))),
-    };
-  },
-
   percentile_curve(_, width) { return distribution(width, true); },
   ecdf(_, width) { return distribution(width, false); },
 
@@ -329,6 +311,13 @@ const KINDS = {
     });
     const panel = { title: cell === null ? "" : DATA.cells[cell].label, traces: dots, x: () => ({ type: "linear", title: { text: "Time since the run's first message (s)", font: { size: 11, color: theme().soft }, standoff: 4 }, zeroline: false }), y: timeAxis() };
     const drawn = gridOf(values.length || lossy.length ? [panel] : [], width, { yTitle: `${label} (${unit.label})`, height: 260, below: 46 });
+    if (drawn.layout.yaxis) {
+      for (const group of groups) {
+        for (const [start, end] of plan.outages[group] || []) {
+          drawn.layout.shapes.push({ type: "rect", xref: "x", yref: "y domain", x0: start, x1: end, y0: 0, y1: 1, layer: "below", fillcolor: seriesColor(seriesOf(group)), opacity: 0.16, line: { width: 0 } });
+        }
+      }
+    }
     if (lossy.length && drawn.layout.yaxis) {
       const [bottom, top] = drawn.layout.yaxis.domain;
       const strip = top - Math.min(0.3, 0.06 + 0.045 * lossy.length) * (top - bottom);
@@ -347,6 +336,20 @@ const KINDS = {
     };
   },
 };
+
+/** The named percentiles of a group's curve with their intervals, where the sample supports them. */
+function percentileMarks(group, factor) {
+  const times = DATA.values.times_ns[view.metric];
+  const named = [["p50", 2], ["p90", 10], ["p95", 20], ["p99", 100], ["p99_9", 1000]].map(([name, at]) => ({ name, at, value: times[name][group], ends: intervalOf(group, name) }))
+    .filter((one) => one.value !== null && one.ends.some((end) => end !== null));
+  if (!named.length) return [];
+  const trace = marks(DATA.groups.series[group], named, {
+    x: (one) => one.at, y: (one) => one.value / factor, mode: "markers", size: 6,
+    hover: (one) => groupHover(group, `${one.name.replace("_", ".")}: ${formatNs(one.value)}`, `95 %: ${formatNs(one.ends[0])} to ${formatNs(one.ends[1])}`),
+  });
+  trace.error_y = errorBars(named.map((one) => one.value), named.map((one) => one.ends), factor, trace.marker.color);
+  return [trace];
+}
 
 /** Both figures of a distribution: by rarity, or by share. */
 function distribution(width, byRarity) {
@@ -370,7 +373,7 @@ function distribution(width, byRarity) {
       });
       trace.line.width = 2.2;
       return trace;
-    }),
+    }).concat(byRarity ? groups.flatMap((group) => percentileMarks(group, unit.factor)) : []),
     x: () => (byRarity
       ? { type: "log", range: [0, Math.log10(Math.max(deepest, 10)) + 0.05], tickmode: "array", tickvals: rarities.map(([x]) => x), ticktext: rarities.map(([, name]) => name), title: title("Percentile") }
       : { ...timeAxis(), rangemode: "normal", title: title(valueTitle) }),

@@ -7,7 +7,7 @@ function theme() {
   return {
     dark: document.documentElement.dataset.theme === "dark",
     ground: of("ground"), raised: of("raised"), ink: of("ink"), soft: of("soft"), line: of("line"), grid: of("grid"),
-    parts: [of("part-a"), of("part-b"), of("part-c")],
+    parts: [of("part-a"), of("part-b"), of("part-c"), of("part-d")],
   };
 }
 

@@ -71,5 +71,11 @@ function shownCell() {
 /** The chosen statistic of the chosen metric, in ns, or null. */
 function statisticOf(group) { return DATA.values.times_ns[view.metric][view.statistic][group]; }
 
+/** [low, high] of the 95 % interval of a percentile (the chosen one), each null where the sample does not support it. */
+function intervalOf(group, statistic = view.statistic) {
+  const end = (side) => DATA.intervals[side][view.metric]?.[statistic]?.[group] ?? null;
+  return [end("low_ns"), end("high_ns")];
+}
+
 const labelOf = (name) => CHOICES[name].find((choice) => choice.key === view[name]).label;
 function statisticLabel() { return `${labelOf("metric")}, ${labelOf("statistic")}`; }

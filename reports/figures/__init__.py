@@ -5,14 +5,19 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from reports.figures.breakdown import breakdown_figure, breakdown_info
+from reports.figures.bridge_cost import bridge_cost_figure, bridge_cost_info
+from reports.figures.clock import clock_figure, clock_info
 from reports.figures.domain_difference import domain_difference_figure, domain_difference_info
 from reports.figures.ecdf import ecdf_figure, ecdf_info
 from reports.figures.figure import Figure, LeftOut
 from reports.figures.heatmap import heatmap_figure, heatmap_info
+from reports.figures.host_load import host_load_figure, host_load_info
 from reports.figures.latency_by_rate import latency_by_rate_figure, latency_by_rate_info
 from reports.figures.latency_by_size import latency_by_size_figure, latency_by_size_info
+from reports.figures.one_way import one_way_figure, one_way_info
 from reports.figures.percentile_curve import percentile_curve_figure, percentile_curve_info
 from reports.figures.received import received_figure, received_info
+from reports.figures.sustainable import sustainable_figure, sustainable_info
 from reports.figures.timeline import timeline_figure, timeline_info
 from reports.figures.transfer_rate import transfer_rate_figure, transfer_rate_info
 from reports.figures.vendor_comparison import vendor_comparison_figure, vendor_comparison_info
@@ -29,10 +34,14 @@ CAMPAIGN_FIGURES: tuple[Callable[[Analysis], Figure | LeftOut], ...] = (
     lambda analysis: latency_by_rate_figure(latency_by_rate_info(analysis)),
     lambda analysis: latency_by_size_figure(latency_by_size_info(analysis)),
     lambda analysis: domain_difference_figure(domain_difference_info(analysis)),
+    lambda analysis: bridge_cost_figure(bridge_cost_info(analysis)),
     lambda analysis: heatmap_figure(heatmap_info(analysis)),
     lambda analysis: received_figure(received_info(analysis)),
     lambda analysis: transfer_rate_figure(transfer_rate_info(analysis)),
+    lambda analysis: sustainable_figure(sustainable_info(analysis)),
     lambda analysis: breakdown_figure(breakdown_info(analysis)),
+    lambda analysis: one_way_figure(one_way_info(analysis)),
+    lambda analysis: clock_figure(clock_info(analysis)),
 )
 """Figures of everything that passes the page's filters."""
 
@@ -40,5 +49,6 @@ CELL_FIGURES: tuple[Callable[[Analysis], Figure | LeftOut], ...] = (
     lambda analysis: percentile_curve_figure(percentile_curve_info(analysis)),
     lambda analysis: ecdf_figure(ecdf_info(analysis)),
     lambda analysis: timeline_figure(timeline_info(analysis)),
+    lambda analysis: host_load_figure(host_load_info(analysis)),
 )
 """Figures of one cell (data type, size, rate), which the reader picks."""

@@ -2,28 +2,33 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
 
 from reports.figures.figure import Figure, LeftOut
+from reports.host import run_times
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from analyzer.analysis import Analysis
 
 NAME = "timeline"
 TITLE = "Latency over time"
 HOW_TO_READ = (
     "Each dot is a message that came back; crosses on the line at the top are messages that did not, at the time "
-    "they were due, so a row of crosses is an outage."
+    "they were due, so a row of crosses is an outage, and outages are shaded."
 )
 
 POINTS_IN_PAGE = 40_000
 """About 1 MB of JSON, shared by all groups; a page of 500 groups stays quick to open."""
 FEWEST_POINTS = 80
 """Even of 500 groups each keeps the shape of its run."""
+MOST_OUTAGES = 50
+"""Of one group; losses are marked in any case."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,10 +57,12 @@ class Timeline:
 
     Attributes:
         decimated: whether messages were left out for drawing. Extremes and losses never are.
+        outages: (start, end) of each outage by group, in the same time; of many, the longest.
     """
 
     groups: tuple[GroupTimeline, ...]
     decimated: bool
+    outages: Mapping[int, tuple[tuple[float, float], ...]] = field(default_factory=dict)
 
 
 def timeline_info(analysis: Analysis) -> Timeline:
@@ -80,7 +87,7 @@ def timeline_info(analysis: Analysis) -> Timeline:
                 lost_count,
             )
         )
-    return Timeline(tuple(groups), decimated)
+    return Timeline(tuple(groups), decimated, _outages(analysis))
 
 
 def timeline_figure(info: Timeline) -> Figure | LeftOut:
@@ -88,7 +95,34 @@ def timeline_figure(info: Timeline) -> Figure | LeftOut:
     if not info.groups:
         return LeftOut(NAME, TITLE, "no message was published.")
     by_group = {str(one.group): one for one in info.groups}
-    return Figure(NAME, TITLE, HOW_TO_READ, "timeline", {"groups": by_group, "decimated": info.decimated})
+    return Figure(
+        NAME,
+        TITLE,
+        HOW_TO_READ,
+        "timeline",
+        {
+            "groups": by_group,
+            "decimated": info.decimated,
+            "outages": {str(group): spans for group, spans in info.outages.items()},
+        },
+    )
+
+
+def _outages(analysis: Analysis) -> dict[int, tuple[tuple[float, float], ...]]:
+    """The longest outages of each group, where they lie on the axis of its runs."""
+    if analysis.details is None or not analysis.details.outages.height:
+        return {}
+    origin_ns = {run.run_id: run.origin_ns for run in run_times(analysis)}
+    longest = analysis.details.outages.sort("duration_ns", descending=True, nulls_last=True)
+    spans: dict[int, list[tuple[float, float]]] = {}
+    columns = ("group", "run_id", "start_ns", "end_ns")
+    for group, run_id, start_ns, end_ns in longest.select(columns).iter_rows():
+        of_group = spans.setdefault(group, [])
+        # An outage without an end lasted to the end of its run: its crosses say so.
+        if run_id in origin_ns and end_ns is not None and len(of_group) < MOST_OUTAGES:
+            start, end = ((ns - origin_ns[run_id]) / 1e9 for ns in (start_ns, end_ns))
+            of_group.append((round(start, 4), round(end, 4)))
+    return {group: tuple(sorted(of_group)) for group, of_group in spans.items() if of_group}
 
 
 def _slices(elapsed_s: np.ndarray, count: int) -> np.ndarray:

@@ -142,6 +142,7 @@ def test_overview_lists_what_was_measured():
         Fact("Rates", "10, 20 Hz"),
         Fact("When", "2026-09-21 14:13 UTC"),
         Fact("Traces", "1 read"),
+        Fact("Own cost", "keeping an event took 900 ns (p99 2 µs)"),
     )
 
 

@@ -1,19 +1,28 @@
+import random
+from dataclasses import replace
+
 import pytest
 from analyses import EVERY_ANALYSIS, MS, Measured, make_analysis
 
 from reports.curves import curves_info
 from reports.figures import CAMPAIGN_FIGURES, CELL_FIGURES, Figure, LeftOut
-from reports.figures.breakdown import Breakdown, breakdown_info
+from reports.figures.breakdown import Breakdown, Part, breakdown_info
+from reports.figures.bridge_cost import bridge_cost_info
+from reports.figures.clock import ClockPair, clock_info
 from reports.figures.domain_difference import DomainDifference, Pair, PairPanel, domain_difference_info
 from reports.figures.heatmap import Heatmap, HeatmapPanel, heatmap_info
+from reports.figures.host_load import Load, host_load_info
 from reports.figures.latency_by_rate import LatencyByRate, latency_by_rate_figure, latency_by_rate_info
 from reports.figures.latency_by_size import LatencyBySize, latency_by_size_info
+from reports.figures.one_way import one_way_info
 from reports.figures.panels import Line, Panel
 from reports.figures.percentile_curve import PercentileCurve, percentile_curve_info
 from reports.figures.received import Received, received_info
+from reports.figures.sustainable import sustainable_info
 from reports.figures.timeline import GroupTimeline, Timeline, timeline_info
 from reports.figures.transfer_rate import TransferRate, transfer_rate_info
 from reports.figures.vendor_comparison import VendorComparison, vendor_comparison_info
+from reports.intervals import intervals_info
 from reports.text import json_island
 from reports.values import values_info
 
@@ -101,14 +110,91 @@ def test_heatmap_has_a_plane_per_series_with_two_tiles(campaign):
     assert heatmap_info(campaign) == Heatmap((HeatmapPanel("Binary: Fast DDS, same domain", tiles),))
 
 
-def test_breakdown_takes_groups_with_a_relay(campaign):
+def test_breakdown_stacks_the_parts_of_the_response(campaign):
     without_relay = Measured([MS], relay_device=None)
-    assert breakdown_info(make_analysis(without_relay)) == Breakdown(())
-    assert [panel.title for panel in breakdown_info(campaign).panels] == [
+    assert breakdown_info(make_analysis(without_relay)) == Breakdown((), {})
+    info = breakdown_info(campaign)
+    assert [panel.title for panel in info.panels] == [
         "Binary: Fast DDS, same domain",
         "Binary: Fast DDS, via builtin",
         "Binary: Zenoh, same domain",
     ]
+    # Group 1: latencies of 1 and 2 ms, the way out 50 and 100 µs longer, the way back as much shorter.
+    assert info.parts[1] == (
+        Part("waiting_ns", 20_000, 0),
+        Part("outbound_ns", 1_575_000, 50_000),
+        Part("relay_ns", 100_000, 0),
+        Part("return_ns", 1_425_000, 50_000),
+    )
+
+
+def test_one_way_shows_both_ways_with_the_clock_bound(campaign):
+    way = one_way_info(campaign).ways[1]
+    assert (way.outbound_ns["p50"], way.return_ns["p50"], way.bound_ns) == (1_575_000, 1_425_000, 50_000)
+    assert (way.outbound_ns["max"], way.return_ns["p90"]) == (2_100_000, None)
+
+
+def test_bridge_cost_is_the_difference_with_its_interval():
+    mixed = [n * 1000 for n in random.Random(1).sample(range(20), 20)]
+    analysis = make_analysis(
+        Measured([MS + ns for ns in mixed], connectivity="wireless"),
+        Measured([3 * MS + ns for ns in mixed], connectivity="wireless", **BRIDGED),
+    )
+    (panel,) = bridge_cost_info(analysis).panels
+    (cell,) = panel.cells
+    cost = cell.costs["p50"]
+    # Sorted by bridge: builtin is group 0. Samples of the bridge in the run (0 to 1.9 s): 30 % each.
+    assert (panel.title, cell.group, cell.bridge_cpu_percent) == ("Binary", 0, 30.0)
+    assert (cost.difference_ns, cost.verdict) == (2 * MS, "worse")
+    assert 2 * MS - 19_000 <= cost.low_ns <= 2 * MS <= cost.high_ns <= 2 * MS + 19_000
+    assert "p99" not in cell.costs
+
+
+def test_sustainable_needs_two_rates(campaign):
+    # 33 KB was sent at 10 and 20 Hz; 67 KB at one rate.
+    assert [panel.title for panel in sustainable_info(campaign).panels] == ["Binary 33 KB"]
+
+
+def test_clock_shows_offsets_since_the_first():
+    info = clock_info(make_analysis(Measured([MS, MS])))
+    assert info.pairs == (
+        ClockPair(
+            "pi-one → pi-two: drift +20 ± 1 ppm", 500, (0.0, 10.0), (0, 200_000), (50_000, 50_000), (0, 0)
+        ),
+    )
+
+
+def test_host_load_is_that_of_the_run():
+    # 0 s to 1.1 s after the wall anchor; samples at 0, 1, 2 s.
+    analysis = make_analysis(Measured([MS] * 12, connectivity="wireless"))
+    assert host_load_info(analysis).groups == {
+        0: (
+            Load("ping", (0.0, 1.0), (20.0, 21.0), (-50.0, -51.0)),
+            Load("relay", (0.0, 1.0), (40.0, 41.0), (-50.0, -51.0)),
+        )
+    }
+
+
+def test_intervals_are_by_group():
+    mixed = [MS + n * 1000 for n in random.Random(1).sample(range(20), 20)]
+    intervals = intervals_info(make_analysis(Measured(mixed), Measured([MS], rate_hz=20.0)))
+    # The median of 20 values lies between the 6th and the 15th with 95.9 % (binomial).
+    assert intervals.low_ns["latency"]["p50"] == (1_005_000, None)
+    assert intervals.high_ns["latency"]["p50"] == (1_014_000, None)
+
+
+def test_outages_are_marked_on_the_timeline():
+    analysis = make_analysis(Measured([*[MS] * 10, *["lost_return"] * 5, *[MS] * 10]))
+    ((start, end),) = timeline_info(analysis).outages[0]
+    # Messages 10 to 14 were due at 1.0 to 1.4 s; the next one came back 2.1 ms after 1.5 s (and 20 µs late).
+    assert start == 1.0
+    assert 1.5 <= end <= 1.51
+
+
+def test_without_details_the_figures_that_need_them_say_so(campaign):
+    plain = replace(campaign, details=None)
+    left_out = {drawn.name for figure in ALL_FIGURES if isinstance(drawn := figure(plain), LeftOut)}
+    assert left_out == {"bridge_cost", "breakdown", "one_way", "clock", "host_load"}
 
 
 def test_curves_are_the_inverse_of_the_histogram():
@@ -174,7 +260,7 @@ def test_nothing_empty_is_drawn():
         for figure in ALL_FIGURES
         if isinstance(figure(EVERY_ANALYSIS["nothing came back"]()), Figure)
     ]
-    assert drawn == ["received", "timeline"]
+    assert drawn == ["received", "timeline", "host_load"]
 
 
 def test_a_figure_left_out_says_why():

@@ -1,0 +1,62 @@
+"""Load of the devices (`details.host_samples`) at the times of each run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+
+if TYPE_CHECKING:
+    from analyzer.analysis import Analysis
+    from tracefile import Session
+
+
+@dataclass(frozen=True, slots=True)
+class RunTime:
+    """When a run took place.
+
+    Attributes:
+        group: the group that it belongs to (the first, where several relays answered).
+        origin_ns: when its first counted message was due, on the ping's monotonic clock: 0 of `elapsed_s`.
+        last_ns: when its last message was published, likewise.
+        session: the ping's session, if the run names it.
+    """
+
+    run_id: int
+    group: int
+    origin_ns: int
+    last_ns: int
+    session: Session | None
+
+
+def run_times(analysis: Analysis) -> tuple[RunTime, ...]:
+    """The runs of `analysis.timeline`, in its order."""
+    due = pl.coalesce("scheduled_ns", "publish_ns")
+    times = analysis.scan_roundtrips().group_by("run_id").agg(due.min().alias("origin"), pl.max("publish_ns"))
+    spans = {run_id: (origin, last) for run_id, origin, last in times.collect().iter_rows()}
+    sessions = {f"{session.session_id:016x}": session for session in analysis.sessions}
+    session_of = {run.run_id: sessions.get(str(run.extra.get("session_id"))) for run in analysis.runs}
+    of_runs = analysis.timeline.group_by("run_id", maintain_order=True).agg(pl.first("group"))
+    return tuple(
+        RunTime(run_id, group, *spans[run_id], session_of.get(run_id))
+        for run_id, group in of_runs.iter_rows()
+        if None not in spans.get(run_id, (None,))
+    )
+
+
+def bridge_loads(analysis: Analysis) -> dict[int, float]:
+    """Mean load of the bridges' processes during the runs of each group, percent of one processor, by group."""
+    if analysis.details is None:
+        return {}
+    samples = analysis.details.host_samples.filter(pl.col("bridge_cpu_percent").is_not_null())
+    of_session = {key[0]: part for key, part in samples.partition_by("session_id", as_dict=True).items()}
+    found: dict[int, list[float]] = {}
+    for run in run_times(analysis) if of_session else ():
+        if run.session is not None and run.session.session_id in of_session:
+            part = of_session[run.session.session_id]
+            at_ns = part["monotonic_ns"].to_numpy()
+            during = (at_ns >= run.origin_ns) & (at_ns <= run.last_ns)
+            found.setdefault(run.group, []).extend(part["bridge_cpu_percent"].to_numpy()[during].tolist())
+    return {group: round(float(np.mean(loads)), 1) for group, loads in found.items() if loads}

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cli import compare
+from cli import compare, watch
 from cli.errors import run_command
 from tracefile import OptionError
 
@@ -192,7 +192,7 @@ def _write_derived(analysis: "Analysis", target: Path) -> list[Path]:
     return [derived.path, derived.layout]
 
 
-COMMANDS: Mapping[str, typer.Typer] = {"compare": compare.app}
+COMMANDS: Mapping[str, typer.Typer] = {"compare": compare.app, "watch": watch.app}
 """Name -> command, beside the one without a name."""
 
 

@@ -21,7 +21,11 @@ def events(trace, stage, run_id):
 
 
 def assert_whole(ping_trace, relay_trace, *, has_source=False):
-    """Every message went there and back once, and its four time stamps are in order: one machine, one clock."""
+    """Every message went there and back once, and its four time stamps are in order: one machine, one clock.
+
+    `has_source` None: the middleware may leave its source time stamp out, as Fast DDS and Cyclone DDS do with a
+    message of which a fragment was lost and sent again.
+    """
     (run,) = ping_trace.runs
     relay_id = relay_trace.sessions[-1].relay_id
     tables = {
@@ -33,7 +37,7 @@ def assert_whole(ping_trace, relay_trace, *, has_source=False):
         assert {int(columns.payload_bytes[row]) for row in rows.values()} == {run.payload_bytes}
         ids = {int(columns.relay_id[row]) for row in rows.values()}
         assert ids == {0 if stage is Stage.T1 else relay_id}
-        if stage in (Stage.T2, Stage.T3):
+        if stage in (Stage.T2, Stage.T3) and has_source is not None:
             assert all(bool(columns.source_ns[row]) is has_source for row in rows.values())
     for sequence in range(MESSAGES + WARMUP):
         times = [int(columns.monotonic_ns[rows[sequence]]) for rows, columns in tables.values()]

@@ -19,8 +19,9 @@ RELOAD_SECONDS = 3.0
 TRACE_ENDINGS = (".mcap", ".db3", ".yaml", ".ring")
 
 _WAITING = (
-    "<!doctype html><html lang=en><meta charset=utf-8><meta http-equiv=refresh content=3>"
+    "<!doctype html><html lang=en><meta charset=utf-8>"
     "<title>Waiting for traces</title><p>No trace can be analyzed yet. This page looks again by itself."
+    "<script>setTimeout(() => location.reload(), 3000)</script>"
 )
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich")
@@ -68,14 +69,14 @@ class Watcher:
         A folder that cannot be analyzed yet (no trace, or one that has just begun) keeps the page it had.
         """
         from analyzer import analyze
-        from reports import REPORTERS
+        from reports import render_live
 
         stamp = _stamp_of(self._folder)
         if stamp == self._stamp:
             return False
         self._stamp = stamp
         try:
-            page = REPORTERS["html"].render(analyze(self._folder))
+            page = render_live(analyze(self._folder), RELOAD_SECONDS * 5)
         except TraceError:
             return False
         self._page = page.encode("utf-8")
@@ -110,8 +111,6 @@ def _handler(watcher: Watcher) -> type[BaseHTTPRequestHandler]:
             self.send_header("Content-Length", str(len(page)))
             self.send_header("ETag", version)
             self.send_header("Cache-Control", "no-cache")
-            # The browser loads the page again by itself, at the same address with its view behind the #.
-            self.send_header("Refresh", f"{RELOAD_SECONDS * 5:g}")
             self.end_headers()
             self.wfile.write(page)
 

@@ -29,6 +29,7 @@ from reports.text import MAX_FINDING_CHARACTERS, format_hz, format_size, json_is
 from reports.values import values_info
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
     from pathlib import Path
 
     from analyzer.analysis import Analysis
@@ -56,11 +57,21 @@ FORMULA = (
 
 def render(analysis: Analysis) -> str:
     """The page."""
+    return _render(analysis, map(_asset, SCRIPTS))
+
+
+def render_live(analysis: Analysis, reload_s: float) -> str:
+    """The page for a server: while somebody looks at it, it loads itself again every `reload_s` with the view it has."""
+    again = f"setInterval(() => document.hidden || location.reload(), {round(1000 * reload_s)});"
+    return _render(analysis, [*map(_asset, SCRIPTS), again])
+
+
+def _render(analysis: Analysis, scripts: Iterable[str]) -> str:
     campaign = [figure(analysis) for figure in CAMPAIGN_FIGURES]
     cell = [figure(analysis) for figure in CELL_FIGURES]
     drawn = [figure for figure in (*campaign, *cell) if isinstance(figure, Figure)]
     # A closing tag inside would end the element. Plotly's file and ours have none; a later one must not surprise us.
-    plotly, script = (_safe_script(text) for text in (get_plotlyjs(), "\n".join(map(_asset, SCRIPTS))))
+    plotly, script = (_safe_script(text) for text in (get_plotlyjs(), "\n".join(scripts)))
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )

@@ -125,7 +125,10 @@ class RunningBridge:
                 {
                     "half": half.half.value,
                     "version": half.version,
-                    "command": list(half.program.command),
+                    # Names alone: a trace is passed on, and where a person's files lie is nobody's business.
+                    "command": [
+                        Path(part).name if part.startswith("/") else part for part in half.program.command
+                    ],
                     "configuration": half.configuration,
                     "environment": dict(half.environment),
                     "log_tail": self.log_tail(half.half),

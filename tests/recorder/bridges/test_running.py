@@ -72,7 +72,7 @@ def test_description_names_version_configuration_and_command(stand_in):
     (program,) = described["programs"]
     assert program["version"] == "0.1-stand-in"
     assert program["configuration"] == "serves\n"
-    assert program["command"][0] == sys.executable
+    assert program["command"][0] == Path(sys.executable).name  # no path of the machine that recorded
 
 
 def test_sample_holds_memory_and_cpu_of_the_program(stand_in):
@@ -128,9 +128,7 @@ def test_one_that_is_killed_says_the_signal(stand_in):
 
 def test_a_flood_is_bounded_on_disk_and_in_the_trace(stand_in):
     with stand_in("floods") as bridge:
-        folder = next(
-            Path(part).parent for part in bridge.describe()["programs"][0]["command"] if "/both/" in part
-        )
+        folder = next(Path(part).parent for part in bridge._halves[0].program.command if "/both/" in part)
         wait_until((folder / "log.1").exists)
         time.sleep(0.2)
         assert sum(path.stat().st_size for path in folder.glob("log*")) <= 2 * LOG_LIMIT_BYTES
@@ -176,7 +174,7 @@ supervise.STOP_PATIENCE_S = 0.2
 BRIDGE_MODULES["stand-in"] = "stand_in_bridge"
 stand_in_bridge.BRIDGE = stand_in_bridge.StandInBridge(part="leaves_children")
 with open_bridge("stand-in", BridgeOptions()) as bridge:
-    print(bridge.describe()["programs"][0]["command"][-1], flush=True)
+    print(bridge._halves[0].program.command[-1], flush=True)
     input()
 """
 

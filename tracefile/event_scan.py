@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from collections.abc import Container, Mapping
 
 Records = np.ndarray[Any, np.dtype[np.void]]
-Index = np.ndarray[Any, np.dtype[np.intp]]
 
 MESSAGE_HEADER = struct.Struct("<HIQQ")  # channel id, sequence, log time, publish time
 _DATA = RECORD_HEADER.size + MESSAGE_HEADER.size
@@ -46,8 +45,13 @@ RECORD_DTYPE = np.dtype(
 
 MESSAGES_AND_CHANNELS = frozenset({Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL})
 
+_BLOCK_DTYPE = np.dtype(f"V{EVENT_RECORD_BYTES}")
+
 _SINGLE_STEPS = 16  # so many events are looked at one by one before arrays pay
+# A short run is not paid for with a long stretch. A long stretch still fits the core's own cache, for which the
+# three comparisons wait once and not three times.
 _FIRST_STRETCH = 256
+_STRETCH = 4096
 _FEW_CHANNELS = 6
 
 
@@ -80,20 +84,26 @@ class Scan:
         self.others += behind.others
         self.end = behind.end
 
-    def places(self, index: Index) -> list[tuple[int, int]]:
-        """Byte offset and length of the contents of the event-shaped records at `index` of `events`."""
-        starts = np.concatenate(
-            [offset + EVENT_RECORD_BYTES * np.arange(count) for offset, count in self.runs]
-        )
+    def places(self, data: bytes, channel_id: int) -> list[tuple[int, int]]:
+        """Byte offset and length of the contents of one channel's event-shaped records."""
         length = EVENT_RECORD_BYTES - RECORD_HEADER.size
-        return [(start + RECORD_HEADER.size, length) for start in starts[index].tolist()]
+        found: list[tuple[int, int]] = []
+        for offset, count in self.runs:
+            records = np.frombuffer(data, RECORD_DTYPE, count, offset)
+            starts = (
+                offset
+                + RECORD_HEADER.size
+                + np.flatnonzero(records["channel"] == channel_id) * EVENT_RECORD_BYTES
+            )
+            found += [(start, length) for start in starts.tolist()]
+        return found
 
     def events(self, data: bytes) -> Records:
         """The events of all runs as records of `RECORD_DTYPE`; a view of `data` where they lie in one run."""
-        parts = [np.frombuffer(data, RECORD_DTYPE, count, offset) for offset, count in self.runs]
-        if len(parts) == 1:
-            return parts[0]
-        return np.concatenate(parts) if parts else np.empty(0, RECORD_DTYPE)
+        # Joined as blocks of bytes: joined as records, numpy would make a dtype of its own for them.
+        parts = [np.frombuffer(data, _BLOCK_DTYPE, count, offset) for offset, count in self.runs]
+        joined = parts[0] if len(parts) == 1 else np.concatenate([np.empty(0, _BLOCK_DTYPE), *parts])
+        return joined.view(RECORD_DTYPE)
 
 
 def scan_records(
@@ -137,29 +147,24 @@ def scan_records(
     return scan
 
 
-def group_by_channel(records: Records) -> list[tuple[int, Index]]:
-    """For each channel id among `records`, where its records are, in order."""
+def split_by_channel(records: Records) -> list[tuple[int, Records]]:
+    """The records of each channel id among `records`, in order."""
     if not len(records):
         return []
     channels = np.ascontiguousarray(records["channel"])
     first, last = int(channels.min()), int(channels.max())
     if first == last:
-        return [(first, np.arange(len(channels)))]
+        return [(first, records)]
     if last - first < _FEW_CHANNELS:  # looking for each is quicker than sorting
         found = [(channel, np.flatnonzero(channels == channel)) for channel in range(first, last + 1)]
-        return [(channel, index) for channel, index in found if len(index)]
-    order = np.argsort(channels, kind="stable")
-    counts = np.bincount(channels)
-    ends = np.cumsum(counts)
-    return [
-        (channel, order[ends[channel] - counts[channel] : ends[channel]])
-        for channel in np.flatnonzero(counts).tolist()
-    ]
-
-
-def records_at(records: Records, index: Index) -> Records:
-    """The records at `index`, moved as blocks of bytes: a third of the time of taking them field by field."""
-    return records.view(f"V{records.dtype.itemsize}").take(index).view(records.dtype)
+    else:
+        order = np.argsort(channels, kind="stable")
+        counts = np.bincount(channels)
+        ids = np.flatnonzero(counts)
+        found = list(zip(ids.tolist(), np.split(order, np.cumsum(counts[ids])[:-1]), strict=True))
+    # Moved as blocks of bytes: a third of the time of taking them field by field.
+    blocks = records.view(_BLOCK_DTYPE)
+    return [(channel, blocks.take(index).view(RECORD_DTYPE)) for channel, index in found if len(index)]
 
 
 def _count_events(data: bytes, at: int, stop: int) -> int:
@@ -170,7 +175,7 @@ def _count_events(data: bytes, at: int, stop: int) -> int:
         if _CHECKED.unpack_from(data, at + found * EVENT_RECORD_BYTES) != (_HEAD, 0, _CDR):
             return found
         found += 1
-    stretch = _FIRST_STRETCH  # grows, so that a short run is not paid for with the whole buffer
+    stretch = _FIRST_STRETCH
     while found < left:
         count = min(stretch, left - found)
         records = np.frombuffer(data, RECORD_DTYPE, count, at + found * EVENT_RECORD_BYTES)
@@ -180,5 +185,5 @@ def _count_events(data: bytes, at: int, stop: int) -> int:
         if not good.all():
             return found + int(np.argmin(good))
         found += count
-        stretch *= 4
+        stretch = _STRETCH
     return found

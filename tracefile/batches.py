@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from tracefile.event_scan import Index, Records
+    from tracefile.event_scan import Records
     from tracefile.events import Stage
 
 TOPIC_PREFIX = "/dds_trace/"
@@ -47,16 +47,14 @@ class Batch:
     """Some consecutive messages of a trace.
 
     Attributes:
-        records: events of all stages, an array with at least the fields of `EVENT_DTYPE`.
-        groups: for each stage the positions of its events in `records`, in file order.
+        events: the events of each stage, an array with at least the fields of `EVENT_DTYPE`, in file order.
         texts: the messages of our other topics, in file order.
         unreadable: messages on event topics that are not events.
         notes: what a reader of the numbers should be told, one line each.
         truncated: why the source ends early, in its last batch.
     """
 
-    records: Records = field(default_factory=lambda: np.empty(0, EVENT_DTYPE))
-    groups: list[tuple[Stage, Index]] = field(default_factory=list)
+    events: list[tuple[Stage, Records]] = field(default_factory=list)
     texts: list[Text] = field(default_factory=list)
     unreadable: int = 0
     notes: list[str] = field(default_factory=list)
@@ -94,14 +92,8 @@ def event_batch(messages: Sequence[tuple[Stage, bytes]]) -> Batch:
         else:
             unreadable += 1
     dtype = np.dtype([("cdr", f"V{len(CDR_HEADER)}"), ("event", EVENT_DTYPE)])
-    joined = b"".join(data for held in events.values() for data in held)
-    records = np.ascontiguousarray(np.frombuffer(joined, dtype)["event"])
-    batch = Batch(records, unreadable=unreadable)
-    start = 0
-    for stage, held in events.items():
-        batch.groups.append((stage, np.arange(start, start + len(held))))
-        start += len(held)
-    return batch
+    arrays = [(stage, np.frombuffer(b"".join(held), dtype)["event"].copy()) for stage, held in events.items()]
+    return Batch(arrays, unreadable=unreadable)
 
 
 def plain(data: bytes) -> bytes:

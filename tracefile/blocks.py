@@ -11,14 +11,14 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING
 
-from tracefile.event_scan import MESSAGES_AND_CHANNELS, Scan, group_by_channel, scan_records
+from tracefile.event_scan import MESSAGES_AND_CHANNELS, Scan, scan_records, split_by_channel
 from tracefile.packed_chunks import DamagedChunkError, PackedChunk
 from tracefile.records import MAGIC, MAX_RECORD_BYTES, Opcode, TornRecordError, record_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Iterator
 
-    from tracefile.event_scan import Index, Records
+    from tracefile.event_scan import Records
     from tracefile.records import RecordFile, RecordHeader
     from tracefile.summary import Summary
 
@@ -37,8 +37,7 @@ class Block:
         scan: what lies where in `data`.
         places: (position in `data`, offset in the file) of the first byte of each chunk, or of the only stretch.
         chunked: whether `places` are those of chunks, inside of which the file has no offsets.
-        events: the events, of all channels.
-        groups: for each channel id the positions of its events in `events`.
+        events: the events of each channel id.
         notes: which chunks had to be left out, and why.
     """
 
@@ -46,8 +45,7 @@ class Block:
     scan: Scan
     places: list[tuple[int, int]]
     chunked: bool
-    events: Records
-    groups: list[tuple[int, Index]]
+    events: list[tuple[int, Records]]
     notes: list[str] = field(default_factory=list)
 
     def offset(self, position: int) -> int:
@@ -206,8 +204,7 @@ def _take_apart(
     chunked: bool,
     notes: list[str] | None = None,
 ) -> Block:
-    events = scan.events(data)
-    return Block(data, scan, places, chunked, events, group_by_channel(events), notes or [])
+    return Block(data, scan, places, chunked, split_by_channel(scan.events(data)), notes or [])
 
 
 def _left_out(offset: int, why: object) -> str:

@@ -6,15 +6,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tracefile.event_scan import records_at
 from tracefile.events import EVENT_DTYPE, EventColumns, Stage
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from tracefile.event_scan import Index, Records
+    from tracefile.event_scan import Records
 
-_FIELDS = EVENT_DTYPE.names or ()
+# An event is six fields of 8 bytes and then two of 4: two blocks of columns, each filled in one step.
+_NAMES = EVENT_DTYPE.names or ()
+_WIDE = tuple(name for name in _NAMES if EVENT_DTYPE[name].itemsize == 8)
+_NARROW = _NAMES[len(_WIDE) :]
+_WIDE_BYTES = 8 * len(_WIDE)
 _SMALLEST_GROWTH = 1 << 14
 
 
@@ -26,61 +29,55 @@ class ColumnsBuilder:
     """
 
     def __init__(self, expected: Mapping[Stage, int]) -> None:
-        self._columns = {stage: _reserve(expected.get(stage, 0)) for stage in Stage}
-        self._filled = dict.fromkeys(Stage, 0)
+        self._columns = {stage: _StageColumns(expected.get(stage, 0)) for stage in Stage}
 
-    def append(self, stage: Stage, records: Records, index: Index) -> None:
-        """Put the events at `index` of `records` behind those that the stage has."""
-        start = self._filled[stage]
-        end = start + len(index)
-        if end > len(self._columns[stage]):
-            self._columns[stage] = _grown(self._columns[stage], start, end)
-        taken = records if len(index) == len(records) else records_at(records, index)
-        for name in _FIELDS:
-            getattr(self._columns[stage], name)[start:end] = taken[name]
-        self._filled[stage] = end
+    def append(self, stage: Stage, records: Records) -> None:
+        """Put the events of `records`, which have at least the fields of `EVENT_DTYPE`, behind those of the stage."""
+        self._columns[stage].append(records)
 
     def finish(self) -> dict[Stage, EventColumns]:
         """All events; the builder is used up."""
-        return {stage: _first(columns, self._filled[stage]) for stage, columns in self._columns.items()}
+        return {stage: columns.finish() for stage, columns in self._columns.items()}
 
 
-def columns_at(records: Records, index: Index) -> EventColumns:
-    """The events at `index` of `records` as columns of their own."""
-    return EventColumns.from_records(records_at(records, index))
+class _StageColumns:
+    """The events of one stage.
 
-
-def _reserve(count: int) -> EventColumns:
-    """Columns of `count` events whose content is not set; where the memory cannot be had, empty ones.
-
-    All lie in one piece of memory: numpy asks for large pages for it as a whole, and touching fresh memory, half of
-    the time of filling it page by page, costs next to nothing. What is never filled is never taken from the system.
+    All columns lie in one piece of memory: numpy asks for large pages for it as a whole, and touching fresh memory,
+    half of the time of filling it page by page, costs next to nothing. What is never filled is never taken from the
+    system.
     """
-    try:
+
+    def __init__(self, expected: int) -> None:
+        self._filled = 0
+        try:
+            self._reserve(expected)
+        except MemoryError:  # whoever claims so many events may be wrong; those that come are made room for
+            self._reserve(0)
+
+    def append(self, records: Records) -> None:
+        start, end = self._filled, self._filled + len(records)
+        if end > self._wide.shape[1]:
+            wide, narrow = self._wide[:, :start], self._narrow[:, :start]
+            self._reserve(max(end, self._wide.shape[1] * 5 // 4, _SMALLEST_GROWTH))
+            self._wide[:, :start], self._narrow[:, :start] = wide, narrow
+        fields: Any = records.dtype.fields
+        offset, step = fields[_WIDE[0]][1], records.dtype.itemsize
+        shape = (len(_WIDE), len(records))
+        self._wide[:, start:end] = np.ndarray(shape, "<i8", records, offset, (8, step))
+        shape = (len(_NARROW), len(records))
+        self._narrow[:, start:end] = np.ndarray(shape, "<u4", records, offset + _WIDE_BYTES, (4, step))
+        self._filled = end
+
+    def finish(self) -> EventColumns:
+        """Views of what was filled, so nothing is copied; a stage without events holds no memory back."""
+        if not self._filled:
+            return EventColumns.empty()
+        rows = zip(_NAMES, [*self._wide, *self._narrow], strict=True)
+        return EventColumns(**{name: row[: self._filled].view(EVENT_DTYPE[name]) for name, row in rows})
+
+    def _reserve(self, count: int) -> None:
         memory = np.empty(count * EVENT_DTYPE.itemsize, np.uint8)
-    except MemoryError:
-        return EventColumns.empty()
-    columns: dict[str, np.ndarray[Any, Any]] = {}
-    start = 0
-    for name in _FIELDS:
-        end = start + count * EVENT_DTYPE[name].itemsize
-        columns[name] = memory[start:end].view(EVENT_DTYPE[name])
-        start = end
-    return EventColumns(**columns)
-
-
-def _first(columns: EventColumns, count: int) -> EventColumns:
-    """The first `count` events: views, and so without a copy."""
-    if not count:
-        return EventColumns.empty()  # which holds no memory back
-    return EventColumns(**{name: getattr(columns, name)[:count] for name in _FIELDS})
-
-
-def _grown(columns: EventColumns, filled: int, needed: int) -> EventColumns:
-    """Columns with room for `needed` events and more; the first `filled` are kept."""
-    larger = _reserve(max(needed, len(columns) * 5 // 4, _SMALLEST_GROWTH))
-    if len(larger) < needed:
-        raise MemoryError(f"no memory for columns of {needed} events")
-    for name in _FIELDS:
-        getattr(larger, name)[:filled] = getattr(columns, name)[:filled]
-    return larger
+        split = count * _WIDE_BYTES
+        self._wide = memory[:split].view("<i8").reshape(len(_WIDE), count)
+        self._narrow = memory[split:].view("<u4").reshape(len(_NARROW), count)

@@ -109,7 +109,7 @@ class McapSource:
         yield Batch(notes=self._closing_notes(), truncated=self._jobs.truncated)
 
     def _batches_of(self, block: Block) -> Iterator[Batch]:
-        batch = Batch(block.events, notes=block.notes)
+        batch = Batch(notes=block.notes)
         singles: list[tuple[int, int]] = []
         for opcode, start, length in block.scan.others:
             if opcode == Opcode.MESSAGE:
@@ -117,17 +117,19 @@ class McapSource:
             else:
                 content = memoryview(block.data)[start : start + length]
                 self._channels.declare(opcode, content, block.offset(start))
-        for channel_id, index in block.groups:
+        for channel_id, events in block.events:
             channel = self._channels.get(channel_id)
             if channel and not channel.stage and channel.topic.startswith(TOPIC_PREFIX):
-                singles += block.scan.places(index)  # a text that happens to be as long as an event
+                singles += block.scan.places(
+                    block.data, channel_id
+                )  # texts that happen to be as long as an event
                 continue
-            self._messages[channel_id] += len(index)
+            self._messages[channel_id] += len(events)
             if channel and channel.fault:
-                batch.unreadable += len(index)
+                batch.unreadable += len(events)
             elif channel and channel.stage:
-                batch.groups.append((channel.stage, index))
-                self._numbered[channel_id] = int(block.events["number"][index[-1]]) + 1
+                batch.events.append((channel.stage, events))
+                self._numbered[channel_id] = int(events["number"][-1]) + 1
         packed: list[tuple[Stage, bytes]] = []
         for start, length in sorted(singles):
             content = memoryview(block.data)[start : start + length]

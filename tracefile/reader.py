@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from tracefile.batches import TOPIC_PREFIX
-from tracefile.columns import ColumnsBuilder, columns_at
+from tracefile.columns import ColumnsBuilder
 from tracefile.errors import TraceFormatError
 from tracefile.events import SESSION_TOPIC, EventColumns, Stage
 from tracefile.ring_events import ring_beside
@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from tracefile.ring_events import RingBeside
 
 _NOTES = 20  # nobody reads more lines about one trace
-_MOST_WORKERS = 4  # beyond that, memory is what is waited for
+_SPARE_WORKERS = 2  # unpack while others wait for the disk, for the interpreter's lock, or for a core
+_MOST_WORKERS = 6  # beyond that, memory is what is waited for
 
 
 def read_trace(path: Path) -> Trace:
@@ -53,8 +54,8 @@ def read_trace(path: Path) -> Trace:
         columns = ColumnsBuilder(expected)
         for file, source, ring in zip(files, sources, rings, strict=True):
             for batch in gathered.batches_of(file, source, ring):
-                for stage, index in batch.groups:
-                    columns.append(stage, batch.records, index)
+                for stage, events in batch.events:
+                    columns.append(stage, events)
         return gathered.trace(columns.finish())
 
 
@@ -71,8 +72,8 @@ def iter_event_batches(path: Path) -> Iterator[tuple[Stage, EventColumns]]:
         ring = ring_beside(file)
         with _workers() as pool, open_source(file, pool) as source:
             for batch in gathered.batches_of(file, source, ring):
-                for stage, index in batch.groups:
-                    yield stage, columns_at(batch.records, index)
+                for stage, events in batch.events:
+                    yield stage, EventColumns.from_records(events)
     gathered.check()
 
 
@@ -113,7 +114,7 @@ def expected_events(path: Path) -> dict[Stage, int]:
 def _workers() -> ThreadPoolExecutor:
     """Threads that unpack and check chunks, while the caller's fills columns: the libraries let each other run."""
     cores = len(os.sched_getaffinity(0))
-    return ThreadPoolExecutor(min(_MOST_WORKERS, cores), thread_name_prefix="read_trace")
+    return ThreadPoolExecutor(min(_MOST_WORKERS, cores + _SPARE_WORKERS), thread_name_prefix="read_trace")
 
 
 @dataclass(slots=True)
@@ -136,7 +137,7 @@ class _Gathered:
         self.topics |= source.topics
         if ring is not None:
             batch = ring.batch(source.written_events)
-            self.ring_events += len(batch.records)
+            self.ring_events += sum(len(events) for _, events in batch.events)
             self._add(batch, file)
             self.add_ring_session(ring)
             yield batch

@@ -36,12 +36,11 @@ class RingBeside:
             return Batch(notes=[self.fault] if self.fault else [])
         slots = self.contents.slots
         slots = slots[(slots["mark"] & TICKET_MASK) >= events_in_file]
-        records = np.frombuffer(slots["event"].tobytes(), EVENT_DTYPE)
-        batch = Batch(records)
+        batch = Batch()
         for number, stage in STAGE_NUMBERS.items():
-            index = np.flatnonzero(slots["stage"] == number)
-            if len(index):
-                batch.groups.append((stage, index))
+            events = slots["event"][slots["stage"] == number]
+            if len(events):
+                batch.events.append((stage, np.frombuffer(events.tobytes(), EVENT_DTYPE)))
         if len(slots):
             last = int(slots["mark"][-1] & TICKET_MASK)
             missing = last + 1 - events_in_file - len(slots)

@@ -62,6 +62,7 @@ class Reader:
 
     def __init__(self, browser, **options):
         self.tab = browser.new_context(**{"viewport": {"width": 1360, "height": 900}, **options}).new_page()
+        self.tab.set_default_timeout(90_000)  # a machine that is busy with other tests is slow, not wrong
         self.complaints = []
         self.requests = []
         self.tab.on("console", lambda message: self.complaints.append(message.text))
@@ -221,6 +222,7 @@ def test_the_keyboard_is_enough(reader, pages):
 
 def test_figures_download(reader, pages):
     tab = reader.open(pages("small campaign"))
+    reader.draw_all()  # a figure that is drawn when it is scrolled to would move the button away from the pointer
     saved = {}
     for figure in ("domain_difference", "heatmap", "timeline"):
         for kind in ("csv", "svg", "png"):

@@ -167,7 +167,9 @@ def find_windows(points: Intervals, start: int, stop: int) -> Iterator[tuple[int
         yield start, stop, lines
         return
     middle = (start + stop) // 2
-    if middle == start:  # even one message has no line: its stamps contradict each other beyond what floats hold
+    if (
+        middle == start
+    ):  # even one message has no line: its stamps contradict each other beyond what floats hold
         return
     yield from find_windows(points, start, middle)
     yield from find_windows(points, middle, stop)

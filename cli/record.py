@@ -260,7 +260,11 @@ def main_command(
     ] = None,
     transport: Annotated[
         Transport,
-        _middleware("--transport", metavar="KIND", help="Of Fast DDS: default, udp, shm or large-data; of socket: default (TCP), udp."),
+        _middleware(
+            "--transport",
+            metavar="KIND",
+            help="Of Fast DDS: default, udp, shm or large-data; of socket: default (TCP), udp.",
+        ),
     ] = Transport.DEFAULT,
     tuned: Annotated[
         bool, _middleware("--tuned", metavar="", help="Apply the vendor's settings for large messages.")

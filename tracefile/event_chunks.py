@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -34,8 +34,8 @@ MESSAGE_DTYPE = np.dtype(
 MESSAGES_AT = 4096
 """Where messages start in the builder's buffer: room for the schemas and channels that come before."""
 
-Positions = np.ndarray[Any, np.dtype[np.intp]]
-Index = np.ndarray[Any, np.dtype[np.uint64]]
+Positions: TypeAlias = "np.ndarray[Any, np.dtype[np.intp]]"
+Index: TypeAlias = "np.ndarray[Any, np.dtype[np.uint64]]"
 """uint64 array of shape (messages, 2): log time, offset in the chunk; the body of a MessageIndex record."""
 
 

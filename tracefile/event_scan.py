@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from tracefile.records import RECORD_HEADER, Opcode
 if TYPE_CHECKING:
     from collections.abc import Container, Mapping
 
-Records = np.ndarray[Any, np.dtype[np.void]]
+Records: TypeAlias = "np.ndarray[Any, np.dtype[np.void]]"
 
 MESSAGE_HEADER = struct.Struct("<HIQQ")  # channel id, sequence, log time, publish time
 _DATA = RECORD_HEADER.size + MESSAGE_HEADER.size

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from tracefile.ring_events import RingBeside
 
 _NOTES = 20  # nobody reads more lines about one trace
-_SPARE_WORKERS = 2  # unpack while others wait for the disk, for the interpreter's lock, or for a core
+_SPARE_WORKERS = 1  # unpacks while another waits for the disk, for the interpreter's lock, or for a core
 _MOST_WORKERS = 6  # beyond that, memory is what is waited for
 
 

@@ -35,7 +35,7 @@ import os
 import struct
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -69,7 +69,7 @@ STAGE_MARKS = (0, *(number << 56 for number in range(1, len(Stage) + 1)))
 TICKET_MASK = np.uint64((1 << 56) - 1)  # numpy 1 takes no Python int beside a single uint64
 STAGE_NUMBERS = dict(enumerate(Stage, start=1))
 
-Slots = np.ndarray[Any, Any]
+Slots: TypeAlias = "np.ndarray[Any, Any]"
 """One-dimensional array of `SLOT_DTYPE`."""
 
 

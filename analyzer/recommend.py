@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import polars as pl
 
 from analyzer.compare import MATCH_COLUMNS
@@ -26,7 +27,6 @@ from tracefile.errors import OptionError
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    import numpy as np
     from numpy.typing import NDArray
 
 CELL_COLUMNS = ("data_type", "payload_bytes", "rate_hz")
@@ -204,13 +204,18 @@ class Recommendation:
 
 
 def delivered_latencies(roundtrips: pl.DataFrame) -> NDArray[np.float64]:
-    """Latency of each message in the order of the frame, infinite if it was lost.
+    """Latency of each message in the order of the frame, infinite if it was lost; empty if no latency is known.
 
-    A reply that came back without the relay's stamps has no latency and is left out.
+    A reply that came back without the relay's stamps took at most half of its round trip. It counts with that: left
+    out, it would give the lost ones more weight than they have.
     """
+    if roundtrips["latency_ns"].null_count() == len(roundtrips):
+        return np.empty(0, np.float64)
     lost = pl.col("outcome") != "completed"
-    values = roundtrips.select(pl.when(lost).then(math.inf).otherwise(pl.col("latency_ns").cast(pl.Float64)))
-    return values.to_series().drop_nulls().to_numpy()
+    at_most = pl.coalesce(pl.col("latency_ns").cast(pl.Float64), pl.col("rtt_ns") / 2)
+    return (
+        roundtrips.select(pl.when(lost).then(math.inf).otherwise(at_most)).to_series().drop_nulls().to_numpy()
+    )
 
 
 def recommend_settings(roundtrips: pl.DataFrame, job: Job, confidence: float = 0.95) -> Recommendation:

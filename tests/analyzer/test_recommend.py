@@ -61,11 +61,12 @@ def test_errors_say_what_to_write(text, words):
         parse_job(text)
 
 
-def test_lost_is_infinitely_late_and_a_reply_without_latency_is_left_out():
+def test_lost_is_infinitely_late_and_a_reply_without_relay_stamps_took_half_of_its_round_trip_at_most():
     frame = pl.concat(
         [steady([5 * MS, None]), steady([7 * MS]).with_columns(latency_ns=pl.lit(None, pl.Int64))]
     )
-    assert delivered_latencies(frame).tolist() == [5 * MS, math.inf]
+    assert frame["rtt_ns"][2] == 14 * MS + 1000
+    assert delivered_latencies(frame).tolist() == [5 * MS, math.inf, 7 * MS + 500]
 
 
 def test_a_ranking_by_what_is_sure():

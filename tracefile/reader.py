@@ -29,8 +29,7 @@ if TYPE_CHECKING:
     from tracefile.ring_events import RingBeside
 
 _NOTES = 20  # nobody reads more lines about one trace
-_SPARE_WORKERS = 1  # unpacks while another waits for the disk, for the interpreter's lock, or for a core
-_MOST_WORKERS = 6  # beyond that, memory is what is waited for
+_MOST_WORKERS = 4  # beyond that, memory is what is waited for
 
 
 def read_trace(path: Path) -> Trace:
@@ -114,7 +113,7 @@ def expected_events(path: Path) -> dict[Stage, int]:
 def _workers() -> ThreadPoolExecutor:
     """Threads that unpack and check chunks, while the caller's fills columns: the libraries let each other run."""
     cores = len(os.sched_getaffinity(0))
-    return ThreadPoolExecutor(min(_MOST_WORKERS, cores + _SPARE_WORKERS), thread_name_prefix="read_trace")
+    return ThreadPoolExecutor(min(_MOST_WORKERS, cores), thread_name_prefix="read_trace")
 
 
 @dataclass(slots=True)

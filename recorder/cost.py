@@ -2,24 +2,31 @@
 
 from __future__ import annotations
 
+import secrets
 import statistics
 import threading
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from recorder.backends import open_node
 from recorder.payloads import STRING
-from tracefile import NoEchoError, TraceError, measure_recorder_cost
+from tracefile import NoEchoError, Qos, TraceError, measure_recorder_cost
 
 if TYPE_CHECKING:
     from recorder.backend import NodeOptions
+    from tracefile import RecorderCost
 
 BRIEF_S = 0.15
 """Enough for a median beside each session; `dds-record --self-test` takes its time."""
 FLOOR_TOPIC = "dds_trace_floor"
 FLOOR_MESSAGES = 200
+BRIEF_FLOOR_MESSAGES = 50
+"""Beside each session."""
 FLOOR_PATIENCE_S = 10.0
+BRIEF_FLOOR_PATIENCE_S = 2.0
+BACKENDS_WITHOUT_CLIENT_LIBRARY = frozenset({"socket"})
+"""They are a floor themselves."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,11 +44,36 @@ def measured_cost() -> dict[str, Any]:
         cost = measure_recorder_cost(seconds=BRIEF_S)
     except TraceError:
         return {}  # a missing temporary folder is no reason not to record
-    return {"recorder_cost": {name: round(value) for name, value in asdict(cost).items()}}
+    return {"recorder_cost": _rounded(cost)}
 
 
-def measure_floor(backend: str, options: NodeOptions) -> FloorCost:
-    """One message of a few bytes after the other, from a node to itself.
+def measured_floor(backend: str, options: NodeOptions) -> dict[str, Any]:
+    """The session's `client_library_floor` object, times in ns; empty where there is none to measure.
+
+    It has a node of its own, which is closed again before the role's node opens.
+    """
+    if backend in BACKENDS_WITHOUT_CLIENT_LIBRARY:
+        return {}
+    try:
+        floor = measure_floor(backend, options, BRIEF_FLOOR_MESSAGES, BRIEF_FLOOR_PATIENCE_S)
+    except TraceError:
+        return {}  # the role's own node says what is wrong, with what to do about it
+    return {"client_library_floor": _rounded(floor)}
+
+
+def measure_floor(
+    backend: str,
+    options: NodeOptions,
+    messages: int = FLOOR_MESSAGES,
+    patience_s: float = FLOOR_PATIENCE_S,
+) -> FloorCost:
+    """One message of a few bytes after the other, from a node to itself; nothing of it leaves this device.
+
+    Args:
+        backend: its name.
+        options: of the role's node; whom it would connect to and listen for is left out.
+        messages: how many round trips within the node.
+        patience_s: how long its two ends may take to find each other.
 
     Raises:
         BackendUnavailableError: the middleware is not on this machine.
@@ -54,13 +86,15 @@ def measure_floor(backend: str, options: NodeOptions) -> FloorCost:
         arrived.set()
 
     times_ns: list[int] = []
-    with open_node(backend, options) as node:
-        node.create_subscription(FLOOR_TOPIC, STRING.type_name, receive)
-        publisher = node.create_publisher(FLOOR_TOPIC, STRING.type_name)
+    topic = f"{FLOOR_TOPIC}_{secrets.randbits(64):016x}"  # so that no other device's floor is taken for ours
+    alone = replace(options, name=topic, qos=Qos(), listens=False, peers=())
+    with open_node(backend, alone) as node:
+        node.create_subscription(topic, STRING.type_name, receive)
+        publisher = node.create_publisher(topic, STRING.type_name)
         node.start()
         message = STRING.make(0, 0).messages[0].data
-        end_s = time.monotonic() + FLOOR_PATIENCE_S
-        while len(times_ns) < FLOOR_MESSAGES:
+        end_s = time.monotonic() + patience_s
+        while len(times_ns) < messages:
             arrived.clear()
             publish_ns = time.monotonic_ns()
             publisher.publish(message)
@@ -69,3 +103,7 @@ def measure_floor(backend: str, options: NodeOptions) -> FloorCost:
             elif time.monotonic() > end_s:  # the first ones are lost while the two ends find each other
                 raise NoEchoError(f"no message of a node on {backend} to itself arrives")
     return FloorCost(statistics.median(times_ns), statistics.quantiles(times_ns, n=100)[98], len(times_ns))
+
+
+def _rounded(cost: RecorderCost | FloorCost) -> dict[str, int]:
+    return {name: round(value) for name, value in asdict(cost).items()}

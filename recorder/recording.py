@@ -8,12 +8,12 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from recorder.backends import open_node
 from recorder.bridging import open_asked_bridge
 from recorder.clock import SystemClock
-from recorder.cost import measured_cost
+from recorder.cost import measured_cost, measured_floor
 from recorder.domains import check_domain
 from recorder.echo import explain_silence, look_for_relays
 from recorder.payloads import load_payload, open_live_payload, served_data_types
@@ -85,6 +85,7 @@ class _Recording:
         self.clock = SystemClock()
         self.session_id = secrets.randbits(64)
         self.privileges = apply_privileges(options.cpu_affinity, options.realtime_priority)
+        self.costs: dict[str, Any] = {}
         self._told_of_disk = False
 
     def relay(self) -> Recorded:
@@ -92,6 +93,7 @@ class _Recording:
         relay_id = options.relay_id or secrets.randbits(32) or 1
         data_types = served_data_types(options.types)
         check_serialization(data_types, options.serialization)
+        self._measure_costs()
         with self._open_node("relay") as node, steady_interpreter():
             session = self._describe("relay", node, relay_id)
             with self._open_trace(session) as sink:
@@ -117,6 +119,7 @@ class _Recording:
         with ExitStack() as stack:
             payload = self._open_payload(asked, seed, stack)
             plan = plan_run(self.options, asked, payload, session_id=self.session_id, seed=seed)
+            self._measure_costs()
             node = stack.enter_context(self._open_node("ping"))
             ping = Ping(node, plan, self.clock)
             node.start()
@@ -130,6 +133,10 @@ class _Recording:
                 bridge.stop()  # so that its description says how it ended
             trace = sink.close(**({} if bridge is None else {"bridge": bridge.describe()}))
             return Recorded(trace, session, ping.progress(), run)
+
+    def _measure_costs(self) -> None:
+        """Before there is a node that could be disturbed."""
+        self.costs = {**measured_cost(), **measured_floor(self.options.backend, self.options.node)}
 
     def _open_node(self, role: str) -> Node:
         # A name of its own, by which the node tells its endpoints from those of others.
@@ -145,7 +152,7 @@ class _Recording:
             device=self.options.device,
             connectivity=self.options.connectivity,
             relay_id=relay_id,
-            extra={**self.privileges, **measured_cost()},
+            extra={**self.privileges, **self.costs},
         )
 
     @contextmanager

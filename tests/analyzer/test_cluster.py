@@ -39,6 +39,16 @@ def said(process, text):
     raise AssertionError(f"ended with {process.wait()} before it said {text!r}")
 
 
+def end(process):
+    """Ask, then kill: a worker of Dask may wait half a minute for a scheduler that no longer answers."""
+    with process:  # closes its pipe too
+        process.terminate()
+        try:
+            process.wait(5)
+        except subprocess.TimeoutExpired:
+            process.kill()
+
+
 @pytest.fixture(scope="module")
 def bucket():
     """Where an S3 server on loopback listens, with a bucket `bucket`, and what a client must be told."""
@@ -93,9 +103,7 @@ def cluster(bucket, tmp_path_factory):
         yield address, workers
     finally:
         for process in reversed(processes):
-            process.terminate()
-        for process in processes:
-            process.wait(20)
+            end(process)
 
 
 @pytest.fixture

@@ -77,7 +77,11 @@ def test_files_and_bags_go_there_and_back(domain_id, tmp_path):
                 event for event in events_of(tmp_path / "relay.mcap", stage) if event["run_id"] == run_id
             ]
             assert {event["sequence"]: event["payload_bytes"] for event in events} == sent
-    assert last_json(tmp_path / "relay.mcap", "session")["recorder_cost"]["record_median_ns"] > 0
+    session = last_json(tmp_path / "relay.mcap", "session")
+    assert session["recorder_cost"]["record_median_ns"] > 0
+    floor = session["client_library_floor"]
+    assert 0 < floor["median_ns"] <= floor["p99_ns"]
+    assert floor["messages"] == 50
 
 
 @contextmanager

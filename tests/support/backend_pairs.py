@@ -61,4 +61,8 @@ def all_data_types(domain_id, folder, ping_backend, relay_backend, *more, relay_
     for data in SIZES:
         trace = read_trace(folder / f"{data}.mcap")
         assert_whole(trace, relay_trace, has_source=has_source)
-    return trace.sessions[-1], relay_trace.sessions[-1]
+    sessions = trace.sessions[-1], relay_trace.sessions[-1]
+    for session in sessions:  # a socket has no client library whose floor could be measured
+        floor = session.extra.get("client_library_floor", {"median_ns": 0})
+        assert (floor["median_ns"] > 0) is (session.backend != "socket")
+    return sessions

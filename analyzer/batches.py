@@ -29,8 +29,9 @@ if TYPE_CHECKING:
     from analyzer.roundtrips import PairedExchanges
     from analyzer.summarize import Statistics
 
-BATCH_EVENTS = 2_000_000
-"""Events of a batch, unless one group alone has more: some hundred megabytes while it is worked at."""
+BATCH_EVENTS = 1_000_000
+"""Events of a batch, unless one group alone has more: a hundred megabytes while it is worked at. Of a campaign of few
+batches one is written while the next is paired; smaller ones cost more in polars' fixed times than they gain."""
 
 WHOLE_GROUP_EVENTS = 8_000_000
 """A group with more events is worked at in parts of whole runs."""

@@ -92,23 +92,26 @@ class RoundTripsWriter:
 
 
 def table_of(roundtrips: RoundTrips) -> pa.Table:
-    """The rows as they are written: texts, which are known by exchange, as dictionaries, so that none is looked at."""
-    texts = {
-        name: roundtrips.described[name].to_arrow().cast(pa.string()).dictionary_encode()
-        for name in roundtrips.described.columns
-        if roundtrips.described[name].dtype == pl.String
-    }
+    """The rows as they are written: texts, which are known by exchange, as dictionaries, so that none is looked at.
+
+    Texts that are the same throughout share one array of positions in their dictionary.
+    """
+    described = {column.name: column.to_arrow() for column in roundtrips.described.iter_columns()}
     outcomes = pa.array([outcome.value for outcome in OUTCOMES])
     exchange_of_row = pa.array(roundtrips.exchange_of_row())
+    zeros = pa.array(np.zeros(len(exchange_of_row), np.int32))
 
     def column(name: str) -> pa.Array:
-        if name in texts:
-            return texts[name].take(exchange_of_row)
         if name == "outcome":
             return pa.DictionaryArray.from_arrays(pa.array(roundtrips.outcome.astype(np.int32)), outcomes)
-        if name in roundtrips.described.columns:
-            return roundtrips.described[name].to_arrow().take(exchange_of_row)
-        return roundtrips.measured[name].to_arrow()
+        if name not in described:
+            return roundtrips.measured[name].to_arrow()
+        if ROUNDTRIPS_SCHEMA.field(name).type != pa.string():
+            return described[name].take(exchange_of_row)
+        text = described[name].cast(pa.string()).dictionary_encode()
+        if len(text.dictionary) == 1 and not text.null_count:
+            return pa.DictionaryArray.from_arrays(zeros, text.dictionary)
+        return text.take(exchange_of_row)
 
     return pa.Table.from_arrays([column(name) for name in _AS_WRITTEN.names], schema=_AS_WRITTEN)
 

@@ -16,6 +16,7 @@ from analyzer.columns import ROUNDTRIP_COLUMNS, schema_of
 from analyzer.output import ROUNDTRIPS_SCHEMA, RoundTripsWriter
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from types import TracebackType
 
 MOST_HELD_ROWS = 1_000_000
@@ -26,14 +27,14 @@ class RoundTripRows:
     """The rows of a campaign, wherever they are.
 
     Args:
-        held: the rows in memory, or None.
+        held: the rows in memory, as a frame or as they were written (made a frame when first wanted); or None.
         path: the Parquet file that has them, where they are not in memory.
         folder: a temporary folder with that file; it goes away with this.
     """
 
     def __init__(
         self,
-        held: pl.DataFrame | None,
+        held: pl.DataFrame | Sequence[pa.Table] | None,
         path: Path | None = None,
         folder: Path | None = None,
     ) -> None:
@@ -49,17 +50,16 @@ class RoundTripRows:
 
     def frame(self) -> pl.DataFrame:
         """All rows; those in a file are read anew at every call."""
-        if self._held is not None:
-            return self._held
-        assert self._path is not None
-        return pl.read_parquet(self._path)
+        if self._held is None:
+            assert self._path is not None
+            return pl.read_parquet(self._path)
+        if not isinstance(self._held, pl.DataFrame):
+            self._held = _frame_of(self._held)
+        return self._held
 
     def scan(self) -> pl.LazyFrame:
         """All rows, to be read when they are collected, and only the columns and rows that it takes."""
-        if self._held is not None:
-            return self._held.lazy()
-        assert self._path is not None
-        return pl.scan_parquet(self._path)
+        return self.frame().lazy() if self._path is None else pl.scan_parquet(self._path)
 
 
 class RowKeeper:
@@ -112,12 +112,13 @@ class RowKeeper:
     def finished(self) -> RoundTripRows:
         """The rows, after the file is complete."""
         if self._rows <= MOST_HELD_ROWS:
-            whole = pa.concat_tables([ROUNDTRIPS_SCHEMA.empty_table(), *(_plain(t) for t in self._held)])
-            return RoundTripRows(cast("pl.DataFrame", pl.from_arrow(whole)).rechunk())
+            return RoundTripRows(tuple(self._held))
         assert self._writer is not None
         return RoundTripRows(None, self._writer.path, self._folder)
 
 
-def _plain(table: pa.Table) -> pa.Table:
-    """With texts in place of dictionaries."""
-    return table.cast(ROUNDTRIPS_SCHEMA)
+def _frame_of(tables: Sequence[pa.Table]) -> pl.DataFrame:
+    """The rows of all tables, with texts in place of dictionaries."""
+    plain = (table.cast(ROUNDTRIPS_SCHEMA) for table in tables)
+    whole = pa.concat_tables([ROUNDTRIPS_SCHEMA.empty_table(), *plain])
+    return cast("pl.DataFrame", pl.from_arrow(whole)).rechunk()

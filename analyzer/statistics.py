@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -50,10 +51,12 @@ def summarize_values(values_ns: NDArray[np.int64]) -> dict[str, float | None]:
     found: dict[str, float | None] = {"mean": None, "std": None, "min": None, "max": None}
     found |= {p.name: None for p in PERCENTILES}
     if n:
-        found |= {"mean": float(values_ns.mean()), "min": float(values_ns[0]), "max": float(values_ns[-1])}
+        mean = values_ns.mean()
+        found |= {"mean": float(mean), "min": float(values_ns[0]), "max": float(values_ns[-1])}
         found |= {p.name: _percentile(values_ns, p.quantile) for p in supported}
-    if n > 1:
-        found["std"] = float(values_ns.std(ddof=1))
+        if n > 1:  # numpy's `std`, which would take the mean again
+            apart = values_ns - mean
+            found["std"] = math.sqrt(float(np.square(apart, out=apart).sum()) / (n - 1))
     return found
 
 
@@ -90,7 +93,7 @@ class Histogram:
 def histogram_of(values_ns: NDArray[np.int64]) -> Histogram:
     """The histogram of rising values; those below zero (a clock fault) mirror those above."""
     zero, positive = np.searchsorted(values_ns, [0, 1]).tolist()
-    below = _positive_histogram(-values_ns[:zero])
+    below = _positive_histogram(-values_ns[:zero][::-1])
     above = _positive_histogram(values_ns[positive:])
     zeros = [positive - zero] if positive > zero else []
     return Histogram(
@@ -100,13 +103,12 @@ def histogram_of(values_ns: NDArray[np.int64]) -> Histogram:
 
 
 def _positive_histogram(values_ns: NDArray[np.int64]) -> Histogram:
+    """Of rising values, so that those of one bucket are neighbours."""
     if not len(values_ns):
         return Histogram(np.empty(0), np.empty(0, np.uint64))
-    buckets = (values_ns.astype(np.float64).view(np.int64) >> _SHIFT) - _FIRST
-    lowest = int(buckets.min())
-    counts = np.bincount(buckets - lowest)
-    filled = np.flatnonzero(counts)
-    return Histogram(_centre(filled + lowest), counts[filled].astype(np.uint64))
+    buckets = values_ns.astype(np.float64).view(np.int64) >> _SHIFT
+    first = np.append(0, np.flatnonzero(buckets[1:] != buckets[:-1]) + 1)
+    return Histogram(_centre(buckets[first] - _FIRST), np.diff(first, append=len(buckets)).astype(np.uint64))
 
 
 def _centre(buckets: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -6,8 +6,10 @@ import re
 
 from tracefile import OptionError
 
-UNIT_NS = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
-MAX_NS = 1 << 61
+SECOND_NS = 1_000_000_000
+UNIT_NS = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": SECOND_NS}
+INFINITE_NS = (2**31 - 1) * SECOND_NS
+"""From here on a duration of DDS is one without end: its seconds are a signed 32-bit integer (RTPS 2.5, section 9.3.2)."""
 _DURATION = re.compile(r"\s*(\d+(?:\.\d+)?)\s*(ns|us|ms|s)\s*")
 
 
@@ -19,7 +21,7 @@ def parse_duration(text: str) -> int:
     """
     match = _DURATION.fullmatch(text)
     duration_ns = round(float(match[1]) * UNIT_NS[match[2]]) if match else 0
-    if not 0 < duration_ns < MAX_NS:
+    if not 0 < duration_ns < INFINITE_NS:
         raise OptionError(f"duration {text!r} is not understood; write 20ms, 1.5s or 500us, more than 0")
     return duration_ns
 

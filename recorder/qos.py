@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from recorder.durations import format_duration
+from recorder.durations import INFINITE_NS, format_duration
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Mapping
 
     from recorder.backend import Endpoint
     from tracefile import Qos
@@ -17,6 +17,23 @@ RANKS = {
     "reliability": ("best_effort", "reliable"),
     "durability": ("volatile", "transient_local", "transient", "persistent"),
 }
+
+DURATION_POLICIES = ("deadline", "lifespan")
+
+
+def asked_durations(qos: Qos) -> dict[str, int]:
+    """The ns of those of `DURATION_POLICIES` that `qos` asks for; one that is left out is without end."""
+    given = {policy: qos.extra.get(f"{policy}_ns") for policy in DURATION_POLICIES}
+    return {policy: duration_ns for policy, duration_ns in given.items() if duration_ns is not None}
+
+
+def duration_extra(durations_ns: Mapping[str, int]) -> dict[str, int]:
+    """`Qos.extra` of an endpoint whose middleware tells these: without what has no end, or is 0, ROS 2's word for that."""
+    return {
+        f"{policy}_ns": duration_ns
+        for policy, duration_ns in durations_ns.items()
+        if 0 < duration_ns < INFINITE_NS
+    }
 
 
 def mismatches(offered: Qos, requested: Qos) -> list[str]:

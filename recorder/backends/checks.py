@@ -6,12 +6,14 @@ from typing import TYPE_CHECKING
 
 from recorder.backend import ExecutorKind, Transport
 from recorder.domains import LAST_DOMAIN, first_port
+from recorder.qos import asked_durations
 from tracefile import OptionError
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
     from recorder.backend import NodeOptions
+    from tracefile import Qos
 
 
 def refuse_others_options(
@@ -33,6 +35,16 @@ def refuse_others_options(
     if options.transport not in transports:
         known = ", ".join(transport.value for transport in transports)
         raise OptionError(f"--transport {options.transport.value}: the backend {backend} knows {known}")
+
+
+def refuse_durations(backend: str, qos: Qos) -> None:
+    """Refuse a deadline and a lifespan, which DDS alone has.
+
+    Raises:
+        OptionError: one is asked for.
+    """
+    for policy in asked_durations(qos):
+        raise OptionError(f"--{policy}: the backend {backend} has no such quality of service; leave it out")
 
 
 def refuse_typed(backend: str, typed: bool) -> None:

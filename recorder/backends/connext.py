@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING, Any
 
 from recorder.backend import Discovery, Endpoint, Middleware, TopicView
 from recorder.backends.checks import refuse_others_options, refuse_typed
-from recorder.backends.dds_types import DDS_TYPES, check_known, dds_name, split_type
-from recorder.qos import incompatible_pairs
+from recorder.dds_types import DDS_TYPES, check_known, dds_name, split_type
+from recorder.durations import SECOND_NS
+from recorder.qos import asked_durations, duration_extra, incompatible_pairs
 from tracefile import BackendUnavailableError, OptionError, Qos
 
 if TYPE_CHECKING:
@@ -189,7 +190,8 @@ class ConnextNode:
     def look_at(self, topic: str) -> TopicView:
         """Endpoints as Connext has discovered them, and this node's own, which it does not list."""
         names = {str(key): name for key, name in self._participants()}
-        own = Qos(self._options.qos.reliability, self._options.qos.durability, "", 0)
+        asked = self._options.qos
+        own = Qos(asked.reliability, asked.durability, "", 0, asked.extra)
         publishers = self._endpoints(self._participant.publication_reader, topic, names)
         subscriptions = self._endpoints(self._participant.subscription_reader, topic, names)
         publishers += [
@@ -217,7 +219,7 @@ class ConnextNode:
             Endpoint(
                 names.get(str(found.participant_key), ""),
                 _ros_name(found.type_name),
-                Qos(_policy(found.reliability.kind), _policy(found.durability.kind), "", 0),
+                _qos(found),
             )
             for found in reader.read_data()
             if found.topic_name == f"rt/{topic}"
@@ -301,7 +303,7 @@ def _take_all(reader: Any, receive: Receive) -> None:
 
 
 def _nanoseconds(time: Any) -> int:
-    return int(time.sec) * 1_000_000_000 + int(time.nanosec)
+    return int(time.sec) * SECOND_NS + int(time.nanosec)
 
 
 def _properties(options: NodeOptions) -> dict[str, str]:
@@ -347,7 +349,24 @@ def _fill(kept: Any, qos: Qos) -> Any:
         kept.history = _made(histories[qos.history])
     except KeyError as err:
         raise OptionError(f"RTI Connext has no quality of service {err}") from err
+    durations = {
+        policy: dds.Duration(*divmod(asked, SECOND_NS)) for policy, asked in asked_durations(qos).items()
+    }
+    if "deadline" in durations:
+        kept.deadline.period = durations["deadline"]
+    if "lifespan" in durations:
+        kept.lifespan.duration = durations["lifespan"]
     return kept
+
+
+def _qos(found: Any) -> Qos:
+    """Ours, of an endpoint that was discovered; what it does not tell is empty."""
+    durations_ns = {"deadline": _nanoseconds(found.deadline.period)}
+    if hasattr(found, "lifespan"):  # of a writer; of a reader it is nobody else's business
+        durations_ns["lifespan"] = _nanoseconds(found.lifespan.duration)
+    return Qos(
+        _policy(found.reliability.kind), _policy(found.durability.kind), "", 0, duration_extra(durations_ns)
+    )
 
 
 def _made(value: Any) -> Any:

@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING, Any
 
 from recorder.backend import Discovery, Endpoint, Middleware, TopicView
 from recorder.backends.checks import refuse_others_options, refuse_peers, refuse_typed
-from recorder.backends.dds_types import DDS_TYPES, check_known, dds_name, split_type
 from recorder.cyclone_settings import CYCLONE_LOOPBACK, cyclone_settings
-from recorder.qos import incompatible_pairs
+from recorder.dds_types import DDS_TYPES, check_known, dds_name, split_type
+from recorder.qos import asked_durations, duration_extra, incompatible_pairs
 from tracefile import BackendUnavailableError, OptionError, Qos
 
 if TYPE_CHECKING:
@@ -382,6 +382,8 @@ def _cyclone_qos(qos: Qos) -> Any:
         policies = [reliabilities[qos.reliability], durabilities[qos.durability], history]
     except KeyError as err:
         raise OptionError(f"Cyclone DDS has no quality of service {err}") from err
+    durations = {"deadline": Policy.Deadline, "lifespan": Policy.Lifespan}
+    policies += [durations[policy](duration_ns) for policy, duration_ns in asked_durations(qos).items()]
     if qos.durability == "transient_local":  # what is kept for late readers, as much as ROS 2 keeps
         policies.append(Policy.DurabilityService(0, history, -1, -1, -1))
     return CycloneQos(*policies)
@@ -397,7 +399,12 @@ def _qos(found: Any) -> Qos:
         else ""
         for policy in (Policy.Reliability, Policy.Durability)
     )
-    return Qos(reliability, durability, "", 0)
+    durations_ns = {
+        policy.__scope__.lower(): getattr(found[policy], policy.__scope__.lower())
+        for policy in (Policy.Deadline, Policy.Lifespan)
+        if policy in found
+    }
+    return Qos(reliability, durability, "", 0, duration_extra(durations_ns))
 
 
 def _delete(entity: Any) -> None:

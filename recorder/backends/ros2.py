@@ -23,7 +23,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from recorder.backend import Discovery, Endpoint, ExecutorKind, Middleware, TopicView, Transport
-from recorder.qos import incompatible_pairs
+from recorder.backends.checks import refuse_peers
+from recorder.qos import DURATION_POLICIES, asked_durations, duration_extra, incompatible_pairs
 from tracefile import BackendUnavailableError, OptionError, Qos
 
 if TYPE_CHECKING:
@@ -36,9 +37,6 @@ SPIN_S = 0.1
 """One round of the executor; how long `close` may have to wait for the thread."""
 LAST_ACKNOWLEDGEMENT_S = 0.5
 WRONG_RMW_TIMEOUT_S = 30.0
-DURATION_POLICIES = ("deadline", "lifespan")
-INFINITE_NS = 1 << 62
-"""A vendor's word for a duration without end is a little below 2^63 ns; 0 is ROS 2's word for the default."""
 
 INSTALL = (
     "pip install 'dds-trace[ros2]' (wheels, x86_64), or install ROS 2 from apt and run "
@@ -80,6 +78,7 @@ class Ros2Backend:
 
     def open_node(self, options: NodeOptions) -> Node:
         """A node in a context of its own, so that several domains fit in one process."""
+        refuse_peers(self.name, options)
         if options.rmw is not None:
             os.environ["RMW_IMPLEMENTATION"] = options.rmw
         _check_installed()
@@ -398,9 +397,8 @@ def _qos_profile(qos: Qos) -> Any:
             history=kinds.HistoryPolicy[qos.history.upper()],
             depth=qos.depth,
             **{
-                policy: _rclpy().duration.Duration(nanoseconds=qos.extra[f"{policy}_ns"])
-                for policy in DURATION_POLICIES
-                if f"{policy}_ns" in qos.extra
+                policy: _rclpy().duration.Duration(nanoseconds=duration_ns)
+                for policy, duration_ns in asked_durations(qos).items()
             },
         )
     except KeyError as err:
@@ -417,11 +415,7 @@ def _endpoint(info: Any) -> Endpoint:
             profile.durability.name.lower(),
             profile.history.name.lower(),
             profile.depth,
-            {
-                f"{policy}_ns": duration_ns
-                for policy in DURATION_POLICIES
-                if 0 < (duration_ns := getattr(profile, policy).nanoseconds) < INFINITE_NS
-            },
+            duration_extra({policy: getattr(profile, policy).nanoseconds for policy in DURATION_POLICIES}),
         ),
     )
 

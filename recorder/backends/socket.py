@@ -17,6 +17,7 @@ from recorder.backends.checks import (
     SOCKET_PORT,
     peer_addresses,
     port_of,
+    refuse_durations,
     refuse_others_options,
     refuse_typed,
 )
@@ -221,6 +222,7 @@ def _without(mapping: dict[str, str], key: str) -> dict[str, str]:
 
 
 def _check_qos(qos: Qos, protocol: str) -> None:
+    refuse_durations("socket", qos)
     if qos.durability != "volatile":
         raise OptionError(f"--durability {qos.durability}: sockets keep no message for those who come later")
     if protocol == "udp" and qos.reliability != "best_effort":

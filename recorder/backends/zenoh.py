@@ -19,6 +19,7 @@ from recorder.backends.checks import (
     ZENOH_PORT,
     peer_addresses,
     port_of,
+    refuse_durations,
     refuse_others_options,
     refuse_typed,
 )
@@ -272,6 +273,7 @@ def zenoh_configuration(options: NodeOptions) -> dict[str, Any]:
 
 
 def _check_qos(qos: Qos) -> None:
+    refuse_durations("zenoh", qos)
     if qos.durability != "volatile":
         raise OptionError(
             f"--durability {qos.durability}: zenoh keeps no message for those who come later without a storage"

@@ -10,7 +10,7 @@ from processes import run
 
 from recorder.backend import Discovery, NodeOptions, Transport
 from recorder.backends import connext, open_node
-from recorder.backends.dds_types import DDS_TYPES
+from recorder.dds_types import DDS_TYPES
 from recorder.payloads import DATA_TYPES
 from tracefile import BackendUnavailableError, OptionError, Qos
 
@@ -77,6 +77,15 @@ def test_quality_of_service_is_ours(qos, kind):
     assert connext._policy(kept.history.kind) == qos.history
     if qos.history == "keep_last":
         assert kept.history.depth == qos.depth
+
+
+def test_deadline_and_lifespan_are_ours_and_are_read_back():
+    asked = Qos(extra={"deadline_ns": 20_000_000, "lifespan_ns": 1_500_000_001})
+    writer, reader = connext._fill(dds.DataWriterQos(), asked), connext._fill(dds.DataReaderQos(), asked)
+    for kept in (writer, reader):
+        assert connext._qos(kept) == Qos("reliable", "volatile", "", 0, asked.extra)
+    without = connext._fill(dds.DataWriterQos(), Qos())
+    assert connext._qos(without).extra == {}  # Connext's word for no end is 2^31 - 1 s and as many ns
 
 
 def test_what_cannot_be_meant_is_refused():

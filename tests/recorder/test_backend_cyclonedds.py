@@ -112,6 +112,32 @@ def test_late_subscriptions_get_what_transient_local_kept(domain_id):
         assert got.wait(PATIENCE_S)
 
 
+def test_a_message_older_than_its_lifespan_is_not_delivered(domain_id):
+    short = Qos(durability="transient_local", extra={"lifespan_ns": 100_000_000})
+    old, new = (IMU.make(None, seed).messages[0].data for seed in (1, 2))
+    got, some = [], threading.Event()
+
+    def receive(message, *_):
+        got.append(bytes(message[: len(old)]))
+        some.set()
+
+    with (
+        open_node("cyclonedds", options(domain_id, qos=short, name="one")) as one,
+        open_node("cyclonedds", options(domain_id, qos=short, name="two")) as two,
+    ):
+        publisher = one.create_publisher(IMU.topic, IMU.type_name)
+        publisher.publish(old)
+        time.sleep(0.2)
+        two.create_subscription(IMU.topic, IMU.type_name, receive)
+        two.start()
+        deadline = time.monotonic() + PATIENCE_S
+        while not some.wait(0.05):
+            assert time.monotonic() < deadline
+            publisher.publish(new)
+        assert set(got) == {bytes(new)}
+        assert one.look_at(IMU.topic).publishers[0].qos.extra == {"lifespan_ns": 100_000_000}
+
+
 def test_an_error_in_a_callback_is_kept(domain_id):
     def fail(*_):
         raise ValueError("ours")

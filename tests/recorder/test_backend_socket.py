@@ -215,6 +215,8 @@ def test_strangers_on_udp_do_no_harm(domain_id):
         ({"transport": Transport.SHM}, "knows default, udp"),
         ({"transport": Transport.UDP}, "--reliability best_effort"),
         ({"qos": Qos(durability="transient_local")}, "keep no message"),
+        ({"qos": Qos(extra={"deadline_ns": 5})}, "--deadline: the backend socket has no such"),
+        ({"qos": Qos(extra={"lifespan_ns": 5})}, "--lifespan: the backend socket has no such"),
         ({"rmw": "rmw_fastrtps_cpp"}, "--rmw"),
         ({"executor": ExecutorKind.EVENTS}, "--executor"),
         ({"domain_id": 232}, "0 to 231"),

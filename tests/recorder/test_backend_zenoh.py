@@ -118,6 +118,8 @@ def test_an_error_in_a_callback_is_kept(domain_id):
         ({"peers": ("multicast",)}, "--discovery subnet"),
         ({"transport": Transport.UDP}, "knows default"),
         ({"qos": Qos(durability="transient_local")}, "keeps no message"),
+        ({"qos": Qos(extra={"deadline_ns": 5})}, "--deadline: the backend zenoh has no such"),
+        ({"qos": Qos(extra={"lifespan_ns": 5})}, "--lifespan: the backend zenoh has no such"),
         ({"executor": ExecutorKind.SINGLE}, "--executor"),
     ],
 )

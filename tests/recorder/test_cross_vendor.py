@@ -6,15 +6,17 @@ from pathlib import Path
 
 import pytest
 from backend_pairs import MESSAGES, ROOMY, WARMUP, all_data_types, assert_whole
-from processes import ping, relay
+from processes import PATIENCE_S, ping, relay
 
-from tracefile import read_trace
+from tracefile import Stage, read_trace
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 pytest.importorskip("cyclonedds", reason="no Cyclone DDS here")
 pytestmark = pytest.mark.middleware
 
 PAIRS = [("ros2", "cyclonedds"), ("cyclonedds", "ros2")]
+ODD = ("--deadline", "333333333ns", "--lifespan", "1234567us")
+"""Durations travel in units of 2^-32 s: equal ones that were rounded apart would be named as different."""
 TUNED_BUFFER_BYTES = 4_000_000
 """What `--tuned` asks of the kernel, which gives no more than net.core.rmem_max."""
 VENDORS = {"ros2": "fastdds", "cyclonedds": "cyclonedds"}
@@ -44,3 +46,22 @@ def test_large_messages_cross_when_tuned(domain_id, tmp_path, ping_backend, rela
     assert_whole(trace, relay_trace, has_source=None)
     for session in (trace.sessions[-1], relay_trace.sessions[-1]):
         assert session.host["middleware"]["tuned"] == "true"
+
+
+@pytest.mark.parametrize(("ping_backend", "relay_backend"), [*PAIRS, ("cyclonedds", "cyclonedds")])
+def test_a_stricter_deadline_than_the_relay_offers_is_named(domain_id, tmp_path, ping_backend, relay_backend):
+    there = ("--backend", relay_backend, *ODD)
+    with relay(domain_id, tmp_path / "relay.mcap", *there) as command:
+        here = ("--backend", ping_backend, "--data", "imu")
+        done = ping(domain_id, tmp_path / "x.mcap", *here, "--deadline", "20ms", "--wait", PATIENCE_S)
+        assert done.status == 8
+        assert "differ in deadline (333.333ms offered, 20ms requested)" in done.stderr
+        assert not (tmp_path / "x.mcap").exists()
+        out = tmp_path / "ping.mcap"
+        done = ping(domain_id, out, *here, *ODD, "--messages", MESSAGES, "--rate", 50)
+        assert done.status == 0, done.stderr
+        assert command.stop().status == 0
+    (run,) = read_trace(out).runs
+    assert run.qos.extra == {"deadline_ns": 333_333_333, "lifespan_ns": 1_234_567_000}
+    columns = read_trace(out).events[Stage.T2]
+    assert len(set(columns.sequence.tolist())) >= MESSAGES

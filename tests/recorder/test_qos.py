@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from recorder.backend import Endpoint
-from recorder.qos import incompatible_pairs, mismatches
+from recorder.qos import asked_durations, duration_extra, incompatible_pairs, mismatches
 from tracefile import Qos
 
 RELIABLE, BEST_EFFORT = Qos(), Qos(reliability="best_effort")
@@ -35,6 +35,13 @@ LATCHED = Qos(durability="transient_local")
 )
 def test_offered_against_requested(offered, requested, found):
     assert mismatches(offered, requested) == found
+
+
+def test_durations_without_end_are_left_out():
+    told_ns = {"deadline": 20_000_000, "lifespan": (2**31 - 1) * 10**9}
+    assert duration_extra(told_ns) == {"deadline_ns": 20_000_000}
+    assert duration_extra({"deadline": 0, "lifespan": 2**63 - 1}) == {}
+    assert asked_durations(Qos(extra={"lifespan_ns": 7, "vendor": "x"})) == {"lifespan": 7}
 
 
 def test_pairs_of_ours_are_named_and_others_are_not():

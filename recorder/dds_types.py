@@ -1,4 +1,4 @@
-"""The ROS message types for backends that speak DDS without ROS and must be told what a type is made of."""
+"""What the ROS message types are made of, for backends and bridges that speak DDS without ROS and must be told."""
 
 from __future__ import annotations
 
@@ -49,7 +49,10 @@ DDS_TYPES: dict[str, dict[str, str]] = {
         "is_dense": "bool",
     },
 }
-"""Type -> member -> type, in the order of the .msg files; `[]` is a sequence, `[9]` an array."""
+"""Type -> member -> type, in the order of the .msg files; `[]` is a sequence, `[9]` an array.
+
+A type stands behind those that it is made of, and the types of a package stand together, as an XML file needs them.
+"""
 
 
 def split_type(text: str) -> tuple[str, int | None]:

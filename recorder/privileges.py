@@ -26,6 +26,8 @@ _HOW_TO_BE_PERMITTED = (
 def apply_privileges(cpu_affinity: str | None = None, realtime_priority: int | None = None) -> dict[str, Any]:
     """Gives this process its CPUs and its real-time priority; threads started later inherit both.
 
+    Those that write the trace and sample the host give the priority back (`tracefile.run_in_background`).
+
     Call it before the middleware starts its threads.
 
     Args:
@@ -116,13 +118,3 @@ def lock_memory() -> None:
     if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:
         reason = os.strerror(ctypes.get_errno())
         raise OptionError(f"--realtime: locking memory is not permitted ({reason}): {_HOW_TO_BE_PERMITTED}")
-
-
-def run_in_background() -> None:
-    """Puts the calling thread back under the ordinary scheduler, for work that must not delay a stamp.
-
-    A thread inherits SCHED_FIFO from the one that starts it. Never raises: without the right to change
-    it, there was no real-time priority to inherit.
-    """
-    with contextlib.suppress(OSError):
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

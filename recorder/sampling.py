@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import psutil
 
 from recorder.host import read_text, wifi_signals
-from recorder.privileges import run_in_background
+from tracefile import run_in_background
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

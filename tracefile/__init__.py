@@ -1,10 +1,12 @@
 """The contract between the devices that record and the machine that analyzes: one `.mcap` file."""
 
+from tracefile.background import run_in_background
 from tracefile.cost import RecorderCost, measure_recorder_cost
 from tracefile.descriptions import FORMAT_VERSION, Qos, Run, Session
 from tracefile.discovery import find_traces
 from tracefile.errors import (
     BackendUnavailableError,
+    BridgeError,
     MissingEventsError,
     NoEchoError,
     OptionError,
@@ -38,6 +40,7 @@ __all__ = [
     "RUN_TOPIC",
     "SESSION_TOPIC",
     "BackendUnavailableError",
+    "BridgeError",
     "ClosedTrace",
     "EventColumns",
     "MissingEventsError",
@@ -65,5 +68,6 @@ __all__ = [
     "read_descriptions",
     "read_trace",
     "recover",
+    "run_in_background",
     "unpack_event",
 ]

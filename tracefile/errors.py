@@ -70,3 +70,9 @@ class NoEchoError(TraceError):
     """No relay answered in time."""
 
     exit_code = 8
+
+
+class BridgeError(TraceError):
+    """A bridge's program failed: it ended, never came up, or cannot be started; the text holds its last line."""
+
+    exit_code = 9

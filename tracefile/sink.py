@@ -19,6 +19,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from tracefile.background import run_in_background
 from tracefile.errors import OutputError, OutputExistsError
 from tracefile.events import RUN_TOPIC, SESSION_TOPIC
 from tracefile.ring import SLOT_BYTES, SLOT_STRUCT, STAGE_MARKS, Ring, ring_path
@@ -279,6 +280,7 @@ class TraceSink:
 
     def _drain(self) -> None:
         """The draining thread: a chunk every `chunk_seconds`, or when a quarter of the ring is used."""
+        run_in_background()
         going_on = True
         while going_on:
             with suppress(queue.Empty):

@@ -5,12 +5,13 @@ Same names in the same order in every file of `recorder/bridges/`. Nothing here 
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import TYPE_CHECKING, ClassVar, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from recorder.backend import Discovery, Transport
-from tracefile import OptionError, Qos, TraceError
+from tracefile import OptionError, Qos
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -21,12 +22,6 @@ LOCAL_LINK = "127.0.0.1:7447"
 
 LAST_DOMAIN_ID = 231
 """The highest DDS domain whose ports exist (see `docs/bridges.md`)."""
-
-
-class BridgeError(TraceError):
-    """A bridge's program failed: it ended, never came up, or cannot be started; the text holds its last line."""
-
-    exit_code: ClassVar[int] = 9
 
 
 class Halves(Enum):
@@ -69,12 +64,26 @@ class BridgedTopic:
         return f"{package}::{kind}::dds_::{name}_"
 
 
+def bridged_topic(text: str) -> BridgedTopic:
+    """The topic that `NAME:TYPE` means, as in `data_sensor_msgs_PointCloud2:sensor_msgs/msg/PointCloud2`.
+
+    Raises:
+        OptionError: it is none.
+    """
+    found = re.fullmatch(r"/?([A-Za-z]\w*(?:/\w+)*):([a-z]\w*/msg/[A-Z]\w*)", text, re.ASCII)
+    if found is None:
+        raise OptionError(
+            f"--topic {text!r}: write NAME:TYPE, for example data_sensor_msgs_PointCloud2:sensor_msgs/msg/PointCloud2"
+        )
+    return BridgedTopic(found[1], found[2])
+
+
 BRIDGED_TOPICS = (
     BridgedTopic("binary_image", "sensor_msgs/msg/Image"),
     BridgedTopic("string_data", "std_msgs/msg/String"),
     BridgedTopic("imu_data", "sensor_msgs/msg/Imu"),
 )
-"""All that may cross a bridge, each with its `_relay` twin."""
+"""What crosses a bridge if nothing else is asked for, each with its `_relay` twin."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +103,8 @@ class BridgeOptions:
         peers: `HOST:PORT` of each other half that this one connects to.
 
     Raises:
-        OptionError: the two domains are one, or one of them does not exist, or an address is no HOST:PORT.
+        OptionError: the two domains are one, or one of them does not exist, a topic would cross both ways or twice,
+            or an address is no HOST:PORT.
     """
 
     ping_domain_id: int = 5
@@ -117,6 +127,12 @@ class BridgeOptions:
                 f"a bridge joins two domains, both ends are {self.ping_domain_id}; "
                 "give two different ones or leave the bridge out",
             )
+        names = [name for topic in self.topics for name in (topic.name, topic.reply_name)]
+        for name in names:
+            if names.count(name) > 1:
+                raise OptionError(
+                    f"the topic {name} would cross the bridge both ways, or twice; name it once"
+                )
         for address in (self.listen, *self.peers):
             if address is not None:
                 split_address(address)

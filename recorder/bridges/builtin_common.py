@@ -60,7 +60,7 @@ def options_from_json(path: Path) -> BridgeOptions:
             ping_domain_id=found["ping_domain_id"],
             relay_domain_id=found["relay_domain_id"],
             topics=tuple(BridgedTopic(name, type_name) for name, type_name in found["topics"].items()),
-            qos=Qos(**found["qos"]),
+            qos=_qos_from_dict(found["qos"]),
             discovery=Discovery(found["discovery"]),
             transport=Transport(found["transport"]),
             tuned=found["tuned"],
@@ -70,6 +70,11 @@ def options_from_json(path: Path) -> BridgeOptions:
         )
     except (OSError, ValueError, KeyError, TypeError) as err:
         raise TraceFormatError(path, f"is no configuration of a bridge of ours ({err})") from err
+
+
+def _qos_from_dict(found: dict[str, Any]) -> Qos:
+    named = {name: found.pop(name) for name in ("reliability", "durability", "history", "depth")}
+    return Qos(**named, extra=found)
 
 
 def open_side(side: BridgeSide, options: BridgeOptions) -> Node:

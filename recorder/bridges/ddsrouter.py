@@ -12,6 +12,8 @@ from recorder.backend import Discovery
 from recorder.bridges.bridge import Half, Halves, split_address
 from recorder.bridges.programs import reported_version
 from recorder.bridges.texts import yaml_text
+from recorder.qos import asked_durations
+from tracefile import OptionError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -82,6 +84,10 @@ def _dds_type(options: BridgeOptions, name: str) -> str:
 
 
 def _qos(qos: Qos) -> dict[str, Any]:
+    for policy in asked_durations(qos):
+        raise OptionError(
+            f"--{policy}: the topics of {PROGRAM} know none, so it would not match; leave it out or take another bridge"
+        )
     return {
         "reliability": qos.reliability == "reliable",
         "durability": qos.durability == "transient_local",

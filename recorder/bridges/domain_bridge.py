@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from recorder.bridges.bridge import Halves
 from recorder.bridges.programs import discovery_environment, ros_package_program, ros_package_version
 from recorder.bridges.texts import yaml_text
+from recorder.qos import asked_durations
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -43,6 +44,7 @@ class DomainBridge:
                         "durability": options.qos.durability,
                         "history": options.qos.history,
                         "depth": options.qos.depth,
+                        **asked_durations(options.qos),  # in ns
                     },
                 }
         return yaml_text({"name": "dds_trace_bridge", "topics": topics})

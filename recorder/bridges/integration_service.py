@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 from recorder.bridges.bridge import Halves
 from recorder.bridges.programs import discovery_environment
 from recorder.bridges.texts import yaml_text
+from recorder.durations import SECOND_NS
+from recorder.qos import asked_durations
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -99,4 +101,8 @@ def _qos(qos: Qos) -> dict[str, Any]:
         "reliability": qos.reliability.upper(),
         "durability": qos.durability.upper(),
         "history": {"kind": qos.history.upper(), "depth": qos.depth},
+        **{
+            policy: dict(zip(("sec", "nanosec"), divmod(duration_ns, SECOND_NS), strict=True))
+            for policy, duration_ns in asked_durations(qos).items()
+        },
     }

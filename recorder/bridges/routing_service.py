@@ -13,6 +13,8 @@ from recorder.bridges.bridge import Halves
 from recorder.bridges.programs import reported_version
 from recorder.bridges.ros_types import rti_types
 from recorder.bridges.texts import element, xml_text
+from recorder.durations import SECOND_NS
+from recorder.qos import asked_durations
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -129,7 +131,7 @@ def _topic_route(name: str, here: BridgeSide, there: BridgeSide, options: Bridge
     )
 
 
-def _reader_qos(qos: Qos) -> Element:
+def _reader_qos(qos: Qos) -> Element:  # a lifespan is the writer's alone
     pool = "dds.data_reader.history.memory_manager.fast_pool.pool_buffer_max_size"
     return element("datareader_qos", *_common_qos(qos), _properties({pool: str(POOL_BUFFER_BYTES)}))
 
@@ -139,6 +141,7 @@ def _writer_qos(qos: Qos) -> Element:
     return element(
         "datawriter_qos",
         *_common_qos(qos),
+        *_duration(qos, "lifespan", "duration"),
         # Samples larger than a datagram are fragmented by the asynchronous publisher alone.
         element("publish_mode", element("kind", "ASYNCHRONOUS_PUBLISH_MODE_QOS")),
         _properties({pool: str(POOL_BUFFER_BYTES)}),
@@ -152,6 +155,18 @@ def _common_qos(qos: Qos) -> tuple[Element, ...]:
         element(
             "history", element("kind", f"{qos.history.upper()}_HISTORY_QOS"), element("depth", str(qos.depth))
         ),
+        *_duration(qos, "deadline", "period"),
+    )
+
+
+def _duration(qos: Qos, policy: str, name: str) -> tuple[Element, ...]:
+    """The element of `policy`, nothing if `qos` does not ask for one."""
+    durations_ns = asked_durations(qos)
+    if policy not in durations_ns:
+        return ()
+    seconds, nanoseconds = divmod(durations_ns[policy], SECOND_NS)
+    return (
+        element(policy, element(name, element("sec", str(seconds)), element("nanosec", str(nanoseconds)))),
     )
 
 

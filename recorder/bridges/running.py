@@ -13,10 +13,10 @@ from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from recorder.bridges.bridge import BridgeError, BridgeOptions, Half, split_halves
+from recorder.bridges.bridge import BridgeOptions, Half, split_halves
 from recorder.bridges.registry import load_bridge
 from recorder.bridges.supervise import SupervisedProgram, program_environment
-from tracefile import BackendUnavailableError
+from tracefile import BackendUnavailableError, BridgeError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

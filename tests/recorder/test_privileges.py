@@ -1,28 +1,36 @@
 from __future__ import annotations
 
+import ast
 import os
 import subprocess
 import sys
 
 import pytest
 
-from recorder import privileges
 from recorder.privileges import apply_privileges, parse_cpus, set_realtime
-from tracefile import OptionError
+from tracefile import OptionError, run_in_background
 
 # Each runs in a process of its own: priority and affinity must not reach the other tests.
 REALTIME = """
-import os, threading
-from recorder.privileges import apply_privileges, run_in_background
+import os, pathlib, sys, threading, time
+from recorder.privileges import apply_privileges
+from recorder.sampling import HostSampler
+from tracefile import Session, TraceDestination, TraceSink
 print(apply_privileges(realtime_priority=7))
-assert os.sched_getscheduler(0) == os.SCHED_FIFO
-seen = []
-def work():
-    seen.append(os.sched_getscheduler(0))
-    run_in_background()
-    seen.append(os.sched_getscheduler(0))
-thread = threading.Thread(target=work); thread.start(); thread.join()
-assert seen == [os.SCHED_FIFO, os.SCHED_OTHER], seen
+path, sampled = pathlib.Path(sys.argv[1]), threading.Event()
+session = Session(1, "ping", "pi4", "socket", "socket", None, 10, None, "loopback", 10**18, 0)
+sink = TraceSink(TraceDestination(path, chunk_seconds=0.01), session)
+before = path.stat().st_size
+sink.record(1, 1, 0, 5)
+done = threading.Event()
+threading.Thread(target=done.wait, name="ping").start()
+with HostSampler(lambda _: sampled.set(), period_s=0.01):
+    assert sampled.wait(60)
+    while path.stat().st_size == before:  # the event is in the file: the thread that writes has begun
+        time.sleep(0.01)
+    print({thread.name: os.sched_getscheduler(thread.native_id) for thread in threading.enumerate()})
+done.set()
+sink.close()
 locked = [line for line in open("/proc/self/status") if line.startswith("VmLck")][0]
 assert int(locked.split()[1]) > 0, locked
 """
@@ -41,8 +49,10 @@ release.set()
 """
 
 
-def run(script):
-    return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+def run(script, *arguments):
+    return subprocess.run(
+        [sys.executable, "-c", script, *map(str, arguments)], capture_output=True, text=True, check=False
+    )
 
 
 def test_nothing_asked_for_changes_nothing():
@@ -86,12 +96,17 @@ def test_refusal_says_how_to_be_permitted(monkeypatch):
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     with pytest.raises(OptionError, match=r"SCHED_FIFO is not permitted .*limits\.conf"):
         set_realtime(50)
-    privileges.run_in_background()
+    run_in_background()
 
 
-def test_realtime_and_locked_memory_where_permitted():
-    done = run(REALTIME)
+def test_threads_that_stamp_are_realtime_and_those_that_write_are_not(tmp_path):
+    done = run(REALTIME, tmp_path / "x.mcap")
     if "not permitted" in done.stderr:
         pytest.skip("SCHED_FIFO is not permitted here")
     assert done.returncode == 0, done.stderr
-    assert "'memory_locked': True" in done.stdout
+    applied, scheduled = map(ast.literal_eval, done.stdout.splitlines())
+    assert applied == {"realtime_priority": 7, "memory_locked": True}
+    realtime, ordinary = os.SCHED_FIFO, os.SCHED_OTHER
+    assert scheduled == {
+        "MainThread": realtime, "ping": realtime, "trace-sink": ordinary, "host-sampler": ordinary
+    }  # fmt: skip

@@ -22,6 +22,7 @@ from recorder.bridges import (
     BridgeOptions,
     Half,
     Halves,
+    bridged_topic,
     load_bridge,
     split_halves,
 )
@@ -293,6 +294,58 @@ def test_routing_service_quality_of_service():
     assert route.findtext("input/registered_type_name") == STRING
 
 
+DURATIONS = Qos(extra={"deadline_ns": 20_000_000, "lifespan_ns": 1_500_000_000})
+
+
+@pytest.mark.parametrize("name", ["builtin", "builtin-zenoh"])
+def test_our_own_bridges_take_over_deadline_and_lifespan(name, tmp_path):
+    text, *_ = texts(name, qos=DURATIONS)
+    (tmp_path / "options.json").write_text(text)
+    assert options_from_json(tmp_path / "options.json").qos == DURATIONS
+
+
+def test_deadline_and_lifespan_in_each_product_that_has_them():
+    found = from_yaml(texts("domain_bridge", qos=DURATIONS)[0])["topics"]["imu_data"]["qos"]
+    assert (found["deadline"], found["lifespan"]) == (20_000_000, 1_500_000_000)
+
+    found = from_yaml(texts("integration-service", qos=DURATIONS)[0])["topics"]["imu_data"]["domain_5"]["qos"]
+    assert found["deadline"] == {"sec": 0, "nanosec": 20_000_000}
+    assert found["lifespan"] == {"sec": 1, "nanosec": 500_000_000}
+
+    route = ET.fromstring(texts("routing-service", qos=DURATIONS)[0]).find(".//topic_route")
+    for qos in (route.find("input/datareader_qos"), route.find("output/datawriter_qos")):
+        assert [qos.findtext(f"deadline/period/{unit}") for unit in ("sec", "nanosec")] == ["0", "20000000"]
+    duration = route.find("output/datawriter_qos/lifespan/duration")
+    assert [duration.findtext(unit) for unit in ("sec", "nanosec")] == ["1", "500000000"]
+    assert route.find("input/datareader_qos/lifespan") is None
+
+
+@pytest.mark.parametrize("name", BRIDGE_MODULES)
+def test_nothing_is_said_of_durations_that_were_not_asked_for(name):
+    assert not re.search("deadline|lifespan", "".join(texts(name)))
+
+
+def test_a_router_without_deadlines_refuses_one():
+    with pytest.raises(OptionError, match="--deadline: the topics of ddsrouter know none"):
+        texts("ddsrouter", qos=DURATIONS)
+
+
+def test_further_topics_are_written_as_name_and_type():
+    points = BridgedTopic("data_sensor_msgs_PointCloud2", "sensor_msgs/msg/PointCloud2")
+    assert bridged_topic("data_sensor_msgs_PointCloud2:sensor_msgs/msg/PointCloud2") == points
+    assert bridged_topic("/data_sensor_msgs_PointCloud2:sensor_msgs/msg/PointCloud2") == points
+    for text in ("points", "points:PointCloud2", "a b:x/msg/Y", ":x/msg/Y", "points:x/srv/Y"):
+        with pytest.raises(OptionError, match="write NAME:TYPE"):
+            bridged_topic(text)
+
+
+@pytest.mark.parametrize("name", ["imu_data", "imu_data_relay"])
+def test_a_topic_that_would_cross_twice_is_refused(name):
+    again = BridgedTopic(name, "sensor_msgs/msg/Imu")
+    with pytest.raises(OptionError, match=f"the topic {name} would cross the bridge both ways, or twice"):
+        BridgeOptions(topics=(*BRIDGED_TOPICS, again))
+
+
 def test_routing_service_knows_the_types_in_an_order_that_can_be_read():
     (text,) = texts("routing-service")
     defined = set()
@@ -305,11 +358,25 @@ def test_routing_service_knows_the_types_in_an_order_that_can_be_read():
     assert {IMAGE, STRING, IMU} <= defined
 
 
-def test_routing_service_leaves_types_that_it_does_not_know_to_discovery():
+def test_routing_service_knows_the_types_of_every_native_backend():
     (text,) = texts("routing-service", topics=(BridgedTopic("points", "sensor_msgs/msg/PointCloud2"),))
+    (points,) = ET.fromstring(text).findall(".//struct[@name='PointCloud2_']")
+    members = {member.attrib.pop("name"): member.attrib for member in points}
+    assert members["header"] == {"type": "nonBasic", "nonBasicTypeName": "std_msgs::msg::dds_::Header_"}
+    assert members["fields"] == {
+        "type": "nonBasic",
+        "nonBasicTypeName": "sensor_msgs::msg::dds_::PointField_",
+        "sequenceMaxLength": "-1",
+    }
+    assert members["data"] == {"type": "byte", "sequenceMaxLength": "-1"}
+    assert members["is_dense"] == {"type": "boolean"}
+
+
+def test_routing_service_leaves_types_that_it_does_not_know_to_discovery():
+    (text,) = texts("routing-service", topics=(BridgedTopic("tf", "tf2_msgs/msg/TFMessage"),))
     root = ET.fromstring(text)
     assert root.find("types") is None
-    assert root.findtext(".//registered_type_name") == "sensor_msgs::msg::dds_::PointCloud2_"
+    assert root.findtext(".//registered_type_name") == "tf2_msgs::msg::dds_::TFMessage_"
 
 
 @pytest.mark.parametrize("name", [n for n in BRIDGE_MODULES if load_bridge(n).halves is Halves.NEVER])

@@ -13,9 +13,9 @@ import pytest
 import stand_in_bridge
 from stand_in_bridge import StandInBridge
 
-from recorder.bridges import BRIDGE_MODULES, BridgeError, BridgeOptions, BridgeState, Halves, open_bridge
+from recorder.bridges import BRIDGE_MODULES, BridgeOptions, BridgeState, Halves, open_bridge
 from recorder.bridges.guard import LOG_LIMIT_BYTES
-from tracefile import BackendUnavailableError, OptionError
+from tracefile import BackendUnavailableError, BridgeError, OptionError
 
 
 @pytest.fixture

@@ -5,12 +5,32 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from recorder.backends.checks import SOCKET_PORT, ZENOH_PORT, port_of
 from recorder.payloads import DATA_TYPES
 
 if TYPE_CHECKING:
     from recorder.backend import Endpoint, Node
     from recorder.payload import DataType
     from recorder.ping import RunPlan
+
+_DISCOVERY = (
+    "both have the same --domain and --discovery and a --backend that speaks DDS (ros2, cyclonedds, connext), and the "
+    "network lets multicast through"
+)
+MEETING = {
+    "ros2": f"{_DISCOVERY} (else name each other's device in ROS_STATIC_PEERS, which ROS 2 Iron and later read)",
+    "cyclonedds": f"{_DISCOVERY} (else list peers in CYCLONEDDS_URI)",
+    "connext": f"{_DISCOVERY} (else name the other device with --peer)",
+    "zenoh": (
+        "both have --backend zenoh and the same --domain, --peer names the relay's device, and nothing blocks its TCP "
+        "port {zenoh_port}"
+    ),
+    "socket": (
+        "both have --backend socket and the same --domain and --transport, --peer names the relay's device, and nothing "
+        "blocks its port {socket_port}"
+    ),
+}
+"""What must hold for ping and relay to find each other, by the ping's backend."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +74,7 @@ def explain_silence(node: Node, plan: RunPlan, waited_s: float) -> str:
         if plan.bridge == "none"
         else f", through the bridge {plan.bridge} to domain {plan.relay_domain_id}"
     )
+    where = f", at {', '.join(options.peers)}" if options.peers else ""
     count = node.count_participants()
     saw = [
         f"{'an unknown number of' if count is None else count - 1} other nodes in domain {options.domain_id}",
@@ -64,7 +85,7 @@ def explain_silence(node: Node, plan: RunPlan, waited_s: float) -> str:
     return (
         f"no echo within {waited_s:g} s\n"
         f"  looked for: a relay of {data_type.topic} ({data_type.type_name}) in domain {options.domain_id}{through}; "
-        f"middleware {middleware.rmw or middleware.vendor}, discovery range {options.discovery.value}\n"
+        f"middleware {middleware.rmw or middleware.vendor}, discovery range {options.discovery.value}{where}\n"
         f"  saw: {'; '.join(saw)}\n"
         f"  try: {_advice(sight, node, plan)}"
     )
@@ -82,11 +103,20 @@ def _advice(sight: Sight, node: Node, plan: RunPlan) -> str:
             "a relay is in sight, so the messages do not get through: look at firewalls between the devices, try a "
             "smaller --size or a longer --wait"
         )
+    options, backend = node.options, node.middleware.backend
+    domain_id = options.domain_id if plan.relay_domain_id is None else plan.relay_domain_id
     further = "" if data_type.name in DATA_TYPES else f"--type {data_type.type_name} "
+    meeting = MEETING[backend].format(
+        zenoh_port=port_of(domain_id, ZENOH_PORT), socket_port=port_of(domain_id, SOCKET_PORT)
+    )
+    crossing = (
+        ""
+        if plan.bridge == "none"
+        else f"; or the bridge {plan.bridge} does not reach it: one of two halves needs its other half beside the relay"
+    )
     return (
-        f"start `dds-record --role relay --domain {plan.relay_domain_id} --discovery {node.options.discovery.value} "
-        f"{further}--out relay.mcap`; if it runs, check that both have the same domain and discovery range, and that the "
-        "network lets multicast through"
+        f"start `dds-record --role relay --backend {backend} --domain {domain_id} --discovery {options.discovery.value} "
+        f"{further}--out relay.mcap`; if it runs, check that {meeting}{crossing}"
     )
 
 

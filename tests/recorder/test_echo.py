@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from fake_node import FakeNode
 
-from recorder.backend import Discovery, Endpoint, NodeOptions, TopicView
+from recorder.backend import Discovery, Endpoint, Middleware, NodeOptions, TopicView
+from recorder.backends import BACKEND_MODULES
 from recorder.echo import explain_silence, look_for_relays
 from recorder.payload import Message, Payload
 from recorder.payloads import BINARY, header_data_type
@@ -39,8 +42,33 @@ def test_nobody_there(node, plan):
     assert f"a relay of binary_image ({IMAGE}) in domain 5, through the bridge builtin to domain 10" in text
     assert "middleware rmw_fake, discovery range localhost" in text
     assert "0 other nodes in domain 5; nobody subscribed to binary_image; nobody publishing" in text
-    assert "start `dds-record --role relay --domain 10 --discovery localhost --out relay.mcap`" in text
+    relay = "dds-record --role relay --backend ros2 --domain 10 --discovery localhost --out relay.mcap"
+    assert f"start `{relay}`" in text
+    assert "multicast" in text
+    assert "the bridge builtin does not reach it" in text
     assert not look_for_relays(node, BINARY).is_hopeless
+
+
+@pytest.mark.parametrize("backend", BACKEND_MODULES)
+def test_each_backend_says_what_lets_its_sides_meet(node, backend):
+    see(node)
+    node.middleware = Middleware(backend, "vendor", None)
+    node.options = replace(node.options, peers=("pi4", "pi5"))
+    text = explain_silence(node, RunPlan(BINARY.make(4, 1), 10.0, 5), 20)
+    assert "discovery range localhost, at pi4, pi5" in text
+    advice = text.splitlines()[-1]
+    assert f"--role relay --backend {backend} --domain 5 " in advice
+    assert "bridge" not in advice
+    # Ports 8 and 9 of the 250 of domain 5, which begin at 8650, and whoever looks for others needs no address.
+    expected = {
+        "ros2": ("multicast", "ROS_STATIC_PEERS"),
+        "cyclonedds": ("multicast", "CYCLONEDDS_URI"),
+        "connext": ("multicast", "--peer"),
+        "zenoh": ("--backend zenoh", "--peer", "TCP port 8659"),
+        "socket": ("--backend socket", "--transport", "--peer", "port 8658"),
+    }
+    assert all(word in advice for word in expected[backend])
+    assert ("multicast" in advice) == (backend in ("ros2", "cyclonedds", "connext"))
 
 
 def test_a_relay_in_sight_that_stays_silent(node, plan):

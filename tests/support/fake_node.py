@@ -44,7 +44,7 @@ class FakeNode:
 
     def __init__(self, options: NodeOptions | None = None) -> None:
         self.options = options or NodeOptions(name="me")
-        self.middleware = Middleware("fake", "fakedds", "rmw_fake")
+        self.middleware = Middleware("ros2", "fakedds", "rmw_fake")
         self.publishers: dict[str, FakePublisher] = {}
         self.subscriptions: dict[str, FakeSubscription] = {}
         self.views: dict[str, TopicView] = {}

@@ -6,13 +6,12 @@ import json
 import signal
 import sys
 import threading
-from enum import Enum
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from cli import choices
 from cli.errors import run_command
-from tracefile import OptionError, Qos
 
 if TYPE_CHECKING:
     from recorder.bridges import Bridge, BridgeOptions, RunningBridge
@@ -20,34 +19,6 @@ if TYPE_CHECKING:
 LOOK_S = 0.2
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich")
-
-
-class HalfName(str, Enum):
-    """Which half of a bridge runs here."""
-
-    PING = "ping"
-    RELAY = "relay"
-
-
-class DiscoveryName(str, Enum):
-    """How far a bridge looks for nodes."""
-
-    LOCALHOST = "localhost"
-    SUBNET = "subnet"
-
-
-class Reliability(str, Enum):
-    """QoS reliability."""
-
-    RELIABLE = "reliable"
-    BEST_EFFORT = "best_effort"
-
-
-class Durability(str, Enum):
-    """QoS durability."""
-
-    VOLATILE = "volatile"
-    TRANSIENT_LOCAL = "transient_local"
 
 
 def _option(*names: str, help: str, **more: Any) -> Any:  # noqa: A002 - typer's word
@@ -68,8 +39,16 @@ def main_command(
     ] = False,
     from_domain: Annotated[int, _option("--from", help="Domain of the ping. [dim]Default: 5[/dim]")] = 5,
     to_domain: Annotated[int, _option("--to", help="Domain of the relay. [dim]Default: 10[/dim]")] = 10,
+    topics: Annotated[
+        list[str] | None,
+        _option(
+            "--topic",
+            metavar="NAME:TYPE",
+            help="Carries this topic and its NAME_relay twin too; repeatable.",
+        ),
+    ] = None,
     half: Annotated[
-        HalfName | None,
+        choices.Role | None,
         _option("--half", help="The half that runs here, with --listen or --peer. [dim]Default: ping[/dim]"),
     ] = None,
     listen: Annotated[
@@ -80,19 +59,26 @@ def main_command(
         _option("--peer", metavar="HOST:PORT", help="Where the other half waits; repeatable."),
     ] = None,
     discovery: Annotated[
-        DiscoveryName | None,
+        choices.Discovery | None,
         _option(
             "--discovery",
             help="How far to look for nodes. [dim]Default: ROS_AUTOMATIC_DISCOVERY_RANGE, else subnet[/dim]",
         ),
     ] = None,
     reliability: Annotated[
-        Reliability, _option("--reliability", help="As of ping and relay. [dim]Default: reliable[/dim]")
-    ] = Reliability.RELIABLE,
+        choices.Reliability,
+        _option("--reliability", help="As of ping and relay. [dim]Default: reliable[/dim]"),
+    ] = choices.Reliability.RELIABLE,
     durability: Annotated[
-        Durability, _option("--durability", help="As of ping and relay. [dim]Default: volatile[/dim]")
-    ] = Durability.VOLATILE,
+        choices.Durability, _option("--durability", help="As of ping and relay. [dim]Default: volatile[/dim]")
+    ] = choices.Durability.VOLATILE,
     depth: Annotated[int, _option("--depth", help="Messages kept. [dim]Default: 10[/dim]")] = 10,
+    deadline: Annotated[
+        str | None, _option("--deadline", metavar="TIME", help="As of ping and relay: 20ms, 1.5s.")
+    ] = None,
+    lifespan: Annotated[
+        str | None, _option("--lifespan", metavar="TIME", help="As of ping and relay: 20ms, 1.5s.")
+    ] = None,
     tuned: Annotated[
         bool, _option("--tuned", help="Settings for large messages, as of ping and relay.")
     ] = False,
@@ -105,9 +91,10 @@ def main_command(
 
     [bold]dds-bridge zenoh-bridge-dds --half relay --peer 192.168.0.5:7447[/bold]
     """
-    from cli.record import default_discovery
+    from cli.record_values import default_discovery, parse_durations
     from recorder.backend import Discovery
-    from recorder.bridges import BridgeOptions, Half, load_bridge
+    from recorder.bridges import BRIDGED_TOPICS, BridgeOptions, Half, bridged_topic, load_bridge
+    from tracefile import OptionError, Qos
 
     if list_them:
         _list(as_json=as_json)
@@ -117,7 +104,13 @@ def main_command(
     options = BridgeOptions(
         from_domain,
         to_domain,
-        qos=Qos(reliability.value, durability.value, depth=depth),
+        topics=(*BRIDGED_TOPICS, *map(bridged_topic, topics or ())),
+        qos=Qos(
+            reliability.value,
+            durability.value,
+            depth=depth,
+            extra=parse_durations(deadline_ns=deadline, lifespan_ns=lifespan),
+        ),
         discovery=default_discovery() if discovery is None else Discovery(discovery.value),
         tuned=tuned,
         half=Half.BOTH if half is None else Half(half.value),

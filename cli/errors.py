@@ -6,8 +6,6 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tracefile import TraceError
-
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -20,6 +18,10 @@ def run_command(command: Callable[[], object]) -> None:
     """
     try:
         command()
-    except TraceError as error:
+    except Exception as error:
+        from tracefile import TraceError  # not loaded before, so that --help is quick
+
+        if not isinstance(error, TraceError):
+            raise
         print(f"{Path(sys.argv[0]).name}: {error}", file=sys.stderr)
         sys.exit(error.exit_code)

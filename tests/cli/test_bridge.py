@@ -113,7 +113,17 @@ def test_help_reads_well_in_80_columns():
     result = CliRunner(env={"COLUMNS": "80", "TERMINAL_WIDTH": "80"}).invoke(app, ["--help"])
     assert result.exit_code == 0
     assert all(len(line) <= 80 for line in result.output.splitlines())
-    for option in ("--list", "--print-config", "--from", "--to", "--half", "--listen", "--peer"):
+    for option in (
+        "--list",
+        "--print-config",
+        "--topic",
+        "--deadline",
+        "--from",
+        "--to",
+        "--half",
+        "--listen",
+        "--peer",
+    ):
         assert option in result.output
 
 

@@ -3,14 +3,27 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
+from cli import choices
 from cli import record as command
-from recorder import Discovery, PingProgress, Recorded, RelayProgress, Serialization, Transport
+from cli.record_run import print_result
+from recorder import (
+    DEFAULT_MESSAGES,
+    DEFAULT_WARMUP,
+    Discovery,
+    ExecutorKind,
+    PingProgress,
+    Recorded,
+    RelayProgress,
+    Serialization,
+    Transport,
+)
 from tracefile import (
     BackendUnavailableError,
     ClosedTrace,
@@ -33,8 +46,8 @@ def parsed(monkeypatch, tmp_path):
     for name in ("ROS_DOMAIN_ID", "ROS_LOCALHOST_ONLY", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
         monkeypatch.delenv(name, raising=False)
     seen = []
-    monkeypatch.setattr(command, "_record", seen.append)
-    monkeypatch.setattr(command, "_report", lambda *_, **__: None)
+    monkeypatch.setattr("cli.record_run.record_until_stopped", seen.append)
+    monkeypatch.setattr("cli.record_run.print_result", lambda *_, **__: None)
 
     def parse(*arguments, role="ping"):
         result = CliRunner().invoke(
@@ -265,6 +278,33 @@ def test_help_fits_80_columns_and_needs_no_middleware(monkeypatch):
         assert name in result.output
 
 
+def test_the_words_of_the_options_are_those_of_the_recorder():
+    pairs = {
+        choices.Discovery: Discovery,
+        choices.Serialization: Serialization,
+        choices.Transport: Transport,
+        choices.Executor: ExecutorKind,
+    }
+    for ours, recorders in pairs.items():
+        assert {choice.value for choice in ours} == {choice.value for choice in recorders}
+    output = CliRunner(env={"COLUMNS": "300", "TERMINAL_WIDTH": "300"}).invoke(command.app, ["--help"]).output
+    assert f"Messages to measure. Default: {DEFAULT_MESSAGES}," in output
+    assert f"Messages before, which do not count. Default: {DEFAULT_WARMUP} " in output
+
+
+@pytest.mark.parametrize("module", ["cli.record", "cli.bridge"])
+def test_help_loads_neither_the_recorder_nor_numpy(module):
+    code = (
+        f"import sys; from {module} import app\n"
+        "try: app(['--help'])\n"
+        "except SystemExit: pass\n"
+        "rooms = ('recorder', 'tracefile', 'numpy', 'psutil')\n"
+        "print([name for name in rooms if name in sys.modules])\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
 def test_progress_in_words():
     from cli.progress import describe_progress
 
@@ -287,11 +327,11 @@ def recorded(error=None):
 
 
 def test_the_result_in_words_and_as_json(capsys):
-    command._report(recorded(), as_json=False)
+    print_result(recorded(), as_json=False)
     assert capsys.readouterr().out == (
         "Wrote x.mcap\nsent 2/2, received 2, lost 0, RTT p50 0.8 ms, p99 0.9 ms; 4 events, 1 dropped\n"
     )
-    command._report(recorded(), as_json=True)
+    print_result(recorded(), as_json=True)
     assert json.loads(capsys.readouterr().out) == {
         "path": "x.mcap",
         "role": "ping",
@@ -313,5 +353,5 @@ def test_the_result_in_words_and_as_json(capsys):
 
 def test_a_trace_that_could_not_be_written_whole_is_an_error_after_the_counts(capsys):
     with pytest.raises(OutputError, match="disk full"):
-        command._report(recorded(OutputError("disk full")), as_json=True)
+        print_result(recorded(OutputError("disk full")), as_json=True)
     assert json.loads(capsys.readouterr().out)["error"] == "disk full"

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
 PATIENCE_S = 60.0
 """No test is about time; this only ends one that hangs."""
@@ -30,12 +30,20 @@ class Finished:
 
 
 class RunningCommand:
-    """One of our commands as a process; `finish` or `stop` it."""
+    """One of our commands as a process; `finish` or `stop` it.
 
-    def __init__(self, *arguments: object, environment: dict[str, str] | None = None) -> None:
+    Args:
+        arguments: of the command, its name first.
+        environment: variables that differ from ours.
+        prefix: a command that becomes ours, as `nsenter` does.
+    """
+
+    def __init__(
+        self, *arguments: object, environment: dict[str, str] | None = None, prefix: Sequence[str] = ()
+    ) -> None:
         program, *rest = map(str, arguments)
         self._process = subprocess.Popen(
-            [Path(sys.executable).with_name(program), *rest],
+            [*prefix, Path(sys.executable).with_name(program), *rest],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

@@ -1,0 +1,105 @@
+"""The commands of `docs/two-devices.md`, as they stand there, between two namespaces joined by a veth."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+import signal
+from contextlib import ExitStack
+from itertools import groupby
+from pathlib import Path
+
+import pytest
+from two_devices import command_blocks, reason_to_skip, two_devices
+
+from tracefile import read_trace
+
+PAGE = Path(__file__).parents[2] / "docs" / "two-devices.md"
+PING, RELAY = "192.168.0.10", "192.168.0.20"
+READY = {"--role relay": "serves domain", "dds-bridge": " runs: "}
+"""What a command says on stderr once others may begin; a command with none of these words runs to its end."""
+MESSAGES, WARMUP, PAYLOAD_BYTES = 200, 10, 33_000
+
+
+def test_the_page_names_the_addresses_and_every_section_has_its_commands():
+    assert f"the ping's device is {PING} and the relay's is\n{RELAY}" in PAGE.read_text()
+    blocks = command_blocks(PAGE)
+    assert [(block.section, block.device) for block in blocks] == [
+        ("Same domain", "relay"),
+        ("Same domain", "ping"),
+        ("Different domains", "relay"),
+        ("Different domains", "relay"),
+        ("Different domains", "ping"),
+        ("The floor of the link", "relay"),
+        ("The floor of the link", "ping"),
+        ("Bring the traces together", "ping"),
+    ]
+    assert PAGE.read_text().count("```sh") == len(blocks)
+
+
+@pytest.mark.middleware
+@pytest.mark.timeout(400)
+@pytest.mark.skipif(reason_to_skip() is not None, reason=str(reason_to_skip()))
+def test_its_commands_lead_to_completed_round_trips_over_the_link(tmp_path):
+    for package in ("rclpy", "zenoh", "polars"):
+        pytest.importorskip(package, reason=f"{package} is not installed")
+    with two_devices(tmp_path, PING, RELAY) as (pair, devices):
+        for section, blocks in groupby(command_blocks(PAGE), lambda block: block.section):
+            pair.measure()
+            _follow(list(blocks), devices)
+            if section != "Bring the traces together":
+                sent = pair.measure()
+                for role in ("ping", "relay"):  # or the messages found another way than the link
+                    assert sent[role]["sent_bytes"] > (MESSAGES + WARMUP) * PAYLOAD_BYTES, section
+    _check(devices["ping"].folder / "runs")
+
+
+def _follow(blocks, devices):
+    """Run a section as its reader would; what goes on until Ctrl-C gets it at the end."""
+    with ExitStack() as stack:
+        waiting = []
+        for block in blocks:
+            for line in block.lines:
+                program, *arguments = shlex.split(line)
+                if program == "scp":
+                    _copy(arguments, devices)
+                    continue
+                command = devices[block.device].start(program, *arguments)
+                stack.callback(command.clean_up)
+                ready = [text for words, text in READY.items() if words in line]
+                if ready:
+                    command.wait_for_line(ready[0])
+                    waiting.append(command)
+                else:
+                    done = command.finish()
+                    assert done.status == 0, done.stderr
+        for command in waiting:
+            done = command.stop(signal.SIGINT)
+            assert done.status == 0, done.stderr
+
+
+def _copy(arguments, devices):
+    source, target = arguments
+    found = re.fullmatch(rf"robot@{re.escape(RELAY)}:(.+)", source)
+    shutil.copy(devices["relay"].folder / found[1], devices["ping"].folder / target)
+
+
+def _check(runs):
+    from analyzer import analyze
+
+    assert (runs / "analysis" / "report.html").exists()
+    analysis = analyze(runs)
+    groups = {group["bridge"] + " " + group["backend"]: group for group in analysis.summary.to_dicts()}
+    assert set(groups) == {"none ros2", "builtin-zenoh ros2", "none socket"}
+    assert [groups[name]["domain_mode"] for name in sorted(groups)] == ["different", "same", "same"]
+    for group in groups.values():
+        assert group["published"] == MESSAGES
+        # All of them, but for a machine that is too busy to read ten messages long.
+        assert group["received"] >= 0.9 * MESSAGES
+        assert group["latency_p50_ns"] > 0
+    for path in runs.glob("*/*.mcap"):
+        session = read_trace(path).sessions[-1]
+        assert session.state == "closed"
+        assert session.connectivity == "wired"
+        assert session.host["middleware"]["discovery"] == "subnet"

@@ -15,6 +15,7 @@ from analyzer.breakdown import (
     summarize_breakdown,
     with_stamps,
 )
+from analyzer.change import Verdict
 from analyzer.clock_fit import ClockFit, ClockKnot, ClockSegment, ClockStep
 from analyzer.clocks import Alignment, align_clocks, clock_table, ping_boots
 from analyzer.columns import (
@@ -29,7 +30,6 @@ from analyzer.compare import (
     MATCH_COLUMNS,
     CompareOptions,
     Comparison,
-    Verdict,
     bridge_cost,
     compare_roundtrips,
 )

@@ -35,6 +35,8 @@ class Finding:
         where: the file, run, group or device it is about, in words.
         what: one sentence with the figures.
         action: one sentence: what to do next.
+        groups: row numbers in `summary` of the groups it is about; empty where it is about a file, run or device.
+        count: how many findings of its kind it stands for; more than one only for the last of very many.
     """
 
     severity: Severity
@@ -42,6 +44,8 @@ class Finding:
     where: str
     what: str
     action: str
+    groups: tuple[int, ...] = ()
+    count: int = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +81,8 @@ class Details:
             `group` u32, `part` str, `order` u32, `messages` u64, `mean_ns`, `p50_ns`, `p99_ns`, `bound_ns` f64.
         responses: response time against round trip time (`breakdown.response_against_latency`), a row per group
             with a schedule: `group` u32, `messages` u64, `late_ratio` f64, `waiting_max_ns` i64, `rtt_p50_ns`,
-            `response_p50_ns`, `rtt_p99_ns`, `response_p99_ns`, `hidden_p50_ns`, `hidden_p99_ns` f64.
+            `response_p50_ns`, `rtt_p99_ns`, `response_p99_ns`, `hidden_p50_ns`, `hidden_p99_ns` f64. Like `breakdown`
+            without a row of a group that was worked at in parts (`batches.WHOLE_GROUP_EVENTS`); a finding says so.
         freshness: a row per run and relay: `group` u32, then the columns of `freshness.FRESHNESS_SCHEMA`.
         outages: a row per outage: `group` u32, `run_id` u64, `relay_id` u32, `first_sequence`, `messages` u64,
             `start_ns`, `end_ns`, `duration_ns`, `recovery_ns` i64 null.
@@ -90,8 +95,9 @@ class Details:
         host_samples: load of the devices over time (`host_samples.host_sample_frame`), columns of
             `host_samples.HOST_SAMPLE_SCHEMA`.
         bridge_costs: different domains against the same domain for equal parameters (`compare.bridge_cost`), p50 and
-            p99 of the latency; no rows of a campaign too large to be held in memory.
-        answers: who is fastest for each kind of message, likewise; empty of a campaign too large for memory.
+            p99 of the latency. Read from the rows' file kind by kind; a kind of message with more than
+            `large.MOST_COMPARED_ROWS` rows has none, and a finding says so.
+        answers: who is fastest for each kind of message, likewise.
         deadline_ns: the deadline that `freshness` judges; None for none.
         recommendation: what was asked for with `job`, if anything was.
     """

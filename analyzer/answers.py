@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 
     from analyzer.intervals import Interval
 
+    ContenderNames = Mapping[tuple[Any, ...], str]
+    """The values of `CONTENDER_COLUMNS` -> what the setting is called."""
+
 CASE_COLUMNS = ("connectivity", "domain_mode", *CELL_COLUMNS)
 CONTENDER_COLUMNS = tuple(name for name in SETTING_COLUMNS if name not in CASE_COLUMNS)
 
@@ -119,17 +122,20 @@ class Headline:
         return f"{what}: {'; '.join(said)}"
 
 
-def find_answers(roundtrips: pl.DataFrame, confidence: float = 0.95) -> tuple[Answer, ...]:
+def find_answers(
+    roundtrips: pl.DataFrame, confidence: float = 0.95, *, names: ContenderNames | None = None
+) -> tuple[Answer, ...]:
     """One answer for each kind of message, sorted by its columns.
 
     Args:
         roundtrips: frame of `docs/trace-format.md`.
         confidence: of the intervals.
+        names: `contender_names` of the campaign that these are a part of; None where they are all of it.
     """
-    varying = [n for n in CONTENDER_COLUMNS if n in {"vendor", "bridge"} or roundtrips[n].n_unique() > 1]
+    names = contender_names(roundtrips) if names is None else names
     answers = []
     for case, rows in parts_of(roundtrips, CASE_COLUMNS):
-        percentile, contenders = _compared(rows, varying, confidence)
+        percentile, contenders = _compared(rows, names, confidence)
         ranked = tuple(sorted(contenders, key=_order))
         best = ranked[0].latency
         leaders = tuple(c for c in ranked if c is ranked[0] or _overlap(best, c.latency))
@@ -165,7 +171,7 @@ def find_headlines(answers: Sequence[Answer]) -> tuple[Headline, ...]:
     return tuple(headlines)
 
 
-def _compared(rows: pl.DataFrame, varying: Sequence[str], confidence: float) -> tuple[str, list[Contender]]:
+def _compared(rows: pl.DataFrame, names: ContenderNames, confidence: float) -> tuple[str, list[Contender]]:
     parts = [
         (setting, part, delivered_latencies(part)) for setting, part in parts_of(rows, CONTENDER_COLUMNS)
     ]
@@ -175,7 +181,7 @@ def _compared(rows: pl.DataFrame, varying: Sequence[str], confidence: float) -> 
         percentile, intervals = "p99", tails
     contenders = [
         Contender(
-            name=_name(setting, varying),
+            name=names[tuple(setting.values())],
             setting=setting,
             latency=interval,
             received=ratio_interval((part["outcome"] == "completed").to_numpy(), confidence),
@@ -185,14 +191,47 @@ def _compared(rows: pl.DataFrame, varying: Sequence[str], confidence: float) -> 
     return percentile, contenders
 
 
-def _name(setting: Mapping[str, Any], varying: Sequence[str]) -> str:
-    """`fastdds`, `fastdds via builtin`, `fastdds to cyclonedds, best_effort` ..."""
+_NAMED_APART: Mapping[str, tuple[str, str]] = {
+    "rmw": ("{}", "no rmw"),
+    "relay_backend": ("relay by {}", "relay unknown"),
+    "relay_vendor": ("relay {}", "relay unknown"),
+}
+"""What is said only where nothing else tells two contenders apart, and how: of a value, and of a null."""
+
+
+def contender_names(parameters: pl.DataFrame) -> ContenderNames:
+    """A name for every setting: `fastdds`, `fastdds via builtin`, `fastdds to cyclonedds, reliability best_effort` ...
+
+    Args:
+        parameters: has `CONTENDER_COLUMNS`; any number of rows of each setting.
+    """
+    settings = [
+        dict(zip(CONTENDER_COLUMNS, row, strict=True))
+        for row in parameters.select(CONTENDER_COLUMNS).unique(maintain_order=True).iter_rows()
+    ]
+    short = [_short_name(setting, _varying(settings)) for setting in settings]
+    names = {}
+    for setting, name in zip(settings, short, strict=True):
+        alike = [other for other, of_other in zip(settings, short, strict=True) if of_other == name]
+        apart = []
+        for column in _varying(alike):
+            known, unknown = _NAMED_APART.get(column, (f"{column} {{}}", f"no {column}"))
+            apart.append(unknown if setting[column] is None else known.format(setting[column]))
+        names[tuple(setting.values())] = ", ".join(dict.fromkeys([name, *apart]))
+    return names
+
+
+def _varying(settings: Sequence[Mapping[str, Any]]) -> list[str]:
+    return [column for column in CONTENDER_COLUMNS if len({setting[column] for setting in settings}) > 1]
+
+
+def _short_name(setting: Mapping[str, Any], varying: Sequence[str]) -> str:
     name = str(setting["vendor"])
     if setting["relay_vendor"] not in {None, setting["vendor"]}:
         name += f" to {setting['relay_vendor']}"
     if setting["bridge"] != "none":
         name += f" via {setting['bridge']}"
-    said = {"vendor", "relay_vendor", "bridge", "rmw", "relay_backend"}
+    said = {"vendor", "bridge", *_NAMED_APART}
     return ", ".join([name, *(f"{n} {setting[n]}" for n in varying if n not in said)])
 
 

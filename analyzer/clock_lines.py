@@ -79,7 +79,14 @@ class Lines:
         possible = high >= low - _ROUNDING_NS
         if not possible.any():
             return None
-        return cls(centre, slope[possible], low[possible], high[possible])
+        # Between the gentlest and the steepest, only the slope of an edge of one of the hulls makes a corner.
+        edge = np.eye(len(time), k=-1, dtype=np.bool_)
+        edge[len(x), len(x) - 1] = False  # from one hull to the other
+        corner = np.append(edge[gentle], [False, False])
+        corner[np.where(possible, slope, np.inf).argmin()] = True
+        corner[np.where(possible, slope, -np.inf).argmax()] = True
+        corner &= possible
+        return cls(centre, slope[corner], low[corner], high[corner])
 
     def range_at(self, time: Float64) -> tuple[Float64, Float64]:
         """Lowest and highest that any of the lines is at each time."""

@@ -12,31 +12,19 @@ channel) is in no interval that a single run can give: repeat runs.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from enum import Enum
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import polars as pl
-from numpy.typing import NDArray
 
+from analyzer.change import Sample, change_of, probability_of_superiority
 from analyzer.columns import PARAMETER_NAMES
-from analyzer.intervals import (
-    REPLICATES,
-    SEED,
-    bootstrap_mean,
-    bootstrap_quantile,
-    dependence_of,
-    quantile_of,
-    ratio_interval,
-)
-from analyzer.sample_size import planned_messages
+from analyzer.intervals import REPLICATES, ratio_interval
 from analyzer.statistics import PERCENTILES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
-Float64 = NDArray[np.float64]
-Int64 = NDArray[np.int64]
+    from analyzer.intervals import Interval
 
 MATCH_COLUMNS = tuple(
     name
@@ -45,19 +33,7 @@ MATCH_COLUMNS = tuple(
 )
 """What makes two groups the same experiment: every parameter but the machines' names and the domains' numbers."""
 
-MEAN_NEEDS = 10
-"""Independent messages below which a mean has no interval: the bootstrap of so few is far too narrow."""
-
 QUANTILES = {p.name: p.quantile for p in PERCENTILES}
-
-
-class Verdict(Enum):
-    """What the interval of a ratio new / base says of a time, where less is better."""
-
-    BETTER = "better"
-    WORSE = "worse"
-    SAME = "same"  # the whole interval is within the tolerance
-    INCONCLUSIVE = "inconclusive"
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,128 +55,6 @@ class CompareOptions:
     confidence: float = 0.95
     same_within: float = 0.05
     replicates: int = REPLICATES
-
-
-@dataclass(frozen=True, slots=True)
-class Change:
-    """One statistic of one group on both sides. Ends of intervals are None where a sample does not support them.
-
-    Attributes:
-        base: the statistic of the base, in ns; None if its sample is too small.
-        new: the same of the new side, with `new_low` and `new_high`.
-        difference: new - base, with `difference_low` and `difference_high`.
-        ratio: new / base, with `ratio_low` and `ratio_high`.
-    """
-
-    base: float | None
-    new: float | None
-    new_low: float | None
-    new_high: float | None
-    difference: float | None
-    difference_low: float | None
-    difference_high: float | None
-    ratio: float | None
-    ratio_low: float | None
-    ratio_high: float | None
-
-    def verdict(self, same_within: float) -> Verdict:
-        """Better, worse, the same, or not to be told from these samples."""
-        if self.ratio_low is None or self.ratio_high is None:
-            return Verdict.INCONCLUSIVE
-        if 1 - same_within <= self.ratio_low and self.ratio_high <= 1 + same_within:
-            return Verdict.SAME
-        if self.ratio_high < 1:
-            return Verdict.BETTER
-        if self.ratio_low > 1:
-            return Verdict.WORSE
-        return Verdict.INCONCLUSIVE
-
-
-def change_of(
-    base: Int64 | Float64,
-    new: Int64 | Float64,
-    statistic: str,
-    confidence: float = 0.95,
-    replicates: int = REPLICATES,
-) -> Change:
-    """A statistic of two series (each in the order of time) and what can be said of its change.
-
-    Args:
-        base: values of the base.
-        new: values of the new side.
-        statistic: `mean` or the name of a percentile.
-        confidence: of the intervals; an end is given only if both samples are worth enough messages for it.
-        replicates: draws of the bootstrap.
-    """
-    before, after = (
-        _side(values, statistic, confidence, replicates, SEED + i) for i, values in enumerate((base, new))
-    )
-    tail = [(1 - confidence) / 2, (1 + confidence) / 2]
-    low = high = ratio_low = ratio_high = None
-    if before.drawn is not None and after.drawn is not None:
-        low, high = np.quantile(after.drawn - before.drawn, tail).tolist()
-        if before.drawn.min() > 0:
-            ratio_low, ratio_high = np.quantile(after.drawn / before.drawn, tail).tolist()
-    new_low, new_high = (None, None) if after.drawn is None else np.quantile(after.drawn, tail).tolist()
-    difference = ratio = None
-    if before.value is not None and after.value is not None:
-        difference = after.value - before.value
-        ratio = after.value / before.value if before.value > 0 else None
-    return Change(
-        base=before.value,
-        new=after.value,
-        new_low=new_low,
-        new_high=new_high,
-        difference=difference,
-        difference_low=low,
-        difference_high=high,
-        ratio=ratio,
-        ratio_low=ratio_low,
-        ratio_high=ratio_high,
-    )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Side:
-    """A statistic of one sample, and what the bootstrap makes of it; None where the sample is too small for it."""
-
-    value: float | None
-    drawn: Float64 | None
-
-
-def _side(values: Int64 | Float64, statistic: str, confidence: float, replicates: int, seed: int) -> _Side:
-    if statistic == "mean":
-        if not len(values):
-            return _Side(None, None)
-        dependence = dependence_of(values)
-        if len(values) / dependence.inflation < MEAN_NEEDS:
-            return _Side(float(values.mean()), None)
-        drawn = bootstrap_mean(values, dependence.block_messages, replicates=replicates, seed=seed)
-        return _Side(float(values.mean()), drawn)
-    percentile = next(p for p in PERCENTILES if p.name == statistic)
-    if len(values) < percentile.needs:
-        return _Side(None, None)
-    value = quantile_of(np.sort(values), percentile.quantile)
-    dependence = dependence_of(values <= value)
-    if len(values) < planned_messages(percentile.quantile, confidence, dependence.inflation):
-        return _Side(value, None)
-    block = dependence.block_messages
-    return _Side(
-        value, bootstrap_quantile(values, percentile.quantile, block, replicates=replicates, seed=seed)
-    )
-
-
-def probability_of_superiority(base: Int64 | Float64, new: Int64 | Float64) -> float | None:
-    """How often a value drawn from `new` is below one drawn from `base`, ties counted half; None without values.
-
-    One half means no difference, 1 that every new message is faster than every one of the base.
-    """
-    if not len(base) or not len(new):
-        return None
-    ordered = np.sort(base)
-    above = len(base) - np.searchsorted(ordered, new, side="right")
-    ties = np.searchsorted(ordered, new, side="right") - np.searchsorted(ordered, new, side="left")
-    return float((above + ties / 2).mean() / len(base))
 
 
 COMPARISON_SCHEMA = {
@@ -270,11 +124,48 @@ def compare_roundtrips(
         options: how; None for the defaults.
     """
     options = options or CompareOptions()
+    return _compare(_groups(base, options.match), _groups(new, options.match), base.schema, options)
+
+
+class _Group:
+    """The messages of one group in the order of time within each run; its samples are kept to be drawn from once."""
+
+    def __init__(self, rows: pl.DataFrame) -> None:
+        self._rows = rows
+        self._samples: dict[str, Sample] = {}
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def sample(self, metric: str) -> Sample:
+        """The values of a metric that are not null."""
+        if metric not in self._samples:
+            self._samples[metric] = Sample(self._rows[f"{metric}_ns"].drop_nulls().to_numpy())
+        return self._samples[metric]
+
+    def received(self, confidence: float) -> Interval:
+        """Share of messages whose reply came back."""
+        return ratio_interval((self._rows["outcome"] == "completed").to_numpy(), confidence)
+
+
+_Groups = dict[tuple[Any, ...], _Group]
+
+
+def _groups(frame: pl.DataFrame, match: Sequence[str]) -> _Groups:
+    """The groups of a frame by the values of the match columns, sorted."""
+    ordered = frame.sort(*match, "run_id", "relay_id", "publish_ns", nulls_last=False)
+    return {
+        tuple(part.row(0, named=True)[name] for name in match): _Group(part)
+        for part in ordered.partition_by(*match, maintain_order=True)
+    }
+
+
+def _compare(
+    before: _Groups, after: _Groups, schema: Mapping[str, pl.DataType], options: CompareOptions
+) -> Comparison:
     rows: list[dict[str, Any]] = []
     delivery: list[dict[str, Any]] = []
-    before, after = _groups(base, options.match), _groups(new, options.match)
-    shared = [key for key in before if key in after]
-    for key in shared:
+    for key in (key for key in before if key in after):
         labels = dict(zip(options.match, key, strict=True))
         sides = {"base": before[key], "new": after[key]}
         delivery.append(
@@ -282,7 +173,7 @@ def compare_roundtrips(
         )
         for metric in options.metrics:
             rows += (labels | row for row in _metric_rows(before[key], after[key], metric, options))
-    label_schema = {name: base.schema[name] for name in options.match}
+    label_schema = {name: schema[name] for name in options.match}
     return Comparison(
         rows=pl.DataFrame(rows, schema={**label_schema, **COMPARISON_SCHEMA}),
         delivery=pl.DataFrame(delivery, schema={**label_schema, **DELIVERY_SCHEMA}),
@@ -292,17 +183,8 @@ def compare_roundtrips(
     )
 
 
-def _groups(frame: pl.DataFrame, match: Sequence[str]) -> dict[tuple[Any, ...], pl.DataFrame]:
-    """The frame's parts by the values of the match columns, sorted; messages in the order of time within a run."""
-    ordered = frame.sort(*match, "run_id", "relay_id", "publish_ns", nulls_last=False)
-    return {
-        tuple(part.row(0, named=True)[name] for name in match): part
-        for part in ordered.partition_by(*match, maintain_order=True)
-    }
-
-
-def _delivery(side: str, group: pl.DataFrame, options: CompareOptions) -> dict[str, Any]:
-    ratio = ratio_interval((group["outcome"] == "completed").to_numpy(), options.confidence)
+def _delivery(side: str, group: _Group, options: CompareOptions) -> dict[str, Any]:
+    ratio = group.received(options.confidence)
     return {
         f"{side}_published": len(group),
         f"{side}_received_ratio": ratio.value,
@@ -311,13 +193,8 @@ def _delivery(side: str, group: pl.DataFrame, options: CompareOptions) -> dict[s
     }
 
 
-def _metric_rows(
-    base: pl.DataFrame,
-    new: pl.DataFrame,
-    metric: str,
-    options: CompareOptions,
-) -> Iterator[dict[str, Any]]:
-    before, after = (side[f"{metric}_ns"].drop_nulls().to_numpy() for side in (base, new))
+def _metric_rows(base: _Group, new: _Group, metric: str, options: CompareOptions) -> Iterator[dict[str, Any]]:
+    before, after = base.sample(metric), new.sample(metric)
     superiority = probability_of_superiority(before, after)
     for statistic in options.statistics:
         change = change_of(before, after, statistic, options.confidence, options.replicates)
@@ -359,7 +236,7 @@ def bridge_cost(roundtrips: pl.DataFrame, options: CompareOptions | None = None)
     """
     options = options or CompareOptions()
     match = tuple(name for name in options.match if name in BRIDGE_MATCH_COLUMNS)
-    same = roundtrips.filter((pl.col("domain_mode") == "same") & (pl.col("bridge") == "none"))
+    same = _groups(roundtrips.filter((pl.col("domain_mode") == "same") & (pl.col("bridge") == "none")), match)
     different = roundtrips.filter(pl.col("domain_mode") == "different")
     how = replace(options, match=match)
     ratios = ["base_received_ratio", "new_received_ratio"]
@@ -368,9 +245,8 @@ def bridge_cost(roundtrips: pl.DataFrame, options: CompareOptions | None = None)
         *different["bridge"].unique().sort(),
         None,
     ]:  # without any bridge the columns are there all the same
-        found = compare_roundtrips(
-            same, different.filter(pl.col("bridge").eq_missing(pl.lit(bridge, pl.String))), how
-        )
+        through = different.filter(pl.col("bridge").eq_missing(pl.lit(bridge, pl.String)))
+        found = _compare(same, _groups(through, match), roundtrips.schema, how)
         rows = found.rows.join(
             found.delivery.select(*match, *ratios),
             on=list(match),

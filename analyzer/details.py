@@ -7,42 +7,52 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from analyzer.analysis import Details
-from analyzer.answers import find_answers
+from analyzer.answers import CASE_COLUMNS, contender_names, find_answers
 from analyzer.clocks import ping_boots
-from analyzer.compare import CompareOptions, bridge_cost
+from analyzer.compare import BRIDGE_MATCH_COLUMNS, CompareOptions, bridge_cost
+from analyzer.group_frames import INTERVAL_SCHEMA, ONE_WAY_SCHEMA, interval_rows, one_way_rows
 from analyzer.host_samples import host_sample_frame
+from analyzer.large import is_too_large
 from analyzer.one_way import fit_devices, segment_table
 from analyzer.recommend import recommend_settings
-from analyzer.rows import MOST_HELD_ROWS
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from analyzer.answers import Answer
     from analyzer.batch import Wanted
     from analyzer.frames import Frames
     from analyzer.load import Campaign
-    from analyzer.rows import RoundTripRows
+    from analyzer.rows import RowsByGroup
 
 _COSTS = CompareOptions(metrics=("latency",), statistics=("p50", "p99"))
 """A bootstrap takes milliseconds for each statistic of each group; these two are drawn."""
 
 
-def collect_details(campaign: Campaign, frames: Frames, rows: RoundTripRows, wanted: Wanted) -> Details:
+def collect_details(
+    campaign: Campaign, frames: Frames, rows: RowsByGroup, in_parts: Sequence[int], wanted: Wanted
+) -> Details:
     """The details of a campaign.
 
     Args:
         campaign: its sessions, runs and traces.
         frames: those of `frames.DETAIL_MAKERS`, of all batches.
-        rows: the round trips; what compares groups with each other takes them whole, and is left out of a campaign
-            with more than `MOST_HELD_ROWS`.
+        rows: the round trips; what compares groups with each other reads those of a few groups at a time.
+        in_parts: groups that no batch held whole: what a column of their rows says is added here.
         wanted: what is asked for.
     """
     boots = ping_boots(list(campaign.sessions.values()), list(campaign.runs.values()))
-    few = rows.scan().select(pl.len()).collect().item() <= MOST_HELD_ROWS
     # A job is about one data type; that much of a large campaign is read for it.
-    of_job = rows.scan().filter(pl.col("data_type") == wanted.job.data_type) if wanted.job else None
-    held = rows.frame() if few else rows.scan().head(0).collect()
+    of_job = rows.rows.scan().filter(pl.col("data_type") == wanted.job.data_type) if wanted.job else None
+    intervals = pl.DataFrame(
+        [row for group in in_parts for row in interval_rows(group, _column_of(rows, group))], INTERVAL_SCHEMA
+    )
+    one_way = pl.DataFrame(
+        [row for group in in_parts for row in one_way_rows(group, _column_of(rows, group))], ONE_WAY_SCHEMA
+    )
     return Details(
-        intervals=frames["intervals"],
-        one_way=frames["one_way"],
+        intervals=_by_group(frames["intervals"], intervals),
+        one_way=_by_group(frames["one_way"], one_way),
         breakdown=frames["breakdown"],
         responses=frames["responses"],
         freshness=frames["freshness"],
@@ -50,10 +60,42 @@ def collect_details(campaign: Campaign, frames: Frames, rows: RoundTripRows, wan
         clock_fits=segment_table(fit_devices(frames["clock_knots"], boots)),
         clock_knots=frames["clock_knots"],
         host_samples=host_sample_frame(campaign.traces),
-        bridge_costs=bridge_cost(held, _COSTS),
-        answers=find_answers(held),
+        bridge_costs=_bridge_costs(rows),
+        answers=_answers(rows),
         deadline_ns=wanted.deadline_ns,
         recommendation=recommend_settings(of_job.collect(), wanted.job)
         if wanted.job and of_job is not None
         else None,
     )
+
+
+def _column_of(rows: RowsByGroup, group: int) -> Callable[[str], pl.Series]:
+    return lambda name: rows.column(group, name)
+
+
+def _by_group(*frames: pl.DataFrame) -> pl.DataFrame:
+    return pl.concat(frames).sort("group", maintain_order=True)
+
+
+def _answers(rows: RowsByGroup) -> tuple[Answer, ...]:
+    """`answers.find_answers` of the whole campaign, one kind of message after the other."""
+    names = contender_names(rows.groups)
+    return tuple(
+        answer
+        for case in rows.cases(CASE_COLUMNS)
+        if not is_too_large(case)
+        for answer in find_answers(rows.frame(case), names=names)
+    )
+
+
+def _bridge_costs(rows: RowsByGroup) -> pl.DataFrame:
+    """`compare.bridge_cost` of the whole campaign, one kind of message after the other."""
+    across = (pl.col("domain_mode") == "different").any()
+    within = ((pl.col("domain_mode") == "same") & (pl.col("bridge") == "none")).any()
+    costs = [
+        bridge_cost(rows.frame(case), _COSTS)
+        for case in rows.cases(BRIDGE_MATCH_COLUMNS)
+        if case.select(across & within).item() and not is_too_large(case)
+    ]
+    none = bridge_cost(rows.frame(rows.groups.head(0)), _COSTS)
+    return pl.concat([none, *costs]).sort("bridge", maintain_order=True)

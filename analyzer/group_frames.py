@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import polars as pl
 
-from analyzer.breakdown import break_down, response_against_latency, summarize_breakdown, with_stamps
+from analyzer.breakdown import STAMP_COLUMNS, break_down, response_against_latency, summarize_breakdown
 from analyzer.freshness import outage_table, summarize_freshness
 from analyzer.intervals import percentile_interval
 from analyzer.metrics import METRICS
 from analyzer.one_way import knots_of
+from analyzer.pair import MISSING
 from analyzer.statistics import PERCENTILES, summarize_values
-from tracefile import EventColumns, Stage
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from analyzer.batch import Batch
+    from analyzer.roundtrips import RoundTrips
+    from tracefile import EventColumns
 
 INTERVAL_SCHEMA: dict[str, type[pl.DataType]] = {
     "group": pl.UInt32,
@@ -56,30 +59,32 @@ def interval_frame(batch: Batch) -> pl.DataFrame:
         support that end, all three where it does not support the percentile. `method` is `order_statistics`, null
         without both ends. `independent`: how many independent messages the sample is worth.
     """
-    rows = []
-    for group, part in _groups(batch):
-        for metric in (*METRICS, *ONE_WAY_METRICS):
-            values = part[f"{metric}_ns"].drop_nulls().to_numpy()
-            if not len(values):
-                continue
-            for percentile in PERCENTILES:
-                found = percentile_interval(values, percentile.quantile)
-                rows.append(
-                    {
-                        "group": group,
-                        "metric": metric,
-                        "percentile": percentile.name,
-                        "quantile": percentile.quantile,
-                        "estimate_ns": found.value,
-                        "low_ns": found.lower,
-                        "high_ns": found.upper,
-                        "method": "order_statistics" if found.is_two_sided else None,
-                        "confidence": found.confidence,
-                        "messages": found.samples,
-                        "independent": found.independent,
-                    }
-                )
+    rows = [row for group, part in _groups(batch) for row in interval_rows(group, part.get_column)]
     return pl.DataFrame(rows, schema=INTERVAL_SCHEMA)
+
+
+def interval_rows(group: int, column: Callable[[str], pl.Series]) -> Iterator[dict[str, Any]]:
+    """The rows of `interval_frame` for one group, whose columns are fetched one by one."""
+    for metric in (*METRICS, *ONE_WAY_METRICS):
+        values = column(f"{metric}_ns").drop_nulls().to_numpy()
+        if not len(values):
+            continue
+        ordered = np.sort(values)
+        for percentile in PERCENTILES:
+            found = percentile_interval(values, percentile.quantile, ordered=ordered)
+            yield {
+                "group": group,
+                "metric": metric,
+                "percentile": percentile.name,
+                "quantile": percentile.quantile,
+                "estimate_ns": found.value,
+                "low_ns": found.lower,
+                "high_ns": found.upper,
+                "method": "order_statistics" if found.is_two_sided else None,
+                "confidence": found.confidence,
+                "messages": found.samples,
+                "independent": found.independent,
+            }
 
 
 def one_way_frame(batch: Batch) -> pl.DataFrame:
@@ -89,17 +94,20 @@ def one_way_frame(batch: Batch) -> pl.DataFrame:
         Columns of `ONE_WAY_SCHEMA`, rows `outbound` and `return`: percentiles as in the summary, and how far a
         message's one-way time may be off (`bound_p50_ns`, `bound_max_ns`; 0 on one clock).
     """
-    rows = []
-    for group, part in _groups(batch):
-        bounds = part["clock_bound_ns"].drop_nulls()
-        for metric in ONE_WAY_METRICS if len(bounds) else ():
-            statistics = summarize_values(part[f"{metric}_ns"].drop_nulls().sort().to_numpy())
-            rows.append(
-                {"group": group, "metric": metric, "messages": len(bounds)}
-                | {f"{name}_ns": value for name, value in statistics.items() if name != "std"}
-                | {"bound_p50_ns": bounds.median(), "bound_max_ns": bounds.max()}
-            )
+    rows = [row for group, part in _groups(batch) for row in one_way_rows(group, part.get_column)]
     return pl.DataFrame(rows, schema=ONE_WAY_SCHEMA)
+
+
+def one_way_rows(group: int, column: Callable[[str], pl.Series]) -> Iterator[dict[str, Any]]:
+    """The rows of `one_way_frame` for one group, whose columns are fetched one by one."""
+    bounds = column("clock_bound_ns").drop_nulls()
+    for metric in ONE_WAY_METRICS if len(bounds) else ():
+        statistics = summarize_values(column(f"{metric}_ns").drop_nulls().sort().to_numpy())
+        yield (
+            {"group": group, "metric": metric, "messages": len(bounds)}
+            | {f"{name}_ns": value for name, value in statistics.items() if name != "std"}
+            | {"bound_p50_ns": bounds.median(), "bound_max_ns": bounds.max()}
+        )
 
 
 def freshness_frame(batch: Batch) -> pl.DataFrame:
@@ -114,15 +122,14 @@ def outage_frame(batch: Batch) -> pl.DataFrame:
 
 
 def breakdown_frame(batch: Batch) -> pl.DataFrame:
-    """Where the time goes: `group` u32, then the columns of `breakdown.summarize_breakdown`, a row per part."""
+    """Where the time goes: `group` u32, then the columns of `breakdown.summarize_breakdown`, a row per part.
+
+    Percentiles of parts of a group do not add up, so a group that is here in part has no rows.
+    """
+    if not batch.whole:
+        return summarize_breakdown(break_down(_rows(batch).head(0)), ["group"])
     exchanges = batch.roundtrips.exchanges
-    rows = _rows(batch)
-    events = {
-        Stage.T3: EventColumns.concatenate([e.t3 for e in exchanges]),
-        Stage.T2: EventColumns.concatenate([e.t2 for e in exchanges]),
-    }
-    if any(columns.source_ns.any() or columns.received_ns.any() for columns in events.values()):
-        rows = with_stamps(rows, events)
+    rows = _rows(batch).with_columns(_stamps(batch.roundtrips))
     ping_wall = {e.run.run_id: e.ping.wall_anchor_ns - e.ping.monotonic_anchor_ns for e in exchanges}
     relay_wall = {
         e.relay_id: e.relay.wall_anchor_ns - e.relay.monotonic_anchor_ns for e in exchanges if e.relay
@@ -130,9 +137,38 @@ def breakdown_frame(batch: Batch) -> pl.DataFrame:
     return summarize_breakdown(break_down(rows, ping_wall, relay_wall), ["group"])
 
 
+def _stamps(roundtrips: RoundTrips) -> Iterator[pl.Series]:
+    """`breakdown.STAMP_COLUMNS` as `breakdown.with_stamps` has them, without a join: the row of an event is known."""
+    for stage, instant, names in (
+        ("t3", "relay_in_ns", STAMP_COLUMNS[:2]),
+        ("t2", "receive_ns", STAMP_COLUMNS[2:]),
+    ):
+        paired_ns = roundtrips.measured[instant].fill_null(MISSING).to_numpy()
+        stamps = {name: np.zeros(len(paired_ns), np.int64) for name in names}
+        exchanges = zip(
+            roundtrips.exchanges, roundtrips.published, roundtrips.bounds[:-1].tolist(), strict=True
+        )
+        for exchange, published, first in exchanges:
+            events: EventColumns = getattr(exchange, stage)
+            if not (events.source_ns.any() or events.received_ns.any()):
+                continue
+            row = published.rows(events.sequence)
+            paired = np.flatnonzero(row >= 0)
+            paired = paired[paired_ns[first + row[paired]] == events.monotonic_ns[paired]]
+            paired = paired[::-1]  # of two events that are the same the first counts: it is put there last
+            for name, values in zip(names, (events.source_ns, events.received_ns), strict=True):
+                stamps[name][first + row[paired]] = values[paired]
+        for name, values in stamps.items():
+            yield pl.Series(name, values).set(pl.Series(values == 0), None)
+
+
 def response_frame(batch: Batch) -> pl.DataFrame:
-    """What a schedule that was not held hides: `group` u32, then those of `breakdown.response_against_latency`."""
-    return response_against_latency(_rows(batch), ["group"])
+    """What a schedule that was not held hides: `group` u32, then those of `breakdown.response_against_latency`.
+
+    A group that is here in part has no row, as in `breakdown_frame`.
+    """
+    rows = _rows(batch)
+    return response_against_latency(rows if batch.whole else rows.head(0), ["group"])
 
 
 def knot_frame(batch: Batch) -> pl.DataFrame:

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     Progress = Callable[[int, int, Path], None]
     """Told before each trace is read: how many are done, how many there are, and which comes next."""
 
+_FILES_OF_A_SWEEP = frozenset({"state.json", "max_rate.json", "max_rate.csv", "max_rate.svg"})
+"""What `dds-sweep` writes beside its traces: no reader wonders why it is no trace."""
+
 _NAMED_AT_MOST = 5
 """Files that an error message names."""
 
@@ -174,7 +177,7 @@ def _read_sources(
 
 
 def _other_files(folder: Path, traces: Collection[Path], skip: Collection[Path]) -> Iterator[Path]:
-    """Files that nobody took for a trace; what belongs to a trace (a ring beside it) or is hidden is left out."""
+    """Files that nobody took for a trace; what belongs to a trace or a sweep, or is hidden, is left out."""
     closed = {entry.resolve() for entry in (*traces, *skip)}
     stems = tuple(os.fspath(entry) for entry in traces)
     for where, folders, files in os.walk(folder):
@@ -185,7 +188,8 @@ def _other_files(folder: Path, traces: Collection[Path], skip: Collection[Path])
         )
         for name in sorted(files):
             path = Path(where) / name
-            if not name.startswith(".") and not os.fspath(path).startswith(stems):
+            known = name.startswith(".") or name in _FILES_OF_A_SWEEP
+            if not known and not os.fspath(path).startswith(stems):
                 yield path
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from analyzer.analysis import Analysis, Finding, Severity
+from analyzer.analysis import Analysis
 from analyzer.batch import Wanted
 from analyzer.batches import Work, plan_batches
 from analyzer.cluster import ClusterEngine
@@ -14,11 +14,11 @@ from analyzer.engine import LocalEngine
 from analyzer.evidence import Evidence
 from analyzer.exchanges import find_exchanges
 from analyzer.findings import find_findings
+from analyzer.large import SKETCHED, earlier_rows, size_findings
 from analyzer.merge import MergedResults
 from analyzer.objects import is_remote
 from analyzer.output import write_summary
-from analyzer.rows import RowKeeper
-from analyzer.sketch import RELATIVE_ERROR
+from analyzer.rows import RowKeeper, RowsByGroup
 from analyzer.summarize import group_exchanges
 from tracefile import MissingEventsError
 
@@ -38,16 +38,6 @@ OUTPUT_FOLDER = "analysis"
 
 CACHE_FOLDER = "cache"
 """Where events are kept for the next analysis, below the folder for the results."""
-
-
-_SKETCHED = Finding(
-    Severity.INFO,
-    "sketched",
-    "all groups",
-    f"Percentiles come from histograms and may be off by {RELATIVE_ERROR:.2%} of their value; counts, means, "
-    "standard deviations and extremes are exact.",
-    "Analyze without --sketch for exact percentiles and the rows in roundtrips.parquet.",
-)
 
 
 def default_output(path: Path) -> Path:
@@ -85,7 +75,8 @@ def analyze(
         cluster: address of a Dask scheduler (`tcp://host:8786`) whose workers do the work; they read the traces
             themselves, so `path` must be the same for them, or in object storage (`s3://...`). Keeps no cache.
         sketch: percentiles from histograms, off by `sketch.RELATIVE_ERROR` at most, and no rows: neither
-            `roundtrips` nor its file. So no rows travel, and a group may be of any size.
+            `roundtrips` nor its file, and no group compared with another. So no rows travel, and a group may be of
+            any size. Rows that an earlier analysis left in `out` stay there, and a finding says so.
         details: one-way times, `Analysis.details` and the findings that rest on them; without, these are null, None
             and absent, and a large campaign takes a fraction of the time.
         deadline_ns: judge every message against it (`Analysis.details.freshness`).
@@ -127,13 +118,13 @@ def _analyze(
 
     grouping = group_exchanges(exchanges.held)
     outputs = {kind: out / f"{kind}.parquet" for kind in ("roundtrips", "summary")} if out else {}
-    if sketch and outputs:
-        outputs.pop("roundtrips").unlink(
-            missing_ok=True
-        )  # that of an earlier analysis would not fit the summary
+    remarks = [SKETCHED] if sketch else []
+    if sketch and outputs and (written := outputs.pop("roundtrips")).exists():
+        remarks.append(earlier_rows(written))
     merged = MergedResults(sketch=sketch)
+    batches = list(_batches(grouping, wanted, with_rows=not sketch))
     with RowKeeper(outputs.get("roundtrips")) as keeper:
-        for worked in engine.work(list(_batches(grouping, wanted, with_rows=not sketch)), campaign.events):
+        for worked in engine.work(batches, campaign.events):
             if worked.table is not None:
                 keeper.add(worked.table)
             merged.add(worked)
@@ -142,7 +133,14 @@ def _analyze(
         write_summary(summary.frame, outputs["summary"])
     campaign = campaign.with_copies(merged.copies(campaign.events))
     rows = keeper.finished()
-    details = collect_details(campaign, frames, rows, wanted) if wanted.details else None
+    by_group = RowsByGroup(rows, summary.frame)
+    in_parts = sorted({int(g) for batch in batches if not batch.whole for g in batch.group_of_exchange})
+    details = None
+    if wanted.details:
+        details = collect_details(campaign, frames, by_group, in_parts, wanted)
+    evidence = Evidence(campaign, exchanges, paired, grouping, summary, details)
+    if details is not None:
+        remarks += size_findings(evidence, None if sketch else by_group, in_parts)
     return Analysis(
         title=folder.resolve().name,
         sources=campaign.sources,
@@ -153,8 +151,7 @@ def _analyze(
         distributions=summary.distributions,
         timeline=frames["timeline"],
         timeline_decimated=frames["timeline"].height < merged.rows,
-        findings=find_findings(Evidence(campaign, exchanges, paired, grouping, summary, details))
-        + ((_SKETCHED,) if sketch else ()),
+        findings=(*find_findings(evidence), *remarks),
         outputs=outputs,
         details=details,
     )

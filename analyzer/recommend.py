@@ -243,10 +243,13 @@ def recommend_settings(roundtrips: pl.DataFrame, job: Job, confidence: float = 0
 
 def parts_of(frame: pl.DataFrame, columns: Sequence[str]) -> Iterator[tuple[dict[str, Any], pl.DataFrame]]:
     """The frame by the values of some columns, messages of a part in the order of time within each run."""
-    ordered = frame.sort(*columns, "run_id", "relay_id", "publish_ns")
-    for part in ordered.partition_by(*columns, maintain_order=True):
-        first = part.row(0, named=True)
-        yield {name: first[name] for name in columns}, part
+
+    def key(part: pl.DataFrame) -> list[tuple[bool, Any]]:
+        return [(value is not None, value) for value in part.row(0)]
+
+    parts = [(part.select(columns), part) for part in frame.partition_by(*columns, maintain_order=True)]
+    for of_part, part in sorted(parts, key=lambda held: key(held[0])):
+        yield of_part.row(0, named=True), part.sort("run_id", "relay_id", "publish_ns")
 
 
 def _candidate(setting: dict[str, Any], part: pl.DataFrame, job: Job, confidence: float) -> Candidate | None:

@@ -7,13 +7,13 @@ import tempfile
 import weakref
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import polars as pl
 import pyarrow as pa
 
-from analyzer.columns import ROUNDTRIP_COLUMNS, schema_of
-from analyzer.output import ROUNDTRIPS_SCHEMA, RoundTripsWriter
+from analyzer.columns import PARAMETER_NAMES, ROUNDTRIP_COLUMNS, schema_of
+from analyzer.output import RoundTripsWriter
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -60,6 +60,46 @@ class RoundTripRows:
     def scan(self) -> pl.LazyFrame:
         """All rows, to be read when they are collected, and only the columns and rows that it takes."""
         return self.frame().lazy() if self._path is None else pl.scan_parquet(self._path)
+
+
+class RowsByGroup:
+    """The rows of some groups at a time, read from wherever they are.
+
+    Args:
+        rows: by group, as the batches made them.
+        summary: the frame `summary`, one row per group in the same order.
+
+    Attributes:
+        rows: all of them.
+        groups: the parameter columns of each group, `group` u32, and `first` and `published` i64: its rows are
+            those from `first` on.
+    """
+
+    def __init__(self, rows: RoundTripRows, summary: pl.DataFrame) -> None:
+        self.rows = rows
+        published = pl.col("published").cast(pl.Int64)
+        self.groups = summary.select(
+            pl.int_range(pl.len(), dtype=pl.UInt32).alias("group"),
+            *PARAMETER_NAMES,
+            (published.cum_sum() - published).alias("first"),
+            published.alias("published"),
+        )
+
+    def cases(self, columns: Sequence[str]) -> list[pl.DataFrame]:
+        """`groups` in parts that agree in some parameter columns, sorted by these."""
+        ordered = self.groups.sort(*columns, maintain_order=True)
+        return ordered.partition_by(*columns, maintain_order=True) if len(ordered) else []
+
+    def frame(self, groups: pl.DataFrame) -> pl.DataFrame:
+        """The rows of some of `groups`, columns of `columns.ROUNDTRIP_COLUMNS`."""
+        rows = self.rows.scan()
+        spans = groups.select("first", "published").iter_rows()
+        return pl.concat([rows.head(0), *(rows.slice(*span) for span in spans)]).collect()
+
+    def column(self, group: int, name: str) -> pl.Series:
+        """One column of the rows of one group, so that a group of any size can be looked at."""
+        span = self.groups.select("first", "published").row(group)
+        return self.rows.scan().select(name).slice(*span).collect().to_series()
 
 
 class RowKeeper:
@@ -119,6 +159,12 @@ class RowKeeper:
 
 def _frame_of(tables: Sequence[pa.Table]) -> pl.DataFrame:
     """The rows of all tables, with texts in place of dictionaries."""
-    plain = (table.cast(ROUNDTRIPS_SCHEMA) for table in tables)
-    whole = pa.concat_tables([ROUNDTRIPS_SCHEMA.empty_table(), *plain])
-    return cast("pl.DataFrame", pl.from_arrow(whole)).rechunk()
+    frames = [pl.DataFrame([_series(name, table[name]) for name in table.column_names]) for table in tables]
+    return pl.concat([pl.DataFrame(schema=schema_of(ROUNDTRIP_COLUMNS)), *frames]).rechunk()
+
+
+def _series(name: str, column: pa.ChunkedArray) -> pl.Series:
+    if not pa.types.is_dictionary(column.type):
+        return pl.Series(name, column)
+    parts = [pl.Series(name, c.dictionary, pl.String).gather(pl.Series(c.indices)) for c in column.chunks]
+    return pl.concat([pl.Series(name, [], pl.String), *parts])

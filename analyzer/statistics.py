@@ -106,7 +106,8 @@ def _positive_histogram(values_ns: NDArray[np.int64]) -> Histogram:
     """Of rising values, so that those of one bucket are neighbours."""
     if not len(values_ns):
         return Histogram(np.empty(0), np.empty(0, np.uint64))
-    buckets = values_ns.astype(np.float64).view(np.int64) >> _SHIFT
+    buckets = values_ns.astype(np.float64).view(np.int64)
+    buckets >>= _SHIFT
     first = np.append(0, np.flatnonzero(buckets[1:] != buckets[:-1]) + 1)
     return Histogram(_centre(buckets[first] - _FIRST), np.diff(first, append=len(buckets)).astype(np.uint64))
 

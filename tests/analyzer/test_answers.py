@@ -78,6 +78,26 @@ def test_headlines_count_cases():
     assert (headlines[1].cases, headlines[1].only_one) == (0, 1)
 
 
+def test_contenders_have_names_that_tell_them_apart():
+    frame = pl.concat(
+        [
+            steady(noisy(10 * MS), rmw="rmw_fastrtps_cpp"),
+            steady(noisy(5 * MS), rmw="rmw_fastrtps_dynamic_cpp", run_id=2),
+            steady(noisy(7 * MS), vendor="zenoh", relay_vendor="zenoh", relay_backend="zenoh", run_id=3),
+            steady(noisy(8 * MS), vendor="zenoh", relay_vendor=None, relay_backend=None, run_id=4),
+            steady(noisy(9 * MS), vendor="opendds", relay_vendor="opendds", run_id=5),
+        ]
+    )
+    (answer,) = find_answers(frame)
+    assert [c.name for c in answer.contenders] == [
+        "fastdds, rmw_fastrtps_dynamic_cpp",
+        "zenoh, relay zenoh, relay by zenoh",
+        "zenoh, relay unknown",
+        "opendds",
+        "fastdds, rmw_fastrtps_cpp",
+    ]
+
+
 def test_no_relay_trace_and_nothing_at_all():
     bare = steady([MS] * 9).with_columns(latency_ns=pl.lit(None, pl.Int64))
     (answer,) = find_answers(bare)

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from roundtrip_frames import MS, S, roundtrips
 
 from analyzer.clock_fit import fit_clock
+from analyzer.clock_lines import DRIFT, Intervals, Lines
 from analyzer.clocks import align_clocks, clock_table, ping_boots
 from tracefile.descriptions import Run, Session
 
@@ -285,3 +286,25 @@ def test_a_long_campaign_has_a_knot_every_ten_seconds():
     assert len(segment.knots) == 20
     assert segment.drift_bound_ppb < 2_000  # twice 0.2 ms over 200 s
     assert segment.residual_ns < 50_000
+
+
+@settings(max_examples=50, deadline=None)
+@given(messages=st.integers(1, 200), drift=st.floats(-DRIFT, DRIFT), seed=st.integers(0, 2**32))
+def test_the_corners_of_the_lines_reach_as_far_as_all_lines(messages, drift, seed):
+    generator = np.random.default_rng(seed)
+    time = np.sort(generator.integers(0, 10 * S, messages)).astype(np.float64)
+    lower = drift * time - generator.exponential(MS, messages).round()
+    points = Intervals(time, lower, lower + generator.exponential(MS, messages).round() + MS)
+    lines = Lines.through(points)
+    if lines is None:  # the drift is at its limit, and no line is as steep
+        return
+    lowest, highest = lines.range_at(time)
+    centre = time[messages // 2]
+    for slope in np.linspace(-DRIFT, DRIFT, 2001):
+        low = (points.lower - slope * (time - centre)).max()
+        high = (points.upper - slope * (time - centre)).min()
+        if (
+            low <= high
+        ):  # a line of this slope respects every message, so it lies within what the corners reach
+            assert (low + slope * (time - centre) >= lowest - 0.01).all()
+            assert (high + slope * (time - centre) <= highest + 0.01).all()

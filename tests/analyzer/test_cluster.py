@@ -133,12 +133,15 @@ def test_parts_of_a_group_from_several_workers_are_exact(cluster, runs, monkeypa
 @pytest.mark.parametrize("in_parts", [False, True])
 def test_a_sketch_is_near_and_says_so(cluster, runs, tmp_path, monkeypatch, in_parts):
     alone = analyze(runs, out=tmp_path / "out")
+    rows = alone.outputs["roundtrips"].read_bytes()
     if in_parts:
         monkeypatch.setattr(analyzer.batches, "BATCH_EVENTS", 150)
         monkeypatch.setattr(analyzer.batches, "WHOLE_GROUP_EVENTS", 200)
     sketch = analyze(runs, out=tmp_path / "out", cluster=cluster[0], sketch=True)
     assert sketch.roundtrips.is_empty()
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["summary.parquet"]
+    assert sorted(sketch.outputs) == ["summary"]
+    assert alone.outputs["roundtrips"].read_bytes() == rows  # a sketch replaces what it writes and no more
+    assert [f.where for f in sketch.findings if f.code == "earlier_rows"] == ["roundtrips.parquet"]
     (finding,) = (f for f in sketch.findings if f.code == "sketched")
     assert "0.05%" in finding.what
     for near, exact in zip(sketch.summary.to_dicts(), alone.summary.to_dicts(), strict=True):

@@ -9,22 +9,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from roundtrip_frames import MS, steady
 
-from analyzer.compare import (
-    Change,
-    CompareOptions,
-    Verdict,
-    bridge_cost,
-    change_of,
-    compare_roundtrips,
-    probability_of_superiority,
-)
+from analyzer.change import Change, Sample, Verdict, change_of, probability_of_superiority
+from analyzer.compare import CompareOptions, bridge_cost, compare_roundtrips
 
 P50_ONLY = CompareOptions(metrics=("latency",), statistics=("p50",), replicates=199)
 
 
 def drawn(messages: int, mean_ns: float, seed: int):
     """Latencies from 1 ms up with an exponential tail."""
-    return (MS + np.random.default_rng(seed).exponential(mean_ns, messages)).astype(np.int64)
+    return Sample((MS + np.random.default_rng(seed).exponential(mean_ns, messages)).astype(np.int64))
 
 
 def change(low, high):
@@ -47,7 +40,7 @@ def test_verdicts(low, high, verdict):
 
 
 def test_a_change_by_hand():
-    base, new = np.full(50, 10 * MS), np.full(50, 12 * MS)
+    base, new = Sample(np.full(50, 10 * MS)), Sample(np.full(50, 12 * MS))
     found = change_of(base, new, "p50")
     assert (found.base, found.new, found.difference, found.ratio) == (10 * MS, 12 * MS, 2 * MS, 1.2)
     assert (found.difference_low, found.difference_high) == (2 * MS, 2 * MS)
@@ -79,21 +72,21 @@ def test_samples_too_small_for_an_interval_have_values_without_one():
     assert found.ratio is not None
     assert (found.ratio_low, found.new_low) == (None, None)
     assert change_of(drawn(50, MS, 1), drawn(50, MS, 2), "p99").base is None
-    nothing = np.empty(0, np.int64)
+    nothing = Sample(np.empty(0, np.int64))
     assert change_of(nothing, nothing, "mean") == Change(*[None] * 10)
     assert change_of(drawn(5, MS, 1), drawn(400, MS, 2), "mean").ratio_low is None
 
 
 def test_a_base_of_zero_has_no_ratio():
-    found = change_of(np.zeros(50, np.int64), np.full(50, 5), "p50")
+    found = change_of(Sample(np.zeros(50, np.int64)), Sample(np.full(50, 5)), "p50")
     assert (found.difference, found.ratio, found.ratio_low) == (5.0, None, None)
 
 
 def test_superiority_counts_pairs():
-    base, new = np.array([10, 20, 30]), np.array([5, 20])
+    base, new = Sample(np.array([10, 20, 30])), Sample(np.array([5, 20]))
     # 5 beats all three; 20 beats 30, ties with 20: (3 + 1 + 0.5) of 6 pairs.
     assert probability_of_superiority(base, new) == 4.5 / 6
-    assert probability_of_superiority(base, np.empty(0)) is None
+    assert probability_of_superiority(base, Sample(np.empty(0))) is None
 
 
 @given(
@@ -103,7 +96,8 @@ def test_superiority_counts_pairs():
 @settings(deadline=None)
 def test_superiority_is_the_mean_over_all_pairs(base, new):
     pairs = [(b > n) + (b == n) / 2 for b in base for n in new]
-    assert probability_of_superiority(np.array(base), np.array(new)) == pytest.approx(np.mean(pairs))
+    found = probability_of_superiority(Sample(np.array(base)), Sample(np.array(new)))
+    assert found == pytest.approx(np.mean(pairs))
 
 
 def test_groups_are_matched_by_parameters_and_not_by_machine():
@@ -158,7 +152,7 @@ def test_nothing_in_common_and_nothing_at_all():
 
 
 def test_equal_input_gives_equal_rows():
-    base, new = steady(drawn(200, MS, 1).tolist()), steady(drawn(200, MS, 2).tolist())
+    base, new = steady(drawn(200, MS, 1).values.tolist()), steady(drawn(200, MS, 2).values.tolist())
     first = compare_roundtrips(base, new)
     assert first.rows.equals(compare_roundtrips(base, new).rows)
     assert first.rows.equals(compare_roundtrips(base.sample(fraction=1, shuffle=True, seed=3), new).rows)

@@ -1,6 +1,6 @@
 """`Analysis.details` from drawn timelines: the same whatever is analyzed beside it."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import polars as pl
 import pytest
@@ -17,7 +17,8 @@ from trace_files import (
     write_trace,
 )
 
-from analyzer import analyze, parse_job
+import analyzer.rows
+from analyzer import CompareOptions, analyze, bridge_cost, find_answers, parse_job
 from tracefile import Stage
 
 MS = 1_000_000
@@ -181,6 +182,60 @@ def test_host_samples(tmp_path):
         (3 * 10**9, None, None, None, None),
     ]
     assert details.host_samples["bridge_cpu_percent"].to_list() == [5.0, 5.0, 5.0, None]
+
+
+def write_campaign(folder):
+    """Two sizes, each within a domain and through two bridges; the first size also by another middleware."""
+    number = 0
+    for size in (33_000, 502_000):
+        ways = [("none", None, "fastdds"), ("builtin", 9, "fastdds"), ("domain_bridge", 9, "fastdds")]
+        for bridge, domain, vendor in [*ways, ("none", None, "zenoh")][: 4 if size == 33_000 else 3]:
+            number += 1
+            messages = [replace(m, t2=m.t2 + number * MS + 1000 * m.sequence) for m in drawn()]
+            name = f"{number:016x}"
+            described = run(
+                run_id=number,
+                payload_bytes=size,
+                planned_messages=200,
+                published=200,
+                bridge=bridge,
+                relay_domain_id=domain,
+                extra={"session_id": name},
+            )
+            write_pair(
+                folder / name,
+                messages,
+                ping=ping_session(session_id=number, vendor=vendor),
+                relay=relay_session(session_id=100 + number, domain_id=domain or 5),
+                runs=[described],
+            )
+
+
+@pytest.mark.parametrize("held_rows", [10**6, 300])
+def test_comparisons_are_those_of_all_rows_though_a_kind_of_message_is_read_at_a_time(
+    tmp_path, monkeypatch, held_rows
+):
+    write_campaign(tmp_path)
+    monkeypatch.setattr(analyzer.rows, "MOST_HELD_ROWS", held_rows)
+    analysis = analyze(tmp_path)
+    details, rows = analysis.details, analysis.roundtrips
+    assert details is not None
+    assert details.answers == find_answers(rows)
+    assert [(a.domain_mode, a.payload_bytes, len(a.contenders)) for a in details.answers] == [
+        ("different", 33_000, 2),
+        ("different", 502_000, 2),
+        ("same", 33_000, 2),
+        ("same", 502_000, 1),
+    ]
+    options = CompareOptions(metrics=("latency",), statistics=("p50", "p99"))
+    assert_frame_equal(details.bridge_costs, bridge_cost(rows, options), check_exact=True)
+    costs = details.bridge_costs.filter(statistic="p50").select("bridge", "payload_bytes", "difference_ns")
+    assert costs.rows() == [
+        ("builtin", 33_000, 0.5 * MS),
+        ("builtin", 502_000, 0.5 * MS),
+        ("domain_bridge", 33_000, MS),
+        ("domain_bridge", 502_000, MS),
+    ]
 
 
 def test_without_details_the_columns_are_there_and_null(tmp_path):

@@ -185,6 +185,15 @@ def test_a_mixed_folder_names_what_is_no_trace(tmp_path):
     assert [f.where for f in analysis.findings if f.code == "skipped_file"] == ["broken.mcap", "notes.txt"]
 
 
+def test_what_a_sweep_writes_beside_its_traces_is_passed_over(tmp_path):
+    write_pair(tmp_path / "runs", TIMELINE)
+    for name in ("state.json", "max_rate.json", "max_rate.csv", "max_rate.svg"):
+        (tmp_path / "runs" / name).write_text("{}")
+    analysis = analyze(tmp_path)
+    assert {source.status for source in analysis.sources} == {"read"}
+    assert "skipped_file" not in codes(analysis)
+
+
 def test_own_output_is_no_input(tmp_path):
     write_pair(tmp_path, TIMELINE)
     first = analyze(tmp_path, out=tmp_path / "analysis")

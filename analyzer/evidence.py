@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from analyzer.group_names import name_groups
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -16,8 +18,8 @@ if TYPE_CHECKING:
     from analyzer.summarize import Grouping, Summary
     from tracefile import Session
 
-_ALWAYS_NAMED = ("vendor", "data_type", "payload_bytes", "rate_hz", "domain_mode")
-"""Parameters that a group's name starts with; others follow where they tell groups apart."""
+_MOST_FILES = 2
+"""Files that a session's name lists: those of a long sweep would fill a screen."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,19 +39,18 @@ class Evidence:
         return {exchange.run.run_id: (exchange, published) for exchange, published in held}
 
     def group_names(self) -> list[str]:
-        """For each group a name that tells it from the others: `fastdds, binary 33000 B at 10 Hz, same domain`."""
-        parameters = self.grouping.parameters
-        telling = [
-            name
-            for name in parameters.columns
-            if name not in _ALWAYS_NAMED and parameters[name].n_unique() > 1
-        ]
-        return [_group_name(row, telling) for row in parameters.iter_rows(named=True)]
+        """For each group a short name that tells it from the others (`group_names.name_groups`)."""
+        return name_groups(self.grouping.parameters)
+
+    def exchange_groups(self) -> list[int]:
+        """Of each exchange in `roundtrips` its group."""
+        return [int(group) for group in self.grouping.group_of_exchange]
 
     def session_name(self, session: Session) -> str:
         """`relay on beta (relay.mcap)`."""
-        traces = self.campaign.names(self.campaign.session_traces[session.session_id])
-        return f"{session.role} on {session.device} ({traces})"
+        traces = sorted(set(self.campaign.session_traces[session.session_id]))
+        named = some((self.campaign.name(trace) for trace in traces), _MOST_FILES)
+        return f"{session.role} on {session.device} ({named})"
 
     def run_name(self, run_id: int) -> str:
         """`run 1122334455667788 (ping.mcap)`."""
@@ -74,8 +75,3 @@ def percent(part: float, whole: float) -> str:
     """A share with as many digits as it takes to tell it from 0 and from 100 %."""
     share = 100 * part / whole
     return f"{share:.3g} %" if share < 99 else f"{share:.6g} %"
-
-
-def _group_name(row: dict[str, Any], telling: list[str]) -> str:
-    name = f"{row['vendor']}, {row['data_type']} {row['payload_bytes']} B at {row['rate_hz']:g} Hz, {row['domain_mode']} domain"
-    return ", ".join([name, *(f"{parameter} {row[parameter]}" for parameter in telling)])

@@ -44,6 +44,7 @@ CHECKS: tuple[Check, ...] = (
     sessions.unlike_environments,
     sessions.unclosed_sessions,
     sessions.doubtful_sessions,
+    clocks.suspends,
     clocks.clock_steps,
     clocks.clock_drifts,
     load.cpu_saturation,
@@ -79,8 +80,12 @@ def _first_ones(found: list[Finding]) -> list[Finding]:
     more = len(found) - _OF_A_KIND
     if more <= 1:
         return found
-    last = found[_OF_A_KIND]
+    last, left = found[_OF_A_KIND], found[_OF_A_KIND:]
     rest = replace(
-        last, where=f"{last.where}; and {more - 1} more", what=f"{more} more of this kind. {last.what}"
+        last,
+        where=f"{last.where}; and {more - 1} more",
+        what=f"{more} more of this kind. {last.what}",
+        groups=tuple(dict.fromkeys(group for finding in left for group in finding.groups)),
+        count=more,
     )
     return [*found[:_OF_A_KIND], rest]

@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
-from reports.groups import METRICS, data_type_label, groups_info, pair_label, vendor_pair_label
+from reports.groups import (
+    METRICS,
+    data_type_label,
+    domain_label,
+    group_labels,
+    groups_info,
+    pair_label,
+    vendor_pair_label,
+)
 from reports.text import format_count, format_ns, format_ratio, visible
 from reports.values import values_info
 from reports.verdicts import (
@@ -65,17 +73,19 @@ def answer_info(analysis: Analysis) -> Answer:
     bridges = _bridge_remarks(known.bridge_costs) if known else []
     remarks = (*_unknown_remarks(metric), *_level_remarks(groups, values, metric), *bridges, _losses(values))
     return Answer(
-        _headline(verdicts, groups, answers), metric, verdicts, remarks, CLEARLY if verdicts else ""
+        _headline(verdicts, groups, values, answers), metric, verdicts, remarks, CLEARLY if verdicts else ""
     )
 
 
-def _headline(verdicts: tuple[Verdict, ...], groups: Groups, answers: Sequence[CellAnswer]) -> str:
+def _headline(
+    verdicts: tuple[Verdict, ...], groups: Groups, values: Values, answers: Sequence[CellAnswer]
+) -> str:
     vendors = sorted({vendor_pair_label(series) for series in groups.series})
     if not verdicts:
         if len(vendors) == 1:
-            return f"Only {vendors[0]} was measured, so there is no choice of middleware to make."
+            return f"{_ways(vendors[0], groups, values)} No other middleware was measured."
         if not answers:
-            return f"{_and(vendors)} were not compared: that takes the latency of every message in memory."
+            return f"{_and(vendors)} were not compared: that takes the rows of all messages."
         names = sorted(set(contender_labels(answers).values()))
         return f"{_and(names)} were not measured under equal conditions, so no choice can be made from this."
     if not any(verdict.wins for verdict in verdicts):
@@ -84,6 +94,31 @@ def _headline(verdicts: tuple[Verdict, ...], groups: Groups, answers: Sequence[C
         return f"Inconclusive: no choice was clearly faster than the others in {where} compared."
     modes = dict.fromkeys(verdict.mode for verdict in verdicts)
     return " ".join(_mode_sentence(mode, [one for one in verdicts if one.mode == mode]) for mode in modes)
+
+
+_MOST_WAYS = 3
+
+
+def _ways(vendor: str, groups: Groups, values: Values) -> str:
+    """What the only middleware takes, in the same domain and through each bridge."""
+    metric = values.default_metric
+    ways: dict[str, list[int]] = {}
+    for group in sorted(groups.groups, key=lambda group: group.series):
+        median_ns = values.times_ns[metric]["p50"][group.index]
+        if median_ns is not None:
+            ways.setdefault(domain_label(groups.series_of(group)), []).append(median_ns)
+    spans = {
+        way: " to ".join(dict.fromkeys(format_ns(end) for end in (min(found), max(found))))
+        for way, found in ways.items()
+    }
+    what = f"{vendor}: median {METRICS[metric].lower()}"
+    if len(spans) == 1:
+        return f"{what} {next(iter(spans.values()))}."
+    said = [f"{span} {_IN_WAY.get(way, way)}" for way, span in list(spans.items())[:_MOST_WAYS]]
+    return f"{what} {_and(said)}."
+
+
+_IN_WAY = {"same domain": "in the same domain", "different domains": "across domains"}
 
 
 def _mode_sentence(mode: str, verdicts: list[Verdict]) -> str:
@@ -106,7 +141,7 @@ def _mode_sentence(mode: str, verdicts: list[Verdict]) -> str:
 
 def _level_remarks(groups: Groups, values: Values, metric: str) -> list[str]:
     """The range of medians per data type, with where its ends are."""
-    remarks = []
+    remarks, labels = [], group_labels(groups)
     for data_type in dict.fromkeys(cell.data_type for cell in groups.cells):
         medians = sorted(
             (median, group.index)
@@ -119,18 +154,16 @@ def _level_remarks(groups: Groups, values: Values, metric: str) -> list[str]:
         low, high = ((ns, groups.groups[index]) for ns, index in (medians[0], medians[-1]))
         first = f"{data_type_label(data_type)}: median {METRICS[metric].lower()} {format_ns(low[0])}"
         if low[1] == high[1]:
-            remarks.append(f"{first} ({_place(groups, low[1].index)}).")
+            remarks.append(f"{first} ({_place(groups, low[1].index, labels)}).")
         else:
-            ends = (_place(groups, low[1].index), _place(groups, high[1].index))
+            ends = tuple(_place(groups, end.index, labels) for end in (low[1], high[1]))
             remarks.append(f"{first} ({ends[0]}) to {format_ns(high[0])} ({ends[1]}).")
     return remarks
 
 
-def _place(groups: Groups, index: int) -> str:
-    group = groups.groups[index]
-    label = groups.labels[group.series]
-    cell = groups.cell_of(group).label.removeprefix(data_type_label(groups.cell_of(group).data_type)).strip()
-    return f"{cell}, {label}"
+def _place(groups: Groups, index: int, labels: Sequence[str]) -> str:
+    data_type = data_type_label(groups.cell_of(groups.groups[index]).data_type)
+    return labels[index].removeprefix(data_type).strip()
 
 
 def _bridge_remarks(costs: pl.DataFrame) -> list[str]:

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import asdict
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from enum import Enum
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 from reports.answer import answer_info
 from reports.overview import overview_info
+from reports.own_cost import own_costs
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    import polars as pl
 
     from analyzer.analysis import Analysis
 
@@ -20,10 +25,28 @@ FILE_NAME = "report.json"
 FORMAT_VERSION = 1
 """Version 1: first version (2026). A field may be added without a new version; none changes its meaning."""
 
+FRAMES = (
+    "intervals",
+    "one_way",
+    "breakdown",
+    "responses",
+    "freshness",
+    "outages",
+    "clock_fits",
+    "clock_knots",
+    "host_samples",
+    "bridge_costs",
+)
+"""Frames of `analyzer.Details` that the report has under the same names, a row an object."""
+
+_IDENTIFIERS = ("run_id", "session_id")
+"""Written as `sessions` and `runs` have them: 64 bits do not survive a JSON number."""
+
 
 def render(analysis: Analysis) -> str:
-    """The report; strings are as the traces have them, every character beyond ASCII escaped."""
-    return json.dumps(_finite(_document(analysis)), indent=1, allow_nan=False) + "\n"
+    """The report, an element of a list a line; strings are as the traces have them, all beyond ASCII escaped."""
+    parts = [f"{json.dumps(name)}: {_lines(value)}" for name, value in _document(analysis).items()]
+    return "{\n" + ",\n".join(parts) + "\n}\n"
 
 
 def write(analysis: Analysis, folder: Path) -> Path:
@@ -40,25 +63,50 @@ def schema() -> dict[str, Any]:
 
 
 def _document(analysis: Analysis) -> dict[str, Any]:
+    details = analysis.details
     return {
         "format": FORMAT_VERSION,
         "title": analysis.title,
-        "measured": [asdict(fact) for fact in overview_info(analysis).facts],
-        "answer": asdict(answer_info(analysis)),
-        "findings": [{**asdict(one), "severity": one.severity.value} for one in analysis.findings],
-        "sources": [asdict(source) for source in analysis.sources],
+        "measured": overview_info(analysis).facts,
+        "own_cost": own_costs(analysis),
+        "answer": answer_info(analysis),
+        "findings": analysis.findings,
+        "sources": analysis.sources,
         "sessions": [json.loads(session.to_json()) for session in analysis.sessions],
         "runs": [json.loads(run.to_json()) for run in analysis.runs],
         "groups": analysis.summary.to_dicts(),
+        **{name: None if details is None else _rows(getattr(details, name)) for name in FRAMES},
+        "answers": None if details is None else details.answers,
+        "deadline_ns": None if details is None else details.deadline_ns,
+        "recommendation": None if details is None else details.recommendation,
     }
 
 
-def _finite(value: Any) -> Any:
-    """The value with null for NaN and infinity, which JSON does not have."""
+def _rows(frame: pl.DataFrame) -> list[dict[str, Any]]:
+    identifiers = [name for name in _IDENTIFIERS if name in frame.columns]
+    rows = frame.to_dicts()
+    for row in rows:
+        row.update({name: f"{row[name]:016x}" for name in identifiers})
+    return rows
+
+
+def _lines(value: Any) -> str:
+    plain = _plain(value)
+    if isinstance(plain, list) and plain:
+        return "[\n" + ",\n".join(json.dumps(each, allow_nan=False) for each in plain) + "\n]"
+    return json.dumps(plain, allow_nan=False)
+
+
+def _plain(value: Any) -> Any:
+    """The value as JSON has it: records as objects, null for NaN and infinity."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
-    if isinstance(value, dict):
-        return {name: _finite(each) for name, each in value.items()}
+    if isinstance(value, Enum):
+        return value.value
+    if is_dataclass(value):
+        return {each.name: _plain(getattr(value, each.name)) for each in fields(value)}
+    if isinstance(value, Mapping):
+        return {name: _plain(each) for name, each in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_finite(each) for each in value]
+        return [_plain(each) for each in value]
     return value

@@ -130,6 +130,21 @@ def groups_info(analysis: Analysis) -> Groups:
     return Groups(groups, series, cells, _series_labels(series))
 
 
+def group_labels(groups: Groups) -> tuple[str, ...]:
+    """Of each group its cell, then what tells its series from the others: `Binary 33 KB at 10 Hz, via builtin`.
+
+    A vendor that all groups share is not named again and again.
+    """
+    endings = {place: f", {label}" for place, label in enumerate(_short_labels(groups)) if label}
+    return tuple(f"{groups.cell_of(group).label}{endings.get(group.series, '')}" for group in groups.groups)
+
+
+def _short_labels(groups: Groups) -> list[str]:
+    vendors = {vendor_pair_label(series) for series in groups.series}
+    shared = vendors.pop() if len(vendors) == 1 else ""
+    return [label.removeprefix(shared).removeprefix(", ") for label in groups.labels]
+
+
 def vendor_label(vendor: str) -> str:
     """The vendor's name for people."""
     return VENDORS.get(vendor, visible(vendor))
@@ -161,8 +176,12 @@ def domain_label(series: Series) -> str:
 
 def qos_label(series: Series) -> str:
     """As in `reliable, volatile, keep_last 10`."""
+    return visible(f"{series.reliability}, {series.durability}, {_history_label(series)}")
+
+
+def _history_label(series: Series) -> str:
     depth = "" if series.history == "keep_all" or series.depth is None else f" {series.depth}"
-    return visible(f"{series.reliability}, {series.durability}, {series.history}{depth}")
+    return visible(f"{series.history}{depth}")
 
 
 def device_label(series: Series) -> str:
@@ -182,7 +201,9 @@ def _backend_label(series: Series) -> str:
 _LABEL_PARTS: tuple[Callable[[Series], str], ...] = (
     domain_label,
     _backend_label,
-    qos_label,
+    lambda s: visible(s.reliability),
+    lambda s: visible(s.durability),
+    _history_label,
     lambda s: visible(s.serialization),
     device_label,
     lambda s: visible(s.connectivity),

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from reports.answer import answer_info
+from reports.answer import answer_info, way_label
+from reports.findings import findings_info
 from reports.groups import METRICS, STATISTICS, data_type_label, groups_info
-from reports.overview import findings_by_code, overview_info
+from reports.intervals import intervals_info
+from reports.overview import overview_info
 from reports.text import format_hz, format_ns, format_ratio, format_size, markdown
 from reports.values import values_info
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
     from analyzer.analysis import Analysis
@@ -40,6 +42,8 @@ def render(analysis: Analysis) -> str:
         _findings(analysis),
         "## Groups",
         _groups(analysis),
+        *_section("What a bridge costs", _bridge_costs(analysis)),
+        *_section("Clocks", _clocks(analysis)),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
 
@@ -52,13 +56,20 @@ def write(analysis: Analysis, folder: Path) -> Path:
 
 
 def _findings(analysis: Analysis) -> str:
-    if not analysis.findings:
+    """A row a kind, then what the kinds with several findings hold, in lists that open."""
+    kinds = findings_info(analysis)
+    if not kinds:
         return "Nothing doubtful was found."
-    rows = []
-    for first, *more in findings_by_code(analysis):
-        where = f"{first.where} (and {len(more)} more)" if more else first.where
-        rows.append((first.severity.value, where, first.what, first.action))
-    return _table(("Severity", "Where", "What", "What to do"), rows)
+    rows = [
+        (kind.severity_word, kind.heading, kind.listed[0].where, kind.listed[0].what, kind.listed[0].action)
+        for kind in kinds
+    ]
+    parts = [_table(("Severity", "Finding", "Where", "What", "What to do"), rows)]
+    for kind in kinds:
+        if len(kind.listed) > 1:
+            listed = _list(f"{markdown(one.where)}: {markdown(one.what)}" for one in kind.listed)
+            parts.append(f"<details><summary>{markdown(kind.heading)}</summary>\n\n{listed}\n\n</details>")
+    return "\n\n".join(parts)
 
 
 def _groups(analysis: Analysis) -> str:
@@ -66,6 +77,8 @@ def _groups(analysis: Analysis) -> str:
     if not groups.groups:
         return "No measurement was found."
     metric = values.default_metric
+    intervals = intervals_info(analysis)
+    ends = [side.get(metric, {}) for side in (intervals.low_ns, intervals.high_ns)]
     rows = []
     for group in sorted(groups.groups, key=lambda group: (group.cell, group.series))[:MOST_GROUPS]:
         cell = groups.cell_of(group)
@@ -76,13 +89,69 @@ def _groups(analysis: Analysis) -> str:
                 format_hz(cell.rate_hz),
                 groups.labels[group.series],
                 format_ratio(values.plain["received_ratio"][group.index]),
-                *(format_ns(values.times_ns[metric][name][group.index]) for name in SHOWN_STATISTICS),
+                *(
+                    _with_interval(values.times_ns[metric][name], ends, name, group.index)
+                    for name in SHOWN_STATISTICS
+                ),
             )
         )
     names = (f"{METRICS[metric]} {STATISTICS[name]}" for name in SHOWN_STATISTICS)
     table = _table(("Data", "Size", "Rate", "Series", "Received", *names), rows)
     left = len(groups.groups) - len(rows)
-    return f"{table}\n\n{left} more groups are in `summary.parquet`." if left else table
+    notes = [f"{left} more groups are in `summary.parquet`."] if left else []
+    if any(ends):
+        notes.insert(
+            0, "In brackets: 95 % confidence intervals; a dash is an end that the sample does not support."
+        )
+    return "\n\n".join([table, *notes])
+
+
+def _with_interval(
+    values_ns: Sequence[int | None], ends: Sequence[Mapping[str, Sequence[int | None]]], name: str, group: int
+) -> str:
+    """As in `1.2 ms [1.1 ms, 1.4 ms]`; without brackets where neither end is known."""
+    low, high = (end[name][group] if name in end else None for end in ends)
+    shown = format_ns(values_ns[group])
+    return shown if low is None and high is None else f"{shown} [{format_ns(low)}, {format_ns(high)}]"
+
+
+def _bridge_costs(analysis: Analysis) -> str:
+    if analysis.details is None:
+        return ""
+    rows = [
+        (
+            way_label(row),
+            f"{data_type_label(row['data_type'])} {format_size(row['payload_bytes'])} at {format_hz(row['rate_hz'])}",
+            STATISTICS.get(row["statistic"], row["statistic"]),
+            format_ns(row["difference_ns"]),
+            f"{format_ns(row['difference_low_ns'])} to {format_ns(row['difference_high_ns'])}",
+            row["verdict"],
+        )
+        for row in analysis.details.bridge_costs.iter_rows(named=True)
+        if row["difference_ns"] is not None
+    ]
+    return _table(("Way", "Data", "Statistic", "Added", "95 % interval", "Verdict"), rows[:MOST_GROUPS])
+
+
+def _clocks(analysis: Analysis) -> str:
+    """A row per pair of devices that have two clocks, and stretch without a step."""
+    if analysis.details is None:
+        return ""
+    rows = [
+        (
+            f"{row['ping_device']} → {row['relay_device']}",
+            f"{format_ns(row['offset_ns'])} ± {format_ns(row['bound_ns'])}",
+            f"{row['drift_ppb'] / 1000:+.3g} ± {row['drift_bound_ppb'] / 1000:.2g} ppm",
+            "" if row["step_before_ns"] is None else format_ns(row["step_before_ns"]),
+        )
+        for row in analysis.details.clock_fits.iter_rows(named=True)
+        if not row["same_clock"]
+    ]
+    return _table(("Devices", "Offset", "Drift", "Step before"), rows[:MOST_GROUPS])
+
+
+def _section(title: str, text: str) -> tuple[str, ...]:
+    return (f"## {title}", text) if text else ()
 
 
 def _table(columns: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
 from typing import TYPE_CHECKING
 
-import polars as pl
-
 from reports.groups import (
     VENDORS,
     data_type_label,
@@ -18,12 +16,14 @@ from reports.groups import (
     vendor_label,
     vendor_pair_label,
 )
-from reports.text import format_count, format_hz, format_ns, format_size, visible
+from reports.own_cost import floor_words, own_costs, recorder_words
+from reports.run_times import run_times
+from reports.text import format_count, format_hz, format_size, visible
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from analyzer.analysis import Analysis, Finding
+    from analyzer.analysis import Analysis
     from reports.groups import Groups
 
 MOST_LISTED = 12
@@ -50,10 +50,20 @@ class Overview:
     title: str
     facts: tuple[Fact, ...]
 
+    @property
+    def brief(self) -> str:
+        """The most telling lines as one, for a narrow screen."""
+        known = {fact.label: fact.value for fact in self.facts}
+        if "Messages" in known:
+            known["Messages"] = known["Messages"].replace(" in ", " messages in ", 1)
+        return "; ".join(
+            known[label] for label in ("Middleware", "Devices", "Messages", "When") if label in known
+        )
+
 
 def overview_info(analysis: Analysis) -> Overview:
     """The facts that are known; a line without a value is left out."""
-    groups = groups_info(analysis)
+    groups, costs = groups_info(analysis), own_costs(analysis)
     facts = (
         Fact("Devices", _devices(analysis, groups)),
         Fact("Link", _listed(sorted({visible(one.connectivity) for one in groups.series}))),
@@ -64,17 +74,10 @@ def overview_info(analysis: Analysis) -> Overview:
         Fact("Rates", _rates(groups)),
         Fact("When", _when(analysis)),
         Fact("Traces", _traces(analysis)),
-        Fact("Own cost", _own_cost(analysis)),
+        Fact("Recorder", recorder_words(costs)),
+        Fact("Library", floor_words(costs)),
     )
     return Overview(visible(analysis.title), tuple(fact for fact in facts if fact.value))
-
-
-def findings_by_code(analysis: Analysis) -> tuple[tuple[Finding, ...], ...]:
-    """The findings, most severe first, those of one severity and code together (500 groups may share one cause)."""
-    together: dict[tuple[str, str], list[Finding]] = {}
-    for finding in analysis.findings:
-        together.setdefault((finding.severity.value, finding.code), []).append(finding)
-    return tuple(tuple(findings) for findings in together.values())
 
 
 def _listed(values: Iterable[str]) -> str:
@@ -131,13 +134,7 @@ def _when(analysis: Analysis) -> str:
     instants = [session.wall_anchor_ns for session in analysis.sessions]
     if not instants:
         return ""
-    sessions = {f"{session.session_id:016x}": session for session in analysis.sessions}
-    session_of = {run.run_id: sessions.get(str(run.extra.get("session_id"))) for run in analysis.runs}
-    last = analysis.scan_roundtrips().group_by("run_id").agg(pl.max("publish_ns")).collect()
-    for run_id, publish_ns in last.iter_rows():
-        session = session_of.get(run_id)
-        if session is not None and publish_ns is not None:
-            instants.append(session.wall_ns(publish_ns))
+    instants += [run.session.wall_ns(run.last_ns) for run in run_times(analysis) if run.session is not None]
     start, end = _utc(min(instants)), _utc(max(instants))
     if start is None or end is None:
         return ""
@@ -153,18 +150,6 @@ def _utc(wall_ns: int) -> datetime | None:
         return datetime.fromtimestamp(wall_ns / 1e9, tz=timezone.utc)
     except (OverflowError, OSError, ValueError):
         return None
-
-
-def _own_cost(analysis: Analysis) -> str:
-    """What keeping a time stamp cost the recorders, as each measured it when it began; the slowest of them."""
-    costs = [cost for one in analysis.sessions if isinstance(cost := one.extra.get("recorder_cost"), dict)]
-    median_ns, p99_ns = (
-        max((value for cost in costs if isinstance(value := cost.get(name), (int, float))), default=None)
-        for name in ("record_median_ns", "record_p99_ns")
-    )
-    if median_ns is None or p99_ns is None:
-        return ""
-    return f"keeping an event took {format_ns(median_ns)} (p99 {format_ns(p99_ns)})"
 
 
 def _traces(analysis: Analysis) -> str:

@@ -20,12 +20,13 @@ from reports.answer import answer_info
 from reports.curves import curves_info
 from reports.figures import CAMPAIGN_FIGURES, CELL_FIGURES, Figure, LeftOut
 from reports.filters import filters_info
+from reports.findings import findings_info, severity_counts
 from reports.groups import METRICS, STATISTICS, data_type_label, groups_info
 from reports.intervals import intervals_info
-from reports.overview import findings_by_code, overview_info
+from reports.overview import overview_info
 from reports.recording import record_tables
 from reports.styles import PALETTE, series_styles, vendor_places
-from reports.text import MAX_FINDING_CHARACTERS, format_hz, format_size, json_island, visible
+from reports.text import format_hz, format_size, json_island, visible
 from reports.values import values_info
 
 if TYPE_CHECKING:
@@ -49,6 +50,7 @@ SCRIPTS = (
     "page.js",
 )
 """In the order in which they need one another."""
+LIVE_SCRIPT = "live.js"
 
 FORMULA = (
     "Latency is (round trip - time in the relay) / 2, each of the two measured on one device's own clock."
@@ -57,26 +59,32 @@ FORMULA = (
 
 def render(analysis: Analysis) -> str:
     """The page."""
-    return _render(analysis, map(_asset, SCRIPTS))
+    return _render(analysis, SCRIPTS)
 
 
-def render_live(analysis: Analysis, reload_s: float) -> str:
-    """The page for a server: while somebody looks at it, it loads itself again every `reload_s` with the view it has."""
-    again = f"setInterval(() => document.hidden || location.reload(), {round(1000 * reload_s)});"
-    return _render(analysis, [*map(_asset, SCRIPTS), again])
+def render_live(analysis: Analysis, version: str) -> str:
+    """The page for a server: it loads itself again, with the view it has, once `GET version` answers another version."""
+    return _render(analysis, (*SCRIPTS, LIVE_SCRIPT), version)
 
 
-def _render(analysis: Analysis, scripts: Iterable[str]) -> str:
+def live_script() -> str:
+    """What makes a page look for a newer one; `data-version` of its root element is its own version."""
+    return _asset(LIVE_SCRIPT)
+
+
+def _render(analysis: Analysis, scripts: Iterable[str], version: str = "") -> str:
     campaign = [figure(analysis) for figure in CAMPAIGN_FIGURES]
     cell = [figure(analysis) for figure in CELL_FIGURES]
+    findings = findings_info(analysis)
     drawn = [figure for figure in (*campaign, *cell) if isinstance(figure, Figure)]
     # A closing tag inside would end the element. Plotly's file and ours have none; a later one must not surprise us.
-    plotly, script = (_safe_script(text) for text in (get_plotlyjs(), "\n".join(scripts)))
+    plotly, script = (_safe_script(text) for text in (get_plotlyjs(), "\n".join(map(_asset, scripts))))
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     return environment.from_string(_asset("report.html.j2")).render(
-        policy=_policy(plotly, script),
+        policy=_policy(plotly, script, connect="'self'" if version else ""),
+        version=version,
         style=Markup(_asset("page.css")),  # noqa: S704 - our own file
         plotly=Markup(plotly),  # noqa: S704 - from plotly's own package
         script=Markup(script),  # noqa: S704 - our own files
@@ -84,7 +92,8 @@ def _render(analysis: Analysis, scripts: Iterable[str]) -> str:
         overview=overview_info(analysis),
         formula=FORMULA,
         answer=_answer(analysis, answer_info(analysis)),
-        findings=_findings(analysis),
+        findings=findings,
+        severities=severity_counts(findings),
         campaign_figures=[figure for figure in campaign if isinstance(figure, Figure)],
         cell_figures=[figure for figure in cell if isinstance(figure, Figure)],
         left_out=[figure for figure in (*campaign, *cell) if isinstance(figure, LeftOut)],
@@ -107,8 +116,8 @@ def _safe_script(text: str) -> str:
     return text.replace("</script", "<\\/script").replace("<!--", "<\\!--")
 
 
-def _policy(*scripts: str) -> str:
-    """Only the page's own two scripts run and nothing is fetched from anywhere.
+def _policy(*scripts: str, connect: str) -> str:
+    """Only the page's own two scripts run and nothing is fetched from anywhere but `connect`, if that is given.
 
     Styles may be inline, because plotly.js writes style attributes; pictures are those that a download is made of.
     """
@@ -118,7 +127,7 @@ def _policy(*scripts: str) -> str:
     )
     return (
         f"default-src 'none'; script-src {hashes}; style-src 'unsafe-inline'; img-src data: blob:; "
-        "base-uri 'none'; form-action 'none'"
+        "base-uri 'none'; form-action 'none'" + (f"; connect-src {connect}" if connect else "")
     )
 
 
@@ -175,17 +184,3 @@ def _answer(analysis: Analysis, answer: Answer) -> dict[str, Any]:
             parts.append({"name": "inconclusive", "cells": verdict.inconclusive, "light": "", "dark": ""})
         verdicts.append({"data": verdict.data, "parts": parts})
     return {"headline": answer.headline, "verdicts": verdicts, "remarks": answer.remarks, "rule": answer.rule}
-
-
-def _findings(analysis: Analysis) -> list[dict[str, Any]]:
-    shown = []
-    for first, *more in findings_by_code(analysis):
-        texts = [
-            {
-                name: visible(getattr(one, name), MAX_FINDING_CHARACTERS)
-                for name in ("where", "what", "action")
-            }
-            for one in (first, *more)
-        ]
-        shown.append({**texts[0], "severity": first.severity.value, "more": texts[1:]})
-    return shown

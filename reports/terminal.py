@@ -14,10 +14,10 @@ from rich.text import Text
 
 from reports.answer import answer_info
 from reports.curves import curves_info
+from reports.findings import findings_info
 from reports.groups import METRICS, groups_info
-from reports.overview import findings_by_code, overview_info
+from reports.overview import overview_info
 from reports.text import (
-    MAX_FINDING_CHARACTERS,
     MISSING,
     format_hz,
     format_ns,
@@ -80,18 +80,13 @@ def _list(items: Sequence[str]) -> Table:
 
 
 def _findings(analysis: Analysis) -> list[RenderableType]:
+    """One entry a kind, with the first of its findings; the others are in the HTML and JSON reports."""
     lines: list[RenderableType] = []
-    for first, *more in findings_by_code(analysis):
-        severity = first.severity.value
-        also = f" (and {len(more)} more)" if more else ""
-        lines.append(
-            Text.assemble(
-                (severity, f"bold {_COLORS[severity]}"),
-                f" {visible(first.where, MAX_FINDING_CHARACTERS)}{also}: ",
-                visible(first.what, MAX_FINDING_CHARACTERS),
-            )
-        )
-        lines.append(Padding(Text(visible(first.action, MAX_FINDING_CHARACTERS), style="dim"), (0, 0, 0, 2)))
+    for kind in findings_info(analysis):
+        first = kind.listed[0]
+        heading = (f"{kind.severity_word} ", f"bold {_COLORS[kind.severity]}"), (f"{kind.heading}: ", "bold")
+        lines.append(Text.assemble(*heading, f"{first.where}: {first.what}"))
+        lines.append(Padding(Text(first.action, style="dim"), (0, 0, 0, 2)))
     return [*lines, Text()] if lines else []
 
 

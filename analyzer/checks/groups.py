@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
 def losses(evidence: Evidence) -> Iterator[Finding]:
     """Groups that lost messages."""
-    for name, row in zip(evidence.group_names(), evidence.summary.frame.iter_rows(named=True), strict=True):
+    rows = evidence.summary.frame.iter_rows(named=True)
+    for group, (name, row) in enumerate(zip(evidence.group_names(), rows, strict=True)):
         published, received = row["published"], row["received"]
         lost = ", ".join(f"{row[outcome]} {outcome}" for outcome in LOSSES if row[outcome])
         if published and not received:
@@ -30,6 +31,7 @@ def losses(evidence: Evidence) -> Iterator[Finding]:
                 name,
                 f"None of {published} messages came back ({lost}).",
                 "Check domain, bridge and middleware of both sides; there is nothing to compare here.",
+                (group,),
             )
         elif lost:
             yield Finding(
@@ -40,12 +42,14 @@ def losses(evidence: Evidence) -> Iterator[Finding]:
                 f"did not come back: {lost}.",
                 "Read percentiles here as those of the messages that survived; look at reliability, "
                 "socket buffers and rate.",
+                (group,),
             )
 
 
 def unmeasured_groups(evidence: Evidence) -> Iterator[Finding]:
     """Groups all of whose messages were warm-up."""
-    for name, published in zip(evidence.group_names(), evidence.summary.frame["published"], strict=True):
+    counts = evidence.summary.frame["published"]
+    for group, (name, published) in enumerate(zip(evidence.group_names(), counts, strict=True)):
         if not published:
             yield Finding(
                 Severity.WARNING,
@@ -53,12 +57,14 @@ def unmeasured_groups(evidence: Evidence) -> Iterator[Finding]:
                 name,
                 "All messages were warm-up; nothing is counted.",
                 "Record more messages than warm-up messages.",
+                (group,),
             )
 
 
 def duplicates(evidence: Evidence) -> Iterator[Finding]:
     """Groups in which replies came more than once."""
-    for name, count in zip(evidence.group_names(), evidence.summary.frame["duplicates"], strict=True):
+    counts = evidence.summary.frame["duplicates"]
+    for group, (name, count) in enumerate(zip(evidence.group_names(), counts, strict=True)):
         if count:
             yield Finding(
                 Severity.WARNING,
@@ -66,13 +72,14 @@ def duplicates(evidence: Evidence) -> Iterator[Finding]:
                 name,
                 f"{count} replies came more than once; the first one counts.",
                 "Look for a second bridge or route between the two sides.",
+                (group,),
             )
 
 
 def reordering(evidence: Evidence) -> Iterator[Finding]:
     """Groups in which replies overtook each other."""
     columns = evidence.summary.frame.select("reordered", "received").iter_rows()
-    for name, (count, received) in zip(evidence.group_names(), columns, strict=True):
+    for group, (name, (count, received)) in enumerate(zip(evidence.group_names(), columns, strict=True)):
         if count:
             yield Finding(
                 Severity.WARNING,
@@ -80,13 +87,17 @@ def reordering(evidence: Evidence) -> Iterator[Finding]:
                 name,
                 f"{count} of {received} replies came after the reply to a later message.",
                 "With reliable QoS on one topic this should not happen: look for several routes or relays.",
+                (group,),
             )
 
 
 def impossible_times(evidence: Evidence) -> Iterator[Finding]:
     """Times below zero: a clock stepped, or stamps do not belong together."""
     counts = evidence.summary.of_exchange.select("negative_rtt", "negative_intermediate", "negative_latency")
-    for exchange, row in zip(evidence.roundtrips.exchanges, counts.iter_rows(named=True), strict=True):
+    rows = counts.iter_rows(named=True)
+    for exchange, group, row in zip(
+        evidence.roundtrips.exchanges, evidence.exchange_groups(), rows, strict=True
+    ):
         found = [f"{name.removeprefix('negative_')} of {n} messages" for name, n in row.items() if n]
         if found:
             yield Finding(
@@ -96,6 +107,7 @@ def impossible_times(evidence: Evidence) -> Iterator[Finding]:
                 f"Below zero: {', '.join(found)}. They are in the statistics as computed.",
                 "Do not use these numbers: check that stamps are CLOCK_MONOTONIC of one device each, and that no "
                 "two relays share a relay_id.",
+                (group,),
             )
 
 
@@ -118,6 +130,7 @@ def mixed_labels(evidence: Evidence) -> Iterator[Finding]:
                 names[group],
                 f"Runs with different labels are summarized together ({listed}).",
                 "Analyze them as separate folders, or compare them by run in roundtrips.parquet.",
+                (group,),
             )
 
 
@@ -147,6 +160,7 @@ def few_samples(evidence: Evidence) -> Iterator[Finding]:
             f"all {len(groups)} groups" if everywhere else some(names[group] for group in groups),
             f"Null for want of samples: {wanted} of {', '.join(metrics)}; there are {held} samples.",
             f"Record at least {percentiles[-1].needs} messages a group to see all of them.",
+            groups,
         )
 
 
@@ -159,15 +173,17 @@ def outages(evidence: Evidence) -> Iterator[Finding]:
     if evidence.details is None:
         return
     names = evidence.group_names()
-    for (group,), found in evidence.details.outages.group_by(["group"], maintain_order=True):
+    for (key,), found in evidence.details.outages.group_by(["group"], maintain_order=True):
+        group = int(str(key))
         durations_ns = found["duration_ns"].drop_nulls().to_list()
         longest = f"; the longest lasted {max(durations_ns) / 1e6:.3f} ms" if durations_ns else ""
         endless = len(found) - len(durations_ns)
         yield Finding(
             Severity.WARNING,
             "outage",
-            names[int(str(group))],
+            names[group],
             f"{len(found)} times several messages in a row were lost, {found['messages'].sum()} in all{longest}"
             + (f"; {endless} lasted to the end of the run." if endless else "."),
             "Look at the timeline: a link that drops out, a bridge or relay that restarts, a full buffer.",
+            (group,),
         )

@@ -121,8 +121,9 @@ def repeated_publications(evidence: Evidence) -> Iterator[Finding]:
 
 def orphan_events(evidence: Evidence) -> Iterator[Finding]:
     """Events of a known run whose message was, by the trace, never published."""
-    for exchange, count in zip(
-        evidence.roundtrips.exchanges, evidence.roundtrips.orphans.tolist(), strict=True
+    orphans = evidence.roundtrips.orphans.tolist()
+    for exchange, group, count in zip(
+        evidence.roundtrips.exchanges, evidence.exchange_groups(), orphans, strict=True
     ):
         if count:
             yield Finding(
@@ -131,6 +132,7 @@ def orphan_events(evidence: Evidence) -> Iterator[Finding]:
                 exchange_name(exchange),
                 f"{count} T2, T3 or T4 events name messages without T1; they have no row.",
                 "Use the whole trace of the ping; if it is whole, its recorder dropped events.",
+                (group,),
             )
 
 
@@ -156,7 +158,7 @@ def schedule_not_held(evidence: Evidence) -> Iterator[Finding]:
     """Groups that published slower than asked."""
     names = evidence.group_names()
     columns = evidence.summary.frame.select("rate_hz", "achieved_rate_hz").iter_rows()
-    for name, (asked_hz, achieved_hz) in zip(names, columns, strict=True):
+    for group, (name, (asked_hz, achieved_hz)) in enumerate(zip(names, columns, strict=True)):
         if achieved_hz is not None and achieved_hz < asked_hz * (1 - _RATE_TOLERANCE):
             yield Finding(
                 Severity.WARNING,
@@ -164,6 +166,7 @@ def schedule_not_held(evidence: Evidence) -> Iterator[Finding]:
                 name,
                 f"Published at {achieved_hz:.4g} Hz, asked for {asked_hz:g} Hz.",
                 "Do not compare this group with others of the asked rate; lower the rate or free the CPU.",
+                (group,),
             )
 
 
@@ -209,7 +212,9 @@ def relays_without_trace(evidence: Evidence) -> Iterator[Finding]:
 def gaps_of_relays(evidence: Evidence) -> Iterator[Finding]:
     """Messages that came back through a relay whose trace does not know them: then its losses are doubtful, too."""
     counts = evidence.summary.of_exchange.select("relay_gaps", "received").iter_rows()
-    for exchange, (gaps, received) in zip(evidence.roundtrips.exchanges, counts, strict=True):
+    for exchange, group, (gaps, received) in zip(
+        evidence.roundtrips.exchanges, evidence.exchange_groups(), counts, strict=True
+    ):
         if exchange.relay_recorded and gaps:
             yield Finding(
                 Severity.WARNING,
@@ -218,12 +223,13 @@ def gaps_of_relays(evidence: Evidence) -> Iterator[Finding]:
                 f"{gaps} of {received} messages ({percent(gaps, received)}) came back, but the relay's trace "
                 "lacks their T3 or T4: their latency is null, and lost_outbound may count messages that did arrive.",
                 "Use the whole trace of the relay.",
+                (group,),
             )
 
 
 def unlike_domains(evidence: Evidence) -> Iterator[Finding]:
     """Runs that were told another relay domain than the relay was in."""
-    for exchange in evidence.roundtrips.exchanges:
+    for exchange, group in zip(evidence.roundtrips.exchanges, evidence.exchange_groups(), strict=True):
         told = exchange.run.relay_domain_id
         if exchange.relay and told is not None and told != exchange.relay.domain_id:
             yield Finding(
@@ -232,6 +238,7 @@ def unlike_domains(evidence: Evidence) -> Iterator[Finding]:
                 exchange_name(exchange),
                 f"The ping was told relay domain {told}, the relay was in {exchange.relay.domain_id}, which counts.",
                 "Check the options --domain and --bridge of both sides.",
+                (group,),
             )
 
 

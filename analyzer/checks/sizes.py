@@ -48,6 +48,7 @@ def unlike_sizes(evidence: Evidence) -> Iterator[Finding]:
                     f"{other['estimate_ns'] / 1e6:.3f} ms at {large} B{cause}.",
                     "Measure sizes between the two, and compare the transports and buffers of both devices, before "
                     "you rely on either.",
+                    (after,),
                 )
 
 

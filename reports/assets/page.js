@@ -104,6 +104,21 @@ function showCellChoice() {
   document.getElementById("cell-choice").replaceChildren(...(cells.length ? [label, select] : []));
 }
 
+// The address holds the view, so a link within the page must not replace it.
+
+for (const link of document.querySelectorAll("a[href^='#']")) {
+  link.addEventListener("click", (event) => {
+    const target = document.getElementById(link.getAttribute("href").slice(1));
+    if (!target) return;
+    event.preventDefault();
+    if (target.tagName === "DETAILS") target.open = true;
+    const focused = target.querySelector(":scope > summary") || target;
+    if (focused === target) target.tabIndex = -1;
+    target.scrollIntoView();
+    focused.focus({ preventScroll: true });
+  });
+}
+
 // Theme: the reader's system decides until the button is pressed.
 
 function setTheme(name) {
@@ -127,6 +142,7 @@ addEventListener("beforeprint", () => {
   themeBeforePrint = document.documentElement.dataset.theme;
   setTheme("light");
   for (const block of blocks) block.draw();
+  for (const finding of document.querySelectorAll(".findings details")) finding.open = true;
 });
 addEventListener("afterprint", () => setTheme(themeBeforePrint));
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from reports.figures.figure import Figure, LeftOut
-from reports.host import run_times
+from reports.run_times import run_times
 
 if TYPE_CHECKING:
     from analyzer.analysis import Analysis
@@ -21,7 +21,7 @@ HOW_TO_READ = (
 )
 
 SAMPLES_IN_PAGE = 30_000
-"""About 600 KB of JSON, shared by all groups; of more, every n-th is drawn."""
+"""About 300 KB of JSON, shared by all groups; of more, every n-th is drawn."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,15 +30,15 @@ class Load:
 
     Attributes:
         role: `ping` or `relay`.
-        elapsed_s: of each sample, since its run's first message was due.
+        elapsed_s: of each sample, since its run's first message was due, to a tenth.
         cpu_percent: of the busiest processor.
         signal_dbm: of the weakest Wi-Fi interface.
     """
 
     role: str
     elapsed_s: tuple[float, ...]
-    cpu_percent: tuple[float | None, ...]
-    signal_dbm: tuple[float | None, ...]
+    cpu_percent: tuple[int | None, ...]
+    signal_dbm: tuple[int | None, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +71,7 @@ def host_load_info(analysis: Analysis) -> HostLoad:
         )
         for role in ("ping", "relay"):
             own = during.filter(role=role).unique(["device", "wall_ns"], maintain_order=True)
-            elapsed = ((pl.col("wall_ns") - first) / 1e9).round(2).alias("elapsed_s")
+            elapsed = ((pl.col("wall_ns") - first) / 1e9).round(1).alias("elapsed_s")
             if own.height:
                 groups.setdefault((run.group, role), []).append(own.with_columns(elapsed))
     total = sum(part.height for parts in groups.values() for part in parts)
@@ -82,8 +82,8 @@ def host_load_info(analysis: Analysis) -> HostLoad:
         load = Load(
             role,
             tuple(rows["elapsed_s"].to_list()),
-            tuple(rows["cpu_busiest_percent"].round(1).to_list()),
-            tuple(rows["wifi_signal_dbm"].to_list()),
+            tuple(rows["cpu_busiest_percent"].round().cast(pl.Int32).to_list()),
+            tuple(rows["wifi_signal_dbm"].round().cast(pl.Int32).to_list()),
         )
         found[group] = (*found.get(group, ()), load)
     return HostLoad(found, decimated=step > 1)

@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 
 from reports.figures.figure import Figure, LeftOut
-from reports.host import run_times
+from reports.run_times import run_times
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -22,7 +22,7 @@ import analyzer.cache
 from analyzer import Severity, analyze
 from analyzer.checks import clocks, groups, load, runs, sessions, sizes, sources
 from analyzer.findings import CHECKS
-from tracefile import Stage, read_trace
+from tracefile import Qos, Stage, read_trace
 
 MS = 1_000_000
 PERIOD = 100 * MS  # 10 Hz
@@ -83,6 +83,7 @@ def test_of_many_findings_of_a_kind_the_rest_are_counted(tmp_path):
     assert unfinished[19].where == "run 0000000000000014 (ping.mcap)"
     assert unfinished[20].where == "run 0000000000000015 (ping.mcap); and 32 more"
     assert unfinished[20].what.startswith("33 more of this kind. ")
+    assert [f.count for f in unfinished] == [1] * 20 + [33]
 
 
 def test_every_finding_says_what_where_and_what_to_do(tmp_path):
@@ -123,7 +124,8 @@ def test_loss_tells_where_messages_were_lost(tmp_path):
     assert finding.what == (
         "4 of 1000 messages (0.4 %) did not come back: 2 lost_outbound, 1 lost_in_relay, 1 lost_return."
     )
-    assert finding.where == "fastdds, binary 33000 B at 10 Hz, different domain"
+    assert finding.where == "binary 33000 B at 10 Hz"
+    assert finding.groups == (0,)
 
 
 def test_nothing_received(tmp_path):
@@ -137,10 +139,37 @@ def test_names_of_groups_tell_them_apart(tmp_path):
     events = {Stage.T1: [event(0, 1, run_id=r) for r in (1, 2)]}
     variants = [run(run_id=1, serialization="raw"), run(run_id=2, serialization="typed")]
     write_trace(tmp_path / "ping.mcap", ping_session(), variants, events)
-    where = [f.where for f in analyze(tmp_path).findings if f.code == "nothing_received"]
-    assert where == [
-        f"fastdds, binary 33000 B at 10 Hz, different domain, serialization {s}" for s in ("raw", "typed")
+    found = [f for f in analyze(tmp_path).findings if f.code == "nothing_received"]
+    assert [(f.where, f.groups) for f in found] == [
+        ("binary 33000 B at 10 Hz, serialization raw", (0,)),
+        ("binary 33000 B at 10 Hz, serialization typed", (1,)),
     ]
+
+
+def test_names_of_groups_leave_out_what_only_follows_something_else(tmp_path):
+    events = {Stage.T1: [event(0, 1, run_id=r) for r in (1, 2, 3)]}
+    variants = [
+        run(run_id=1, bridge="none", relay_domain_id=5),
+        run(run_id=2, bridge="builtin", relay_domain_id=10),
+        run(run_id=3, bridge="builtin", relay_domain_id=10, qos=Qos(reliability="best_effort")),
+    ]
+    write_trace(tmp_path / "ping.mcap", ping_session(domain_id=5), variants, events)
+    where = {f.where for f in analyze(tmp_path).findings if f.code == "nothing_received"}
+    assert where == {
+        "binary 33000 B at 10 Hz, no bridge, reliable",
+        "binary 33000 B at 10 Hz, bridge builtin, reliable",
+        "binary 33000 B at 10 Hz, bridge builtin, best_effort",
+    }
+
+
+def test_a_session_of_many_files_names_a_few(tmp_path):
+    messages = sound(5)
+    for number in range(4):
+        write_trace(
+            tmp_path / f"part{number}.mcap", relay_session(dropped_events=1), (), relay_events(messages)
+        )
+    write_trace(tmp_path / "ping.mcap", ping_session(), [described(messages)], ping_events(messages))
+    assert findings(tmp_path)["recorder_drops"].where == "relay on beta (part0.mcap; part1.mcap; and 2 more)"
 
 
 def test_few_samples_names_percentiles_and_counts(tmp_path):

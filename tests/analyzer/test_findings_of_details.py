@@ -47,6 +47,39 @@ def test_clock_step(tmp_path):
     assert "clock_step" not in findings(tmp_path, details=False)
 
 
+def test_a_suspended_relay_is_named_as_such(tmp_path):
+    # Its clock stands still for 20 s between two messages of one run, and the same relay goes on.
+    slept = drawn(count=100) + drawn(count=100, first=100, ahead=-20_000 * MS)
+    write_pair(tmp_path, slept)
+    found = findings(tmp_path)
+    assert "clock_step" not in found
+    assert found["suspend"].where == "beta (beta against alpha)"
+    stood_s, within_s = map(
+        float, re.search(r"for ([\d.]+) s \(within ([\d.]+) s\)", found["suspend"].what).groups()
+    )
+    assert abs(stood_s - 20) <= within_s < 0.1
+    assert "suspend" not in findings(tmp_path, details=False)
+
+
+def test_a_suspended_ping_is_one_whose_clock_the_relay_got_ahead_of(tmp_path):
+    write_pair(tmp_path, drawn(count=100) + drawn(count=100, first=100, ahead=5_000 * MS))
+    assert findings(tmp_path)["suspend"].where == "alpha (beta against alpha)"
+
+
+def test_a_relay_that_was_started_anew_is_no_suspend(tmp_path):
+    first, second = drawn(count=100), drawn(count=100, first=100, ahead=-20_000 * MS)
+    ping = ping_events(first)
+    for stage, events in ping_events(second, relay_id=2).items():
+        ping[stage] += events
+    write_trace(tmp_path / "ping.mcap", ping_session(), [run(planned_messages=200, published=200)], ping)
+    write_trace(tmp_path / "one.mcap", relay_session(), (), relay_events(first))
+    anew = relay_session(session_id=9, relay_id=2)
+    write_trace(tmp_path / "two.mcap", anew, (), relay_events(second, relay_id=2))
+    found = findings(tmp_path)
+    assert "clock_step" in found
+    assert "suspend" not in found
+
+
 def test_clock_drift(tmp_path):
     write_pair(tmp_path, drawn(count=600, drift=300e-6))
     assert "ppm" in findings(tmp_path)["clock_drift"].what

@@ -35,7 +35,7 @@ def test_a_folder_gives_a_table_and_two_files(runs, capsys):
     shown = capsys.readouterr()
     assert f"Wrote {runs / 'analysis' / 'roundtrips.parquet'}" in shown.out
     assert f"Wrote {runs / 'analysis' / 'summary.parquet'}" in shown.out
-    assert "fastdds" in shown.out
+    assert "Fast DDS" in shown.out
     assert shown.err == ""
     assert pl.read_parquet(runs / "analysis" / "roundtrips.parquet")["latency_ns"].to_list() == [85] * 12
     assert sorted(path.name for path in (runs / "analysis").iterdir()) == [

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import pytest
 from analyses import EVERY_ANALYSIS, HOSTILE
+from campaigns import write_runs
 
+from cli.watch import Watcher, WatchOptions
 from reports import REPORTERS
 from reports.text import format_bytes_per_s, format_hz, format_ns, format_ratio, visible
 
@@ -160,6 +162,33 @@ def test_a_linked_view_opens_as_it_was(reader, pages):
     assert tab.locator("#choose-metric").input_value() == "latency"
 
 
+def test_a_link_within_the_page_keeps_the_view_and_opens_its_finding(reader, pages):
+    tab = reader.open(pages("small campaign") + "#vendor=Zenoh")
+    finding = tab.locator("#warning-size_step")
+    assert finding.get_attribute("open") is None
+    tab.locator(".counts a", has_text="Size step").click()
+    assert finding.get_attribute("open") is not None
+    assert tab.evaluate("document.activeElement.parentElement.id") == "warning-size_step"
+    assert tab.url.endswith("#vendor=Zenoh")
+    assert tab.locator(".count").inner_text() == "16 of 32 groups"
+
+
+@pytest.mark.parametrize("viewport", [(1280, 800), (390, 844)])
+def test_the_first_screen_says_what_was_measured_what_came_out_and_what_is_doubtful(
+    chromium, pages, viewport
+):
+    width, height = viewport
+    one = Reader(chromium, viewport={"width": width, "height": height})
+    tab = one.open(pages("small campaign"))
+    seen = [".headline", ".counts .warning", ".counts .info", ".brief" if width < 960 else ".measured dl"]
+    for part in seen:
+        box = tab.locator(part).bounding_box()
+        assert box is not None, part
+        assert box["y"] + box["height"] <= height, part
+    assert tab.evaluate("document.documentElement.scrollWidth") <= width, "nothing sticks out to the side"
+    tab.context.close()
+
+
 def test_an_address_with_nonsense_shows_everything(reader, pages):
     tab = reader.open(pages("small campaign") + "#vendor=nobody&metric=__proto__&cell=x&%%%")
     assert tab.locator(".count").inner_text() == "32 groups"
@@ -172,6 +201,7 @@ def test_metric_and_statistic_change_the_numbers(reader, pages):
     value = "blocks.find(b => b.name === 'vendor_comparison').drawn.rows[0][4]"
     median = tab.evaluate(value)
     tab.locator("#choose-statistic").select_option("p99")
+    reader.draw_all()
     assert tab.evaluate(value) > median
     tab.locator("#choose-metric").select_option("intermediate")
     reader.draw_all()
@@ -311,6 +341,26 @@ def test_axe_finds_nothing_against_wcag_aa(chromium, pages, name, scheme, width)
         (each["id"], [node["html"][:200] for node in each["nodes"]]) for each in found["violations"]
     ] == []
     tab.context.close()
+
+
+def test_a_watched_page_loads_itself_again_on_a_change_and_only_then(reader, tmp_path):
+    write_runs(tmp_path, [1])
+    watcher = Watcher(WatchOptions(tmp_path))
+    with watcher.serving():
+        watcher.refresh()
+        tab = reader.open(watcher.address + "#metric=rtt")
+        tab.evaluate("window.loaded = 'once'")
+        tab.evaluate("lookForNewer()")
+        assert tab.evaluate("window.loaded") == "once"
+        write_runs(tmp_path, [2])
+        watcher.refresh()
+        tab.evaluate("void lookForNewer()")
+        tab.locator(".measured", has_text="in 2 runs").wait_for()
+        tab.locator(".count").filter(has_text="group").wait_for()
+        assert tab.evaluate("window.loaded") is None
+        assert tab.locator("#choose-metric").input_value() == "rtt"
+        assert reader.complaints == []
+        assert all(url.startswith((watcher.address, "data:")) for url in reader.requests)
 
 
 FIRST_PAINT = """() => new Promise(resolve => new PerformanceObserver(list => {

@@ -1,7 +1,7 @@
 from analyses import MS, Measured, make_analysis
 
 from reports.filters import filters_info
-from reports.groups import Cell, groups_info
+from reports.groups import Cell, group_labels, groups_info
 from reports.styles import series_styles
 
 
@@ -17,13 +17,30 @@ def test_a_label_names_only_what_differs():
         "Fast DDS, via builtin",
     ]
     assert labels_of(Measured([MS]), Measured([MS], reliability="best_effort")) == [
-        "Fast DDS, best_effort, volatile, keep_last 10",
-        "Fast DDS, reliable, volatile, keep_last 10",
+        "Fast DDS, best_effort",
+        "Fast DDS, reliable",
     ]
     assert labels_of(Measured([MS]), Measured([MS], ping_device="pi-three")) == [
         "Fast DDS, pi-one → pi-two",
         "Fast DDS, pi-three → pi-two",
     ]
+
+
+def test_the_label_of_a_group_is_its_cell_and_what_sets_its_series_apart():
+    def labelled(*measured):
+        return set(group_labels(groups_info(make_analysis(*measured))))
+
+    bridged = Measured([MS], bridge="builtin", domain_mode="different")
+    assert labelled() == set()
+    assert labelled(Measured([MS])) == {"Binary 33 KB at 10 Hz"}
+    assert labelled(Measured([MS]), bridged) == {
+        "Binary 33 KB at 10 Hz, same domain",
+        "Binary 33 KB at 10 Hz, via builtin",
+    }
+    assert labelled(Measured([MS]), Measured([MS], vendor="zenoh", relay_vendor="zenoh")) == {
+        "Binary 33 KB at 10 Hz, Fast DDS",
+        "Binary 33 KB at 10 Hz, Zenoh",
+    }
 
 
 def test_a_pair_of_vendors_is_named_as_a_pair():

@@ -3,12 +3,16 @@ import hashlib
 import json
 import re
 import unicodedata
+from dataclasses import fields, replace
 
+import polars as pl
 import pytest
 from analyses import EVERY_ANALYSIS, HOSTILE, MS, Measured, make_analysis
 from jsonschema import Draft202012Validator
 
+from analyzer import Details, parse_job, recommend_settings
 from reports import REPORTERS, document, write_report
+from reports.figures import CAMPAIGN_FIGURES, CELL_FIGURES, Figure
 from tracefile.errors import OptionError, OutputError
 
 
@@ -56,6 +60,65 @@ def test_a_missing_folder_is_an_output_error(tmp_path):
 def test_the_json_report_follows_its_schema(analysis):
     Draft202012Validator.check_schema(document.schema())
     Draft202012Validator(document.schema()).validate(json.loads(document.render(analysis)))
+
+
+def closed(schema):
+    """The schema with no room for a field that it does not describe, but in what traces may extend as they like."""
+    if isinstance(schema, list):
+        return [closed(each) for each in schema]
+    if not isinstance(schema, dict):
+        return schema
+    held = {name: closed(each) for name, each in schema.items()}
+    is_object = "properties" in held and isinstance(held["properties"], dict) and "type" in held
+    return held | {"additionalProperties": False} if is_object else held
+
+
+def test_the_schema_describes_every_field(analysis):
+    schema = closed(document.schema())
+    for name in ("sessions", "runs"):
+        schema["properties"][name] = {}
+    Draft202012Validator(schema).validate(json.loads(document.render(analysis)))
+
+
+def test_the_json_report_has_every_frame_of_the_details():
+    analysis = EVERY_ANALYSIS["small campaign"]()
+    report = json.loads(document.render(analysis))
+    for field in fields(Details):
+        held = getattr(analysis.details, field.name)
+        if isinstance(held, pl.DataFrame):
+            assert len(report[field.name]) == held.height
+            described = document.schema()["properties"][field.name]["items"]["required"]
+            assert described == held.columns, field.name
+            assert all(list(row) == held.columns for row in report[field.name])
+    assert [answer["clarity"] for answer in report["answers"]] == [
+        answer.clarity.value for answer in analysis.details.answers
+    ]
+    first = report["intervals"][0]
+    assert (first["group"], first["metric"], first["percentile"]) == (0, "rtt", "p50")
+    assert first["low_ns"] < first["estimate_ns"] < first["high_ns"]
+    assert report["clock_knots"][0]["run_id"] == "000000000000a000"
+
+
+def test_the_json_report_of_an_analysis_without_details_has_null_for_them():
+    report = json.loads(document.render(replace(EVERY_ANALYSIS["one message"](), details=None)))
+    assert all(report[name] is None for name in (*document.FRAMES, "answers", "recommendation"))
+    Draft202012Validator(document.schema()).validate(report)
+
+
+def test_a_recommendation_is_in_the_json_report():
+    analysis = EVERY_ANALYSIS["small campaign"]()
+    job = parse_job("data=binary size=33KB rate=10 deadline=50ms reliability=0.9")
+    recommended = replace(analysis.details, recommendation=recommend_settings(analysis.roundtrips, job))
+    report = json.loads(document.render(replace(analysis, details=recommended)))
+    Draft202012Validator(closed(document.schema())["properties"]["recommendation"]).validate(
+        report["recommendation"]
+    )
+    assert report["recommendation"]["job"]["deadline_ns"] == 50 * MS
+    assert {candidate["fit"] for candidate in report["recommendation"]["candidates"]} <= {
+        "meets",
+        "inconclusive",
+        "misses",
+    }
 
 
 def test_the_schema_is_strict_enough_to_miss_a_column():
@@ -112,6 +175,28 @@ def test_markdown_makes_hostile_strings_inert():
     for syntax in ("<script", "<img", "](", "**d**", "`c`", "http://", "\x1b", "\u2028"):
         assert syntax not in text
     assert "@everyone" not in text
+
+
+def test_markdown_has_intervals_costs_of_bridges_and_clocks():
+    text = REPORTERS["md"].render(
+        make_analysis(
+            Measured([MS + 1000 * n for n in range(100)]),
+            Measured([2 * MS + 1000 * n for n in range(100)], bridge="builtin", domain_mode="different"),
+        )
+    )
+    (row,) = (
+        line for line in text.splitlines() if line.startswith("| Binary | 33 KB") and "same domain" in line
+    )
+    # A series that only rises counts for few independent messages: its upper ends are unknown.
+    assert row.endswith("| 1.05 ms | 1.09 ms &#91;1.06 ms, -&#93; | 1.1 ms &#91;1.1 ms, -&#93; | 1.1 ms |")
+    (cost,) = (
+        line
+        for line in text.splitlines()
+        if line.startswith("| Fast DDS, via builtin |") and "median" in line
+    )
+    assert cost.startswith("| Fast DDS, via builtin | Binary 33 KB at 10 Hz | median | 1 ms |")
+    (clocks,) = (line for line in text.splitlines() if line.startswith("| pi-one"))
+    assert clocks == "| pi-one &#8594; pi-two | 500 ns &#177; 50 µs | +20 &#177; 1 ppm |  |"
 
 
 # HTML, as bytes. What a browser makes of it: test_browser.py.
@@ -175,5 +260,12 @@ def test_plotly_is_in_the_page_once():
 
 
 def test_a_campaign_of_the_paper_stays_below_8_mb():
-    page = REPORTERS["html"].render(EVERY_ANALYSIS["500 groups"]())
-    assert len(page.encode()) < 8_000_000
+    analysis = EVERY_ANALYSIS["500 groups"]()
+    plans = {
+        f.name: f.plan
+        for figure in (*CAMPAIGN_FIGURES, *CELL_FIGURES)
+        if isinstance(f := figure(analysis), Figure)
+    }
+    for name in ("timeline", "host_load", "clock"):
+        assert plans[name]["decimated"], f"the page is as large as it gets only with all of {name} in it"
+    assert len(REPORTERS["html"].render(analysis).encode()) < 8_000_000

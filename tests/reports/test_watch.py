@@ -9,7 +9,9 @@ import urllib.request
 import pytest
 from campaigns import write_runs
 
-from cli.watch import Watcher
+import analyzer
+import analyzer.cache
+from cli.watch import Watcher, WatchOptions, is_own_name
 from tracefile.errors import OutputError
 
 # No proxy of the surroundings may stand between the test and its own server.
@@ -20,9 +22,13 @@ def fetch(address, **headers):
     return OPENER.open(urllib.request.Request(address, headers=headers), timeout=30)
 
 
+def version_of(watcher):
+    return fetch(watcher.address + "version").read().decode()
+
+
 @pytest.fixture
 def watcher(tmp_path):
-    one = Watcher(tmp_path)
+    one = Watcher(WatchOptions(tmp_path))
     with one.serving():
         yield one
 
@@ -37,7 +43,7 @@ def test_the_page_grows_with_the_folder(watcher, tmp_path):
     page = first.read()
     assert b"in 1 run," in page
     assert b"Content-Security-Policy" in page
-    assert b"location.reload()" in page
+    assert b"connect-src &#39;self&#39;" in page
     assert watcher.refresh() is False, "nothing changed"
     with pytest.raises(urllib.error.HTTPError) as unchanged:
         fetch(watcher.address, **{"If-None-Match": first.headers["ETag"]})
@@ -46,6 +52,106 @@ def test_the_page_grows_with_the_folder(watcher, tmp_path):
     write_runs(tmp_path, [2])
     assert watcher.refresh() is True
     assert b"in 2 runs," in fetch(watcher.address, **{"If-None-Match": first.headers["ETag"]}).read()
+
+
+def test_the_version_changes_with_the_page_and_not_otherwise(watcher, tmp_path):
+    waiting = version_of(watcher)
+    write_runs(tmp_path, [1])
+    watcher.refresh()
+    one_run = version_of(watcher)
+    assert f'<html lang="en" data-version="{one_run}">'.encode() in fetch(watcher.address).read()
+    watcher.refresh()
+    assert version_of(watcher) == one_run, "what the analysis itself wrote is no change"
+    write_runs(tmp_path, [2])
+    watcher.refresh()
+    assert len({waiting, one_run, version_of(watcher)}) == 3
+
+
+def test_of_a_folder_that_grew_only_new_traces_are_read(watcher, tmp_path, monkeypatch):
+    read = []
+    plain = analyzer.cache.read_trace
+    monkeypatch.setattr(analyzer.cache, "read_trace", lambda path: read.append(path.name) or plain(path))
+    for number, expected in ((1, ["ping1.mcap", "relay1.mcap"]), (2, ["ping2.mcap", "relay2.mcap"])):
+        read.clear()
+        write_runs(tmp_path, [number])
+        assert watcher.refresh() is True
+        assert sorted(read) == expected
+    assert (tmp_path / "analysis" / "summary.parquet").is_file()
+
+
+def test_without_a_cache_nothing_is_written(tmp_path):
+    write_runs(tmp_path, [1])
+    before = sorted(tmp_path.rglob("*"))
+    one = Watcher(WatchOptions(tmp_path, cache=False))
+    with one.serving():
+        assert one.refresh() is True
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_an_analysis_that_fails_is_shown_above_the_last_report(watcher, tmp_path, monkeypatch, capsys):
+    write_runs(tmp_path, [1])
+    watcher.refresh()
+    before = version_of(watcher)
+
+    def failing(*_, **__):
+        raise ZeroDivisionError("<b>division</b>")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(analyzer, "analyze", failing)
+        write_runs(tmp_path, [2])
+        assert watcher.refresh() is False
+    page = fetch(watcher.address).read().decode()
+    assert "The latest analysis failed: ZeroDivisionError: &lt;b&gt;division&lt;/b&gt;" in page
+    assert "in 1 run," in page
+    assert version_of(watcher) != before
+    assert f'data-version="{version_of(watcher)}"' in page
+    assert "ZeroDivisionError" in capsys.readouterr().err
+    write_runs(tmp_path, [3])
+    assert watcher.refresh() is True
+    page = fetch(watcher.address).read().decode()
+    assert "The latest analysis failed" not in page
+    assert "in 3 runs," in page
+
+
+def test_a_first_analysis_that_fails_says_why(watcher, tmp_path):
+    (tmp_path / "broken.mcap").write_bytes(b"no trace <at all>")
+    assert watcher.refresh() is False
+    page = fetch(watcher.address).read().decode()
+    assert "No trace can be analyzed yet" in page
+    assert "no trace here: looked at broken.mcap" in page
+    assert "fetch(" in page
+
+
+@pytest.mark.parametrize(
+    ("asked", "bound", "is_own"),
+    [
+        ("127.0.0.1:8765", "127.0.0.1", True),
+        ("localhost:8765", "127.0.0.1", True),
+        ("LOCALHOST", "127.0.0.1", True),
+        ("127.8.8.8", "127.0.0.1", True),
+        ("[::1]:8765", "127.0.0.1", True),
+        ("evil.example:8765", "127.0.0.1", False),
+        ("localhost.evil.example", "127.0.0.1", False),
+        ("192.168.1.5:8765", "127.0.0.1", False),
+        ("", "127.0.0.1", False),
+        ("192.168.1.5:8765", "192.168.1.5", True),
+        ("192.168.1.6:8765", "192.168.1.5", False),
+        ("pi.local:8765", "pi.local", True),
+        ("192.168.1.5:8765", "0.0.0.0", True),
+        ("[fe80::1]:8765", "::", True),
+        ("evil.example", "0.0.0.0", False),
+    ],
+)
+def test_names_of_the_server(asked, bound, is_own):
+    assert is_own_name(asked, bound) is is_own
+
+
+def test_a_page_under_a_name_of_somebody_else_is_refused(watcher):
+    for path in ("", "version"):
+        with pytest.raises(urllib.error.HTTPError) as refused:
+            fetch(watcher.address + path, Host="evil.example")
+        assert refused.value.code == 421
+        refused.value.close()
 
 
 def test_nothing_but_the_page_is_served(watcher, tmp_path):
@@ -60,7 +166,7 @@ def test_nothing_but_the_page_is_served(watcher, tmp_path):
 def test_a_taken_port_is_an_output_error(watcher, tmp_path):
     port = int(watcher.address.rstrip("/").rsplit(":", 1)[1])
     with pytest.raises(OutputError, match="choose another --port"):
-        Watcher(tmp_path, port=port)
+        Watcher(WatchOptions(tmp_path), port=port)
 
 
 def test_the_command_ends_with_ctrl_c(tmp_path):

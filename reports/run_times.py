@@ -1,0 +1,45 @@
+"""When each run took place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import polars as pl
+
+if TYPE_CHECKING:
+    from analyzer.analysis import Analysis
+    from tracefile import Session
+
+
+@dataclass(frozen=True, slots=True)
+class RunTime:
+    """When a run took place.
+
+    Attributes:
+        group: the group that it belongs to (the first, where several relays answered).
+        origin_ns: when its first counted message was due, on the ping's monotonic clock: 0 of `elapsed_s`.
+        last_ns: when its last message was published, likewise.
+        session: the ping's session, if the run names it.
+    """
+
+    run_id: int
+    group: int
+    origin_ns: int
+    last_ns: int
+    session: Session | None
+
+
+def run_times(analysis: Analysis) -> tuple[RunTime, ...]:
+    """The runs of `analysis.timeline`, in its order."""
+    due = pl.coalesce("scheduled_ns", "publish_ns")
+    times = analysis.scan_roundtrips().group_by("run_id").agg(due.min().alias("origin"), pl.max("publish_ns"))
+    spans = {run_id: (origin, last) for run_id, origin, last in times.collect().iter_rows()}
+    sessions = {f"{session.session_id:016x}": session for session in analysis.sessions}
+    session_of = {run.run_id: sessions.get(str(run.extra.get("session_id"))) for run in analysis.runs}
+    of_runs = analysis.timeline.group_by("run_id", maintain_order=True).agg(pl.first("group"))
+    return tuple(
+        RunTime(run_id, group, *spans[run_id], session_of.get(run_id))
+        for run_id, group in of_runs.iter_rows()
+        if None not in spans.get(run_id, (None,))
+    )

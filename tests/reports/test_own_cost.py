@@ -1,0 +1,73 @@
+from dataclasses import replace
+
+import pytest
+from analyses import MS, Measured, make_analysis
+
+from reports import REPORTERS
+from reports.overview import Fact, overview_info
+from reports.own_cost import OwnCost, own_costs
+
+FLOOR = {"median_ns": 400_000, "p99_ns": 1_200_000, "messages": 50}
+COST = {"record_median_ns": 900, "record_p99_ns": 2000}
+
+
+def analysis_of(extras, *measured):
+    """One session's `extra` after the other, in the order of the sessions."""
+    analysis = make_analysis(*(measured or (Measured([MS]),)))
+    held = [replace(session, extra=extra) for session, extra in zip(analysis.sessions, extras, strict=False)]
+    return replace(
+        analysis, sessions=(*held, *(replace(one, extra={}) for one in analysis.sessions[len(held) :]))
+    )
+
+
+def facts(analysis):
+    return {fact.label: fact.value for fact in overview_info(analysis).facts}
+
+
+def test_of_several_sessions_the_slowest_counts():
+    slower = {
+        "recorder_cost": {**COST, "record_p99_ns": 5000},
+        "client_library_floor": {**FLOOR, "messages": 20},
+    }
+    analysis = analysis_of([{"recorder_cost": COST, "client_library_floor": FLOOR}, slower])
+    assert own_costs(analysis) == (OwnCost("fastdds", "ros2", 900, 5000, 400_000, 1_200_000, 20),)
+    assert facts(analysis)["Recorder"] == "keeping an event took 900 ns (p99 5 µs)"
+    assert facts(analysis)["Library"] == "a message from a node to itself took 400 µs (p99 1.2 ms)"
+
+
+def test_several_middlewares_are_told_apart():
+    analysis = analysis_of(
+        [
+            {"client_library_floor": {**FLOOR, "median_ns": 90_000}},
+            {"client_library_floor": FLOOR},
+            {"client_library_floor": {**FLOOR, "median_ns": 70_000}},
+        ],
+        Measured([MS], vendor="zenoh", backend="zenoh", relay_device=None),
+        Measured([MS], vendor="cyclonedds", relay_device=None),
+        Measured([MS], vendor="cyclonedds", backend="cyclonedds", relay_device=None),
+    )
+    assert facts(analysis)["Library"] == (
+        "a message from a node to itself took: Cyclone DDS (cyclonedds) 90 µs (p99 1.2 ms); "
+        "Cyclone DDS (ros2) 400 µs (p99 1.2 ms); Zenoh 70 µs (p99 1.2 ms)"
+    )
+    assert "Recorder" not in facts(analysis)
+
+
+@pytest.mark.parametrize(
+    "extra", [{}, {"client_library_floor": None}, {"client_library_floor": {"median_ns": "x"}}]
+)
+def test_what_was_not_measured_is_not_shown(extra):
+    assert own_costs(analysis_of([extra])) == ()
+    assert not {"Recorder", "Library"} & facts(analysis_of([extra])).keys()
+
+
+@pytest.mark.parametrize("kind", ["html", "md", "terminal", "json"])
+def test_every_report_has_both(kind):
+    text = REPORTERS[kind].render(analysis_of([{"recorder_cost": COST, "client_library_floor": FLOOR}]))
+    words = " ".join(text.split())
+    assert "keeping an event took" in words
+    assert "a message from a node to itself took" in words
+
+
+def test_a_fact_without_a_value_is_no_fact():
+    assert Fact("Recorder", "") not in overview_info(make_analysis()).facts

@@ -12,11 +12,13 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from analyzer.intervals import percentile_interval, ranges_overlap, ratio_interval
 from analyzer.recommend import CELL_COLUMNS, SETTING_COLUMNS, delivered_latencies, parts_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     import polars as pl
 
@@ -27,6 +29,8 @@ if TYPE_CHECKING:
 
 CASE_COLUMNS = ("connectivity", "domain_mode", *CELL_COLUMNS)
 CONTENDER_COLUMNS = tuple(name for name in SETTING_COLUMNS if name not in CASE_COLUMNS)
+ANSWER_COLUMNS = ("run_id", "relay_id", "publish_ns", "latency_ns", "rtt_ns", "outcome")
+"""What of the rows an answer rests on."""
 
 
 class Clarity(Enum):
@@ -122,31 +126,44 @@ class Headline:
         return f"{what}: {'; '.join(said)}"
 
 
-def find_answers(
-    roundtrips: pl.DataFrame, confidence: float = 0.95, *, names: ContenderNames | None = None
-) -> tuple[Answer, ...]:
+def find_answers(roundtrips: pl.DataFrame, confidence: float = 0.95) -> tuple[Answer, ...]:
     """One answer for each kind of message, sorted by its columns.
 
     Args:
         roundtrips: frame of `docs/trace-format.md`.
         confidence: of the intervals.
-        names: `contender_names` of the campaign that these are a part of; None where they are all of it.
     """
-    names = contender_names(roundtrips) if names is None else names
-    answers = []
-    for case, rows in parts_of(roundtrips, CASE_COLUMNS):
-        percentile, contenders = _compared(rows, names, confidence)
-        ranked = tuple(sorted(contenders, key=_order))
-        best = ranked[0].latency
-        leaders = tuple(c for c in ranked if c is ranked[0] or _overlap(best, c.latency))
-        if len(ranked) == 1:
-            clarity = Clarity.ONLY_ONE
-        else:
-            clarity = Clarity.CLEAR if len(leaders) == 1 else Clarity.INCONCLUSIVE
-        answers.append(
-            Answer(**case, percentile=percentile, clarity=clarity, contenders=ranked, leaders=leaders)
-        )
-    return tuple(answers)
+    names = contender_names(roundtrips)
+    return tuple(
+        answer_case(case, parts_of(rows, CONTENDER_COLUMNS), names, confidence)
+        for case, rows in parts_of(roundtrips, CASE_COLUMNS)
+    )
+
+
+def answer_case(
+    case: Mapping[str, Any],
+    parts: Iterable[tuple[dict[str, Any], pl.DataFrame]],
+    names: ContenderNames,
+    confidence: float = 0.95,
+) -> Answer:
+    """The answer for one kind of message.
+
+    Args:
+        case: the values of `CASE_COLUMNS`.
+        parts: each setting (the values of `CONTENDER_COLUMNS`) with its rows (`ANSWER_COLUMNS`) by run, relay and time;
+            one at a time is held.
+        names: `contender_names` of the campaign.
+        confidence: of the intervals.
+    """
+    percentile, contenders = _compared(parts, names, confidence)
+    ranked = tuple(sorted(contenders, key=_order))
+    best = ranked[0].latency
+    leaders = tuple(c for c in ranked if c is ranked[0] or _overlap(best, c.latency))
+    if len(ranked) == 1:
+        clarity = Clarity.ONLY_ONE
+    else:
+        clarity = Clarity.CLEAR if len(leaders) == 1 else Clarity.INCONCLUSIVE
+    return Answer(**case, percentile=percentile, clarity=clarity, contenders=ranked, leaders=leaders)
 
 
 def find_headlines(answers: Sequence[Answer]) -> tuple[Headline, ...]:
@@ -171,24 +188,27 @@ def find_headlines(answers: Sequence[Answer]) -> tuple[Headline, ...]:
     return tuple(headlines)
 
 
-def _compared(rows: pl.DataFrame, names: ContenderNames, confidence: float) -> tuple[str, list[Contender]]:
-    parts = [
-        (setting, part, delivered_latencies(part)) for setting, part in parts_of(rows, CONTENDER_COLUMNS)
-    ]
-    percentile, intervals = "p50", [percentile_interval(values, 0.5, confidence) for _, _, values in parts]
-    tails = [percentile_interval(values, 0.99, confidence) for _, _, values in parts]
-    if all(interval.is_two_sided for interval in tails):
-        percentile, intervals = "p99", tails
-    contenders = [
-        Contender(
-            name=names[tuple(setting.values())],
-            setting=setting,
-            latency=interval,
-            received=ratio_interval((part["outcome"] == "completed").to_numpy(), confidence),
+def _compared(
+    parts: Iterable[tuple[dict[str, Any], pl.DataFrame]], names: ContenderNames, confidence: float
+) -> tuple[str, list[Contender]]:
+    medians, tails = [], []
+    for setting, rows in parts:
+        values = delivered_latencies(rows)
+        ordered = np.sort(values)
+        median, tail = (
+            Contender(
+                name=names[tuple(setting.values())],
+                setting=setting,
+                latency=percentile_interval(values, quantile, confidence, ordered=ordered),
+                received=ratio_interval((rows["outcome"] == "completed").to_numpy(), confidence),
+            )
+            for quantile in (0.5, 0.99)
         )
-        for (setting, part, _), interval in zip(parts, intervals, strict=True)
-    ]
-    return percentile, contenders
+        medians.append(median)
+        tails.append(tail)
+    if all(contender.latency.is_two_sided for contender in tails):
+        return "p99", tails
+    return "p50", medians
 
 
 _NAMED_APART: Mapping[str, tuple[str, str]] = {

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
 from analyzer.analysis import Details
-from analyzer.answers import CASE_COLUMNS, contender_names, find_answers
+from analyzer.answers import ANSWER_COLUMNS, CASE_COLUMNS, CONTENDER_COLUMNS, answer_case, contender_names
 from analyzer.clocks import ping_boots
 from analyzer.compare import BRIDGE_MATCH_COLUMNS, CompareOptions, bridge_cost
 from analyzer.group_frames import INTERVAL_SCHEMA, ONE_WAY_SCHEMA, interval_rows, one_way_rows
@@ -15,9 +15,10 @@ from analyzer.host_samples import host_sample_frame
 from analyzer.large import is_too_large
 from analyzer.one_way import fit_devices, segment_table
 from analyzer.recommend import recommend_settings
+from analyzer.rows import partition_groups
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from analyzer.answers import Answer
     from analyzer.batch import Wanted
@@ -79,12 +80,19 @@ def _by_group(*frames: pl.DataFrame) -> pl.DataFrame:
 
 def _answers(rows: RowsByGroup) -> tuple[Answer, ...]:
     """`answers.find_answers` of the whole campaign, one kind of message after the other."""
+    if not rows.has_rows:
+        return ()
     names = contender_names(rows.groups)
+
+    def parts(case: pl.DataFrame) -> Iterator[tuple[dict[str, Any], pl.DataFrame]]:
+        for groups in partition_groups(case, CONTENDER_COLUMNS):
+            setting = groups.select(CONTENDER_COLUMNS).row(0, named=True)
+            yield setting, rows.frame(groups, ANSWER_COLUMNS).sort("run_id", "relay_id", "publish_ns")
+
     return tuple(
-        answer
-        for case in rows.cases(CASE_COLUMNS)
+        answer_case(case.select(CASE_COLUMNS).row(0, named=True), parts(case), names)
+        for case in partition_groups(rows.groups, CASE_COLUMNS)
         if not is_too_large(case)
-        for answer in find_answers(rows.frame(case), names=names)
     )
 
 
@@ -94,7 +102,7 @@ def _bridge_costs(rows: RowsByGroup) -> pl.DataFrame:
     within = ((pl.col("domain_mode") == "same") & (pl.col("bridge") == "none")).any()
     costs = [
         bridge_cost(rows.frame(case), _COSTS)
-        for case in rows.cases(BRIDGE_MATCH_COLUMNS)
+        for case in partition_groups(rows.groups, BRIDGE_MATCH_COLUMNS)
         if case.select(across & within).item() and not is_too_large(case)
     ]
     none = bridge_cost(rows.frame(rows.groups.head(0)), _COSTS)

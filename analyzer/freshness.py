@@ -7,7 +7,8 @@ Deadline misses and their longest run, how old the newest information is (S. Kau
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import polars as pl
@@ -272,23 +273,33 @@ def _runs(roundtrips: pl.DataFrame, metric: str) -> Iterator[_Run]:
         pl.col("outbound_ns") if aligned else pl.lit(None, pl.Int64).alias("outbound_ns"),
         pl.col("clock_bound_ns") if aligned else pl.lit(None, pl.Int64).alias("bound_ns"),
     ).rename({"clock_bound_ns": "bound_ns"} if aligned else {})
-    for part in frame.sort("run_id", "relay_id", "sequence").partition_by(
-        "run_id", "relay_id", maintain_order=True
-    ):
-        times = {
-            n: part[n].fill_null(0).to_numpy() for n in ("receive_ns", "value_ns", "outbound_ns", "bound_ns")
-        }
-        yield _Run(
-            run_id=part["run_id"][0],
-            relay_id=part["relay_id"][0],
-            sequence=part["sequence"].to_numpy(),
-            planned_ns=part["planned_ns"].to_numpy(),
-            publish_ns=part["publish_ns"].to_numpy(),
-            lost=part["lost"].to_numpy(),
-            known=part["value_ns"].is_not_null().to_numpy(),
-            aligned=part["outbound_ns"].is_not_null().to_numpy(),
-            **times,
-        )
+    starts = _starts(frame)
+    if starts is None:
+        frame = frame.sort("run_id", "relay_id", "sequence")
+        starts = _starts(frame) or []
+    columns = {
+        **{name: frame[name].to_numpy() for name in ("sequence", "planned_ns", "publish_ns", "lost")},
+        **{
+            n: frame[n].fill_null(0).to_numpy() for n in ("receive_ns", "value_ns", "outbound_ns", "bound_ns")
+        },
+        "known": frame["value_ns"].is_not_null().to_numpy(),
+        "aligned": frame["outbound_ns"].is_not_null().to_numpy(),
+    }
+    runs = [(*frame.row(start)[:2], start, stop) for start, stop in pairwise([*starts, len(frame)])]
+    for run_id, relay_id, start, stop in sorted(runs):
+        of_run: dict[str, Any] = {name: values[start:stop] for name, values in columns.items()}
+        yield _Run(run_id, relay_id, **of_run)
+
+
+def _starts(frame: pl.DataFrame) -> list[int] | None:
+    """Where the rows of each run and relay begin, None unless they stand together by rising sequence number."""
+    run_id, relay_id, sequence = (frame[name].to_numpy() for name in ("run_id", "relay_id", "sequence"))
+    new = np.ones(len(frame), np.bool_)
+    new[1:] = (run_id[1:] != run_id[:-1]) | (relay_id[1:] != relay_id[:-1])
+    starts = np.flatnonzero(new)
+    together = len(set(zip(run_id[starts].tolist(), relay_id[starts].tolist(), strict=True))) == len(starts)
+    rising = new[1:] | (sequence[1:] >= sequence[:-1])
+    return starts.tolist() if together and rising.all() else None
 
 
 def _in_time(run: _Run, deadline_ns: int | None) -> Bools:

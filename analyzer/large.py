@@ -9,6 +9,7 @@ from analyzer.answers import CASE_COLUMNS
 from analyzer.batches import WHOLE_GROUP_EVENTS
 from analyzer.compare import BRIDGE_MATCH_COLUMNS
 from analyzer.evidence import some
+from analyzer.rows import partition_groups
 from analyzer.sketch import RELATIVE_ERROR
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ def earlier_rows(path: Path) -> Finding:
 
 
 def is_too_large(case: pl.DataFrame) -> bool:
-    """Whether one of `RowsByGroup.cases` has more rows than are compared."""
+    """Whether one part of `RowsByGroup.groups` has more rows than are compared."""
     return int(case["published"].sum()) > MOST_COMPARED_ROWS
 
 
@@ -71,7 +72,7 @@ def size_findings(evidence: Evidence, rows: RowsByGroup | None, in_parts: Sequen
     cases = []
     if rows is not None:
         kinds = (CASE_COLUMNS, BRIDGE_MATCH_COLUMNS)
-        cases = [case for kind in kinds for case in rows.cases(kind) if is_too_large(case)]
+        cases = [case for kind in kinds for case in partition_groups(rows.groups, kind) if is_too_large(case)]
     if cases:
         groups = sorted({group for case in cases for group in case["group"].to_list()})
         yield Finding(

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from types import TracebackType
 
+ROUNDTRIP_NAMES = tuple(column.name for column in ROUNDTRIP_COLUMNS)
+
 MOST_HELD_ROWS = 1_000_000
 """Rows that are kept in memory, some hundred bytes each; of more, only what is asked for is read from the file."""
 
@@ -85,14 +87,14 @@ class RowsByGroup:
             published.alias("published"),
         )
 
-    def cases(self, columns: Sequence[str]) -> list[pl.DataFrame]:
-        """`groups` in parts that agree in some parameter columns, sorted by these."""
-        ordered = self.groups.sort(*columns, maintain_order=True)
-        return ordered.partition_by(*columns, maintain_order=True) if len(ordered) else []
+    @property
+    def has_rows(self) -> bool:
+        """False of a sketch, which has groups and no rows."""
+        return not self.rows.scan().head(1).collect().is_empty()
 
-    def frame(self, groups: pl.DataFrame) -> pl.DataFrame:
-        """The rows of some of `groups`, columns of `columns.ROUNDTRIP_COLUMNS`."""
-        rows = self.rows.scan()
+    def frame(self, groups: pl.DataFrame, columns: Sequence[str] = ROUNDTRIP_NAMES) -> pl.DataFrame:
+        """Some columns of the rows of some of `groups`."""
+        rows = self.rows.scan().select(columns)
         spans = groups.select("first", "published").iter_rows()
         return pl.concat([rows.head(0), *(rows.slice(*span) for span in spans)]).collect()
 
@@ -100,6 +102,12 @@ class RowsByGroup:
         """One column of the rows of one group, so that a group of any size can be looked at."""
         span = self.groups.select("first", "published").row(group)
         return self.rows.scan().select(name).slice(*span).collect().to_series()
+
+
+def partition_groups(groups: pl.DataFrame, columns: Sequence[str]) -> list[pl.DataFrame]:
+    """`RowsByGroup.groups`, or some of them, in parts that agree in some parameter columns, sorted by these."""
+    ordered = groups.sort(*columns, maintain_order=True)
+    return ordered.partition_by(*columns, maintain_order=True) if len(ordered) else []
 
 
 class RowKeeper:

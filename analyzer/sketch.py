@@ -46,7 +46,9 @@ class ValueSpool:
             return measure_groups((group, metric, self._values(metric)) for metric in METRICS)
 
     def _values(self, metric: str) -> NDArray[np.int64]:
-        return np.fromfile(self._file(metric), np.int64)
+        values = np.fromfile(self._file(metric), np.int64)
+        values.sort()  # in place: there may be hundreds of megabytes
+        return values
 
     def _file(self, metric: str) -> Path:
         return Path(self._folder.name) / metric

@@ -115,17 +115,16 @@ def measure_batch(roundtrips: RoundTrips, group_of_exchange: NDArray[np.uint32])
     groups, first = np.unique(group_of_exchange, return_index=True)
     after = np.append(first[1:], len(group_of_exchange))
     return measure_groups(
-        (group, metric, metric_values(roundtrips, metric, start, stop))
+        (group, metric, np.sort(metric_values(roundtrips, metric, start, stop)))
         for group, start, stop in zip(groups.tolist(), first.tolist(), after.tolist(), strict=True)
         for metric in METRICS
     )
 
 
 def measure_groups(values: Iterable[tuple[int, str, NDArray[np.int64]]]) -> Statistics:
-    """Statistics and histograms from (group, metric, values in any order)."""
+    """Statistics and histograms from (group, metric, values rising)."""
     rows, histograms = [], []
-    for group, metric, values_ns in values:
-        ordered_ns = np.sort(values_ns)
+    for group, metric, ordered_ns in values:
         rows.append(
             {"group": group, "metric": metric, "samples": len(ordered_ns), **summarize_values(ordered_ns)}
         )

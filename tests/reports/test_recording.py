@@ -1,0 +1,44 @@
+from dataclasses import replace
+
+import pytest
+from analyses import MS, Measured, make_analysis
+
+from analyzer import Source
+from reports.recording import MOST_ROWS, record_tables
+
+
+@pytest.fixture
+def analysis():
+    return make_analysis(Measured([MS]))
+
+
+def test_sessions_that_are_alike_are_one_row(analysis):
+    ping, relay = analysis.sessions
+    again = [
+        replace(
+            ping, session_id=n, dropped_events=n, host={**ping.host, "wifi": {"wlan0": {"signal_dbm": -n}}}
+        )
+        for n in (1, 2)
+    ]
+    elsewhere = replace(ping, session_id=3, host={**ping.host, "kernel": "6.8"}, state="open")
+    sessions, _ = record_tables(replace(analysis, sessions=(ping, relay, *again, elsewhere)))
+    assert (sessions.title, sessions.count, sessions.left_out) == ("Recording sessions", 5, 0)
+    shown = [(row[0], row[1], *row[7:10]) for row in sessions.rows]
+    assert shown == [
+        ("pi-one", "ping", "3", "3", "clean"),
+        ("pi-two", "relay", "1", "0", "clean"),
+        ("pi-one", "ping", "1", "0", "cut off"),
+    ]
+    assert sessions.rows[2][-1].endswith("kernel 6.8")
+
+
+def test_of_many_files_those_that_were_not_read_come_first(analysis):
+    sources = [Source(f"{n}.mcap", "read", "", 5) for n in range(MOST_ROWS + 10)]
+    sources.append(Source("notes.txt", "skipped", "no trace", 0))
+    _, files = record_tables(replace(analysis, sources=tuple(sources)))
+    assert files.rows[0] == ("notes.txt", "skipped", "0", "no trace")
+    assert (files.count, len(files.rows), files.left_out) == (MOST_ROWS + 11, MOST_ROWS, 11)
+
+
+def test_nothing_recorded_has_no_table():
+    assert record_tables(make_analysis()) == ()

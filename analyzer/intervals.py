@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from analyzer.sample_size import minimum_messages
 
+Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 Values = NDArray[Any]  # int64 or float64; a lost message may stand as infinity
 
@@ -38,6 +39,7 @@ SEED = 20_260_101
 _CELLS = 256  # a series is resampled in at most this many pieces, so that the cost does not grow with it
 _LEVELS = 96  # values around the quantile that a replicate can take
 _PIECE = 8192
+_REPLICATES_AT_ONCE = 8
 _LAGS = 1000  # neighbours farther apart than this are taken to be independent
 
 
@@ -273,10 +275,23 @@ def bootstrap_quantile(
     level = np.searchsorted(levels, values, side="left")  # values above the last level count as len(levels)
     drawn = _drawn_blocks(len(values), block_messages, replicates, seed)
     counts = np.bincount(drawn.cell * (len(levels) + 1) + level, minlength=drawn.cells * (len(levels) + 1))
-    below = np.cumsum(drawn.weights @ counts.reshape(drawn.cells, -1).astype(np.float64), axis=1)
+    below = np.cumsum(_drawn_counts(drawn.weights, counts.reshape(drawn.cells, -1)), axis=1)
     reached = below[:, :-1] >= quantile * below[:, -1:] - 1e-6
     found = np.where(reached.any(axis=1), reached.argmax(axis=1), len(levels) - 1)
     return levels[found].astype(np.float64)
+
+
+def _drawn_counts(weights: Float32, counts: NDArray[np.intp]) -> Float64:
+    """`weights @ counts`, whole numbers, a few replicates at a time for the reason that `_product` has.
+
+    A float32 holds whole numbers up to 2**24, and a replicate has hardly more messages than the series.
+    """
+    exact = np.float32 if counts.sum() < 1 << 22 else np.float64
+    typed, found = counts.astype(exact), np.empty((len(weights), counts.shape[1]), exact)
+    for first in range(0, len(weights), _REPLICATES_AT_ONCE):
+        part = slice(first, first + _REPLICATES_AT_ONCE)
+        np.matmul(weights[part], typed, out=found[part])
+    return found.astype(np.float64)
 
 
 def bootstrap_mean(
@@ -290,7 +305,8 @@ def bootstrap_mean(
     drawn = _drawn_blocks(len(values), block_messages, replicates, seed)
     sums = np.bincount(drawn.cell, weights=values, minlength=drawn.cells)
     counts = np.bincount(drawn.cell, minlength=drawn.cells).astype(np.float64)
-    means: Float64 = (drawn.weights @ sums) / (drawn.weights @ counts)
+    weights = drawn.weights.astype(np.float64)
+    means: Float64 = (weights @ sums) / (weights @ counts)
     return means
 
 
@@ -300,12 +316,12 @@ class _DrawnBlocks:
 
     Attributes:
         cell: intp, shape (messages,), the cell of each message.
-        weights: float64, shape (replicates, cells).
+        weights: float32, whole numbers, shape (replicates, cells).
     """
 
     cell: NDArray[np.intp]
     cells: int
-    weights: Float64
+    weights: Float32
 
 
 def _drawn_blocks(n: int, block_messages: int, replicates: int, seed: int) -> _DrawnBlocks:
@@ -314,8 +330,8 @@ def _drawn_blocks(n: int, block_messages: int, replicates: int, seed: int) -> _D
     return _DrawnBlocks(np.arange(n) * cells // n, cells, _weights(cells, per_block, replicates, seed))
 
 
-@lru_cache(maxsize=32)  # groups of a campaign are alike, and drawing is much of the work; 1 MB each
-def _weights(cells: int, per_block: int, replicates: int, seed: int) -> Float64:
+@lru_cache(maxsize=32)  # groups of a campaign are alike, and drawing is much of the work; half a MB each
+def _weights(cells: int, per_block: int, replicates: int, seed: int) -> Float32:
     draws = math.ceil(cells / per_block)
     picked = np.random.default_rng(seed).integers(cells, size=(replicates, draws))
     picked += np.arange(replicates)[:, None] * cells
@@ -323,7 +339,7 @@ def _weights(cells: int, per_block: int, replicates: int, seed: int) -> Float64:
     # A cell is in every block that starts on it or up to `per_block - 1` cells before it.
     circle = np.concatenate([starts[:, cells - per_block + 1 :], starts], axis=1)
     running = np.cumsum(np.concatenate([np.zeros_like(circle[:, :1]), circle], axis=1), axis=1)
-    weights: Float64 = (running[:, per_block:] - running[:, :-per_block]).astype(np.float64)
+    weights: Float32 = (running[:, per_block:] - running[:, :-per_block]).astype(np.float32)
     weights.flags.writeable = False
     return weights
 

@@ -1,11 +1,11 @@
 """Reading a trace to columns, against the public readers, against unpacking alone, and in memory.
 
-    python benchmarks/bench_read.py            1 M events, all bars: a minute and a half
+    python benchmarks/bench_read.py            1 M events, all bars: about five minutes
     python benchmarks/bench_read.py --large    20 M events too; the public readers' times are taken from 1 M times 20
 
-Every bar is a ratio of times of this run on this machine, each time the best of several taken in turn. The exit code
-is 1 if a bar is missed. Two threads on a machine whose cores are busy with other work cannot show what they can do:
-the load average is printed for that.
+Every bar is the median of the ratios of several rounds, in each of which both sides are timed one after the other. The
+exit code is 1 if a bar is missed. Two threads on a machine whose cores are busy with other work cannot show what they
+can do: the load average is printed for that.
 """
 
 from __future__ import annotations
@@ -13,11 +13,13 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import statistics
 import subprocess
 import sys
 import tempfile
 import time
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -35,10 +37,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 EVENTS, LARGE = 1_000_000, 20_000_000
-SAMPLING_S = (
-    20.0  # the best time is what the machine can do undisturbed; a busy one needs many tries to show it
-)
-LEAST_SAMPLES = 5
+SAMPLING_S = 20.0  # rounds against unpacking alone, which are short
+LEAST_ROUNDS = 5
+PUBLIC_ROUNDS = 3  # the public readers take seconds each
 CODECS = ("zstd", "lz4", "")
 UNPACKERS: dict[str, Callable[[bytes, int], bytes]] = {
     "zstd": lambda packed, size: zstandard.ZstdDecompressor().decompress(packed, max_output_size=size),
@@ -120,21 +121,26 @@ def packed_chunks(path: Path) -> list[tuple[bytes, int]]:
         return [(record.data, record.uncompressed_size) for record in records if isinstance(record, Chunk)]
 
 
-def ours_and_unpacking(path: Path, codec: str) -> tuple[float, float]:
-    """Best times of `read_trace` and of unpacking alone (one thread, chunks in memory already), taken in turn."""
-    chunks = packed_chunks(path) if codec in UNPACKERS else []
-    unpack = UNPACKERS.get(codec)
+def unpacking(path: Path, codec: str) -> Callable[[], None]:
+    """Unpacks all chunks, in memory already, on one thread."""
+    chunks, unpack = packed_chunks(path), UNPACKERS[codec]
 
     def unpack_all() -> None:
         for packed, size in chunks:
-            if unpack:
-                unpack(packed, size)
+            unpack(packed, size)
 
+    return unpack_all
+
+
+def side_by_side(
+    ours: Callable[[], object], theirs: Callable[[], object], rounds: int, at_least_s: float = 0.0
+) -> list[tuple[float, float]]:
+    """Seconds of both, timed in turn: at least so many rounds, over at least so long."""
     times: list[tuple[float, float]] = []
-    until = time.perf_counter() + SAMPLING_S
-    while len(times) < LEAST_SAMPLES or time.perf_counter() < until:
-        times.append((seconds(lambda: read_trace(path)), seconds(unpack_all)))
-    return min(ours for ours, _ in times), min(alone for _, alone in times)
+    until = time.perf_counter() + at_least_s
+    while len(times) < rounds or time.perf_counter() < until:
+        times.append((seconds(ours), seconds(theirs)))
+    return times
 
 
 def memory_bar(path: Path, codec: str, events: int) -> Bar:
@@ -146,28 +152,41 @@ def memory_bar(path: Path, codec: str, events: int) -> Bar:
 
 
 def bars_of(folder: Path, codec: str, events: int, public: dict[str, float]) -> list[Bar]:
-    """All bars of one file; `public` holds the public readers' times on `EVENTS` events, measured if it is empty."""
+    """All bars of one file; `public` keeps the public readers' times on `EVENTS` events for the larger ones."""
     path = write_event_trace(folder / f"{codec or 'none'}_{events}.mcap", events, codec)
-    ours, alone = ours_and_unpacking(path, codec)
-    for name, read in PUBLIC_READERS.items():
-        if name not in public:
-            public[name] = seconds(lambda read=read: read(path))
-    scale = events / EVENTS
+    bars, ours_s, says = [], list[float](), list[str]()
+
+    def read() -> None:
+        read_trace(path)
+
+    if codec in UNPACKERS:
+        rounds = side_by_side(read, unpacking(path, codec), LEAST_ROUNDS, SAMPLING_S)
+        ratio = statistics.median(ours / theirs for ours, theirs in rounds)
+        bars.append(
+            Bar(codec, events, "times unpacking alone", ratio, MOST_TIMES_UNPACKING[codec], at_most=True)
+        )
+        ours_s += [ours for ours, _ in rounds]
+        says.append(f"unpacking alone {statistics.median(theirs for _, theirs in rounds):.3f} s")
+    for name, read_publicly in PUBLIC_READERS.items():
+        if events == EVENTS:
+            rounds = side_by_side(read, partial(read_publicly, path), PUBLIC_ROUNDS)
+            ratio = statistics.median(theirs / ours for ours, theirs in rounds)
+            public[name] = statistics.median(theirs for _, theirs in rounds)
+            ours_s += [ours for ours, _ in rounds]
+        else:
+            ours_s = ours_s or [seconds(read) for _ in range(LEAST_ROUNDS)]
+            ratio = events / EVENTS * public[name] / statistics.median(ours_s)
+        bars.append(
+            Bar(codec, events, f"times faster than {name}", ratio, LEAST_TIMES_FASTER[name], at_most=False)
+        )
+        says.append(f"{name} {public[name] * events / EVENTS:.1f} s")
+    median_s = statistics.median(ours_s)
     print(
-        f"{codec or 'none':5} {events:>9} events: read_trace {ours:.3f} s ({events / ours / 1e6:.1f} M events/s), "
-        f"unpacking alone {alone:.3f} s; "
-        + ", ".join(f"{name} {scale * public[name]:.1f} s" for name in PUBLIC_READERS)
-        + (" (1 M times 20)" if scale > 1 else "")
-        + f"; load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores",
+        f"{codec or 'none':5} {events:>9} events: read_trace {median_s:.3f} s "
+        f"({events / median_s / 1e6:.1f} M events/s), {', '.join(says)}; "
+        f"load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores",
         file=sys.stderr,
     )
-    bars = [
-        Bar(codec, events, f"times faster than {name}", scale * public[name] / ours, least, at_most=False)
-        for name, least in LEAST_TIMES_FASTER.items()
-    ]
-    if codec in MOST_TIMES_UNPACKING:
-        most = MOST_TIMES_UNPACKING[codec]
-        bars.append(Bar(codec, events, "times unpacking alone", ours / alone, most, at_most=True))
     bars.append(memory_bar(path, codec, events))
     path.unlink()
     return bars

@@ -107,6 +107,11 @@ class Ros2Node:
         self._executor.add_node(self._node)
         self._middleware = _describe_middleware(options, executor_name)
         self._publishers: list[_Ros2Publisher] = []
+        # The EventsExecutor takes one message for each notification, and Fast DDS notifies once when several
+        # messages become readable together (a lost fragment came at last): the others would wait in the reader
+        # until as many later ones arrive, for ever that far behind.
+        self._takes_left = executor_name == "events"
+        self._subscriptions: tuple[_Ros2Subscription, ...] = ()
         self._incompatible: dict[str, set[str]] = {}
         self._thread: threading.Thread | None = None
         self._stopping = False
@@ -140,15 +145,23 @@ class Ros2Node:
         self, topic: str, type_name: str, receive: Receive, *, qos: Qos | None = None, typed: bool = False
     ) -> Subscription:
         """A subscription of bytes, or of message objects if `typed`."""
+        on_message = _with_info(receive)
         subscription = self._node.create_subscription(
             _message_class(type_name),
             topic,
-            _with_info(receive),
+            on_message,
             _qos_profile(qos or self._options.qos),
             raw=not typed,
             event_callbacks=_events("SubscriptionEventCallbacks", self._on_incompatible(topic, "publisher")),
         )
-        return _Ros2Subscription(self._node, subscription)
+        made = _Ros2Subscription(self, subscription, on_message)
+        self._subscriptions += (made,)
+        return made
+
+    def destroy_subscription(self, subscription: _Ros2Subscription) -> None:
+        """Once; nothing is taken from it any more."""
+        self._subscriptions = tuple(other for other in self._subscriptions if other is not subscription)
+        self._node.destroy_subscription(subscription.subscription)
 
     def message_from_cdr(self, type_name: str, data: RawMessage) -> Any:
         """The message object."""
@@ -168,7 +181,10 @@ class Ros2Node:
         spin_once = self._executor.spin_once  # EventsExecutor.spin() delivered nothing in a thread
         try:
             while not self._stopping:
-                spin_once(timeout_sec=SPIN_S)
+                spin_once(timeout_sec=SPIN_S)  # one callback, or none in that time
+                if self._takes_left:
+                    for subscription in self._subscriptions:
+                        subscription.take_left()
         except BaseException as error:  # noqa: BLE001 - kept for whoever looks at the node; a thread has no caller
             self._error = error
 
@@ -262,17 +278,27 @@ class _RawPublisher(_Ros2Publisher):
 
 @dataclass(frozen=True, slots=True)
 class _Ros2Subscription:
-    node: Any
+    node: Ros2Node
     subscription: Any
+    on_message: Callable[..., None]
+
+    def take_left(self) -> None:
+        """Hand on what is readable and was not notified."""
+        subscription = self.subscription
+        handle = subscription.handle
+        with suppress(_rclpy().exceptions.InvalidHandle), handle:  # closed meanwhile
+            while (taken := handle.take_message(subscription.msg_type, subscription.raw)) is not None:
+                self.on_message(*taken)
 
     def close(self) -> None:
-        self.node.destroy_subscription(self.subscription)
+        self.node.destroy_subscription(self)
 
 
 def _rclpy() -> Any:
     """The client library, imported at first use, behind `_check_installed`."""
     import rclpy
     import rclpy.duration
+    import rclpy.exceptions
     import rclpy.executors
     import rclpy.qos
     import rclpy.serialization

@@ -277,3 +277,16 @@ def test_binary_data_of_some_megabytes_arrives_whole(domain_id):
         node.start()
         ((received, _, _),) = mailbox.wait_for(1, lambda: publisher.publish(data))
         assert received == data
+
+
+def test_a_message_without_a_notification_does_not_wait_for_later_ones(domain_id):
+    mailbox, topic = Mailbox(), "unnotified"
+    message = BINARY.make(100, 0).messages[0].data
+    with open_node("ros2", options(domain_id, executor=ExecutorKind.EVENTS)) as node:
+        subscription = node.create_subscription(topic, BINARY.type_name, mailbox.receive)
+        node._executor.remove_node(node._node)  # so that the executor is told of nothing
+        node.start()
+        publisher = node.create_publisher(topic, BINARY.type_name)
+        mailbox.wait_for(3, lambda: publisher.publish(message))
+        subscription.close()
+        assert node.error is None

@@ -82,7 +82,7 @@ def _sessions(analysis: Analysis) -> RecordTable:
 def _sources(analysis: Analysis) -> RecordTable:
     """The files, those that were not simply read first."""
     ordered = sorted(analysis.sources, key=lambda one: one.status == "read")
-    rows = [
+    rows: list[tuple[str, ...]] = [
         (visible(one.path), visible(one.status), format_count(one.events), visible(one.detail))
         for one in ordered
     ]

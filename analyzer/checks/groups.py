@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from analyzer.analysis import Finding, Severity
 from analyzer.evidence import exchange_name, percent, some
 from analyzer.metrics import METRICS
-from analyzer.pair import LOSSES
+from analyzer.pair import Outcome
 from analyzer.statistics import PERCENTILES
 
 if TYPE_CHECKING:
@@ -17,13 +17,21 @@ if TYPE_CHECKING:
     from analyzer.evidence import Evidence
     from analyzer.statistics import Percentile
 
+_LOST = {
+    Outcome.LOST_OUTBOUND.value: "on the way out",
+    Outcome.LOST_IN_RELAY.value: "in the relay",
+    Outcome.LOST_RETURN.value: "on the way back",
+    Outcome.LOST_UNKNOWN.value: "nobody knows where",
+}
+"""Outcome -> where the message was lost, in words."""
+
 
 def losses(evidence: Evidence) -> Iterator[Finding]:
     """Groups that lost messages."""
     rows = evidence.summary.frame.iter_rows(named=True)
     for group, (name, row) in enumerate(zip(evidence.group_names(), rows, strict=True)):
         published, received = row["published"], row["received"]
-        lost = ", ".join(f"{row[outcome]} {outcome}" for outcome in LOSSES if row[outcome])
+        lost = ", ".join(f"{row[outcome]} {where}" for outcome, where in _LOST.items() if row[outcome])
         if published and not received:
             yield Finding(
                 Severity.ERROR,

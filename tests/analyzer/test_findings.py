@@ -122,7 +122,7 @@ def test_loss_tells_where_messages_were_lost(tmp_path):
     write_pair(tmp_path, messages)
     finding = findings(tmp_path)["loss"]
     assert finding.what == (
-        "4 of 1000 messages (0.4 %) did not come back: 2 lost_outbound, 1 lost_in_relay, 1 lost_return."
+        "4 of 1000 messages (0.4 %) did not come back: 2 on the way out, 1 in the relay, 1 on the way back."
     )
     assert finding.where == "binary 33000 B at 10 Hz"
     assert finding.groups == (0,)
@@ -131,7 +131,7 @@ def test_loss_tells_where_messages_were_lost(tmp_path):
 def test_nothing_received(tmp_path):
     write_pair(tmp_path, [replace(m, t2=None) for m in sound(5)])
     found = findings(tmp_path)
-    assert found["nothing_received"].what == "None of 5 messages came back (5 lost_return)."
+    assert found["nothing_received"].what == "None of 5 messages came back (5 on the way back)."
     assert "loss" not in found
 
 

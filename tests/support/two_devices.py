@@ -29,9 +29,10 @@ def reason_to_skip() -> str | None:
         return "network namespaces need root"
     if shutil.which("nsenter") is None:
         return "nsenter (util-linux) is not installed"
+    probe = f"ddstrace-probe-{os.getpid()}"
     try:
-        ip("netns", "add", "ddstrace-probe-devices")
-        ip("netns", "delete", "ddstrace-probe-devices")
+        ip("netns", "add", probe)
+        ip("netns", "delete", probe)
     except BackendUnavailableError as err:
         return f"no network namespaces here: {err}"
     return None
@@ -70,7 +71,7 @@ class Device:
         assert self._holder.stdout is not None
         assert self._holder.stdout.readline() == "ready\n"
 
-    def start(self, program: str, *arguments: str) -> RunningCommand:
+    def start(self, program: str, *arguments: object) -> RunningCommand:
         """One of our commands as it runs on this device, in its folder."""
         enter = ["nsenter", "--target", str(self._holder.pid), "--mount", "--net"]
         inside = [*enter, "sh", "-c", 'cd "$0" && exec "$@"', str(self.folder)]

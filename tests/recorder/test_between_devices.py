@@ -1,0 +1,74 @@
+"""How each backend's two sides meet on a network, tried between two namespaces joined by a veth."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+
+import pytest
+from two_devices import reason_to_skip, two_devices
+
+from tracefile import read_trace
+
+pytestmark = [
+    pytest.mark.middleware,
+    pytest.mark.skipif(reason_to_skip() is not None, reason=str(reason_to_skip())),
+]
+
+PING, RELAY = "192.168.0.10", "192.168.0.20"
+PACKAGES = {"ros2": "rclpy", "cyclonedds": "cyclonedds", "zenoh": "zenoh"}
+MESSAGES, WARMUP = 20, 3
+
+
+@pytest.fixture(scope="module")
+def network(tmp_path_factory):
+    with two_devices(tmp_path_factory.mktemp("devices"), PING, RELAY) as (pair, devices):
+        yield pair, devices
+
+
+@pytest.fixture
+def meet(network, request):
+    """Runs a relay on one device and a ping on the other; each is given by its backend and further options."""
+    _, devices = network
+
+    def run(ping, relay):
+        for backend in (ping[0], relay[0]):
+            if find_spec(PACKAGES.get(backend, "json")) is None:
+                pytest.skip(f"{PACKAGES[backend]} is not installed")
+        name = f"{request.node.name}.mcap"
+        common = ("--depth", 1000, "--out", name, "--backend")
+        relaying = devices["relay"].start("dds-record", "--role", "relay", *common, *relay)
+        try:
+            relaying.wait_for_line("serves domain")
+            pinging = devices["ping"].start(
+                *("dds-record", "--role", "ping", *common, *ping, "--data", "imu", "--wait", 60),
+                *("--messages", MESSAGES, "--warmup", WARMUP, "--rate", 50),
+            )
+            request.addfinalizer(pinging.clean_up)
+            done = pinging.finish()
+            assert done.status == 0, done.stderr
+            assert relaying.stop().status == 0
+        finally:
+            relaying.clean_up()
+        trace = read_trace(devices["ping"].folder / name)
+        assert trace.runs[0].published == MESSAGES + WARMUP
+        assert f"received {MESSAGES + WARMUP}, lost 0" in done.stdout
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("ping", "relay"),
+    [("ros2", "cyclonedds"), ("cyclonedds", "ros2")],
+)
+def test_dds_looks_on_the_network(meet, ping, relay):
+    meet((ping,), (relay,))
+
+
+@pytest.mark.parametrize(("backend", "reliability"), [("zenoh", "reliable"), ("socket", "best_effort")])
+def test_zenoh_and_sockets_look_at_the_address_they_are_told(meet, backend, reliability):
+    same = ("--reliability", reliability, *(("--transport", "udp") if reliability == "best_effort" else ()))
+    meet((backend, "--peer", RELAY, *same), (backend, *same))
+
+
+def test_zenoh_looks_on_the_network_if_both_say_so(meet):
+    meet(("zenoh", "--peer", "multicast"), ("zenoh", "--peer", "multicast"))

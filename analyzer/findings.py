@@ -31,6 +31,7 @@ CHECKS: tuple[Check, ...] = (
     runs.orphan_events,
     groups.losses,
     groups.outages,
+    groups.waits_in_readers,
     runs.restarted_relays,
     groups.unmeasured_groups,
     groups.impossible_times,

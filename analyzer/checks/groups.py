@@ -195,3 +195,32 @@ def outages(evidence: Evidence) -> Iterator[Finding]:
             "Look at the timeline: a link that drops out, a bridge or relay that restarts, a full buffer.",
             (group,),
         )
+
+
+_DELIVERIES = {"relay_delivery_ns": "relay", "ping_delivery_ns": "ping"}
+"""Part of `Details.breakdown` that ends in a callback -> whose callback it is."""
+
+
+def waits_in_readers(evidence: Evidence) -> Iterator[Finding]:
+    """Groups half of whose messages lay with the middleware for a period or longer before the callback took them.
+
+    A reader that falls behind once and never catches up takes each message when a later one arrives: its latency is
+    a multiple of the period, and says nothing of the link.
+    """
+    if evidence.details is None:
+        return
+    names, rates = evidence.group_names(), evidence.summary.frame["rate_hz"].to_list()
+    parts = evidence.details.breakdown.select("group", "part", "p50_ns").iter_rows()
+    for group, part, median_ns in parts:
+        role, rate_hz = _DELIVERIES.get(part), rates[group]
+        if role is not None and rate_hz and median_ns * rate_hz >= 1e9:
+            yield Finding(
+                Severity.WARNING,
+                "waits_in_reader",
+                names[group],
+                f"Half of the messages waited {median_ns / 1e6:.3f} ms or longer between the middleware of the {role} "
+                f"and its callback, {median_ns * rate_hz / 1e9:.1f} periods.",
+                f"This is the {role}'s program, not the link: look at its CPU, at --executor, and record anew with a "
+                "fresh process.",
+                (group,),
+            )

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import pytest
 from trace_files import (
+    WALL_ANCHOR_NS,
     Message,
+    event,
     ping_events,
     ping_session,
     relay_events,
@@ -160,6 +162,42 @@ def test_outage(tmp_path):
     assert "1 times several messages in a row were lost, 4 in all; the longest lasted 402.000 ms." in (
         findings(tmp_path)["outage"].what
     )
+
+
+def write_waiting(folder, waits):
+    """A pair whose relay takes each message `waits` ns after its middleware received it, 1 ms after T1."""
+    messages = [
+        Message(m.sequence, t0=m.t0, t1=m.t1, t3=m.t3 + waits, t4=m.t4 + waits, t2=m.t2 + waits)
+        for m in drawn()
+    ]
+    stamped = {}
+    for stage, events in {**ping_events(messages), **relay_events(messages)}.items():
+        took_ns = {Stage.T2: MS // 10, Stage.T3: waits}.get(stage)
+        stamped[stage] = [
+            event(e[1], e[2], scheduled_ns=e[3], relay_id=e[7], received_ns=WALL_ANCHOR_NS + e[2] - took_ns)
+            if took_ns
+            else e
+            for e in events
+        ]
+    ping = {stage: stamped[stage] for stage in (Stage.T1, Stage.T2)}
+    relay = {stage: stamped[stage] for stage in (Stage.T3, Stage.T4)}
+    write_trace(folder / "ping.mcap", ping_session(), [run(planned_messages=200, published=200)], ping)
+    write_trace(folder / "relay.mcap", relay_session(), (), relay)
+
+
+def test_messages_that_wait_in_a_reader_for_later_ones(tmp_path):
+    write_waiting(tmp_path, waits=6 * PERIOD)
+    found = findings(tmp_path)["waits_in_reader"]
+    assert found.what == (
+        "Half of the messages waited 600.000 ms or longer between the middleware of the relay and its callback, "
+        "6.0 periods."
+    )
+    assert (found.where, found.groups) == ("binary 33000 B at 10 Hz", (0,))
+
+
+def test_a_callback_that_keeps_up_waits_for_nothing(tmp_path):
+    write_waiting(tmp_path, waits=PERIOD // 2)
+    assert "waits_in_reader" not in findings(tmp_path)
 
 
 @pytest.mark.parametrize(("state", "words"), [("died", "ended by itself"), ("never_ready", "never carried")])

@@ -11,7 +11,7 @@ from itertools import groupby
 from pathlib import Path
 
 import pytest
-from two_devices import command_blocks, reason_to_skip, two_devices
+from two_devices import command_blocks, needs_devices, two_devices
 
 from tracefile import read_trace
 
@@ -40,7 +40,7 @@ def test_the_page_names_the_addresses_and_every_section_has_its_commands():
 
 @pytest.mark.middleware
 @pytest.mark.timeout(400)
-@pytest.mark.skipif(reason_to_skip() is not None, reason=str(reason_to_skip()))
+@needs_devices
 def test_its_commands_lead_to_completed_round_trips_over_the_link(tmp_path):
     for package in ("rclpy", "zenoh", "polars"):
         pytest.importorskip(package, reason=f"{package} is not installed")

@@ -5,13 +5,13 @@ from __future__ import annotations
 from importlib.util import find_spec
 
 import pytest
-from two_devices import reason_to_skip, two_devices
+from two_devices import needs_devices, two_devices
 
 from tracefile import read_trace
 
 pytestmark = [
     pytest.mark.middleware,
-    pytest.mark.skipif(reason_to_skip() is not None, reason=str(reason_to_skip())),
+    needs_devices,
 ]
 
 PING, RELAY = "192.168.0.10", "192.168.0.20"

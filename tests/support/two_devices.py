@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import os
 import re
-import shutil
 import subprocess
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from namespaces import needs_namespaces
 from processes import RunningCommand
 
 from recorder.sweep.namespaces import INTERFACE, NamespacePair, Side, ip
-from tracefile import BackendUnavailableError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -23,19 +21,7 @@ SUBNET = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "", "ROS_LOCALHOST_ONLY": "", "ROS_DO
 """The tests' own environment keeps to this machine; a namespace of two may look around."""
 
 
-def reason_to_skip() -> str | None:
-    """Why there are no namespaces here, None if there are."""
-    if os.geteuid() != 0:
-        return "network namespaces need root"
-    if shutil.which("nsenter") is None:
-        return "nsenter (util-linux) is not installed"
-    probe = f"ddstrace-probe-{os.getpid()}"
-    try:
-        ip("netns", "add", probe)
-        ip("netns", "delete", probe)
-    except BackendUnavailableError as err:
-        return f"no network namespaces here: {err}"
-    return None
+needs_devices = needs_namespaces("nsenter", "util-linux")
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import subprocess
 import sys
 from contextlib import contextmanager
@@ -11,6 +10,7 @@ from pathlib import Path
 from statistics import median
 
 import pytest
+from namespaces import needs_namespaces
 
 from recorder.sweep.link import PRESETS, Link
 from recorder.sweep.namespaces import NamespacePair, ip, remove_stale, require_root
@@ -19,20 +19,7 @@ from tracefile import BackendUnavailableError, OptionError
 UDP_ECHO = Path(__file__).parents[2] / "support" / "udp_echo.py"
 
 
-def reason_to_skip():
-    if os.geteuid() != 0:
-        return "network namespaces need root"
-    if shutil.which("tc", path=os.environ["PATH"] + ":/usr/sbin:/sbin") is None:
-        return "iproute2 is not installed"
-    try:
-        ip("netns", "add", "ddstrace-probe")
-        ip("netns", "delete", "ddstrace-probe")
-    except BackendUnavailableError as err:
-        return f"no network namespaces here: {err}"
-    return None
-
-
-skipped = pytest.mark.skipif(reason_to_skip() is not None, reason=str(reason_to_skip()))
+skipped = needs_namespaces("tc", "iproute2")
 needs_tap = pytest.mark.skipif(not Path("/dev/net/tun").exists(), reason="no TAP devices here")
 
 

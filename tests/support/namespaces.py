@@ -1,0 +1,33 @@
+"""Whether a test can make network namespaces here."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from functools import cache
+
+import pytest
+
+from recorder.sweep.namespaces import ip
+from tracefile import BackendUnavailableError
+
+
+def needs_namespaces(program: str, package: str) -> pytest.MarkDecorator:
+    """Skips a test by name where namespaces, or a program that it uses in them, are missing."""
+    reason = _reason_to_skip(program, package)
+    return pytest.mark.skipif(reason is not None, reason=str(reason))
+
+
+@cache
+def _reason_to_skip(program: str, package: str) -> str | None:
+    if os.geteuid() != 0:
+        return "network namespaces need root"
+    if shutil.which(program, path=os.environ["PATH"] + ":/usr/sbin:/sbin") is None:
+        return f"{program} ({package}) is not installed"
+    probe = f"ddstrace-probe-{os.getpid()}"  # test processes side by side try at the same time
+    try:
+        ip("netns", "add", probe)
+        ip("netns", "delete", probe)
+    except BackendUnavailableError as err:
+        return f"no network namespaces here: {err}"
+    return None

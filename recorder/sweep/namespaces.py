@@ -268,15 +268,14 @@ def start_forwarder(taps: Sequence[int], link: Link) -> subprocess.Popen[str]:
 
 
 def remove_stale() -> list[str]:
-    """Removes namespaces that a killed sweep left behind, and gives their names."""
-    stale = [
-        found[0]
-        for found in map(_NAME.match, ip("netns", "list").splitlines())
-        if found and not Path("/proc", found[1]).exists()
-    ]
-    for name in stale:
-        ip("netns", "delete", name)
-    return stale
+    """Removes namespaces that a killed sweep left behind, and gives the names of those it removed."""
+    removed = []
+    for found in map(_NAME.match, ip("netns", "list").splitlines()):
+        if found and not Path("/proc", found[1]).exists():
+            with contextlib.suppress(BackendUnavailableError):  # another sweep that starts now was quicker
+                ip("netns", "delete", found[0])
+                removed.append(found[0])
+    return removed
 
 
 def require_root() -> None:

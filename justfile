@@ -53,3 +53,20 @@ install-zenoh-bridge:
 # All benchmarks: ratios measured side by side in one run
 bench: setup
     for script in benchmarks/bench_*.py; do {{bin}}/python $script; done
+
+# The benchmarks at full size: 20 M events, 500 runs, 200 files (a quarter of an hour, 24 GB of memory)
+bench-full: setup
+    {{bin}}/python benchmarks/bench_sink.py
+    {{bin}}/python benchmarks/bench_read.py --large
+    {{bin}}/python benchmarks/bench_analyze.py --full
+    {{bin}}/python benchmarks/bench_analyze.py --files 200
+
+# Fuzz the trace reader, guided by coverage (atheris), for so many seconds
+fuzz seconds="600": setup
+    uv pip install --quiet --python {{bin}}/python -e '.[fuzz]'
+    export TMPDIR=$(mktemp -d -p /dev/shm dds-trace-fuzz-XXXXXX); trap 'rm -r "$TMPDIR"' EXIT; \
+        {{bin}}/python tests/fuzz/fuzz_reader.py "$(mktemp -d)" -max_total_time={{seconds}}
+
+# Draw the stored reports of docs/results/ with their figures again: out/results/*.html
+results: setup
+    {{bin}}/python scripts/stored_report.py open docs/results/*/report.html --out out/results

@@ -9,7 +9,7 @@ import polars as pl
 from analyzer.analysis import Details
 from analyzer.answers import ANSWER_COLUMNS, CASE_COLUMNS, CONTENDER_COLUMNS, answer_case, contender_names
 from analyzer.clocks import ping_boots
-from analyzer.compare import BRIDGE_MATCH_COLUMNS, CompareOptions, bridge_cost
+from analyzer.compare import BRIDGE_MATCH_COLUMNS, QUANTILES, CompareOptions, bridge_cost
 from analyzer.group_frames import INTERVAL_SCHEMA, ONE_WAY_SCHEMA, interval_rows, one_way_rows
 from analyzer.host_samples import host_sample_frame
 from analyzer.large import is_too_large
@@ -26,8 +26,7 @@ if TYPE_CHECKING:
     from analyzer.load import Campaign
     from analyzer.rows import RowsByGroup
 
-_COSTS = CompareOptions(metrics=("latency",), statistics=("p50", "p99"))
-"""A bootstrap takes milliseconds for each statistic of each group; these two are drawn."""
+_COSTS = CompareOptions(metrics=("latency",), statistics=tuple(QUANTILES))
 
 
 def collect_details(

@@ -17,7 +17,7 @@ from reports.groups import (
     pair_label,
     vendor_pair_label,
 )
-from reports.text import format_count, format_ns, format_ratio, visible
+from reports.text import format_added_ns, format_count, format_ns, format_ratio, visible
 from reports.values import values_info
 from reports.verdicts import (
     CLEARLY,
@@ -189,22 +189,22 @@ def _bridge_remark(way: str, rows: list[dict[str, Any]]) -> str:
     if len(rows) == 1:
         said = _BRIDGE_VERDICTS[rows[0]["verdict"]]
         low, high = rows[0]["difference_low_ns"], rows[0]["difference_high_ns"]
-        between = "" if low is None or high is None else f" (95 %: {_signed(low)} to {_signed(high)})"
-        return f"{way}: median {_signed(added[0])}{between} against the same domain in the one cell compared; {said}."
+        between = (
+            ""
+            if low is None or high is None
+            else f" (95 %: {format_added_ns(low)} to {format_added_ns(high)})"
+        )
+        return f"{way}: median {format_added_ns(added[0])}{between} against the same domain in the one cell compared; {said}."
     found = Counter(row["verdict"] for row in rows)
     counts = [f"{words} in {found[name]}" for name, words in _BRIDGE_VERDICTS.items() if found[name]]
     counts[0] += f" of {cells_label(len(rows))}"
-    return f"{way}: median {_signed(added[0])} to {_signed(added[-1])} against the same domain; {', '.join(counts)}."
+    return f"{way}: median {format_added_ns(added[0])} to {format_added_ns(added[-1])} against the same domain; {', '.join(counts)}."
 
 
 def way_label(row: Mapping[str, Any]) -> str:
     """As in `Fast DDS, via builtin`, of a row of `bridge_costs`."""
     way = "different domains" if row["bridge"] == "none" else f"via {visible(row['bridge'])}"
     return f"{pair_label(row['vendor'], row['relay_vendor'])}, {way}"
-
-
-def _signed(value_ns: float) -> str:
-    return f"+{format_ns(value_ns)}" if value_ns > 0 else format_ns(value_ns)
 
 
 def _unknown_remarks(metric: str) -> list[str]:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from reports.answer import answer_info, way_label
+from reports.answer import answer_info
+from reports.figures.bridge_cost import bridge_cost_info
 from reports.findings import findings_info
 from reports.groups import METRICS, STATISTICS, data_type_label, groups_info
 from reports.intervals import intervals_info
 from reports.overview import overview_info
-from reports.text import format_hz, format_ns, format_ratio, format_size, markdown
+from reports.text import format_added_ns, format_hz, format_ns, format_ratio, format_size, markdown
 from reports.values import values_info
 
 if TYPE_CHECKING:
@@ -17,10 +18,16 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from analyzer.analysis import Analysis
+    from reports.figures.bridge_cost import Cost
 
 FILE_NAME = "report.md"
-MOST_GROUPS = 60
+MOST_GROUPS = 150
 """A comment on a pull request is read, not searched; the other groups are in `summary.parquet`."""
+COST_STATISTICS = ("p50", "p90", "p99")
+HOW_TO_READ_COSTS = (
+    "Latency through the bridge less that of the same domain, its 95 % interval, and the ratio of the two. Without an "
+    "interval the samples show no more than the difference."
+)
 SHOWN_STATISTICS = ("p50", "p90", "p99", "max")
 
 
@@ -116,21 +123,40 @@ def _with_interval(
 
 
 def _bridge_costs(analysis: Analysis) -> str:
-    if analysis.details is None:
-        return ""
-    rows = [
-        (
-            way_label(row),
-            f"{data_type_label(row['data_type'])} {format_size(row['payload_bytes'])} at {format_hz(row['rate_hz'])}",
-            STATISTICS.get(row["statistic"], row["statistic"]),
-            format_ns(row["difference_ns"]),
-            f"{format_ns(row['difference_low_ns'])} to {format_ns(row['difference_high_ns'])}",
-            row["verdict"],
+    groups = groups_info(analysis)
+    cells = [cell for panel in bridge_cost_info(analysis).panels for cell in panel.cells]
+    rows = []
+    for bridged in cells[:MOST_GROUPS]:
+        group = groups.groups[bridged.group]
+        cell = groups.cell_of(group)
+        rows.append(
+            (
+                data_type_label(cell.data_type),
+                format_size(cell.payload_bytes),
+                format_hz(cell.rate_hz),
+                groups.labels[group.series],
+                *(_added(bridged.costs.get(name)) for name in COST_STATISTICS),
+                format_ns(None)
+                if bridged.bridge_cpu_percent is None
+                else f"{bridged.bridge_cpu_percent:.0f} %",
+            )
         )
-        for row in analysis.details.bridge_costs.iter_rows(named=True)
-        if row["difference_ns"] is not None
-    ]
-    return _table(("Way", "Data", "Statistic", "Added", "95 % interval", "Verdict"), rows[:MOST_GROUPS])
+    names = (f"Added, {STATISTICS[name]}" for name in COST_STATISTICS)
+    table = _table(("Data", "Size", "Rate", "Series", *names, "Bridge CPU"), rows)
+    left = len(cells) - len(rows)
+    notes = [HOW_TO_READ_COSTS, *([f"{left} more cells are in the JSON report."] if left else [])]
+    return "\n\n".join([table, *notes]) if rows else ""
+
+
+def _added(cost: Cost | None) -> str:
+    """As in `+0.3 ms [0.2 ms, 0.4 ms], x1.5`."""
+    if cost is None:
+        return format_ns(None)
+    within = ""
+    if cost.low_ns is not None and cost.high_ns is not None:
+        within = f" [{format_added_ns(cost.low_ns)}, {format_added_ns(cost.high_ns)}]"
+    ratio = "" if cost.ratio is None else f", x{cost.ratio:.3g}"
+    return f"{format_added_ns(cost.difference_ns)}{within}{ratio}"
 
 
 def _clocks(analysis: Analysis) -> str:

@@ -84,6 +84,11 @@ def format_ns(value_ns: float | None) -> str:
     return _in_units(value_ns, _TIME_UNITS)
 
 
+def format_added_ns(value_ns: float) -> str:
+    """A difference of durations with its sign: `+1.25 ms`."""
+    return f"+{format_ns(value_ns)}" if value_ns > 0 else format_ns(value_ns)
+
+
 def format_size(payload_bytes: int) -> str:
     """A message size, exactly, as the command line takes it: `33 KB`, `1.5 MB`, `1 KiB`, `1405 B`."""
     for factor, unit in _BYTE_UNITS:

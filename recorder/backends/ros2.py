@@ -276,19 +276,28 @@ class _RawPublisher(_Ros2Publisher):
             self._publisher.publish(bytes(message))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class _Ros2Subscription:
     node: Ros2Node
     subscription: Any
     on_message: Callable[..., None]
+    last_left: Any = None
+    """Time stamps of the message that was handed on last."""
 
     def take_left(self) -> None:
-        """Hand on what is readable and was not notified."""
+        """Hand on what is readable and was not notified.
+
+        Fast DDS may give one message without end: of a reader that waits for the rest of a large message whose writer
+        is gone, the first one stays where it is. It is handed on once.
+        """
         subscription = self.subscription
         handle = subscription.handle
         with suppress(_rclpy().exceptions.InvalidHandle), handle:  # closed meanwhile
             while (taken := handle.take_message(subscription.msg_type, subscription.raw)) is not None:
+                if taken[1] == self.last_left:
+                    return
                 self.on_message(*taken)
+                self.last_left = taken[1]
 
     def close(self) -> None:
         self.node.destroy_subscription(self)

@@ -91,9 +91,9 @@ Object.assign(KINDS, {
   },
 
   bridge_cost(plan, width) {
-    const tail = ["p99", "p99_9", "max"].includes(view.statistic);
-    const statistic = tail ? "p99" : "p50";
-    const label = tail ? "p99" : "median";
+    const instead = { mean: "p50", min: "p50", max: "p99" }[view.statistic];  // only percentiles are compared
+    const statistic = instead || view.statistic;
+    const label = DATA.statistics.find((choice) => choice.key === statistic).label;
     let missing = 0;
     const kept = plan.panels.map((panel) => ({
       title: panel.title,
@@ -128,7 +128,7 @@ Object.assign(KINDS, {
     const most = Math.max(1, ...panels.map((panel) => panel.weight));
     return {
       ...gridOf(panels, width, { yTitle: `Added latency, ${label} (${unit.label})`, minWidth: Math.min(width, Math.max(300, most * 18)) }),
-      series, missing, foot: `Compared: the ${label} of the latency (choose the statistic median or p99). Numbers below the axis: rate in Hz, and under it the size.`,
+      series, missing, foot: `${instead ? `Compared: the ${label} of the latency, as only percentiles are. ` : ""}Numbers below the axis: rate in Hz, and under it the size.`,
       columns: [...GROUP_COLUMNS, { label: `Added, ${label}`, unit: "ns", format: (value) => signed(value, formatNs) }, LOW, HIGH, { label: "Ratio", unit: "ratio", format: digits }, { label: "Verdict" }, { label: "Bridge CPU", unit: "% of a processor", format: digits }],
       rows: all.map((cell) => { const cost = cell.costs[statistic]; return groupRow(cell.group, cost.difference_ns, cost.low_ns, cost.high_ns, cost.ratio, { worse: "slower", better: "faster" }[cost.verdict] || cost.verdict, cell.bridge_cpu_percent); }),
     };

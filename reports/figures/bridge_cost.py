@@ -41,7 +41,7 @@ class BridgedCell:
 
     Attributes:
         group: the group through the bridge.
-        costs: by statistic (`p50`, `p99`).
+        costs: by percentile (`p50` to `p99_9`), those that the samples support.
         bridge_cpu_percent: mean load of the bridge's processes during its runs, of one processor; None if not sampled.
     """
 

@@ -227,7 +227,7 @@ def test_comparisons_are_those_of_all_rows_though_a_kind_of_message_is_read_at_a
         ("same", 33_000, 2),
         ("same", 502_000, 1),
     ]
-    options = CompareOptions(metrics=("latency",), statistics=("p50", "p99"))
+    options = CompareOptions(metrics=("latency",), statistics=("p50", "p90", "p95", "p99", "p99_9"))
     assert_frame_equal(details.bridge_costs, bridge_cost(rows, options), check_exact=True)
     costs = details.bridge_costs.filter(statistic="p50").select("bridge", "payload_bytes", "difference_ns")
     assert costs.rows() == [

@@ -164,23 +164,24 @@ def test_outage(tmp_path):
     )
 
 
-def write_waiting(folder, waits):
-    """A pair whose relay takes each message `waits` ns after its middleware received it, 1 ms after T1."""
+def write_waiting(folder, waits, every=1):
+    """A pair whose relay takes each `every`th message `waits` ns after its middleware received it, 1 ms after T1."""
+    waited = {m.sequence: waits if m.sequence % every == 0 else MS // 10 for m in drawn()}
     messages = [
-        Message(m.sequence, t0=m.t0, t1=m.t1, t3=m.t3 + waits, t4=m.t4 + waits, t2=m.t2 + waits)
+        replace(m, t3=m.t3 + waited[m.sequence], t4=m.t4 + waited[m.sequence], t2=m.t2 + waited[m.sequence])
         for m in drawn()
     ]
-    stamped = {}
-    for stage, events in {**ping_events(messages), **relay_events(messages)}.items():
-        took_ns = {Stage.T2: MS // 10, Stage.T3: waits}.get(stage)
-        stamped[stage] = [
-            event(e[1], e[2], scheduled_ns=e[3], relay_id=e[7], received_ns=WALL_ANCHOR_NS + e[2] - took_ns)
-            if took_ns
-            else e
-            for e in events
+    ping, relay = ping_events(messages), relay_events(messages)
+    for events, stage in ((ping, Stage.T2), (relay, Stage.T3)):
+        events[stage] = [
+            event(
+                sequence,
+                at_ns,
+                relay_id=relay_id,
+                received_ns=WALL_ANCHOR_NS + at_ns - (waited[sequence] if stage is Stage.T3 else MS // 10),
+            )
+            for _, sequence, at_ns, *_, relay_id in events[stage]
         ]
-    ping = {stage: stamped[stage] for stage in (Stage.T1, Stage.T2)}
-    relay = {stage: stamped[stage] for stage in (Stage.T3, Stage.T4)}
     write_trace(folder / "ping.mcap", ping_session(), [run(planned_messages=200, published=200)], ping)
     write_trace(folder / "relay.mcap", relay_session(), (), relay)
 
@@ -193,6 +194,13 @@ def test_messages_that_wait_in_a_reader_for_later_ones(tmp_path):
         "6.0 periods."
     )
     assert (found.where, found.groups) == ("binary 33000 B at 10 Hz", (0,))
+
+
+def test_a_tail_that_waits_in_a_reader(tmp_path):
+    write_waiting(tmp_path, waits=5 * PERIOD, every=20)
+    assert findings(tmp_path)["waits_in_reader"].what.startswith(
+        "One message in a hundred waited 500.000 ms or "
+    )
 
 
 def test_a_callback_that_keeps_up_waits_for_nothing(tmp_path):

@@ -290,3 +290,32 @@ def test_a_message_without_a_notification_does_not_wait_for_later_ones(domain_id
         mailbox.wait_for(3, lambda: publisher.publish(message))
         subscription.close()
         assert node.error is None
+
+
+class StuckReader:
+    """A subscription as Fast DDS leaves it after half a large message: its first message is taken and stays."""
+
+    msg_type, raw = None, True
+
+    def __init__(self, *messages):
+        self.handle, self.messages = self, list(messages)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+    def take_message(self, _type, _raw):
+        message = self.messages[0]
+        if len(self.messages) > 1:
+            del self.messages[0]
+        return message, {"source_timestamp": message, "received_timestamp": message + 5}
+
+
+def test_a_message_that_is_readable_for_ever_is_handed_on_once():
+    handed = []
+    left = ros2._Ros2Subscription(None, StuckReader(1, 2, 3), lambda message, _info: handed.append(message))
+    left.take_left()
+    left.take_left()
+    assert handed == [1, 2, 3]

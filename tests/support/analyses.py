@@ -269,7 +269,10 @@ def _details(ordered: Sequence[Measured], roundtrips: pl.DataFrame, watched: Wat
         clock_knots=_clock_knots(ordered, watched.knot_s),
         host_samples=_host_samples(ordered, watched.sample_s),
         bridge_costs=bridge_cost(
-            roundtrips, CompareOptions(metrics=("latency",), statistics=("p50", "p99"), replicates=100)
+            roundtrips,
+            CompareOptions(
+                metrics=("latency",), statistics=("p50", "p90", "p95", "p99", "p99_9"), replicates=100
+            ),
         ),
         answers=find_answers(roundtrips),
     )

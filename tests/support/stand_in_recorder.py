@@ -4,7 +4,7 @@ The traces that it "records" are copies of files that the test has written with 
 them may ever be shown as a result. In the folder `STAND_IN_FOLDER` it finds
 
     script.json    {"CELL": ["fail", "ok"], "relay": ["die"]}: what to do, one entry a start; after that as usual
-    traces/        ok-0.mcap, ok-1.mcap ... (taken one after the other), half.mcap, slow.mcap, relay.mcap, lossy.mcap
+    traces/        ok-0.mcap, ok-1.mcap ... (taken one after the other), half.mcap, slow.mcap, loses.mcap, relay.mcap, lossy.mcap
 
 and there it notes every start in `starts.jsonl`. It needs the standard library alone, so that a start costs little.
 """
@@ -44,7 +44,7 @@ def main():
         code, words = FAILURES[behaviour]
         print(f"dds-record: {words}", file=sys.stderr)
         return code
-    if behaviour == "ok":  # a real ping ends well only after the relay's echo
+    if behaviour in {"ok", "loses"}:  # a real ping ends well only after the relay's echo
         wait_for((FOLDER / "waiting-relay").exists)
     if behaviour in UNTIL_STOPPED:
         (FOLDER / f"waiting-{cell}").touch()

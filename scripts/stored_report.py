@@ -1,0 +1,93 @@
+"""HTML reports as `docs/results/` keeps them: without plotly.js, which is most of a page and is installed anyway.
+
+    python scripts/stored_report.py keep out/sizes/report.html docs/results/sizes/report.html
+    python scripts/stored_report.py open docs/results/*/report.html --out out/results
+
+`open` puts the installed plotly.js back, so that each page is one file again that works offline.
+"""
+
+from __future__ import annotations
+
+import argparse
+import base64
+import hashlib
+import re
+import sys
+from pathlib import Path
+
+from plotly.offline import get_plotlyjs, get_plotlyjs_version
+
+STAND_IN = '<p class="note" data-policy="{hash}">Kept without plotly.js {version}: just results draws the figures.</p>'
+STAND_IN_PATTERN = re.compile(
+    r'<p class="note" data-policy="(?P<hash>sha256-[^"]+)">Kept without plotly\.js .*?</p>'
+)
+
+
+def script() -> str:
+    """The element that holds plotly.js in a page."""
+    return f"<script>{get_plotlyjs()}</script>"
+
+
+def policy_hash() -> str:
+    """What a page's security policy calls the installed plotly.js."""
+    return "sha256-" + base64.b64encode(hashlib.sha256(get_plotlyjs().encode()).digest()).decode()
+
+
+def keep(page: str) -> str:
+    """The page with a sentence in the place of plotly.js.
+
+    Raises:
+        ValueError: the page does not hold the installed plotly.js once.
+    """
+    if page.count(script()) != 1:
+        raise ValueError(f"no page of `dds-analyze --report html` with plotly.js {get_plotlyjs_version()}")
+    return page.replace(script(), STAND_IN.format(hash=policy_hash(), version=get_plotlyjs_version()))
+
+
+def put_back(stored: str) -> str:
+    """The page with the installed plotly.js in its place and in its security policy.
+
+    Raises:
+        ValueError: no stored page.
+    """
+    found = STAND_IN_PATTERN.search(stored)
+    if found is None:
+        raise ValueError("no page that `keep` has written")
+    before, after = stored[: found.start()], stored[found.end() :]
+    return before.replace(found["hash"], policy_hash()) + script() + after
+
+
+def main() -> int:
+    """The command."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    actions = parser.add_subparsers(dest="action", required=True)
+    keeping = actions.add_parser("keep", help="a report without plotly.js")
+    keeping.add_argument("page", type=Path)
+    keeping.add_argument("stored", type=Path)
+    opening = actions.add_parser(
+        "open", help="stored reports with plotly.js again, each under its folder's name"
+    )
+    opening.add_argument("stored", type=Path, nargs="+")
+    opening.add_argument("--out", type=Path, required=True)
+    given = parser.parse_args()
+    try:
+        if given.action == "keep":
+            _write(given.stored, keep(given.page.read_text(encoding="utf-8")))
+            return 0
+        for stored in given.stored:
+            page = given.out / f"{stored.parent.name}.html"
+            _write(page, put_back(stored.read_text(encoding="utf-8")))
+            print(page)
+    except (OSError, ValueError) as err:
+        print(f"stored_report: {given.page if given.action == 'keep' else stored}: {err}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def _write(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8", newline="\n")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

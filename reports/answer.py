@@ -185,6 +185,17 @@ _BRIDGE_VERDICTS = {
 
 
 def _bridge_remark(way: str, rows: list[dict[str, Any]]) -> str:
+    # The latency of what came back says nothing where much was lost: what came back is what was quick.
+    whole = [row for row in rows if row["new_received_ratio"] >= row["base_received_ratio"]]
+    lossy = len(rows) - len(whole)
+    lost = f"{cells_label(lossy)} lost messages that the same domain did not, and {'is' if lossy == 1 else 'are'} not compared."
+    if not whole:
+        return f"{way}: {lost}"
+    said = _added_words(whole)
+    return f"{way}: {said} {lost}" if lossy else f"{way}: {said}"
+
+
+def _added_words(rows: list[dict[str, Any]]) -> str:
     added = sorted(row["difference_ns"] for row in rows)
     if len(rows) == 1:
         said = _BRIDGE_VERDICTS[rows[0]["verdict"]]
@@ -194,11 +205,12 @@ def _bridge_remark(way: str, rows: list[dict[str, Any]]) -> str:
             if low is None or high is None
             else f" (95 %: {format_added_ns(low)} to {format_added_ns(high)})"
         )
-        return f"{way}: median {format_added_ns(added[0])}{between} against the same domain in the one cell compared; {said}."
+        return f"median {format_added_ns(added[0])}{between} against the same domain in the one cell compared; {said}."
     found = Counter(row["verdict"] for row in rows)
     counts = [f"{words} in {found[name]}" for name, words in _BRIDGE_VERDICTS.items() if found[name]]
     counts[0] += f" of {cells_label(len(rows))}"
-    return f"{way}: median {format_added_ns(added[0])} to {format_added_ns(added[-1])} against the same domain; {', '.join(counts)}."
+    ends = f"{format_added_ns(added[0])} to {format_added_ns(added[-1])}"
+    return f"median {ends} against the same domain; {', '.join(counts)}."
 
 
 def way_label(row: Mapping[str, Any]) -> str:

@@ -96,6 +96,25 @@ def test_one_middleware_leaves_no_choice_and_the_bridge_its_price():
     assert losses == "Every message came back."
 
 
+def test_a_bridge_that_lost_messages_is_not_called_quick_for_those_that_came_back():
+    half = [ns if place % 2 else "lost_outbound" for place, ns in enumerate(FAST)]
+    price = "Fast DDS, via builtin: "
+    alone = answer_info(make_analysis(Measured(SLOW), Measured(half, **BRIDGED)))
+    assert alone.remarks[1] == (
+        f"{price}1 cell lost messages that the same domain did not, and is not compared."
+    )
+    both = answer_info(
+        make_analysis(
+            Measured(SLOW), Measured(half, **BRIDGED),
+            Measured(FAST, rate_hz=20.0), Measured(SLOW, rate_hz=20.0, **BRIDGED),
+        )
+    )  # fmt: skip
+    assert both.remarks[1].startswith(f"{price}median +9 ms (95 %: ")
+    assert both.remarks[1].endswith(
+        "in the one cell compared; clearly slower. 1 cell lost messages that the same domain did not, and is not compared."
+    )
+
+
 def test_counts_over_cells():
     answer = answer_info(
         make_analysis(

@@ -2,7 +2,8 @@
 
 For each kind of message (link, domain mode, data type, size, rate) the contenders' p99, or p50 where not all have an interval
 for p99, is compared by confidence intervals. One contender leads if its interval lies wholly below all the others;
-where the best interval overlaps another the answer is 'inconclusive'. Lost messages count as infinitely late.
+where the best interval overlaps another the answer is 'inconclusive'. Lost messages count as infinitely late. Plain
+sockets are the floor beneath every middleware, and no contender where a middleware was measured.
 """
 
 from __future__ import annotations
@@ -13,14 +14,13 @@ from enum import Enum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import polars as pl
 
 from analyzer.intervals import percentile_interval, ranges_overlap, ratio_interval
 from analyzer.recommend import CELL_COLUMNS, SETTING_COLUMNS, delivered_latencies, parts_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
-
-    import polars as pl
 
     from analyzer.intervals import Interval
 
@@ -133,11 +133,18 @@ def find_answers(roundtrips: pl.DataFrame, confidence: float = 0.95) -> tuple[An
         roundtrips: frame of `docs/trace-format.md`.
         confidence: of the intervals.
     """
-    names = contender_names(roundtrips)
+    contending = without_floor(roundtrips)
+    names = contender_names(contending)
     return tuple(
         answer_case(case, parts_of(rows, CONTENDER_COLUMNS), names, confidence)
-        for case, rows in parts_of(roundtrips, CASE_COLUMNS)
+        for case, rows in parts_of(contending, CASE_COLUMNS)
     )
+
+
+def without_floor(frame: pl.DataFrame) -> pl.DataFrame:
+    """Rows or groups of middlewares, those of plain sockets left out unless there are no others."""
+    middlewares = frame.filter(pl.col("backend") != "socket")
+    return frame if middlewares.is_empty() else middlewares
 
 
 def answer_case(

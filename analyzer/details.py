@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING, Any
 import polars as pl
 
 from analyzer.analysis import Details
-from analyzer.answers import ANSWER_COLUMNS, CASE_COLUMNS, CONTENDER_COLUMNS, answer_case, contender_names
+from analyzer.answers import (
+    ANSWER_COLUMNS,
+    CASE_COLUMNS,
+    CONTENDER_COLUMNS,
+    answer_case,
+    contender_names,
+    without_floor,
+)
 from analyzer.clocks import ping_boots
 from analyzer.compare import BRIDGE_MATCH_COLUMNS, QUANTILES, CompareOptions, bridge_cost
 from analyzer.group_frames import INTERVAL_SCHEMA, ONE_WAY_SCHEMA, interval_rows, one_way_rows
@@ -81,7 +88,8 @@ def _answers(rows: RowsByGroup) -> tuple[Answer, ...]:
     """`answers.find_answers` of the whole campaign, one kind of message after the other."""
     if not rows.has_rows:
         return ()
-    names = contender_names(rows.groups)
+    contending = without_floor(rows.groups)
+    names = contender_names(contending)
 
     def parts(case: pl.DataFrame) -> Iterator[tuple[dict[str, Any], pl.DataFrame]]:
         for groups in partition_groups(case, CONTENDER_COLUMNS):
@@ -90,7 +98,7 @@ def _answers(rows: RowsByGroup) -> tuple[Answer, ...]:
 
     return tuple(
         answer_case(case.select(CASE_COLUMNS).row(0, named=True), parts(case), names)
-        for case in partition_groups(rows.groups, CASE_COLUMNS)
+        for case in partition_groups(contending, CASE_COLUMNS)
         if not is_too_large(case)
     )
 

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 CLEARLY = (
     "A cell is one data type, size and rate. One is called clearly fastest only where the 95 % confidence interval of its p99 "
     "(of its median, where a sample is too small for that) lies wholly below the intervals of all the others; lost messages count as "
-    "infinitely late. Where intervals overlap the answer is inconclusive."
+    "infinitely late. Where intervals overlap the answer is inconclusive. Plain sockets are the floor beneath every middleware and "
+    "no contender."
 )
 
 MODES = {"same": "same domain", "different": "different domains"}

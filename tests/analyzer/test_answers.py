@@ -35,6 +35,15 @@ def test_overlapping_intervals_are_inconclusive():
     assert {c.name for c in answer.leaders} == {"fastdds", "fastdds via builtin"}
 
 
+def test_sockets_are_the_floor_and_no_contender():
+    floor = steady(noisy(MS), vendor="socket", backend="socket", run_id=3)
+    (answer,) = find_answers(pl.concat([steady(noisy(10 * MS)), floor]))
+    assert answer.clarity is Clarity.ONLY_ONE
+    assert [c.name for c in answer.contenders] == ["fastdds"]
+    (alone,) = find_answers(floor)
+    assert [c.setting["backend"] for c in alone.contenders] == ["socket"]
+
+
 def test_tails_are_compared_where_every_sample_supports_them():
     frame = pl.concat([steady(noisy(10 * MS, 400)), steady(noisy(5 * MS, 400), vendor="zenoh", run_id=2)])
     (answer,) = find_answers(frame)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 from analyzer.group_names import name_groups
@@ -22,7 +23,7 @@ _MOST_FILES = 2
 """Files that a session's name lists: those of a long sweep would fill a screen."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Evidence:
     """The results of every step of one analysis; `details` None where they were not asked for."""
 
@@ -40,6 +41,10 @@ class Evidence:
 
     def group_names(self) -> list[str]:
         """For each group a short name that tells it from the others (`group_names.name_groups`)."""
+        return self._group_names
+
+    @cached_property
+    def _group_names(self) -> list[str]:
         return name_groups(self.grouping.parameters)
 
     def exchange_groups(self) -> list[int]:

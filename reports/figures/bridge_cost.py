@@ -20,8 +20,8 @@ NAME = "bridge_cost"
 TITLE = "What a bridge costs"
 HOW_TO_READ = (
     "Each mark is the latency through a bridge less that in the same domain, with its 95 % interval; an interval that "
-    "reaches the zero line shows no difference that these samples can prove. Both are latencies of messages that came "
-    "back: where a bridge loses many, look at the share received first."
+    "reaches the zero line shows no difference that these samples can prove, and where a bridge loses many messages the "
+    "share received is to be looked at first, because only those that came back have a latency."
 )
 
 

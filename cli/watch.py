@@ -1,17 +1,20 @@
 """`dds-analyze watch FOLDER`: the HTML report on a local address, made anew whenever a trace below the folder changes."""
 
 import ipaddress
+import signal
 import socket
 import sys
 import threading
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from hashlib import sha256
 from html import escape
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from types import FrameType, TracebackType
 from typing import Annotated
 
 import typer
@@ -254,12 +257,46 @@ def watch_command(
     [bold]dds-analyze watch runs/[/bold]
     """
     watcher = Watcher(WatchOptions(folder, out, cache=not no_cache), host, port)
-    stop = threading.Event()
-    with watcher.serving():
+    with _CtrlC() as ctrl_c, watcher.serving():
         print(f"Serving {watcher.address}", flush=True)
-        try:
-            while True:
-                watcher.refresh()
-                stop.wait(every)
-        except KeyboardInterrupt:
-            print("Stopped")
+        while not ctrl_c.pressed:
+            watcher.refresh()
+            ctrl_c.wait(every)
+    print("Stopped")
+
+
+class _CtrlC:
+    """Ctrl-C ends a wait at once, and an analysis after its end, or at once where it is pressed twice.
+
+    Raised in the middle of an analysis it might meet an import or a callback that makes something else of it.
+    """
+
+    def __init__(self) -> None:
+        self.pressed = False
+        self._waiting = False
+
+    def __enter__(self) -> "_CtrlC":  # noqa: PYI034 - `Self` is Python 3.11's
+        self._before = signal.signal(signal.SIGINT, self._note)
+        return self
+
+    def wait(self, seconds: float) -> None:
+        """Wait so long, or until Ctrl-C is pressed."""
+        with suppress(KeyboardInterrupt):
+            try:
+                self._waiting = True
+                if not self.pressed:
+                    time.sleep(seconds)
+            finally:
+                self._waiting = False
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        if self.pressed and not self._waiting:
+            signal.default_int_handler(number, frame)
+        self.pressed = True
+        if self._waiting:
+            raise KeyboardInterrupt
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        signal.signal(signal.SIGINT, self._before)

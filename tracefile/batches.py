@@ -47,7 +47,7 @@ class Batch:
     """Some consecutive messages of a trace.
 
     Attributes:
-        events: the events of each stage, an array with at least the fields of `EVENT_DTYPE`, in file order.
+        events: the events of each stage, an unbroken array of `EVENT_DTYPE`, in file order.
         texts: the messages of our other topics, in file order.
         unreadable: messages on event topics that are not events.
         notes: what a reader of the numbers should be told, one line each.

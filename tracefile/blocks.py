@@ -12,20 +12,21 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from tracefile.event_scan import MESSAGES_AND_CHANNELS, Scan, scan_records, split_by_channel
-from tracefile.packed_chunks import DamagedChunkError, PackedChunk
+from tracefile.packed_chunks import DamagedChunkError, PackedChunk, UnpackMemory
 from tracefile.records import MAGIC, MAX_RECORD_BYTES, Opcode, TornRecordError, record_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Iterator
 
-    from tracefile.event_scan import Records
-    from tracefile.records import RecordFile, RecordHeader
+    from tracefile.event_scan import ChannelEvents
+    from tracefile.records import Buffer, RecordFile, RecordHeader
     from tracefile.summary import Summary
 
-BLOCK_BYTES = 1 << 20
+BLOCK_BYTES = 2 << 20
 """Small chunks are handled together up to this size, so that their number costs no more than their bytes."""
 
 _BLOCK_CHUNKS = 1000
+_KEPT_BYTES = 4 * BLOCK_BYTES  # larger memory than a block needs is not kept for the next one
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,20 +34,22 @@ class Block:
     """Records of a file taken apart: those of neighbouring chunks, or some that lie outside of chunks.
 
     Attributes:
-        data: the records' bytes.
+        data: the records' bytes, gone once `memory` is used again.
         scan: what lies where in `data`.
         places: (position in `data`, offset in the file) of the first byte of each chunk, or of the only stretch.
         chunked: whether `places` are those of chunks, inside of which the file has no offsets.
-        events: the events of each channel id.
+        events: the events of each channel, copied out of `data`.
         notes: which chunks had to be left out, and why.
+        memory: that `data` may lie in.
     """
 
-    data: bytes
+    data: Buffer
     scan: Scan
     places: list[tuple[int, int]]
     chunked: bool
-    events: list[tuple[int, Records]]
+    events: list[ChannelEvents]
     notes: list[str] = field(default_factory=list)
+    memory: UnpackMemory | None = None
 
     def offset(self, position: int) -> int:
         """Where in the file the byte at `position` of `data` lies, or else the chunk that holds it."""
@@ -73,6 +76,12 @@ class BlockJobs:
     _chunks_bytes: int = 0
     _at: int = 0
     _chunk_offsets: list[int] | None = None
+    _free: list[UnpackMemory] = field(default_factory=list)
+
+    def take_back(self, block: Block) -> None:
+        """Use the memory of `block`, of which nothing is needed any more, for the next ones."""
+        if block.memory and block.memory.size <= _KEPT_BYTES:
+            self._free.append(block.memory)
 
     def __iter__(self) -> Iterator[tuple[int, Callable[[], Block]]]:
         """Each block's size in bytes, and the job that makes it, to be called in any thread.
@@ -126,7 +135,7 @@ class BlockJobs:
         data = self.file.read(header.offset, size)
         scan = scan_records(data, 0, len(data), only=True)
         self._at = header.offset + scan.end
-        yield len(data), partial(_take_apart, data, scan, [(0, header.offset)], chunked=False)
+        yield len(data), partial(_outside_block, data, scan, header.offset)
 
     def _add_chunk(self, header: RecordHeader) -> Iterator[tuple[int, Callable[[], Block]]]:
         if header.offset in self.passed_over:
@@ -143,8 +152,35 @@ class BlockJobs:
 
     def _chunks_so_far(self) -> Iterator[tuple[int, Callable[[], Block]]]:
         if self._chunks:
-            yield self._chunks_bytes, partial(_unpack, self.file, self._chunks)
+            yield self._chunks_bytes, partial(self._unpack, self._chunks)
             self._chunks, self._chunks_bytes = [], 0
+
+    def _unpack(self, chunks: list[PackedChunk]) -> Block:
+        """The records of `chunks`, those of a damaged chunk left out."""
+        memory = self._memory()
+        data = memory.records(sum(chunk.unpacked_bytes for chunk in chunks))
+        scan, places, notes, start = Scan(), [(0, 0)], list[str](), 0
+        for chunk in chunks:
+            stop = start + chunk.unpacked_bytes
+            try:
+                chunk.unpack(self.file, memory, start)
+            except DamagedChunkError as err:
+                notes.append(_left_out(chunk.offset, err))
+                continue
+            found = scan_records(data, start, stop)
+            if found.end < stop:
+                notes.append(_left_out(chunk.offset, f"{stop - found.end} bytes in it are no records"))
+                continue
+            scan.extend(found)
+            places.append((start, chunk.offset))
+            start = stop
+        return Block(data, scan, places, True, split_by_channel(scan.events(data)), notes, memory)
+
+    def _memory(self) -> UnpackMemory:
+        try:
+            return self._free.pop()
+        except IndexError:
+            return UnpackMemory()
 
     def _behind(self, torn: TornRecordError) -> int | None:
         """Where to go on behind a record that is none; None if that is nowhere."""
@@ -168,43 +204,8 @@ class BlockJobs:
             )
 
 
-def _unpack(file: RecordFile, chunks: list[PackedChunk]) -> Block:
-    """The records of `chunks`, those of a damaged chunk left out."""
-    parts: list[bytes] = []
-    kept: list[PackedChunk] = []
-    notes: list[str] = []
-    for chunk in chunks:
-        try:
-            part = chunk.unpack(file)
-        except DamagedChunkError as err:
-            notes.append(_left_out(chunk.offset, err))
-            continue
-        parts.append(part)
-        kept.append(chunk)
-    data = parts[0] if len(parts) == 1 else b"".join(parts)
-    scan, places, start = Scan(), [(0, 0)], 0
-    for chunk, part in zip(kept, parts, strict=True):
-        stop = start + len(part)
-        found = scan_records(data, start, stop)
-        if found.end == stop:
-            scan.extend(found)
-            places.append((start, chunk.offset))
-        else:
-            why = f"{stop - found.end} bytes in it are no records"
-            notes.append(_left_out(chunk.offset, why))
-        start = stop
-    return _take_apart(data, scan, places, chunked=True, notes=notes)
-
-
-def _take_apart(
-    data: bytes,
-    scan: Scan,
-    places: list[tuple[int, int]],
-    *,
-    chunked: bool,
-    notes: list[str] | None = None,
-) -> Block:
-    return Block(data, scan, places, chunked, split_by_channel(scan.events(data)), notes or [])
+def _outside_block(data: bytes, scan: Scan, offset: int) -> Block:
+    return Block(data, scan, [(0, offset)], False, split_by_channel(scan.events(data)))
 
 
 def _left_out(offset: int, why: object) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -32,7 +32,7 @@ class ColumnsBuilder:
         self._columns = {stage: _StageColumns(expected.get(stage, 0)) for stage in Stage}
 
     def append(self, stage: Stage, records: Records) -> None:
-        """Put the events of `records`, which have at least the fields of `EVENT_DTYPE`, behind those of the stage."""
+        """Put `records`, an unbroken array of `EVENT_DTYPE`, behind the events of the stage."""
         self._columns[stage].append(records)
 
     def finish(self) -> dict[Stage, EventColumns]:
@@ -61,12 +61,9 @@ class _StageColumns:
             wide, narrow = self._wide[:, :start], self._narrow[:, :start]
             self._reserve(max(end, self._wide.shape[1] * 5 // 4, _SMALLEST_GROWTH))
             self._wide[:, :start], self._narrow[:, :start] = wide, narrow
-        fields: Any = records.dtype.fields
-        offset, step = fields[_WIDE[0]][1], records.dtype.itemsize
-        shape = (len(_WIDE), len(records))
-        self._wide[:, start:end] = np.ndarray(shape, "<i8", records, offset, (8, step))
-        shape = (len(_NARROW), len(records))
-        self._narrow[:, start:end] = np.ndarray(shape, "<u4", records, offset + _WIDE_BYTES, (4, step))
+        count, step = len(records), EVENT_DTYPE.itemsize
+        self._wide[:, start:end] = np.ndarray((len(_WIDE), count), "<i8", records, 0, (8, step))
+        self._narrow[:, start:end] = np.ndarray((len(_NARROW), count), "<u4", records, _WIDE_BYTES, (4, step))
         self._filled = end
 
     def finish(self) -> EventColumns:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -17,7 +17,9 @@ from tracefile.events import CDR_HEADER, EVENT_CDR_BYTES, EVENT_DTYPE
 from tracefile.records import RECORD_HEADER, Opcode
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Mapping
+    from collections.abc import Container
+
+    from tracefile.records import Buffer
 
 Records: TypeAlias = "np.ndarray[Any, np.dtype[np.void]]"
 
@@ -31,13 +33,11 @@ _HEAD = Opcode.MESSAGE | (MESSAGE_HEADER.size + EVENT_CDR_BYTES) << 8
 _CDR = int.from_bytes(CDR_HEADER[:2], "little")
 _CHECKED = struct.Struct(f"<QB{MESSAGE_HEADER.size}xH")
 
-_EVENT_FIELDS: Mapping[str, Any] = EVENT_DTYPE.fields or {}
-
 RECORD_DTYPE = np.dtype(
     {
-        "names": ["head", "length_top", "channel", "number", "cdr", *_EVENT_FIELDS],
-        "formats": ["<u8", "u1", "<u2", "<u4", "<u2", *(kind for kind, *_ in _EVENT_FIELDS.values())],
-        "offsets": [0, 8, 9, 11, _DATA, *(_FIELDS + offset for _, offset, *_ in _EVENT_FIELDS.values())],
+        "names": ["head", "length_top", "channel", "number", "cdr", "event"],
+        "formats": ["<u8", "u1", "<u2", "<u4", "<u2", f"V{EVENT_DTYPE.itemsize}"],
+        "offsets": [0, 8, 9, 11, _DATA, _FIELDS],
         "itemsize": EVENT_RECORD_BYTES,
     },
 )
@@ -53,6 +53,20 @@ _SINGLE_STEPS = 16  # so many events are looked at one by one before arrays pay
 _FIRST_STRETCH = 256
 _STRETCH = 4096
 _FEW_CHANNELS = 6
+
+
+class ChannelEvents(NamedTuple):
+    """Events of one channel that lie near to each other.
+
+    Attributes:
+        channel_id: the channel.
+        last_number: the number in the channel (MCAP's `sequence`) of the last of them.
+        events: an unbroken array of `EVENT_DTYPE`, copied out of the buffer that was scanned.
+    """
+
+    channel_id: int
+    last_number: int
+    events: Records
 
 
 @dataclass(slots=True)
@@ -84,7 +98,7 @@ class Scan:
         self.others += behind.others
         self.end = behind.end
 
-    def places(self, data: bytes, channel_id: int) -> list[tuple[int, int]]:
+    def places(self, data: Buffer, channel_id: int) -> list[tuple[int, int]]:
         """Byte offset and length of the contents of one channel's event-shaped records."""
         length = EVENT_RECORD_BYTES - RECORD_HEADER.size
         found: list[tuple[int, int]] = []
@@ -98,7 +112,7 @@ class Scan:
             found += [(start, length) for start in starts.tolist()]
         return found
 
-    def events(self, data: bytes) -> Records:
+    def events(self, data: Buffer) -> Records:
         """The events of all runs as records of `RECORD_DTYPE`; a view of `data` where they lie in one run."""
         # Joined as blocks of bytes: joined as records, numpy would make a dtype of its own for them.
         parts = [np.frombuffer(data, _BLOCK_DTYPE, count, offset) for offset, count in self.runs]
@@ -107,7 +121,7 @@ class Scan:
 
 
 def scan_records(
-    data: bytes,
+    data: Buffer,
     start: int,
     stop: int,
     wanted: Container[int] = MESSAGES_AND_CHANNELS,
@@ -147,14 +161,16 @@ def scan_records(
     return scan
 
 
-def split_by_channel(records: Records) -> list[tuple[int, Records]]:
-    """The records of each channel id among `records`, in order."""
+def split_by_channel(records: Records) -> list[ChannelEvents]:
+    """The events of each channel id among `records` (of `RECORD_DTYPE`), in order."""
     if not len(records):
         return []
     channels = np.ascontiguousarray(records["channel"])
+    # Moved as blocks of bytes: a third of the time of taking them field by field.
+    numbers, events = records["number"], records["event"]
     first, last = int(channels.min()), int(channels.max())
     if first == last:
-        return [(first, records)]
+        return [ChannelEvents(first, int(numbers[-1]), events.copy().view(EVENT_DTYPE))]
     if last - first < _FEW_CHANNELS:  # looking for each is quicker than sorting
         found = [(channel, np.flatnonzero(channels == channel)) for channel in range(first, last + 1)]
     else:
@@ -162,12 +178,14 @@ def split_by_channel(records: Records) -> list[tuple[int, Records]]:
         counts = np.bincount(channels)
         ids = np.flatnonzero(counts)
         found = list(zip(ids.tolist(), np.split(order, np.cumsum(counts[ids])[:-1]), strict=True))
-    # Moved as blocks of bytes: a third of the time of taking them field by field.
-    blocks = records.view(_BLOCK_DTYPE)
-    return [(channel, blocks.take(index).view(RECORD_DTYPE)) for channel, index in found if len(index)]
+    return [
+        ChannelEvents(channel, int(numbers[index[-1]]), events[index].view(EVENT_DTYPE))
+        for channel, index in found
+        if len(index)
+    ]
 
 
-def _count_events(data: bytes, at: int, stop: int) -> int:
+def _count_events(data: Buffer, at: int, stop: int) -> int:
     """How many events lie one after the other from `at` on, all of them before `stop`."""
     left = (stop - at) // EVENT_RECORD_BYTES
     found = 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import Counter
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
@@ -11,13 +11,14 @@ from tracefile.blocks import BlockJobs
 from tracefile.channels import ChannelTable
 from tracefile.event_scan import EVENT_RECORD_BYTES, MESSAGE_HEADER
 from tracefile.events import Stage
+from tracefile.in_order import in_order
 from tracefile.packed_chunks import DamagedChunkError, PackedChunk
 from tracefile.records import MAGIC, Opcode, RecordFile, TornRecordError
 from tracefile.summary import read_summary
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from concurrent.futures import Executor, Future
+    from concurrent.futures import Executor
     from pathlib import Path
 
     from tracefile.blocks import Block
@@ -97,15 +98,9 @@ class McapSource:
         """
         if self._is_of_others():
             return
-        ahead: deque[tuple[int, Future[Block]]] = deque()
-        for size, job in self._jobs:
-            while ahead and (
-                len(ahead) >= _BLOCKS_AHEAD or size + sum(held for held, _ in ahead) > _BYTES_AHEAD
-            ):
-                yield from self._batches_of(ahead.popleft()[1].result())
-            ahead.append((size, self._pool.submit(job)))
-        while ahead:
-            yield from self._batches_of(ahead.popleft()[1].result())
+        for block in in_order(self._jobs, self._pool, _BLOCKS_AHEAD, _BYTES_AHEAD):
+            yield from self._batches_of(block)
+            self._jobs.take_back(block)
         yield Batch(notes=self._closing_notes(), truncated=self._jobs.truncated)
 
     def _batches_of(self, block: Block) -> Iterator[Batch]:
@@ -117,7 +112,7 @@ class McapSource:
             else:
                 content = memoryview(block.data)[start : start + length]
                 self._channels.declare(opcode, content, block.offset(start))
-        for channel_id, events in block.events:
+        for channel_id, last_number, events in block.events:
             channel = self._channels.get(channel_id)
             if channel and not channel.stage and channel.topic.startswith(TOPIC_PREFIX):
                 singles += block.scan.places(
@@ -129,7 +124,7 @@ class McapSource:
                 batch.unreadable += len(events)
             elif channel and channel.stage:
                 batch.events.append((channel.stage, events))
-                self._numbered[channel_id] = int(events["number"][-1]) + 1
+                self._numbered[channel_id] = last_number + 1
         packed: list[tuple[Stage, bytes]] = []
         for start, length in sorted(singles):
             content = memoryview(block.data)[start : start + length]

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import threading
-import zlib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import lz4.frame
+import cramjam
 import zstandard
 
+from tracefile.crc import crc32
 from tracefile.records import MAX_RECORD_BYTES, Fields
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from tracefile.records import RecordFile, RecordHeader
+    from tracefile.records import Buffer, RecordFile, RecordHeader
 
 _HEADER_BYTES = 64  # all fields before the records, with room for the name of any compression that we know
 
@@ -74,39 +74,85 @@ class PackedChunk:
             )
         if unpacked_bytes > max(_UNSUSPECTED_BYTES, LARGEST_RATIO * packed_bytes):
             raise DamagedChunkError(f"it claims {unpacked_bytes} bytes, packed into {packed_bytes}")
-        if compression not in _UNPACKERS:
+        if compression and compression not in _UNPACKERS:
             raise DamagedChunkError(f"its compression {compression!r} is not known")
         return cls(header.offset, data_offset, packed_bytes, unpacked_bytes, crc, compression)
 
-    def unpack(self, file: RecordFile) -> bytes:
-        """The chunk's records; any number of threads may unpack chunks of one file.
+    def unpack(self, file: RecordFile, memory: UnpackMemory | None = None, at: int = 0) -> memoryview:
+        """The chunk's records; any number of threads may unpack chunks of one file, each with memory of its own.
+
+        Args:
+            file: where the chunk is.
+            memory: to unpack into; what is returned lies in it, and is gone when it is used again.
+            at: where in `memory.records` to begin.
 
         Raises:
             DamagedChunkError: they cannot be unpacked, or are not those that were written.
         """
-        packed = file.read(self.data_offset, self.packed_bytes)
+        memory = memory or UnpackMemory()
         try:
-            data = _UNPACKERS[self.compression](packed, self.unpacked_bytes)
-        except (RuntimeError, EOFError, ValueError, MemoryError, zstandard.ZstdError) as err:
+            room = memory.records(at + self.unpacked_bytes)[at:]
+            found = self._unpack_into(room, file, memory)
+        except (ValueError, MemoryError, zstandard.ZstdError, cramjam.DecompressionError) as err:
             raise DamagedChunkError(f"it cannot be unpacked ({err})") from err
-        if len(data) != self.unpacked_bytes:
-            raise DamagedChunkError(f"it holds {len(data)} bytes and claims {self.unpacked_bytes}")
-        if self.crc and zlib.crc32(data) != self.crc:
+        if found != self.unpacked_bytes:
+            raise DamagedChunkError(f"it holds {found} bytes and claims {self.unpacked_bytes}")
+        if self.crc and crc32(room) != self.crc:
             raise DamagedChunkError("its CRC does not match")
-        return data
+        return room
+
+    def _unpack_into(self, room: memoryview, file: RecordFile, memory: UnpackMemory) -> int:
+        if not self.compression:
+            file.read_into(room[: self.packed_bytes], self.data_offset)
+            return self.packed_bytes
+        packed = memory.packed(self.packed_bytes)
+        file.read_into(packed, self.data_offset)
+        return _UNPACKERS[self.compression](packed, room)
 
 
-def unpack_zstd(packed: bytes, limit_bytes: int) -> bytes:
+class UnpackMemory:
+    """Memory that chunks are unpacked into, one after the other: fresh memory is slow at its first touch."""
+
+    def __init__(self) -> None:
+        self._packed = bytearray()
+        self._records = bytearray()
+
+    def packed(self, size: int) -> memoryview:
+        """Room for the bytes of the file; what was there before is overwritten."""
+        if len(self._packed) < size:
+            self._packed = bytearray(size)
+        return memoryview(self._packed)[:size]
+
+    def records(self, size: int) -> memoryview:
+        """Room for the unpacked records; asked for more than ever before, it is new room, and empty."""
+        if len(self._records) < size:
+            self._records = bytearray(size)
+        return memoryview(self._records)[:size]
+
+    @property
+    def size(self) -> int:
+        """Bytes held."""
+        return len(self._packed) + len(self._records)
+
+
+def unpack_zstd(packed: Buffer, limit_bytes: int) -> bytes:
     """The first `limit_bytes` bytes of what zstd frames hold; no more memory than that is taken.
 
     Raises:
         ZstdError: no zstd frame, or a damaged one.
     """
-    # `decompress` takes the frame's own word for the memory it needs, so that has to be looked at first.
-    if zstandard.frame_content_size(packed) == limit_bytes:
-        return _zstd().decompress(packed)
     with _zstd().stream_reader(packed, read_across_frames=True) as stream:
         return stream.read(limit_bytes)
+
+
+def _unpack_zstd_into(packed: memoryview, room: memoryview) -> int:
+    # One frame that fits is unpacked straight into `room`.
+    with _zstd().stream_reader(packed, read_across_frames=True) as stream:
+        return stream.readinto(room)
+
+
+def _unpack_lz4_into(packed: memoryview, room: memoryview) -> int:
+    return cramjam.lz4.decompress_into(packed, room)
 
 
 def _zstd() -> zstandard.ZstdDecompressor:
@@ -117,20 +163,8 @@ def _zstd() -> zstandard.ZstdDecompressor:
     return own
 
 
-def _unpack_lz4(packed: bytes, unpacked_bytes: int) -> bytes:
-    if not hasattr(_of_thread, "lz4"):
-        _of_thread.lz4 = lz4.frame.create_decompression_context()
-    lz4.frame.reset_decompression_context(_of_thread.lz4)
-    data: bytes = lz4.frame.decompress_chunk(_of_thread.lz4, packed, max_length=unpacked_bytes)[0]
-    return data
-
-
-def _unpack_nothing(packed: bytes, _unpacked_bytes: int) -> bytes:
-    return packed
-
-
-_UNPACKERS: dict[str, Callable[[bytes, int], bytes]] = {
-    "": _unpack_nothing,
-    "zstd": unpack_zstd,
-    "lz4": _unpack_lz4,
+_UNPACKERS: dict[str, Callable[[memoryview, memoryview], int]] = {
+    "zstd": _unpack_zstd_into,
+    "lz4": _unpack_lz4_into,
 }
+"""Each unpacks into the room that is for it, and says how many bytes it found for it."""

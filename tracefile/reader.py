@@ -111,9 +111,9 @@ def expected_events(path: Path) -> dict[Stage, int]:
 
 
 def _workers() -> ThreadPoolExecutor:
-    """Threads that unpack and check chunks, while the caller's fills columns: the libraries let each other run."""
-    cores = len(os.sched_getaffinity(0))
-    return ThreadPoolExecutor(min(_MOST_WORKERS, cores), thread_name_prefix="read_trace")
+    """Threads that unpack and check chunks beside the caller's: the libraries let each other run."""
+    others = len(os.sched_getaffinity(0)) - 1
+    return ThreadPoolExecutor(max(1, min(_MOST_WORKERS, others)), thread_name_prefix="read_trace")
 
 
 @dataclass(slots=True)

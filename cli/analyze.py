@@ -126,6 +126,12 @@ def main_command(
     replaced. Results go to stdout, progress and warnings to stderr:
 
     [bold]dds-analyze runs/ --report html[/bold]
+
+    Two sets of traces against each other, and a page that is refreshed while a sweep writes:
+
+    [bold]dds-analyze compare BASE NEW[/bold]
+
+    [bold]dds-analyze watch runs/[/bold]
     """
     from analyzer import Severity, analyze, default_output, export_tables, parse_job
     from reports import write_report

@@ -131,3 +131,10 @@ def test_a_named_command_leaves_the_folder_command_alone(runs, monkeypatch, caps
     assert capsys.readouterr().out == "compared x\n"
     assert analyze(runs) == 0
     assert "Wrote" in capsys.readouterr().out
+
+
+def test_help_names_the_other_commands(capsys):
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    shown = capsys.readouterr().out
+    assert [name for name in COMMANDS if f"dds-analyze {name}" not in shown] == []

@@ -39,12 +39,9 @@ class Evidence:
         held = zip(self.roundtrips.exchanges, self.roundtrips.published, strict=True)
         return {exchange.run.run_id: (exchange, published) for exchange, published in held}
 
+    @cached_property
     def group_names(self) -> list[str]:
         """For each group a short name that tells it from the others (`group_names.name_groups`)."""
-        return self._group_names
-
-    @cached_property
-    def _group_names(self) -> list[str]:
         return name_groups(self.grouping.parameters)
 
     def exchange_groups(self) -> list[int]:

@@ -58,7 +58,7 @@ def size_findings(evidence: Evidence, rows: RowsByGroup | None, in_parts: Sequen
         rows: its rows; None of a sketch, which says itself that nothing is compared.
         in_parts: groups that no batch held whole.
     """
-    names = evidence.group_names()
+    names = evidence.group_names
     if in_parts:
         yield Finding(
             Severity.INFO,

@@ -15,7 +15,7 @@ from tracefile.records import MAX_RECORD_BYTES, Fields
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from tracefile.records import Buffer, RecordFile, RecordHeader
+    from tracefile.records import RecordFile, RecordHeader
 
 _HEADER_BYTES = 64  # all fields before the records, with room for the name of any compression that we know
 
@@ -135,7 +135,7 @@ class UnpackMemory:
         return len(self._packed) + len(self._records)
 
 
-def unpack_zstd(packed: Buffer, limit_bytes: int) -> bytes:
+def unpack_zstd(packed: bytes, limit_bytes: int) -> bytes:
     """The first `limit_bytes` bytes of what zstd frames hold; no more memory than that is taken.
 
     Raises:

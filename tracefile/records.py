@@ -329,22 +329,15 @@ class RecordFile(AbstractContextManager["RecordFile"]):
         Raises:
             TraceFormatError: the device fails, or the file has become shorter since it was opened.
         """
-        try:
-            data = os.pread(self._descriptor, size, offset)
-            while len(data) < size:  # the kernel hands out at most 2 GiB at once
-                more = os.pread(self._descriptor, size - len(data), offset + len(data))
-                if not more:
-                    raise TraceFormatError(self.path, "became shorter while it was read", offset + len(data))
-                data += more
-        except OSError as err:
-            raise TraceFormatError(self.path, f"cannot be read ({err.strerror})", offset) from err
-        return data
+        data = bytearray(size)
+        self.read_into(memoryview(data), offset)
+        return bytes(data)
 
     def read_into(self, room: memoryview, offset: int) -> None:
         """Fill `room` with the bytes from `offset` on; threads and errors as for `read`."""
         done = 0
         try:
-            while done < len(room):
+            while done < len(room):  # the kernel hands out at most 2 GiB at once
                 count = os.preadv(self._descriptor, [room[done:]], offset + done)
                 if not count:
                     raise TraceFormatError(self.path, "became shorter while it was read", offset + done)

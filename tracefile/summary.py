@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import zlib
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from tracefile.crc import crc32
 from tracefile.event_scan import scan_records
 from tracefile.records import LAYOUTS, MAGIC, RECORD_HEADER, Opcode, RecordLayout
 
@@ -95,6 +95,6 @@ def read_summary(file: RecordFile) -> Summary | None:
     if not len(MAGIC) <= start < footer_at or footer_at - start > _MAX_BYTES:
         return Summary(footer_at)
     data = file.read(start, footer_at - start)
-    if crc and zlib.crc32(end[: _FOOTER_BYTES - _CRC_BYTES], zlib.crc32(data)) != crc:
+    if crc and crc32(end[: _FOOTER_BYTES - _CRC_BYTES], crc32(data)) != crc:
         return Summary(footer_at)
     return Summary(start, data, scan_records(data, 0, len(data), _KINDS).others)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import os
 import struct
-import zlib
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -26,6 +25,7 @@ from mcap.records import (
     SummaryOffset,
 )
 
+from tracefile.crc import crc32
 from tracefile.descriptions import STRING_DEFINITION, STRING_SCHEMA_NAME
 from tracefile.errors import OutputError
 from tracefile.event_chunks import Chunk, EventChunkBuilder, positions_by_channel
@@ -196,7 +196,7 @@ class TraceWriter:
         offsets_start = summary_start + len(summary)
         footer = _record(Footer(summary_start, offsets_start, 0))[:-4]  # its CRC covers all but itself
         summary += offsets + footer
-        self._append([_record(DataEnd(0)), summary, struct.pack("<I", zlib.crc32(summary)), MAGIC])
+        self._append([_record(DataEnd(0)), summary, struct.pack("<I", crc32(summary)), MAGIC])
         self.abandon()
 
     def abandon(self) -> None:
@@ -223,7 +223,7 @@ class TraceWriter:
         size = len(chunk.content)
         body = _CHUNK_HEADER.size - 9 + len(_COMPRESSION) + 8 + len(compressed)
         header = _CHUNK_HEADER.pack(
-            Opcode.CHUNK, body, chunk.start_ns, chunk.end_ns, size, zlib.crc32(chunk.content)
+            Opcode.CHUNK, body, chunk.start_ns, chunk.end_ns, size, crc32(chunk.content)
         )
         parts: list[bytes | memoryview] = [
             header + _COMPRESSION + struct.pack("<Q", len(compressed)),

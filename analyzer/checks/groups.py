@@ -29,7 +29,7 @@ _LOST = {
 def losses(evidence: Evidence) -> Iterator[Finding]:
     """Groups that lost messages."""
     rows = evidence.summary.frame.iter_rows(named=True)
-    for group, (name, row) in enumerate(zip(evidence.group_names(), rows, strict=True)):
+    for group, (name, row) in enumerate(zip(evidence.group_names, rows, strict=True)):
         published, received = row["published"], row["received"]
         lost = ", ".join(f"{row[outcome]} {where}" for outcome, where in _LOST.items() if row[outcome])
         if published and not received:
@@ -57,7 +57,7 @@ def losses(evidence: Evidence) -> Iterator[Finding]:
 def unmeasured_groups(evidence: Evidence) -> Iterator[Finding]:
     """Groups all of whose messages were warm-up."""
     counts = evidence.summary.frame["published"]
-    for group, (name, published) in enumerate(zip(evidence.group_names(), counts, strict=True)):
+    for group, (name, published) in enumerate(zip(evidence.group_names, counts, strict=True)):
         if not published:
             yield Finding(
                 Severity.WARNING,
@@ -72,7 +72,7 @@ def unmeasured_groups(evidence: Evidence) -> Iterator[Finding]:
 def duplicates(evidence: Evidence) -> Iterator[Finding]:
     """Groups in which replies came more than once."""
     counts = evidence.summary.frame["duplicates"]
-    for group, (name, count) in enumerate(zip(evidence.group_names(), counts, strict=True)):
+    for group, (name, count) in enumerate(zip(evidence.group_names, counts, strict=True)):
         if count:
             yield Finding(
                 Severity.WARNING,
@@ -87,7 +87,7 @@ def duplicates(evidence: Evidence) -> Iterator[Finding]:
 def reordering(evidence: Evidence) -> Iterator[Finding]:
     """Groups in which replies overtook each other."""
     columns = evidence.summary.frame.select("reordered", "received").iter_rows()
-    for group, (name, (count, received)) in enumerate(zip(evidence.group_names(), columns, strict=True)):
+    for group, (name, (count, received)) in enumerate(zip(evidence.group_names, columns, strict=True)):
         if count:
             yield Finding(
                 Severity.WARNING,
@@ -121,7 +121,7 @@ def impossible_times(evidence: Evidence) -> Iterator[Finding]:
 
 def mixed_labels(evidence: Evidence) -> Iterator[Finding]:
     """Groups that put runs with different labels together, as labels are no parameter column."""
-    names = evidence.group_names()
+    names = evidence.group_names
     for group, members in enumerate(evidence.grouping.members()):
         values: dict[str, set[str | None]] = defaultdict(set)
         runs = [evidence.roundtrips.exchanges[member].run for member in members]
@@ -144,7 +144,7 @@ def mixed_labels(evidence: Evidence) -> Iterator[Finding]:
 
 def few_samples(evidence: Evidence) -> Iterator[Finding]:
     """Percentiles that are null because the sample cannot support them; groups that lack the same share a finding."""
-    names, samples = evidence.group_names(), evidence.summary.samples
+    names, samples = evidence.group_names, evidence.summary.samples
     lacking: dict[tuple[tuple[int, ...], tuple[str, ...]], list[Percentile]] = defaultdict(list)
     for percentile in PERCENTILES:
         alike: dict[tuple[int, ...], list[str]] = defaultdict(list)
@@ -180,7 +180,7 @@ def outages(evidence: Evidence) -> Iterator[Finding]:
     """Groups that lost several messages in a row."""
     if evidence.details is None:
         return
-    names = evidence.group_names()
+    names = evidence.group_names
     for (key,), found in evidence.details.outages.group_by(["group"], maintain_order=True):
         group = int(str(key))
         durations_ns = found["duration_ns"].drop_nulls().to_list()
@@ -212,7 +212,7 @@ def waits_in_readers(evidence: Evidence) -> Iterator[Finding]:
     """
     if evidence.details is None:
         return
-    names, rates = evidence.group_names(), evidence.summary.frame["rate_hz"].to_list()
+    names, rates = evidence.group_names, evidence.summary.frame["rate_hz"].to_list()
     parts = evidence.details.breakdown.select("group", "part", "p50_ns", "p99_ns").iter_rows()
     for group, part, median_ns, p99_ns in parts:
         role, rate_hz = _DELIVERIES.get(part), rates[group]

@@ -156,7 +156,7 @@ def missing_schedule(evidence: Evidence) -> Iterator[Finding]:
 
 def schedule_not_held(evidence: Evidence) -> Iterator[Finding]:
     """Groups that published slower than asked."""
-    names = evidence.group_names()
+    names = evidence.group_names
     columns = evidence.summary.frame.select("rate_hz", "achieved_rate_hz").iter_rows()
     for group, (name, (asked_hz, achieved_hz)) in enumerate(zip(names, columns, strict=True)):
         if achieved_hz is not None and achieved_hz < asked_hz * (1 - _RATE_TOLERANCE):

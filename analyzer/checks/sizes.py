@@ -32,7 +32,7 @@ def unlike_sizes(evidence: Evidence) -> Iterator[Finding]:
     for group, row in enumerate(evidence.grouping.parameters.iter_rows(named=True)):
         if group in interval:
             lines[tuple(row[name] for name in others)].append((row["payload_bytes"], group))
-    names = evidence.group_names()
+    names = evidence.group_names
     for line in lines.values():
         for (small, before), (large, after) in pairwise(sorted(line)):
             one, other = interval[before], interval[after]

@@ -12,10 +12,10 @@ if TYPE_CHECKING:
 
     import polars as pl
 
-    from analyzer.answers import Answer
-    from analyzer.recommend import Recommendation
-    from analyzer.rows import RoundTripRows
-    from tracefile import Run, Session
+    from dds_trace.analyzer.answers import Answer
+    from dds_trace.analyzer.recommend import Recommendation
+    from dds_trace.analyzer.rows import RoundTripRows
+    from dds_trace.tracefile import Run, Session
 
 
 class Severity(Enum):

@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 
-from analyzer.intervals import percentile_interval, ranges_overlap, ratio_interval
-from analyzer.recommend import CELL_COLUMNS, SETTING_COLUMNS, delivered_latencies, parts_of
+from dds_trace.analyzer.intervals import percentile_interval, ranges_overlap, ratio_interval
+from dds_trace.analyzer.recommend import CELL_COLUMNS, SETTING_COLUMNS, delivered_latencies, parts_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from analyzer.intervals import Interval
+    from dds_trace.analyzer.intervals import Interval
 
     ContenderNames = Mapping[tuple[Any, ...], str]
     """The values of `CONTENDER_COLUMNS` -> what the setting is called."""

@@ -9,8 +9,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from analyzer.recommend import Job
-    from analyzer.roundtrips import RoundTrips
+    from dds_trace.analyzer.recommend import Job
+    from dds_trace.analyzer.roundtrips import RoundTrips
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analyzer.batch import Batch, Wanted
-from analyzer.frames import frames_of
-from analyzer.gather import merge_parts
-from analyzer.metrics import METRICS
-from analyzer.output import table_of
-from analyzer.roundtrips import pair_exchanges
-from analyzer.summarize import count_exchanges, measure_batch, metric_values
+from dds_trace.analyzer.batch import Batch, Wanted
+from dds_trace.analyzer.frames import frames_of
+from dds_trace.analyzer.gather import merge_parts
+from dds_trace.analyzer.metrics import METRICS
+from dds_trace.analyzer.output import table_of
+from dds_trace.analyzer.roundtrips import pair_exchanges
+from dds_trace.analyzer.summarize import count_exchanges, measure_batch, metric_values
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     import pyarrow as pa
     from numpy.typing import NDArray
 
-    from analyzer.exchanges import Exchange
-    from analyzer.frames import Frames
-    from analyzer.gather import Copies, Part, StageKey
-    from analyzer.roundtrips import PairedExchanges
-    from analyzer.summarize import Statistics
+    from dds_trace.analyzer.exchanges import Exchange
+    from dds_trace.analyzer.frames import Frames
+    from dds_trace.analyzer.gather import Copies, Part, StageKey
+    from dds_trace.analyzer.roundtrips import PairedExchanges
+    from dds_trace.analyzer.summarize import Statistics
 
 BATCH_EVENTS = 1_000_000
 """Events of a batch, unless one group alone has more: a hundred megabytes while it is worked at. Of a campaign of few

@@ -19,13 +19,13 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from analyzer.clocks import session_of_run
-from tracefile import Stage
+from dds_trace.analyzer.clocks import session_of_run
+from dds_trace.tracefile import Stage
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from tracefile import EventColumns, Run, Session
+    from dds_trace.tracefile import EventColumns, Run, Session
 
 STAGES = (
     "waiting_ns",

@@ -15,15 +15,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from analyzer.event_store import StoredEvents, write_events
-from analyzer.gather import Part, split_trace
-from analyzer.objects import is_remote, local_copy, remote_key
-from tracefile import OutputError, Run, Session, Stage, Trace, TraceFormatError, read_trace
+from dds_trace.analyzer.event_store import StoredEvents, write_events
+from dds_trace.analyzer.gather import Part, split_trace
+from dds_trace.analyzer.objects import is_remote, local_copy, remote_key
+from dds_trace.tracefile import OutputError, Run, Session, Stage, Trace, TraceFormatError, read_trace
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from analyzer.gather import StageKey
+    from dds_trace.analyzer.gather import StageKey
 
 MOST_HELD_EVENTS = 24_000_000
 """Events that stay in memory, 56 bytes each; those of further traces wait in files."""

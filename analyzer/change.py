@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analyzer.intervals import (
+from dds_trace.analyzer.intervals import (
     REPLICATES,
     SEED,
     bootstrap_mean,
@@ -17,13 +17,13 @@ from analyzer.intervals import (
     dependence_of,
     quantile_of,
 )
-from analyzer.sample_size import planned_messages
-from analyzer.statistics import PERCENTILES
+from dds_trace.analyzer.sample_size import planned_messages
+from dds_trace.analyzer.statistics import PERCENTILES
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from analyzer.intervals import Values
+    from dds_trace.analyzer.intervals import Values
 
     Float64 = NDArray[np.float64]
 

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from analyzer.clock_lines import DRIFT, Intervals, Lines, find_stretches, find_windows
+from dds_trace.analyzer.clock_lines import DRIFT, Intervals, Lines, find_stretches, find_windows
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 
-from analyzer.clock_fit import ClockFit, fit_clock
+from dds_trace.analyzer.clock_fit import ClockFit, fit_clock
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from tracefile import Run, Session
+    from dds_trace.tracefile import Run, Session
 
 
 def ping_boots(sessions: Sequence[Session], runs: Sequence[Run]) -> dict[int, int]:

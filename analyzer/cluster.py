@@ -13,19 +13,19 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from analyzer.batches import work_at
-from analyzer.cache import LoadedTrace, load_trace
-from analyzer.load import campaign_of, skipped_source
-from analyzer.objects import find_anywhere
-from tracefile import BackendUnavailableError, EventColumns, TraceFormatError
+from dds_trace.analyzer.batches import work_at
+from dds_trace.analyzer.cache import LoadedTrace, load_trace
+from dds_trace.analyzer.load import campaign_of, skipped_source
+from dds_trace.analyzer.objects import find_anywhere
+from dds_trace.tracefile import BackendUnavailableError, EventColumns, TraceFormatError
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping, Sequence
 
-    from analyzer.analysis import Source
-    from analyzer.batches import Work, Worked
-    from analyzer.gather import EventsByKey, Part, StageKey
-    from analyzer.load import Campaign, Progress
+    from dds_trace.analyzer.analysis import Source
+    from dds_trace.analyzer.batches import Work, Worked
+    from dds_trace.analyzer.gather import EventsByKey, Part, StageKey
+    from dds_trace.analyzer.load import Campaign, Progress
 
 _TIMEOUT_S = 30
 

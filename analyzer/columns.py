@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import polars as pl
 
-from analyzer.metrics import METRICS
-from analyzer.statistics import PERCENTILES
+from dds_trace.analyzer.metrics import METRICS
+from dds_trace.analyzer.statistics import PERCENTILES
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,15 +16,15 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
-from analyzer.change import Sample, change_of, probability_of_superiority
-from analyzer.columns import PARAMETER_NAMES
-from analyzer.intervals import REPLICATES, ratio_interval
-from analyzer.statistics import PERCENTILES
+from dds_trace.analyzer.change import Sample, change_of, probability_of_superiority
+from dds_trace.analyzer.columns import PARAMETER_NAMES
+from dds_trace.analyzer.intervals import REPLICATES, ratio_interval
+from dds_trace.analyzer.statistics import PERCENTILES
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from analyzer.intervals import Interval
+    from dds_trace.analyzer.intervals import Interval
 
 MATCH_COLUMNS = tuple(
     name

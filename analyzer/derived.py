@@ -18,9 +18,9 @@ import numpy as np
 import polars as pl
 from mcap.writer import CompressionType, Writer
 
-from tracefile.errors import OutputError, OutputExistsError
-from tracefile.events import CDR_HEADER
-from tracefile.version import __version__
+from dds_trace.tracefile.errors import OutputError, OutputExistsError
+from dds_trace.tracefile.events import CDR_HEADER
+from dds_trace.tracefile.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
-from analyzer.analysis import Details
-from analyzer.answers import (
+from dds_trace.analyzer.analysis import Details
+from dds_trace.analyzer.answers import (
     ANSWER_COLUMNS,
     CASE_COLUMNS,
     CONTENDER_COLUMNS,
@@ -15,23 +15,23 @@ from analyzer.answers import (
     contender_names,
     without_floor,
 )
-from analyzer.clocks import ping_boots
-from analyzer.compare import BRIDGE_MATCH_COLUMNS, QUANTILES, CompareOptions, bridge_cost
-from analyzer.group_frames import INTERVAL_SCHEMA, ONE_WAY_SCHEMA, interval_rows, one_way_rows
-from analyzer.host_samples import host_sample_frame
-from analyzer.large import is_too_large
-from analyzer.one_way import fit_devices, segment_table
-from analyzer.recommend import recommend_settings
-from analyzer.rows import partition_groups
+from dds_trace.analyzer.clocks import ping_boots
+from dds_trace.analyzer.compare import BRIDGE_MATCH_COLUMNS, QUANTILES, CompareOptions, bridge_cost
+from dds_trace.analyzer.group_frames import INTERVAL_SCHEMA, ONE_WAY_SCHEMA, interval_rows, one_way_rows
+from dds_trace.analyzer.host_samples import host_sample_frame
+from dds_trace.analyzer.large import is_too_large
+from dds_trace.analyzer.one_way import fit_devices, segment_table
+from dds_trace.analyzer.recommend import recommend_settings
+from dds_trace.analyzer.rows import partition_groups
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from analyzer.answers import Answer
-    from analyzer.batch import Wanted
-    from analyzer.frames import Frames
-    from analyzer.load import Campaign
-    from analyzer.rows import RowsByGroup
+    from dds_trace.analyzer.answers import Answer
+    from dds_trace.analyzer.batch import Wanted
+    from dds_trace.analyzer.frames import Frames
+    from dds_trace.analyzer.load import Campaign
+    from dds_trace.analyzer.rows import RowsByGroup
 
 _COSTS = CompareOptions(metrics=("latency",), statistics=tuple(QUANTILES))
 

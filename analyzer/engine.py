@@ -7,18 +7,18 @@ from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Protocol
 
-from analyzer.batches import work_at
-from analyzer.cache import TraceShelf
-from analyzer.load import load_campaign
+from dds_trace.analyzer.batches import work_at
+from dds_trace.analyzer.cache import TraceShelf
+from dds_trace.analyzer.load import load_campaign
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
     from concurrent.futures import Future
     from pathlib import Path
 
-    from analyzer.batches import Work, Worked
-    from analyzer.gather import EventsByKey
-    from analyzer.load import Campaign, Progress
+    from dds_trace.analyzer.batches import Work, Worked
+    from dds_trace.analyzer.gather import EventsByKey
+    from dds_trace.analyzer.load import Campaign, Progress
 
 _MOST_WORKERS = 2  # each holds a batch; the writing of rows takes another core
 

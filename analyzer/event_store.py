@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tracefile import EVENT_DTYPE, EventColumns
+from dds_trace.tracefile import EVENT_DTYPE, EventColumns
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

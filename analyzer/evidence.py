@@ -6,18 +6,18 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from analyzer.group_names import name_groups
+from dds_trace.analyzer.group_names import name_groups
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from analyzer.analysis import Details
-    from analyzer.exchanges import Exchange, Exchanges
-    from analyzer.load import Campaign
-    from analyzer.pair import Published
-    from analyzer.roundtrips import PairedExchanges
-    from analyzer.summarize import Grouping, Summary
-    from tracefile import Session
+    from dds_trace.analyzer.analysis import Details
+    from dds_trace.analyzer.exchanges import Exchange, Exchanges
+    from dds_trace.analyzer.load import Campaign
+    from dds_trace.analyzer.pair import Published
+    from dds_trace.analyzer.roundtrips import PairedExchanges
+    from dds_trace.analyzer.summarize import Grouping, Summary
+    from dds_trace.tracefile import Session
 
 _MOST_FILES = 2
 """Files that a session's name lists: those of a long sweep would fill a screen."""

@@ -7,15 +7,15 @@ from collections import defaultdict
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from analyzer.columns import PARAMETER_NAMES
-from tracefile import EventColumns, Stage
+from dds_trace.analyzer.columns import PARAMETER_NAMES
+from dds_trace.tracefile import EventColumns, Stage
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
-    from analyzer.gather import Key, StageKey
-    from analyzer.load import Campaign
-    from tracefile import Run, Session
+    from dds_trace.analyzer.gather import Key, StageKey
+    from dds_trace.analyzer.load import Campaign
+    from dds_trace.tracefile import Run, Session
 
 NO_RELAY = 0
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from polars.exceptions import PolarsError
 
-from tracefile import OutputError
+from dds_trace.tracefile import OutputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     import polars as pl
 
-    from analyzer.analysis import Analysis
+    from dds_trace.analyzer.analysis import Analysis
 
 EXPORTERS: Mapping[str, Callable[[pl.LazyFrame, Path], object]] = {
     "csv": lambda rows, path: rows.sink_csv(path),

@@ -10,13 +10,13 @@ from collections import defaultdict
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from analyzer.analysis import Finding, Severity
-from analyzer.checks import clocks, groups, load, runs, sessions, sizes, sources
+from dds_trace.analyzer.analysis import Finding, Severity
+from dds_trace.analyzer.checks import clocks, groups, load, runs, sessions, sizes, sources
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from analyzer.evidence import Evidence
+    from dds_trace.analyzer.evidence import Evidence
 
     Check = Callable[[Evidence], Iterator[Finding]]
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from analyzer.group_frames import (
+from dds_trace.analyzer.group_frames import (
     breakdown_frame,
     freshness_frame,
     interval_frame,
@@ -22,12 +22,12 @@ from analyzer.group_frames import (
     outage_frame,
     response_frame,
 )
-from analyzer.timeline import draw_timeline
+from dds_trace.analyzer.timeline import draw_timeline
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from analyzer.batch import Batch
+    from dds_trace.analyzer.batch import Batch
 
     Frames = dict[str, pl.DataFrame]
     """Name -> frame; the names are those of `MAKERS` and, where asked for, of `DETAIL_MAKERS`."""

@@ -22,14 +22,14 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import TYPE_CHECKING, Any
 
-from analyzer.compare import QUANTILES
-from analyzer.metrics import METRICS
-from tracefile.errors import OptionError
+from dds_trace.analyzer.compare import QUANTILES
+from dds_trace.analyzer.metrics import METRICS
+from dds_trace.tracefile.errors import OptionError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from analyzer.compare import CompareOptions, Comparison
+    from dds_trace.analyzer.compare import CompareOptions, Comparison
 
 STATISTICS = ("mean", *QUANTILES)
 RECEIVED_RATIO = "received_ratio"

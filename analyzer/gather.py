@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from tracefile import EventColumns, Stage
+from dds_trace.tracefile import EventColumns, Stage
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from tracefile import Trace
+    from dds_trace.tracefile import Trace
 
 Key = tuple[int, int]
 """(run_id, relay_id); the relay_id of T1 is 0 whatever the trace says."""

@@ -7,20 +7,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 
-from analyzer.breakdown import STAMP_COLUMNS, break_down, response_against_latency, summarize_breakdown
-from analyzer.freshness import outage_table, summarize_freshness
-from analyzer.intervals import percentile_interval
-from analyzer.metrics import METRICS
-from analyzer.one_way import knots_of
-from analyzer.pair import MISSING
-from analyzer.statistics import PERCENTILES, summarize_values
+from dds_trace.analyzer.breakdown import (
+    STAMP_COLUMNS,
+    break_down,
+    response_against_latency,
+    summarize_breakdown,
+)
+from dds_trace.analyzer.freshness import outage_table, summarize_freshness
+from dds_trace.analyzer.intervals import percentile_interval
+from dds_trace.analyzer.metrics import METRICS
+from dds_trace.analyzer.one_way import knots_of
+from dds_trace.analyzer.pair import MISSING
+from dds_trace.analyzer.statistics import PERCENTILES, summarize_values
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from analyzer.batch import Batch
-    from analyzer.roundtrips import RoundTrips
-    from tracefile import EventColumns
+    from dds_trace.analyzer.batch import Batch
+    from dds_trace.analyzer.roundtrips import RoundTrips
+    from dds_trace.tracefile import EventColumns
 
 INTERVAL_SCHEMA: dict[str, type[pl.DataType]] = {
     "group": pl.UInt32,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from analyzer.columns import PARAMETER_NAMES
+from dds_trace.analyzer.columns import PARAMETER_NAMES
 
 if TYPE_CHECKING:
     import polars as pl

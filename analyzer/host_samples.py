@@ -9,7 +9,7 @@ import polars as pl
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from tracefile import Session, Trace
+    from dds_trace.tracefile import Session, Trace
 
 MOST_OF_SESSION = 2000
 """Samples of a session that are kept; of more, the one with the busiest processor of each stretch."""

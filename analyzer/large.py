@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from analyzer.analysis import Finding, Severity
-from analyzer.answers import CASE_COLUMNS
-from analyzer.batches import WHOLE_GROUP_EVENTS
-from analyzer.compare import BRIDGE_MATCH_COLUMNS
-from analyzer.evidence import some
-from analyzer.rows import partition_groups
-from analyzer.sketch import RELATIVE_ERROR
+from dds_trace.analyzer.analysis import Finding, Severity
+from dds_trace.analyzer.answers import CASE_COLUMNS
+from dds_trace.analyzer.batches import WHOLE_GROUP_EVENTS
+from dds_trace.analyzer.compare import BRIDGE_MATCH_COLUMNS
+from dds_trace.analyzer.evidence import some
+from dds_trace.analyzer.rows import partition_groups
+from dds_trace.analyzer.sketch import RELATIVE_ERROR
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
     import polars as pl
 
-    from analyzer.evidence import Evidence
-    from analyzer.rows import RowsByGroup
+    from dds_trace.analyzer.evidence import Evidence
+    from dds_trace.analyzer.rows import RowsByGroup
 
 MOST_COMPARED_ROWS = 4_000_000
 """Rows of one kind of message that are compared: they are in memory at once, with what sorting them takes."""

@@ -7,17 +7,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from analyzer.analysis import Source
-from analyzer.cache import TraceShelf
-from analyzer.gather import Copies, EventsByKey, index_parts
-from analyzer.objects import find_anywhere
-from tracefile import MissingEventsError, TraceFormatError
+from dds_trace.analyzer.analysis import Source
+from dds_trace.analyzer.cache import TraceShelf
+from dds_trace.analyzer.gather import Copies, EventsByKey, index_parts
+from dds_trace.analyzer.objects import find_anywhere
+from dds_trace.tracefile import MissingEventsError, TraceFormatError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
-    from analyzer.cache import LoadedTrace
-    from tracefile import Run, Session, Trace
+    from dds_trace.analyzer.cache import LoadedTrace
+    from dds_trace.tracefile import Run, Session, Trace
 
     Progress = Callable[[int, int, Path], None]
     """Told before each trace is read: how many are done, how many there are, and which comes next."""

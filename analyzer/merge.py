@@ -6,17 +6,17 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from analyzer.frames import concatenate_frames
-from analyzer.gather import merge_parts, total_copies
-from analyzer.roundtrips import PairedExchanges
-from analyzer.sketch import ValueSpool, merge_sketches
-from analyzer.summarize import Statistics, summarize_groups
+from dds_trace.analyzer.frames import concatenate_frames
+from dds_trace.analyzer.gather import merge_parts, total_copies
+from dds_trace.analyzer.roundtrips import PairedExchanges
+from dds_trace.analyzer.sketch import ValueSpool, merge_sketches
+from dds_trace.analyzer.summarize import Statistics, summarize_groups
 
 if TYPE_CHECKING:
-    from analyzer.batches import Worked
-    from analyzer.frames import Frames
-    from analyzer.gather import Copies, EventsByKey, StageKey
-    from analyzer.summarize import Grouping, Summary
+    from dds_trace.analyzer.batches import Worked
+    from dds_trace.analyzer.frames import Frames
+    from dds_trace.analyzer.gather import Copies, EventsByKey, StageKey
+    from dds_trace.analyzer.summarize import Grouping, Summary
 
 
 class MergedResults:

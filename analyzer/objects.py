@@ -13,7 +13,7 @@ from importlib import import_module
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
-from tracefile import BackendUnavailableError, MissingEventsError, TraceFormatError, find_traces
+from dds_trace.tracefile import BackendUnavailableError, MissingEventsError, TraceFormatError, find_traces
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator

@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 
-from analyzer.clock_fit import ClockFit, fit_clock
+from dds_trace.analyzer.clock_fit import ClockFit, fit_clock
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from analyzer.exchanges import Exchange
+    from dds_trace.analyzer.exchanges import Exchange
 
 ONE_WAY_COLUMNS = ("outbound_ns", "return_ns", "clock_bound_ns")
 

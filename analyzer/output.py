@@ -12,16 +12,16 @@ import polars as pl
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from analyzer.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS, Column
-from analyzer.pair import OUTCOMES
-from tracefile import OutputError
+from dds_trace.analyzer.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS, Column
+from dds_trace.analyzer.pair import OUTCOMES
+from dds_trace.tracefile import OutputError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
     from types import TracebackType
 
-    from analyzer.roundtrips import RoundTrips
+    from dds_trace.analyzer.roundtrips import RoundTrips
 
 _ROWS_PER_GROUP = 1 << 20
 

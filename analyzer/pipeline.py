@@ -5,33 +5,33 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from analyzer.analysis import Analysis
-from analyzer.batch import Wanted
-from analyzer.batches import Work, plan_batches
-from analyzer.cluster import ClusterEngine
-from analyzer.details import collect_details
-from analyzer.engine import LocalEngine
-from analyzer.evidence import Evidence
-from analyzer.exchanges import find_exchanges
-from analyzer.findings import find_findings
-from analyzer.large import SKETCHED, earlier_rows, size_findings
-from analyzer.merge import MergedResults
-from analyzer.objects import is_remote
-from analyzer.output import write_summary
-from analyzer.rows import RowKeeper, RowsByGroup
-from analyzer.summarize import group_exchanges
-from tracefile import MissingEventsError
+from dds_trace.analyzer.analysis import Analysis
+from dds_trace.analyzer.batch import Wanted
+from dds_trace.analyzer.batches import Work, plan_batches
+from dds_trace.analyzer.cluster import ClusterEngine
+from dds_trace.analyzer.details import collect_details
+from dds_trace.analyzer.engine import LocalEngine
+from dds_trace.analyzer.evidence import Evidence
+from dds_trace.analyzer.exchanges import find_exchanges
+from dds_trace.analyzer.findings import find_findings
+from dds_trace.analyzer.large import SKETCHED, earlier_rows, size_findings
+from dds_trace.analyzer.merge import MergedResults
+from dds_trace.analyzer.objects import is_remote
+from dds_trace.analyzer.output import write_summary
+from dds_trace.analyzer.rows import RowKeeper, RowsByGroup
+from dds_trace.analyzer.summarize import group_exchanges
+from dds_trace.tracefile import MissingEventsError
 
 if TYPE_CHECKING:
     import os
     from collections.abc import Iterator
 
-    from analyzer.engine import Engine
-    from analyzer.exchanges import Exchanges
-    from analyzer.load import Campaign, Progress
-    from analyzer.recommend import Job
-    from analyzer.summarize import Grouping
-    from tracefile import Run
+    from dds_trace.analyzer.engine import Engine
+    from dds_trace.analyzer.exchanges import Exchanges
+    from dds_trace.analyzer.load import Campaign, Progress
+    from dds_trace.analyzer.recommend import Job
+    from dds_trace.analyzer.summarize import Grouping
+    from dds_trace.tracefile import Run
 
 OUTPUT_FOLDER = "analysis"
 """Where results go by default, below the analyzed folder."""
@@ -62,7 +62,7 @@ def analyze(
 ) -> Analysis:
     """Analyze every trace in a folder.
 
-        from analyzer import analyze
+        from dds_trace.analyzer import analyze
         a = analyze("runs/")
         a.summary.select("vendor", "payload_bytes", "latency_p50_ns", "latency_p99_ns")
 

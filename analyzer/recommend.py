@@ -18,11 +18,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 
-from analyzer.compare import MATCH_COLUMNS
-from analyzer.interpolation import guess_cell
-from analyzer.intervals import percentile_interval, ranges_overlap
-from analyzer.sample_size import minimum_messages, planned_messages
-from tracefile.errors import OptionError
+from dds_trace.analyzer.compare import MATCH_COLUMNS
+from dds_trace.analyzer.interpolation import guess_cell
+from dds_trace.analyzer.intervals import percentile_interval, ranges_overlap
+from dds_trace.analyzer.sample_size import minimum_messages, planned_messages
+from dds_trace.tracefile.errors import OptionError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -18,7 +18,7 @@ from rosbags.interfaces import MessageDefinitionFormat
 from rosbags.typesys import Stores, get_typestore
 from zstandard import ZstdError
 
-from tracefile.errors import MissingEventsError, TraceFormatError
+from dds_trace.tracefile.errors import MissingEventsError, TraceFormatError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator

@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 import polars as pl
 
-from analyzer.columns import KEY_COLUMNS, PARAMETER_COLUMNS, ROUNDTRIP_COLUMNS, schema_of
-from analyzer.metrics import with_metrics
-from analyzer.one_way import OneWay, fit_exchanges
-from analyzer.pair import MISSING, OUTCOMES, Published, pair_messages, published_messages
+from dds_trace.analyzer.columns import KEY_COLUMNS, PARAMETER_COLUMNS, ROUNDTRIP_COLUMNS, schema_of
+from dds_trace.analyzer.metrics import with_metrics
+from dds_trace.analyzer.one_way import OneWay, fit_exchanges
+from dds_trace.analyzer.pair import MISSING, OUTCOMES, Published, pair_messages, published_messages
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    from analyzer.clock_fit import ClockFit
-    from analyzer.exchanges import Exchange
+    from dds_trace.analyzer.clock_fit import ClockFit
+    from dds_trace.analyzer.exchanges import Exchange
 
 
 Scalar = TypeVar("Scalar", bound=np.generic)

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import polars as pl
 import pyarrow as pa
 
-from analyzer.columns import PARAMETER_NAMES, ROUNDTRIP_COLUMNS, schema_of
-from analyzer.output import RoundTripsWriter
+from dds_trace.analyzer.columns import PARAMETER_NAMES, ROUNDTRIP_COLUMNS, schema_of
+from dds_trace.analyzer.output import RoundTripsWriter
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 from fractions import Fraction
 
-from analyzer.statistics import PERCENTILES
+from dds_trace.analyzer.statistics import PERCENTILES
 
 
 def planned_messages(quantile: float, confidence: float = 0.95, inflation: float = 1.0) -> int:

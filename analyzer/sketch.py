@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from analyzer.metrics import METRICS
-from analyzer.statistics import PERCENTILES, K
-from analyzer.summarize import Statistics, measure_groups
+from dds_trace.analyzer.metrics import METRICS
+from dds_trace.analyzer.statistics import PERCENTILES, K
+from dds_trace.analyzer.summarize import Statistics, measure_groups
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

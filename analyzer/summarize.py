@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from analyzer.columns import PARAMETER_COLUMNS, STATISTICS, SUMMARY_COLUMNS, schema_of
-from analyzer.metrics import METRICS
-from analyzer.pair import LOSSES, OUTCOMES, Outcome
-from analyzer.statistics import Histogram, histogram_of, summarize_values
+from dds_trace.analyzer.columns import PARAMETER_COLUMNS, STATISTICS, SUMMARY_COLUMNS, schema_of
+from dds_trace.analyzer.metrics import METRICS
+from dds_trace.analyzer.pair import LOSSES, OUTCOMES, Outcome
+from dds_trace.analyzer.statistics import Histogram, histogram_of, summarize_values
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
-    from analyzer.exchanges import Exchange
-    from analyzer.roundtrips import RoundTrips
+    from dds_trace.analyzer.exchanges import Exchange
+    from dds_trace.analyzer.roundtrips import RoundTrips
 
 
 _NS_PER_S = 1_000_000_000

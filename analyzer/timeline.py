@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from analyzer.pair import Outcome
+from dds_trace.analyzer.pair import Outcome
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from analyzer.roundtrips import RoundTrips
+    from dds_trace.analyzer.roundtrips import RoundTrips
 
 
 _ALL_POINTS = 100_000

@@ -10,15 +10,15 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from analyzer.analysis import Source
-from analyzer.recordings import find_recordings, iter_messages
-from tracefile.errors import MissingEventsError, TraceFormatError
+from dds_trace.analyzer.analysis import Source
+from dds_trace.analyzer.recordings import find_recordings, iter_messages
+from dds_trace.tracefile.errors import MissingEventsError, TraceFormatError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
     from pathlib import Path
 
-    from analyzer.recordings import RecordedMessage, Topic
+    from dds_trace.analyzer.recordings import RecordedMessage, Topic
 
 Int64 = NDArray[np.int64]
 

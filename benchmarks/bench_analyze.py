@@ -34,9 +34,9 @@ import zstandard
 from event_traces import write_event_trace
 from timing import WarmMemory, packed_chunks, seconds, unpack_job
 
-from analyzer import analyze
-from analyzer.output import RoundTripsWriter
-from tracefile import EVENT_DTYPE
+from dds_trace.analyzer import analyze
+from dds_trace.analyzer.output import RoundTripsWriter
+from dds_trace.tracefile import EVENT_DTYPE
 
 EVENTS, RUNS, REPEATS = 2_000_000, 50, 7
 FULL_EVENTS, FULL_RUNS, FULL_REPEATS = 20_000_000, 500, 7
@@ -47,7 +47,7 @@ MOST_RSS_BYTES = 4e9
 ANALYZE_AND_TELL = """
 import json, re, sys
 from pathlib import Path
-from analyzer import analyze
+from dds_trace.analyzer import analyze
 analysis = analyze(sys.argv[1], out=sys.argv[2], details=False)
 peak = re.search("VmHWM: *([0-9]+) kB", Path("/proc/self/status").read_text().replace("\\t", " "))
 print(json.dumps([int(peak[1]) * 1024, int(analysis.summary["published"].sum())]))

@@ -31,7 +31,7 @@ from mcap.stream_reader import StreamReader
 from rosbags.rosbag2 import Reader as RosbagsReader
 from timing import WarmMemory, packed_chunks, seconds, unpack_job
 
-from tracefile import EVENT_DTYPE, read_trace
+from dds_trace.tracefile import EVENT_DTYPE, read_trace
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -53,7 +53,7 @@ MOST_RSS_ABOVE_RESULT = 100e6
 READ_AND_TELL = """
 import json, re, sys
 from pathlib import Path
-from tracefile import EVENT_DTYPE, read_trace
+from dds_trace.tracefile import EVENT_DTYPE, read_trace
 trace = read_trace(Path(sys.argv[1]))
 peak = re.search("VmHWM: *([0-9]+) kB", Path("/proc/self/status").read_text().replace("\\t", " "))
 print(json.dumps([int(peak[1]) * 1024, trace.event_count * EVENT_DTYPE.itemsize]))

@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cli import compare, watch
-from cli.errors import run_command
-from tracefile import OptionError
+from dds_trace.cli import compare, watch
+from dds_trace.cli.errors import run_command
+from dds_trace.tracefile import OptionError
 
 if TYPE_CHECKING:
-    from analyzer import Analysis
+    from dds_trace.analyzer import Analysis
 
 
 class ReportKind(str, Enum):
@@ -133,8 +133,8 @@ def main_command(
 
     [bold]dds-analyze watch runs/[/bold]
     """
-    from analyzer import Severity, analyze, default_output, export_tables, parse_job
-    from reports import write_report
+    from dds_trace.analyzer import Severity, analyze, default_output, export_tables, parse_job
+    from dds_trace.reports import write_report
 
     target = default_output(folder) if out is None else out
     deadline_ns = None if deadline is None else _duration_ns(deadline)
@@ -158,7 +158,7 @@ def main_command(
     if derived_mcap:
         exported += _write_derived(analysis, target)
     if analysis.details is not None and analysis.details.recommendation is not None:
-        from cli.analyze_text import print_recommendation
+        from dds_trace.cli.analyze_text import print_recommendation
 
         print_recommendation(analysis.details.recommendation)
     for path in (*analysis.outputs.values(), *reports, *exported):
@@ -180,8 +180,8 @@ def _duration_ns(text: str) -> int:
 
 
 def _show_topics(folder: Path, target: Path) -> None:
-    from analyzer import analyze_topics
-    from cli.analyze_text import print_topics
+    from dds_trace.analyzer import analyze_topics
+    from dds_trace.cli.analyze_text import print_topics
 
     report = analyze_topics(folder, skip=[target])
     print_topics(report)
@@ -191,7 +191,7 @@ def _show_topics(folder: Path, target: Path) -> None:
 
 
 def _write_derived(analysis: "Analysis", target: Path) -> list[Path]:
-    from analyzer import ping_wall_offsets, write_derived
+    from dds_trace.analyzer import ping_wall_offsets, write_derived
 
     wall = ping_wall_offsets(analysis.sessions, analysis.runs)
     derived = write_derived(analysis.roundtrips, target / "latency.derived.mcap", wall, force=True)

@@ -7,7 +7,7 @@ from rich.table import Table
 from rich.text import Text
 
 if TYPE_CHECKING:
-    from analyzer import Recommendation, TopicReport
+    from dds_trace.analyzer import Recommendation, TopicReport
 
 
 def _ms(value_ns: float | None) -> str:

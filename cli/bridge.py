@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cli import choices
-from cli.errors import run_command
+from dds_trace.cli import choices
+from dds_trace.cli.errors import run_command
 
 if TYPE_CHECKING:
-    from recorder.bridges import Bridge, BridgeOptions, RunningBridge
+    from dds_trace.recorder.bridges import Bridge, BridgeOptions, RunningBridge
 
 LOOK_S = 0.2
 
@@ -91,10 +91,10 @@ def main_command(
 
     [bold]dds-bridge zenoh-bridge-dds --half relay --peer 192.168.0.5:7447[/bold]
     """
-    from cli.record_values import default_discovery, parse_durations
-    from recorder.backend import Discovery
-    from recorder.bridges import BRIDGED_TOPICS, BridgeOptions, Half, bridged_topic, load_bridge
-    from tracefile import OptionError, Qos
+    from dds_trace.cli.record_values import default_discovery, parse_durations
+    from dds_trace.recorder.backend import Discovery
+    from dds_trace.recorder.bridges import BRIDGED_TOPICS, BridgeOptions, Half, bridged_topic, load_bridge
+    from dds_trace.tracefile import OptionError, Qos
 
     if list_them:
         _list(as_json=as_json)
@@ -125,7 +125,7 @@ def main_command(
 
 def _list(*, as_json: bool) -> None:
     """One line for each bridge: its version if it is there, how to get it if not."""
-    from recorder.bridges import BRIDGE_MODULES, load_bridge
+    from dds_trace.recorder.bridges import BRIDGE_MODULES, load_bridge
 
     rows = []
     for bridge in map(load_bridge, BRIDGE_MODULES):
@@ -151,7 +151,7 @@ def _list(*, as_json: bool) -> None:
 
 def _print_configuration(bridge: Bridge, options: BridgeOptions) -> None:
     """The text to stdout; where two processes would run, which one it is for goes to stderr."""
-    from recorder.bridges import split_halves
+    from dds_trace.recorder.bridges import split_halves
 
     parts = split_halves(bridge, options)
     for part in parts:
@@ -162,7 +162,7 @@ def _print_configuration(bridge: Bridge, options: BridgeOptions) -> None:
 
 def _run(name: str, options: BridgeOptions) -> None:
     """Until SIGINT or SIGTERM; a program that fails shows the end of its log."""
-    from recorder.bridges import open_bridge
+    from dds_trace.recorder.bridges import open_bridge
 
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from analyzer import Comparison, GateOutcome, GateResult
+    from dds_trace.analyzer import Comparison, GateOutcome, GateResult
 
 
 class ComparisonReport(str, Enum):
@@ -52,7 +52,7 @@ def compare_command(
 
     [bold]dds-analyze compare main/ branch/ --fail-if "latency_p99 > +10%" --report md[/bold]
     """
-    from analyzer import (
+    from dds_trace.analyzer import (
         CompareOptions,
         GateOutcome,
         analyze,
@@ -80,7 +80,7 @@ def compare_command(
 
 
 def _text(report: ComparisonReport, comparison: "Comparison", results: "list[GateResult]") -> str:
-    from analyzer import comparison_junit, comparison_markdown
+    from dds_trace.analyzer import comparison_junit, comparison_markdown
 
     if report is ComparisonReport.JUNIT:
         return comparison_junit(results)
@@ -88,7 +88,7 @@ def _text(report: ComparisonReport, comparison: "Comparison", results: "list[Gat
 
 
 def _hand_out(text: str, out: Path | None) -> None:
-    from tracefile import OutputError
+    from dds_trace.tracefile import OutputError
 
     if out is None:
         sys.stdout.write(text)
@@ -106,7 +106,7 @@ def _print_table(comparison: "Comparison", results: "list[GateResult]") -> None:
     from rich.table import Table
     from rich.text import Text
 
-    from analyzer import group_words, plain_line, varying_columns
+    from dds_trace.analyzer import group_words, plain_line, varying_columns
 
     console = Console(width=None if sys.stdout.isatty() else 160)
     table = Table("group", "metric", "base ms", "new ms", "change", "interval", "verdict")
@@ -137,7 +137,7 @@ def _percent(ratio: float | None) -> str:
 
 
 def _say(outcome: "GateOutcome", *, gated: bool) -> None:
-    from analyzer import GateOutcome
+    from dds_trace.analyzer import GateOutcome
 
     if gated or outcome is GateOutcome.NOTHING_TO_COMPARE:
         print(f"dds-analyze compare: {outcome.value}", file=sys.stderr)

@@ -19,7 +19,7 @@ def run_command(command: Callable[[], object]) -> None:
     try:
         command()
     except Exception as error:
-        from tracefile import TraceError  # not loaded before, so that --help is quick
+        from dds_trace.tracefile import TraceError  # not loaded before, so that --help is quick
 
         if not isinstance(error, TraceError):
             raise

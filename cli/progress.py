@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from recorder import PingProgress, RelayProgress
+from dds_trace.recorder import PingProgress, RelayProgress
 
 if TYPE_CHECKING:
     from types import TracebackType

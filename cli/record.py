@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import typer
 
-from cli import choices
-from cli import record_words as words
-from cli.errors import run_command
+from dds_trace.cli import choices
+from dds_trace.cli import record_words as words
+from dds_trace.cli.errors import run_command
 
 BRIDGED_PING_DOMAIN = 5
 
@@ -68,16 +68,16 @@ def main_command(
 
     [bold]dds-record --role ping  --out ping.mcap[/bold]
     """
-    from cli.record_run import print_result, record_until_stopped
-    from cli.record_tools import recover_trace, report_own_cost
-    from cli.record_values import (
+    from dds_trace.cli.record_run import print_result, record_until_stopped
+    from dds_trace.cli.record_tools import recover_trace, report_own_cost
+    from dds_trace.cli.record_values import (
         default_discovery,
         default_domain,
         parse_durations,
         parse_labels,
         refuse_others,
     )
-    from recorder import (
+    from dds_trace.recorder import (
         DEFAULT_WARMUP,
         Discovery,
         ExecutorKind,
@@ -88,7 +88,7 @@ def main_command(
         Transport,
         parse_size,
     )
-    from tracefile import OptionError, Qos, TraceDestination
+    from dds_trace.tracefile import OptionError, Qos, TraceDestination
 
     if recover_path is not None:
         recover_trace(recover_path)

@@ -8,11 +8,11 @@ import threading
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from cli.progress import TerminalWatch, describe_progress
-from recorder import record
+from dds_trace.cli.progress import TerminalWatch, describe_progress
+from dds_trace.recorder import record
 
 if TYPE_CHECKING:
-    from recorder import Recorded, RecordOptions
+    from dds_trace.recorder import Recorded, RecordOptions
 
 
 def record_until_stopped(options: RecordOptions) -> Recorded:

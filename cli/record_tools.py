@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from recorder import measure_floor
-from tracefile import TraceError, measure_recorder_cost, recover
+from dds_trace.recorder import measure_floor
+from dds_trace.tracefile import TraceError, measure_recorder_cost, recover
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from recorder import NodeOptions
+    from dds_trace.recorder import NodeOptions
 
 
 def recover_trace(path: Path) -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 from typing import Any
 
-from recorder import Discovery, parse_duration
-from tracefile import OptionError
+from dds_trace.recorder import Discovery, parse_duration
+from dds_trace.tracefile import OptionError
 
 DEFAULT_DOMAIN = 10
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from cli import choices
+from dds_trace.cli import choices
 
 
 def _panel(title: str) -> Any:

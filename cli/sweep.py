@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cli.errors import run_command
-from tracefile import OptionError, __version__
+from dds_trace.cli.errors import run_command
+from dds_trace.tracefile import OptionError, __version__
 
 if TYPE_CHECKING:
-    from recorder.sweep import Cell, Plan
+    from dds_trace.recorder.sweep import Cell, Plan
 
 INTERRUPTED_EXIT_CODE = 130
 """As a shell reports Ctrl-C."""
@@ -73,7 +73,7 @@ def main_command(
     Interrupted anywhere, the same command goes on with what is not complete. Ends with 0 if everything is
     complete and with 10 if some cells are not; then the reasons are on stderr and in state.json.
     """
-    from recorder.sweep import installed_middlewares, read_plan
+    from dds_trace.recorder.sweep import installed_middlewares, read_plan
 
     asked = read_plan(plan, installed_middlewares, by_hand=printed is not None)
     if max_rate and printed:
@@ -93,7 +93,7 @@ def main_command(
 def _sweep(plan: Plan, out: Path, as_json: bool) -> int:
     from rich.console import Console
 
-    from recorder.sweep import INCOMPLETE_EXIT_CODE, make_progress, run_sweep
+    from dds_trace.recorder.sweep import INCOMPLETE_EXIT_CODE, make_progress, run_sweep
 
     console = Console(stderr=True)
     progress = make_progress(console)
@@ -116,7 +116,7 @@ def _search(plan: Plan, out: Path, as_json: bool) -> int:
     from rich.console import Console
     from rich.table import Table
 
-    from recorder.sweep import (
+    from dds_trace.recorder.sweep import (
         COLUMNS,
         INCOMPLETE_EXIT_CODE,
         Answer,
@@ -144,7 +144,7 @@ def _search(plan: Plan, out: Path, as_json: bool) -> int:
 
 def _show(plan: Plan, as_json: bool) -> None:
     """Prints the cells in the order in which they run."""
-    from recorder.sweep import plan_seconds, schedule
+    from dds_trace.recorder.sweep import plan_seconds, schedule
 
     groups = schedule(plan)
     cells = [cell for group in groups for cell in group.cells]
@@ -183,7 +183,7 @@ def _doubt(plan: Plan, cell: Cell) -> str:
 
 def _relay_commands(plan: Plan) -> list[str]:
     """What a person starts on the other device, in order."""
-    from recorder.sweep import half_arguments, printed_command, relay_arguments, schedule
+    from dds_trace.recorder.sweep import half_arguments, printed_command, relay_arguments, schedule
 
     lines = []
     for group in schedule(plan):

@@ -19,7 +19,7 @@ from typing import Annotated
 
 import typer
 
-from tracefile import OutputError, TraceError
+from dds_trace.tracefile import OutputError, TraceError
 
 Stamp = tuple[tuple[str, int, int], ...]
 """Path, size and time of change of every file below a folder."""
@@ -108,13 +108,13 @@ class Watcher:
         return True
 
     def _target(self) -> Path:
-        from analyzer import default_output
+        from dds_trace.analyzer import default_output
 
         return default_output(self._options.folder) if self._options.out is None else self._options.out
 
     def _analyzed(self, version: str) -> str:
-        from analyzer import analyze
-        from reports import render_live
+        from dds_trace.analyzer import analyze
+        from dds_trace.reports import render_live
 
         cache = self._options.cache
         analysis = analyze(self._options.folder, out=self._target() if cache else None, cache=cache)
@@ -145,7 +145,7 @@ class Watcher:
 
 
 def _waiting(version: str, why: str = "") -> Shown:
-    from reports import live_script
+    from dds_trace.reports import live_script
 
     page = _WAITING.format(version=version, script=live_script())
     return Shown(_encoded(page + (f"<p>{escape(why)}" if why else "")), version)

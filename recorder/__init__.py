@@ -1,12 +1,12 @@
 """The ping and relay roles that stamp T1-T4 and hand them to a trace."""
 
-from recorder.backend import Discovery, ExecutorKind, NodeOptions, Serialization, Transport
-from recorder.cost import FloorCost, measure_floor
-from recorder.durations import parse_duration
-from recorder.options import DEFAULT_MESSAGES, DEFAULT_WARMUP, PingOptions, RecordOptions
-from recorder.progress import PingProgress, RelayProgress, Watch
-from recorder.recording import Recorded, record
-from recorder.sizes import format_size, parse_size
+from dds_trace.recorder.backend import Discovery, ExecutorKind, NodeOptions, Serialization, Transport
+from dds_trace.recorder.cost import FloorCost, measure_floor
+from dds_trace.recorder.durations import parse_duration
+from dds_trace.recorder.options import DEFAULT_MESSAGES, DEFAULT_WARMUP, PingOptions, RecordOptions
+from dds_trace.recorder.progress import PingProgress, RelayProgress, Watch
+from dds_trace.recorder.recording import Recorded, record
+from dds_trace.recorder.sizes import format_size, parse_size
 
 __all__ = [
     "DEFAULT_MESSAGES",

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
-from tracefile import Qos
+from dds_trace.tracefile import Qos
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING
 
-from tracefile import CDR_HEADER
+from dds_trace.tracefile import CDR_HEADER
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

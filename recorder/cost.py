@@ -9,13 +9,13 @@ import time
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from recorder.backends import open_node
-from recorder.payloads import STRING
-from tracefile import NoEchoError, Qos, TraceError, measure_recorder_cost
+from dds_trace.recorder.backends import open_node
+from dds_trace.recorder.payloads import STRING
+from dds_trace.tracefile import NoEchoError, Qos, TraceError, measure_recorder_cost
 
 if TYPE_CHECKING:
-    from recorder.backend import NodeOptions
-    from tracefile import RecorderCost
+    from dds_trace.recorder.backend import NodeOptions
+    from dds_trace.tracefile import RecorderCost
 
 BRIEF_S = 0.15
 """Enough for a median beside each session; `dds-record --self-test` takes its time."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tracefile import OptionError
+from dds_trace.tracefile import OptionError
 
 _OCTETS, _COVARIANCE = "uint8[]", "float64[9]"
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tracefile import OptionError
+from dds_trace.tracefile import OptionError
 
 LAST_DOMAIN = 231
 """Of domain 232 even the first participant has no ports below 65536."""

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from recorder.backends.checks import SOCKET_PORT, ZENOH_PORT, port_of
-from recorder.payloads import DATA_TYPES
+from dds_trace.recorder.backends.checks import SOCKET_PORT, ZENOH_PORT, port_of
+from dds_trace.recorder.payloads import DATA_TYPES
 
 if TYPE_CHECKING:
-    from recorder.backend import Endpoint, Node
-    from recorder.payload import DataType
-    from recorder.ping import RunPlan
+    from dds_trace.recorder.backend import Endpoint, Node
+    from dds_trace.recorder.payload import DataType
+    from dds_trace.recorder.ping import RunPlan
 
 _DISCOVERY = (
     "both have the same --domain and --discovery and a --backend that speaks DDS (ros2, cyclonedds, connext), and the "

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from recorder.backend import NodeOptions, Serialization
-from tracefile import OptionError, OutputExistsError, TraceDestination
+from dds_trace.recorder.backend import NodeOptions, Serialization
+from dds_trace.tracefile import OptionError, OutputExistsError, TraceDestination
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

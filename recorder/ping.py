@@ -8,20 +8,20 @@ from array import array
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from recorder.backend import Serialization
-from recorder.clock import SystemClock, sharpen_sleep
-from recorder.progress import PingProgress, rtt_percentiles_ns
-from recorder.stamp import PROBE_RUN_ID
-from recorder.steady import steady_interpreter
-from tracefile import Qos, Run
+from dds_trace.recorder.backend import Serialization
+from dds_trace.recorder.clock import SystemClock, sharpen_sleep
+from dds_trace.recorder.progress import PingProgress, rtt_percentiles_ns
+from dds_trace.recorder.stamp import PROBE_RUN_ID
+from dds_trace.recorder.steady import steady_interpreter
+from dds_trace.tracefile import Qos, Run
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from recorder.backend import Node
-    from recorder.clock import Clock
-    from recorder.payload import Feed, Payload
-    from tracefile import TraceSink
+    from dds_trace.recorder.backend import Node
+    from dds_trace.recorder.clock import Clock
+    from dds_trace.recorder.payload import Feed, Payload
+    from dds_trace.tracefile import TraceSink
 
 SECOND_NS = 1_000_000_000
 LEAD_NS = SECOND_NS // 20

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from recorder.options import DEFAULT_MESSAGES, DEFAULT_RATE_HZ
-from recorder.ping import RunPlan
-from tracefile import OptionError
+from dds_trace.recorder.options import DEFAULT_MESSAGES, DEFAULT_RATE_HZ
+from dds_trace.recorder.ping import RunPlan
+from dds_trace.tracefile import OptionError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from recorder.backend import Serialization
-    from recorder.options import PingOptions, RecordOptions
-    from recorder.payload import DataType, Payload
+    from dds_trace.recorder.backend import Serialization
+    from dds_trace.recorder.options import PingOptions, RecordOptions
+    from dds_trace.recorder.payload import DataType, Payload
 
 
 def plan_run(

@@ -13,7 +13,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from tracefile import OptionError
+from dds_trace.tracefile import OptionError
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2  # <sys/mman.h>, equal on x86_64 and aarch64
 

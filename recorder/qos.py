@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from recorder.durations import INFINITE_NS, format_duration
+from dds_trace.recorder.durations import INFINITE_NS, format_duration
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
-    from recorder.backend import Endpoint
-    from tracefile import Qos
+    from dds_trace.recorder.backend import Endpoint
+    from dds_trace.tracefile import Qos
 
 # A publisher must offer at least what a subscription requests (DDS 1.4, section 2.2.3). From weak to strong.
 RANKS = {

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import psutil
 
-from recorder.host import read_text, wifi_signals
-from tracefile import run_in_background
+from dds_trace.recorder.host import read_text, wifi_signals
+from dds_trace.tracefile import run_in_background
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

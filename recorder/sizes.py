@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from tracefile import OptionError
+from dds_trace.tracefile import OptionError
 
 UNIT_BYTES = {
     "": 1,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
-from reports.groups import (
+from dds_trace.reports.groups import (
     METRICS,
     data_type_label,
     domain_label,
@@ -17,24 +17,17 @@ from reports.groups import (
     pair_label,
     vendor_pair_label,
 )
-from reports.text import format_added_ns, format_count, format_ns, format_ratio, visible
-from reports.values import values_info
-from reports.verdicts import (
-    CLEARLY,
-    MODES,
-    Verdict,
-    cells_label,
-    contender_labels,
-    verdicts_info,
-)
+from dds_trace.reports.text import format_added_ns, format_count, format_ns, format_ratio, visible
+from dds_trace.reports.values import values_info
+from dds_trace.reports.verdicts import CLEARLY, MODES, Verdict, cells_label, contender_labels, verdicts_info
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from analyzer import Analysis
-    from analyzer import Answer as CellAnswer
-    from reports.groups import Groups
-    from reports.values import Values
+    from dds_trace.analyzer import Analysis
+    from dds_trace.analyzer import Answer as CellAnswer
+    from dds_trace.reports.groups import Groups
+    from dds_trace.reports.values import Values
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,7 +168,7 @@ def _bridge_remarks(costs: pl.DataFrame) -> list[str]:
     return [_bridge_remark(way, rows) for way, rows in ways.items()]
 
 
-# Verdict of `analyzer.compare` on the way through a bridge, in words and in the order in which they are said.
+# Verdict of `dds_trace.analyzer.compare` on the way through a bridge, in words and in the order in which they are said.
 _BRIDGE_VERDICTS = {
     "worse": "clearly slower",
     "better": "clearly faster",

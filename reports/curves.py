@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from reports.groups import METRICS
+from dds_trace.reports.groups import METRICS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from analyzer.analysis import Analysis
+    from dds_trace.analyzer.analysis import Analysis
 
 # Even steps for the body, eight steps per decade of the tail up to p99.99.
 LEVELS = (

@@ -10,16 +10,16 @@ from enum import Enum
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
-from reports.answer import answer_info
-from reports.overview import overview_info
-from reports.own_cost import own_costs
+from dds_trace.reports.answer import answer_info
+from dds_trace.reports.overview import overview_info
+from dds_trace.reports.own_cost import own_costs
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     import polars as pl
 
-    from analyzer.analysis import Analysis
+    from dds_trace.analyzer.analysis import Analysis
 
 FILE_NAME = "report.json"
 FORMAT_VERSION = 1
@@ -58,7 +58,9 @@ def write(analysis: Analysis, folder: Path) -> Path:
 
 def schema() -> dict[str, Any]:
     """The JSON Schema (2020-12) that every report of this version follows."""
-    found: dict[str, Any] = json.loads((files("reports") / "report.schema.json").read_text(encoding="utf-8"))
+    found: dict[str, Any] = json.loads(
+        (files("dds_trace.reports") / "report.schema.json").read_text(encoding="utf-8")
+    )
     return found
 
 

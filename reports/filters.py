@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from reports.groups import data_type_label, device_label, qos_label, vendor_pair_label
-from reports.text import format_hz, format_size, visible
-from reports.verdicts import MODES
+from dds_trace.reports.groups import data_type_label, device_label, qos_label, vendor_pair_label
+from dds_trace.reports.text import format_hz, format_size, visible
+from dds_trace.reports.verdicts import MODES
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from reports.groups import Cell, Groups, Series
+    from dds_trace.reports.groups import Cell, Groups, Series
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,13 +6,13 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from reports.groups import group_labels, groups_info
-from reports.text import MAX_FINDING_CHARACTERS, visible
+from dds_trace.reports.groups import group_labels, groups_info
+from dds_trace.reports.text import MAX_FINDING_CHARACTERS, visible
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from analyzer.analysis import Analysis, Finding
+    from dds_trace.analyzer.analysis import Analysis, Finding
 
 SEVERITIES = {"error": "error", "warning": "warning", "info": "note"}
 """Severity -> the word for it, the most severe first."""

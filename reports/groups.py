@@ -9,12 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from reports.text import format_hz, format_size, visible
+from dds_trace.reports.text import format_hz, format_size, visible
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from analyzer.analysis import Analysis
+    from dds_trace.analyzer.analysis import Analysis
 
 METRICS = {"latency": "Latency", "rtt": "Round trip", "intermediate": "Time in relay", "response": "Response"}
 """Metric -> label, in the order in which they are offered."""

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from reports.run_times import run_times
+from dds_trace.reports.run_times import run_times
 
 if TYPE_CHECKING:
-    from analyzer.analysis import Analysis
+    from dds_trace.analyzer.analysis import Analysis
 
 
 def bridge_loads(analysis: Analysis) -> dict[int, float]:

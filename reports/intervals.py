@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from reports.groups import METRICS
+from dds_trace.reports.groups import METRICS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from analyzer.analysis import Analysis
+    from dds_trace.analyzer.analysis import Analysis
 
     Ends = Mapping[str, Mapping[str, tuple[int | None, ...]]]
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
 from typing import TYPE_CHECKING
 
-from reports.groups import (
+from dds_trace.reports.groups import (
     VENDORS,
     data_type_label,
     device_label,
@@ -16,15 +16,15 @@ from reports.groups import (
     vendor_label,
     vendor_pair_label,
 )
-from reports.own_cost import floor_words, own_costs, recorder_words
-from reports.run_times import run_times
-from reports.text import format_count, format_hz, format_size, visible
+from dds_trace.reports.own_cost import floor_words, own_costs, recorder_words
+from dds_trace.reports.run_times import run_times
+from dds_trace.reports.text import format_count, format_hz, format_size, visible
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from analyzer.analysis import Analysis
-    from reports.groups import Groups
+    from dds_trace.analyzer.analysis import Analysis
+    from dds_trace.reports.groups import Groups
 
 MOST_LISTED = 12
 """More values of a kind than this are given as a range or cut, so that the first screen stays one screen."""

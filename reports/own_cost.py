@@ -7,14 +7,14 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from reports.groups import VENDORS, known_first, vendor_label
-from reports.text import format_ns, visible
+from dds_trace.reports.groups import VENDORS, known_first, vendor_label
+from dds_trace.reports.text import format_ns, visible
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from analyzer.analysis import Analysis
-    from tracefile import Session
+    from dds_trace.analyzer.analysis import Analysis
+    from dds_trace.tracefile import Session
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,25 +16,25 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
-from reports.answer import answer_info
-from reports.curves import curves_info
-from reports.figures import CAMPAIGN_FIGURES, CELL_FIGURES, Figure, LeftOut
-from reports.filters import filters_info
-from reports.findings import findings_info, severity_counts
-from reports.groups import METRICS, STATISTICS, data_type_label, groups_info
-from reports.intervals import intervals_info
-from reports.overview import overview_info
-from reports.recording import record_tables
-from reports.styles import PALETTE, series_styles, vendor_places
-from reports.text import format_hz, format_size, json_island, visible
-from reports.values import values_info
+from dds_trace.reports.answer import answer_info
+from dds_trace.reports.curves import curves_info
+from dds_trace.reports.figures import CAMPAIGN_FIGURES, CELL_FIGURES, Figure, LeftOut
+from dds_trace.reports.filters import filters_info
+from dds_trace.reports.findings import findings_info, severity_counts
+from dds_trace.reports.groups import METRICS, STATISTICS, data_type_label, groups_info
+from dds_trace.reports.intervals import intervals_info
+from dds_trace.reports.overview import overview_info
+from dds_trace.reports.recording import record_tables
+from dds_trace.reports.styles import PALETTE, series_styles, vendor_places
+from dds_trace.reports.text import format_hz, format_size, json_island, visible
+from dds_trace.reports.values import values_info
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
-    from analyzer.analysis import Analysis
-    from reports.answer import Answer
+    from dds_trace.analyzer.analysis import Analysis
+    from dds_trace.reports.answer import Answer
 
 FILE_NAME = "report.html"
 SCRIPTS = (
@@ -109,7 +109,7 @@ def write(analysis: Analysis, folder: Path) -> Path:
 
 
 def _asset(name: str) -> str:
-    return (files("reports") / "assets" / name).read_text(encoding="utf-8")
+    return (files("dds_trace.reports") / "assets" / name).read_text(encoding="utf-8")
 
 
 def _safe_script(text: str) -> str:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from reports.groups import vendor_label
-from reports.text import format_count, visible
+from dds_trace.reports.groups import vendor_label
+from dds_trace.reports.text import format_count, visible
 
 if TYPE_CHECKING:
-    from analyzer.analysis import Analysis
-    from tracefile import Session
+    from dds_trace.analyzer.analysis import Analysis
+    from dds_trace.tracefile import Session
 
 MOST_ROWS = 200
 """Of a table; a campaign of 500 cells has two sessions and two files a cell, and the JSON report has them all."""

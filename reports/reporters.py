@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol
 
-from reports import document, markdown, page, terminal
-from tracefile.errors import OptionError, OutputError
+from dds_trace.reports import document, markdown, page, terminal
+from dds_trace.tracefile.errors import OptionError, OutputError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from analyzer.analysis import Analysis
+    from dds_trace.analyzer.analysis import Analysis
 
 
 class Reporter(Protocol):

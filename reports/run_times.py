@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 if TYPE_CHECKING:
-    from analyzer.analysis import Analysis
-    from tracefile import Session
+    from dds_trace.analyzer.analysis import Analysis
+    from dds_trace.tracefile import Session
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,12 +6,12 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from reports.groups import METRICS, STATISTICS
+from dds_trace.reports.groups import METRICS, STATISTICS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from analyzer.analysis import Analysis
+    from dds_trace.analyzer.analysis import Analysis
 
 RATIOS_AND_RATES = ("received_ratio", "achieved_rate_hz", "transfer_rate_bytes_per_s")
 COUNTS = (

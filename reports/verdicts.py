@@ -1,4 +1,4 @@
-"""Which contender is clearly fastest, by kind of data: the analyzer's answers (`analyzer.answers`) with names for people.
+"""Which contender is clearly fastest, by kind of data: the analyzer's answers (`dds_trace.analyzer.answers`) with names for people.
 
 Nothing is judged here: what overlaps and what leads was measured.
 """
@@ -9,14 +9,14 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from analyzer import find_headlines
-from reports.groups import DATA_TYPES, data_type_label, pair_label
-from reports.text import visible
+from dds_trace.analyzer import find_headlines
+from dds_trace.reports.groups import DATA_TYPES, data_type_label, pair_label
+from dds_trace.reports.text import visible
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from analyzer import Answer, Headline
+    from dds_trace.analyzer import Answer, Headline
 
 CLEARLY = (
     "A cell is one data type, size and rate. One is called clearly fastest only where the 95 % confidence interval of its p99 "

@@ -1,10 +1,10 @@
 """The contract between the devices that record and the machine that analyzes: one `.mcap` file."""
 
-from tracefile.background import run_in_background
-from tracefile.cost import RecorderCost, measure_recorder_cost
-from tracefile.descriptions import FORMAT_VERSION, Qos, Run, Session
-from tracefile.discovery import find_traces
-from tracefile.errors import (
+from dds_trace.tracefile.background import run_in_background
+from dds_trace.tracefile.cost import RecorderCost, measure_recorder_cost
+from dds_trace.tracefile.descriptions import FORMAT_VERSION, Qos, Run, Session
+from dds_trace.tracefile.discovery import find_traces
+from dds_trace.tracefile.errors import (
     BackendUnavailableError,
     BridgeError,
     MissingEventsError,
@@ -15,7 +15,7 @@ from tracefile.errors import (
     TraceError,
     TraceFormatError,
 )
-from tracefile.events import (
+from dds_trace.tracefile.events import (
     CDR_HEADER,
     EVENT_DTYPE,
     HOST_TOPIC,
@@ -26,11 +26,11 @@ from tracefile.events import (
     pack_event,
     unpack_event,
 )
-from tracefile.reader import expected_events, iter_event_batches, read_descriptions, read_trace
-from tracefile.recovery import RecoveryReport, recover
-from tracefile.sink import ClosedTrace, TraceDestination, TraceSink
-from tracefile.trace import Trace
-from tracefile.version import __version__
+from dds_trace.tracefile.reader import expected_events, iter_event_batches, read_descriptions, read_trace
+from dds_trace.tracefile.recovery import RecoveryReport, recover
+from dds_trace.tracefile.sink import ClosedTrace, TraceDestination, TraceSink
+from dds_trace.tracefile.trace import Trace
+from dds_trace.tracefile.version import __version__
 
 __all__ = [
     "CDR_HEADER",

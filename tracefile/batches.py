@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import zstandard
 
-from tracefile.events import CDR_HEADER, EVENT_CDR_BYTES, EVENT_DTYPE
-from tracefile.packed_chunks import unpack_zstd
+from dds_trace.tracefile.events import CDR_HEADER, EVENT_CDR_BYTES, EVENT_DTYPE
+from dds_trace.tracefile.packed_chunks import unpack_zstd
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from tracefile.event_scan import Records
-    from tracefile.events import Stage
+    from dds_trace.tracefile.event_scan import Records
+    from dds_trace.tracefile.events import Stage
 
 TOPIC_PREFIX = "/dds_trace/"
 

@@ -12,21 +12,21 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from tracefile.batches import TOPIC_PREFIX
-from tracefile.columns import ColumnsBuilder
-from tracefile.errors import TraceFormatError
-from tracefile.events import SESSION_TOPIC, EventColumns, Stage
-from tracefile.ring_events import ring_beside
-from tracefile.storage import open_source, storage_files
-from tracefile.texts import TextCollector
-from tracefile.trace import Trace
+from dds_trace.tracefile.batches import TOPIC_PREFIX
+from dds_trace.tracefile.columns import ColumnsBuilder
+from dds_trace.tracefile.errors import TraceFormatError
+from dds_trace.tracefile.events import SESSION_TOPIC, EventColumns, Stage
+from dds_trace.tracefile.ring_events import ring_beside
+from dds_trace.tracefile.storage import open_source, storage_files
+from dds_trace.tracefile.texts import TextCollector
+from dds_trace.tracefile.trace import Trace
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
-    from tracefile.batches import Batch, Source
-    from tracefile.ring_events import RingBeside
+    from dds_trace.tracefile.batches import Batch, Source
+    from dds_trace.tracefile.ring_events import RingBeside
 
 _NOTES = 20  # nobody reads more lines about one trace
 _MOST_WORKERS = 4  # beyond that, memory is what is waited for

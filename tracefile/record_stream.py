@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from tracefile.errors import TraceFormatError
-from tracefile.event_scan import EVENT_RECORD_BYTES, Scan, scan_records
-from tracefile.packed_chunks import DamagedChunkError, PackedChunk
-from tracefile.records import LAYOUTS, MAGIC, RECORD_HEADER, Opcode, RecordFile, TornRecordError
+from dds_trace.tracefile.errors import TraceFormatError
+from dds_trace.tracefile.event_scan import EVENT_RECORD_BYTES, Scan, scan_records
+from dds_trace.tracefile.packed_chunks import DamagedChunkError, PackedChunk
+from dds_trace.tracefile.records import LAYOUTS, MAGIC, RECORD_HEADER, Opcode, RecordFile, TornRecordError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from tracefile.records import Buffer
+    from dds_trace.tracefile.records import Buffer
 
 
 def read_records(path: Path) -> Iterator[tuple[Opcode, dict[str, Any]]]:

@@ -7,20 +7,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tracefile.channels import ChannelTable
-from tracefile.errors import TraceFormatError
-from tracefile.event_chunks import MESSAGE_DTYPE
-from tracefile.event_scan import MESSAGE_HEADER, scan_records
-from tracefile.packed_chunks import DamagedChunkError, PackedChunk
-from tracefile.records import MAGIC, Opcode, TornRecordError
-from tracefile.ring import SLOT_DTYPE, STAGE_NUMBERS
-from tracefile.writer import LIBRARY
+from dds_trace.tracefile.channels import ChannelTable
+from dds_trace.tracefile.errors import TraceFormatError
+from dds_trace.tracefile.event_chunks import MESSAGE_DTYPE
+from dds_trace.tracefile.event_scan import MESSAGE_HEADER, scan_records
+from dds_trace.tracefile.packed_chunks import DamagedChunkError, PackedChunk
+from dds_trace.tracefile.records import MAGIC, Opcode, TornRecordError
+from dds_trace.tracefile.ring import SLOT_DTYPE, STAGE_NUMBERS
+from dds_trace.tracefile.writer import LIBRARY
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from tracefile.records import RecordFile, RecordHeader
-    from tracefile.ring import Slots
+    from dds_trace.tracefile.records import RecordFile, RecordHeader
+    from dds_trace.tracefile.ring import Slots
 
 _NUMBER_OF_STAGE = {stage: number for number, stage in STAGE_NUMBERS.items()}
 _CHANNEL_IDS = 1 << 16

@@ -25,12 +25,19 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from tracefile.crc import crc32
-from tracefile.descriptions import STRING_DEFINITION, STRING_SCHEMA_NAME
-from tracefile.errors import OutputError
-from tracefile.event_chunks import Chunk, EventChunkBuilder, positions_by_channel
-from tracefile.events import CDR_HEADER, EVENT_DEFINITION, EVENT_SCHEMA_NAME, RUN_TOPIC, SESSION_TOPIC, Stage
-from tracefile.version import __version__
+from dds_trace.tracefile.crc import crc32
+from dds_trace.tracefile.descriptions import STRING_DEFINITION, STRING_SCHEMA_NAME
+from dds_trace.tracefile.errors import OutputError
+from dds_trace.tracefile.event_chunks import Chunk, EventChunkBuilder, positions_by_channel
+from dds_trace.tracefile.events import (
+    CDR_HEADER,
+    EVENT_DEFINITION,
+    EVENT_SCHEMA_NAME,
+    RUN_TOPIC,
+    SESSION_TOPIC,
+    Stage,
+)
+from dds_trace.tracefile.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -38,8 +45,8 @@ if TYPE_CHECKING:
 
     from mcap.records import McapRecord
 
-    from tracefile.descriptions import Session
-    from tracefile.ring import Slots
+    from dds_trace.tracefile.descriptions import Session
+    from dds_trace.tracefile.ring import Slots
 
 MAGIC = b"\x89MCAP0\r\n"
 LIBRARY = "dds-trace"

@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections import defaultdict
 from typing import TYPE_CHECKING
 
-from analyzer.analysis import Finding, Severity
-from analyzer.evidence import exchange_name, percent, some
-from analyzer.metrics import METRICS
-from analyzer.pair import Outcome
-from analyzer.statistics import PERCENTILES
+from dds_trace.analyzer.analysis import Finding, Severity
+from dds_trace.analyzer.evidence import exchange_name, percent, some
+from dds_trace.analyzer.metrics import METRICS
+from dds_trace.analyzer.pair import Outcome
+from dds_trace.analyzer.statistics import PERCENTILES
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from analyzer.evidence import Evidence
-    from analyzer.statistics import Percentile
+    from dds_trace.analyzer.evidence import Evidence
+    from dds_trace.analyzer.statistics import Percentile
 
 _LOST = {
     Outcome.LOST_OUTBOUND.value: "on the way out",

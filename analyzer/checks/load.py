@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections import defaultdict
 from typing import TYPE_CHECKING
 
-from analyzer.analysis import Finding, Severity
+from dds_trace.analyzer.analysis import Finding, Severity
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from analyzer.evidence import Evidence
+    from dds_trace.analyzer.evidence import Evidence
 
 _SATURATED_PERCENT = 95.0
 _SATURATED_SHARE = 0.1

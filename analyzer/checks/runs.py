@@ -6,14 +6,14 @@ from collections import defaultdict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from analyzer.analysis import Finding, Severity
-from analyzer.evidence import exchange_name, percent, some
+from dds_trace.analyzer.analysis import Finding, Severity
+from dds_trace.analyzer.evidence import exchange_name, percent, some
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from analyzer.evidence import Evidence
-    from analyzer.exchanges import Unplaced
+    from dds_trace.analyzer.evidence import Evidence
+    from dds_trace.analyzer.exchanges import Unplaced
 
 _RATE_TOLERANCE = 0.02
 """A run that publishes more than 2 % slower than asked has measured another load."""

@@ -6,14 +6,14 @@ import json
 from collections import Counter, defaultdict
 from typing import TYPE_CHECKING, Any
 
-from analyzer.analysis import Finding, Severity
-from analyzer.evidence import some
+from dds_trace.analyzer.analysis import Finding, Severity
+from dds_trace.analyzer.evidence import some
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from analyzer.evidence import Evidence
-    from tracefile import Session
+    from dds_trace.analyzer.evidence import Evidence
+    from dds_trace.tracefile import Session
 
 _OF_MIDDLEWARE = ("versions", "configuration", "settings")
 """Parts of the fingerprint that differ by nature between middlewares: compared within one vendor only."""

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from analyzer.analysis import Finding, Severity
-from analyzer.evidence import some
+from dds_trace.analyzer.analysis import Finding, Severity
+from dds_trace.analyzer.evidence import some
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from analyzer.evidence import Evidence
+    from dds_trace.analyzer.evidence import Evidence
 
 
 def skipped_files(evidence: Evidence) -> Iterator[Finding]:

@@ -5,17 +5,17 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from tracefile import OptionError
+from dds_trace.tracefile import OptionError
 
 if TYPE_CHECKING:
-    from recorder.backend import Backend, Node, NodeOptions
+    from dds_trace.recorder.backend import Backend, Node, NodeOptions
 
 BACKEND_MODULES = {
-    "ros2": "recorder.backends.ros2",
-    "cyclonedds": "recorder.backends.cyclonedds",
-    "zenoh": "recorder.backends.zenoh",
-    "connext": "recorder.backends.connext",
-    "socket": "recorder.backends.socket",
+    "ros2": "dds_trace.recorder.backends.ros2",
+    "cyclonedds": "dds_trace.recorder.backends.cyclonedds",
+    "zenoh": "dds_trace.recorder.backends.zenoh",
+    "connext": "dds_trace.recorder.backends.connext",
+    "socket": "dds_trace.recorder.backends.socket",
 }
 """Name of each backend and the module that holds its `BACKEND`."""
 

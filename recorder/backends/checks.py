@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from recorder.backend import ExecutorKind, Transport
-from recorder.domains import LAST_DOMAIN, first_port
-from recorder.qos import asked_durations
-from tracefile import OptionError
+from dds_trace.recorder.backend import ExecutorKind, Transport
+from dds_trace.recorder.domains import LAST_DOMAIN, first_port
+from dds_trace.recorder.qos import asked_durations
+from dds_trace.tracefile import OptionError
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
-    from recorder.backend import NodeOptions
-    from tracefile import Qos
+    from dds_trace.recorder.backend import NodeOptions
+    from dds_trace.tracefile import Qos
 
 
 def refuse_others_options(

@@ -12,8 +12,8 @@ import threading
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from recorder.backend import Discovery, Endpoint, Middleware, TopicView, Transport
-from recorder.backends.checks import (
+from dds_trace.recorder.backend import Discovery, Endpoint, Middleware, TopicView, Transport
+from dds_trace.recorder.backends.checks import (
     SOCKET_PORT,
     peer_addresses,
     port_of,
@@ -21,14 +21,14 @@ from recorder.backends.checks import (
     refuse_others_options,
     refuse_typed,
 )
-from recorder.backends.socket_links import TUNED_BUFFER_BYTES, Greeting, TcpLinks, UdpLinks
-from tracefile import OptionError, Qos
+from dds_trace.recorder.backends.socket_links import TUNED_BUFFER_BYTES, Greeting, TcpLinks, UdpLinks
+from dds_trace.tracefile import OptionError, Qos
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from types import TracebackType
 
-    from recorder.backend import Node, NodeOptions, Publisher, RawMessage, Receive, Subscription
+    from dds_trace.recorder.backend import Node, NodeOptions, Publisher, RawMessage, Receive, Subscription
 
 POLL_S = 0.1
 """One round of the thread; how long `close` may have to wait for it."""

@@ -17,12 +17,12 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
-from tracefile import OptionError
+from dds_trace.tracefile import OptionError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from recorder.backend import RawMessage
+    from dds_trace.recorder.backend import RawMessage
 
 TUNED_BUFFER_BYTES = 4_000_000
 FRAGMENT_BYTES = 60_000

@@ -14,8 +14,8 @@ from functools import partial
 from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
-from recorder.backend import Discovery, Endpoint, Middleware, TopicView
-from recorder.backends.checks import (
+from dds_trace.recorder.backend import Discovery, Endpoint, Middleware, TopicView
+from dds_trace.recorder.backends.checks import (
     ZENOH_PORT,
     peer_addresses,
     port_of,
@@ -23,13 +23,13 @@ from recorder.backends.checks import (
     refuse_others_options,
     refuse_typed,
 )
-from tracefile import BackendUnavailableError, OptionError, Qos
+from dds_trace.tracefile import BackendUnavailableError, OptionError, Qos
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from types import TracebackType
 
-    from recorder.backend import Node, NodeOptions, Publisher, RawMessage, Receive, Subscription
+    from dds_trace.recorder.backend import Node, NodeOptions, Publisher, RawMessage, Receive, Subscription
 
 INSTALL = "pip install 'dds-trace[zenoh]'"
 MULTICAST = "multicast"

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import TYPE_CHECKING, Protocol
 
-from recorder.backend import Discovery, Transport
-from tracefile import OptionError, Qos
+from dds_trace.recorder.backend import Discovery, Transport
+from dds_trace.tracefile import OptionError, Qos
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -1,6 +1,6 @@
 """`builtin`: our own bridge, two ROS 2 contexts in one process, raw forwarding in both directions.
 
-Run as `python -m recorder.bridges.builtin CONFIGURATION` it serves until SIGINT or SIGTERM.
+Run as `python -m dds_trace.recorder.bridges.builtin CONFIGURATION` it serves until SIGINT or SIGTERM.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from recorder.bridges.bridge import Halves
-from recorder.bridges.builtin_common import (
+from dds_trace.recorder.bridges.bridge import Halves
+from dds_trace.recorder.bridges.builtin_common import (
     INSTALL_ROS2,
     UP_LINE,
     Traffic,
@@ -23,12 +23,12 @@ from recorder.bridges.builtin_common import (
     run,
     serve,
 )
-from tracefile import __version__
+from dds_trace.tracefile import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from recorder.bridges.bridge import BridgeOptions
+    from dds_trace.recorder.bridges.bridge import BridgeOptions
 
 
 @dataclass(frozen=True, slots=True)

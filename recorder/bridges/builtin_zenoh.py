@@ -1,7 +1,7 @@
 """`builtin-zenoh`: our own bridge over zenoh, domain 5 <-> zenoh <-> domain 10, one half on each device.
 
 Each half is a ROS 2 node in its domain and a zenoh peer; the two peers meet over TCP at an address that both are
-given. Run as `python -m recorder.bridges.builtin_zenoh CONFIGURATION` it serves one half until SIGINT or SIGTERM.
+given. Run as `python -m dds_trace.recorder.bridges.builtin_zenoh CONFIGURATION` it serves one half until SIGINT or SIGTERM.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from recorder.bridges.bridge import Halves
-from recorder.bridges.builtin_common import (
+from dds_trace.recorder.bridges.bridge import Halves
+from dds_trace.recorder.bridges.builtin_common import (
     INSTALL_ROS2,
     UP_LINE,
     Traffic,
@@ -26,14 +26,14 @@ from recorder.bridges.builtin_common import (
     run,
     serve,
 )
-from recorder.bridges.zenoh_link import zenoh_link
-from tracefile import __version__
+from dds_trace.recorder.bridges.zenoh_link import zenoh_link
+from dds_trace.tracefile import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from recorder.backend import Receive
-    from recorder.bridges.bridge import BridgeOptions
+    from dds_trace.recorder.backend import Receive
+    from dds_trace.recorder.bridges.bridge import BridgeOptions
 
 KEY_PREFIX = "dds_trace/bridge"
 """A topic travels between the halves as the zenoh key `dds_trace/bridge/TOPIC`."""

@@ -8,18 +8,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from recorder.backend import Discovery
-from recorder.bridges.bridge import Half, Halves, split_address
-from recorder.bridges.programs import reported_version
-from recorder.bridges.texts import yaml_text
-from recorder.qos import asked_durations
-from tracefile import OptionError
+from dds_trace.recorder.backend import Discovery
+from dds_trace.recorder.bridges.bridge import Half, Halves, split_address
+from dds_trace.recorder.bridges.programs import reported_version
+from dds_trace.recorder.bridges.texts import yaml_text
+from dds_trace.recorder.qos import asked_durations
+from dds_trace.tracefile import OptionError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from recorder.bridges.bridge import BridgeOptions
-    from tracefile import Qos
+    from dds_trace.recorder.bridges.bridge import BridgeOptions
+    from dds_trace.tracefile import Qos
 
 PROGRAM = "ddsrouter"
 CONFIGURATION_VERSION = "v5.0"

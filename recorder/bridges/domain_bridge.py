@@ -5,16 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from recorder.bridges.bridge import Halves
-from recorder.bridges.programs import discovery_environment, ros_package_program, ros_package_version
-from recorder.bridges.texts import yaml_text
-from recorder.qos import asked_durations
+from dds_trace.recorder.bridges.bridge import Halves
+from dds_trace.recorder.bridges.programs import (
+    discovery_environment,
+    ros_package_program,
+    ros_package_version,
+)
+from dds_trace.recorder.bridges.texts import yaml_text
+from dds_trace.recorder.qos import asked_durations
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from recorder.bridges.bridge import BridgeOptions
+    from dds_trace.recorder.bridges.bridge import BridgeOptions
 
 PACKAGE = "domain_bridge"
 

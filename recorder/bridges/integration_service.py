@@ -7,17 +7,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from recorder.bridges.bridge import Halves
-from recorder.bridges.programs import discovery_environment
-from recorder.bridges.texts import yaml_text
-from recorder.durations import SECOND_NS
-from recorder.qos import asked_durations
+from dds_trace.recorder.bridges.bridge import Halves
+from dds_trace.recorder.bridges.programs import discovery_environment
+from dds_trace.recorder.bridges.texts import yaml_text
+from dds_trace.recorder.durations import SECOND_NS
+from dds_trace.recorder.qos import asked_durations
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from recorder.bridges.bridge import BridgeOptions
-    from tracefile import Qos
+    from dds_trace.recorder.bridges.bridge import BridgeOptions
+    from dds_trace.tracefile import Qos
 
 PROGRAM = "integration-service"
 

@@ -5,20 +5,20 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from tracefile import OptionError
+from dds_trace.tracefile import OptionError
 
 if TYPE_CHECKING:
-    from recorder.bridges.bridge import Bridge
+    from dds_trace.recorder.bridges.bridge import Bridge
 
 BRIDGE_MODULES = {
-    "builtin": "recorder.bridges.builtin",
-    "builtin-zenoh": "recorder.bridges.builtin_zenoh",
-    "zenoh-bridge-dds": "recorder.bridges.zenoh_bridge_dds",
-    "zenoh-bridge-ros2dds": "recorder.bridges.zenoh_bridge_ros2dds",
-    "integration-service": "recorder.bridges.integration_service",
-    "ddsrouter": "recorder.bridges.ddsrouter",
-    "routing-service": "recorder.bridges.routing_service",
-    "domain_bridge": "recorder.bridges.domain_bridge",
+    "builtin": "dds_trace.recorder.bridges.builtin",
+    "builtin-zenoh": "dds_trace.recorder.bridges.builtin_zenoh",
+    "zenoh-bridge-dds": "dds_trace.recorder.bridges.zenoh_bridge_dds",
+    "zenoh-bridge-ros2dds": "dds_trace.recorder.bridges.zenoh_bridge_ros2dds",
+    "integration-service": "dds_trace.recorder.bridges.integration_service",
+    "ddsrouter": "dds_trace.recorder.bridges.ddsrouter",
+    "routing-service": "dds_trace.recorder.bridges.routing_service",
+    "domain_bridge": "dds_trace.recorder.bridges.domain_bridge",
 }
 """Name of each bridge and the module that holds its `BRIDGE`."""
 

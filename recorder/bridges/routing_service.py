@@ -8,20 +8,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from recorder.backend import Discovery
-from recorder.bridges.bridge import Halves
-from recorder.bridges.programs import reported_version
-from recorder.bridges.ros_types import rti_types
-from recorder.bridges.texts import element, xml_text
-from recorder.durations import SECOND_NS
-from recorder.qos import asked_durations
+from dds_trace.recorder.backend import Discovery
+from dds_trace.recorder.bridges.bridge import Halves
+from dds_trace.recorder.bridges.programs import reported_version
+from dds_trace.recorder.bridges.ros_types import rti_types
+from dds_trace.recorder.bridges.texts import element, xml_text
+from dds_trace.recorder.durations import SECOND_NS
+from dds_trace.recorder.qos import asked_durations
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from xml.etree.ElementTree import Element
 
-    from recorder.bridges.bridge import BridgeOptions, BridgeSide
-    from tracefile import Qos
+    from dds_trace.recorder.bridges.bridge import BridgeOptions, BridgeSide
+    from dds_trace.tracefile import Qos
 
 PROGRAM = "rtiroutingservice"
 CONFIGURATION_NAME = "dds_trace"

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import psutil
 
-from tracefile import BridgeError
+from dds_trace.tracefile import BridgeError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -13,15 +13,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from recorder.backend import Discovery
-from recorder.bridges.bridge import Halves
-from recorder.bridges.programs import reported_version
-from recorder.bridges.zenoh_link import zenoh_environment, zenoh_link
+from dds_trace.recorder.backend import Discovery
+from dds_trace.recorder.bridges.bridge import Halves
+from dds_trace.recorder.bridges.programs import reported_version
+from dds_trace.recorder.bridges.zenoh_link import zenoh_environment, zenoh_link
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from recorder.bridges.bridge import BridgeOptions
+    from dds_trace.recorder.bridges.bridge import BridgeOptions
 
 PLUGIN = "libzenoh_plugin_dds.so"
 

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from recorder.payloads import bag, file
-from recorder.payloads.binary import BINARY
-from recorder.payloads.foreign import OWN_TYPES
-from recorder.payloads.header import header_data_type
-from recorder.payloads.imu import IMU
-from recorder.payloads.string import STRING
-from recorder.payloads.topic import open_payload as open_live_payload
-from tracefile import OptionError
+from dds_trace.recorder.payloads import bag, file
+from dds_trace.recorder.payloads.binary import BINARY
+from dds_trace.recorder.payloads.foreign import OWN_TYPES
+from dds_trace.recorder.payloads.header import header_data_type
+from dds_trace.recorder.payloads.imu import IMU
+from dds_trace.recorder.payloads.string import STRING
+from dds_trace.recorder.payloads.topic import open_payload as open_live_payload
+from dds_trace.tracefile import OptionError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from recorder.payload import DataType, Payload
+    from dds_trace.recorder.payload import DataType, Payload
 
 DATA_TYPES = {data_type.name: data_type for data_type in (BINARY, STRING, IMU)}
 """By the name that `--data` takes and the trace keeps; a relay serves all of them at once."""

@@ -5,14 +5,14 @@ from __future__ import annotations
 import random
 from typing import TYPE_CHECKING, Any
 
-from recorder.backend import Serialization
-from recorder.cdr import CdrWriter
-from recorder.payload import DataType, Message, Payload
-from recorder.stamp import RAW_HEADER_STAMP, TYPED_HEADER_STAMP, stamp_text
-from tracefile import OptionError
+from dds_trace.recorder.backend import Serialization
+from dds_trace.recorder.cdr import CdrWriter
+from dds_trace.recorder.payload import DataType, Message, Payload
+from dds_trace.recorder.stamp import RAW_HEADER_STAMP, TYPED_HEADER_STAMP, stamp_text
+from dds_trace.tracefile import OptionError
 
 if TYPE_CHECKING:
-    from recorder.backend import RawMessage
+    from dds_trace.recorder.backend import RawMessage
 
 # orientation, angular velocity and linear acceleration, each with its 3 x 3 covariance
 FIELDS = (4, 9, 3, 9, 3, 9)

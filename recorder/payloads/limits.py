@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from tracefile import OptionError
+from dds_trace.tracefile import OptionError
 
 if TYPE_CHECKING:
     from pathlib import Path

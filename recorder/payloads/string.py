@@ -7,14 +7,14 @@ import string
 import struct
 from typing import TYPE_CHECKING, Any
 
-from recorder.backend import Serialization
-from recorder.cdr import CdrWriter
-from recorder.payload import DataType, Message, Payload
-from recorder.stamp import RAW_STRING_STAMP, STAMP_BYTES, TYPED_STRING_STAMP, stamp_text
-from tracefile import OptionError
+from dds_trace.recorder.backend import Serialization
+from dds_trace.recorder.cdr import CdrWriter
+from dds_trace.recorder.payload import DataType, Message, Payload
+from dds_trace.recorder.stamp import RAW_STRING_STAMP, STAMP_BYTES, TYPED_STRING_STAMP, stamp_text
+from dds_trace.tracefile import OptionError
 
 if TYPE_CHECKING:
-    from recorder.backend import RawMessage
+    from dds_trace.recorder.backend import RawMessage
 
 PAPER_BYTES = (4, 91, 1405, 2675)
 DEFAULT_BYTES = PAPER_BYTES[1]

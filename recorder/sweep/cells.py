@@ -6,9 +6,9 @@ import re
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
-from recorder.backend import ExecutorKind, Serialization, Transport
-from recorder.qos import RANKS
-from recorder.sizes import format_size
+from dds_trace.recorder.backend import ExecutorKind, Serialization, Transport
+from dds_trace.recorder.qos import RANKS
+from dds_trace.recorder.sizes import format_size
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

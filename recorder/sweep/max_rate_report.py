@@ -10,15 +10,15 @@ from dataclasses import asdict
 from html import escape
 from typing import TYPE_CHECKING
 
-from recorder.sweep.cells import format_cell_size
-from recorder.sweep.search import Answer
-from recorder.sweep.state import write_atomically
+from dds_trace.recorder.sweep.cells import format_cell_size
+from dds_trace.recorder.sweep.search import Answer
+from dds_trace.recorder.sweep.state import write_atomically
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from recorder.sweep.plan import Search
-    from recorder.sweep.search import MaxRate
+    from dds_trace.recorder.sweep.plan import Search
+    from dds_trace.recorder.sweep.search import MaxRate
 
 COLUMNS = ("middleware", "bridge", "data", "size", "max_rate_hz", "answer", "fails_at_hz", "held", "why")
 

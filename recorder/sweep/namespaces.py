@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tracefile import BackendUnavailableError, OptionError
+from dds_trace.tracefile import BackendUnavailableError, OptionError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
-    from recorder.sweep.link import Link
+    from dds_trace.recorder.sweep.link import Link
 
 INTERFACE = "link0"
 """The link's device in either namespace."""

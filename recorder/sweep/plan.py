@@ -8,14 +8,14 @@ from dataclasses import asdict, dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Any
 
-from recorder.bridges import BRIDGE_MODULES, load_bridge
-from recorder.bridges.bridge import Halves
+from dds_trace.recorder.bridges import BRIDGE_MODULES, load_bridge
+from dds_trace.recorder.bridges.bridge import Halves
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from recorder.sweep.cells import Cell
-    from recorder.sweep.link import Link
+    from dds_trace.recorder.sweep.cells import Cell
+    from dds_trace.recorder.sweep.link import Link
 
 
 BACKENDS_WITH_PEERS = ("socket", "zenoh")

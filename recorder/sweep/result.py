@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tracefile import Stage, TraceFormatError, read_trace
+from dds_trace.tracefile import Stage, TraceFormatError, read_trace
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from tracefile import EventColumns, Run, Trace
+    from dds_trace.tracefile import EventColumns, Run, Trace
 
     Times = np.ndarray[Any, np.dtype[np.int64]]
 

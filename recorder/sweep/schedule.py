@@ -6,13 +6,13 @@ import random
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from recorder.sweep.plan import Order
+from dds_trace.recorder.sweep.plan import Order
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from recorder.sweep.cells import Cell, RelayNeed
-    from recorder.sweep.plan import Plan
+    from dds_trace.recorder.sweep.cells import Cell, RelayNeed
+    from dds_trace.recorder.sweep.plan import Plan
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from mcap.writer import Writer
 
-from tracefile import (
+from dds_trace.tracefile import (
     CDR_HEADER,
     HOST_TOPIC,
     SESSION_TOPIC,
@@ -24,14 +24,14 @@ from tracefile import (
     pack_event,
     read_trace,
 )
-from tracefile.descriptions import STRING_DEFINITION, STRING_SCHEMA_NAME
-from tracefile.events import EVENT_DEFINITION, EVENT_SCHEMA_NAME
+from dds_trace.tracefile.descriptions import STRING_DEFINITION, STRING_SCHEMA_NAME
+from dds_trace.tracefile.events import EVENT_DEFINITION, EVENT_SCHEMA_NAME
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
-    from tracefile import EventColumns, Session, Trace
+    from dds_trace.tracefile import EventColumns, Session, Trace
 
 _SAMPLE_MARGIN_NS = 1_000_000_000
 """A host sample belongs to a run that ended up to one sampling period before it."""

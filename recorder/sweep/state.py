@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field, replace
 from enum import Enum
 from typing import TYPE_CHECKING, Any
 
-from tracefile import OptionError, OutputError, TraceFormatError
+from dds_trace.tracefile import OptionError, OutputError, TraceFormatError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping

@@ -5,19 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from recorder.sweep.lock import holding_folder
-from recorder.sweep.runner import Runner
-from recorder.sweep.schedule import schedule
-from recorder.sweep.search import find_max_rates, search_plan
-from recorder.sweep.station import open_station
+from dds_trace.recorder.sweep.lock import holding_folder
+from dds_trace.recorder.sweep.runner import Runner
+from dds_trace.recorder.sweep.schedule import schedule
+from dds_trace.recorder.sweep.search import find_max_rates, search_plan
+from dds_trace.recorder.sweep.station import open_station
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from recorder.sweep.plan import Plan
-    from recorder.sweep.progress import SweepProgress
-    from recorder.sweep.search import MaxRate
+    from dds_trace.recorder.sweep.plan import Plan
+    from dds_trace.recorder.sweep.progress import SweepProgress
+    from dds_trace.recorder.sweep.search import MaxRate
 
 INCOMPLETE_EXIT_CODE = 10
 """Of `dds-sweep`: some cells have no complete recording. Complete is 0; 1 to 9 are errors of the `TraceError` tree."""

@@ -5,15 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from reports.figures.figure import Figure, LeftOut
-from reports.figures.panels import Panel, panels_info, panels_plan
-from reports.groups import data_type_label, groups_info
+from dds_trace.reports.figures.figure import Figure, LeftOut
+from dds_trace.reports.figures.panels import Panel, panels_info, panels_plan
+from dds_trace.reports.groups import data_type_label, groups_info
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from analyzer.analysis import Analysis
-    from reports.groups import Cell, Series
+    from dds_trace.analyzer.analysis import Analysis
+    from dds_trace.reports.groups import Cell, Series
 
 NAME = "breakdown"
 TITLE = "Where the time goes, on average"

@@ -6,15 +6,15 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from analyzer import MATCH_COLUMNS
-from reports.figures.figure import Figure, LeftOut
-from reports.groups import data_type_label, groups_info
-from reports.host import bridge_loads
+from dds_trace.analyzer import MATCH_COLUMNS
+from dds_trace.reports.figures.figure import Figure, LeftOut
+from dds_trace.reports.groups import data_type_label, groups_info
+from dds_trace.reports.host import bridge_loads
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from analyzer.analysis import Analysis
+    from dds_trace.analyzer.analysis import Analysis
 
 NAME = "bridge_cost"
 TITLE = "What a bridge costs"

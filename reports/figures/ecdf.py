@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from reports.curves import any_curve
-from reports.figures.figure import Figure, LeftOut
+from dds_trace.reports.curves import any_curve
+from dds_trace.reports.figures.figure import Figure, LeftOut
 
 if TYPE_CHECKING:
-    from analyzer.analysis import Analysis
+    from dds_trace.analyzer.analysis import Analysis
 
 NAME = "ecdf"
 TITLE = "Share of messages in time (ECDF)"

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from reports.figures.figure import Figure, LeftOut
-from reports.groups import data_type_label, groups_info
+from dds_trace.reports.figures.figure import Figure, LeftOut
+from dds_trace.reports.groups import data_type_label, groups_info
 
 if TYPE_CHECKING:
-    from analyzer.analysis import Analysis
+    from dds_trace.analyzer.analysis import Analysis
 
 NAME = "heatmap"
 TITLE = "Size by rate, per vendor"

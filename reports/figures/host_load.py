@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from reports.figures.figure import Figure, LeftOut
-from reports.run_times import run_times
+from dds_trace.reports.figures.figure import Figure, LeftOut
+from dds_trace.reports.run_times import run_times
 
 if TYPE_CHECKING:
-    from analyzer.analysis import Analysis
+    from dds_trace.analyzer.analysis import Analysis
 
 NAME = "host_load"
 TITLE = "Processor load and Wi-Fi signal against latency"

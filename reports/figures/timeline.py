@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from reports.figures.figure import Figure, LeftOut
-from reports.run_times import run_times
+from dds_trace.reports.figures.figure import Figure, LeftOut
+from dds_trace.reports.run_times import run_times
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from analyzer.analysis import Analysis
+    from dds_trace.analyzer.analysis import Analysis
 
 NAME = "timeline"
 TITLE = "Latency over time"

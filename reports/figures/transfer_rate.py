@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from reports.figures.figure import Figure, LeftOut
-from reports.figures.panels import Panel, panels_info, panels_plan
-from reports.groups import data_type_label
-from reports.values import values_info
+from dds_trace.reports.figures.figure import Figure, LeftOut
+from dds_trace.reports.figures.panels import Panel, panels_info, panels_plan
+from dds_trace.reports.groups import data_type_label
+from dds_trace.reports.values import values_info
 
 if TYPE_CHECKING:
-    from analyzer.analysis import Analysis
+    from dds_trace.analyzer.analysis import Analysis
 
 NAME = "transfer_rate"
 TITLE = "Transfer rate against offered load"

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from plain_roundtrips import plain_roundtrips
 from trace_files import event, ping_session, relay_session, run, write_trace
 
-from analyzer import METRICS, PERCENTILES, analyze
-from tracefile import Stage, pack_event
+from dds_trace.analyzer import METRICS, PERCENTILES, analyze
+from dds_trace.tracefile import Stage, pack_event
 
 MEASURED = [
     "scheduled_ns",

@@ -7,7 +7,7 @@ import polars as pl
 import pytest
 from roundtrip_frames import MS, roundtrips
 
-from analyzer.breakdown import (
+from dds_trace.analyzer.breakdown import (
     STAGES,
     break_down,
     ping_wall_offsets,
@@ -16,9 +16,9 @@ from analyzer.breakdown import (
     summarize_breakdown,
     with_stamps,
 )
-from analyzer.clocks import align_clocks
-from tracefile.descriptions import Run, Session
-from tracefile.events import EVENT_DTYPE, EventColumns, Stage
+from dds_trace.analyzer.clocks import align_clocks
+from dds_trace.tracefile.descriptions import Run, Session
+from dds_trace.tracefile.events import EVENT_DTYPE, EventColumns, Stage
 
 PING_WALL, RELAY_WALL = 10**18, 2 * 10**18  # wall clock at monotonic zero of each device
 

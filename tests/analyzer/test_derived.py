@@ -11,9 +11,9 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from roundtrip_frames import MS, steady
 
-from analyzer.clocks import align_clocks
-from analyzer.derived import PLOTTED_TOPICS, foxglove_layout, topic_name, write_derived
-from tracefile.errors import OutputError, OutputExistsError
+from dds_trace.analyzer.clocks import align_clocks
+from dds_trace.analyzer.derived import PLOTTED_TOPICS, foxglove_layout, topic_name, write_derived
+from dds_trace.tracefile.errors import OutputError, OutputExistsError
 
 WALL = 1_700_000_000 * 10**9
 

@@ -18,8 +18,8 @@ from trace_files import (
     write_trace,
 )
 
-from analyzer import PARAMETER_COLUMNS, ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS, analyze
-from tracefile import MissingEventsError, Qos, Stage
+from dds_trace.analyzer import PARAMETER_COLUMNS, ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS, analyze
+from dds_trace.tracefile import MissingEventsError, Qos, Stage
 
 TWO = [Message(0, t0=0, t1=10, t3=500, t4=520, t2=140), Message(1, t0=1000, t1=1010)]
 NO_RELAY_COLUMNS = (

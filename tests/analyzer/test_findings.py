@@ -18,11 +18,11 @@ from trace_files import (
     write_trace,
 )
 
-import analyzer.cache
-from analyzer import Severity, analyze
-from analyzer.checks import clocks, groups, load, runs, sessions, sizes, sources
-from analyzer.findings import CHECKS
-from tracefile import Qos, Stage, read_trace
+import dds_trace.analyzer.cache
+from dds_trace.analyzer import Severity, analyze
+from dds_trace.analyzer.checks import clocks, groups, load, runs, sessions, sizes, sources
+from dds_trace.analyzer.findings import CHECKS
+from dds_trace.tracefile import Qos, Stage, read_trace
 
 MS = 1_000_000
 PERIOD = 100 * MS  # 10 Hz
@@ -332,7 +332,7 @@ def test_what_the_reader_noticed(tmp_path, monkeypatch):
             read_trace(path), ring_events=3, unreadable_messages=2, notes=("odd",), truncated="at byte 9"
         )
 
-    monkeypatch.setattr(analyzer.cache, "read_trace", noticing)
+    monkeypatch.setattr(dds_trace.analyzer.cache, "read_trace", noticing)
     found = findings(tmp_path)
     assert set(found) == {"truncated_file", "ring_recovered", "unreadable_messages", "reader_note"}
     assert "at byte 9" in found["truncated_file"].what

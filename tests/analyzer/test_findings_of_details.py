@@ -18,9 +18,9 @@ from trace_files import (
     write_trace,
 )
 
-import analyzer.checks
-from analyzer import Severity, analyze
-from tracefile import Stage
+import dds_trace.analyzer.checks
+from dds_trace.analyzer import Severity, analyze
+from dds_trace.tracefile import Stage
 
 MS = 1_000_000
 PERIOD = 100 * MS
@@ -241,7 +241,9 @@ def test_restarted_relay(tmp_path):
 
 
 def test_every_code_is_in_the_documentation():
-    written = "".join(path.read_text() for path in Path(analyzer.checks.__file__).parent.glob("*.py"))
+    written = "".join(
+        path.read_text() for path in Path(dds_trace.analyzer.checks.__file__).parent.glob("*.py")
+    )
     codes = set(re.findall(r'^\s+(?:Severity\.\w+,\s*)?"([a-z]+(?:_[a-z]+)*)",$', written, re.MULTILINE))
     codes |= set(re.findall(r'"(latency_\w+_with_size)"', written))
     page = Path(__file__).parents[2].joinpath("docs", "analysis.md").read_text()

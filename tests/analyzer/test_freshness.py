@@ -9,8 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from roundtrip_frames import MS, roundtrips, steady
 
-from analyzer.clocks import align_clocks
-from analyzer.freshness import age_of_information, longest_run, outage_table, runs_of, summarize_freshness
+from dds_trace.analyzer.clocks import align_clocks
+from dds_trace.analyzer.freshness import (
+    age_of_information,
+    longest_run,
+    outage_table,
+    runs_of,
+    summarize_freshness,
+)
 
 
 def times(*values):

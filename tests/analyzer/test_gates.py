@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from roundtrip_frames import MS, steady
 
-from analyzer.compare import CompareOptions, compare_roundtrips
-from analyzer.gates import (
+from dds_trace.analyzer.compare import CompareOptions, compare_roundtrips
+from dds_trace.analyzer.gates import (
     Against,
     GateOutcome,
     judge_gates,
@@ -14,7 +14,7 @@ from analyzer.gates import (
     overall_outcome,
     parse_gate,
 )
-from tracefile.errors import OptionError
+from dds_trace.tracefile.errors import OptionError
 
 
 @pytest.mark.parametrize(

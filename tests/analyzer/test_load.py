@@ -22,9 +22,16 @@ from trace_files import (
     write_trace,
 )
 
-from analyzer import analyze, default_output
-from analyzer.gather import gather_events, merge_parts, split_events, total_copies
-from tracefile import EVENT_DTYPE, EventColumns, MissingEventsError, Stage, TraceFormatError, read_trace
+from dds_trace.analyzer import analyze, default_output
+from dds_trace.analyzer.gather import gather_events, merge_parts, split_events, total_copies
+from dds_trace.tracefile import (
+    EVENT_DTYPE,
+    EventColumns,
+    MissingEventsError,
+    Stage,
+    TraceFormatError,
+    read_trace,
+)
 
 TIMELINE = [
     Message(s, t0=1000 * s, t1=1000 * s + 5, t3=1000 * s + 900, t4=1000 * s + 930, t2=1000 * s + 205)

@@ -7,10 +7,16 @@ import polars as pl
 import pytest
 from processes import ping, relay
 
-from analyzer import analyze
-from analyzer.breakdown import STAGES, break_down, ping_wall_offsets, relay_wall_offsets, with_stamps
-from analyzer.clocks import align_clocks, ping_boots
-from tracefile import EventColumns, Stage, find_traces, read_trace
+from dds_trace.analyzer import analyze
+from dds_trace.analyzer.breakdown import (
+    STAGES,
+    break_down,
+    ping_wall_offsets,
+    relay_wall_offsets,
+    with_stamps,
+)
+from dds_trace.analyzer.clocks import align_clocks, ping_boots
+from dds_trace.tracefile import EventColumns, Stage, find_traces, read_trace
 
 pytestmark = pytest.mark.middleware
 

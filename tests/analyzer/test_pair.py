@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from trace_files import event
 
-from analyzer.pair import MISSING, OUTCOMES, Outcome, pair_messages, published_messages
-from tracefile import EVENT_DTYPE, EventColumns
+from dds_trace.analyzer.pair import MISSING, OUTCOMES, Outcome, pair_messages, published_messages
+from dds_trace.tracefile import EVENT_DTYPE, EventColumns
 
 
 def columns(*events):

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analyzer.intervals import order_statistic_ranks
-from analyzer.sample_size import minimum_messages, plan_run, planned_messages, supported_percentiles
-from analyzer.statistics import PERCENTILES
+from dds_trace.analyzer.intervals import order_statistic_ranks
+from dds_trace.analyzer.sample_size import minimum_messages, plan_run, planned_messages, supported_percentiles
+from dds_trace.analyzer.statistics import PERCENTILES
 
 
 def test_known_figures():

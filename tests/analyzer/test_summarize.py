@@ -16,8 +16,8 @@ from trace_files import (
     write_trace,
 )
 
-from analyzer import METRICS, PERCENTILES, analyze
-from tracefile import Qos, Stage
+from dds_trace.analyzer import METRICS, PERCENTILES, analyze
+from dds_trace.tracefile import Qos, Stage
 
 MS = 1_000_000
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from trace_files import RELAY_ID, Message, event, ping_events, ping_session, run, write_trace
 
-from analyzer import analyze
-from tracefile import Stage
+from dds_trace.analyzer import analyze
+from dds_trace.tracefile import Stage
 
 MS = 1_000_000
 

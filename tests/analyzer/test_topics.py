@@ -13,9 +13,9 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Bag2Writer
 from rosbags.typesys import Stores, get_typestore
 
-from analyzer.recordings import begins_with_stamp, find_recordings, iter_messages
-from analyzer.topics import analyze_topics
-from tracefile.errors import MissingEventsError, TraceFormatError
+from dds_trace.analyzer.recordings import begins_with_stamp, find_recordings, iter_messages
+from dds_trace.analyzer.topics import analyze_topics
+from dds_trace.tracefile.errors import MissingEventsError, TraceFormatError
 
 MS = 1_000_000
 START_NS = 1_700_000_000 * 10**9

@@ -10,9 +10,9 @@ import pytest
 import typer
 from trace_files import Message, run, write_pair
 
-import cli.analyze
-from cli.analyze import COMMANDS, ReportKind, main
-from reports import REPORTERS
+import dds_trace.cli.analyze
+from dds_trace.cli.analyze import COMMANDS, ReportKind, main
+from dds_trace.reports import REPORTERS
 
 TIMELINE = [Message(s, t0=1000 * s, t1=1000 * s + 5, t3=900, t4=930, t2=1000 * s + 205) for s in range(12)]
 
@@ -110,7 +110,7 @@ def test_every_reporter_can_be_asked_for():
 def test_help_takes_neither_polars_nor_a_middleware():
     code = (
         "import sys\n"
-        "from cli.analyze import main\n"
+        "from dds_trace.cli.analyze import main\n"
         "try:\n    main(['--help'])\n"
         "finally:\n    print(sorted({'polars', 'plotly', 'pyarrow', 'rclpy', 'jinja2'} & set(sys.modules)))\n"
     )
@@ -126,7 +126,7 @@ def test_a_named_command_leaves_the_folder_command_alone(runs, monkeypatch, caps
     def compare(base: str):
         print("compared", base)
 
-    monkeypatch.setattr(cli.analyze, "COMMANDS", {**COMMANDS, "compare": other})
+    monkeypatch.setattr(dds_trace.cli.analyze, "COMMANDS", {**COMMANDS, "compare": other})
     assert analyze("compare", "x") == 0
     assert capsys.readouterr().out == "compared x\n"
     assert analyze(runs) == 0

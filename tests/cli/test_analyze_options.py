@@ -4,9 +4,9 @@ import polars as pl
 import pytest
 from trace_files import Message, write_pair
 
-from analyzer import EXPORTERS
-from cli.analyze import ExportKind, main
-from tracefile import read_trace
+from dds_trace.analyzer import EXPORTERS
+from dds_trace.cli.analyze import ExportKind, main
+from dds_trace.tracefile import read_trace
 
 MS = 1_000_000
 TIMELINE = [

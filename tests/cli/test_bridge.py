@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from recorder.bridges import BRIDGE_MODULES
-from tracefile import Stage, TraceError
+from dds_trace.recorder.bridges import BRIDGE_MODULES
+from dds_trace.tracefile import Stage, TraceError
 
-BRIDGE = [sys.executable, "-m", "cli.bridge"]
+BRIDGE = [sys.executable, "-m", "dds_trace.cli.bridge"]
 
 
 def run(*arguments, **environment):
@@ -108,7 +108,7 @@ def test_print_config_of_one_half():
 
 
 def test_help_reads_well_in_80_columns():
-    from cli.bridge import app
+    from dds_trace.cli.bridge import app
 
     result = CliRunner(env={"COLUMNS": "80", "TERMINAL_WIDTH": "80"}).invoke(app, ["--help"])
     assert result.exit_code == 0
@@ -184,7 +184,7 @@ def test_a_bridge_that_dies_in_mid_run_is_told_in_a_trace_that_is_kept(domains, 
     import psutil
     from mcap.reader import make_reader
 
-    from tracefile import read_trace
+    from dds_trace.tracefile import read_trace
 
     def received():
         try:
@@ -200,7 +200,7 @@ def test_a_bridge_that_dies_in_mid_run_is_told_in_a_trace_that_is_kept(domains, 
 
     ping_domain, relay_domain = str(domains.take()), str(domains.take())
     out = tmp_path / "ping.mcap"
-    record = [sys.executable, "-m", "cli.record", "--discovery", "localhost"]
+    record = [sys.executable, "-m", "dds_trace.cli.record", "--discovery", "localhost"]
     relay = [*record, "--role", "relay", "--domain", relay_domain, "--out", str(tmp_path / "relay.mcap")]
     ping = [
         *record,
@@ -219,7 +219,8 @@ def test_a_bridge_that_dies_in_mid_run_is_told_in_a_trace_that_is_kept(domains, 
         bridge = next(
             child
             for child in psutil.Process(pinging.pid).children(recursive=True)
-            if "recorder.bridges.builtin" in child.cmdline() and "guard.py" not in " ".join(child.cmdline())
+            if "dds_trace.recorder.bridges.builtin" in child.cmdline()
+            and "guard.py" not in " ".join(child.cmdline())
         )
         bridge.kill()
         pinging.wait(60)

@@ -5,7 +5,7 @@ from xml.etree import ElementTree as ET
 import pytest
 from trace_files import Message, ping_session, write_pair
 
-from cli.analyze import main
+from dds_trace.cli.analyze import main
 
 MS = 1_000_000
 PERIOD = 100 * MS

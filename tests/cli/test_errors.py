@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from cli.errors import run_command
-from tracefile import NoEchoError, OptionError, OutputError, TraceFormatError
+from dds_trace.cli.errors import run_command
+from dds_trace.tracefile import NoEchoError, OptionError, OutputError, TraceFormatError
 
 
 @pytest.mark.parametrize(

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from cli import choices
-from cli import record as command
-from cli.record_run import print_result
-from recorder import (
+from dds_trace.cli import choices
+from dds_trace.cli import record as command
+from dds_trace.cli.record_run import print_result
+from dds_trace.recorder import (
     DEFAULT_MESSAGES,
     DEFAULT_WARMUP,
     Discovery,
@@ -24,7 +24,7 @@ from recorder import (
     Serialization,
     Transport,
 )
-from tracefile import (
+from dds_trace.tracefile import (
     BackendUnavailableError,
     ClosedTrace,
     OptionError,
@@ -46,8 +46,8 @@ def parsed(monkeypatch, tmp_path):
     for name in ("ROS_DOMAIN_ID", "ROS_LOCALHOST_ONLY", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
         monkeypatch.delenv(name, raising=False)
     seen = []
-    monkeypatch.setattr("cli.record_run.record_until_stopped", seen.append)
-    monkeypatch.setattr("cli.record_run.print_result", lambda *_, **__: None)
+    monkeypatch.setattr("dds_trace.cli.record_run.record_until_stopped", seen.append)
+    monkeypatch.setattr("dds_trace.cli.record_run.print_result", lambda *_, **__: None)
 
     def parse(*arguments, role="ping"):
         result = CliRunner().invoke(
@@ -201,7 +201,7 @@ def test_what_cannot_be_meant_is_refused(parsed, arguments, role, message):
 def test_what_cannot_be_recorded_is_refused_before_anything_is_opened(
     arguments, role, message, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr("recorder.recording.open_node", lambda *_: pytest.fail("a node was opened"))
+    monkeypatch.setattr("dds_trace.recorder.recording.open_node", lambda *_: pytest.fail("a node was opened"))
     out = tmp_path / "x.mcap"
     result = CliRunner().invoke(command.app, ["--role", role, "--out", str(out), *arguments])
     assert isinstance(result.exception, OptionError)
@@ -211,7 +211,7 @@ def test_what_cannot_be_recorded_is_refused_before_anything_is_opened(
 
 @pytest.mark.parametrize("role", ["ping", "relay"])
 def test_an_existing_file_is_refused_before_anything_is_opened(role, tmp_path, monkeypatch):
-    monkeypatch.setattr("recorder.recording.open_node", lambda *_: pytest.fail("a node was opened"))
+    monkeypatch.setattr("dds_trace.recorder.recording.open_node", lambda *_: pytest.fail("a node was opened"))
     out = tmp_path / "x.mcap"
     out.write_text("precious")
     result = CliRunner().invoke(command.app, ["--role", role, "--out", str(out)])
@@ -250,13 +250,14 @@ def test_a_trace_that_was_cut_off_is_closed_again(tmp_path):
 def test_the_cost_of_recording_is_printed_without_middleware_too(monkeypatch, tmp_path):
     cost = RecorderCost(30.0, 500.0, 900.0, 4_000.0, 9_000.0, 3000)
     monkeypatch.setattr(
-        "cli.record_tools.measure_recorder_cost", lambda folder: cost if folder == tmp_path else None
+        "dds_trace.cli.record_tools.measure_recorder_cost",
+        lambda folder: cost if folder == tmp_path else None,
     )
 
     def without_middleware(*_):
         raise BackendUnavailableError("no ROS 2 here")
 
-    monkeypatch.setattr("cli.record_tools.measure_floor", without_middleware)
+    monkeypatch.setattr("dds_trace.cli.record_tools.measure_floor", without_middleware)
     result = CliRunner().invoke(command.app, ["--self-test", "--out", str(tmp_path / "x.mcap")])
     assert result.exit_code == 0, result.output
     assert result.output.splitlines() == [
@@ -292,7 +293,7 @@ def test_the_words_of_the_options_are_those_of_the_recorder():
     assert f"Messages before, which do not count. Default: {DEFAULT_WARMUP} " in output
 
 
-@pytest.mark.parametrize("module", ["cli.record", "cli.bridge"])
+@pytest.mark.parametrize("module", ["dds_trace.cli.record", "dds_trace.cli.bridge"])
 def test_help_loads_neither_the_recorder_nor_numpy(module):
     code = (
         f"import sys; from {module} import app\n"
@@ -306,7 +307,7 @@ def test_help_loads_neither_the_recorder_nor_numpy(module):
 
 
 def test_progress_in_words():
-    from cli.progress import describe_progress
+    from dds_trace.cli.progress import describe_progress
 
     line = describe_progress(PingProgress(410, 300, 298, 1, 815_000, 1_430_000))
     assert line == "sent 300/410, received 298, lost 1, RTT p50 0.815 ms, p99 1.43 ms"

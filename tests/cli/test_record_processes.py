@@ -16,7 +16,7 @@ import pytest
 from mcap.reader import make_reader
 from processes import PATIENCE_S, ping, relay, run, running
 
-from tracefile import unpack_event
+from dds_trace.tracefile import unpack_event
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 pytestmark = pytest.mark.middleware

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from two_devices import command_blocks, needs_devices, two_devices
 
-from tracefile import read_trace
+from dds_trace.tracefile import read_trace
 
 PAGE = Path(__file__).parents[2] / "docs" / "two-devices.md"
 PING, RELAY = "192.168.0.10", "192.168.0.20"
@@ -86,7 +86,7 @@ def _copy(arguments, devices):
 
 
 def _check(runs):
-    from analyzer import analyze
+    from dds_trace.analyzer import analyze
 
     assert (runs / "analysis" / "report.html").exists()
     analysis = analyze(runs)

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from cli import sweep as command
-from recorder.sweep import Cell, read_plan, schedule
-from recorder.sweep.search import Answer, MaxRate
-from recorder.sweep.sweep import SweepOutcome
-from tracefile import __version__
+from dds_trace.cli import sweep as command
+from dds_trace.recorder.sweep import Cell, read_plan, schedule
+from dds_trace.recorder.sweep.search import Answer, MaxRate
+from dds_trace.recorder.sweep.sweep import SweepOutcome
+from dds_trace.tracefile import __version__
 
 ROOT = Path(__file__).parents[2]
 PLANS = sorted((ROOT / "plans").glob("*.toml"))
@@ -97,7 +97,7 @@ def test_quick_plan_is_the_three_kinds_of_data_in_one_domain_and_two():
 def test_dry_run_of_the_papers_plan_from_the_command_line():
     """As a user calls it: the whole list, quickly, without any middleware."""
     done = subprocess.run(
-        [sys.executable, "-m", "cli.sweep", ROOT / "plans/paper.toml", "--dry-run"],
+        [sys.executable, "-m", "dds_trace.cli.sweep", ROOT / "plans/paper.toml", "--dry-run"],
         capture_output=True,
         text=True,
         check=True,
@@ -144,31 +144,33 @@ def test_version(call):
 
 
 def test_exit_codes_tell_complete_from_incomplete(call, plan, monkeypatch, tmp_path):
-    import recorder.sweep
+    import dds_trace.recorder.sweep
 
     outcomes = [SweepOutcome(tmp_path, 3, {}), SweepOutcome(tmp_path, 3, {"a": "no echo"})]
-    monkeypatch.setattr(recorder.sweep, "run_sweep", lambda *_arguments, **_options: outcomes.pop(0))
+    monkeypatch.setattr(
+        dds_trace.recorder.sweep, "run_sweep", lambda *_arguments, **_options: outcomes.pop(0)
+    )
     assert call(plan) == (0, f"Wrote {tmp_path}\n3 of 3 cells are complete\n", "")
     assert call(plan) == (10, f"Wrote {tmp_path}\n2 of 3 cells are complete\n", "a: no echo\n")
 
 
 def test_interruption_has_the_shells_exit_code_and_says_how_to_go_on(call, plan, monkeypatch):
-    import recorder.sweep
+    import dds_trace.recorder.sweep
 
     def interrupted(*_arguments, **_options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(recorder.sweep, "run_sweep", interrupted)
+    monkeypatch.setattr(dds_trace.recorder.sweep, "run_sweep", interrupted)
     code, _, err = call(plan)
     assert code == 130
     assert "the same command goes on" in err
 
 
 def test_max_rate_prints_a_table_and_writes_it(call, plan, monkeypatch, tmp_path):
-    import recorder.sweep
+    import dds_trace.recorder.sweep
 
     found = [MaxRate(Cell(size=33_000, rate=480.0), Answer.FOUND, 510.0, (3, 3), "2 % lost")]
-    monkeypatch.setattr(recorder.sweep, "run_search", lambda *_arguments: (tmp_path, found))
+    monkeypatch.setattr(dds_trace.recorder.sweep, "run_search", lambda *_arguments: (tmp_path, found))
     code, out, _ = call(plan, "--max-rate")
     assert code == 0
     assert "480" in out

@@ -27,10 +27,10 @@ import zstandard
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
 
-with atheris.instrument_imports(include=["tracefile"]):
+with atheris.instrument_imports(include=["dds_trace.tracefile"]):
     from trace_files import Message, ping_events, ping_session, run, string_cdr, write_trace
 
-    from tracefile import (
+    from dds_trace.tracefile import (
         EventColumns,
         Stage,
         TraceDestination,
@@ -41,8 +41,8 @@ with atheris.instrument_imports(include=["tracefile"]):
         read_descriptions,
         read_trace,
     )
-    from tracefile.records import MAGIC, Opcode
-    from tracefile.ring import ring_path
+    from dds_trace.tracefile.records import MAGIC, Opcode
+    from dds_trace.tracefile.ring import ring_path
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -8,11 +8,11 @@ import pytest
 from backend_pairs import all_data_types
 from processes import run
 
-from recorder.backend import Discovery, NodeOptions, Transport
-from recorder.backends import connext, open_node
-from recorder.dds_types import DDS_TYPES
-from recorder.payloads import DATA_TYPES
-from tracefile import BackendUnavailableError, OptionError, Qos
+from dds_trace.recorder.backend import Discovery, NodeOptions, Transport
+from dds_trace.recorder.backends import connext, open_node
+from dds_trace.recorder.dds_types import DDS_TYPES
+from dds_trace.recorder.payloads import DATA_TYPES
+from dds_trace.tracefile import BackendUnavailableError, OptionError, Qos
 
 dds = pytest.importorskip("rti.connextdds", reason="no rti.connext here")
 

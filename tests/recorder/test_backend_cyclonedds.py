@@ -11,10 +11,10 @@ import pytest
 from backend_pairs import all_data_types
 from processes import PATIENCE_S, ping, relay
 
-from recorder.backend import Discovery, ExecutorKind, NodeOptions, Transport
-from recorder.backends import open_node
-from recorder.payloads import BINARY, DATA_TYPES, IMU
-from tracefile import OptionError, Qos
+from dds_trace.recorder.backend import Discovery, ExecutorKind, NodeOptions, Transport
+from dds_trace.recorder.backends import open_node
+from dds_trace.recorder.payloads import BINARY, DATA_TYPES, IMU
+from dds_trace.tracefile import OptionError, Qos
 
 pytest.importorskip("cyclonedds", reason="no Cyclone DDS here")
 pytestmark = pytest.mark.middleware
@@ -190,8 +190,8 @@ def test_closing_twice_is_allowed(domain_id):
 def test_without_cyclonedds_it_says_how_to_get_it():
     code = (
         "import sys; sys.modules['cyclonedds'] = None\n"
-        "from recorder.backend import NodeOptions\n"
-        "from recorder.backends import open_node\n"
+        "from dds_trace.recorder.backend import NodeOptions\n"
+        "from dds_trace.recorder.backends import open_node\n"
         "from tracefile import BackendUnavailableError\n"
         "try: open_node('cyclonedds', NodeOptions())\n"
         "except BackendUnavailableError as error: print(error)\n"

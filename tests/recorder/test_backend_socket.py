@@ -14,12 +14,12 @@ import pytest
 from backend_pairs import all_data_types, events
 from processes import PATIENCE_S, ping, relay, running
 
-from recorder.backend import Discovery, ExecutorKind, NodeOptions, Transport
-from recorder.backends import open_node
-from recorder.backends.checks import SOCKET_PORT, port_of
-from recorder.backends.socket_links import FRAGMENT_BYTES
-from recorder.payloads import BINARY, IMU
-from tracefile import OptionError, Qos, Stage, read_trace
+from dds_trace.recorder.backend import Discovery, ExecutorKind, NodeOptions, Transport
+from dds_trace.recorder.backends import open_node
+from dds_trace.recorder.backends.checks import SOCKET_PORT, port_of
+from dds_trace.recorder.backends.socket_links import FRAGMENT_BYTES
+from dds_trace.recorder.payloads import BINARY, IMU
+from dds_trace.tracefile import OptionError, Qos, Stage, read_trace
 
 SOCKET = ("--backend", "socket")
 UDP = ("--transport", "udp", "--reliability", "best_effort")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from recorder.domains import bound_udp_ports, check_domain, first_port, participants_in
-from tracefile import OptionError
+from dds_trace.recorder.domains import bound_udp_ports, check_domain, first_port, participants_in
+from dds_trace.tracefile import OptionError
 
 HEAD = "  sl  local_address rem_address   st tx_queue rx_queue tr tm->when retrnsmt   uid  timeout inode\n"
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from recorder.durations import format_duration, parse_duration
-from tracefile import OptionError
+from dds_trace.recorder.durations import format_duration, parse_duration
+from dds_trace.tracefile import OptionError
 
 
 @pytest.mark.parametrize(

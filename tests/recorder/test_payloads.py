@@ -7,10 +7,10 @@ import zlib
 
 import pytest
 
-from recorder.backend import Serialization
-from recorder.payloads import BINARY, DATA_TYPES, IMU, STRING, data_type_called
-from recorder.stamp import stamp_text
-from tracefile import OptionError
+from dds_trace.recorder.backend import Serialization
+from dds_trace.recorder.payloads import BINARY, DATA_TYPES, IMU, STRING, data_type_called
+from dds_trace.recorder.stamp import stamp_text
+from dds_trace.tracefile import OptionError
 
 SIZES = [
     *(pytest.param(BINARY, size, id=f"binary-{size}") for size in (1, 2, 3, 4, 33_000, 502_000)),

@@ -10,9 +10,9 @@ import pytest
 from fake_clock import FakeClock
 from fake_node import FakeNode, ListSink
 
-from recorder.payloads import BINARY, IMU, STRING
-from recorder.ping import DRAIN_NS, LEAD_NS, Ping, RunPlan
-from recorder.stamp import RAW_HEADER_STAMP, stamp_text
+from dds_trace.recorder.payloads import BINARY, IMU, STRING
+from dds_trace.recorder.ping import DRAIN_NS, LEAD_NS, Ping, RunPlan
+from dds_trace.recorder.stamp import RAW_HEADER_STAMP, stamp_text
 
 MS = 1_000_000
 START_NS = 1_000_000_000_000

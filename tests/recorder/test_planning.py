@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from recorder.backend import NodeOptions, Serialization
-from recorder.options import PingOptions, RecordOptions
-from recorder.payloads import IMU, header_data_type
-from recorder.planning import plan_run
-from tracefile import OptionError, TraceDestination
+from dds_trace.recorder.backend import NodeOptions, Serialization
+from dds_trace.recorder.options import PingOptions, RecordOptions
+from dds_trace.recorder.payloads import IMU, header_data_type
+from dds_trace.recorder.planning import plan_run
+from dds_trace.tracefile import OptionError, TraceDestination
 
 MADE = IMU.make(None, 1)
 RECORDED = dataclasses.replace(MADE, rate_hz=30.0, source="bag:x#/imu")

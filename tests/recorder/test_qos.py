@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from recorder.backend import Endpoint
-from recorder.qos import asked_durations, duration_extra, incompatible_pairs, mismatches
-from tracefile import Qos
+from dds_trace.recorder.backend import Endpoint
+from dds_trace.recorder.qos import asked_durations, duration_extra, incompatible_pairs, mismatches
+from dds_trace.tracefile import Qos
 
 RELIABLE, BEST_EFFORT = Qos(), Qos(reliability="best_effort")
 LATCHED = Qos(durability="transient_local")

@@ -8,10 +8,10 @@ import pytest
 from fake_clock import FakeClock
 from fake_node import FakeNode, ListSink
 
-from recorder.backend import Serialization
-from recorder.payloads import DATA_TYPES
-from recorder.relay import Relay
-from tracefile import Qos
+from dds_trace.recorder.backend import Serialization
+from dds_trace.recorder.payloads import DATA_TYPES
+from dds_trace.recorder.relay import Relay
+from dds_trace.tracefile import Qos
 
 RELAY = 0xBEEF
 

@@ -14,10 +14,10 @@ from types import SimpleNamespace
 import pytest
 from processes import PATIENCE_S
 
-from recorder.backend import Discovery, ExecutorKind, NodeOptions, Serialization, Transport
-from recorder.backends import load_backend, open_node, ros2
-from recorder.payloads import BINARY, DATA_TYPES, IMU
-from tracefile import BackendUnavailableError, OptionError, Qos
+from dds_trace.recorder.backend import Discovery, ExecutorKind, NodeOptions, Serialization, Transport
+from dds_trace.recorder.backends import load_backend, open_node, ros2
+from dds_trace.recorder.payloads import BINARY, DATA_TYPES, IMU
+from dds_trace.tracefile import BackendUnavailableError, OptionError, Qos
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 pytestmark = [
@@ -116,8 +116,8 @@ def test_a_node_says_what_carries_it(domain_id):
 def test_transports_and_tuning_are_recorded(domain_id):
     done = python(
         f"""
-        from recorder.backends import open_node
-        from recorder.backend import Discovery, NodeOptions, Transport
+        from dds_trace.recorder.backends import open_node
+        from dds_trace.recorder.backend import Discovery, NodeOptions, Transport
         options = NodeOptions({domain_id}, discovery=Discovery.LOCALHOST, transport=Transport.UDP, tuned=True)
         with open_node("ros2", options) as node:
             print(*node.middleware.settings.values())
@@ -236,9 +236,9 @@ def python(code, **environment):
 def test_a_middleware_that_is_not_here_is_one_line_and_no_dead_process(domain_id, option, environment):
     done = python(
         f"""
-        from recorder.backends import open_node
-        from recorder.backend import NodeOptions
-        from tracefile import BackendUnavailableError
+        from dds_trace.recorder.backends import open_node
+        from dds_trace.recorder.backend import NodeOptions
+        from dds_trace.tracefile import BackendUnavailableError
         try:
             open_node("ros2", NodeOptions(domain_id={domain_id}, rmw={option}))
         except BackendUnavailableError as error:
@@ -256,9 +256,9 @@ def test_without_rclpy_it_says_how_to_get_it():
         """
         import sys
         sys.modules["rclpy"] = None  # as if it were not installed
-        from recorder.backends import open_node
-        from recorder.backend import NodeOptions
-        from tracefile import BackendUnavailableError
+        from dds_trace.recorder.backends import open_node
+        from dds_trace.recorder.backend import NodeOptions
+        from dds_trace.tracefile import BackendUnavailableError
         try:
             open_node("ros2", NodeOptions())
         except BackendUnavailableError as error:

@@ -8,9 +8,9 @@ import pytest
 from analyses import EVERY_ANALYSIS, HOSTILE
 from campaigns import write_runs
 
-from cli.watch import Watcher, WatchOptions
-from reports import REPORTERS
-from reports.text import format_bytes_per_s, format_hz, format_ns, format_ratio, visible
+from dds_trace.cli.watch import Watcher, WatchOptions
+from dds_trace.reports import REPORTERS
+from dds_trace.reports.text import format_bytes_per_s, format_hz, format_ns, format_ratio, visible
 
 pytestmark = pytest.mark.browser
 

@@ -3,10 +3,10 @@ from dataclasses import replace
 import pytest
 from analyses import EVERY_ANALYSIS, MS, Measured, make_analysis
 
-from analyzer import Finding, Severity
-from reports import REPORTERS
-from reports.findings import FindingKind, OneFinding, findings_info, severity_counts
-from reports.groups import groups_info
+from dds_trace.analyzer import Finding, Severity
+from dds_trace.reports import REPORTERS
+from dds_trace.reports.findings import FindingKind, OneFinding, findings_info, severity_counts
+from dds_trace.reports.groups import groups_info
 
 RATES = [10.0 * step for step in range(1, 7)]
 

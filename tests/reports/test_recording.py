@@ -3,8 +3,8 @@ from dataclasses import replace
 import pytest
 from analyses import MS, Measured, make_analysis
 
-from analyzer import Source
-from reports.recording import MOST_ROWS, record_tables
+from dds_trace.analyzer import Source
+from dds_trace.reports.recording import MOST_ROWS, record_tables
 
 
 @pytest.fixture

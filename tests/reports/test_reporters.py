@@ -10,10 +10,10 @@ import pytest
 from analyses import EVERY_ANALYSIS, HOSTILE, MS, Measured, make_analysis
 from jsonschema import Draft202012Validator
 
-from analyzer import Details, parse_job, recommend_settings
-from reports import REPORTERS, document, write_report
-from reports.figures import CAMPAIGN_FIGURES, CELL_FIGURES, Figure
-from tracefile.errors import OptionError, OutputError
+from dds_trace.analyzer import Details, parse_job, recommend_settings
+from dds_trace.reports import REPORTERS, document, write_report
+from dds_trace.reports.figures import CAMPAIGN_FIGURES, CELL_FIGURES, Figure
+from dds_trace.tracefile.errors import OptionError, OutputError
 
 
 @pytest.fixture(scope="module", params=EVERY_ANALYSIS)

@@ -3,7 +3,7 @@ import math
 
 import pytest
 
-from reports.text import (
+from dds_trace.reports.text import (
     format_bytes,
     format_bytes_per_s,
     format_count,

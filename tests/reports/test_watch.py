@@ -9,10 +9,10 @@ import urllib.request
 import pytest
 from campaigns import write_runs
 
-import analyzer
-import analyzer.cache
-from cli.watch import Watcher, WatchOptions, is_own_name
-from tracefile.errors import OutputError
+import dds_trace.analyzer.cache
+from dds_trace import analyzer
+from dds_trace.cli.watch import Watcher, WatchOptions, is_own_name
+from dds_trace.tracefile.errors import OutputError
 
 # No proxy of the surroundings may stand between the test and its own server.
 OPENER = urllib.request.build_opener(urllib.request.ProxyHandler({}))
@@ -69,8 +69,10 @@ def test_the_version_changes_with_the_page_and_not_otherwise(watcher, tmp_path):
 
 def test_of_a_folder_that_grew_only_new_traces_are_read(watcher, tmp_path, monkeypatch):
     read = []
-    plain = analyzer.cache.read_trace
-    monkeypatch.setattr(analyzer.cache, "read_trace", lambda path: read.append(path.name) or plain(path))
+    plain = dds_trace.analyzer.cache.read_trace
+    monkeypatch.setattr(
+        dds_trace.analyzer.cache, "read_trace", lambda path: read.append(path.name) or plain(path)
+    )
     for number, expected in ((1, ["ping1.mcap", "relay1.mcap"]), (2, ["ping2.mcap", "relay2.mcap"])):
         read.clear()
         write_runs(tmp_path, [number])
@@ -171,7 +173,7 @@ def test_a_taken_port_is_an_output_error(watcher, tmp_path):
 
 def test_the_command_ends_with_ctrl_c(tmp_path):
     write_runs(tmp_path, [1])
-    command = [sys.executable, "-m", "cli.analyze", "watch", str(tmp_path), "--port", "0"]
+    command = [sys.executable, "-m", "dds_trace.cli.analyze", "watch", str(tmp_path), "--port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         line = process.stdout.readline()
         assert line.startswith("Serving http://127.0.0.1:")

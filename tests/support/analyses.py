@@ -11,17 +11,17 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
-from analyzer.analysis import Analysis, Details, Finding, Severity, Source
-from analyzer.answers import find_answers
-from analyzer.breakdown import break_down, response_against_latency, summarize_breakdown
-from analyzer.compare import CompareOptions, bridge_cost
-from analyzer.freshness import outage_table, summarize_freshness
-from analyzer.group_frames import INTERVAL_SCHEMA, ONE_WAY_SCHEMA
-from analyzer.host_samples import HOST_SAMPLE_SCHEMA
-from analyzer.intervals import percentile_interval
-from analyzer.one_way import KNOT_SCHEMA, SEGMENT_SCHEMA
-from analyzer.rows import RoundTripRows
-from tracefile.descriptions import Qos, Run, Session
+from dds_trace.analyzer.analysis import Analysis, Details, Finding, Severity, Source
+from dds_trace.analyzer.answers import find_answers
+from dds_trace.analyzer.breakdown import break_down, response_against_latency, summarize_breakdown
+from dds_trace.analyzer.compare import CompareOptions, bridge_cost
+from dds_trace.analyzer.freshness import outage_table, summarize_freshness
+from dds_trace.analyzer.group_frames import INTERVAL_SCHEMA, ONE_WAY_SCHEMA
+from dds_trace.analyzer.host_samples import HOST_SAMPLE_SCHEMA
+from dds_trace.analyzer.intervals import percentile_interval
+from dds_trace.analyzer.one_way import KNOT_SCHEMA, SEGMENT_SCHEMA
+from dds_trace.analyzer.rows import RoundTripRows
+from dds_trace.tracefile.descriptions import Qos, Run, Session
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

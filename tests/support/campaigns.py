@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
-    from analyzer import Analysis
+    from dds_trace.analyzer import Analysis
 
 MESSAGES = 40
 MS = 1_000_000

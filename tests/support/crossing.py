@@ -53,9 +53,9 @@ def watch_crossing(first, second, topics, *, until, count=5, reliability="reliab
 
 
 def main(*, first, second, topics, until, count, reliability):
-    from recorder.backend import Discovery, NodeOptions
-    from recorder.backends import open_node
-    from tracefile import Qos
+    from dds_trace.recorder.backend import Discovery, NodeOptions
+    from dds_trace.recorder.backends import open_node
+    from dds_trace.tracefile import Qos
 
     def open_one(domain_id, name):
         qos = Qos(reliability=reliability)

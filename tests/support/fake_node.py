@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from recorder.backend import Middleware, NodeOptions, TopicView
+from dds_trace.recorder.backend import Middleware, NodeOptions, TopicView
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from tracefile import Qos, Run
+    from dds_trace.tracefile import Qos, Run
 
 
 @dataclass
@@ -40,7 +40,7 @@ class FakeSubscription:
 
 
 class FakeNode:
-    """A `recorder.backend.Node` of raw messages."""
+    """A `dds_trace.recorder.backend.Node` of raw messages."""
 
     def __init__(self, options: NodeOptions | None = None) -> None:
         self.options = options or NodeOptions(name="me")

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from trace_files import ping_session, run
 
-from tracefile import RUN_TOPIC, TraceDestination, TraceSink
+from dds_trace.tracefile import RUN_TOPIC, TraceDestination, TraceSink
 
 DISK = "size=1m"
 RING_SLOTS = 1 << 12

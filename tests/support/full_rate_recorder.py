@@ -19,7 +19,7 @@ from pathlib import Path
 
 from trace_files import ping_session, run
 
-from tracefile import TraceDestination, TraceSink
+from dds_trace.tracefile import TraceDestination, TraceSink
 
 PROGRESS_BYTES = 64
 STATE_CLOSING = 1

@@ -8,8 +8,8 @@ from functools import cache
 
 import pytest
 
-from recorder.sweep.namespaces import ip
-from tracefile import BackendUnavailableError
+from dds_trace.recorder.sweep.namespaces import ip
+from dds_trace.tracefile import BackendUnavailableError
 
 
 def needs_namespaces(program: str, package: str) -> pytest.MarkDecorator:

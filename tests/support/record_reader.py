@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from mcap.reader import make_reader
 
-from tracefile import unpack_event
+from dds_trace.tracefile import unpack_event
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -30,7 +30,7 @@ from trace_files import (
     write_trace,
 )
 
-from tracefile import (
+from dds_trace.tracefile import (
     EVENT_DTYPE,
     HOST_TOPIC,
     EventColumns,
@@ -348,7 +348,7 @@ class TestNoTrace:
 
     def test_a_bag_of_other_topics_is_not_unpacked_where_its_summary_says_so(self, tmp_path, monkeypatch):
         path = write_messages(tmp_path / "t.mcap", [RawMessage("/camera", b"123", kind=("x/msg/X", ""))])
-        monkeypatch.setattr("tracefile.packed_chunks.PackedChunk.unpack", None)
+        monkeypatch.setattr("dds_trace.tracefile.packed_chunks.PackedChunk.unpack", None)
         with pytest.raises(TraceFormatError, match="its topics: /camera"):
             read_trace(path)
 

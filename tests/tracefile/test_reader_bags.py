@@ -22,7 +22,7 @@ from trace_files import (
     write_trace,
 )
 
-from tracefile import (
+from dds_trace.tracefile import (
     EVENT_DTYPE,
     HOST_TOPIC,
     RUN_TOPIC,

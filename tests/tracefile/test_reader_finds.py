@@ -7,7 +7,7 @@ import zlib
 
 import pytest
 
-from tracefile import TraceFormatError, read_trace
+from dds_trace.tracefile import TraceFormatError, read_trace
 
 DATABASES = {
     # SQLite meets an absurd size in the schema and Python's sqlite3 says MemoryError.

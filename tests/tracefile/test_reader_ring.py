@@ -7,7 +7,7 @@ import shutil
 import pytest
 from trace_files import Message, ping_events, ping_session, relay_session
 
-from tracefile import (
+from dds_trace.tracefile import (
     EVENT_DTYPE,
     Stage,
     TraceDestination,
@@ -16,7 +16,7 @@ from tracefile import (
     read_descriptions,
     read_trace,
 )
-from tracefile.ring import ring_path
+from dds_trace.tracefile.ring import ring_path
 
 FIELDS = EVENT_DTYPE.names
 NUMBERS = {Stage.T1: 1, Stage.T2: 2}

@@ -12,7 +12,7 @@ from mcap.writer import Writer
 from rosbags.rosbag2 import Reader
 from trace_files import ping_session, run, write_trace
 
-from tracefile import (
+from dds_trace.tracefile import (
     HOST_TOPIC,
     OptionError,
     OutputExistsError,
@@ -21,10 +21,10 @@ from tracefile import (
     TraceFormatError,
     TraceSink,
 )
-from tracefile.reader import read_trace
-from tracefile.records import MAGIC, RecordFile
-from tracefile.recovery import recover
-from tracefile.ring import ring_path
+from dds_trace.tracefile.reader import read_trace
+from dds_trace.tracefile.records import MAGIC, RecordFile
+from dds_trace.tracefile.recovery import recover
+from dds_trace.tracefile.ring import ring_path
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -202,7 +202,7 @@ def test_a_disk_without_hard_links(tmp_path, monkeypatch):
     def refuse(*_):
         raise PermissionError
 
-    monkeypatch.setattr("tracefile.recovery.os.link", refuse)
+    monkeypatch.setattr("dds_trace.tracefile.recovery.os.link", refuse)
     trace = killed(tmp_path)
     data = trace.read_bytes()
     report = recover(trace)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import pytest
 from trace_files import ping_session
 
-from tracefile import Stage, TraceFormatError
-from tracefile.ring import Ring, read_ring
+from dds_trace.tracefile import Stage, TraceFormatError
+from dds_trace.tracefile.ring import Ring, read_ring
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -20,7 +20,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from trace_files import WALL_ANCHOR_NS, ping_session, run
 
-from tracefile import (
+from dds_trace.tracefile import (
     HOST_TOPIC,
     RUN_TOPIC,
     SESSION_TOPIC,
@@ -32,7 +32,7 @@ from tracefile import (
     __version__,
     unpack_event,
 )
-from tracefile.ring import ring_path
+from dds_trace.tracefile.ring import ring_path
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

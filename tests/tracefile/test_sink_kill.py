@@ -18,10 +18,10 @@ from mcap.reader import make_reader
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
 
-from tracefile import EVENT_DTYPE, Stage
-from tracefile.reader import read_trace
-from tracefile.recovery import recover
-from tracefile.ring import ring_path
+from dds_trace.tracefile import EVENT_DTYPE, Stage
+from dds_trace.tracefile.reader import read_trace
+from dds_trace.tracefile.recovery import recover
+from dds_trace.tracefile.ring import ring_path
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -14,8 +14,8 @@ from xml.etree import ElementTree as ET
 import pytest
 from ruamel.yaml import YAML
 
-from recorder.backend import Discovery
-from recorder.bridges import (
+from dds_trace.recorder.backend import Discovery
+from dds_trace.recorder.bridges import (
     BRIDGE_MODULES,
     BRIDGED_TOPICS,
     BridgedTopic,
@@ -26,9 +26,9 @@ from recorder.bridges import (
     load_bridge,
     split_halves,
 )
-from recorder.bridges.builtin_common import options_from_json
-from recorder.bridges.texts import element, xml_text, yaml_text
-from tracefile import OptionError, Qos, TraceFormatError
+from dds_trace.recorder.bridges.builtin_common import options_from_json
+from dds_trace.recorder.bridges.texts import element, xml_text, yaml_text
+from dds_trace.tracefile import OptionError, Qos, TraceFormatError
 
 IMAGE, STRING, IMU = (
     "sensor_msgs::msg::dds_::Image_",

@@ -6,9 +6,9 @@ from dataclasses import replace
 import pytest
 from crossing import watch_crossing
 
-from recorder.backend import Discovery
-from recorder.bridges import BRIDGED_TOPICS, BridgeOptions, Half, load_bridge, open_bridge
-from tracefile import Qos
+from dds_trace.recorder.backend import Discovery
+from dds_trace.recorder.bridges import BRIDGED_TOPICS, BridgeOptions, Half, load_bridge, open_bridge
+from dds_trace.tracefile import Qos
 
 pytestmark = pytest.mark.middleware
 

@@ -8,10 +8,10 @@ import time
 import loopback_sshd
 import pytest
 
-from recorder.sweep.devices import LocalDevice, PrintedDevice, SshDevice
-from recorder.sweep.plan import DeviceSettings
-from recorder.sweep.programs import Program
-from tracefile import BackendUnavailableError, OptionError, __version__
+from dds_trace.recorder.sweep.devices import LocalDevice, PrintedDevice, SshDevice
+from dds_trace.recorder.sweep.plan import DeviceSettings
+from dds_trace.recorder.sweep.programs import Program
+from dds_trace.tracefile import BackendUnavailableError, OptionError, __version__
 
 PATIENCE_S = 60.0
 

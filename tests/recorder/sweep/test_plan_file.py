@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from recorder.sweep.link import PRESETS
-from recorder.sweep.plan import Order
-from recorder.sweep.plan_file import parse_plan, read_plan
-from tracefile import OptionError
+from dds_trace.recorder.sweep.link import PRESETS
+from dds_trace.recorder.sweep.plan import Order
+from dds_trace.recorder.sweep.plan_file import parse_plan, read_plan
+from dds_trace.tracefile import OptionError
 
 RUN = "[run]\nmessages = 10\n"
 

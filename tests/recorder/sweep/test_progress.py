@@ -4,9 +4,9 @@ import io
 
 from rich.console import Console
 
-from recorder.sweep.estimate import Estimate, Remaining
-from recorder.sweep.plan_file import parse_plan
-from recorder.sweep.progress import PlainProgress, RichProgress, make_progress
+from dds_trace.recorder.sweep.estimate import Estimate, Remaining
+from dds_trace.recorder.sweep.plan_file import parse_plan
+from dds_trace.recorder.sweep.progress import PlainProgress, RichProgress, make_progress
 
 
 def tell(progress):

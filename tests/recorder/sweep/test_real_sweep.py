@@ -17,8 +17,8 @@ import loopback_sshd
 import psutil
 import pytest
 
-from recorder.sweep.namespaces import ip
-from tracefile import BackendUnavailableError, Stage, read_trace
+from dds_trace.recorder.sweep.namespaces import ip
+from dds_trace.tracefile import BackendUnavailableError, Stage, read_trace
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 pytestmark = [pytest.mark.middleware, pytest.mark.timeout(300)]
@@ -39,7 +39,7 @@ class Sweep:
 
     def start(self, *options):
         return subprocess.Popen(
-            [sys.executable, "-m", "cli.sweep", self.plan, "--out", self.folder / "runs", *options],
+            [sys.executable, "-m", "dds_trace.cli.sweep", self.plan, "--out", self.folder / "runs", *options],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,

@@ -3,8 +3,8 @@ from __future__ import annotations
 import pytest
 from trace_files import Message, ping_events, ping_session, run, write_trace
 
-from recorder.sweep.result import read_result
-from tracefile import Stage, TraceFormatError
+from dds_trace.recorder.sweep.result import read_result
+from dds_trace.tracefile import Stage, TraceFormatError
 
 MS = 1_000_000
 

@@ -16,14 +16,14 @@ from pathlib import Path
 import pytest
 from trace_files import Message, ping_events, ping_session, relay_events, relay_session, run, write_trace
 
-import recorder.sweep.runner as runner_module
-from recorder.sweep import sweep as sweep_module
-from recorder.sweep.plan_file import parse_plan
-from recorder.sweep.search import Answer
-from recorder.sweep.state import Status, SweepState
-from recorder.sweep.station import open_station
-from recorder.sweep.sweep import run_search, run_sweep
-from tracefile import OptionError, Stage, read_trace
+import dds_trace.recorder.sweep.runner as runner_module
+from dds_trace.recorder.sweep import sweep as sweep_module
+from dds_trace.recorder.sweep.plan_file import parse_plan
+from dds_trace.recorder.sweep.search import Answer
+from dds_trace.recorder.sweep.state import Status, SweepState
+from dds_trace.recorder.sweep.station import open_station
+from dds_trace.recorder.sweep.sweep import run_search, run_sweep
+from dds_trace.tracefile import OptionError, Stage, read_trace
 
 STAND_IN = Path(__file__).parents[2] / "support" / "stand_in_recorder.py"
 COMMAND = [sys.executable, "-I", "-S", str(STAND_IN)]
@@ -324,7 +324,7 @@ def test_search_of_the_highest_rate_goes_on_where_it_was_interrupted(desk):
 
 
 def test_second_sweep_in_the_same_folder_is_refused(desk, monkeypatch):
-    from recorder.sweep import lock
+    from dds_trace.recorder.sweep import lock
 
     monkeypatch.setattr(lock, "LOCK_PATIENCE_S", 0.0)
     heard = []

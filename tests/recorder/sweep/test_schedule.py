@@ -2,11 +2,11 @@ from __future__ import annotations
 
 import pytest
 
-from recorder.sweep.commands import half_arguments, ping_arguments
-from recorder.sweep.estimate import Remaining, plan_seconds
-from recorder.sweep.plan_file import parse_plan
-from recorder.sweep.schedule import schedule
-from tracefile import OptionError
+from dds_trace.recorder.sweep.commands import half_arguments, ping_arguments
+from dds_trace.recorder.sweep.estimate import Remaining, plan_seconds
+from dds_trace.recorder.sweep.plan_file import parse_plan
+from dds_trace.recorder.sweep.schedule import schedule
+from dds_trace.tracefile import OptionError
 
 PLAN = """
 [run]

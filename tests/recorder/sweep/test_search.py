@@ -10,11 +10,18 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
-from recorder.sweep.cells import Cell
-from recorder.sweep.max_rate_report import COLUMNS, max_rate_rows, max_rate_svg, write_max_rates
-from recorder.sweep.plan import Search
-from recorder.sweep.plan_file import parse_plan
-from recorder.sweep.search import Answer, Bisection, MaxRate, messages_needed, search_plan, why_not_held
+from dds_trace.recorder.sweep.cells import Cell
+from dds_trace.recorder.sweep.max_rate_report import COLUMNS, max_rate_rows, max_rate_svg, write_max_rates
+from dds_trace.recorder.sweep.plan import Search
+from dds_trace.recorder.sweep.plan_file import parse_plan
+from dds_trace.recorder.sweep.search import (
+    Answer,
+    Bisection,
+    MaxRate,
+    messages_needed,
+    search_plan,
+    why_not_held,
+)
 
 SEARCH = Search(min_rate=1, max_rate=1000, resolution=1.1, knee_repeats=3)
 

@@ -4,8 +4,8 @@ import pytest
 from mcap.reader import make_reader
 from trace_files import Message, event, relay_events, relay_session, write_trace
 
-from recorder.sweep.split import Part, split_relay_trace
-from tracefile import HOST_TOPIC, Stage, TraceFormatError, read_trace
+from dds_trace.recorder.sweep.split import Part, split_relay_trace
+from dds_trace.tracefile import HOST_TOPIC, Stage, TraceFormatError, read_trace
 
 SECOND_NS = 1_000_000_000
 FIRST_RUN, SECOND_RUN = 0x11, 0x22

@@ -4,9 +4,9 @@ import json
 
 import pytest
 
-from recorder.sweep import state as state_module
-from recorder.sweep.state import Status, SweepState, write_atomically
-from tracefile import OptionError, OutputError, TraceFormatError
+from dds_trace.recorder.sweep import state as state_module
+from dds_trace.recorder.sweep.state import Status, SweepState, write_atomically
+from dds_trace.tracefile import OptionError, OutputError, TraceFormatError
 
 
 def open_state(folder, digest="d1"):

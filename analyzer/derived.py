@@ -19,7 +19,7 @@ import polars as pl
 from mcap.writer import CompressionType, Writer
 
 from dds_trace.tracefile.errors import OutputError, OutputExistsError
-from dds_trace.tracefile.events import CDR_HEADER
+from dds_trace.tracefile.format.events import CDR_HEADER
 from dds_trace.tracefile.version import __version__
 
 if TYPE_CHECKING:

@@ -22,9 +22,14 @@ from mcap.records import Message
 from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 
-from dds_trace.tracefile.cost import measure_timer_ns, nobodys_session, time_paced_events, worst_stall_ns
-from dds_trace.tracefile.events import EVENT_DEFINITION, EVENT_SCHEMA_NAME, Stage, pack_event
-from dds_trace.tracefile.sink import TraceDestination, TraceSink
+from dds_trace.tracefile.format.events import EVENT_DEFINITION, EVENT_SCHEMA_NAME, Stage, pack_event
+from dds_trace.tracefile.writing.cost import (
+    measure_timer_ns,
+    nobodys_session,
+    time_paced_events,
+    worst_stall_ns,
+)
+from dds_trace.tracefile.writing.sink import TraceDestination, TraceSink
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -16,7 +16,7 @@ from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, ChunkIndex, DataEnd, Footer, Header, Schema, Statistics
 
 from dds_trace.tracefile import CDR_HEADER, EVENT_DTYPE, RUN_TOPIC, SESSION_TOPIC, Qos, Run, Session, Stage
-from dds_trace.tracefile.events import EVENT_DEFINITION, EVENT_SCHEMA_NAME
+from dds_trace.tracefile.format.events import EVENT_DEFINITION, EVENT_SCHEMA_NAME
 
 if TYPE_CHECKING:
     from collections.abc import Callable

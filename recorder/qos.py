@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from dds_trace.recorder.durations import INFINITE_NS, format_duration
+from dds_trace.tracefile.units.durations import INFINITE_NS, format_duration
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any
 from dds_trace.recorder.backend import Discovery, Endpoint, Middleware, TopicView
 from dds_trace.recorder.backends.checks import refuse_others_options, refuse_typed
 from dds_trace.recorder.dds_types import DDS_TYPES, check_known, dds_name, split_type
-from dds_trace.recorder.durations import SECOND_NS
 from dds_trace.recorder.qos import asked_durations, duration_extra, incompatible_pairs
 from dds_trace.tracefile import BackendUnavailableError, OptionError, Qos
+from dds_trace.tracefile.units.durations import SECOND_NS
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 from dds_trace.recorder.bridges.bridge import Halves
 from dds_trace.recorder.bridges.programs import discovery_environment
 from dds_trace.recorder.bridges.texts import yaml_text
-from dds_trace.recorder.durations import SECOND_NS
 from dds_trace.recorder.qos import asked_durations
+from dds_trace.tracefile.units.durations import SECOND_NS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -13,8 +13,8 @@ from dds_trace.recorder.bridges.bridge import Halves
 from dds_trace.recorder.bridges.programs import reported_version
 from dds_trace.recorder.bridges.ros_types import rti_types
 from dds_trace.recorder.bridges.texts import element, xml_text
-from dds_trace.recorder.durations import SECOND_NS
 from dds_trace.recorder.qos import asked_durations
+from dds_trace.tracefile.units.durations import SECOND_NS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

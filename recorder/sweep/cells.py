@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from dds_trace.recorder.backend import ExecutorKind, Serialization, Transport
 from dds_trace.recorder.qos import RANKS
-from dds_trace.recorder.sizes import format_size
+from dds_trace.tracefile.units.sizes import format_size
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

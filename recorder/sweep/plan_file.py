@@ -9,12 +9,12 @@ from dataclasses import dataclass, fields, replace
 from enum import Enum
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
-from dds_trace.recorder.sizes import parse_size
 from dds_trace.recorder.sweep.cells import AXES, Cell
 from dds_trace.recorder.sweep.link import LINK_KEYS, PRESETS, Link
 from dds_trace.recorder.sweep.plan import DeviceSettings, Exclusion, Plan, RunSettings, Search
 from dds_trace.recorder.sweep.result import PERCENTILES
 from dds_trace.tracefile import OptionError
+from dds_trace.tracefile.units.sizes import parse_size
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -24,8 +24,8 @@ from dds_trace.tracefile import (
     pack_event,
     read_trace,
 )
-from dds_trace.tracefile.descriptions import STRING_DEFINITION, STRING_SCHEMA_NAME
-from dds_trace.tracefile.events import EVENT_DEFINITION, EVENT_SCHEMA_NAME
+from dds_trace.tracefile.format.descriptions import STRING_DEFINITION, STRING_SCHEMA_NAME
+from dds_trace.tracefile.format.events import EVENT_DEFINITION, EVENT_SCHEMA_NAME
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -17,8 +17,8 @@ from dds_trace.analyzer.breakdown import (
     with_stamps,
 )
 from dds_trace.analyzer.clocks import align_clocks
-from dds_trace.tracefile.descriptions import Run, Session
-from dds_trace.tracefile.events import EVENT_DTYPE, EventColumns, Stage
+from dds_trace.tracefile.format.descriptions import Run, Session
+from dds_trace.tracefile.format.events import EVENT_DTYPE, EventColumns, Stage
 
 PING_WALL, RELAY_WALL = 10**18, 2 * 10**18  # wall clock at monotonic zero of each device
 

@@ -14,7 +14,7 @@ from roundtrip_frames import MS, S, roundtrips
 from dds_trace.analyzer.clock_fit import fit_clock
 from dds_trace.analyzer.clock_lines import DRIFT, Intervals, Lines
 from dds_trace.analyzer.clocks import align_clocks, clock_table, ping_boots
-from dds_trace.tracefile.descriptions import Run, Session
+from dds_trace.tracefile.format.descriptions import Run, Session
 
 START_NS = (
     40 * 24 * 3600 * S

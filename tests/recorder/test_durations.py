@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from dds_trace.recorder.durations import format_duration, parse_duration
 from dds_trace.tracefile import OptionError
+from dds_trace.tracefile.units.durations import format_duration, parse_duration
 
 
 @pytest.mark.parametrize(

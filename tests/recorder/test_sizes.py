@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dds_trace.recorder.sizes import format_size, parse_size
 from dds_trace.tracefile import OptionError
+from dds_trace.tracefile.units.sizes import format_size, parse_size
 
 
 @pytest.mark.parametrize(

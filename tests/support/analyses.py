@@ -21,7 +21,7 @@ from dds_trace.analyzer.host_samples import HOST_SAMPLE_SCHEMA
 from dds_trace.analyzer.intervals import percentile_interval
 from dds_trace.analyzer.one_way import KNOT_SCHEMA, SEGMENT_SCHEMA
 from dds_trace.analyzer.rows import RoundTripRows
-from dds_trace.tracefile.descriptions import Qos, Run, Session
+from dds_trace.tracefile.format.descriptions import Qos, Run, Session
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 from mcap.writer import CompressionType, IndexType, Writer
 
-from dds_trace.tracefile.descriptions import STRING_DEFINITION, STRING_SCHEMA_NAME, Run, Session
-from dds_trace.tracefile.events import (
+from dds_trace.tracefile.format.descriptions import STRING_DEFINITION, STRING_SCHEMA_NAME, Run, Session
+from dds_trace.tracefile.format.events import (
     EVENT_DEFINITION,
     EVENT_SCHEMA_NAME,
     HOST_TOPIC,

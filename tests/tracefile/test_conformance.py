@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from dds_trace.tracefile.record_stream import read_records
-from dds_trace.tracefile.records import LAYOUTS, Opcode
+from dds_trace.tracefile.mcapfile.record_stream import read_records
+from dds_trace.tracefile.mcapfile.records import LAYOUTS, Opcode
 
 SUITE = Path(__file__).parents[1] / "data" / "mcap-conformance.tar.xz"
 NOT_LISTED = {Opcode.MESSAGE_INDEX}  # the suite names no index of messages, nor an attachment's CRC

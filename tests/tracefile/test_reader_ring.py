@@ -16,7 +16,7 @@ from dds_trace.tracefile import (
     read_descriptions,
     read_trace,
 )
-from dds_trace.tracefile.ring import ring_path
+from dds_trace.tracefile.format.ring import ring_path
 
 FIELDS = EVENT_DTYPE.names
 NUMBERS = {Stage.T1: 1, Stage.T2: 2}

@@ -21,10 +21,10 @@ from dds_trace.tracefile import (
     TraceFormatError,
     TraceSink,
 )
-from dds_trace.tracefile.reader import read_trace
-from dds_trace.tracefile.records import MAGIC, RecordFile
-from dds_trace.tracefile.recovery import recover
-from dds_trace.tracefile.ring import ring_path
+from dds_trace.tracefile.format.ring import ring_path
+from dds_trace.tracefile.mcapfile.records import MAGIC, RecordFile
+from dds_trace.tracefile.reading.reader import read_trace
+from dds_trace.tracefile.recovery.recover import recover
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -202,7 +202,7 @@ def test_a_disk_without_hard_links(tmp_path, monkeypatch):
     def refuse(*_):
         raise PermissionError
 
-    monkeypatch.setattr("dds_trace.tracefile.recovery.os.link", refuse)
+    monkeypatch.setattr("dds_trace.tracefile.recovery.recover.os.link", refuse)
     trace = killed(tmp_path)
     data = trace.read_bytes()
     report = recover(trace)

@@ -10,7 +10,7 @@ import pytest
 from trace_files import ping_session
 
 from dds_trace.tracefile import Stage, TraceFormatError
-from dds_trace.tracefile.ring import Ring, read_ring
+from dds_trace.tracefile.format.ring import Ring, read_ring
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -32,7 +32,7 @@ from dds_trace.tracefile import (
     __version__,
     unpack_event,
 )
-from dds_trace.tracefile.ring import ring_path
+from dds_trace.tracefile.format.ring import ring_path
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -16,9 +16,9 @@ import pytest
 from trace_files import ping_session, run
 
 from dds_trace.tracefile import OutputError, Stage, TraceDestination, TraceSink
-from dds_trace.tracefile.reader import read_trace
-from dds_trace.tracefile.recovery import recover
-from dds_trace.tracefile.ring import ring_path
+from dds_trace.tracefile.format.ring import ring_path
+from dds_trace.tracefile.reading.reader import read_trace
+from dds_trace.tracefile.recovery.recover import recover
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -131,7 +131,8 @@ def test_a_folder_that_may_not_be_written(tmp_path, monkeypatch, number):
         tmp_path.chmod(0o500)
     else:  # root may write everywhere
         monkeypatch.setattr(
-            "dds_trace.tracefile.writer.os.open", lambda *_: (_ for _ in ()).throw(OSError(number, "no"))
+            "dds_trace.tracefile.writing.writer.os.open",
+            lambda *_: (_ for _ in ()).throw(OSError(number, "no")),
         )
     with pytest.raises(OutputError, match="choose another --out"):
         open_sink(tmp_path / "a.mcap")
@@ -177,7 +178,7 @@ def test_metadata_that_cannot_be_written(tmp_path):
 
 
 def test_every_error_number_says_what_to_do(tmp_path):
-    from dds_trace.tracefile.writer import output_error
+    from dds_trace.tracefile.writing.writer import output_error
 
     text = str(output_error(tmp_path, OSError(errno.EIO, "Input/output error")))
     assert str(tmp_path) in text

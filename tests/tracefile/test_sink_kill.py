@@ -19,9 +19,9 @@ from mcap.records import Message
 from mcap.stream_reader import StreamReader
 
 from dds_trace.tracefile import EVENT_DTYPE, Stage
-from dds_trace.tracefile.reader import read_trace
-from dds_trace.tracefile.recovery import recover
-from dds_trace.tracefile.ring import ring_path
+from dds_trace.tracefile.format.ring import ring_path
+from dds_trace.tracefile.reading.reader import read_trace
+from dds_trace.tracefile.recovery.recover import recover
 
 if TYPE_CHECKING:
     from pathlib import Path

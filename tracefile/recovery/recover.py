@@ -7,19 +7,19 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile.descriptions import Session
 from dds_trace.tracefile.errors import OptionError, OutputExistsError, TraceFormatError
-from dds_trace.tracefile.events import SESSION_TOPIC
-from dds_trace.tracefile.records import RecordFile
-from dds_trace.tracefile.ring import read_ring, ring_path
-from dds_trace.tracefile.rosbag2 import write_metadata
-from dds_trace.tracefile.salvage import Salvage, SalvagedText
-from dds_trace.tracefile.writer import MAX_CHUNK_EVENTS, TraceWriter, output_error
+from dds_trace.tracefile.format.descriptions import Session
+from dds_trace.tracefile.format.events import SESSION_TOPIC
+from dds_trace.tracefile.format.ring import read_ring, ring_path
+from dds_trace.tracefile.mcapfile.records import RecordFile
+from dds_trace.tracefile.recovery.salvage import Salvage, SalvagedText
+from dds_trace.tracefile.writing.bag_metadata import write_metadata
+from dds_trace.tracefile.writing.writer import MAX_CHUNK_EVENTS, TraceWriter, output_error
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from dds_trace.tracefile.ring import RingContents, Slots
+    from dds_trace.tracefile.format.ring import RingContents, Slots
 
 KILLED_SUFFIX = ".killed"
 UNFINISHED_SUFFIX = ".recovering"

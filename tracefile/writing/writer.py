@@ -25,11 +25,10 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from dds_trace.tracefile.crc import crc32
-from dds_trace.tracefile.descriptions import STRING_DEFINITION, STRING_SCHEMA_NAME
 from dds_trace.tracefile.errors import OutputError
-from dds_trace.tracefile.event_chunks import Chunk, EventChunkBuilder, positions_by_channel
-from dds_trace.tracefile.events import (
+from dds_trace.tracefile.format.crc import crc32
+from dds_trace.tracefile.format.descriptions import STRING_DEFINITION, STRING_SCHEMA_NAME
+from dds_trace.tracefile.format.events import (
     CDR_HEADER,
     EVENT_DEFINITION,
     EVENT_SCHEMA_NAME,
@@ -38,6 +37,7 @@ from dds_trace.tracefile.events import (
     Stage,
 )
 from dds_trace.tracefile.version import __version__
+from dds_trace.tracefile.writing.event_chunks import Chunk, EventChunkBuilder, positions_by_channel
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -45,8 +45,8 @@ if TYPE_CHECKING:
 
     from mcap.records import McapRecord
 
-    from dds_trace.tracefile.descriptions import Session
-    from dds_trace.tracefile.ring import Slots
+    from dds_trace.tracefile.format.descriptions import Session
+    from dds_trace.tracefile.format.ring import Slots
 
 MAGIC = b"\x89MCAP0\r\n"
 LIBRARY = "dds-trace"

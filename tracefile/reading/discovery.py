@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.tracefile.errors import MissingEventsError
-from dds_trace.tracefile.storage import is_bag
+from dds_trace.tracefile.reading.storage import is_bag
 
 if TYPE_CHECKING:
     from collections.abc import Collection

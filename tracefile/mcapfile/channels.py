@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.tracefile.errors import TraceFormatError
-from dds_trace.tracefile.events import EVENT_SCHEMA_NAME, STAGE_OF_TOPIC
-from dds_trace.tracefile.records import LAYOUTS, Opcode
+from dds_trace.tracefile.format.events import EVENT_SCHEMA_NAME, STAGE_OF_TOPIC
+from dds_trace.tracefile.mcapfile.records import LAYOUTS, Opcode
 
 if TYPE_CHECKING:
     from collections.abc import ItemsView
     from pathlib import Path
 
-    from dds_trace.tracefile.events import Stage
+    from dds_trace.tracefile.format.events import Stage
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,9 +1,9 @@
 """Where a recording node puts its events: `TraceSink`.
 
-The hot path packs an event into a ring file (`dds_trace.tracefile.ring`) and returns. A thread of the sink's own moves
+The hot path packs an event into a ring file (`dds_trace.tracefile.format.ring`) and returns. A thread of the sink's own moves
 what is in the ring to the trace, a chunk every `chunk_seconds` or whenever a quarter of the ring is used. A
 slot is used again only after its chunk is in the file, so at every instant an event is in the file or in the
-ring, and a process killed at any instruction loses none (`dds_trace.tracefile.recovery`).
+ring, and a process killed at any instruction loses none (`dds_trace.tracefile.recovery.recover`).
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.tracefile.background import run_in_background
 from dds_trace.tracefile.errors import OutputError, OutputExistsError
-from dds_trace.tracefile.events import RUN_TOPIC, SESSION_TOPIC
-from dds_trace.tracefile.ring import SLOT_BYTES, SLOT_STRUCT, STAGE_MARKS, Ring, ring_path
-from dds_trace.tracefile.rosbag2 import METADATA_NAME, write_metadata
-from dds_trace.tracefile.writer import MAX_CHUNK_EVENTS, TraceWriter, output_error
+from dds_trace.tracefile.format.events import RUN_TOPIC, SESSION_TOPIC
+from dds_trace.tracefile.format.ring import SLOT_BYTES, SLOT_STRUCT, STAGE_MARKS, Ring, ring_path
+from dds_trace.tracefile.writing.background import run_in_background
+from dds_trace.tracefile.writing.bag_metadata import METADATA_NAME, write_metadata
+from dds_trace.tracefile.writing.writer import MAX_CHUNK_EVENTS, TraceWriter, output_error
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
-    from dds_trace.tracefile.descriptions import Run, Session
+    from dds_trace.tracefile.format.descriptions import Run, Session
 
 
 BUSY_SWITCH_INTERVAL_S = 1e-4

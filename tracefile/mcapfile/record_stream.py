@@ -5,15 +5,22 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.tracefile.errors import TraceFormatError
-from dds_trace.tracefile.event_scan import EVENT_RECORD_BYTES, Scan, scan_records
-from dds_trace.tracefile.packed_chunks import DamagedChunkError, PackedChunk
-from dds_trace.tracefile.records import LAYOUTS, MAGIC, RECORD_HEADER, Opcode, RecordFile, TornRecordError
+from dds_trace.tracefile.mcapfile.event_scan import EVENT_RECORD_BYTES, Scan, scan_records
+from dds_trace.tracefile.mcapfile.packed_chunks import DamagedChunkError, PackedChunk
+from dds_trace.tracefile.mcapfile.records import (
+    LAYOUTS,
+    MAGIC,
+    RECORD_HEADER,
+    Opcode,
+    RecordFile,
+    TornRecordError,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from dds_trace.tracefile.records import Buffer
+    from dds_trace.tracefile.mcapfile.records import Buffer
 
 
 def read_records(path: Path) -> Iterator[tuple[Opcode, dict[str, Any]]]:

@@ -1,0 +1,1 @@
+"""MCAP files as bytes: records, chunks, channels and summaries, in order."""

@@ -1,0 +1,1 @@
+"""From trace files of any storage to events and descriptions."""

@@ -1,0 +1,1 @@
+"""Traces that a killed recorder left, made whole."""

@@ -1,0 +1,1 @@
+"""The one parser and the one printer of each unit."""

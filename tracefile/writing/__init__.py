@@ -1,0 +1,1 @@
+"""From a stamped event to an `.mcap` file on disk."""

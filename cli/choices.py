@@ -1,6 +1,6 @@
 """The closed sets of words that options take, shared by the commands.
 
-Those of `dds_trace.recorder.backend` stand here once more, so that `--help` loads neither recorder nor numpy; a test compares.
+Those of `dds_trace.recorder.backends.base` stand here once more, so that `--help` loads neither recorder nor numpy; a test compares.
 """
 
 from __future__ import annotations

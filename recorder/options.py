@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from dds_trace.recorder.backend import NodeOptions, Serialization
+from dds_trace.recorder.backends.base import NodeOptions, Serialization
 from dds_trace.tracefile import OptionError, OutputExistsError, TraceDestination
 
 if TYPE_CHECKING:

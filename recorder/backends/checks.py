@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from dds_trace.recorder.backend import ExecutorKind, Transport
-from dds_trace.recorder.domains import LAST_DOMAIN, first_port
-from dds_trace.recorder.qos import asked_durations
+from dds_trace.recorder.backends.base import ExecutorKind, Transport
+from dds_trace.recorder.backends.domains import LAST_DOMAIN, first_port
+from dds_trace.recorder.backends.qos import asked_durations
 from dds_trace.tracefile import OptionError
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
-    from dds_trace.recorder.backend import NodeOptions
+    from dds_trace.recorder.backends.base import NodeOptions
     from dds_trace.tracefile import Qos
 
 

@@ -22,16 +22,35 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.backend import Discovery, Endpoint, ExecutorKind, Middleware, TopicView, Transport
+from dds_trace.recorder.backends.base import (
+    Discovery,
+    Endpoint,
+    ExecutorKind,
+    Middleware,
+    TopicView,
+    Transport,
+)
 from dds_trace.recorder.backends.checks import refuse_peers
-from dds_trace.recorder.qos import DURATION_POLICIES, asked_durations, duration_extra, incompatible_pairs
+from dds_trace.recorder.backends.qos import (
+    DURATION_POLICIES,
+    asked_durations,
+    duration_extra,
+    incompatible_pairs,
+)
 from dds_trace.tracefile import BackendUnavailableError, OptionError, Qos
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from types import TracebackType
 
-    from dds_trace.recorder.backend import Node, NodeOptions, Publisher, RawMessage, Receive, Subscription
+    from dds_trace.recorder.backends.base import (
+        Node,
+        NodeOptions,
+        Publisher,
+        RawMessage,
+        Receive,
+        Subscription,
+    )
 
 SPIN_S = 0.1
 """One round of the executor; how long `close` may have to wait for the thread."""

@@ -12,7 +12,7 @@ import threading
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.backend import Discovery, Endpoint, Middleware, TopicView, Transport
+from dds_trace.recorder.backends.base import Discovery, Endpoint, Middleware, TopicView, Transport
 from dds_trace.recorder.backends.checks import (
     SOCKET_PORT,
     peer_addresses,
@@ -28,7 +28,14 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from types import TracebackType
 
-    from dds_trace.recorder.backend import Node, NodeOptions, Publisher, RawMessage, Receive, Subscription
+    from dds_trace.recorder.backends.base import (
+        Node,
+        NodeOptions,
+        Publisher,
+        RawMessage,
+        Receive,
+        Subscription,
+    )
 
 POLL_S = 0.1
 """One round of the thread; how long `close` may have to wait for it."""

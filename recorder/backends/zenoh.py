@@ -14,7 +14,7 @@ from functools import partial
 from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.backend import Discovery, Endpoint, Middleware, TopicView
+from dds_trace.recorder.backends.base import Discovery, Endpoint, Middleware, TopicView
 from dds_trace.recorder.backends.checks import (
     ZENOH_PORT,
     peer_addresses,
@@ -29,7 +29,14 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from types import TracebackType
 
-    from dds_trace.recorder.backend import Node, NodeOptions, Publisher, RawMessage, Receive, Subscription
+    from dds_trace.recorder.backends.base import (
+        Node,
+        NodeOptions,
+        Publisher,
+        RawMessage,
+        Receive,
+        Subscription,
+    )
 
 INSTALL = "pip install 'dds-trace[zenoh]'"
 MULTICAST = "multicast"

@@ -12,7 +12,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.recorder.bridges.bridge import Halves
+from dds_trace.recorder.bridges.base import Halves
 from dds_trace.recorder.bridges.builtin_common import (
     INSTALL_ROS2,
     UP_LINE,
@@ -28,7 +28,7 @@ from dds_trace.tracefile import __version__
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from dds_trace.recorder.bridges.bridge import BridgeOptions
+    from dds_trace.recorder.bridges.base import BridgeOptions
 
 
 @dataclass(frozen=True, slots=True)

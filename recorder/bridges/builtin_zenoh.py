@@ -15,7 +15,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.bridges.bridge import Halves
+from dds_trace.recorder.bridges.base import Halves
 from dds_trace.recorder.bridges.builtin_common import (
     INSTALL_ROS2,
     UP_LINE,
@@ -32,8 +32,8 @@ from dds_trace.tracefile import __version__
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from dds_trace.recorder.backend import Receive
-    from dds_trace.recorder.bridges.bridge import BridgeOptions
+    from dds_trace.recorder.backends.base import Receive
+    from dds_trace.recorder.bridges.base import BridgeOptions
 
 KEY_PREFIX = "dds_trace/bridge"
 """A topic travels between the halves as the zenoh key `dds_trace/bridge/TOPIC`."""

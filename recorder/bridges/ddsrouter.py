@@ -8,17 +8,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.backend import Discovery
-from dds_trace.recorder.bridges.bridge import Half, Halves, split_address
-from dds_trace.recorder.bridges.programs import reported_version
+from dds_trace.recorder.backends.base import Discovery
+from dds_trace.recorder.backends.qos import asked_durations
+from dds_trace.recorder.bridges.base import Half, Halves, split_address
+from dds_trace.recorder.bridges.process.programs import reported_version
 from dds_trace.recorder.bridges.texts import yaml_text
-from dds_trace.recorder.qos import asked_durations
 from dds_trace.tracefile import OptionError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from dds_trace.recorder.bridges.bridge import BridgeOptions
+    from dds_trace.recorder.bridges.base import BridgeOptions
     from dds_trace.tracefile import Qos
 
 PROGRAM = "ddsrouter"

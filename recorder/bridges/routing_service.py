@@ -8,19 +8,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.recorder.backend import Discovery
-from dds_trace.recorder.bridges.bridge import Halves
-from dds_trace.recorder.bridges.programs import reported_version
+from dds_trace.recorder.backends.base import Discovery
+from dds_trace.recorder.backends.qos import asked_durations
+from dds_trace.recorder.bridges.base import Halves
+from dds_trace.recorder.bridges.process.programs import reported_version
 from dds_trace.recorder.bridges.ros_types import rti_types
 from dds_trace.recorder.bridges.texts import element, xml_text
-from dds_trace.recorder.qos import asked_durations
 from dds_trace.tracefile.units.durations import SECOND_NS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from xml.etree.ElementTree import Element
 
-    from dds_trace.recorder.bridges.bridge import BridgeOptions, BridgeSide
+    from dds_trace.recorder.bridges.base import BridgeOptions, BridgeSide
     from dds_trace.tracefile import Qos
 
 PROGRAM = "rtiroutingservice"

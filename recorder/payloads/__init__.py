@@ -16,7 +16,7 @@ from dds_trace.tracefile import OptionError
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from dds_trace.recorder.payload import DataType, Payload
+    from dds_trace.recorder.payloads.base import DataType, Payload
 
 DATA_TYPES = {data_type.name: data_type for data_type in (BINARY, STRING, IMU)}
 """By the name that `--data` takes and the trace keeps; a relay serves all of them at once."""

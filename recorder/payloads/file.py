@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.recorder.payload import Payload
+from dds_trace.recorder.payloads.base import Payload
 from dds_trace.recorder.payloads.binary import BINARY, image_message
 from dds_trace.recorder.payloads.limits import check_held_bytes
 from dds_trace.tracefile import OptionError
 
 if TYPE_CHECKING:
-    from dds_trace.recorder.payload import Message
+    from dds_trace.recorder.payloads.base import Message
 
 
 def load_payload(where: str) -> Payload:

@@ -8,18 +8,18 @@ from collections import deque
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
-from dds_trace.recorder.backend import Serialization
-from dds_trace.recorder.payload import RELAY_SUFFIX, Message, Payload
+from dds_trace.recorder.backends.base import Serialization
+from dds_trace.recorder.payloads.base import RELAY_SUFFIX, Message, Payload
 from dds_trace.recorder.payloads.foreign import OWN_TYPES, foreign_data_type, make_room
-from dds_trace.recorder.stamp import STAMP_PREFIX
+from dds_trace.recorder.payloads.stamp import STAMP_PREFIX
 from dds_trace.tracefile import OptionError, Qos
 
 if TYPE_CHECKING:
     import threading
     from collections.abc import Callable, Iterator
 
-    from dds_trace.recorder.backend import Endpoint, Node
-    from dds_trace.recorder.payload import DataType
+    from dds_trace.recorder.backends.base import Endpoint, Node
+    from dds_trace.recorder.payloads.base import DataType
 
 MAX_WAITING = 64
 """Messages that may wait for those before them to be published; more are counted and left out."""
@@ -77,7 +77,7 @@ def open_payload(
 
 
 class LiveFeed:
-    """What arrives on the topic, serialized with room for the stamp; see `dds_trace.recorder.payload.Feed`."""
+    """What arrives on the topic, serialized with room for the stamp; see `dds_trace.recorder.payloads.base.Feed`."""
 
     def __init__(self, node: SerializingNode, type_name: str, where: str) -> None:
         self.skipped = 0

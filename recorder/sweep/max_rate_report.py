@@ -10,14 +10,14 @@ from dataclasses import asdict
 from html import escape
 from typing import TYPE_CHECKING
 
-from dds_trace.recorder.sweep.cells import format_cell_size
+from dds_trace.recorder.sweep.plan.cells import format_cell_size
+from dds_trace.recorder.sweep.run.state import write_atomically
 from dds_trace.recorder.sweep.search import Answer
-from dds_trace.recorder.sweep.state import write_atomically
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from dds_trace.recorder.sweep.plan import Search
+    from dds_trace.recorder.sweep.plan.plan import Search
     from dds_trace.recorder.sweep.search import MaxRate
 
 COLUMNS = ("middleware", "bridge", "data", "size", "max_rate_hz", "answer", "fails_at_hz", "held", "why")

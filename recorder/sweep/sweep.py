@@ -5,18 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.recorder.sweep.lock import holding_folder
-from dds_trace.recorder.sweep.runner import Runner
-from dds_trace.recorder.sweep.schedule import schedule
+from dds_trace.recorder.sweep.plan.schedule import schedule
+from dds_trace.recorder.sweep.run.lock import holding_folder
+from dds_trace.recorder.sweep.run.runner import Runner
 from dds_trace.recorder.sweep.search import find_max_rates, search_plan
-from dds_trace.recorder.sweep.station import open_station
+from dds_trace.recorder.sweep.station.station import open_station
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from dds_trace.recorder.sweep.plan import Plan
-    from dds_trace.recorder.sweep.progress import SweepProgress
+    from dds_trace.recorder.sweep.plan.plan import Plan
+    from dds_trace.recorder.sweep.run.progress import SweepProgress
     from dds_trace.recorder.sweep.search import MaxRate
 
 INCOMPLETE_EXIT_CODE = 10

@@ -8,9 +8,9 @@ import pytest
 from backend_pairs import all_data_types
 from processes import run
 
-from dds_trace.recorder.backend import Discovery, NodeOptions, Transport
 from dds_trace.recorder.backends import connext, open_node
-from dds_trace.recorder.dds_types import DDS_TYPES
+from dds_trace.recorder.backends.base import Discovery, NodeOptions, Transport
+from dds_trace.recorder.backends.dds_types import DDS_TYPES
 from dds_trace.recorder.payloads import DATA_TYPES
 from dds_trace.tracefile import BackendUnavailableError, OptionError, Qos
 

@@ -11,8 +11,8 @@ import pytest
 from backend_pairs import all_data_types
 from processes import PATIENCE_S, ping, relay
 
-from dds_trace.recorder.backend import Discovery, ExecutorKind, NodeOptions, Transport
 from dds_trace.recorder.backends import open_node
+from dds_trace.recorder.backends.base import Discovery, ExecutorKind, NodeOptions, Transport
 from dds_trace.recorder.payloads import BINARY, DATA_TYPES, IMU
 from dds_trace.tracefile import OptionError, Qos
 
@@ -190,7 +190,7 @@ def test_closing_twice_is_allowed(domain_id):
 def test_without_cyclonedds_it_says_how_to_get_it():
     code = (
         "import sys; sys.modules['cyclonedds'] = None\n"
-        "from dds_trace.recorder.backend import NodeOptions\n"
+        "from dds_trace.recorder.backends.base import NodeOptions\n"
         "from dds_trace.recorder.backends import open_node\n"
         "from tracefile import BackendUnavailableError\n"
         "try: open_node('cyclonedds', NodeOptions())\n"

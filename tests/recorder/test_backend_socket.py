@@ -14,8 +14,8 @@ import pytest
 from backend_pairs import all_data_types, events
 from processes import PATIENCE_S, ping, relay, running
 
-from dds_trace.recorder.backend import Discovery, ExecutorKind, NodeOptions, Transport
 from dds_trace.recorder.backends import open_node
+from dds_trace.recorder.backends.base import Discovery, ExecutorKind, NodeOptions, Transport
 from dds_trace.recorder.backends.checks import SOCKET_PORT, port_of
 from dds_trace.recorder.backends.socket_links import FRAGMENT_BYTES
 from dds_trace.recorder.payloads import BINARY, IMU

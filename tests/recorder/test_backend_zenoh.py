@@ -11,8 +11,8 @@ import pytest
 from backend_pairs import all_data_types
 from processes import PATIENCE_S, ping, relay, running
 
-from dds_trace.recorder.backend import Discovery, ExecutorKind, NodeOptions, Transport
 from dds_trace.recorder.backends import open_node
+from dds_trace.recorder.backends.base import Discovery, ExecutorKind, NodeOptions, Transport
 from dds_trace.recorder.backends.checks import ZENOH_PORT, port_of
 from dds_trace.recorder.payloads import BINARY, IMU
 from dds_trace.tracefile import OptionError, Qos
@@ -149,7 +149,7 @@ def test_nobody_answers(domain_id, tmp_path):
 def test_without_zenoh_it_says_how_to_get_it():
     code = (
         "import sys; sys.modules['zenoh'] = None\n"
-        "from dds_trace.recorder.backend import Discovery, NodeOptions\n"
+        "from dds_trace.recorder.backends.base import Discovery, NodeOptions\n"
         "from dds_trace.recorder.backends import open_node\n"
         "from tracefile import BackendUnavailableError\n"
         "try: open_node('zenoh', NodeOptions(discovery=Discovery.LOCALHOST))\n"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 
-from dds_trace.recorder.clock import ClockAnchor, SystemClock, sharpen_sleep
+from dds_trace.recorder.host.clock import ClockAnchor, SystemClock, sharpen_sleep
 
 
 def test_the_anchor_is_one_instant_on_both_clocks():

@@ -6,10 +6,10 @@ import struct
 
 import pytest
 
-from dds_trace.recorder.backend import Serialization
+from dds_trace.recorder.backends.base import Serialization
 from dds_trace.recorder.payloads import BINARY, IMU, STRING, header_data_type, load_payload, served_data_types
 from dds_trace.recorder.payloads import limits as limits_module
-from dds_trace.recorder.stamp import RAW_HEADER_STAMP, stamp_text
+from dds_trace.recorder.payloads.stamp import RAW_HEADER_STAMP, stamp_text
 from dds_trace.tracefile import BackendUnavailableError, OptionError
 
 pytest.importorskip("rosbags", reason="rosbags is not installed")

@@ -7,9 +7,9 @@ import zlib
 
 import pytest
 
-from dds_trace.recorder.backend import Serialization
+from dds_trace.recorder.backends.base import Serialization
 from dds_trace.recorder.payloads import BINARY, DATA_TYPES, IMU, STRING, data_type_called
-from dds_trace.recorder.stamp import stamp_text
+from dds_trace.recorder.payloads.stamp import stamp_text
 from dds_trace.tracefile import OptionError
 
 SIZES = [

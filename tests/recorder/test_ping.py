@@ -11,8 +11,8 @@ from fake_clock import FakeClock
 from fake_node import FakeNode, ListSink
 
 from dds_trace.recorder.payloads import BINARY, IMU, STRING
-from dds_trace.recorder.ping import DRAIN_NS, LEAD_NS, Ping, RunPlan
-from dds_trace.recorder.stamp import RAW_HEADER_STAMP, stamp_text
+from dds_trace.recorder.payloads.stamp import RAW_HEADER_STAMP, stamp_text
+from dds_trace.recorder.roles.ping import DRAIN_NS, LEAD_NS, Ping, RunPlan
 
 MS = 1_000_000
 START_NS = 1_000_000_000_000

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from dds_trace.recorder.backend import NodeOptions, Serialization
+from dds_trace.recorder.backends.base import NodeOptions, Serialization
 from dds_trace.recorder.options import PingOptions, RecordOptions
 from dds_trace.recorder.payloads import IMU, header_data_type
-from dds_trace.recorder.planning import plan_run
+from dds_trace.recorder.roles.plan import plan_run
 from dds_trace.tracefile import OptionError, TraceDestination
 
 MADE = IMU.make(None, 1)

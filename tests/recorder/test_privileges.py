@@ -7,14 +7,14 @@ import sys
 
 import pytest
 
-from dds_trace.recorder.privileges import apply_privileges, parse_cpus, set_realtime
+from dds_trace.recorder.host.privileges import apply_privileges, parse_cpus, set_realtime
 from dds_trace.tracefile import OptionError, run_in_background
 
 # Each runs in a process of its own: priority and affinity must not reach the other tests.
 REALTIME = """
 import os, pathlib, sys, threading, time
-from dds_trace.recorder.privileges import apply_privileges
-from dds_trace.recorder.sampling import HostSampler
+from dds_trace.recorder.host.privileges import apply_privileges
+from dds_trace.recorder.host.sampling import HostSampler
 from dds_trace.tracefile import Session, TraceDestination, TraceSink
 print(apply_privileges(realtime_priority=7))
 path, sampled = pathlib.Path(sys.argv[1]), threading.Event()
@@ -37,7 +37,7 @@ assert int(locked.split()[1]) > 0, locked
 
 AFFINITY = """
 import os, pathlib, threading
-from dds_trace.recorder.privileges import apply_privileges
+from dds_trace.recorder.host.privileges import apply_privileges
 release = threading.Event()
 thread = threading.Thread(target=release.wait); thread.start()
 cpu = min(os.sched_getaffinity(0))

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from dds_trace.recorder.backend import Endpoint
-from dds_trace.recorder.qos import asked_durations, duration_extra, incompatible_pairs, mismatches
+from dds_trace.recorder.backends.base import Endpoint
+from dds_trace.recorder.backends.qos import asked_durations, duration_extra, incompatible_pairs, mismatches
 from dds_trace.tracefile import Qos
 
 RELIABLE, BEST_EFFORT = Qos(), Qos(reliability="best_effort")

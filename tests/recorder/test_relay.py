@@ -8,9 +8,9 @@ import pytest
 from fake_clock import FakeClock
 from fake_node import FakeNode, ListSink
 
-from dds_trace.recorder.backend import Serialization
+from dds_trace.recorder.backends.base import Serialization
 from dds_trace.recorder.payloads import DATA_TYPES
-from dds_trace.recorder.relay import Relay
+from dds_trace.recorder.roles.relay import Relay
 from dds_trace.tracefile import Qos
 
 RELAY = 0xBEEF

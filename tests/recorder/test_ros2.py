@@ -14,8 +14,8 @@ from types import SimpleNamespace
 import pytest
 from processes import PATIENCE_S
 
-from dds_trace.recorder.backend import Discovery, ExecutorKind, NodeOptions, Serialization, Transport
 from dds_trace.recorder.backends import load_backend, open_node, ros2
+from dds_trace.recorder.backends.base import Discovery, ExecutorKind, NodeOptions, Serialization, Transport
 from dds_trace.recorder.payloads import BINARY, DATA_TYPES, IMU
 from dds_trace.tracefile import BackendUnavailableError, OptionError, Qos
 
@@ -117,7 +117,7 @@ def test_transports_and_tuning_are_recorded(domain_id):
     done = python(
         f"""
         from dds_trace.recorder.backends import open_node
-        from dds_trace.recorder.backend import Discovery, NodeOptions, Transport
+        from dds_trace.recorder.backends.base import Discovery, NodeOptions, Transport
         options = NodeOptions({domain_id}, discovery=Discovery.LOCALHOST, transport=Transport.UDP, tuned=True)
         with open_node("ros2", options) as node:
             print(*node.middleware.settings.values())
@@ -237,7 +237,7 @@ def test_a_middleware_that_is_not_here_is_one_line_and_no_dead_process(domain_id
     done = python(
         f"""
         from dds_trace.recorder.backends import open_node
-        from dds_trace.recorder.backend import NodeOptions
+        from dds_trace.recorder.backends.base import NodeOptions
         from dds_trace.tracefile import BackendUnavailableError
         try:
             open_node("ros2", NodeOptions(domain_id={domain_id}, rmw={option}))
@@ -257,7 +257,7 @@ def test_without_rclpy_it_says_how_to_get_it():
         import sys
         sys.modules["rclpy"] = None  # as if it were not installed
         from dds_trace.recorder.backends import open_node
-        from dds_trace.recorder.backend import NodeOptions
+        from dds_trace.recorder.backends.base import NodeOptions
         from dds_trace.tracefile import BackendUnavailableError
         try:
             open_node("ros2", NodeOptions())

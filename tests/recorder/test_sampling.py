@@ -6,8 +6,8 @@ import queue
 import subprocess
 import sys
 
-from dds_trace.recorder import sampling
-from dds_trace.recorder.sampling import HostSampler
+from dds_trace.recorder.host.fingerprint import sampling
+from dds_trace.recorder.host.sampling import HostSampler
 
 # Linux 6: a line of names, then a line of values for each protocol.
 SNMP = """\

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dds_trace.recorder.backend import Serialization
+from dds_trace.recorder.backends.base import Serialization
 from dds_trace.recorder.payloads import DATA_TYPES
-from dds_trace.recorder.stamp import (
+from dds_trace.recorder.payloads.stamp import (
     RAW_HEADER_STAMP,
     RAW_STRING_STAMP,
     STAMP_BYTES,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import heapq
 from typing import TYPE_CHECKING
 
-from dds_trace.recorder.clock import ClockAnchor
+from dds_trace.recorder.host.clock import ClockAnchor
 
 if TYPE_CHECKING:
     import threading
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 class FakeClock:
-    """A `dds_trace.recorder.clock.Clock`; what is due is called while a wait passes its time."""
+    """A `dds_trace.recorder.host.clock.Clock`; what is due is called while a wait passes its time."""
 
     def __init__(
         self, now_ns: int = 1_000_000_000_000, wall_offset_ns: int = 1_700_000_000_000_000_000

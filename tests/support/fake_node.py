@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.backend import Middleware, NodeOptions, TopicView
+from dds_trace.recorder.backends.base import Middleware, NodeOptions, TopicView
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -40,7 +40,7 @@ class FakeSubscription:
 
 
 class FakeNode:
-    """A `dds_trace.recorder.backend.Node` of raw messages."""
+    """A `dds_trace.recorder.backends.base.Node` of raw messages."""
 
     def __init__(self, options: NodeOptions | None = None) -> None:
         self.options = options or NodeOptions(name="me")

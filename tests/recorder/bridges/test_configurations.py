@@ -14,7 +14,7 @@ from xml.etree import ElementTree as ET
 import pytest
 from ruamel.yaml import YAML
 
-from dds_trace.recorder.backend import Discovery
+from dds_trace.recorder.backends.base import Discovery
 from dds_trace.recorder.bridges import (
     BRIDGE_MODULES,
     BRIDGED_TOPICS,

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 from crossing import watch_crossing
 
-from dds_trace.recorder.backend import Discovery
+from dds_trace.recorder.backends.base import Discovery
 from dds_trace.recorder.bridges import BRIDGED_TOPICS, BridgeOptions, Half, load_bridge, open_bridge
 from dds_trace.tracefile import Qos
 

@@ -14,7 +14,7 @@ import stand_in_bridge
 from stand_in_bridge import StandInBridge
 
 from dds_trace.recorder.bridges import BRIDGE_MODULES, BridgeOptions, BridgeState, Halves, open_bridge
-from dds_trace.recorder.bridges.guard import LOG_LIMIT_BYTES
+from dds_trace.recorder.bridges.process.guard import LOG_LIMIT_BYTES
 from dds_trace.tracefile import BackendUnavailableError, BridgeError, OptionError
 
 
@@ -139,7 +139,7 @@ def test_a_flood_is_bounded_on_disk_and_in_the_trace(stand_in):
 
 
 def test_one_that_ignores_signals_is_killed(stand_in, monkeypatch):
-    monkeypatch.setattr("dds_trace.recorder.bridges.supervise.STOP_PATIENCE_S", 0.2)
+    monkeypatch.setattr("dds_trace.recorder.bridges.process.supervise.STOP_PATIENCE_S", 0.2)
     with stand_in("stubborn") as bridge:
         pid = bridge.processes["bridge"]
     assert not psutil.pid_exists(pid)
@@ -147,7 +147,7 @@ def test_one_that_ignores_signals_is_killed(stand_in, monkeypatch):
 
 
 def test_children_left_behind_are_ended_and_counted(stand_in, monkeypatch):
-    monkeypatch.setattr("dds_trace.recorder.bridges.supervise.STOP_PATIENCE_S", 0.2)
+    monkeypatch.setattr("dds_trace.recorder.bridges.process.supervise.STOP_PATIENCE_S", 0.2)
     with stand_in("leaves_children") as bridge:
         pids = [bridge.processes["bridge"], *family_of(bridge.processes["bridge"])]
         assert len(pids) == 3
@@ -157,7 +157,7 @@ def test_children_left_behind_are_ended_and_counted(stand_in, monkeypatch):
 
 
 def test_children_of_one_that_died_are_ended_too(stand_in, monkeypatch):
-    monkeypatch.setattr("dds_trace.recorder.bridges.supervise.STOP_PATIENCE_S", 0.2)
+    monkeypatch.setattr("dds_trace.recorder.bridges.process.supervise.STOP_PATIENCE_S", 0.2)
     with stand_in("leaves_children") as bridge:
         pids = family_of(bridge.processes["bridge"])
         os.kill(bridge.processes["bridge"], signal.SIGKILL)

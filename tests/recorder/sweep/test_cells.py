@@ -2,7 +2,7 @@ from __future__ import annotations
 
 from dataclasses import fields
 
-from dds_trace.recorder.sweep.cells import RELAY_AXES, Cell, RelayNeed
+from dds_trace.recorder.sweep.plan.cells import RELAY_AXES, Cell, RelayNeed
 
 
 def test_name_has_the_main_parameters_and_whatever_is_not_default():

@@ -12,8 +12,8 @@ from statistics import median
 import pytest
 from namespaces import needs_namespaces
 
-from dds_trace.recorder.sweep.link import PRESETS, Link
-from dds_trace.recorder.sweep.namespaces import NamespacePair, ip, remove_stale, require_root
+from dds_trace.recorder.sweep.plan.link import PRESETS, Link
+from dds_trace.recorder.sweep.station.namespaces import NamespacePair, ip, remove_stale, require_root
 from dds_trace.tracefile import BackendUnavailableError, OptionError
 
 UDP_ECHO = Path(__file__).parents[2] / "support" / "udp_echo.py"
@@ -153,7 +153,7 @@ def test_namespaces_of_a_killed_sweep_are_removed_by_the_next():
 
 @skipped
 def test_failure_half_way_leaves_nothing_behind(monkeypatch):
-    from dds_trace.recorder.sweep import namespaces
+    from dds_trace.recorder.sweep.station.station import namespaces
 
     def refuse(*_arguments):
         raise BackendUnavailableError("tc: Specified qdisc kind is unknown.")

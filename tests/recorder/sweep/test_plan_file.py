@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from dds_trace.recorder.sweep.link import PRESETS
-from dds_trace.recorder.sweep.plan import Order
-from dds_trace.recorder.sweep.plan_file import parse_plan, read_plan
+from dds_trace.recorder.sweep.plan.link import PRESETS
+from dds_trace.recorder.sweep.plan.plan import Order
+from dds_trace.recorder.sweep.plan.plan_file import parse_plan, read_plan
 from dds_trace.tracefile import OptionError
 
 RUN = "[run]\nmessages = 10\n"

@@ -4,9 +4,9 @@ import io
 
 from rich.console import Console
 
-from dds_trace.recorder.sweep.estimate import Estimate, Remaining
-from dds_trace.recorder.sweep.plan_file import parse_plan
-from dds_trace.recorder.sweep.progress import PlainProgress, RichProgress, make_progress
+from dds_trace.recorder.sweep.plan.estimate import Estimate, Remaining
+from dds_trace.recorder.sweep.plan.plan_file import parse_plan
+from dds_trace.recorder.sweep.run.progress import PlainProgress, RichProgress, make_progress
 
 
 def tell(progress):

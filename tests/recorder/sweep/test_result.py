@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 from trace_files import Message, ping_events, ping_session, run, write_trace
 
-from dds_trace.recorder.sweep.result import read_result
+from dds_trace.recorder.sweep.run.result import read_result
 from dds_trace.tracefile import Stage, TraceFormatError
 
 MS = 1_000_000

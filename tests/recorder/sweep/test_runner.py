@@ -16,12 +16,12 @@ from pathlib import Path
 import pytest
 from trace_files import Message, ping_events, ping_session, relay_events, relay_session, run, write_trace
 
-import dds_trace.recorder.sweep.runner as runner_module
+import dds_trace.recorder.sweep.run.runner as runner_module
 from dds_trace.recorder.sweep import sweep as sweep_module
-from dds_trace.recorder.sweep.plan_file import parse_plan
+from dds_trace.recorder.sweep.plan.plan_file import parse_plan
+from dds_trace.recorder.sweep.run.state import Status, SweepState
 from dds_trace.recorder.sweep.search import Answer
-from dds_trace.recorder.sweep.state import Status, SweepState
-from dds_trace.recorder.sweep.station import open_station
+from dds_trace.recorder.sweep.station.station import open_station
 from dds_trace.recorder.sweep.sweep import run_search, run_sweep
 from dds_trace.tracefile import OptionError, Stage, read_trace
 
@@ -324,7 +324,7 @@ def test_search_of_the_highest_rate_goes_on_where_it_was_interrupted(desk):
 
 
 def test_second_sweep_in_the_same_folder_is_refused(desk, monkeypatch):
-    from dds_trace.recorder.sweep import lock
+    from dds_trace.recorder.sweep.run import lock
 
     monkeypatch.setattr(lock, "LOCK_PATIENCE_S", 0.0)
     heard = []

@@ -2,10 +2,10 @@ from __future__ import annotations
 
 import pytest
 
-from dds_trace.recorder.sweep.commands import half_arguments, ping_arguments
-from dds_trace.recorder.sweep.estimate import Remaining, plan_seconds
-from dds_trace.recorder.sweep.plan_file import parse_plan
-from dds_trace.recorder.sweep.schedule import schedule
+from dds_trace.recorder.sweep.plan.commands import half_arguments, ping_arguments
+from dds_trace.recorder.sweep.plan.estimate import Remaining, plan_seconds
+from dds_trace.recorder.sweep.plan.plan_file import parse_plan
+from dds_trace.recorder.sweep.plan.schedule import schedule
 from dds_trace.tracefile import OptionError
 
 PLAN = """

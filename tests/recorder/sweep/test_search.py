@@ -10,10 +10,10 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
-from dds_trace.recorder.sweep.cells import Cell
 from dds_trace.recorder.sweep.max_rate_report import COLUMNS, max_rate_rows, max_rate_svg, write_max_rates
-from dds_trace.recorder.sweep.plan import Search
-from dds_trace.recorder.sweep.plan_file import parse_plan
+from dds_trace.recorder.sweep.plan.cells import Cell
+from dds_trace.recorder.sweep.plan.plan import Search
+from dds_trace.recorder.sweep.plan.plan_file import parse_plan
 from dds_trace.recorder.sweep.search import (
     Answer,
     Bisection,

@@ -4,7 +4,7 @@ import pytest
 from mcap.reader import make_reader
 from trace_files import Message, event, relay_events, relay_session, write_trace
 
-from dds_trace.recorder.sweep.split import Part, split_relay_trace
+from dds_trace.recorder.sweep.run.split import Part, split_relay_trace
 from dds_trace.tracefile import HOST_TOPIC, Stage, TraceFormatError, read_trace
 
 SECOND_NS = 1_000_000_000

@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from dds_trace.recorder.sweep import state as state_module
-from dds_trace.recorder.sweep.state import Status, SweepState, write_atomically
+from dds_trace.recorder.sweep.run import state as state_module
+from dds_trace.recorder.sweep.run.state import Status, SweepState, write_atomically
 from dds_trace.tracefile import OptionError, OutputError, TraceFormatError
 
 

@@ -8,8 +8,8 @@ from collections import Counter
 
 import pytest
 
-from dds_trace.recorder.sweep.link import Link
-from dds_trace.recorder.sweep.tap_forwarder import HELD_FRAMES, Wire, quantile
+from dds_trace.recorder.sweep.plan.link import Link
+from dds_trace.recorder.sweep.station.tap_forwarder import HELD_FRAMES, Wire, quantile
 
 FRAME = b"\xff" * 12 + b"\x08\x00" + b"payload"
 ARP = b"\xff" * 12 + b"\x08\x06" + b"who has"

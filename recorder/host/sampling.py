@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import psutil
 
-from dds_trace.recorder.host import read_text, wifi_signals
+from dds_trace.recorder.host.fingerprint import read_text, wifi_signals
 from dds_trace.tracefile import run_in_background
 
 if TYPE_CHECKING:

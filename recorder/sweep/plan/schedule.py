@@ -6,13 +6,13 @@ import random
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from dds_trace.recorder.sweep.plan import Order
+from dds_trace.recorder.sweep.plan.plan import Order
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from dds_trace.recorder.sweep.cells import Cell, RelayNeed
-    from dds_trace.recorder.sweep.plan import Plan
+    from dds_trace.recorder.sweep.plan.cells import Cell, RelayNeed
+    from dds_trace.recorder.sweep.plan.plan import Plan
 
 
 @dataclass(frozen=True, slots=True)

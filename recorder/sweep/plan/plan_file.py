@@ -9,10 +9,10 @@ from dataclasses import dataclass, fields, replace
 from enum import Enum
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
-from dds_trace.recorder.sweep.cells import AXES, Cell
-from dds_trace.recorder.sweep.link import LINK_KEYS, PRESETS, Link
-from dds_trace.recorder.sweep.plan import DeviceSettings, Exclusion, Plan, RunSettings, Search
-from dds_trace.recorder.sweep.result import PERCENTILES
+from dds_trace.recorder.sweep.plan.cells import AXES, Cell
+from dds_trace.recorder.sweep.plan.link import LINK_KEYS, PRESETS, Link
+from dds_trace.recorder.sweep.plan.plan import DeviceSettings, Exclusion, Plan, RunSettings, Search
+from dds_trace.recorder.sweep.run.result import PERCENTILES
 from dds_trace.tracefile import OptionError
 from dds_trace.tracefile.units.sizes import parse_size
 

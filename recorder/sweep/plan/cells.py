@@ -6,8 +6,8 @@ import re
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.backend import ExecutorKind, Serialization, Transport
-from dds_trace.recorder.qos import RANKS
+from dds_trace.recorder.backends.base import ExecutorKind, Serialization, Transport
+from dds_trace.recorder.backends.qos import RANKS
 from dds_trace.tracefile.units.sizes import format_size
 
 if TYPE_CHECKING:

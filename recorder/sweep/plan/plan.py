@@ -9,13 +9,13 @@ from enum import Enum
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.recorder.bridges import BRIDGE_MODULES, load_bridge
-from dds_trace.recorder.bridges.bridge import Halves
+from dds_trace.recorder.bridges.base import Halves
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from dds_trace.recorder.sweep.cells import Cell
-    from dds_trace.recorder.sweep.link import Link
+    from dds_trace.recorder.sweep.plan.cells import Cell
+    from dds_trace.recorder.sweep.plan.link import Link
 
 
 BACKENDS_WITH_PEERS = ("socket", "zenoh")

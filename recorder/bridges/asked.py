@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
     from dds_trace.recorder.bridges import RunningBridge
     from dds_trace.recorder.options import PingOptions, RecordOptions
-    from dds_trace.recorder.payload import DataType
+    from dds_trace.recorder.payloads.base import DataType
 
 
 def open_asked_bridge(

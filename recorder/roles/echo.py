@@ -9,9 +9,9 @@ from dds_trace.recorder.backends.checks import SOCKET_PORT, ZENOH_PORT, port_of
 from dds_trace.recorder.payloads import DATA_TYPES
 
 if TYPE_CHECKING:
-    from dds_trace.recorder.backend import Endpoint, Node
-    from dds_trace.recorder.payload import DataType
-    from dds_trace.recorder.ping import RunPlan
+    from dds_trace.recorder.backends.base import Endpoint, Node
+    from dds_trace.recorder.payloads.base import DataType
+    from dds_trace.recorder.roles.ping import RunPlan
 
 _DISCOVERY = (
     "both have the same --domain and --discovery and a --backend that speaks DDS (ros2, cyclonedds, connext), and the "

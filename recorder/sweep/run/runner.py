@@ -15,23 +15,23 @@ import time
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.sweep.commands import half_arguments, ping_arguments, relay_arguments
-from dds_trace.recorder.sweep.estimate import Estimate
-from dds_trace.recorder.sweep.programs import Program
-from dds_trace.recorder.sweep.result import CellResult, read_result
-from dds_trace.recorder.sweep.split import Part, split_relay_trace
-from dds_trace.recorder.sweep.state import CellState, Status, SweepState
+from dds_trace.recorder.sweep.plan.commands import half_arguments, ping_arguments, relay_arguments
+from dds_trace.recorder.sweep.plan.estimate import Estimate
+from dds_trace.recorder.sweep.run.result import CellResult, read_result
+from dds_trace.recorder.sweep.run.split import Part, split_relay_trace
+from dds_trace.recorder.sweep.run.state import CellState, Status, SweepState
+from dds_trace.recorder.sweep.station.programs import Program
 from dds_trace.tracefile import BackendUnavailableError, OptionError, TraceError, TraceFormatError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from dds_trace.recorder.sweep.cells import Cell
-    from dds_trace.recorder.sweep.devices import RelayDevice, RunningRelay
-    from dds_trace.recorder.sweep.plan import Plan
-    from dds_trace.recorder.sweep.progress import SweepProgress
-    from dds_trace.recorder.sweep.schedule import Group
+    from dds_trace.recorder.sweep.plan.cells import Cell
+    from dds_trace.recorder.sweep.plan.plan import Plan
+    from dds_trace.recorder.sweep.plan.schedule import Group
+    from dds_trace.recorder.sweep.run.progress import SweepProgress
+    from dds_trace.recorder.sweep.station.devices import RelayDevice, RunningRelay
 
 PARTS = ".parts"
 START_ALLOWANCE_S = 40.0

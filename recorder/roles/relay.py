@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.backend import Serialization
-from dds_trace.recorder.clock import SystemClock
-from dds_trace.recorder.progress import RelayProgress
-from dds_trace.recorder.stamp import PROBE_RUN_ID
+from dds_trace.recorder.backends.base import Serialization
+from dds_trace.recorder.host.clock import SystemClock
+from dds_trace.recorder.payloads.stamp import PROBE_RUN_ID
+from dds_trace.recorder.roles.progress import RelayProgress
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from dds_trace.recorder.backend import Node, Publisher, Receive
-    from dds_trace.recorder.clock import Clock
-    from dds_trace.recorder.payload import DataType
+    from dds_trace.recorder.backends.base import Node, Publisher, Receive
+    from dds_trace.recorder.host.clock import Clock
+    from dds_trace.recorder.payloads.base import DataType
     from dds_trace.tracefile import Qos, TraceSink
 
 T3, T4 = 3, 4
@@ -28,7 +28,7 @@ class Relay:
         sink: where events go.
         relay_id: put into every reply, not 0.
         data_types: whose topics are served, all at once.
-        qos: of both ways; must suit the pings (see `dds_trace.recorder.qos`).
+        qos: of both ways; must suit the pings (see `dds_trace.recorder.backends.qos`).
     """
 
     def __init__(

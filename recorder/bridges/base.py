@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import TYPE_CHECKING, Protocol
 
-from dds_trace.recorder.backend import Discovery, Transport
+from dds_trace.recorder.backends.base import Discovery, Transport
 from dds_trace.tracefile import OptionError, Qos
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from dds_trace.recorder.payloads import STRING
 from dds_trace.tracefile import NoEchoError, Qos, TraceError, measure_recorder_cost
 
 if TYPE_CHECKING:
-    from dds_trace.recorder.backend import NodeOptions
+    from dds_trace.recorder.backends.base import NodeOptions
     from dds_trace.tracefile import RecorderCost
 
 BRIEF_S = 0.15

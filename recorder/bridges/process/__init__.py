@@ -1,0 +1,1 @@
+"""Programs of bridges as processes: find, start, supervise, stop."""

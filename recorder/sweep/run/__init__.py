@@ -1,0 +1,1 @@
+"""A sweep at work: its runner, state, lock, results and progress."""

@@ -1,0 +1,1 @@
+"""Where cells run: devices, programs, network namespaces and emulated links."""

@@ -5,8 +5,12 @@ a = analyze("runs/")          # a.summary, a.roundtrips ... are polars frames
 """
 
 from dds_trace.analyzer.analysis import Analysis, Details, Finding, Severity, Source
-from dds_trace.analyzer.answers import Answer, Clarity, Contender, Headline, Win, find_answers, find_headlines
-from dds_trace.analyzer.breakdown import (
+from dds_trace.analyzer.clocks.alignment import Alignment, align_clocks, clock_table, ping_boots
+from dds_trace.analyzer.clocks.fit import ClockFit, ClockKnot, ClockSegment, ClockStep
+from dds_trace.analyzer.comparison_text import comparison_junit, comparison_markdown, plain_line
+from dds_trace.analyzer.exports.foxglove import DerivedTrace, write_derived
+from dds_trace.analyzer.exports.tables import EXPORTERS, export_tables
+from dds_trace.analyzer.groups.breakdown import (
     STAGES,
     break_down,
     ping_wall_offsets,
@@ -15,10 +19,8 @@ from dds_trace.analyzer.breakdown import (
     summarize_breakdown,
     with_stamps,
 )
-from dds_trace.analyzer.change import Verdict
-from dds_trace.analyzer.clock_fit import ClockFit, ClockKnot, ClockSegment, ClockStep
-from dds_trace.analyzer.clocks import Alignment, align_clocks, clock_table, ping_boots
-from dds_trace.analyzer.columns import (
+from dds_trace.analyzer.groups.freshness import outage_table, summarize_freshness
+from dds_trace.analyzer.model.columns import (
     MEASURED_COLUMNS,
     PARAMETER_COLUMNS,
     ROUNDTRIP_COLUMNS,
@@ -26,18 +28,37 @@ from dds_trace.analyzer.columns import (
     SUMMARY_COLUMNS,
     Column,
 )
-from dds_trace.analyzer.compare import (
+from dds_trace.analyzer.model.metrics import METRICS
+from dds_trace.analyzer.pairing.pair import Outcome
+from dds_trace.analyzer.pipeline import analyze, default_output
+from dds_trace.analyzer.recordings.topics import TopicReport, analyze_topics
+from dds_trace.analyzer.statistics.intervals import Interval, percentile_interval, ratio_interval
+from dds_trace.analyzer.statistics.percentiles import PERCENTILES, Percentile
+from dds_trace.analyzer.statistics.sample_size import (
+    RunLength,
+    minimum_messages,
+    plan_run,
+    planned_messages,
+    supported_percentiles,
+)
+from dds_trace.analyzer.verdicts.answers import (
+    Answer,
+    Clarity,
+    Contender,
+    Headline,
+    Win,
+    find_answers,
+    find_headlines,
+)
+from dds_trace.analyzer.verdicts.change import Verdict
+from dds_trace.analyzer.verdicts.compare import (
     MATCH_COLUMNS,
     CompareOptions,
     Comparison,
     bridge_cost,
     compare_roundtrips,
 )
-from dds_trace.analyzer.comparison_text import comparison_junit, comparison_markdown, plain_line
-from dds_trace.analyzer.derived import DerivedTrace, write_derived
-from dds_trace.analyzer.exports import EXPORTERS, export_tables
-from dds_trace.analyzer.freshness import outage_table, summarize_freshness
-from dds_trace.analyzer.gates import (
+from dds_trace.analyzer.verdicts.gates import (
     Gate,
     GateOutcome,
     GateResult,
@@ -48,20 +69,14 @@ from dds_trace.analyzer.gates import (
     parse_gate,
     varying_columns,
 )
-from dds_trace.analyzer.intervals import Interval, percentile_interval, ratio_interval
-from dds_trace.analyzer.metrics import METRICS
-from dds_trace.analyzer.pair import Outcome
-from dds_trace.analyzer.pipeline import analyze, default_output
-from dds_trace.analyzer.recommend import Candidate, Fit, Job, Recommendation, parse_job, recommend_settings
-from dds_trace.analyzer.sample_size import (
-    RunLength,
-    minimum_messages,
-    plan_run,
-    planned_messages,
-    supported_percentiles,
+from dds_trace.analyzer.verdicts.recommend import (
+    Candidate,
+    Fit,
+    Job,
+    Recommendation,
+    parse_job,
+    recommend_settings,
 )
-from dds_trace.analyzer.statistics import PERCENTILES, Percentile
-from dds_trace.analyzer.topics import TopicReport, analyze_topics
 
 __all__ = [
     "EXPORTERS",

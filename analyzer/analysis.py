@@ -12,9 +12,9 @@ if TYPE_CHECKING:
 
     import polars as pl
 
-    from dds_trace.analyzer.answers import Answer
-    from dds_trace.analyzer.recommend import Recommendation
-    from dds_trace.analyzer.rows import RoundTripRows
+    from dds_trace.analyzer.pairing.rows import RoundTripRows
+    from dds_trace.analyzer.verdicts.answers import Answer
+    from dds_trace.analyzer.verdicts.recommend import Recommendation
     from dds_trace.tracefile import Run, Session
 
 

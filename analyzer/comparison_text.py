@@ -9,13 +9,19 @@ import re
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET  # written, never parsed
 
-from dds_trace.analyzer.gates import Against, GateOutcome, group_words, overall_outcome, varying_columns
+from dds_trace.analyzer.verdicts.gates import (
+    Against,
+    GateOutcome,
+    group_words,
+    overall_outcome,
+    varying_columns,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from dds_trace.analyzer.compare import Comparison
-    from dds_trace.analyzer.gates import GateResult
+    from dds_trace.analyzer.verdicts.compare import Comparison
+    from dds_trace.analyzer.verdicts.gates import GateResult
 
 # Control characters, line and paragraph separators, text direction, lone surrogates: XML 1.0 forbids most of them and
 # a reader could be misled by the rest.

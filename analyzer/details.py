@@ -7,7 +7,18 @@ from typing import TYPE_CHECKING, Any
 import polars as pl
 
 from dds_trace.analyzer.analysis import Details
-from dds_trace.analyzer.answers import (
+from dds_trace.analyzer.clocks.alignment import ping_boots
+from dds_trace.analyzer.findings.left_out import is_too_large
+from dds_trace.analyzer.groups.host_samples import host_sample_frame
+from dds_trace.analyzer.groups.interval_frames import (
+    INTERVAL_SCHEMA,
+    ONE_WAY_SCHEMA,
+    interval_rows,
+    one_way_rows,
+)
+from dds_trace.analyzer.pairing.one_way import fit_devices, segment_table
+from dds_trace.analyzer.pairing.rows import partition_groups
+from dds_trace.analyzer.verdicts.answers import (
     ANSWER_COLUMNS,
     CASE_COLUMNS,
     CONTENDER_COLUMNS,
@@ -15,23 +26,17 @@ from dds_trace.analyzer.answers import (
     contender_names,
     without_floor,
 )
-from dds_trace.analyzer.clocks import ping_boots
-from dds_trace.analyzer.compare import BRIDGE_MATCH_COLUMNS, QUANTILES, CompareOptions, bridge_cost
-from dds_trace.analyzer.group_frames import INTERVAL_SCHEMA, ONE_WAY_SCHEMA, interval_rows, one_way_rows
-from dds_trace.analyzer.host_samples import host_sample_frame
-from dds_trace.analyzer.large import is_too_large
-from dds_trace.analyzer.one_way import fit_devices, segment_table
-from dds_trace.analyzer.recommend import recommend_settings
-from dds_trace.analyzer.rows import partition_groups
+from dds_trace.analyzer.verdicts.compare import BRIDGE_MATCH_COLUMNS, QUANTILES, CompareOptions, bridge_cost
+from dds_trace.analyzer.verdicts.recommend import recommend_settings
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from dds_trace.analyzer.answers import Answer
-    from dds_trace.analyzer.batch import Wanted
-    from dds_trace.analyzer.frames import Frames
-    from dds_trace.analyzer.load import Campaign
-    from dds_trace.analyzer.rows import RowsByGroup
+    from dds_trace.analyzer.groups.batch import Wanted
+    from dds_trace.analyzer.groups.frames import Frames
+    from dds_trace.analyzer.loading.campaign import Campaign
+    from dds_trace.analyzer.pairing.rows import RowsByGroup
+    from dds_trace.analyzer.verdicts.answers import Answer
 
 _COSTS = CompareOptions(metrics=("latency",), statistics=tuple(QUANTILES))
 

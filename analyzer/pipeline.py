@@ -6,31 +6,31 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.analyzer.analysis import Analysis
-from dds_trace.analyzer.batch import Wanted
-from dds_trace.analyzer.batches import Work, plan_batches
-from dds_trace.analyzer.cluster import ClusterEngine
 from dds_trace.analyzer.details import collect_details
-from dds_trace.analyzer.engine import LocalEngine
-from dds_trace.analyzer.evidence import Evidence
-from dds_trace.analyzer.exchanges import find_exchanges
-from dds_trace.analyzer.findings import find_findings
-from dds_trace.analyzer.large import SKETCHED, earlier_rows, size_findings
-from dds_trace.analyzer.merge import MergedResults
-from dds_trace.analyzer.objects import is_remote
-from dds_trace.analyzer.output import write_summary
-from dds_trace.analyzer.rows import RowKeeper, RowsByGroup
-from dds_trace.analyzer.summarize import group_exchanges
+from dds_trace.analyzer.engines.batches import Work, plan_batches
+from dds_trace.analyzer.engines.cluster import ClusterEngine
+from dds_trace.analyzer.engines.local import LocalEngine
+from dds_trace.analyzer.engines.merge import MergedResults
+from dds_trace.analyzer.findings.evidence import Evidence
+from dds_trace.analyzer.findings.left_out import SKETCHED, earlier_rows, size_findings
+from dds_trace.analyzer.findings.table import find_findings
+from dds_trace.analyzer.groups.batch import Wanted
+from dds_trace.analyzer.groups.summary import group_exchanges
+from dds_trace.analyzer.loading.remote import is_remote
+from dds_trace.analyzer.pairing.exchanges import find_exchanges
+from dds_trace.analyzer.pairing.parquet import write_summary
+from dds_trace.analyzer.pairing.rows import RowKeeper, RowsByGroup
 from dds_trace.tracefile import MissingEventsError
 
 if TYPE_CHECKING:
     import os
     from collections.abc import Iterator
 
-    from dds_trace.analyzer.engine import Engine
-    from dds_trace.analyzer.exchanges import Exchanges
-    from dds_trace.analyzer.load import Campaign, Progress
-    from dds_trace.analyzer.recommend import Job
-    from dds_trace.analyzer.summarize import Grouping
+    from dds_trace.analyzer.engines.local import Engine
+    from dds_trace.analyzer.groups.summary import Grouping
+    from dds_trace.analyzer.loading.campaign import Campaign, Progress
+    from dds_trace.analyzer.pairing.exchanges import Exchanges
+    from dds_trace.analyzer.verdicts.recommend import Job
     from dds_trace.tracefile import Run
 
 OUTPUT_FOLDER = "analysis"

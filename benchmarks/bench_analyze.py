@@ -35,7 +35,7 @@ from event_traces import write_event_trace
 from timing import WarmMemory, packed_chunks, seconds, unpack_job
 
 from dds_trace.analyzer import analyze
-from dds_trace.analyzer.output import RoundTripsWriter
+from dds_trace.analyzer.pairing.parquet import RoundTripsWriter
 from dds_trace.tracefile import EVENT_DTYPE
 
 EVENTS, RUNS, REPEATS = 2_000_000, 50, 7

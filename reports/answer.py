@@ -168,7 +168,7 @@ def _bridge_remarks(costs: pl.DataFrame) -> list[str]:
     return [_bridge_remark(way, rows) for way, rows in ways.items()]
 
 
-# Verdict of `dds_trace.analyzer.compare` on the way through a bridge, in words and in the order in which they are said.
+# Verdict of `dds_trace.analyzer.verdicts.compare` on the way through a bridge, in words and in the order in which they are said.
 _BRIDGE_VERDICTS = {
     "worse": "clearly slower",
     "better": "clearly faster",

@@ -1,4 +1,4 @@
-"""Which contender is clearly fastest, by kind of data: the analyzer's answers (`dds_trace.analyzer.answers`) with names for people.
+"""Which contender is clearly fastest, by kind of data: the analyzer's answers (`dds_trace.analyzer.verdicts.answers`) with names for people.
 
 Nothing is judged here: what overlaps and what leads was measured.
 """

@@ -8,7 +8,7 @@ import numpy as np
 import polars as pl
 from roundtrip_frames import MS, steady
 
-from dds_trace.analyzer.answers import Clarity, find_answers, find_headlines
+from dds_trace.analyzer.verdicts.answers import Clarity, find_answers, find_headlines
 
 
 def noisy(centre_ns, messages=60, seed=0):

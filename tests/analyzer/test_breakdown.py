@@ -7,7 +7,8 @@ import polars as pl
 import pytest
 from roundtrip_frames import MS, roundtrips
 
-from dds_trace.analyzer.breakdown import (
+from dds_trace.analyzer.clocks.alignment import align_clocks
+from dds_trace.analyzer.groups.breakdown import (
     STAGES,
     break_down,
     ping_wall_offsets,
@@ -16,7 +17,6 @@ from dds_trace.analyzer.breakdown import (
     summarize_breakdown,
     with_stamps,
 )
-from dds_trace.analyzer.clocks import align_clocks
 from dds_trace.tracefile.format.descriptions import Run, Session
 from dds_trace.tracefile.format.events import EVENT_DTYPE, EventColumns, Stage
 

@@ -8,12 +8,12 @@ import pytest
 from campaigns import assert_same_results, write_runs
 from polars.testing import assert_frame_equal
 
-import dds_trace.analyzer.batches
-import dds_trace.analyzer.cache
-import dds_trace.analyzer.large
-import dds_trace.analyzer.rows
+import dds_trace.analyzer.engines.batches
+import dds_trace.analyzer.findings.left_out
+import dds_trace.analyzer.loading.shelf
+import dds_trace.analyzer.pairing.rows
 from dds_trace.analyzer import analyze
-from dds_trace.analyzer.event_store import write_events
+from dds_trace.analyzer.loading.event_store import write_events
 from dds_trace.tracefile import EVENT_DTYPE, EventColumns, read_trace
 
 
@@ -26,7 +26,7 @@ def files_read(monkeypatch):
         names.append(path.name)
         return read_trace(path)
 
-    monkeypatch.setattr(dds_trace.analyzer.cache, "read_trace", reading)
+    monkeypatch.setattr(dds_trace.analyzer.loading.shelf, "read_trace", reading)
     return names
 
 
@@ -96,10 +96,10 @@ def test_small_memory_changes_nothing(tmp_path, monkeypatch):
     write_runs(runs, range(6), groups=2)
     shutil.copy(runs / "ping2.mcap", runs / "copy.mcap")
     whole = analyze(runs, out=tmp_path / "whole")
-    monkeypatch.setattr(dds_trace.analyzer.cache, "MOST_HELD_EVENTS", 100)
-    monkeypatch.setattr(dds_trace.analyzer.batches, "BATCH_EVENTS", 150)
-    monkeypatch.setattr(dds_trace.analyzer.batches, "WHOLE_GROUP_EVENTS", 200)
-    monkeypatch.setattr(dds_trace.analyzer.rows, "MOST_HELD_ROWS", 10)
+    monkeypatch.setattr(dds_trace.analyzer.loading.shelf, "MOST_HELD_EVENTS", 100)
+    monkeypatch.setattr(dds_trace.analyzer.engines.batches, "BATCH_EVENTS", 150)
+    monkeypatch.setattr(dds_trace.analyzer.engines.batches, "WHOLE_GROUP_EVENTS", 200)
+    monkeypatch.setattr(dds_trace.analyzer.pairing.rows, "MOST_HELD_ROWS", 10)
     parts = analyze(runs, out=tmp_path / "parts")
     assert parts.scan_roundtrips().select("latency_ns").collect()["latency_ns"].sum() > 0
     for found in (parts, analyze(runs)):
@@ -119,7 +119,7 @@ def test_small_memory_changes_nothing(tmp_path, monkeypatch):
 def test_kinds_of_messages_too_large_to_compare_have_no_answer_and_a_finding(tmp_path, monkeypatch):
     write_runs(tmp_path / "runs", range(3), groups=2)  # 80 messages of the first size, 40 of the second
     whole = analyze(tmp_path / "runs")
-    monkeypatch.setattr(dds_trace.analyzer.large, "MOST_COMPARED_ROWS", 79)
+    monkeypatch.setattr(dds_trace.analyzer.findings.left_out, "MOST_COMPARED_ROWS", 79)
     found = analyze(tmp_path / "runs")
     assert found.details.answers == whole.details.answers[1:]
     assert [f.groups for f in found.findings if f.code == "not_compared"] == [(0,)]

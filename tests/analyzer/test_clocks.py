@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from roundtrip_frames import MS, S, roundtrips
 
-from dds_trace.analyzer.clock_fit import fit_clock
-from dds_trace.analyzer.clock_lines import DRIFT, Intervals, Lines
-from dds_trace.analyzer.clocks import align_clocks, clock_table, ping_boots
+from dds_trace.analyzer.clocks.alignment import align_clocks, clock_table, ping_boots
+from dds_trace.analyzer.clocks.fit import fit_clock
+from dds_trace.analyzer.clocks.lines import DRIFT, Intervals, Lines
 from dds_trace.tracefile.format.descriptions import Run, Session
 
 START_NS = (

@@ -9,9 +9,9 @@ import polars as pl
 import pytest
 from campaigns import assert_same_results, write_runs
 
-import dds_trace.analyzer.batches
-import dds_trace.analyzer.cache
-import dds_trace.analyzer.cluster
+import dds_trace.analyzer.engines.batches
+import dds_trace.analyzer.engines.cluster
+import dds_trace.analyzer.loading.shelf
 from dds_trace.analyzer import METRICS, PERCENTILES, analyze
 from dds_trace.tracefile import BackendUnavailableError, read_trace
 
@@ -123,8 +123,8 @@ def test_a_cluster_finds_what_one_machine_finds(cluster, runs, tmp_path):
 
 def test_parts_of_a_group_from_several_workers_are_exact(cluster, runs, monkeypatch):
     alone = analyze(runs)
-    monkeypatch.setattr(dds_trace.analyzer.batches, "BATCH_EVENTS", 150)
-    monkeypatch.setattr(dds_trace.analyzer.batches, "WHOLE_GROUP_EVENTS", 200)
+    monkeypatch.setattr(dds_trace.analyzer.engines.batches, "BATCH_EVENTS", 150)
+    monkeypatch.setattr(dds_trace.analyzer.engines.batches, "WHOLE_GROUP_EVENTS", 200)
     together = analyze(runs, cluster=cluster[0])
     assert together.summary.equals(alone.summary)
     assert together.roundtrips.equals(alone.roundtrips)
@@ -135,8 +135,8 @@ def test_a_sketch_is_near_and_says_so(cluster, runs, tmp_path, monkeypatch, in_p
     alone = analyze(runs, out=tmp_path / "out")
     rows = alone.outputs["roundtrips"].read_bytes()
     if in_parts:
-        monkeypatch.setattr(dds_trace.analyzer.batches, "BATCH_EVENTS", 150)
-        monkeypatch.setattr(dds_trace.analyzer.batches, "WHOLE_GROUP_EVENTS", 200)
+        monkeypatch.setattr(dds_trace.analyzer.engines.batches, "BATCH_EVENTS", 150)
+        monkeypatch.setattr(dds_trace.analyzer.engines.batches, "WHOLE_GROUP_EVENTS", 200)
     sketch = analyze(runs, out=tmp_path / "out", cluster=cluster[0], sketch=True)
     assert sketch.roundtrips.is_empty()
     assert sorted(sketch.outputs) == ["summary"]
@@ -172,7 +172,7 @@ def test_object_storage(cluster, runs, tmp_path, monkeypatch):
         read.append(path.name)
         return read_trace(path)
 
-    monkeypatch.setattr(dds_trace.analyzer.cache, "read_trace", reading)
+    monkeypatch.setattr(dds_trace.analyzer.loading.shelf, "read_trace", reading)
     assert analyze("s3://bucket/campaign", out=tmp_path / "out", cache=True).summary.equals(alone.summary)
     assert read == ["odd.mcap"]  # what is no trace is not kept
 
@@ -181,7 +181,7 @@ def test_a_killed_worker_costs_no_data(cluster, runs, monkeypatch):
     """The last test: one of the workers is gone after it."""
     address, workers = cluster
     alone = analyze(runs)
-    from dds_trace.analyzer.cluster import ClusterEngine
+    from dds_trace.analyzer.engines.cluster import ClusterEngine
 
     work = ClusterEngine.work
 
@@ -195,6 +195,6 @@ def test_a_killed_worker_costs_no_data(cluster, runs, monkeypatch):
 
 
 def test_no_scheduler_is_one_line(runs, monkeypatch):
-    monkeypatch.setattr(dds_trace.analyzer.cluster, "_TIMEOUT_S", 1)
+    monkeypatch.setattr(dds_trace.analyzer.engines.cluster, "_TIMEOUT_S", 1)
     with pytest.raises(BackendUnavailableError, match="no Dask scheduler answers at tcp://"):
         analyze(runs, cluster="tcp://127.0.0.1:1")

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from roundtrip_frames import MS, steady
 
-from dds_trace.analyzer.change import Change, Sample, Verdict, change_of, probability_of_superiority
-from dds_trace.analyzer.compare import CompareOptions, bridge_cost, compare_roundtrips
+from dds_trace.analyzer.verdicts.change import Change, Sample, Verdict, change_of, probability_of_superiority
+from dds_trace.analyzer.verdicts.compare import CompareOptions, bridge_cost, compare_roundtrips
 
 P50_ONLY = CompareOptions(metrics=("latency",), statistics=("p50",), replicates=199)
 

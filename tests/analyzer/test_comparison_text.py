@@ -7,14 +7,14 @@ from xml.etree import ElementTree as ET
 import pytest
 from roundtrip_frames import MS, steady
 
-from dds_trace.analyzer.compare import CompareOptions, compare_roundtrips
 from dds_trace.analyzer.comparison_text import (
     comparison_junit,
     comparison_markdown,
     markdown_text,
     plain_line,
 )
-from dds_trace.analyzer.gates import judge_gates, parse_gate
+from dds_trace.analyzer.verdicts.compare import CompareOptions, compare_roundtrips
+from dds_trace.analyzer.verdicts.gates import judge_gates, parse_gate
 
 HOSTILE = "<script>alert(1)</script>|`a`](http://x)\n# h @you\x1b[31m\x00"
 OPTIONS = CompareOptions(metrics=("latency",), statistics=("p50",), replicates=199)

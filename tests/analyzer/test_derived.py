@@ -11,8 +11,8 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from roundtrip_frames import MS, steady
 
-from dds_trace.analyzer.clocks import align_clocks
-from dds_trace.analyzer.derived import PLOTTED_TOPICS, foxglove_layout, topic_name, write_derived
+from dds_trace.analyzer.clocks.alignment import align_clocks
+from dds_trace.analyzer.exports.foxglove import PLOTTED_TOPICS, foxglove_layout, topic_name, write_derived
 from dds_trace.tracefile.errors import OutputError, OutputExistsError
 
 WALL = 1_700_000_000 * 10**9

@@ -17,7 +17,7 @@ from trace_files import (
     write_trace,
 )
 
-import dds_trace.analyzer.rows
+import dds_trace.analyzer.pairing.rows
 from dds_trace.analyzer import CompareOptions, analyze, bridge_cost, find_answers, parse_job
 from dds_trace.tracefile import Stage
 
@@ -216,7 +216,7 @@ def test_comparisons_are_those_of_all_rows_though_a_kind_of_message_is_read_at_a
     tmp_path, monkeypatch, held_rows
 ):
     write_campaign(tmp_path)
-    monkeypatch.setattr(dds_trace.analyzer.rows, "MOST_HELD_ROWS", held_rows)
+    monkeypatch.setattr(dds_trace.analyzer.pairing.rows, "MOST_HELD_ROWS", held_rows)
     analysis = analyze(tmp_path)
     details, rows = analysis.details, analysis.roundtrips
     assert details is not None

@@ -18,10 +18,11 @@ from trace_files import (
     write_trace,
 )
 
-import dds_trace.analyzer.cache
+import dds_trace.analyzer.loading.shelf
 from dds_trace.analyzer import Severity, analyze
-from dds_trace.analyzer.checks import clocks, groups, load, runs, sessions, sizes, sources
-from dds_trace.analyzer.findings import CHECKS
+from dds_trace.analyzer.findings import clocks, groups, runs, sessions, sizes, sources
+from dds_trace.analyzer.findings import host_load as load
+from dds_trace.analyzer.findings.table import CHECKS
 from dds_trace.tracefile import Qos, Stage, read_trace
 
 MS = 1_000_000
@@ -332,7 +333,7 @@ def test_what_the_reader_noticed(tmp_path, monkeypatch):
             read_trace(path), ring_events=3, unreadable_messages=2, notes=("odd",), truncated="at byte 9"
         )
 
-    monkeypatch.setattr(dds_trace.analyzer.cache, "read_trace", noticing)
+    monkeypatch.setattr(dds_trace.analyzer.loading.shelf, "read_trace", noticing)
     found = findings(tmp_path)
     assert set(found) == {"truncated_file", "ring_recovered", "unreadable_messages", "reader_note"}
     assert "at byte 9" in found["truncated_file"].what

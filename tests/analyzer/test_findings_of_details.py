@@ -18,7 +18,7 @@ from trace_files import (
     write_trace,
 )
 
-import dds_trace.analyzer.checks
+import dds_trace.analyzer.findings
 from dds_trace.analyzer import Severity, analyze
 from dds_trace.tracefile import Stage
 
@@ -242,7 +242,7 @@ def test_restarted_relay(tmp_path):
 
 def test_every_code_is_in_the_documentation():
     written = "".join(
-        path.read_text() for path in Path(dds_trace.analyzer.checks.__file__).parent.glob("*.py")
+        path.read_text() for path in Path(dds_trace.analyzer.findings.__file__).parent.glob("*.py")
     )
     codes = set(re.findall(r'^\s+(?:Severity\.\w+,\s*)?"([a-z]+(?:_[a-z]+)*)",$', written, re.MULTILINE))
     codes |= set(re.findall(r'"(latency_\w+_with_size)"', written))

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from roundtrip_frames import MS, roundtrips, steady
 
-from dds_trace.analyzer.clocks import align_clocks
-from dds_trace.analyzer.freshness import (
+from dds_trace.analyzer.clocks.alignment import align_clocks
+from dds_trace.analyzer.groups.freshness import (
     age_of_information,
     longest_run,
     outage_table,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from roundtrip_frames import MS, steady
 
-from dds_trace.analyzer.compare import CompareOptions, compare_roundtrips
-from dds_trace.analyzer.gates import (
+from dds_trace.analyzer.verdicts.compare import CompareOptions, compare_roundtrips
+from dds_trace.analyzer.verdicts.gates import (
     Against,
     GateOutcome,
     judge_gates,

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dds_trace.analyzer.interpolation import guess_cell
+from dds_trace.analyzer.verdicts.interpolation import guess_cell
 
 SIZES = (10_000, 100_000, 1_000_000)
 RATES = (10.0, 20.0, 40.0)

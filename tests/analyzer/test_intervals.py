@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dds_trace.analyzer.intervals import (
+from dds_trace.analyzer.statistics.intervals import (
     bootstrap_mean,
     bootstrap_quantile,
     dependence_of,

@@ -23,7 +23,7 @@ from trace_files import (
 )
 
 from dds_trace.analyzer import analyze, default_output
-from dds_trace.analyzer.gather import gather_events, merge_parts, split_events, total_copies
+from dds_trace.analyzer.loading.events import gather_events, merge_parts, split_events, total_copies
 from dds_trace.tracefile import (
     EVENT_DTYPE,
     EventColumns,

@@ -2,7 +2,7 @@
 
 import polars as pl
 
-from dds_trace.analyzer.metrics import with_metrics
+from dds_trace.analyzer.model.metrics import with_metrics
 
 STAMPS = ("scheduled_ns", "publish_ns", "receive_ns", "relay_in_ns", "relay_out_ns")
 

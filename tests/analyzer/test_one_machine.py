@@ -8,14 +8,14 @@ import pytest
 from processes import ping, relay
 
 from dds_trace.analyzer import analyze
-from dds_trace.analyzer.breakdown import (
+from dds_trace.analyzer.clocks.alignment import align_clocks, ping_boots
+from dds_trace.analyzer.groups.breakdown import (
     STAGES,
     break_down,
     ping_wall_offsets,
     relay_wall_offsets,
     with_stamps,
 )
-from dds_trace.analyzer.clocks import align_clocks, ping_boots
 from dds_trace.tracefile import EventColumns, Stage, find_traces, read_trace
 
 pytestmark = pytest.mark.middleware

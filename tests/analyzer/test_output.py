@@ -8,7 +8,7 @@ import pyarrow.parquet as pq
 import pytest
 from trace_files import Message, event, ping_events, ping_session, relay_session, run, write_pair, write_trace
 
-import dds_trace.analyzer.output
+import dds_trace.analyzer.pairing.parquet
 from dds_trace.analyzer import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS, analyze
 from dds_trace.tracefile import OutputError, Stage
 
@@ -53,7 +53,7 @@ def test_types_units_and_meanings(tmp_path):
 
 def test_what_is_read_back_is_what_was_analyzed(tmp_path, monkeypatch):
     """Also over several row groups, with relays and texts that some rows lack."""
-    monkeypatch.setattr(dds_trace.analyzer.output, "_ROWS_PER_GROUP", 7)
+    monkeypatch.setattr(dds_trace.analyzer.pairing.parquet, "_ROWS_PER_GROUP", 7)
     write_pair(tmp_path, TIMELINE)
     write_trace(
         tmp_path / "other.mcap",

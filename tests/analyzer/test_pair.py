@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from trace_files import event
 
-from dds_trace.analyzer.pair import MISSING, OUTCOMES, Outcome, pair_messages, published_messages
+from dds_trace.analyzer.pairing.pair import MISSING, OUTCOMES, Outcome, pair_messages, published_messages
 from dds_trace.tracefile import EVENT_DTYPE, EventColumns
 
 

@@ -9,7 +9,7 @@ import polars as pl
 import pytest
 from roundtrip_frames import MS, steady
 
-from dds_trace.analyzer.recommend import Fit, Job, delivered_latencies, parse_job, recommend_settings
+from dds_trace.analyzer.verdicts.recommend import Fit, Job, delivered_latencies, parse_job, recommend_settings
 from dds_trace.tracefile.errors import OptionError
 
 JOB = Job("binary", 33_000, 10.0, 20 * MS, 0.9)

@@ -5,9 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dds_trace.analyzer.intervals import order_statistic_ranks
-from dds_trace.analyzer.sample_size import minimum_messages, plan_run, planned_messages, supported_percentiles
-from dds_trace.analyzer.statistics import PERCENTILES
+from dds_trace.analyzer.statistics.intervals import order_statistic_ranks
+from dds_trace.analyzer.statistics.percentiles import PERCENTILES
+from dds_trace.analyzer.statistics.sample_size import (
+    minimum_messages,
+    plan_run,
+    planned_messages,
+    supported_percentiles,
+)
 
 
 def test_known_figures():

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dds_trace.analyzer.statistics import PERCENTILES, histogram_of, summarize_values
+from dds_trace.analyzer.statistics.percentiles import PERCENTILES, histogram_of, summarize_values
 
 NANOSECONDS = st.integers(-(10**6), 10**15)
 

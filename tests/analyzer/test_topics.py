@@ -13,8 +13,8 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Bag2Writer
 from rosbags.typesys import Stores, get_typestore
 
-from dds_trace.analyzer.recordings import begins_with_stamp, find_recordings, iter_messages
-from dds_trace.analyzer.topics import analyze_topics
+from dds_trace.analyzer.recordings.messages import begins_with_stamp, find_recordings, iter_messages
+from dds_trace.analyzer.recordings.topics import analyze_topics
 from dds_trace.tracefile.errors import MissingEventsError, TraceFormatError
 
 MS = 1_000_000

@@ -9,7 +9,7 @@ import urllib.request
 import pytest
 from campaigns import write_runs
 
-import dds_trace.analyzer.cache
+import dds_trace.analyzer.loading.shelf
 from dds_trace import analyzer
 from dds_trace.cli.watch import Watcher, WatchOptions, is_own_name
 from dds_trace.tracefile.errors import OutputError
@@ -69,9 +69,9 @@ def test_the_version_changes_with_the_page_and_not_otherwise(watcher, tmp_path):
 
 def test_of_a_folder_that_grew_only_new_traces_are_read(watcher, tmp_path, monkeypatch):
     read = []
-    plain = dds_trace.analyzer.cache.read_trace
+    plain = dds_trace.analyzer.loading.shelf.read_trace
     monkeypatch.setattr(
-        dds_trace.analyzer.cache, "read_trace", lambda path: read.append(path.name) or plain(path)
+        dds_trace.analyzer.loading.shelf, "read_trace", lambda path: read.append(path.name) or plain(path)
     )
     for number, expected in ((1, ["ping1.mcap", "relay1.mcap"]), (2, ["ping2.mcap", "relay2.mcap"])):
         read.clear()

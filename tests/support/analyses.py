@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING, Any
 import polars as pl
 
 from dds_trace.analyzer.analysis import Analysis, Details, Finding, Severity, Source
-from dds_trace.analyzer.answers import find_answers
-from dds_trace.analyzer.breakdown import break_down, response_against_latency, summarize_breakdown
-from dds_trace.analyzer.compare import CompareOptions, bridge_cost
-from dds_trace.analyzer.freshness import outage_table, summarize_freshness
-from dds_trace.analyzer.group_frames import INTERVAL_SCHEMA, ONE_WAY_SCHEMA
-from dds_trace.analyzer.host_samples import HOST_SAMPLE_SCHEMA
-from dds_trace.analyzer.intervals import percentile_interval
-from dds_trace.analyzer.one_way import KNOT_SCHEMA, SEGMENT_SCHEMA
-from dds_trace.analyzer.rows import RoundTripRows
+from dds_trace.analyzer.groups.breakdown import break_down, response_against_latency, summarize_breakdown
+from dds_trace.analyzer.groups.freshness import outage_table, summarize_freshness
+from dds_trace.analyzer.groups.host_samples import HOST_SAMPLE_SCHEMA
+from dds_trace.analyzer.groups.interval_frames import INTERVAL_SCHEMA, ONE_WAY_SCHEMA
+from dds_trace.analyzer.pairing.one_way import KNOT_SCHEMA, SEGMENT_SCHEMA
+from dds_trace.analyzer.pairing.rows import RoundTripRows
+from dds_trace.analyzer.statistics.intervals import percentile_interval
+from dds_trace.analyzer.verdicts.answers import find_answers
+from dds_trace.analyzer.verdicts.compare import CompareOptions, bridge_cost
 from dds_trace.tracefile.format.descriptions import Qos, Run, Session
 
 if TYPE_CHECKING:

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
-from dds_trace.analyzer.columns import PARAMETER_NAMES, ROUNDTRIP_COLUMNS, schema_of
-from dds_trace.analyzer.metrics import with_metrics
+from dds_trace.analyzer.model.columns import PARAMETER_NAMES, ROUNDTRIP_COLUMNS, schema_of
+from dds_trace.analyzer.model.metrics import with_metrics
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping

@@ -1,0 +1,1 @@
+"""Clock offset and drift between two devices, from the stamps alone; pure numpy."""

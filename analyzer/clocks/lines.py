@@ -1,0 +1,182 @@
+"""Which clocks agree with messages: stretches without a step, and all straight lines through a window.
+
+The geometry of `analyzer/clocks/fit.py`, in plain floats whose origin was subtracted in int64.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+Float64 = NDArray[np.float64]
+
+DRIFT_LIMIT_PPB = 500_000
+"""Linux slews a clock by at most 500 ppm (adjtimex(2)); quartz is off by less than 100 ppm."""
+
+WINDOW_NS = 10_000_000_000
+"""Ten seconds: crystals wander by well under 0.1 ppm in that time, and 10 Hz gives 100 messages to choose from."""
+
+CANDIDATES = 32
+"""Messages of a window that are kept per direction. Fewer constraints can only widen the bound."""
+
+DRIFT = DRIFT_LIMIT_PPB / 1e9
+"""The same as ns per ns."""
+_BLOCK = 4096
+_ROUNDING_NS = 1e-3
+"""Float slack when lines are checked against points; far below the nanosecond that is reported."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Intervals:
+    """What each message says alone: theta in [lower, upper] at time t; origins subtracted, so floats are exact."""
+
+    time: Float64
+    lower: Float64
+    upper: Float64
+
+    def part(self, start: int, stop: int) -> Intervals:
+        """The messages from `start` to `stop` (not included)."""
+        return Intervals(self.time[start:stop], self.lower[start:stop], self.upper[start:stop])
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lines:
+    """All lines that respect the messages of one window, by the corners of their set.
+
+    A line is its slope and its height at `centre`. For corner i the heights from `low[i]` to `high[i]` are possible.
+    """
+
+    centre: float
+    slope: Float64
+    low: Float64
+    high: Float64
+
+    @classmethod
+    def through(cls, points: Intervals) -> Lines | None:
+        """The lines below every upper and above every lower end, no steeper than the drift limit; None if none is."""
+        above, below = _tightest(points, points.upper), _tightest(points, -points.lower)
+        centre = float(points.time[len(points) // 2])
+        x, upper = points.time[above] - centre, points.upper[above]
+        y, lower = points.time[below] - centre, points.lower[below]
+        # The corners of the set lie where two constraints meet, so each has the slope through two of the points.
+        time, height = np.concatenate([x, y]), np.concatenate([upper, lower])
+        run = time[:, None] - time[None, :]
+        rise = height[:, None] - height[None, :]
+        gentle = np.abs(rise) < DRIFT * run  # half of the pairs (run > 0), none with equal times
+        slope = np.concatenate([rise[gentle] / run[gentle], [-DRIFT, DRIFT]])
+        high = (upper - slope[:, None] * x).min(axis=1)
+        low = (lower - slope[:, None] * y).max(axis=1)
+        possible = high >= low - _ROUNDING_NS
+        if not possible.any():
+            return None
+        # Between the gentlest and the steepest, only the slope of an edge of one of the hulls makes a corner.
+        edge = np.eye(len(time), k=-1, dtype=np.bool_)
+        edge[len(x), len(x) - 1] = False  # from one hull to the other
+        corner = np.append(edge[gentle], [False, False])
+        corner[np.where(possible, slope, np.inf).argmin()] = True
+        corner[np.where(possible, slope, -np.inf).argmax()] = True
+        corner &= possible
+        return cls(centre, slope[corner], low[corner], high[corner])
+
+    def range_at(self, time: Float64) -> tuple[Float64, Float64]:
+        """Lowest and highest that any of the lines is at each time."""
+        x = time - self.centre
+        low = np.full(len(time), np.inf)
+        high = np.full(len(time), -np.inf)
+        for slope, bottom, top in zip(self.slope, self.low, self.high, strict=True):
+            np.minimum(low, bottom + slope * x, out=low)
+            np.maximum(high, top + slope * x, out=high)
+        return low, high
+
+
+def _tightest(points: Intervals, height: Float64) -> list[int]:
+    """Index of the points that a line must pass below: the lower convex hull of the lowest of each part.
+
+    The lowest point of each of `CANDIDATES` equal parts of the window is looked at; the hull is built from left
+    to right (A. Andrew's monotone chain, 1979).
+    """
+    edges = np.linspace(0, len(points), min(CANDIDATES, len(points)) + 1).astype(np.intp).tolist()
+    hull: list[int] = []
+    for begin, end in pairwise(edges):
+        new = begin + int(height[begin:end].argmin())
+        while len(hull) > 1:
+            first, last = hull[-2], hull[-1]
+            rise_last = (height[last] - height[first]) * (points.time[new] - points.time[first])
+            rise_new = (height[new] - height[first]) * (points.time[last] - points.time[first])
+            if rise_last < rise_new:
+                break
+            hull.pop()
+        hull.append(new)
+    return hull
+
+
+def find_stretches(points: Intervals) -> Iterator[tuple[int, int]]:
+    """Start and stop of each stretch without a step.
+
+    Messages around a step that agree with the clock before it and after it belong to no stretch.
+    """
+    start = 0
+    while start < len(points):
+        step = _first_out_of_reach(points, start)
+        yield start, _last_surely_before(points, start, step)
+        start = step
+
+
+def _first_out_of_reach(points: Intervals, start: int) -> int:
+    """Index of the first message that no drift within the limit reaches from the ones since `start`."""
+    lowest_top, highest_bottom = np.inf, -np.inf
+    for begin in range(start, len(points), _BLOCK):
+        part = points.part(begin, begin + _BLOCK)
+        reach = DRIFT * part.time
+        top = np.minimum.accumulate(np.concatenate([[lowest_top], part.upper - reach]))
+        bottom = np.maximum.accumulate(np.concatenate([[highest_bottom], part.lower + reach]))
+        out = (part.lower > top[:-1] + reach) | (part.upper < bottom[:-1] - reach)
+        if out.any():
+            return begin + int(out.argmax())
+        lowest_top, highest_bottom = top[-1], bottom[-1]
+    return len(points)
+
+
+def _last_surely_before(points: Intervals, start: int, step: int) -> int:
+    """Index after the last message before `step` that the clock of the messages after it cannot explain."""
+    if step == len(points):
+        return step
+    after, before = points.part(step, step + 64), points.part(start, step)
+    top = (after.upper + DRIFT * after.time).min() - DRIFT * before.time
+    bottom = (after.lower - DRIFT * after.time).max() + DRIFT * before.time
+    foreign = np.flatnonzero((before.lower > top) | (before.upper < bottom))
+    return start + int(foreign[-1]) + 1 if len(foreign) else step
+
+
+def find_windows(points: Intervals, start: int, stop: int) -> Iterator[tuple[int, int, Lines]]:
+    """Start, stop and lines of each window; at most `WINDOW_NS` long, and short enough that a line fits."""
+    part = points.part(start, stop)
+    duration = part.time[-1] - part.time[0]
+    if duration > WINDOW_NS:
+        edges = np.linspace(part.time[0], part.time[-1], int(np.ceil(duration / WINDOW_NS)) + 1)[1:-1]
+        cuts = [start, *(start + np.searchsorted(part.time, edges)).tolist(), stop]
+        for begin, end in pairwise(cuts):
+            if end > begin:
+                yield from find_windows(points, begin, end)
+        return
+    lines = Lines.through(part)
+    if lines is not None:
+        yield start, stop, lines
+        return
+    middle = (start + stop) // 2
+    if (
+        middle == start
+    ):  # even one message has no line: its stamps contradict each other beyond what floats hold
+        return
+    yield from find_windows(points, start, middle)
+    yield from find_windows(points, middle, stop)

@@ -1,0 +1,154 @@
+"""A Dask cluster as an `Engine`: each trace is read by one worker, each batch worked at by one.
+
+Events stay with the workers that read them; what a batch needs of them goes to the worker that has it. The scheduler
+knows how every result was made, so what is lost with a worker is made again from the traces. Workers read the traces
+themselves: from a folder that all machines see under the same path, or from object storage.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dds_trace.analyzer.engines.batches import work_at
+from dds_trace.analyzer.loading.campaign import campaign_of, skipped_source
+from dds_trace.analyzer.loading.remote import find_anywhere
+from dds_trace.analyzer.loading.shelf import LoadedTrace, load_trace
+from dds_trace.tracefile import BackendUnavailableError, EventColumns, TraceFormatError
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator, Mapping, Sequence
+
+    from dds_trace.analyzer.analysis import Source
+    from dds_trace.analyzer.engines.batches import Work, Worked
+    from dds_trace.analyzer.loading.campaign import Campaign, Progress
+    from dds_trace.analyzer.loading.events import EventsByKey, Part, StageKey
+
+_TIMEOUT_S = 30
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RemoteEvents:
+    """Events of one key that a worker holds."""
+
+    client: Any
+    loaded: Any
+    key: StageKey
+
+    def load(self) -> EventColumns:
+        """Bring them here."""
+        found: EventColumns = self.client.submit(_events, self.loaded, self.key, pure=False).result()
+        return found
+
+
+class ClusterEngine:
+    """The workers behind a Dask scheduler.
+
+    Args:
+        address: of the scheduler, `tcp://host:8786`.
+
+    Raises:
+        BackendUnavailableError: Dask is not installed, or no scheduler answers.
+    """
+
+    def __init__(self, address: str) -> None:
+        try:
+            distributed: Any = import_module("distributed")  # an extra: only --cluster needs it
+        except ImportError as err:
+            raise BackendUnavailableError(
+                "--cluster needs Dask: install the extra with `pip install 'dds-trace[cluster]'`"
+            ) from err
+        try:
+            self._client: Any = distributed.Client(address, timeout=_TIMEOUT_S, set_as_default=False)
+        except (OSError, ValueError) as err:
+            raise BackendUnavailableError(
+                f"no Dask scheduler answers at {address} ({err}); start one with `dask scheduler`"
+            ) from err
+        self._loaded: list[Any] = []
+
+    def load(self, path: Path, skip: Collection[Path], progress: Progress | None) -> Campaign:
+        """Every trace at or below `path`, each read by a worker; here come only the descriptions."""
+        here = path if ":" in os.fspath(path) else path.resolve()
+        candidates = find_anywhere(here, [folder.resolve() for folder in skip])
+        loads = [self._client.submit(_load, os.fspath(c), pure=False) for c in candidates]
+        said = [self._client.submit(_describe, load, pure=False) for load in loads]
+        loaded: list[LoadedTrace] = []
+        skipped: list[Source] = []
+        for number, (candidate, load, description) in enumerate(zip(candidates, loads, said, strict=True)):
+            if progress is not None:
+                progress(number, len(candidates), candidate)
+            found = description.result()
+            if isinstance(found, str):
+                if candidates == [here]:
+                    raise TraceFormatError(candidate, found)
+                skipped.append(skipped_source(candidate, here, found))
+                continue
+            parts = {
+                key: replace(part, trace=len(loaded), events=RemoteEvents(self._client, load, key))
+                for key, part in found.parts.items()
+            }
+            loaded.append(LoadedTrace(found.trace, parts))
+            self._loaded.append(load)
+        return campaign_of(here, loaded, skipped)
+
+    def work(self, batches: Sequence[Work], events: EventsByKey) -> Iterator[Worked]:
+        """All batches at once, and their results in order."""
+        pending = [self._submit(batch, events) for batch in batches]
+        pending.reverse()
+        while pending:
+            yield pending.pop().result()
+
+    def _submit(self, batch: Work, events: EventsByKey) -> Any:
+        of_trace: dict[int, list[StageKey]] = {}
+        for stage, *key in batch.event_keys():
+            for part in events.parts(stage, (key[0], key[1])):
+                of_trace.setdefault(part.trace, []).append((stage, key[0], key[1]))
+        selected = [
+            self._client.submit(_select, self._loaded[trace], trace, keys, pure=False)
+            for trace, keys in of_trace.items()
+        ]
+        return self._client.submit(_work, batch, selected, pure=False)
+
+    def close(self) -> None:
+        """Let the workers forget everything."""
+        self._loaded.clear()
+        self._client.close()
+
+
+def _load(path: str) -> LoadedTrace | str:
+    """Run by a worker: one trace, or why it is none."""
+    try:
+        return load_trace(Path(path), 0)
+    except TraceFormatError as err:
+        return err.what
+
+
+def _describe(loaded: LoadedTrace | str) -> LoadedTrace | str:
+    """Run by a worker: the same without events."""
+    if isinstance(loaded, str):
+        return loaded
+    none = EventColumns.empty()
+    return replace(loaded, parts={key: replace(part, events=none) for key, part in loaded.parts.items()})
+
+
+def _select(loaded: LoadedTrace, trace: int, keys: Sequence[StageKey]) -> Mapping[StageKey, Part]:
+    """Run by a worker: what a batch needs of one trace, by the trace's position in the campaign."""
+    return {key: replace(loaded.parts[key], trace=trace) for key in keys}
+
+
+def _events(loaded: LoadedTrace, key: StageKey) -> EventColumns:
+    """Run by a worker: the events of one key."""
+    return loaded.parts[key].load()
+
+
+def _work(batch: Work, selected: Sequence[Mapping[StageKey, Part]]) -> Worked:
+    """Run by a worker: one batch."""
+    parts: dict[StageKey, tuple[Part, ...]] = {}
+    for of_trace in selected:
+        for key, part in of_trace.items():
+            parts[key] = (*parts.get(key, ()), part)
+    in_order = {key: sorted(held, key=lambda part: part.trace) for key, held in parts.items()}
+    return work_at(batch, in_order)

@@ -1,0 +1,72 @@
+"""Who does the work of an analysis: the cores of this machine, or (`analyzer/engines/cluster.py`) those of a cluster."""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, Protocol
+
+from dds_trace.analyzer.engines.batches import work_at
+from dds_trace.analyzer.loading.campaign import load_campaign
+from dds_trace.analyzer.loading.shelf import TraceShelf
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator, Sequence
+    from concurrent.futures import Future
+    from pathlib import Path
+
+    from dds_trace.analyzer.engines.batches import Work, Worked
+    from dds_trace.analyzer.loading.campaign import Campaign, Progress
+    from dds_trace.analyzer.loading.events import EventsByKey
+
+_MOST_WORKERS = 2  # each holds a batch; the writing of rows takes another core
+
+
+class Engine(Protocol):
+    """Loads the traces, then works at batches; to be closed."""
+
+    def load(self, path: Path, skip: Collection[Path], progress: Progress | None) -> Campaign:
+        """Look at every trace at or below `path`."""
+
+    def work(self, batches: Sequence[Work], events: EventsByKey) -> Iterator[Worked]:
+        """The results of the batches in their order."""
+
+    def close(self) -> None:
+        """Give back what was held."""
+
+
+class LocalEngine:
+    """This machine as an `Engine`.
+
+    Args:
+        cache: folder that keeps events for the next analysis, or None.
+    """
+
+    def __init__(self, cache: Path | None) -> None:
+        self._shelf = TraceShelf(cache)
+
+    def load(self, path: Path, skip: Collection[Path], progress: Progress | None) -> Campaign:
+        """Read every trace that is not in the cache."""
+        return load_campaign(path, skip=skip, progress=progress, shelf=self._shelf)
+
+    def work(self, batches: Sequence[Work], events: EventsByKey) -> Iterator[Worked]:
+        """Batches on all cores; as many are in memory as are worked at, and one that waits for its turn."""
+        workers = min(_MOST_WORKERS, len(os.sched_getaffinity(0)))
+        ahead: deque[Future[Worked]] = deque()
+        with ThreadPoolExecutor(workers, thread_name_prefix="analyze") as pool:
+            try:
+                for batch in batches:
+                    if len(ahead) > workers:
+                        yield ahead.popleft().result()
+                    parts = {key: events.parts(key[0], key[1:]) for key in batch.event_keys()}
+                    ahead.append(pool.submit(work_at, batch, parts))
+                while ahead:
+                    yield ahead.popleft().result()
+            finally:
+                for waiting in ahead:
+                    waiting.cancel()
+
+    def close(self) -> None:
+        """Remove temporary files."""
+        self._shelf.close()

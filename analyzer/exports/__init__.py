@@ -1,0 +1,1 @@
+"""Round trips for other programs: CSV, Arrow, MCAP for Foxglove."""

@@ -1,0 +1,79 @@
+"""What the checks behind the findings look at, and how they name it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+from dds_trace.analyzer.model.names import name_groups
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from dds_trace.analyzer.analysis import Details
+    from dds_trace.analyzer.groups.summary import Grouping, Summary
+    from dds_trace.analyzer.loading.campaign import Campaign
+    from dds_trace.analyzer.pairing.exchanges import Exchange, Exchanges
+    from dds_trace.analyzer.pairing.pair import Published
+    from dds_trace.analyzer.pairing.roundtrips import PairedExchanges
+    from dds_trace.tracefile import Session
+
+_MOST_FILES = 2
+"""Files that a session's name lists: those of a long sweep would fill a screen."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """The results of every step of one analysis; `details` None where they were not asked for."""
+
+    campaign: Campaign
+    exchanges: Exchanges
+    roundtrips: PairedExchanges
+    grouping: Grouping
+    summary: Summary
+    details: Details | None = None
+
+    def published_by_run(self) -> dict[int, tuple[Exchange, Published]]:
+        """run_id -> one exchange of the run (all share run and T1) and the run's messages."""
+        held = zip(self.roundtrips.exchanges, self.roundtrips.published, strict=True)
+        return {exchange.run.run_id: (exchange, published) for exchange, published in held}
+
+    @cached_property
+    def group_names(self) -> list[str]:
+        """For each group a short name that tells it from the others (`group_names.name_groups`)."""
+        return name_groups(self.grouping.parameters)
+
+    def exchange_groups(self) -> list[int]:
+        """Of each exchange in `roundtrips` its group."""
+        return [int(group) for group in self.grouping.group_of_exchange]
+
+    def session_name(self, session: Session) -> str:
+        """`relay on beta (relay.mcap)`."""
+        traces = sorted(set(self.campaign.session_traces[session.session_id]))
+        named = some((self.campaign.name(trace) for trace in traces), _MOST_FILES)
+        return f"{session.role} on {session.device} ({named})"
+
+    def run_name(self, run_id: int) -> str:
+        """`run 1122334455667788 (ping.mcap)`."""
+        traces = self.campaign.run_traces.get(run_id, ())
+        return f"run {run_id:016x}" + (f" ({self.campaign.names(traces)})" if traces else "")
+
+
+def exchange_name(exchange: Exchange) -> str:
+    """`run 1122334455667788, relay 0000beef on beta`."""
+    device = f" on {exchange.relay.device}" if exchange.relay else ""
+    return f"run {exchange.run.run_id:016x}, relay {exchange.relay_id:08x}{device}"
+
+
+def some(names: Iterable[str], at_most: int = 3) -> str:
+    """The first few names and how many more there are."""
+    held = list(names)
+    shown = "; ".join(held[:at_most])
+    return shown if len(held) <= at_most else f"{shown}; and {len(held) - at_most} more"
+
+
+def percent(part: float, whole: float) -> str:
+    """A share with as many digits as it takes to tell it from 0 and from 100 %."""
+    share = 100 * part / whole
+    return f"{share:.3g} %" if share < 99 else f"{share:.6g} %"

@@ -1,0 +1,236 @@
+"""Checks of the groups of the summary: losses, order, impossible times, samples too few for a percentile."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from typing import TYPE_CHECKING
+
+from dds_trace.analyzer.analysis import Finding, Severity
+from dds_trace.analyzer.findings.evidence import exchange_name, percent, some
+from dds_trace.analyzer.model.metrics import METRICS
+from dds_trace.analyzer.pairing.pair import Outcome
+from dds_trace.analyzer.statistics.percentiles import PERCENTILES
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from dds_trace.analyzer.findings.evidence import Evidence
+    from dds_trace.analyzer.statistics.percentiles import Percentile
+
+_LOST = {
+    Outcome.LOST_OUTBOUND.value: "on the way out",
+    Outcome.LOST_IN_RELAY.value: "in the relay",
+    Outcome.LOST_RETURN.value: "on the way back",
+    Outcome.LOST_UNKNOWN.value: "nobody knows where",
+}
+"""Outcome -> where the message was lost, in words."""
+
+
+def losses(evidence: Evidence) -> Iterator[Finding]:
+    """Groups that lost messages."""
+    rows = evidence.summary.frame.iter_rows(named=True)
+    for group, (name, row) in enumerate(zip(evidence.group_names, rows, strict=True)):
+        published, received = row["published"], row["received"]
+        lost = ", ".join(f"{row[outcome]} {where}" for outcome, where in _LOST.items() if row[outcome])
+        if published and not received:
+            yield Finding(
+                Severity.ERROR,
+                "nothing_received",
+                name,
+                f"None of {published} messages came back ({lost}).",
+                "Check domain, bridge and middleware of both sides; there is nothing to compare here.",
+                (group,),
+            )
+        elif lost:
+            yield Finding(
+                Severity.WARNING,
+                "loss",
+                name,
+                f"{published - received} of {published} messages ({percent(published - received, published)}) "
+                f"did not come back: {lost}.",
+                "Read percentiles here as those of the messages that survived; look at reliability, "
+                "socket buffers and rate.",
+                (group,),
+            )
+
+
+def unmeasured_groups(evidence: Evidence) -> Iterator[Finding]:
+    """Groups all of whose messages were warm-up."""
+    counts = evidence.summary.frame["published"]
+    for group, (name, published) in enumerate(zip(evidence.group_names, counts, strict=True)):
+        if not published:
+            yield Finding(
+                Severity.WARNING,
+                "nothing_counted",
+                name,
+                "All messages were warm-up; nothing is counted.",
+                "Record more messages than warm-up messages.",
+                (group,),
+            )
+
+
+def duplicates(evidence: Evidence) -> Iterator[Finding]:
+    """Groups in which replies came more than once."""
+    counts = evidence.summary.frame["duplicates"]
+    for group, (name, count) in enumerate(zip(evidence.group_names, counts, strict=True)):
+        if count:
+            yield Finding(
+                Severity.WARNING,
+                "duplicates",
+                name,
+                f"{count} replies came more than once; the first one counts.",
+                "Look for a second bridge or route between the two sides.",
+                (group,),
+            )
+
+
+def reordering(evidence: Evidence) -> Iterator[Finding]:
+    """Groups in which replies overtook each other."""
+    columns = evidence.summary.frame.select("reordered", "received").iter_rows()
+    for group, (name, (count, received)) in enumerate(zip(evidence.group_names, columns, strict=True)):
+        if count:
+            yield Finding(
+                Severity.WARNING,
+                "reordering",
+                name,
+                f"{count} of {received} replies came after the reply to a later message.",
+                "With reliable QoS on one topic this should not happen: look for several routes or relays.",
+                (group,),
+            )
+
+
+def impossible_times(evidence: Evidence) -> Iterator[Finding]:
+    """Times below zero: a clock stepped, or stamps do not belong together."""
+    counts = evidence.summary.of_exchange.select("negative_rtt", "negative_intermediate", "negative_latency")
+    rows = counts.iter_rows(named=True)
+    for exchange, group, row in zip(
+        evidence.roundtrips.exchanges, evidence.exchange_groups(), rows, strict=True
+    ):
+        found = [f"{name.removeprefix('negative_')} of {n} messages" for name, n in row.items() if n]
+        if found:
+            yield Finding(
+                Severity.ERROR,
+                "negative_times",
+                exchange_name(exchange),
+                f"Below zero: {', '.join(found)}. They are in the statistics as computed.",
+                "Do not use these numbers: check that stamps are CLOCK_MONOTONIC of one device each, and that no "
+                "two relays share a relay_id.",
+                (group,),
+            )
+
+
+def mixed_labels(evidence: Evidence) -> Iterator[Finding]:
+    """Groups that put runs with different labels together, as labels are no parameter column."""
+    names = evidence.group_names
+    for group, members in enumerate(evidence.grouping.members()):
+        values: dict[str, set[str | None]] = defaultdict(set)
+        runs = [evidence.roundtrips.exchanges[member].run for member in members]
+        for label in {label for run in runs for label in run.labels}:
+            values[label] = {run.labels.get(label) for run in runs}
+        mixed = {label: found for label, found in sorted(values.items()) if len(found) > 1}
+        if mixed:
+            listed = "; ".join(
+                f"{label}: {some(sorted(map(str, found)), 5)}" for label, found in mixed.items()
+            )
+            yield Finding(
+                Severity.WARNING,
+                "mixed_labels",
+                names[group],
+                f"Runs with different labels are summarized together ({listed}).",
+                "Analyze them as separate folders, or compare them by run in roundtrips.parquet.",
+                (group,),
+            )
+
+
+def few_samples(evidence: Evidence) -> Iterator[Finding]:
+    """Percentiles that are null because the sample cannot support them; groups that lack the same share a finding."""
+    names, samples = evidence.group_names, evidence.summary.samples
+    lacking: dict[tuple[tuple[int, ...], tuple[str, ...]], list[Percentile]] = defaultdict(list)
+    for percentile in PERCENTILES:
+        alike: dict[tuple[int, ...], list[str]] = defaultdict(list)
+        for metric in METRICS:
+            # Without any sample, another finding says why (a loss, a missing relay trace).
+            groups = tuple(
+                group for group, n in enumerate(samples[metric].tolist()) if 0 < n < percentile.needs
+            )
+            alike[groups].append(metric)
+        for groups, together in alike.items():
+            if groups:
+                lacking[groups, tuple(together)].append(percentile)
+    for (groups, metrics), percentiles in lacking.items():
+        counts = sorted(int(samples[metric][group]) for metric in metrics for group in groups)
+        held = f"{counts[0]}" if counts[0] == counts[-1] else f"{counts[0]} to {counts[-1]}"
+        wanted = ", ".join(f"{_shown(p)} (takes {p.needs})" for p in percentiles)
+        everywhere = len(groups) == len(names) and len(groups) > 1
+        yield Finding(
+            Severity.INFO,
+            "few_samples",
+            f"all {len(groups)} groups" if everywhere else some(names[group] for group in groups),
+            f"Null for want of samples: {wanted} of {', '.join(metrics)}; there are {held} samples.",
+            f"Record at least {percentiles[-1].needs} messages a group to see all of them.",
+            groups,
+        )
+
+
+def _shown(percentile: Percentile) -> str:
+    return percentile.name.replace("_", ".")
+
+
+def outages(evidence: Evidence) -> Iterator[Finding]:
+    """Groups that lost several messages in a row."""
+    if evidence.details is None:
+        return
+    names = evidence.group_names
+    for (key,), found in evidence.details.outages.group_by(["group"], maintain_order=True):
+        group = int(str(key))
+        durations_ns = found["duration_ns"].drop_nulls().to_list()
+        longest = f"; the longest lasted {max(durations_ns) / 1e6:.3f} ms" if durations_ns else ""
+        endless = len(found) - len(durations_ns)
+        yield Finding(
+            Severity.WARNING,
+            "outage",
+            names[group],
+            f"{len(found)} times several messages in a row were lost, {found['messages'].sum()} in all{longest}"
+            + (f"; {endless} lasted to the end of the run." if endless else "."),
+            "Look at the timeline: a link that drops out, a bridge or relay that restarts, a full buffer.",
+            (group,),
+        )
+
+
+_DELIVERIES = {"relay_delivery_ns": "relay", "ping_delivery_ns": "ping"}
+"""Part of `Details.breakdown` that ends in a callback -> whose callback it is."""
+
+_TAIL_PERIODS, _TAIL_NS = 2, 20_000_000
+"""Waiting of the slowest hundredth that no busy processor explains."""
+
+
+def waits_in_readers(evidence: Evidence) -> Iterator[Finding]:
+    """Groups whose messages lay with the middleware for periods before the callback took them.
+
+    A reader that falls behind takes each message when a later one arrives: the latency is then a multiple of the
+    period, and says nothing of the link.
+    """
+    if evidence.details is None:
+        return
+    names, rates = evidence.group_names, evidence.summary.frame["rate_hz"].to_list()
+    parts = evidence.details.breakdown.select("group", "part", "p50_ns", "p99_ns").iter_rows()
+    for group, part, median_ns, p99_ns in parts:
+        role, rate_hz = _DELIVERIES.get(part), rates[group]
+        if role is None or not rate_hz:
+            continue
+        if median_ns * rate_hz >= 1e9:
+            share, waited_ns = "Half of the messages", median_ns
+        elif p99_ns is not None and p99_ns >= max(_TAIL_PERIODS * 1e9 / rate_hz, _TAIL_NS):
+            share, waited_ns = "One message in a hundred", p99_ns
+        else:
+            continue
+        yield Finding(
+            Severity.WARNING,
+            "waits_in_reader",
+            names[group],
+            f"{share} waited {waited_ns / 1e6:.3f} ms or longer between the middleware of the {role} and its "
+            f"callback, {waited_ns * rate_hz / 1e9:.1f} periods.",
+            f"This is the {role}'s program, not the link: look at its CPU and at --executor, and record anew with a "
+            "fresh process.",
+            (group,),
+        )

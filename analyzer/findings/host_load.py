@@ -1,0 +1,54 @@
+"""Checks of the devices' load while messages were under way."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from typing import TYPE_CHECKING
+
+from dds_trace.analyzer.analysis import Finding, Severity
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from dds_trace.analyzer.findings.evidence import Evidence
+
+_SATURATED_PERCENT = 95.0
+_SATURATED_SHARE = 0.1
+"""A processor that is busy in one sample of ten delays messages that no median shows."""
+
+
+def cpu_saturation(evidence: Evidence) -> Iterator[Finding]:
+    """Devices with a processor that was busy throughout while they recorded."""
+    if evidence.details is None:
+        return
+    busy: dict[int, list[float]] = defaultdict(list)
+    samples = evidence.details.host_samples.select("session_id", "cpu_busiest_percent").drop_nulls()
+    for session_id, percent in samples.iter_rows():
+        busy[session_id].append(percent)
+    for session_id, found in busy.items():
+        full = sum(percent >= _SATURATED_PERCENT for percent in found)
+        if full > _SATURATED_SHARE * len(found):
+            yield Finding(
+                Severity.WARNING,
+                "cpu_saturated",
+                evidence.session_name(evidence.campaign.sessions[session_id]),
+                f"In {full} of {len(found)} seconds a processor was busy to at least {_SATURATED_PERCENT:g} %.",
+                "Latencies here hold time spent waiting for the processor: lower rate or size, or free the device.",
+            )
+
+
+def kernel_drops(evidence: Evidence) -> Iterator[Finding]:
+    """Devices whose kernel threw datagrams away for want of receive buffer."""
+    if evidence.details is None:
+        return
+    samples = evidence.details.host_samples.drop_nulls("udp_receive_errors")
+    last = samples.group_by("session_id", maintain_order=True).last()
+    for session_id, count in last.select("session_id", "udp_receive_errors").iter_rows():
+        if count > 0:
+            yield Finding(
+                Severity.WARNING,
+                "udp_buffer_overflow",
+                evidence.session_name(evidence.campaign.sessions[session_id]),
+                f"The kernel threw away {count:.0f} datagrams for want of receive buffer while this was recorded.",
+                "Losses and late large messages are to be expected: raise net.core.rmem_max and net.core.rmem_default.",
+            )

@@ -1,0 +1,86 @@
+"""What an analysis leaves out because of a campaign's size, or of `--sketch`, and the findings that say so."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from dds_trace.analyzer.analysis import Finding, Severity
+from dds_trace.analyzer.engines.batches import WHOLE_GROUP_EVENTS
+from dds_trace.analyzer.engines.oversized import RELATIVE_ERROR
+from dds_trace.analyzer.findings.evidence import some
+from dds_trace.analyzer.pairing.rows import partition_groups
+from dds_trace.analyzer.verdicts.answers import CASE_COLUMNS
+from dds_trace.analyzer.verdicts.compare import BRIDGE_MATCH_COLUMNS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+    import polars as pl
+
+    from dds_trace.analyzer.findings.evidence import Evidence
+    from dds_trace.analyzer.pairing.rows import RowsByGroup
+
+MOST_COMPARED_ROWS = 4_000_000
+"""Rows of one kind of message that are compared: they are in memory at once, with what sorting them takes."""
+
+SKETCHED = Finding(
+    Severity.INFO,
+    "sketched",
+    "all groups",
+    f"Percentiles come from histograms and may be off by {RELATIVE_ERROR:.2%} of their value; counts, means, "
+    "standard deviations and extremes are exact. There are no rows, so no group is compared with another.",
+    "Analyze without --sketch for exact percentiles, the rows in roundtrips.parquet, and who is fastest.",
+)
+
+
+def earlier_rows(path: Path) -> Finding:
+    """Said where a sketch finds the rows of an earlier analysis in its folder: it replaces what it writes, and no more."""
+    return Finding(
+        Severity.INFO,
+        "earlier_rows",
+        path.name,
+        "The rows in this file are those of an earlier analysis; the summary beside it was not made from them.",
+        "Analyze without --sketch to replace them, or give a sketch a folder of its own with --out.",
+    )
+
+
+def is_too_large(case: pl.DataFrame) -> bool:
+    """Whether one part of `RowsByGroup.groups` has more rows than are compared."""
+    return int(case["published"].sum()) > MOST_COMPARED_ROWS
+
+
+def size_findings(evidence: Evidence, rows: RowsByGroup | None, in_parts: Sequence[int]) -> Iterator[Finding]:
+    """What the details leave out for want of memory.
+
+    Args:
+        evidence: of the campaign.
+        rows: its rows; None of a sketch, which says itself that nothing is compared.
+        in_parts: groups that no batch held whole.
+    """
+    names = evidence.group_names
+    if in_parts:
+        yield Finding(
+            Severity.INFO,
+            "group_in_parts",
+            some(names[group] for group in in_parts),
+            f"{len(in_parts)} groups have more than {WHOLE_GROUP_EVENTS:,} events each and were worked at in parts: "
+            "there is no breakdown of where their time goes, and no response against round trip time.",
+            "Analyze a folder with fewer of their runs to see these.",
+            tuple(in_parts),
+        )
+    cases = []
+    if rows is not None:
+        kinds = (CASE_COLUMNS, BRIDGE_MATCH_COLUMNS)
+        cases = [case for kind in kinds for case in partition_groups(rows.groups, kind) if is_too_large(case)]
+    if cases:
+        groups = sorted({group for case in cases for group in case["group"].to_list()})
+        yield Finding(
+            Severity.INFO,
+            "not_compared",
+            some(names[group] for group in groups),
+            f"Of their kind of message there are more than {MOST_COMPARED_ROWS:,} rows: who is fastest, and what a "
+            "bridge costs, is not told for it.",
+            "Analyze a folder with fewer runs of each group to compare them.",
+            tuple(groups),
+        )

@@ -1,0 +1,276 @@
+"""Checks of runs and relays: what is missing, what does not fit together, what the clocks say."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from dds_trace.analyzer.analysis import Finding, Severity
+from dds_trace.analyzer.findings.evidence import exchange_name, percent, some
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from dds_trace.analyzer.findings.evidence import Evidence
+    from dds_trace.analyzer.pairing.exchanges import Unplaced
+
+_RATE_TOLERANCE = 0.02
+"""A run that publishes more than 2 % slower than asked has measured another load."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Reason:
+    """How one reason for events without a row reads."""
+
+    severity: Severity
+    code: str
+    what: str
+    action: str
+
+
+_UNPLACED = {
+    "no_ping_trace": _Reason(
+        Severity.WARNING,
+        "orphan_relay_events",
+        "No T1 of these runs is here: the trace of their ping is missing.",
+        "Copy the ping's trace into the folder, or ignore this if those runs do not matter.",
+    ),
+    "no_run_description": _Reason(
+        Severity.ERROR,
+        "undescribed_run",
+        "No trace describes these runs (topic /dds_trace/run), so their messages were left out.",
+        "Keep that topic when filtering bags.",
+    ),
+    "no_ping_session": _Reason(
+        Severity.ERROR,
+        "undescribed_session",
+        "No trace describes the ping session of these runs (topic /dds_trace/session), so they were left out.",
+        "Keep that topic when filtering bags.",
+    ),
+    "impossible_description": _Reason(
+        Severity.ERROR,
+        "impossible_description",
+        "The description of these runs holds an impossible number, so their messages were left out.",
+        "Mend what wrote the trace.",
+    ),
+}
+
+
+def unplaced_events(evidence: Evidence) -> Iterator[Finding]:
+    """Events that belong to no row, one finding per reason, relay and file."""
+    alike: dict[tuple[str, int, tuple[int, ...], str], list[Unplaced]] = defaultdict(list)
+    for unplaced in evidence.exchanges.unplaced:
+        alike[unplaced.reason, unplaced.relay_id, unplaced.traces, unplaced.detail].append(unplaced)
+    for (reason, relay_id, traces, detail), held in alike.items():
+        of_relay = f", relay {relay_id:08x}" if relay_id else ""
+        runs = some(f"{unplaced.run_id:016x}" for unplaced in held)
+        yield Finding(
+            _UNPLACED[reason].severity,
+            _UNPLACED[reason].code,
+            f"{evidence.campaign.names(traces)}{of_relay}",
+            f"{_UNPLACED[reason].what} {sum(u.events for u in held)} events, runs {runs}"
+            + (f" ({detail})." if detail else "."),
+            _UNPLACED[reason].action,
+        )
+
+
+def unfinished_runs(evidence: Evidence) -> Iterator[Finding]:
+    """Runs that were cut short, and runs of which publications were not kept."""
+    for run_id, (exchange, published) in evidence.published_by_run().items():
+        run, kept = exchange.run, published.messages
+        if run.state != "finished":
+            yield Finding(
+                Severity.WARNING,
+                "unfinished_run",
+                evidence.run_name(run_id),
+                f"The run has no end: {kept} messages were published, {run.planned_messages} planned.",
+                "The last messages may count as lost though they were only under way; repeat the run if that matters.",
+            )
+        elif run.published < run.planned_messages:
+            yield Finding(
+                Severity.WARNING,
+                "unfinished_run",
+                evidence.run_name(run_id),
+                f"The run was stopped after {run.published} of {run.planned_messages} planned messages.",
+                "Percentiles rest on fewer samples than planned; repeat the run if that matters.",
+            )
+        if run.state == "finished" and kept < run.published:
+            yield Finding(
+                Severity.ERROR,
+                "missing_publications",
+                evidence.run_name(run_id),
+                f"{run.published - kept} of {run.published} published messages have no T1 in the trace; "
+                "they have no row.",
+                "Use the whole trace; if it is whole, the recorder dropped events.",
+            )
+
+
+def repeated_publications(evidence: Evidence) -> Iterator[Finding]:
+    """T1 events that a message has too many."""
+    for run_id, (_, published) in evidence.published_by_run().items():
+        if published.repeated:
+            yield Finding(
+                Severity.ERROR,
+                "repeated_publications",
+                evidence.run_name(run_id),
+                f"{published.repeated} T1 events repeat the sequence number of another; the first one counts.",
+                "Each run needs its own random run_id, and each message its own sequence number.",
+            )
+
+
+def orphan_events(evidence: Evidence) -> Iterator[Finding]:
+    """Events of a known run whose message was, by the trace, never published."""
+    orphans = evidence.roundtrips.orphans.tolist()
+    for exchange, group, count in zip(
+        evidence.roundtrips.exchanges, evidence.exchange_groups(), orphans, strict=True
+    ):
+        if count:
+            yield Finding(
+                Severity.WARNING,
+                "orphan_events",
+                exchange_name(exchange),
+                f"{count} T2, T3 or T4 events name messages without T1; they have no row.",
+                "Use the whole trace of the ping; if it is whole, its recorder dropped events.",
+                (group,),
+            )
+
+
+def missing_schedule(evidence: Evidence) -> Iterator[Finding]:
+    """Runs whose T1 carry no T0."""
+    counts = evidence.summary.of_exchange.select("published", "unscheduled").iter_rows()
+    unscheduled = {
+        exchange.run.run_id
+        for exchange, (published, without) in zip(evidence.roundtrips.exchanges, counts, strict=True)
+        if published and without == published
+    }
+    if unscheduled:
+        yield Finding(
+            Severity.INFO,
+            "no_schedule",
+            some(evidence.run_name(run_id) for run_id in sorted(unscheduled)),
+            f"{len(unscheduled)} runs recorded no planned send times; their response times are null.",
+            "Record T0 (scheduled_ns of T1) to see what a late sender hides.",
+        )
+
+
+def schedule_not_held(evidence: Evidence) -> Iterator[Finding]:
+    """Groups that published slower than asked."""
+    names = evidence.group_names
+    columns = evidence.summary.frame.select("rate_hz", "achieved_rate_hz").iter_rows()
+    for group, (name, (asked_hz, achieved_hz)) in enumerate(zip(names, columns, strict=True)):
+        if achieved_hz is not None and achieved_hz < asked_hz * (1 - _RATE_TOLERANCE):
+            yield Finding(
+                Severity.WARNING,
+                "schedule_not_held",
+                name,
+                f"Published at {achieved_hz:.4g} Hz, asked for {asked_hz:g} Hz.",
+                "Do not compare this group with others of the asked rate; lower the rate or free the CPU.",
+                (group,),
+            )
+
+
+def relays_without_trace(evidence: Evidence) -> Iterator[Finding]:
+    """Runs in which no relay took part, and relays whose events or description are missing."""
+    unrecorded: dict[tuple[int, bool], list[int]] = defaultdict(list)
+    undescribed: dict[int, list[int]] = defaultdict(list)
+    for exchange in evidence.roundtrips.exchanges:
+        if not exchange.took_part:
+            yield Finding(
+                Severity.ERROR,
+                "no_relay",
+                evidence.run_name(exchange.run.run_id),
+                "No relay took part: no reply came, and no trace of a relay knows the run.",
+                "Start the relay first, in the same domain or behind the bridge, and add its trace.",
+            )
+        elif not exchange.relay_recorded:
+            unrecorded[exchange.relay_id, exchange.relay is not None].append(exchange.run.run_id)
+        elif exchange.relay is None:
+            undescribed[exchange.relay_id].append(exchange.run.run_id)
+    for (relay_id, described), runs in unrecorded.items():
+        yield Finding(
+            Severity.WARNING,
+            "missing_relay_trace",
+            f"relay {relay_id:08x}",
+            f"{len(runs)} runs have replies of this relay but none of its events: latency and intermediate time "
+            "are null, and losses are lost_unknown.",
+            "Its trace here does not know these runs: use the whole trace, or the one that is missing."
+            if described
+            else "Copy the relay's trace into the folder and analyze again.",
+        )
+    for relay_id, runs in undescribed.items():
+        yield Finding(
+            Severity.WARNING,
+            "undescribed_relay",
+            f"relay {relay_id:08x}",
+            f"{len(runs)} runs have events of this relay, but no session describes it: its vendor, backend and "
+            "device are null.",
+            "Keep the topic /dds_trace/session when filtering bags.",
+        )
+
+
+def gaps_of_relays(evidence: Evidence) -> Iterator[Finding]:
+    """Messages that came back through a relay whose trace does not know them: then its losses are doubtful, too."""
+    counts = evidence.summary.of_exchange.select("relay_gaps", "received").iter_rows()
+    for exchange, group, (gaps, received) in zip(
+        evidence.roundtrips.exchanges, evidence.exchange_groups(), counts, strict=True
+    ):
+        if exchange.relay_recorded and gaps:
+            yield Finding(
+                Severity.WARNING,
+                "relay_trace_gaps",
+                exchange_name(exchange),
+                f"{gaps} of {received} messages ({percent(gaps, received)}) came back, but the relay's trace "
+                "lacks their T3 or T4: their latency is null, and lost_outbound may count messages that did arrive.",
+                "Use the whole trace of the relay.",
+                (group,),
+            )
+
+
+def unlike_domains(evidence: Evidence) -> Iterator[Finding]:
+    """Runs that were told another relay domain than the relay was in."""
+    for exchange, group in zip(evidence.roundtrips.exchanges, evidence.exchange_groups(), strict=True):
+        told = exchange.run.relay_domain_id
+        if exchange.relay and told is not None and told != exchange.relay.domain_id:
+            yield Finding(
+                Severity.WARNING,
+                "unlike_domains",
+                exchange_name(exchange),
+                f"The ping was told relay domain {told}, the relay was in {exchange.relay.domain_id}, which counts.",
+                "Check the options --domain and --bridge of both sides.",
+                (group,),
+            )
+
+
+def unlike_payloads(evidence: Evidence) -> Iterator[Finding]:
+    """Runs whose messages are not as long as the run says."""
+    for run_id, (exchange, published) in evidence.published_by_run().items():
+        described = exchange.run.payload_bytes
+        low, high = published.payload_range_bytes
+        if (low, high) != (described, described):
+            yield Finding(
+                Severity.WARNING,
+                "unlike_payloads",
+                evidence.run_name(run_id),
+                f"The run is described as {described} B a message, its T1 events say {low} to {high} B; "
+                "sizes and transfer rates here go by the description.",
+                "Give each size a run of its own.",
+            )
+
+
+def restarted_relays(evidence: Evidence) -> Iterator[Finding]:
+    """Runs in which several relays of one device took part: one that was started anew, or two at once."""
+    relays: dict[tuple[int, str], list[int]] = defaultdict(list)
+    for exchange in evidence.roundtrips.exchanges:
+        if exchange.took_part and exchange.relay is not None:
+            relays[exchange.run.run_id, exchange.relay.device].append(exchange.relay_id)
+    for (run_id, device), ids in relays.items():
+        if len(ids) > 1:
+            listed = some(f"{relay_id:08x}" for relay_id in ids)
+            yield Finding(
+                Severity.WARNING,
+                "relay_restarted",
+                evidence.run_name(run_id),
+                f"{len(ids)} relays on {device} took part ({listed}): the relay was started anew, or two ran at once.",
+                "Every message has a row for each, lost with all but one: repeat the run with one relay throughout.",
+            )

@@ -1,0 +1,155 @@
+"""Checks of the recording processes: what they could not keep, how they ended, on what they ran."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter, defaultdict
+from typing import TYPE_CHECKING, Any
+
+from dds_trace.analyzer.analysis import Finding, Severity
+from dds_trace.analyzer.findings.evidence import some
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from dds_trace.analyzer.findings.evidence import Evidence
+    from dds_trace.tracefile import Session
+
+_OF_MIDDLEWARE = ("versions", "configuration", "settings")
+"""Parts of the fingerprint that differ by nature between middlewares: compared within one vendor only."""
+
+_BRIDGE_FAILURES = {"died": "ended by itself", "never_ready": "never carried a message"}
+
+_FLEETING = ("wifi",)
+"""Parts that differ from one minute to the next on the same device."""
+
+
+def recorder_drops(evidence: Evidence) -> Iterator[Finding]:
+    """Events that a recorder could not keep: then a message may seem lost, and it was not."""
+    for session in evidence.campaign.sessions.values():
+        if session.dropped_events:
+            yield Finding(
+                Severity.ERROR,
+                "recorder_drops",
+                evidence.session_name(session),
+                f"The recorder dropped {session.dropped_events} events; messages that it dropped count as lost.",
+                "Do not trust losses here; record to a faster disk, at a lower rate or with a larger ring.",
+            )
+
+
+def unclosed_sessions(evidence: Evidence) -> Iterator[Finding]:
+    """Sessions without a clean end."""
+    for session in evidence.campaign.sessions.values():
+        if session.state != "closed":
+            yield Finding(
+                Severity.WARNING,
+                "unclosed_session",
+                evidence.session_name(session),
+                "The recording has no clean end: it was killed, lost power, or still goes on; "
+                "how many events it dropped is not known.",
+                "Stop recordings with Ctrl-C or --duration and analyze again.",
+            )
+
+
+def doubtful_sessions(evidence: Evidence) -> Iterator[Finding]:
+    """Events that more than one session of a trace could have made."""
+    doubts = defaultdict(list)
+    for doubt in evidence.exchanges.doubts:
+        doubts[doubt.role, doubt.candidates].append(doubt)
+    for (role, candidates), runs in doubts.items():
+        yield Finding(
+            Severity.WARNING,
+            "doubtful_session",
+            some(evidence.session_name(evidence.campaign.sessions[c]) for c in candidates),
+            f"{len(candidates)} {role} sessions could have recorded the events of {len(runs)} runs (a restarted "
+            "process, or traces merged into one file); each run was given the last session started before it.",
+            "Keep each recording in its own file.",
+        )
+
+
+def unlike_environments(evidence: Evidence) -> Iterator[Finding]:
+    """Settings that differ between sessions whose numbers stand side by side in the report.
+
+    Pings are compared with pings and relays with relays; versions, configuration and settings of the
+    middleware only within one vendor.
+    """
+    held = {id(s): s for e in evidence.roundtrips.exchanges for s in (e.ping, e.relay) if s is not None}
+    alike: dict[str, list[Session]] = defaultdict(list)
+    of_vendor: dict[str, list[Session]] = defaultdict(list)
+    for session in held.values():
+        if session.host:
+            alike[f"{session.role} sessions"].append(session)
+            of_vendor[f"{session.vendor} {session.role} sessions"].append(session)
+    for where, sessions in sorted(alike.items()):
+        yield from _differences(where, [(s, _machine(s)) for s in sessions])
+    for where, sessions in sorted(of_vendor.items()):
+        found = [(s, _middleware(s)) for s in sessions]
+        names = {name for _, fields in found for name in fields}
+        # A setting made on one device only is a difference, too; an interface that only one device has is none.
+        yield from _differences(where, [(s, dict.fromkeys(names) | fields) for s, fields in found])
+
+
+def _machine(session: Session) -> dict[str, Any]:
+    parts = {k: v for k, v in session.host.items() if k not in (*_OF_MIDDLEWARE, *_FLEETING)}
+    return dict(_flattened(parts))
+
+
+def _middleware(session: Session) -> dict[str, Any]:
+    parts = {name: session.host.get(name, {}) for name in _OF_MIDDLEWARE}
+    return {"rmw": session.rmw, **dict(_flattened(parts))}
+
+
+def _differences(where: str, found: list[tuple[Session, dict[str, Any]]]) -> Iterator[Finding]:
+    """One finding for each field in which the sessions that have it differ."""
+    values: dict[str, dict[str, list[Session]]] = defaultdict(lambda: defaultdict(list))
+    for session, fields in found:
+        for name, value in fields.items():
+            values[name][json.dumps(value, sort_keys=True)].append(session)
+    for name, by_value in sorted(values.items()):
+        if len(by_value) > 1:
+            listed = some((f"{value} {_on_devices(of)}" for value, of in sorted(by_value.items())), 4)
+            yield Finding(
+                Severity.WARNING,
+                "unlike_environments",
+                where,
+                f"{name} differs: {listed}.",
+                "Compare numbers across these sessions with care, or record again under equal conditions.",
+            )
+
+
+def _flattened(host: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Leaves of a nested object by dotted name."""
+    for key, value in host.items():
+        if isinstance(value, dict):
+            yield from _flattened(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
+def _on_devices(sessions: list[Session]) -> str:
+    devices = Counter(session.device for session in sessions)
+    return "on " + ", ".join(f"{device} ({n} sessions)" if n > 1 else device for device, n in devices.items())
+
+
+def failed_bridges(evidence: Evidence) -> Iterator[Finding]:
+    """Bridges that ended by themselves, or never carried a message."""
+    for session in evidence.campaign.sessions.values():
+        bridge = session.extra.get("bridge")
+        if isinstance(bridge, dict) and bridge.get("state") in _BRIDGE_FAILURES:
+            failure = str(bridge.get("failure") or "it said nothing")
+            yield Finding(
+                Severity.ERROR,
+                "bridge_failed",
+                evidence.session_name(session),
+                f"The bridge {bridge.get('bridge')} {_BRIDGE_FAILURES[bridge['state']]}: {failure.rstrip('.')}. "
+                f"Its last words: {_last_words(bridge)}.",
+                "Losses here are the bridge's: repeat the runs; its whole output is in the session of the trace.",
+            )
+
+
+def _last_words(bridge: Mapping[str, Any]) -> str:
+    programs = bridge.get("programs")
+    tails = [str(bridge.get("log_tail") or "")]
+    tails += [str(p.get("log_tail") or "") for p in programs or () if isinstance(p, dict)]
+    lines = [line.strip() for tail in tails for line in tail.splitlines()[-1:] if line.strip()]
+    return "; ".join(line[:200].rstrip(".") for line in lines) or "none"

@@ -1,0 +1,76 @@
+"""Checks of latency over message size: where it falls or jumps as messages grow, and the cause if the traces show it."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+from dds_trace.analyzer.analysis import Finding, Severity
+from dds_trace.analyzer.model.columns import PARAMETER_NAMES
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from dds_trace.analyzer.findings.evidence import Evidence
+
+_SEGMENT_BYTES = 512 * 1024
+"""Fast DDS's shared-memory segment: a message that does not fit goes another way (eProsima, SHM transport)."""
+
+_JUMP = 2.0
+"""Latency that grows so many times as fast as the size: cost in proportion to the size cannot do that."""
+
+
+def unlike_sizes(evidence: Evidence) -> Iterator[Finding]:
+    """Neighbouring sizes, all else equal, whose p50 intervals say that latency surely falls, or jumps, with size."""
+    if evidence.details is None:
+        return
+    found = evidence.details.intervals.filter(metric="latency", percentile="p50").drop_nulls("method")
+    interval = {row["group"]: row for row in found.iter_rows(named=True)}
+    lines: dict[tuple[Any, ...], list[tuple[int, int]]] = defaultdict(list)
+    others = [name for name in PARAMETER_NAMES if name != "payload_bytes"]
+    for group, row in enumerate(evidence.grouping.parameters.iter_rows(named=True)):
+        if group in interval:
+            lines[tuple(row[name] for name in others)].append((row["payload_bytes"], group))
+    names = evidence.group_names
+    for line in lines.values():
+        for (small, before), (large, after) in pairwise(sorted(line)):
+            one, other = interval[before], interval[after]
+            falls = other["high_ns"] < one["low_ns"]
+            jumps = small > 0 and other["low_ns"] > _JUMP * (large / small) * max(one["high_ns"], 1.0)
+            if falls or jumps:
+                cause = _cause(evidence, after, small, large)
+                yield Finding(
+                    Severity.INFO,
+                    "latency_falls_with_size" if falls else "latency_jumps_with_size",
+                    names[after],
+                    f"p50 latency {'falls' if falls else 'jumps'} from {one['estimate_ns'] / 1e6:.3f} ms at {small} B to "
+                    f"{other['estimate_ns'] / 1e6:.3f} ms at {large} B{cause}.",
+                    "Measure sizes between the two, and compare the transports and buffers of both devices, before "
+                    "you rely on either.",
+                    (after,),
+                )
+
+
+def _cause(evidence: Evidence, group: int, small: int, large: int) -> str:
+    """What the fingerprints say that lies between the two sizes."""
+    exchange = evidence.roundtrips.exchanges[evidence.grouping.members()[group][0]]
+    if exchange.ping.vendor == "fastdds" and small < _SEGMENT_BYTES <= large:
+        on_one = exchange.relay is not None and exchange.relay.device == exchange.ping.device
+        if on_one:
+            return f"; between them lies Fast DDS's shared-memory segment of {_SEGMENT_BYTES} B"
+    for session in (exchange.relay, exchange.ping):
+        buffer = _receive_buffer(session.host) if session else None
+        if session and buffer is not None and small < buffer <= large:
+            return f"; between them lies the socket buffer of {session.device} (net.core.rmem_default {buffer} B)"
+    return "; the recorded environment shows no cause"
+
+
+def _receive_buffer(host: Mapping[str, Any]) -> int | None:
+    buffers = host.get("socket_buffers")
+    value = (
+        buffers.get("rmem_default", buffers.get("net.core.rmem_default"))
+        if isinstance(buffers, dict)
+        else None
+    )
+    return value if isinstance(value, int) else None

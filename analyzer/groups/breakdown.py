@@ -1,0 +1,249 @@
+"""Where the time of a message goes, from its planned sending to the reply in the callback.
+
+    T0 ..waiting.. T1 ..transport.. R3 ..delivery.. T3 ..relay.. T4 ..transport.. R2 ..delivery.. T2
+                   |------- outbound_ns ----------|             |--------- return_ns --------|
+
+R3 and R2 are the middleware's reception stamps, wall clock of the device that received; where they are missing only
+the whole `outbound_ns` and `return_ns` are known. The parts add up to `response_ns` exactly.
+
+Clocks are never mixed without a bound. Between two devices it is the clock fit's. Between the wall clock and the
+monotonic clock of one device: NTP slews both alike, so they differ by a constant until somebody sets the wall
+clock (clock_gettime(2)). The session's anchor says the constant; the stamps check it, because a message is not
+delivered before the middleware received it (`received <= T3`), nor stamped by the middleware before it was handed
+over (`source >= T4`).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import polars as pl
+
+from dds_trace.analyzer.clocks.alignment import session_of_run
+from dds_trace.tracefile import Stage
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from dds_trace.tracefile import EventColumns, Run, Session
+
+STAGES = (
+    "waiting_ns",
+    "outbound_transport_ns",
+    "relay_delivery_ns",
+    "relay_ns",
+    "return_transport_ns",
+    "ping_delivery_ns",
+)
+"""The parts of a response in the order of time; each a column of `break_down`'s frame."""
+
+STAMP_COLUMNS = ("relay_source_ns", "relay_received_ns", "reply_source_ns", "reply_received_ns")
+"""`source_ns` and `received_ns` of T3 and of T2, i64, ns since 1970, null where the trace has 0."""
+
+
+def ping_wall_offsets(sessions: Sequence[Session], runs: Sequence[Run]) -> dict[int, int]:
+    """Wall clock minus monotonic clock of the ping in each run that names its session, ns, by run_id."""
+    of_session = {s.session_id: s.wall_anchor_ns - s.monotonic_anchor_ns for s in sessions}
+    return {run.run_id: of_session[s] for run in runs if (s := session_of_run(run)) in of_session}
+
+
+def relay_wall_offsets(sessions: Sequence[Session]) -> dict[int, int]:
+    """Wall clock minus monotonic clock of each relay, ns, by relay_id (drawn anew by each relay process)."""
+    return {
+        s.relay_id: s.wall_anchor_ns - s.monotonic_anchor_ns
+        for s in sessions
+        if s.role == "relay" and s.relay_id is not None
+    }
+
+
+def with_stamps(roundtrips: pl.DataFrame, events: Mapping[Stage, EventColumns]) -> pl.DataFrame:
+    """The round trips with `STAMP_COLUMNS`, from the events of T2 and T3 that they were paired from.
+
+    Args:
+        roundtrips: frame of `docs/trace-format.md`.
+        events: T2 and T3 of all traces (`EventColumns.concatenate`); an event that is there twice counts once.
+    """
+    frame = roundtrips
+    for stage, instant, names in (
+        (Stage.T3, "relay_in_ns", STAMP_COLUMNS[:2]),
+        (Stage.T2, "receive_ns", STAMP_COLUMNS[2:]),
+    ):
+        columns = events[stage]
+        keys = ["run_id", "relay_id", "sequence", instant]
+        stamps = pl.DataFrame(
+            {
+                "run_id": columns.run_id,
+                "relay_id": columns.relay_id,
+                "sequence": columns.sequence,
+                instant: columns.monotonic_ns,
+                names[0]: columns.source_ns,
+                names[1]: columns.received_ns,
+            },
+        )
+        known = [pl.when(pl.col(name) != 0).then(pl.col(name)).alias(name) for name in names]
+        stamps = stamps.unique(keys, keep="first", maintain_order=True).with_columns(known)
+        frame = frame.join(stamps, on=keys, how="left", maintain_order="left")
+    return frame
+
+
+def break_down(
+    roundtrips: pl.DataFrame,
+    ping_wall: Mapping[int, int] | None = None,
+    relay_wall: Mapping[int, int] | None = None,
+) -> pl.DataFrame:
+    """The parts of every message's response.
+
+    Args:
+        roundtrips: frame of `align_clocks`, with the columns `STAMP_COLUMNS` where the trace has such stamps.
+        ping_wall: `ping_wall_offsets`; without it, or for a run that it does not hold, no part needs it.
+        relay_wall: `relay_wall_offsets`, likewise.
+
+    Returns:
+        The input with, all i64 ns and null where a stamp is missing: `waiting_ns` (T0 to T1: a schedule that was
+        not held), `outbound_transport_ns` (T1 to R3), `relay_delivery_ns` (R3 to T3), `relay_ns` (T3 to T4),
+        `return_transport_ns` (T4 to R2), `ping_delivery_ns` (R2 to T2), and `delivery_bound_ns`: how far the
+        anchors of the wall clocks may be off, judged by the stamps of the message's run and relay (null where
+        only one side can be judged: no source stamps, or a bridge that writes its own). A run that contradicts
+        its anchor (wall clock set meanwhile) has null parts. The transports also carry `clock_bound_ns`.
+    """
+    missing = [pl.lit(0, pl.Int64).alias(name) for name in STAMP_COLUMNS if name not in roundtrips.columns]
+    stamps = {name: pl.when(pl.col(name) != 0).then(pl.col(name)) for name in STAMP_COLUMNS}
+    direct = pl.when(pl.col("bridge") == "none")
+    ping, relay = _offset("run_id", pl.UInt64, ping_wall), _offset("relay_id", pl.UInt32, relay_wall)
+    return (
+        roundtrips.with_columns(missing)
+        .with_columns(
+            _relay_delivery=pl.col("relay_in_ns") - (stamps["relay_received_ns"] - relay),
+            _ping_delivery=pl.col("receive_ns") - (stamps["reply_received_ns"] - ping),
+            # How long after T4 (T1) the middleware stamped the message, by the same anchor.
+            _relay_write=direct.then(stamps["reply_source_ns"] - relay - pl.col("relay_out_ns")),
+            _ping_write=direct.then(stamps["relay_source_ns"] - ping - pl.col("publish_ns")),
+        )
+        .with_columns(
+            relay_delivery_ns=_if_sound("_relay_delivery", "_relay_write"),
+            ping_delivery_ns=_if_sound("_ping_delivery", "_ping_write"),
+        )
+        .with_columns(
+            waiting_ns=pl.col("publish_ns") - pl.col("scheduled_ns"),
+            outbound_transport_ns=pl.col("outbound_ns") - pl.col("relay_delivery_ns"),
+            relay_ns=pl.col("intermediate_ns"),
+            return_transport_ns=pl.col("return_ns") - pl.col("ping_delivery_ns"),
+            delivery_bound_ns=pl.when(
+                pl.col("relay_delivery_ns").is_not_null() & pl.col("ping_delivery_ns").is_not_null(),
+            ).then(
+                _larger(
+                    _anchor_bound("_relay_delivery", "_relay_write"),
+                    _anchor_bound("_ping_delivery", "_ping_write"),
+                )
+            ),
+        )
+        .drop("_relay_delivery", "_ping_delivery", "_relay_write", "_ping_write")
+    )
+
+
+def _shortest(column: str) -> pl.Expr:
+    return pl.col(column).min().over("run_id", "relay_id")
+
+
+def _if_sound(delivery: str, write: str) -> pl.Expr:
+    """Deliveries of the runs whose stamps agree with the anchor: nothing arrives or leaves before its time."""
+    return pl.when((_shortest(delivery) >= 0) & (_shortest(write).fill_null(0) >= 0)).then(pl.col(delivery))
+
+
+def _anchor_bound(delivery: str, write: str) -> pl.Expr:
+    """An anchor that is too late by more than the shortest delivery would make it negative, and likewise early."""
+    return _larger(_shortest(delivery), _shortest(write))
+
+
+def _larger(one: pl.Expr, other: pl.Expr) -> pl.Expr:
+    """The larger of two, null if either is."""
+    return pl.when(one.is_not_null() & other.is_not_null()).then(pl.max_horizontal(one, other))
+
+
+def _offset(key: str, dtype: type[pl.DataType], offsets: Mapping[int, int] | None) -> pl.Expr:
+    if not offsets:
+        return pl.lit(None, pl.Int64)
+    keys, values = pl.Series(list(offsets), dtype=dtype), pl.Series(list(offsets.values()), dtype=pl.Int64)
+    return pl.col(key).replace_strict(keys, values, default=None)
+
+
+def summarize_breakdown(parts: pl.DataFrame, group_columns: Sequence[str]) -> pl.DataFrame:
+    """One row per group and part, for a stacked figure.
+
+    Args:
+        parts: frame of `break_down`.
+        group_columns: columns that make a group.
+
+    Returns:
+        The group's columns, `part` str (a name of `STAGES`, or `outbound_ns` and `return_ns` where the middleware's
+        reception stamps are missing), `order` u32 (0, 1, ... in time), `messages` u64, `mean_ns`, `p50_ns`,
+        `p99_ns` f64, `bound_ns` f64 (mean bound from the clocks, 0 for parts on one clock). Only messages with
+        every part of their chain count, so that the means add up to the mean response; percentiles never add up.
+    """
+    whole = ("waiting_ns", "outbound_ns", "relay_ns", "return_ns")
+    detailed = pl.all_horizontal(pl.col(list(STAGES)).is_not_null())
+    coarse = pl.all_horizontal(pl.col(list(whole)).is_not_null())
+    bounds = {name: pl.lit(0.0) for name in ("waiting_ns", "relay_ns")}
+    bounds |= {name: pl.col("clock_bound_ns").mean() for name in ("outbound_ns", "return_ns")}
+    bounds |= {name: pl.col("delivery_bound_ns").mean() for name in ("relay_delivery_ns", "ping_delivery_ns")}
+    both = pl.col("clock_bound_ns") + pl.col("delivery_bound_ns")
+    bounds |= {name: both.mean() for name in ("outbound_transport_ns", "return_transport_ns")}
+    keys = list(group_columns)
+    # A group is shown in detail if every message that could be shown at all can be.
+    in_detail = parts.filter(coarse).with_columns(
+        detailed=detailed.all().over(keys) if keys else detailed.all()
+    )
+    tables = []
+    for columns, chosen in ((STAGES, pl.col("detailed")), (whole, ~pl.col("detailed"))):
+        rows = in_detail.filter(chosen)
+        for order, name in enumerate(columns):
+            values = pl.col(name)
+            made = [
+                pl.lit(name).alias("part"),
+                pl.lit(order, pl.UInt32).alias("order"),
+                pl.len().cast(pl.UInt64).alias("messages"),
+                values.mean().alias("mean_ns"),
+                values.quantile(0.5, "linear").alias("p50_ns"),
+                pl.when(pl.len() >= 100).then(values.quantile(0.99, "linear")).alias("p99_ns"),
+                bounds[name].alias("bound_ns"),
+            ]
+            tables.append(rows.group_by(keys, maintain_order=True).agg(made))
+    return pl.concat(tables).sort([*keys, "order"], maintain_order=True)
+
+
+def response_against_latency(roundtrips: pl.DataFrame, group_columns: Sequence[str]) -> pl.DataFrame:
+    """What a user with a fixed schedule sees beside what the stamps of sent messages show.
+
+    A sender that waits for itself (a blocked publish, a slow loop) sends late and then fast: its round trips look
+    good and its users wait ("coordinated omission", G. Tene, "How not to measure latency", 2013). The schedule is
+    open-loop and T0 is recorded, so the waiting is in `response_ns` and the difference shows it.
+
+    Returns:
+        The group's columns, `messages` u64 (with T0 and T2), `late_ratio` f64 (sent more than a tenth of the
+        period after T0), `waiting_max_ns` i64, and for p50, p99 (null below 100 messages): `rtt_*_ns`,
+        `response_*_ns` and `hidden_*_ns` = response - rtt, f64.
+    """
+    complete = roundtrips.filter(pl.col("response_ns").is_not_null() & pl.col("rtt_ns").is_not_null())
+    waiting = pl.col("publish_ns") - pl.col("scheduled_ns")
+
+    def quantile(column: str, q: float, needs: int) -> pl.Expr:
+        return pl.when(pl.len() >= needs).then(pl.col(column).quantile(q, "linear"))
+
+    keys = list(group_columns)
+    return (
+        complete.group_by(keys, maintain_order=True)
+        .agg(
+            pl.len().cast(pl.UInt64).alias("messages"),
+            (waiting > 0.1 * 1e9 / pl.col("rate_hz")).mean().alias("late_ratio"),
+            waiting.max().alias("waiting_max_ns"),
+            quantile("rtt_ns", 0.5, 1).alias("rtt_p50_ns"),
+            quantile("response_ns", 0.5, 1).alias("response_p50_ns"),
+            quantile("rtt_ns", 0.99, 100).alias("rtt_p99_ns"),
+            quantile("response_ns", 0.99, 100).alias("response_p99_ns"),
+        )
+        .with_columns(
+            hidden_p50_ns=pl.col("response_p50_ns") - pl.col("rtt_p50_ns"),
+            hidden_p99_ns=pl.col("response_p99_ns") - pl.col("rtt_p99_ns"),
+        )
+        .sort(keys)
+    )

@@ -1,0 +1,103 @@
+"""The frame `timeline`: round trips over the run's time, few enough to draw, with extremes and losses kept."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+
+from dds_trace.analyzer.pairing.pair import Outcome
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from dds_trace.analyzer.pairing.roundtrips import RoundTrips
+
+
+_ALL_POINTS = 100_000
+_POINTS_OF_EXCHANGE = (200, 4_000)
+"""An exchange gets its share of all points, but at least and at most so many."""
+
+_KEPT_PER_STRETCH = 4
+"""Lowest, highest, first loss, and the one that a second kind of loss may add."""
+
+
+def draw_timeline(
+    roundtrips: RoundTrips, group_of_exchange: NDArray[np.uint32], all_exchanges: int
+) -> pl.DataFrame:
+    """Rows of `roundtrips` worth drawing; `all_exchanges` of the campaign share the points there are.
+
+    An exchange with more rows than its share of points is cut into stretches of equal length. Each keeps
+    its lowest and its highest latency (round trip time, where the relay's trace is missing) and the first
+    message of every kind of loss in it: a curve through these covers what a curve through all rows would.
+
+    Returns:
+        Columns `group` u32, `run_id` u64, `relay_id` u32, `sequence` u64, `elapsed_s` f64 (T0, or T1 where
+        there was no schedule, since that of the run's first counted message), `latency_ns` i64 null,
+        `rtt_ns` i64 null, `outcome` str.
+    """
+    kept = _worth_drawing(roundtrips, all_exchanges)
+    exchange = roundtrips.exchange_of_row()[kept]
+    drawn = roundtrips.measured[kept].with_columns(
+        pl.Series("group", group_of_exchange[exchange]),
+        *(roundtrips.described[name].gather(exchange) for name in ("run_id", "relay_id")),
+        pl.Series("exchange", exchange),
+    )
+    planned_ns = pl.coalesce("scheduled_ns", "publish_ns")
+    # The first counted message of an exchange is always among the rows kept.
+    elapsed_ns = planned_ns - planned_ns.first().over("exchange")
+    return drawn.select(
+        "group",
+        "run_id",
+        "relay_id",
+        "sequence",
+        (elapsed_ns / 1e9).alias("elapsed_s"),
+        "latency_ns",
+        "rtt_ns",
+        "outcome",
+    )
+
+
+def _worth_drawing(roundtrips: RoundTrips, all_exchanges: int) -> NDArray[np.int64]:
+    """Rows to keep, rising."""
+    rows, first = np.diff(roundtrips.bounds), roundtrips.bounds[:-1]
+    low, high = _POINTS_OF_EXCHANGE
+    share = min(max(_ALL_POINTS // max(all_exchanges, 1), low), high)
+    if (rows <= share).all():
+        return np.arange(roundtrips.measured.height)
+
+    # Stretches are numbered throughout; in an exchange with few rows every row is one.
+    stretches = np.where(rows <= share, rows, share // _KEPT_PER_STRETCH)
+    offset = np.cumsum(stretches) - stretches
+    position = np.arange(roundtrips.measured.height) - roundtrips.per_row(first)
+    stretch = roundtrips.per_row(offset) + position * roundtrips.per_row(stretches) // roundtrips.per_row(
+        rows
+    )
+    recorded = np.array([exchange.relay_recorded for exchange in roundtrips.exchanges])
+    numbered = roundtrips.measured.lazy().select(
+        pl.int_range(pl.len(), dtype=pl.Int64).alias("row"),
+        pl.lit(pl.Series(stretch)).alias("stretch"),
+        pl.when(pl.lit(pl.Series(roundtrips.per_row(recorded))))
+        .then("latency_ns")
+        .otherwise("rtt_ns")
+        .alias("drawn_ns"),
+        "outcome",
+    )
+    extremes = (
+        numbered.drop_nulls("drawn_ns")
+        .group_by("stretch")
+        .agg(
+            pl.col("row").get(pl.col("drawn_ns").arg_min()).alias("lowest"),
+            pl.col("row").get(pl.col("drawn_ns").arg_max()).alias("highest"),
+        )
+        .collect()
+    )
+    losses = (
+        numbered.filter(pl.col("outcome") != Outcome.COMPLETED.value)
+        .group_by("stretch", "outcome")
+        .agg(pl.col("row").min())
+        .collect()
+    )
+    kept = (first[rows > 0], extremes["lowest"], extremes["highest"], losses["row"])
+    return np.unique(np.concatenate([np.asarray(found) for found in kept]))

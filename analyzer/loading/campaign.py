@@ -1,0 +1,211 @@
+"""A folder of traces becomes one `Campaign`: what was looked at, who recorded, and where every event is."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from dds_trace.analyzer.analysis import Source
+from dds_trace.analyzer.loading.events import Copies, EventsByKey, index_parts
+from dds_trace.analyzer.loading.remote import find_anywhere
+from dds_trace.analyzer.loading.shelf import TraceShelf
+from dds_trace.tracefile import MissingEventsError, TraceFormatError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+
+    from dds_trace.analyzer.loading.shelf import LoadedTrace
+    from dds_trace.tracefile import Run, Session, Trace
+
+    Progress = Callable[[int, int, Path], None]
+    """Told before each trace is read: how many are done, how many there are, and which comes next."""
+
+_FILES_OF_A_SWEEP = frozenset({"state.json", "max_rate.json", "max_rate.csv", "max_rate.svg"})
+"""What `dds-sweep` writes beside its traces: no reader wonders why it is no trace."""
+
+_NAMED_AT_MOST = 5
+"""Files that an error message names."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Campaign:
+    """Everything that the traces of a folder hold.
+
+    Attributes:
+        folder: the folder, or the one file, that was looked at.
+        sources: every file that was looked at; before `with_copies`, as if none held events of another.
+        traces: the traces read, without their events; positions are those of `events`.
+        sessions: session_id -> latest description.
+        runs: run_id -> latest description.
+        session_traces: session_id -> positions of the traces that name it.
+        run_traces: run_id -> positions of the traces that describe it.
+        events: the events by stage, run and relay.
+        event_counts: events in each trace.
+        copies: what each trace holds that another holds as well.
+    """
+
+    folder: Path
+    sources: tuple[Source, ...]
+    traces: tuple[Trace, ...]
+    sessions: Mapping[int, Session]
+    runs: Mapping[int, Run]
+    session_traces: Mapping[int, tuple[int, ...]]
+    run_traces: Mapping[int, tuple[int, ...]]
+    events: EventsByKey
+    event_counts: tuple[int, ...]
+    copies: tuple[Copies, ...] = ()
+
+    def with_copies(self, copies: tuple[Copies, ...]) -> Campaign:
+        """The same, once it is known which events were there more than once."""
+        skipped = [source for source in self.sources if source.status == "skipped"]
+        sources = [*_read_sources(self.folder, self.traces, self.event_counts, copies), *skipped]
+        return replace(self, copies=copies, sources=tuple(sorted(sources, key=lambda source: source.path)))
+
+    def name(self, trace: int) -> str:
+        """What the trace at this position is called in findings."""
+        return _relative(self.traces[trace].path, self.folder)
+
+    def names(self, traces: Iterable[int]) -> str:
+        """Names of several traces, in one string."""
+        return ", ".join(self.name(trace) for trace in sorted(set(traces)))
+
+
+def load_campaign(
+    path: Path,
+    *,
+    skip: Collection[Path] = (),
+    progress: Progress | None = None,
+    shelf: TraceShelf | None = None,
+) -> Campaign:
+    """Read every trace at or below `path`.
+
+    Args:
+        path: a folder, a trace file, or a rosbag2 folder.
+        skip: folders that are not looked into (where results are written).
+        progress: told of each trace before it is read.
+        shelf: reads, and keeps the events; by default all in memory or temporary files.
+
+    Raises:
+        MissingEventsError: there is nothing at `path`, or no trace among it.
+        TraceFormatError: `path` is one file or rosbag2 folder, and it is no trace.
+    """
+    candidates = find_anywhere(path, skip)
+    shelf = shelf or TraceShelf()
+    loaded: list[LoadedTrace] = []
+    skipped: list[Source] = []
+    for position, candidate in enumerate(candidates):
+        if progress is not None:
+            progress(position, len(candidates), candidate)
+        try:
+            loaded.append(shelf.load(candidate, len(loaded)))
+        except TraceFormatError as err:
+            if candidates == [path]:
+                raise
+            skipped.append(skipped_source(candidate, path, err.what))
+    if candidates != [path]:
+        skipped += [
+            skipped_source(other, path, "neither an .mcap file nor a rosbag2 folder")
+            for other in _other_files(path, candidates, skip)
+        ]
+    return campaign_of(path, loaded, skipped)
+
+
+def skipped_source(candidate: Path, folder: Path, why: str) -> Source:
+    """A file that is no trace."""
+    return Source(_relative(candidate, folder), "skipped", why, 0)
+
+
+def campaign_of(path: Path, loaded: Sequence[LoadedTrace], skipped: Sequence[Source]) -> Campaign:
+    """What the traces found at `path` say together; positions in the parts of `loaded` are those in it.
+
+    Raises:
+        MissingEventsError: there are none.
+    """
+    if not loaded:
+        raise MissingEventsError(_nothing_found(path, skipped))
+    sessions: dict[int, Session] = {}
+    runs: dict[int, Run] = {}
+    session_traces: dict[int, tuple[int, ...]] = {}
+    run_traces: dict[int, tuple[int, ...]] = {}
+    for position, held in enumerate(loaded):
+        for session in held.trace.sessions:
+            known = sessions.setdefault(session.session_id, session)
+            sessions[session.session_id] = max(known, session, key=_session_age)
+            session_traces[session.session_id] = (*session_traces.get(session.session_id, ()), position)
+        for run in held.trace.runs:
+            runs[run.run_id] = max(runs.setdefault(run.run_id, run), run, key=_run_age)
+            run_traces[run.run_id] = (*run_traces.get(run.run_id, ()), position)
+    campaign = Campaign(
+        folder=path,
+        sources=tuple(skipped),
+        traces=tuple(held.trace for held in loaded),
+        sessions=sessions,
+        runs=runs,
+        session_traces=session_traces,
+        run_traces=run_traces,
+        events=index_parts(held.parts for held in loaded),
+        event_counts=tuple(held.events for held in loaded),
+    )
+    return campaign.with_copies(())
+
+
+def _session_age(session: Session) -> tuple[bool, int]:
+    """Of two descriptions of one session the closed one is the later."""
+    return session.state == "closed", session.dropped_events
+
+
+def _run_age(run: Run) -> tuple[bool, int]:
+    return run.state == "finished", run.published
+
+
+def _read_sources(
+    folder: Path, traces: Sequence[Trace], counts: Sequence[int], copies: Iterable[Copies]
+) -> Iterator[Source]:
+    of_trace = {copy.trace: copy for copy in copies}
+    for position, (trace, held) in enumerate(zip(traces, counts, strict=True)):
+        name = _relative(trace.path, folder)
+        status, detail = ("truncated", trace.truncated) if trace.truncated else ("read", "")
+        copied = of_trace[position].events if position in of_trace else 0
+        if copied:
+            others = ", ".join(_relative(traces[other].path, folder) for other in of_trace[position].others)
+            remark = f"{copied} of its {held} events are also in {others or 'itself'} and counted once"
+            detail = f"{detail}; {remark}" if detail else remark
+            status = "duplicate" if copied == held else status
+        yield Source(name, status, detail, held - copied)
+
+
+def _other_files(folder: Path, traces: Collection[Path], skip: Collection[Path]) -> Iterator[Path]:
+    """Files that nobody took for a trace; what belongs to a trace or a sweep, or is hidden, is left out."""
+    closed = {entry.resolve() for entry in (*traces, *skip)}
+    stems = tuple(os.fspath(entry) for entry in traces)
+    for where, folders, files in os.walk(folder):
+        folders[:] = sorted(
+            name
+            for name in folders
+            if not name.startswith(".") and (Path(where) / name).resolve() not in closed
+        )
+        for name in sorted(files):
+            path = Path(where) / name
+            known = name.startswith(".") or name in _FILES_OF_A_SWEEP
+            if not known and not os.fspath(path).startswith(stems):
+                yield path
+
+
+def _relative(path: Path, folder: Path) -> str:
+    """The path below `folder`, so that a report does not depend on where the folder is."""
+    return (
+        path.relative_to(folder).as_posix() if path != folder and path.is_relative_to(folder) else path.name
+    )
+
+
+def _nothing_found(path: Path, skipped: Sequence[Source]) -> str:
+    looked_at = [f"{source.path} ({source.detail})" for source in skipped[:_NAMED_AT_MOST]]
+    more = len(skipped) - len(looked_at)
+    named = "; ".join(looked_at) + (f"; and {more} more" if more > 0 else "")
+    return f"{path}: no trace here" + (
+        f": looked at {named}"
+        if named
+        else ", the folder is empty; give the folder that dds-record wrote into"
+    )

@@ -1,0 +1,1 @@
+"""Events of one exchange to rows, one a message, and rows to Parquet."""

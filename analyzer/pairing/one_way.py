@@ -1,0 +1,217 @@
+"""One-way times of each run and relay on their own, and the clock of each pair of devices over the whole campaign.
+
+A run is fitted alone (`analyzer/clocks/fit.py`), so that its one-way times are the same whatever else is analyzed with
+it. What a fit knows best, its knots, are offsets with a bound: intervals just as messages give them. So the campaign's
+fit of two devices rests on the knots of all their runs, and finds a step between two runs as one within.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import polars as pl
+
+from dds_trace.analyzer.clocks.fit import ClockFit, fit_clock
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from dds_trace.analyzer.pairing.exchanges import Exchange
+
+ONE_WAY_COLUMNS = ("outbound_ns", "return_ns", "clock_bound_ns")
+
+_SANE_NS = 1 << 60
+"""Stamps beyond (36 years of uptime) are damage; sums and differences of the others fit into an int64."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OneWay:
+    """One-way times of the rows of some exchanges.
+
+    Attributes:
+        columns: `ONE_WAY_COLUMNS`, i64, null unless all four stamps are there and agree.
+        fits: of each exchange; None without a message to fit.
+    """
+
+    columns: tuple[pl.Series, ...]
+    fits: tuple[ClockFit | None, ...]
+
+    @classmethod
+    def unknown(cls, rows: int, exchanges: int) -> OneWay:
+        """Nothing was fitted."""
+        return cls(
+            tuple(pl.Series(name, [None], pl.Int64).new_from_index(0, rows) for name in ONE_WAY_COLUMNS),
+            (None,) * exchanges,
+        )
+
+
+def fit_exchanges(
+    exchanges: Sequence[Exchange],
+    bounds: NDArray[np.int64],
+    stamps: Mapping[str, NDArray[np.int64]],
+    missing: int,
+) -> OneWay:
+    """Fit the clocks of every exchange by its own messages.
+
+    Args:
+        exchanges: in the order of their rows.
+        bounds: exchange i has the rows `bounds[i]` to `bounds[i + 1]` (not included).
+        stamps: `publish_ns`, `relay_in_ns`, `relay_out_ns`, `receive_ns` of each row.
+        missing: what stands for a stamp that is not there.
+    """
+    rows = int(bounds[-1])
+    values = {name: np.zeros(rows, np.int64) for name in ONE_WAY_COLUMNS}
+    known = np.zeros(rows, np.bool_)
+    fits: list[ClockFit | None] = []
+    for exchange, first, after in zip(exchanges, bounds[:-1].tolist(), bounds[1:].tolist(), strict=True):
+        t1, t3, t4, t2 = (
+            stamps[name][first:after] for name in ("publish_ns", "relay_in_ns", "relay_out_ns", "receive_ns")
+        )
+        usable = np.flatnonzero(
+            np.logical_and.reduce(
+                [(t != missing) & (np.abs(t // 2) < _SANE_NS // 2) for t in (t1, t3, t4, t2)]
+            )
+        )
+        usable = usable[(t2[usable] - t1[usable]) >= (t4[usable] - t3[usable])]
+        if not len(usable):
+            fits.append(None)
+            continue
+        t1, t3, t4, t2 = (t[usable] for t in (t1, t3, t4, t2))
+        fit, offsets = fit_clock(
+            t1,
+            t3,
+            t4,
+            t2,
+            ping_device=exchange.ping.device,
+            relay_device=exchange.relay.device if exchange.relay else "",
+        )
+        under_way = (t2 - t1) - (t4 - t3)
+        outbound = np.clip(t3 - t1 - offsets.offset_ns, 0, under_way)
+        here = first + usable
+        values["outbound_ns"][here] = outbound
+        values["return_ns"][here] = under_way - outbound
+        values["clock_bound_ns"][here] = offsets.bound_ns
+        known[here] = True
+        fits.append(fit)
+    unknown = None if known.all() else pl.Series(~known)
+    columns = (pl.Series(name, of_rows) for name, of_rows in values.items())
+    return OneWay(
+        tuple(column if unknown is None else column.set(unknown, None) for column in columns), tuple(fits)
+    )
+
+
+KNOT_SCHEMA: dict[str, type[pl.DataType]] = {
+    "group": pl.UInt32,
+    "run_id": pl.UInt64,
+    "relay_id": pl.UInt32,
+    "ping_device": pl.String,
+    "relay_device": pl.String,
+    "messages": pl.UInt64,
+    "at_ns": pl.Int64,
+    "offset_ns": pl.Int64,
+    "bound_ns": pl.Int64,
+}
+
+
+def knots_of(
+    exchanges: Sequence[Exchange], groups: Sequence[int], fits: Sequence[ClockFit | None]
+) -> pl.DataFrame:
+    """What the runs know best of the clocks: the frame `clock_knots`, columns of `KNOT_SCHEMA`."""
+    rows: list[dict[str, Any]] = [
+        {
+            "group": group,
+            "run_id": exchange.run.run_id,
+            "relay_id": exchange.relay_id,
+            "ping_device": fit.ping_device,
+            "relay_device": fit.relay_device,
+            "messages": segment.messages,
+            "at_ns": knot.at_ns,
+            "offset_ns": knot.offset_ns,
+            "bound_ns": knot.bound_ns,
+        }
+        for exchange, group, fit in zip(exchanges, groups, fits, strict=True)
+        if fit is not None
+        for segment in fit.segments
+        for knot in segment.knots
+    ]
+    return pl.DataFrame(rows, schema=KNOT_SCHEMA)
+
+
+def fit_devices(knots: pl.DataFrame, boots: Mapping[int, int]) -> tuple[ClockFit, ...]:
+    """The clock of each pair of devices and boot over the whole campaign, from the knots of all its runs.
+
+    Args:
+        knots: frame of `knots_of`.
+        boots: boot of each run's ping, by run_id (`clocks.ping_boots`).
+    """
+    ids = pl.Series(list(boots), dtype=pl.UInt64)
+    of_run = pl.Series(list(boots.values()), dtype=pl.Int64)
+    boot = pl.col("run_id").replace_strict(ids, of_run, default=0) if boots else pl.lit(0, pl.Int64)
+    fits = []
+    keys = ["ping_device", "relay_device", "boot"]
+    for part in knots.with_columns(boot=boot).sort(*keys, "at_ns").partition_by(keys, maintain_order=True):
+        ping_device, relay_device, of_boot = part.select(keys).row(0)
+        at_ns, offset_ns, bound_ns = (part[n].to_numpy() for n in ("at_ns", "offset_ns", "bound_ns"))
+        # A message without duration at the instant of the knot, that says just what the knot says.
+        fits.append(
+            fit_clock(
+                at_ns,
+                at_ns + offset_ns + bound_ns,
+                at_ns + offset_ns - bound_ns,
+                at_ns,
+                ping_device=ping_device,
+                relay_device=relay_device,
+                boot=of_boot,
+            )[0]
+        )
+    return tuple(fits)
+
+
+SEGMENT_SCHEMA: dict[str, type[pl.DataType]] = {
+    "ping_device": pl.String,
+    "relay_device": pl.String,
+    "boot": pl.Int64,
+    "same_clock": pl.Boolean,
+    "segment": pl.UInt32,
+    "start_ns": pl.Int64,
+    "end_ns": pl.Int64,
+    "at_ns": pl.Int64,
+    "offset_ns": pl.Int64,
+    "bound_ns": pl.Int64,
+    "drift_ppb": pl.Float64,
+    "drift_bound_ppb": pl.Float64,
+    "residual_ns": pl.Int64,
+    "step_before_ns": pl.Int64,
+    "step_bound_ns": pl.Int64,
+}
+
+
+def segment_table(fits: Sequence[ClockFit]) -> pl.DataFrame:
+    """The frame `clock_fits`: one row per pair of devices, boot and stretch of time without a step.
+
+    Columns of `SEGMENT_SCHEMA`: times on the ping's monotonic clock; `offset_ns` relay's clock minus ping's, wrong by
+    at most `bound_ns` at `at_ns`; `drift_ppb` at which the relay's clock gains, wrong by at most `drift_bound_ppb`;
+    `residual_ns` farthest of a knot from a straight line; `step_before_ns` the jump that began the segment, wrong by
+    at most `step_bound_ns`, null for the first.
+    """
+    rows = []
+    for fit in fits:
+        for number, segment in enumerate(fit.segments):
+            step = fit.steps[number - 1] if number else None
+            rows.append(
+                {
+                    "ping_device": fit.ping_device,
+                    "relay_device": fit.relay_device,
+                    "boot": fit.boot,
+                    "same_clock": fit.same_clock,
+                    "segment": number,
+                    **{name: getattr(segment, name) for name in list(SEGMENT_SCHEMA)[5:13]},
+                    "step_before_ns": step.size_ns if step else None,
+                    "step_bound_ns": step.bound_ns if step else None,
+                }
+            )
+    return pl.DataFrame(rows, schema=SEGMENT_SCHEMA)

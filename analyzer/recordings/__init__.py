@@ -1,0 +1,1 @@
+"""Bags that are not ours: rate, gaps, jitter, size and age of every topic."""

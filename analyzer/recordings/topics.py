@@ -1,0 +1,201 @@
+"""Topics of recordings that are not ours: rate, gaps, jitter, size, and age from stamp or publishing to the log."""
+
+from __future__ import annotations
+
+from array import array
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from dds_trace.analyzer.analysis import Source
+from dds_trace.analyzer.recordings.messages import find_recordings, iter_messages
+from dds_trace.tracefile.errors import MissingEventsError, TraceFormatError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection
+    from pathlib import Path
+
+    from dds_trace.analyzer.recordings.messages import RecordedMessage, Topic
+
+Int64 = NDArray[np.int64]
+
+GAP_PERIODS = 2.0
+"""An interval longer than so many median ones is a gap: at least one message is missing."""
+
+_NONE = -(2**63)
+
+TOPIC_SCHEMA = {
+    "recording": pl.String,
+    "topic": pl.String,
+    "message_type": pl.String,
+    "encoding": pl.String,
+    "messages": pl.UInt64,
+    "start_ns": pl.Int64,
+    "duration_ns": pl.Int64,
+    "rate_hz": pl.Float64,
+    "period_p50_ns": pl.Float64,
+    "period_p99_ns": pl.Float64,
+    "jitter_ns": pl.Float64,
+    "gaps": pl.UInt64,
+    "gap_max_ns": pl.Int64,
+    "payload_mean_bytes": pl.Float64,
+    "payload_min_bytes": pl.UInt64,
+    "payload_max_bytes": pl.UInt64,
+    "rate_bytes_per_s": pl.Float64,
+    "age_from": pl.String,
+    "age_messages": pl.UInt64,
+    "age_negative": pl.UInt64,
+    "age_min_ns": pl.Int64,
+    "age_p50_ns": pl.Float64,
+    "age_p99_ns": pl.Float64,
+    "age_max_ns": pl.Int64,
+    "stamps_backwards": pl.UInt64,
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TopicReport:
+    """What is in some recordings.
+
+    Attributes:
+        topics: one row per recording and topic with messages, sorted. `recording` (path), `topic`, `message_type`,
+            `encoding` str; `messages`; `start_ns` first log time; `duration_ns` first to last; `rate_hz` =
+            (messages - 1) / duration; `period_*_ns` of the intervals between log times, `jitter_ns` their standard
+            deviation; `gaps` intervals over `GAP_PERIODS` medians, `gap_max_ns` the longest interval;
+            `payload_*_bytes` as serialized; `age_from` `header` (log time - header stamp), `publish` (log time -
+            publish time, where any differs) or null; `age_messages` that have one, `age_negative` of them logged
+            before their stamp: the clocks disagree; p99 of fewer than 100 messages is null;
+            `stamps_backwards` header stamps older than the one logged before. An age is measured with two clocks
+            if another machine stamped, and is then wrong by what they differ.
+        sources: the recordings looked at, with what was wrong.
+    """
+
+    topics: pl.DataFrame
+    sources: tuple[Source, ...]
+
+
+def analyze_topics(
+    path: Path,
+    *,
+    skip: Collection[Path] = (),
+    progress: Callable[[Path], None] | None = None,
+) -> TopicReport:
+    """The topics of every recording in a folder and below it, or of one recording.
+
+    Args:
+        path: a folder, a `.mcap`, `.bag` or `.db3` file, or a rosbag2 folder.
+        skip: files and folders to leave out.
+        progress: told each recording before it is read.
+
+    Raises:
+        MissingEventsError: there is no recording, or none of them can be read at all.
+    """
+    rows: list[dict[str, Any]] = []
+    sources: list[Source] = []
+    for recording in find_recordings(path, skip=skip):
+        if progress is not None:
+            progress(recording)
+        columns: dict[Topic, _Columns] = {}
+        status, detail = "read", ""
+        try:
+            for message in iter_messages(recording):
+                columns.setdefault(message.topic, _Columns()).add(message)
+        except TraceFormatError as err:
+            status, detail = ("truncated" if columns else "skipped"), err.what
+        messages = sum(len(held.log_ns) for held in columns.values())
+        sources.append(Source(str(recording), status, detail, messages))
+        rows += (
+            {"recording": str(recording), **_describe(topic, held)}
+            for topic, held in sorted(columns.items(), key=lambda item: (item[0].name, item[0].message_type))
+        )
+    if not any(source.status != "skipped" for source in sources):
+        reasons = "; ".join(f"{source.path}: {source.detail}" for source in sources[:3])
+        raise MissingEventsError(
+            f"{path}: no recording that can be read (.mcap, .bag, rosbag2 folder){': ' * bool(reasons)}{reasons}"
+        )
+    return TopicReport(pl.DataFrame(rows, schema=TOPIC_SCHEMA), tuple(sources))
+
+
+@dataclass(slots=True)
+class _Columns:
+    """The messages of one topic while a recording is read: 32 bytes each."""
+
+    log_ns: array[int] = field(default_factory=lambda: array("q"))
+    publish_ns: array[int] = field(default_factory=lambda: array("q"))
+    stamp_ns: array[int] = field(default_factory=lambda: array("q"))
+    payload_bytes: array[int] = field(default_factory=lambda: array("q"))
+
+    def add(self, message: RecordedMessage) -> None:
+        self.log_ns.append(message.log_ns)
+        self.publish_ns.append(_NONE if message.publish_ns is None else message.publish_ns)
+        self.stamp_ns.append(_NONE if message.stamp_ns is None else message.stamp_ns)
+        self.payload_bytes.append(message.payload_bytes)
+
+
+def _describe(topic: Topic, held: _Columns) -> dict[str, Any]:
+    log_ns, publish_ns, stamp_ns, payload_bytes = (
+        np.frombuffer(column, np.int64)
+        for column in (held.log_ns, held.publish_ns, held.stamp_ns, held.payload_bytes)
+    )
+    order = np.argsort(log_ns, kind="stable")  # chunks may overlap in time
+    log_ns, publish_ns, stamp_ns = log_ns[order], publish_ns[order], stamp_ns[order]
+    return {
+        "topic": topic.name,
+        "message_type": topic.message_type,
+        "encoding": topic.encoding,
+        "messages": len(log_ns),
+        **_timing(log_ns),
+        **_sizes(payload_bytes, int(log_ns[-1] - log_ns[0])),
+        **_ages(log_ns, publish_ns, stamp_ns),
+    }
+
+
+def _timing(log_ns: Int64) -> dict[str, Any]:
+    duration_ns = int(log_ns[-1] - log_ns[0])
+    found: dict[str, Any] = {"start_ns": int(log_ns[0]), "duration_ns": duration_ns}
+    if duration_ns:
+        period_ns = np.diff(log_ns)
+        median = float(np.median(period_ns))
+        found |= {
+            "rate_hz": len(period_ns) / (duration_ns / 1e9),
+            "period_p50_ns": median,
+            "period_p99_ns": float(np.quantile(period_ns, 0.99)) if len(period_ns) >= 100 else None,
+            "jitter_ns": float(period_ns.std(ddof=1)) if len(period_ns) > 1 else None,
+            "gaps": int((period_ns > GAP_PERIODS * median).sum()),
+            "gap_max_ns": int(period_ns.max()),
+        }
+    return found
+
+
+def _sizes(payload_bytes: Int64, duration_ns: int) -> dict[str, Any]:
+    total = int(payload_bytes.sum())
+    return {
+        "payload_mean_bytes": total / len(payload_bytes),
+        "payload_min_bytes": int(payload_bytes.min()),
+        "payload_max_bytes": int(payload_bytes.max()),
+        "rate_bytes_per_s": total / (duration_ns / 1e9) if duration_ns else None,
+    }
+
+
+def _ages(log_ns: Int64, publish_ns: Int64, stamp_ns: Int64) -> dict[str, Any]:
+    stamped = stamp_ns != _NONE
+    published = publish_ns != _NONE
+    if stamped.any():
+        age_from, age_ns = "header", (log_ns - stamp_ns)[stamped]
+    elif (published & (publish_ns != log_ns)).any():  # most recorders write the log time twice
+        age_from, age_ns = "publish", (log_ns - publish_ns)[published]
+    else:
+        return {"age_from": None}
+    return {
+        "age_from": age_from,
+        "age_messages": len(age_ns),
+        "age_negative": int((age_ns < 0).sum()),
+        "age_min_ns": int(age_ns.min()),
+        "age_p50_ns": float(np.median(age_ns)),
+        "age_p99_ns": float(np.quantile(age_ns, 0.99)) if len(age_ns) >= 100 else None,
+        "age_max_ns": int(age_ns.max()),
+        "stamps_backwards": int((np.diff(stamp_ns[stamped]) < 0).sum()) if age_from == "header" else None,
+    }

@@ -1,0 +1,1 @@
+"""Percentiles, histograms, intervals and sample sizes; pure numpy."""

@@ -1,0 +1,1 @@
+"""What follows from groups: answers, comparisons, gates, bridge costs, recommendations."""

@@ -1,0 +1,197 @@
+"""What can be said of the change of one statistic from one series to another: difference, ratio, interval, effect."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dds_trace.analyzer.statistics.intervals import (
+    REPLICATES,
+    SEED,
+    bootstrap_mean,
+    bootstrap_quantile,
+    dependence_of,
+    quantile_of,
+)
+from dds_trace.analyzer.statistics.percentiles import PERCENTILES
+from dds_trace.analyzer.statistics.sample_size import planned_messages
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from dds_trace.analyzer.statistics.intervals import Values
+
+    Float64 = NDArray[np.float64]
+
+MEAN_NEEDS = 10
+"""Independent messages below which a mean has no interval: the bootstrap of so few is far too narrow."""
+
+
+class Verdict(Enum):
+    """What the interval of a ratio new / base says of a time, where less is better."""
+
+    BETTER = "better"
+    WORSE = "worse"
+    SAME = "same"  # the whole interval is within the tolerance
+    INCONCLUSIVE = "inconclusive"
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """One statistic of one group on both sides. Ends of intervals are None where a sample does not support them.
+
+    Attributes:
+        base: the statistic of the base, in ns; None if its sample is too small.
+        new: the same of the new side, with `new_low` and `new_high`.
+        difference: new - base, with `difference_low` and `difference_high`.
+        ratio: new / base, with `ratio_low` and `ratio_high`.
+    """
+
+    base: float | None
+    new: float | None
+    new_low: float | None
+    new_high: float | None
+    difference: float | None
+    difference_low: float | None
+    difference_high: float | None
+    ratio: float | None
+    ratio_low: float | None
+    ratio_high: float | None
+
+    def verdict(self, same_within: float) -> Verdict:
+        """Better, worse, the same, or not to be told from these samples."""
+        if self.ratio_low is None or self.ratio_high is None:
+            return Verdict.INCONCLUSIVE
+        if 1 - same_within <= self.ratio_low and self.ratio_high <= 1 + same_within:
+            return Verdict.SAME
+        if self.ratio_high < 1:
+            return Verdict.BETTER
+        if self.ratio_low > 1:
+            return Verdict.WORSE
+        return Verdict.INCONCLUSIVE
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drawn:
+    """A statistic of one sample, and what the bootstrap makes of it; None where the sample is too small for it."""
+
+    value: float | None
+    drawn: Float64 | None
+
+
+class Sample:
+    """A series, and what was computed of it: one that is compared several times is drawn from once.
+
+    Args:
+        values: in the order of time.
+    """
+
+    def __init__(self, values: Values) -> None:
+        self.values = values
+        self._drawn: dict[tuple[str, float, int, int], Drawn] = {}
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    @cached_property
+    def ordered(self) -> Values:
+        """The values rising."""
+        return np.sort(self.values)
+
+    def draw(self, statistic: str, confidence: float, replicates: int, seed: int) -> Drawn:
+        """A statistic (`mean` or the name of a percentile) of the series, and of so many samples drawn from it."""
+        how = (statistic, confidence, replicates, seed)
+        if how not in self._drawn:
+            make = self._mean if statistic == "mean" else self._percentile
+            self._drawn[how] = make(*how)
+        return self._drawn[how]
+
+    def _mean(self, _: str, __: float, replicates: int, seed: int) -> Drawn:
+        if not len(self):
+            return Drawn(None, None)
+        dependence = dependence_of(self.values)
+        mean = float(self.values.mean())
+        if len(self) / dependence.inflation < MEAN_NEEDS:
+            return Drawn(mean, None)
+        block = dependence.block_messages
+        return Drawn(mean, bootstrap_mean(self.values, block, replicates=replicates, seed=seed))
+
+    def _percentile(self, name: str, confidence: float, replicates: int, seed: int) -> Drawn:
+        percentile = next(p for p in PERCENTILES if p.name == name)
+        if len(self) < percentile.needs:
+            return Drawn(None, None)
+        value = quantile_of(self.ordered, percentile.quantile)
+        dependence = dependence_of(self.values <= value)
+        if len(self) < planned_messages(percentile.quantile, confidence, dependence.inflation):
+            return Drawn(value, None)
+        drawn = bootstrap_quantile(
+            self.values,
+            percentile.quantile,
+            dependence.block_messages,
+            replicates=replicates,
+            seed=seed,
+            ordered=self.ordered,
+        )
+        return Drawn(value, drawn)
+
+
+def change_of(
+    base: Sample,
+    new: Sample,
+    statistic: str,
+    confidence: float = 0.95,
+    replicates: int = REPLICATES,
+) -> Change:
+    """A statistic of two series and what can be said of its change.
+
+    Args:
+        base: values of the base.
+        new: values of the new side.
+        statistic: `mean` or the name of a percentile.
+        confidence: of the intervals; an end is given only if both samples are worth enough messages for it.
+        replicates: draws of the bootstrap.
+    """
+    before, after = (
+        side.draw(statistic, confidence, replicates, SEED + number) for number, side in enumerate((base, new))
+    )
+    tail = [(1 - confidence) / 2, (1 + confidence) / 2]
+    low = high = ratio_low = ratio_high = None
+    if before.drawn is not None and after.drawn is not None:
+        low, high = np.quantile(after.drawn - before.drawn, tail).tolist()
+        if before.drawn.min() > 0:
+            ratio_low, ratio_high = np.quantile(after.drawn / before.drawn, tail).tolist()
+    new_low, new_high = (None, None) if after.drawn is None else np.quantile(after.drawn, tail).tolist()
+    difference = ratio = None
+    if before.value is not None and after.value is not None:
+        difference = after.value - before.value
+        ratio = after.value / before.value if before.value > 0 else None
+    return Change(
+        base=before.value,
+        new=after.value,
+        new_low=new_low,
+        new_high=new_high,
+        difference=difference,
+        difference_low=low,
+        difference_high=high,
+        ratio=ratio,
+        ratio_low=ratio_low,
+        ratio_high=ratio_high,
+    )
+
+
+def probability_of_superiority(base: Sample, new: Sample) -> float | None:
+    """How often a value drawn from `new` is below one drawn from `base`, ties counted half; None without values.
+
+    One half means no difference, 1 that every new message is faster than every one of the base.
+    """
+    if not len(base) or not len(new):
+        return None
+    # Looked up in rising order: neighbours of one search are still in the cache at the next.
+    not_above = np.searchsorted(base.ordered, new.ordered, side="right")
+    ties = not_above - np.searchsorted(base.ordered, new.ordered, side="left")
+    above = len(base) - not_above
+    return float((above + ties / 2).mean() / len(base))

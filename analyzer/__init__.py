@@ -7,7 +7,6 @@ a = analyze("runs/")          # a.summary, a.roundtrips ... are polars frames
 from dds_trace.analyzer.analysis import Analysis, Details, Finding, Severity, Source
 from dds_trace.analyzer.clocks.alignment import Alignment, align_clocks, clock_table, ping_boots
 from dds_trace.analyzer.clocks.fit import ClockFit, ClockKnot, ClockSegment, ClockStep
-from dds_trace.analyzer.comparison_text import comparison_junit, comparison_markdown, plain_line
 from dds_trace.analyzer.exports.foxglove import DerivedTrace, write_derived
 from dds_trace.analyzer.exports.tables import EXPORTERS, export_tables
 from dds_trace.analyzer.groups.breakdown import (
@@ -128,8 +127,6 @@ __all__ = [
     "bridge_cost",
     "clock_table",
     "compare_roundtrips",
-    "comparison_junit",
-    "comparison_markdown",
     "default_output",
     "export_tables",
     "find_answers",
@@ -145,7 +142,6 @@ __all__ = [
     "percentile_interval",
     "ping_boots",
     "ping_wall_offsets",
-    "plain_line",
     "plan_run",
     "planned_messages",
     "ratio_interval",

@@ -80,7 +80,7 @@ def compare_command(
 
 
 def _text(report: ComparisonReport, comparison: "Comparison", results: "list[GateResult]") -> str:
-    from dds_trace.analyzer import comparison_junit, comparison_markdown
+    from dds_trace.reports.comparison import comparison_junit, comparison_markdown
 
     if report is ComparisonReport.JUNIT:
         return comparison_junit(results)
@@ -106,7 +106,8 @@ def _print_table(comparison: "Comparison", results: "list[GateResult]") -> None:
     from rich.table import Table
     from rich.text import Text
 
-    from dds_trace.analyzer import group_words, plain_line, varying_columns
+    from dds_trace.analyzer import group_words, varying_columns
+    from dds_trace.reports.comparison import plain_line
 
     console = Console(width=None if sys.stdout.isatty() else 160)
     table = Table("group", "metric", "base ms", "new ms", "change", "interval", "verdict")

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from dds_trace.reports.answer import answer_info
-from dds_trace.reports.figures.bridge_cost import bridge_cost_info
-from dds_trace.reports.findings import findings_info
-from dds_trace.reports.groups import METRICS, STATISTICS, data_type_label, groups_info
-from dds_trace.reports.intervals import intervals_info
-from dds_trace.reports.overview import overview_info
+from dds_trace.reports.book.answer import answer_info
+from dds_trace.reports.book.findings import findings_info
+from dds_trace.reports.book.groups import METRICS, STATISTICS, data_type_label, groups_info
+from dds_trace.reports.book.intervals import intervals_info
+from dds_trace.reports.book.overview import overview_info
+from dds_trace.reports.book.values import values_info
+from dds_trace.reports.figures.comparison.bridge_cost import bridge_cost_info
 from dds_trace.reports.text import format_added_ns, format_hz, format_ns, format_ratio, format_size, markdown
-from dds_trace.reports.values import values_info
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
     from dds_trace.analyzer.analysis import Analysis
-    from dds_trace.reports.figures.bridge_cost import Cost
+    from dds_trace.reports.figures.comparison.bridge_cost import Cost
 
 FILE_NAME = "report.md"
 MOST_GROUPS = 150

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol
 
-from dds_trace.reports import document, markdown, page, terminal
+from dds_trace.reports import document, markdown, terminal
+from dds_trace.reports.html import page
 from dds_trace.tracefile.errors import OptionError, OutputError
 
 if TYPE_CHECKING:

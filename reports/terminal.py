@@ -12,21 +12,21 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from dds_trace.reports.answer import answer_info
-from dds_trace.reports.curves import curves_info
-from dds_trace.reports.findings import findings_info
-from dds_trace.reports.groups import METRICS, groups_info
-from dds_trace.reports.overview import overview_info
+from dds_trace.reports.book.answer import answer_info
+from dds_trace.reports.book.curves import curves_info
+from dds_trace.reports.book.findings import findings_info
+from dds_trace.reports.book.groups import METRICS, groups_info
+from dds_trace.reports.book.overview import overview_info
+from dds_trace.reports.book.values import values_info
 from dds_trace.reports.text import MISSING, format_hz, format_ns, format_ratio, format_size, visible
-from dds_trace.reports.values import values_info
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
     from dds_trace.analyzer.analysis import Analysis
-    from dds_trace.reports.groups import Groups
-    from dds_trace.reports.values import Values
+    from dds_trace.reports.book.groups import Groups
+    from dds_trace.reports.book.values import Values
 
 WIDTH = 80
 SPARK_CELLS = 16

@@ -3,9 +3,9 @@ from dataclasses import replace
 
 from analyses import EVERY_ANALYSIS, MS, Measured, make_analysis
 
-from dds_trace.reports.answer import answer_info
-from dds_trace.reports.overview import Fact, overview_info
-from dds_trace.reports.verdicts import Verdict, Win
+from dds_trace.reports.book.answer import answer_info
+from dds_trace.reports.book.overview import Fact, overview_info
+from dds_trace.reports.book.verdicts import Verdict, Win
 
 # 0 to 19 in an order in which neighbours are no more alike than others, so that 20 messages count as 20.
 MIXED = random.Random(1).sample(range(20), 20)

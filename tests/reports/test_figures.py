@@ -4,36 +4,36 @@ from dataclasses import replace
 import pytest
 from analyses import EVERY_ANALYSIS, MS, Measured, make_analysis
 
-from dds_trace.reports.curves import curves_info
+from dds_trace.reports.book.curves import curves_info
+from dds_trace.reports.book.intervals import intervals_info
+from dds_trace.reports.book.values import values_info
 from dds_trace.reports.figures import CAMPAIGN_FIGURES, CELL_FIGURES, Figure, LeftOut
-from dds_trace.reports.figures.breakdown import Breakdown, Part, breakdown_info
-from dds_trace.reports.figures.bridge_cost import bridge_cost_info
-from dds_trace.reports.figures.clock import ClockPair, clock_info
-from dds_trace.reports.figures.domain_difference import (
+from dds_trace.reports.figures.comparison.bridge_cost import bridge_cost_info
+from dds_trace.reports.figures.comparison.domain_difference import (
     DomainDifference,
     Pair,
     PairPanel,
     domain_difference_info,
 )
-from dds_trace.reports.figures.heatmap import Heatmap, HeatmapPanel, heatmap_info
-from dds_trace.reports.figures.host_load import Load, host_load_info
-from dds_trace.reports.figures.latency_by_rate import (
+from dds_trace.reports.figures.comparison.vendor_comparison import VendorComparison, vendor_comparison_info
+from dds_trace.reports.figures.distribution.breakdown import Breakdown, Part, breakdown_info
+from dds_trace.reports.figures.distribution.percentile_curve import PercentileCurve, percentile_curve_info
+from dds_trace.reports.figures.over_time.clock import ClockPair, clock_info
+from dds_trace.reports.figures.over_time.host_load import Load, host_load_info
+from dds_trace.reports.figures.over_time.one_way import one_way_info
+from dds_trace.reports.figures.over_time.timeline import GroupTimeline, Timeline, timeline_info
+from dds_trace.reports.figures.panels import Line, Panel
+from dds_trace.reports.figures.scaling.heatmap import Heatmap, HeatmapPanel, heatmap_info
+from dds_trace.reports.figures.scaling.latency_by_rate import (
     LatencyByRate,
     latency_by_rate_figure,
     latency_by_rate_info,
 )
-from dds_trace.reports.figures.latency_by_size import LatencyBySize, latency_by_size_info
-from dds_trace.reports.figures.one_way import one_way_info
-from dds_trace.reports.figures.panels import Line, Panel
-from dds_trace.reports.figures.percentile_curve import PercentileCurve, percentile_curve_info
-from dds_trace.reports.figures.received import Received, received_info
-from dds_trace.reports.figures.sustainable import sustainable_info
-from dds_trace.reports.figures.timeline import GroupTimeline, Timeline, timeline_info
-from dds_trace.reports.figures.transfer_rate import TransferRate, transfer_rate_info
-from dds_trace.reports.figures.vendor_comparison import VendorComparison, vendor_comparison_info
-from dds_trace.reports.intervals import intervals_info
+from dds_trace.reports.figures.scaling.latency_by_size import LatencyBySize, latency_by_size_info
+from dds_trace.reports.figures.scaling.received import Received, received_info
+from dds_trace.reports.figures.scaling.sustainable import sustainable_info
+from dds_trace.reports.figures.scaling.transfer_rate import TransferRate, transfer_rate_info
 from dds_trace.reports.text import json_island
-from dds_trace.reports.values import values_info
 
 ALL_FIGURES = (*CAMPAIGN_FIGURES, *CELL_FIGURES)
 BRIDGED = {"bridge": "builtin", "domain_mode": "different"}
@@ -238,8 +238,8 @@ def test_timeline_marks_losses_at_the_time_they_were_due():
 
 
 def test_a_thinned_timeline_keeps_extremes_and_counts_losses(monkeypatch):
-    monkeypatch.setattr("dds_trace.reports.figures.timeline.POINTS_IN_PAGE", 10)
-    monkeypatch.setattr("dds_trace.reports.figures.timeline.FEWEST_POINTS", 10)
+    monkeypatch.setattr("dds_trace.reports.figures.over_time.timeline.POINTS_IN_PAGE", 10)
+    monkeypatch.setattr("dds_trace.reports.figures.over_time.timeline.FEWEST_POINTS", 10)
     messages = [MS + n for n in range(1000)]
     messages[333], messages[666] = 500 * MS, 1
     (group,) = timeline_info(make_analysis(Measured([*messages, *["lost_unknown"] * 100]))).groups

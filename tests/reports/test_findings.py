@@ -5,8 +5,8 @@ from analyses import EVERY_ANALYSIS, MS, Measured, make_analysis
 
 from dds_trace.analyzer import Finding, Severity
 from dds_trace.reports import REPORTERS
-from dds_trace.reports.findings import FindingKind, OneFinding, findings_info, severity_counts
-from dds_trace.reports.groups import groups_info
+from dds_trace.reports.book.findings import FindingKind, OneFinding, findings_info, severity_counts
+from dds_trace.reports.book.groups import groups_info
 
 RATES = [10.0 * step for step in range(1, 7)]
 

@@ -1,8 +1,8 @@
 from analyses import MS, Measured, make_analysis
 
-from dds_trace.reports.filters import filters_info
-from dds_trace.reports.groups import Cell, group_labels, groups_info
-from dds_trace.reports.styles import series_styles
+from dds_trace.reports.book.groups import Cell, group_labels, groups_info
+from dds_trace.reports.html.filters import filters_info
+from dds_trace.reports.html.styles import series_styles
 
 
 def labels_of(*measured):

@@ -4,8 +4,8 @@ import pytest
 from analyses import MS, Measured, make_analysis
 
 from dds_trace.reports import REPORTERS
-from dds_trace.reports.overview import Fact, overview_info
-from dds_trace.reports.own_cost import OwnCost, own_costs
+from dds_trace.reports.book.overview import Fact, overview_info
+from dds_trace.reports.book.own_cost import OwnCost, own_costs
 
 FLOOR = {"median_ns": 400_000, "p99_ns": 1_200_000, "messages": 50}
 COST = {"record_median_ns": 900, "record_p99_ns": 2000}

@@ -4,7 +4,7 @@ import pytest
 from analyses import MS, Measured, make_analysis
 
 from dds_trace.analyzer import Source
-from dds_trace.reports.recording import MOST_ROWS, record_tables
+from dds_trace.reports.book.recording import MOST_ROWS, record_tables
 
 
 @pytest.fixture

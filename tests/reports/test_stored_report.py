@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from analyses import small_campaign
 
-from dds_trace.reports import page
+from dds_trace.reports.html import page
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = ROOT / "scripts" / "stored_report.py"

@@ -1,0 +1,247 @@
+"""The answer in words: which middleware and bridge for which data, as far as the numbers carry it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import polars as pl
+
+from dds_trace.reports.book.groups import (
+    METRICS,
+    data_type_label,
+    domain_label,
+    group_labels,
+    groups_info,
+    pair_label,
+    vendor_pair_label,
+)
+from dds_trace.reports.book.values import values_info
+from dds_trace.reports.book.verdicts import (
+    CLEARLY,
+    MODES,
+    Verdict,
+    cells_label,
+    contender_labels,
+    verdicts_info,
+)
+from dds_trace.reports.text import format_added_ns, format_count, format_ns, format_ratio, visible
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from dds_trace.analyzer import Analysis
+    from dds_trace.analyzer import Answer as CellAnswer
+    from dds_trace.reports.book.groups import Groups
+    from dds_trace.reports.book.values import Values
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What a reader may take away.
+
+    Attributes:
+        headline: the one sentence.
+        metric: the metric that is compared (latency, or what was measured instead).
+        verdicts: by kind of data; empty where nothing could be compared.
+        remarks: further sentences: levels, cost of bridges, losses.
+        rule: what `clearly` means; empty where nothing was compared.
+    """
+
+    headline: str
+    metric: str
+    verdicts: tuple[Verdict, ...]
+    remarks: tuple[str, ...]
+    rule: str
+
+
+def answer_info(analysis: Analysis) -> Answer:
+    """The answer that `analysis.details` supports."""
+    groups, values = groups_info(analysis), values_info(analysis)
+    metric = values.default_metric
+    if not groups.groups:
+        return Answer("No measurement was found.", metric, (), (), "")
+    if not values.has(metric):
+        return Answer(
+            "No message came back, so there is no time to compare.", metric, (), (_losses(values),), ""
+        )
+    # Answers are about the latency. Without any relay's trace nobody knows it, and there is nothing to judge.
+    known = analysis.details if metric == "latency" else None
+    answers = known.answers if known else ()
+    verdicts = verdicts_info(answers)
+    bridges = _bridge_remarks(known.bridge_costs) if known else []
+    remarks = (*_unknown_remarks(metric), *_level_remarks(groups, values, metric), *bridges, _losses(values))
+    return Answer(
+        _headline(verdicts, groups, values, answers), metric, verdicts, remarks, CLEARLY if verdicts else ""
+    )
+
+
+def _headline(
+    verdicts: tuple[Verdict, ...], groups: Groups, values: Values, answers: Sequence[CellAnswer]
+) -> str:
+    vendors = sorted({vendor_pair_label(series) for series in groups.series})
+    if not verdicts:
+        if len(vendors) == 1:
+            return f"{_ways(vendors[0], groups, values)} No other middleware was measured."
+        if not answers:
+            return f"{_and(vendors)} were not compared: that takes the rows of all messages."
+        names = sorted(set(contender_labels(answers).values()))
+        return f"{_and(names)} were not measured under equal conditions, so no choice can be made from this."
+    if not any(verdict.wins for verdict in verdicts):
+        cells = sum(verdict.cells for verdict in verdicts)
+        where = "the one cell" if cells == 1 else f"any of the {cells} cells"
+        return f"Inconclusive: no choice was clearly faster than the others in {where} compared."
+    modes = dict.fromkeys(verdict.mode for verdict in verdicts)
+    return " ".join(_mode_sentence(mode, [one for one in verdicts if one.mode == mode]) for mode in modes)
+
+
+_MOST_WAYS = 3
+
+
+def _ways(vendor: str, groups: Groups, values: Values) -> str:
+    """What the only middleware takes, in the same domain and through each bridge."""
+    metric = values.default_metric
+    ways: dict[str, list[int]] = {}
+    for group in sorted(groups.groups, key=lambda group: group.series):
+        median_ns = values.times_ns[metric]["p50"][group.index]
+        if median_ns is not None:
+            ways.setdefault(domain_label(groups.series_of(group)), []).append(median_ns)
+    spans = {
+        way: " to ".join(dict.fromkeys(format_ns(end) for end in (min(found), max(found))))
+        for way, found in ways.items()
+    }
+    what = f"{vendor}: median {METRICS[metric].lower()}"
+    if len(spans) == 1:
+        return f"{what} {next(iter(spans.values()))}."
+    said = [f"{span} {_IN_WAY.get(way, way)}" for way, span in list(spans.items())[:_MOST_WAYS]]
+    return f"{what} {_and(said)}."
+
+
+_IN_WAY = {"same domain": "in the same domain", "different domains": "across domains"}
+
+
+def _mode_sentence(mode: str, verdicts: list[Verdict]) -> str:
+    """Who was fastest in one domain mode, over all kinds of data."""
+    wins: Counter[str] = Counter()
+    for verdict in verdicts:
+        wins.update({win.contender: win.cells for win in verdict.wins})
+    cells = sum(verdict.cells for verdict in verdicts)
+    where = "In the same domain" if mode == MODES["same"] else f"Across {mode}"
+    if not wins:
+        return f"{where}: inconclusive in all {cells_label(cells)}."
+    (name, count), *others = wins.most_common()
+    if count == cells:
+        return f"{where}, {name} was clearly fastest in {'the one cell' if cells == 1 else f'all {cells} cells'}."
+    rest = [f"{other} in {n}" for other, n in others[:3]]
+    inconclusive = sum(verdict.inconclusive for verdict in verdicts)
+    rest += [f"{inconclusive} inconclusive"] if inconclusive else []
+    return f"{where}, {name} was clearly fastest in {count} of {cells_label(cells)} ({', '.join(rest)})."
+
+
+def _level_remarks(groups: Groups, values: Values, metric: str) -> list[str]:
+    """The range of medians per data type, with where its ends are."""
+    remarks, labels = [], group_labels(groups)
+    for data_type in dict.fromkeys(cell.data_type for cell in groups.cells):
+        medians = sorted(
+            (median, group.index)
+            for group in groups.groups
+            if groups.cell_of(group).data_type == data_type
+            and (median := values.times_ns[metric]["p50"][group.index]) is not None
+        )
+        if not medians:
+            continue
+        low, high = ((ns, groups.groups[index]) for ns, index in (medians[0], medians[-1]))
+        first = f"{data_type_label(data_type)}: median {METRICS[metric].lower()} {format_ns(low[0])}"
+        if low[1] == high[1]:
+            remarks.append(f"{first} ({_place(groups, low[1].index, labels)}).")
+        else:
+            ends = tuple(_place(groups, end.index, labels) for end in (low[1], high[1]))
+            remarks.append(f"{first} ({ends[0]}) to {format_ns(high[0])} ({ends[1]}).")
+    return remarks
+
+
+def _place(groups: Groups, index: int, labels: Sequence[str]) -> str:
+    data_type = data_type_label(groups.cell_of(groups.groups[index]).data_type)
+    return labels[index].removeprefix(data_type).strip()
+
+
+def _bridge_remarks(costs: pl.DataFrame) -> list[str]:
+    """What crossing to another domain did to the median latency, per vendor and bridge, by measured intervals."""
+    ways: dict[str, list[dict[str, Any]]] = {}
+    known = (pl.col("statistic") == "p50") & (pl.col("metric") == "latency")
+    for row in costs.filter(known & pl.col("difference_ns").is_not_null()).iter_rows(named=True):
+        ways.setdefault(way_label(row), []).append(row)
+    return [_bridge_remark(way, rows) for way, rows in ways.items()]
+
+
+# Verdict of `dds_trace.analyzer.verdicts.compare` on the way through a bridge, in words and in the order in which they are said.
+_BRIDGE_VERDICTS = {
+    "worse": "clearly slower",
+    "better": "clearly faster",
+    "same": "the same within 5 %",
+    "inconclusive": "inconclusive",
+}
+
+
+def _bridge_remark(way: str, rows: list[dict[str, Any]]) -> str:
+    # The latency of what came back says nothing where much was lost: what came back is what was quick.
+    whole = [row for row in rows if row["new_received_ratio"] >= row["base_received_ratio"]]
+    lossy = len(rows) - len(whole)
+    lost = f"{cells_label(lossy)} lost messages that the same domain did not, and {'is' if lossy == 1 else 'are'} not compared."
+    if not whole:
+        return f"{way}: {lost}"
+    said = _added_words(whole)
+    return f"{way}: {said} {lost}" if lossy else f"{way}: {said}"
+
+
+def _added_words(rows: list[dict[str, Any]]) -> str:
+    added = sorted(row["difference_ns"] for row in rows)
+    if len(rows) == 1:
+        said = _BRIDGE_VERDICTS[rows[0]["verdict"]]
+        low, high = rows[0]["difference_low_ns"], rows[0]["difference_high_ns"]
+        between = (
+            ""
+            if low is None or high is None
+            else f" (95 %: {format_added_ns(low)} to {format_added_ns(high)})"
+        )
+        return f"median {format_added_ns(added[0])}{between} against the same domain in the one cell compared; {said}."
+    found = Counter(row["verdict"] for row in rows)
+    counts = [f"{words} in {found[name]}" for name, words in _BRIDGE_VERDICTS.items() if found[name]]
+    counts[0] += f" of {cells_label(len(rows))}"
+    ends = f"{format_added_ns(added[0])} to {format_added_ns(added[-1])}"
+    return f"median {ends} against the same domain; {', '.join(counts)}."
+
+
+def way_label(row: Mapping[str, Any]) -> str:
+    """As in `Fast DDS, via builtin`, of a row of `bridge_costs`."""
+    way = "different domains" if row["bridge"] == "none" else f"via {visible(row['bridge'])}"
+    return f"{pair_label(row['vendor'], row['relay_vendor'])}, {way}"
+
+
+def _unknown_remarks(metric: str) -> list[str]:
+    if metric == "latency":
+        return []
+    what = METRICS[metric].lower()
+    return [
+        f"No relay's trace was found: the latency is unknown, and the {what} below has the time in the relay in it."
+    ]
+
+
+def _losses(values: Values) -> str:
+    published = sum(count or 0 for count in values.plain["published"])
+    received = sum(count or 0 for count in values.plain["received"])
+    lost = published - received
+    if lost == 0:
+        return "Every message came back."
+    touched = sum(
+        (a or 0) > (b or 0) for a, b in zip(values.plain["published"], values.plain["received"], strict=True)
+    )
+    groups = f"{format_count(touched)} of {format_count(len(values.plain['published']))} groups"
+    share = format_ratio(lost / published)
+    return f"{format_count(lost)} of {format_count(published)} messages ({share}) did not come back, in {groups}."
+
+
+def _and(names: Iterable[str]) -> str:
+    *first, last = names
+    return f"{', '.join(first)} and {last}" if first else last

@@ -1,0 +1,118 @@
+"""The findings of an analysis as every report shows them: one entry a kind, groups by the names that the report gives them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from dds_trace.reports.book.groups import group_labels, groups_info
+from dds_trace.reports.text import MAX_FINDING_CHARACTERS, visible
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from dds_trace.analyzer.analysis import Analysis, Finding
+
+SEVERITIES = {"error": "error", "warning": "warning", "info": "note"}
+"""Severity -> the word for it, the most severe first."""
+
+_SPELLED = {"cpu": "CPU", "udp": "UDP"}
+_MOST_NAMED = 3
+"""Groups that a finding names before it counts them."""
+
+
+@dataclass(frozen=True, slots=True)
+class OneFinding:
+    """One finding; strings are `visible` and not yet escaped for a medium.
+
+    Attributes:
+        groups: all the groups that it is about, where `where` only counts them.
+    """
+
+    where: str
+    what: str
+    action: str
+    groups: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class FindingKind:
+    """The findings of one severity and code.
+
+    Attributes:
+        severity: `error`, `warning` or `info`.
+        code: the analyzer's name for it, and `title`, the same for people.
+        count: how many there are, also of those that are not listed one by one.
+        listed: the first ones; at least one.
+    """
+
+    severity: str
+    code: str
+    title: str
+    count: int
+    listed: tuple[OneFinding, ...]
+
+    @property
+    def severity_word(self) -> str:
+        """The severity for people."""
+        return SEVERITIES[self.severity]
+
+    @property
+    def heading(self) -> str:
+        """As in `Loss`, or `Loss (12)`."""
+        return self.title if self.count == 1 else f"{self.title} ({self.count})"
+
+    @property
+    def common_action(self) -> str:
+        """What to do about all of them; empty where that differs."""
+        actions = {one.action for one in self.listed}
+        return self.listed[0].action if len(actions) == 1 else ""
+
+
+def findings_info(analysis: Analysis) -> tuple[FindingKind, ...]:
+    """The kinds of findings, most severe first."""
+    labels = group_labels(groups_info(analysis))
+    together: dict[tuple[str, str], list[Finding]] = {}
+    for finding in analysis.findings:
+        together.setdefault((finding.severity.value, finding.code), []).append(finding)
+    return tuple(
+        FindingKind(
+            severity,
+            code,
+            _title(code),
+            sum(finding.count for finding in found),
+            tuple(_one(finding, labels) for finding in found),
+        )
+        for (severity, code), found in together.items()
+    )
+
+
+def severity_counts(kinds: Sequence[FindingKind]) -> tuple[tuple[str, str], ...]:
+    """Severity and how many kinds have it, in words: `2 warnings`."""
+    counts = Counter(kind.severity for kind in kinds)
+    return tuple(
+        (severity, f"{counts[severity]} {word}{'' if counts[severity] == 1 else 's'}")
+        for severity, word in SEVERITIES.items()
+        if counts[severity]
+    )
+
+
+def _one(finding: Finding, labels: Sequence[str]) -> OneFinding:
+    named = tuple(labels[group] for group in finding.groups)
+    many = len(named) > _MOST_NAMED
+    if len(named) == len(labels) > 1:
+        where = f"all {len(named)} groups"
+    elif many:
+        where = f"{len(named)} groups, such as {named[0]}"
+    else:
+        where = "; ".join(named) or finding.where
+    where, what, action = (
+        visible(text, MAX_FINDING_CHARACTERS) for text in (where, finding.what, finding.action)
+    )
+    return OneFinding(where, what, action, named if many and len(named) < len(labels) else ())
+
+
+def _title(code: str) -> str:
+    first, *rest = (_SPELLED.get(word, word) for word in visible(code).split("_"))
+    return " ".join([first[:1].upper() + first[1:], *rest])

@@ -1,0 +1,161 @@
+"""What was measured: the lines that stand above every curve, in every medium."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime, timedelta, timezone
+from typing import TYPE_CHECKING
+
+from dds_trace.reports.book.groups import (
+    VENDORS,
+    data_type_label,
+    device_label,
+    domain_label,
+    groups_info,
+    known_first,
+    vendor_label,
+    vendor_pair_label,
+)
+from dds_trace.reports.book.own_cost import floor_words, own_costs, recorder_words
+from dds_trace.reports.book.run_times import run_times
+from dds_trace.reports.text import format_count, format_hz, format_size, visible
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from dds_trace.analyzer.analysis import Analysis
+    from dds_trace.reports.book.groups import Groups
+
+MOST_LISTED = 12
+"""More values of a kind than this are given as a range or cut, so that the first screen stays one screen."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fact:
+    """One line, as in `Rates`: `10, 20, 50 Hz`."""
+
+    label: str
+    value: str
+
+
+@dataclass(frozen=True, slots=True)
+class Overview:
+    """What was measured.
+
+    Attributes:
+        title: the analyzed folder's name.
+        facts: the lines, in order. Strings of traces in them are `visible`, not yet escaped for a medium.
+    """
+
+    title: str
+    facts: tuple[Fact, ...]
+
+    @property
+    def brief(self) -> str:
+        """The most telling lines as one, for a narrow screen."""
+        known = {fact.label: fact.value for fact in self.facts}
+        if "Messages" in known:
+            known["Messages"] = known["Messages"].replace(" in ", " messages in ", 1)
+        return "; ".join(
+            known[label] for label in ("Middleware", "Devices", "Messages", "When") if label in known
+        )
+
+
+def overview_info(analysis: Analysis) -> Overview:
+    """The facts that are known; a line without a value is left out."""
+    groups, costs = groups_info(analysis), own_costs(analysis)
+    facts = (
+        Fact("Devices", _devices(analysis, groups)),
+        Fact("Link", _listed(sorted({visible(one.connectivity) for one in groups.series}))),
+        Fact("Middleware", _listed(_vendors(analysis, groups))),
+        Fact("Domains", _listed(list(dict.fromkeys(domain_label(one) for one in groups.series)))),
+        Fact("Messages", _messages(analysis)),
+        Fact("Sent", _sent(groups)),
+        Fact("Rates", _rates(groups)),
+        Fact("When", _when(analysis)),
+        Fact("Traces", _traces(analysis)),
+        Fact("Recorder", recorder_words(costs)),
+        Fact("Library", floor_words(costs)),
+    )
+    return Overview(visible(analysis.title), tuple(fact for fact in facts if fact.value))
+
+
+def _listed(values: Iterable[str]) -> str:
+    shown = list(values)
+    if len(shown) > MOST_LISTED:
+        shown = [*shown[: MOST_LISTED - 1], f"and {len(shown) - MOST_LISTED + 1} more"]
+    return ", ".join(shown)
+
+
+def _devices(analysis: Analysis, groups: Groups) -> str:
+    if groups.series:
+        return _listed(dict.fromkeys(device_label(one) for one in groups.series))
+    return _listed(sorted({f"{visible(one.device)} ({visible(one.role)})" for one in analysis.sessions}))
+
+
+def _vendors(analysis: Analysis, groups: Groups) -> list[str]:
+    if groups.series:
+        return list(dict.fromkeys(vendor_pair_label(one) for one in groups.series))
+    return [vendor_label(one) for one in known_first({one.vendor for one in analysis.sessions}, VENDORS)]
+
+
+def _messages(analysis: Analysis) -> str:
+    if not analysis.summary.height:
+        return ""
+    published, received = (int(analysis.summary[name].sum()) for name in ("published", "received"))
+    runs = len(analysis.runs)
+    came_back = "all came back" if published == received else f"{format_count(received)} came back"
+    return f"{format_count(published)} in {format_count(runs)} run{'' if runs == 1 else 's'}, {came_back}"
+
+
+def _sent(groups: Groups) -> str:
+    sizes: dict[str, list[int]] = {}
+    for cell in groups.cells:
+        of_type = sizes.setdefault(cell.data_type, [])
+        if cell.payload_bytes not in of_type:
+            of_type.append(cell.payload_bytes)
+    return "; ".join(
+        f"{data_type_label(data_type)} {_listed(format_size(size) for size in of_type)}"
+        for data_type, of_type in list(sizes.items())[:MOST_LISTED]
+    )
+
+
+def _rates(groups: Groups) -> str:
+    rates = sorted({cell.rate_hz for cell in groups.cells})
+    if not rates:
+        return ""
+    if len(rates) > MOST_LISTED:
+        return f"{len(rates)} rates from {format_hz(rates[0])} to {format_hz(rates[-1])}"
+    return ", ".join(format_hz(rate).removesuffix(" Hz") for rate in rates) + " Hz"
+
+
+def _when(analysis: Analysis) -> str:
+    """From the first recorder's start to the last message of a run whose recorder is known, in UTC."""
+    instants = [session.wall_anchor_ns for session in analysis.sessions]
+    if not instants:
+        return ""
+    instants += [run.session.wall_ns(run.last_ns) for run in run_times(analysis) if run.session is not None]
+    start, end = _utc(min(instants)), _utc(max(instants))
+    if start is None or end is None:
+        return ""
+    if end.date() == start.date():
+        span = "" if end - start < timedelta(minutes=1) else f" to {end:%H:%M}"
+        return f"{start:%Y-%m-%d %H:%M}{span} UTC"
+    return f"{start:%Y-%m-%d %H:%M} to {end:%Y-%m-%d %H:%M} UTC"
+
+
+def _utc(wall_ns: int) -> datetime | None:
+    """The instant, or None where a device's clock said something that is no date."""
+    try:
+        return datetime.fromtimestamp(wall_ns / 1e9, tz=timezone.utc)
+    except (OverflowError, OSError, ValueError):
+        return None
+
+
+def _traces(analysis: Analysis) -> str:
+    if not analysis.sources:
+        return "none found"
+    status: dict[str, int] = {}
+    for source in analysis.sources:
+        status[source.status] = status.get(source.status, 0) + 1
+    return ", ".join(f"{count} {visible(name)}" for name, count in status.items())

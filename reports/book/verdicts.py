@@ -1,0 +1,144 @@
+"""Which contender is clearly fastest, by kind of data: the analyzer's answers (`dds_trace.analyzer.verdicts.answers`) with names for people.
+
+Nothing is judged here: what overlaps and what leads was measured.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from dds_trace.analyzer import find_headlines
+from dds_trace.reports.book.groups import DATA_TYPES, data_type_label, pair_label
+from dds_trace.reports.text import visible
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from dds_trace.analyzer import Answer, Headline
+
+CLEARLY = (
+    "A cell is one data type, size and rate. One is called clearly fastest only where the 95 % confidence interval of its p99 "
+    "(of its median, where a sample is too small for that) lies wholly below the intervals of all the others; lost messages count as "
+    "infinitely late. Where intervals overlap the answer is inconclusive. Plain sockets are the floor beneath every middleware and "
+    "no contender."
+)
+
+MODES = {"same": "same domain", "different": "different domains"}
+
+# Columns of a setting that tell two contenders of one name apart, the most telling first.
+_FURTHER = (
+    "backend",
+    "relay_backend",
+    "rmw",
+    "reliability",
+    "durability",
+    "history",
+    "depth",
+    "serialization",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Win:
+    """In how many cells a contender was clearly faster than every other; `vendor` gives it its colour."""
+
+    contender: str
+    vendor: str
+    cells: int
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What one kind of data says about its contenders, over all cells in which at least two were measured.
+
+    Attributes:
+        data: data type and domain mode (and the link where several were measured), as in `Binary, same domain`.
+        mode: the domain mode in words.
+        cells: compared cells.
+        wins: most cells first.
+        inconclusive: cells without a clear winner.
+    """
+
+    data: str
+    mode: str
+    cells: int
+    wins: tuple[Win, ...]
+    inconclusive: int
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in one sentence."""
+        if not self.wins:
+            return f"inconclusive in all {cells_label(self.cells)}." if self.cells > 1 else "inconclusive."
+        parts = [
+            f"{win.contender} is clearly fastest in {win.cells} of {cells_label(self.cells)}"
+            for win in self.wins
+        ]
+        if self.inconclusive:
+            parts.append(f"{self.inconclusive} inconclusive")
+        return "; ".join(parts) + "."
+
+
+def verdicts_info(answers: Sequence[Answer]) -> tuple[Verdict, ...]:
+    """One verdict per kind of data in which two contenders met, data types and domain modes in their usual order."""
+    contenders = {one.name: one for answer in answers for one in answer.contenders}
+    labels = contender_labels(answers)
+    several_links = len({answer.connectivity for answer in answers}) > 1
+    verdicts = []
+    for headline in sorted(find_headlines(answers), key=_order):
+        if not headline.cases:
+            continue
+        mode = MODES.get(headline.domain_mode, visible(headline.domain_mode))
+        link = [visible(headline.connectivity)] if several_links else []
+        verdicts.append(
+            Verdict(
+                data=", ".join([data_type_label(headline.data_type), mode, *link]),
+                mode=mode,
+                cells=headline.cases,
+                wins=tuple(
+                    Win(labels[win.name], str(contenders[win.name].setting["vendor"]), win.cases)
+                    for win in headline.wins
+                ),
+                inconclusive=headline.inconclusive,
+            )
+        )
+    return tuple(verdicts)
+
+
+def contender_labels(answers: Sequence[Answer]) -> dict[str, str]:
+    """The label of each contender by its name in the answers: vendor and bridge, and more where these are not enough."""
+    settings = {one.name: one.setting for answer in answers for one in answer.contenders}
+    labels = {name: _label(setting) for name, setting in settings.items()}
+    for column in _FURTHER:
+        twice = {label for label, count in Counter(labels.values()).items() if count > 1}
+        differing = {
+            label for label in twice if len({settings[n][column] for n in labels if labels[n] == label}) > 1
+        }
+        labels = {
+            name: f"{label}, {_value(settings[name], column)}" if label in differing else label
+            for name, label in labels.items()
+        }
+    return labels
+
+
+def cells_label(count: int) -> str:
+    """As in `1 cell`, `12 cells`."""
+    return f"{count} cell{'' if count == 1 else 's'}"
+
+
+def _label(setting: Mapping[str, Any]) -> str:
+    pair = pair_label(setting["vendor"], setting["relay_vendor"])
+    return pair if setting["bridge"] == "none" else f"{pair} via {visible(setting['bridge'])}"
+
+
+def _value(setting: Mapping[str, Any], column: str) -> str:
+    value = setting[column]
+    return visible(f"depth {value}" if column == "depth" else value)
+
+
+def _order(headline: Headline) -> tuple[int, str, bool, str]:
+    known = [*DATA_TYPES, headline.data_type]
+    place = known.index(headline.data_type)
+    return place, headline.data_type, headline.domain_mode != "same", headline.connectivity

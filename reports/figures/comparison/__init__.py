@@ -1,0 +1,1 @@
+"""Figures that set vendors, domains and bridges beside each other."""

@@ -1,0 +1,102 @@
+"""The paper's heart: the same domain against different domains, side by side, with the difference."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from dds_trace.reports.book.groups import data_type_label, groups_info
+from dds_trace.reports.book.values import values_info
+from dds_trace.reports.figures.figure import Figure, LeftOut
+from dds_trace.reports.text import format_size
+
+if TYPE_CHECKING:
+    from dds_trace.analyzer.analysis import Analysis
+    from dds_trace.reports.book.groups import Series
+
+NAME = "domain_difference"
+TITLE = "Same domain against different domains"
+HOW_TO_READ = (
+    "Plain bars stay in one domain, hatched bars cross to another through a bridge; the number above a hatched bar "
+    "is what crossing cost."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """Two groups that differ in nothing but the domain.
+
+    Attributes:
+        rate_hz: the rate of both.
+        same: group in the same domain.
+        different: group across domains.
+    """
+
+    rate_hz: float
+    same: int
+    different: int
+
+
+@dataclass(frozen=True, slots=True)
+class PairPanel:
+    """The pairs of one data type and size, by rate."""
+
+    title: str
+    pairs: tuple[Pair, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class DomainDifference:
+    """One panel per data type and size."""
+
+    panels: tuple[PairPanel, ...]
+
+
+def domain_pairs(analysis: Analysis) -> tuple[tuple[int, int], ...]:
+    """Groups (same domain, different domains) of equal cell, vendors, devices and QoS, in the order of cells.
+
+    A group in the same domain stands in several pairs where several bridges were measured against it.
+    """
+    groups = groups_info(analysis)
+    at_home = {
+        (group.cell, _apart_from_domain(groups.series_of(group))): group.index
+        for group in groups.groups
+        if groups.series_of(group).domain_mode == "same" and groups.series_of(group).bridge == "none"
+    }
+    return tuple(
+        (at_home[key], group.index)
+        for group in sorted(groups.groups, key=lambda group: (group.cell, group.series))
+        if groups.series_of(group).domain_mode == "different"
+        and (key := (group.cell, _apart_from_domain(groups.series_of(group)))) in at_home
+    )
+
+
+def domain_difference_info(analysis: Analysis) -> DomainDifference:
+    """Every pair of which messages came back on both sides, in panels by data type and size."""
+    groups = groups_info(analysis)
+    timed = values_info(analysis).timed
+    panels: dict[str, list[Pair]] = {}
+    for same, different in domain_pairs(analysis):
+        if not timed(same) or not timed(different):
+            continue
+        cell = groups.cell_of(groups.groups[same])
+        title = f"{data_type_label(cell.data_type)} {format_size(cell.payload_bytes)}"
+        panels.setdefault(title, []).append(Pair(cell.rate_hz, same, different))
+    return DomainDifference(tuple(PairPanel(title, tuple(pairs)) for title, pairs in panels.items()))
+
+
+def domain_difference_figure(info: DomainDifference) -> Figure | LeftOut:
+    """Grouped bars per rate."""
+    if not info.panels:
+        return LeftOut(
+            NAME, TITLE, "no cell was measured both in the same and in different domains with all else equal."
+        )
+    return Figure(NAME, TITLE, HOW_TO_READ, "pairs", {"panels": info.panels})
+
+
+def _apart_from_domain(series: Series) -> tuple[object, ...]:
+    return tuple(
+        getattr(series, name)
+        for name in series.__dataclass_fields__
+        if name not in {"domain_mode", "bridge", "ping_domain_id", "relay_domain_id"}
+    )

@@ -1,0 +1,1 @@
+"""Figures of how one group's values are spread."""

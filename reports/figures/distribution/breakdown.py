@@ -1,0 +1,100 @@
+"""Where the time goes between the planned send and the reply."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from dds_trace.reports.book.groups import data_type_label, groups_info
+from dds_trace.reports.figures.figure import Figure, LeftOut
+from dds_trace.reports.figures.panels import Panel, panels_info, panels_plan
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from dds_trace.analyzer.analysis import Analysis
+    from dds_trace.reports.book.groups import Cell, Series
+
+NAME = "breakdown"
+TITLE = "Where the time goes, on average"
+HOW_TO_READ = (
+    "A whole bar is the mean response from T0 to T2, its parts from below in the order of time; means are drawn because "
+    "they add up and percentiles do not."
+)
+
+PARTS = {
+    "waiting_ns": "Late send (T0 to T1)",
+    "outbound_ns": "Way there (T1 to T3)",
+    "outbound_transport_ns": "Transport there (T1 to the relay's middleware)",
+    "relay_delivery_ns": "Delivery in the relay (to T3)",
+    "relay_ns": "In the relay (T3 to T4)",
+    "return_ns": "Way back (T4 to T2)",
+    "return_transport_ns": "Transport back (T4 to the ping's middleware)",
+    "ping_delivery_ns": "Delivery in the ping (to T2)",
+}
+"""Part in `details.breakdown` -> its name for people, in the order of time."""
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One part of one group's mean response."""
+
+    name: str
+    mean_ns: int
+    bound_ns: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class Breakdown:
+    """One panel per data type and series; x is the rank of the cell.
+
+    Attributes:
+        parts: of each group that has them, in the order of time. The relay's clock says how the two ways divide;
+            `bound_ns` is how far that may be off.
+    """
+
+    panels: tuple[Panel, ...]
+    parts: Mapping[int, tuple[Part, ...]]
+
+
+def breakdown_info(analysis: Analysis) -> Breakdown:
+    """The means of `details.breakdown`, in the panel of its group's data type and series."""
+    groups = groups_info(analysis)
+    label_of = dict(zip(groups.series, groups.labels, strict=True))
+    parts: dict[int, list[Part]] = {}
+    if analysis.details is not None:
+        columns = ("group", "part", "mean_ns", "bound_ns")
+        for group, part, mean_ns, bound_ns in (
+            analysis.details.breakdown.sort("group", "order").select(columns).iter_rows()
+        ):
+            bound = None if bound_ns is None else round(bound_ns)
+            parts.setdefault(group, []).append(Part(part, round(mean_ns), bound))
+
+    def title(cell: Cell, series: Series) -> str:
+        return f"{data_type_label(cell.data_type)}: {label_of[series]}"
+
+    panels = panels_info(
+        analysis, lambda cell, series: (cell.data_type, series), title, drawn=lambda group: group in parts
+    )
+    return Breakdown(panels, {group: tuple(found) for group, found in parts.items()})
+
+
+def breakdown_figure(info: Breakdown) -> Figure | LeftOut:
+    """Stacked bars over cells."""
+    if not info.panels:
+        return LeftOut(
+            NAME, TITLE, "no message has a schedule and all four time stamps (a relay's trace is missing)."
+        )
+    used = {part.name for parts in info.parts.values() for part in parts}
+    return Figure(
+        NAME,
+        TITLE,
+        HOW_TO_READ,
+        "breakdown",
+        panels_plan(
+            info.panels,
+            names={name: label for name, label in PARTS.items() if name in used},
+            order=[name for name in PARTS if name in used],
+            parts={str(group): parts for group, parts in info.parts.items()},
+        ),
+    )

@@ -1,0 +1,102 @@
+"""Load of the devices and strength of the Wi-Fi while the latency was measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import polars as pl
+
+from dds_trace.reports.book.run_times import run_times
+from dds_trace.reports.figures.figure import Figure, LeftOut
+
+if TYPE_CHECKING:
+    from dds_trace.analyzer.analysis import Analysis
+
+NAME = "host_load"
+TITLE = "Processor load and Wi-Fi signal against latency"
+HOW_TO_READ = (
+    "All panels share the time axis, so a latency that rises where the load rises or the signal falls has its cause below it; the load is that "
+    "of the busiest processor."
+)
+
+SAMPLES_IN_PAGE = 30_000
+"""About 300 KB of JSON, shared by all groups; of more, every n-th is drawn."""
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """Samples of one device during the runs of one group.
+
+    Attributes:
+        role: `ping` or `relay`.
+        elapsed_s: of each sample, since its run's first message was due, to a tenth.
+        cpu_percent: of the busiest processor.
+        signal_dbm: of the weakest Wi-Fi interface.
+    """
+
+    role: str
+    elapsed_s: tuple[float, ...]
+    cpu_percent: tuple[int | None, ...]
+    signal_dbm: tuple[int | None, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class HostLoad:
+    """The loads by group."""
+
+    groups: dict[int, tuple[Load, ...]]
+    decimated: bool
+
+
+def host_load_info(analysis: Analysis) -> HostLoad:
+    """The rows of `details.host_samples` that were taken during a run, by its group and role.
+
+    Devices are brought together by their wall clocks, which is enough for samples of one second.
+    """
+    if analysis.details is None or not analysis.details.host_samples.height:
+        return HostLoad({}, decimated=False)
+    samples = analysis.details.host_samples.filter(
+        pl.col("cpu_busiest_percent").is_not_null() | pl.col("wifi_signal_dbm").is_not_null()
+    ).sort("wall_ns")
+    groups: dict[tuple[int, str], list[pl.DataFrame]] = {}
+    for run in run_times(analysis):
+        if run.session is None:
+            continue
+        first, last = run.session.wall_ns(run.origin_ns), run.session.wall_ns(run.last_ns)
+        devices = _devices(analysis, run.group)
+        during = samples.filter(pl.col("wall_ns").is_between(first, last)).filter(
+            (pl.col("session_id") == run.session.session_id)
+            | ((pl.col("role") == "relay") & pl.col("device").is_in(devices)),
+        )
+        for role in ("ping", "relay"):
+            own = during.filter(role=role).unique(["device", "wall_ns"], maintain_order=True)
+            elapsed = ((pl.col("wall_ns") - first) / 1e9).round(1).alias("elapsed_s")
+            if own.height:
+                groups.setdefault((run.group, role), []).append(own.with_columns(elapsed))
+    total = sum(part.height for parts in groups.values() for part in parts)
+    step = max(1, -(-total // SAMPLES_IN_PAGE))
+    found: dict[int, tuple[Load, ...]] = {}
+    for (group, role), parts in groups.items():
+        rows = pl.concat(parts).sort("elapsed_s").gather_every(step)
+        load = Load(
+            role,
+            tuple(rows["elapsed_s"].to_list()),
+            tuple(rows["cpu_busiest_percent"].round().cast(pl.Int32).to_list()),
+            tuple(rows["wifi_signal_dbm"].round().cast(pl.Int32).to_list()),
+        )
+        found[group] = (*found.get(group, ()), load)
+    return HostLoad(found, decimated=step > 1)
+
+
+def host_load_figure(info: HostLoad) -> Figure | LeftOut:
+    """Latency, load and signal over one time axis for the series of the chosen cell."""
+    if not info.groups:
+        return LeftOut(NAME, TITLE, "no device sampled its load during a run.")
+    groups = {str(group): loads for group, loads in info.groups.items()}
+    return Figure(NAME, TITLE, HOW_TO_READ, "host_load", {"groups": groups, "decimated": info.decimated})
+
+
+def _devices(analysis: Analysis, group: int) -> list[str]:
+    device = analysis.summary["relay_device"][group]
+    return [] if device is None else [device]

@@ -1,0 +1,153 @@
+"""Latency over time, with the messages that never came back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+
+from dds_trace.reports.book.run_times import run_times
+from dds_trace.reports.figures.figure import Figure, LeftOut
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from dds_trace.analyzer.analysis import Analysis
+
+NAME = "timeline"
+TITLE = "Latency over time"
+HOW_TO_READ = (
+    "Each dot is a message that came back; crosses on the line at the top are messages that did not, at the time "
+    "they were due, so a row of crosses is an outage, and outages are shaded."
+)
+
+POINTS_IN_PAGE = 40_000
+"""About 1 MB of JSON, shared by all groups; a page of 500 groups stays quick to open."""
+FEWEST_POINTS = 80
+"""Even of 500 groups each keeps the shape of its run."""
+MOST_OUTAGES = 50
+"""Of one group; losses are marked in any case."""
+
+
+@dataclass(frozen=True, slots=True)
+class GroupTimeline:
+    """The messages of one group, by the time they were due since the start of their run.
+
+    Attributes:
+        elapsed_s: of each message drawn.
+        latency_ns: of the same messages, None where the relay's part is unknown.
+        rtt_ns: of the same messages.
+        lost_elapsed_s: of each cross drawn.
+        lost_count: how many lost messages that cross stands for.
+    """
+
+    group: int
+    elapsed_s: tuple[float, ...]
+    latency_ns: tuple[int | None, ...]
+    rtt_ns: tuple[int | None, ...]
+    lost_elapsed_s: tuple[float, ...]
+    lost_count: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Timeline:
+    """All groups that have a message.
+
+    Attributes:
+        decimated: whether messages were left out for drawing. Extremes and losses never are.
+        outages: (start, end) of each outage by group, in the same time; of many, the longest.
+    """
+
+    groups: tuple[GroupTimeline, ...]
+    decimated: bool
+    outages: Mapping[int, tuple[tuple[float, float], ...]] = field(default_factory=dict)
+
+
+def timeline_info(analysis: Analysis) -> Timeline:
+    """The rows of `analysis.timeline`, thinned to what a page can hold: per slice of time the extremes."""
+    frame = analysis.timeline.sort("group", "elapsed_s", "run_id", "relay_id", "sequence")
+    share = max(FEWEST_POINTS, POINTS_IN_PAGE // max(1, analysis.summary.height))
+    groups = []
+    decimated = analysis.timeline_decimated
+    for (group,), rows in frame.group_by(["group"], maintain_order=True):
+        drawn, thinned = _thinned(rows.filter(pl.col("outcome") == "completed"), share)
+        lost_at, lost_count = _crosses(
+            rows.filter(pl.col("outcome") != "completed")["elapsed_s"].to_numpy(), share
+        )
+        decimated = decimated or thinned
+        groups.append(
+            GroupTimeline(
+                int(str(group)),
+                tuple(round(value, 4) for value in drawn["elapsed_s"].to_list()),
+                tuple(drawn["latency_ns"].to_list()),
+                tuple(drawn["rtt_ns"].to_list()),
+                lost_at,
+                lost_count,
+            )
+        )
+    return Timeline(tuple(groups), decimated, _outages(analysis))
+
+
+def timeline_figure(info: Timeline) -> Figure | LeftOut:
+    """Dots over time for the series of the chosen cell."""
+    if not info.groups:
+        return LeftOut(NAME, TITLE, "no message was published.")
+    by_group = {str(one.group): one for one in info.groups}
+    return Figure(
+        NAME,
+        TITLE,
+        HOW_TO_READ,
+        "timeline",
+        {
+            "groups": by_group,
+            "decimated": info.decimated,
+            "outages": {str(group): spans for group, spans in info.outages.items()},
+        },
+    )
+
+
+def _outages(analysis: Analysis) -> dict[int, tuple[tuple[float, float], ...]]:
+    """The longest outages of each group, where they lie on the axis of its runs."""
+    if analysis.details is None or not analysis.details.outages.height:
+        return {}
+    origin_ns = {run.run_id: run.origin_ns for run in run_times(analysis)}
+    longest = analysis.details.outages.sort("duration_ns", descending=True, nulls_last=True)
+    spans: dict[int, list[tuple[float, float]]] = {}
+    columns = ("group", "run_id", "start_ns", "end_ns")
+    for group, run_id, start_ns, end_ns in longest.select(columns).iter_rows():
+        of_group = spans.setdefault(group, [])
+        # An outage without an end lasted to the end of its run: its crosses say so.
+        if run_id in origin_ns and end_ns is not None and len(of_group) < MOST_OUTAGES:
+            start, end = ((ns - origin_ns[run_id]) / 1e9 for ns in (start_ns, end_ns))
+            of_group.append((round(start, 4), round(end, 4)))
+    return {group: tuple(sorted(of_group)) for group, of_group in spans.items() if of_group}
+
+
+def _slices(elapsed_s: np.ndarray, count: int) -> np.ndarray:
+    """Which of `count` equal slices of time each instant is in."""
+    start, end = elapsed_s.min(), elapsed_s.max()
+    if end <= start:
+        return np.zeros(len(elapsed_s), dtype=np.int64)
+    place: np.ndarray = np.minimum((elapsed_s - start) / (end - start) * count, count - 1).astype(np.int64)
+    return place
+
+
+def _thinned(rows: pl.DataFrame, share: int) -> tuple[pl.DataFrame, bool]:
+    """At most about `share` rows: of each slice of time the least and the greatest value."""
+    if rows.height <= share:
+        return rows, False
+    place = pl.Series("place", _slices(rows["elapsed_s"].to_numpy(), share // 2))
+    ranked = rows.with_row_index("row").with_columns(place, value=pl.coalesce("latency_ns", "rtt_ns"))
+    by_value = ranked.sort("value", "row")
+    keep = pl.concat([by_value.unique("place", keep=end, maintain_order=True) for end in ("first", "last")])
+    return keep.unique("row").sort("row"), True
+
+
+def _crosses(lost_s: np.ndarray, share: int) -> tuple[tuple[float, ...], tuple[int, ...]]:
+    """At most `share` crosses, each at the first loss it stands for."""
+    if len(lost_s) <= share:
+        return tuple(round(float(at), 4) for at in lost_s), (1,) * len(lost_s)
+    _, first, count = np.unique(_slices(lost_s, share), return_index=True, return_counts=True)
+    return tuple(round(float(at), 4) for at in lost_s[first]), tuple(int(n) for n in count)

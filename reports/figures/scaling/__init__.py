@@ -1,0 +1,1 @@
+"""Figures over payload size and rate."""

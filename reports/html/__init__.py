@@ -1,0 +1,1 @@
+"""The page that stands alone: template, filters, styles, scripts."""

@@ -1,0 +1,84 @@
+"""What a reader can filter by; one choice acts on every figure and table of the page."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from dds_trace.reports.book.groups import data_type_label, device_label, qos_label, vendor_pair_label
+from dds_trace.reports.book.verdicts import MODES
+from dds_trace.reports.text import format_hz, format_size, visible
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from dds_trace.reports.book.groups import Cell, Groups, Series
+
+
+@dataclass(frozen=True, slots=True)
+class Option:
+    """One choice: its name in the page's address, and the label for people."""
+
+    value: str
+    label: str
+
+
+@dataclass(frozen=True, slots=True)
+class Filter:
+    """One filter of a page.
+
+    Attributes:
+        key: its name in the page's address.
+        options: what the groups hold.
+        of_group: per group the place of its option.
+    """
+
+    key: str
+    label: str
+    options: tuple[Option, ...]
+    of_group: tuple[int, ...]
+
+
+def _same(text: str) -> Option:
+    return Option(text, text)
+
+
+# Key, label, the option of a group. The order of options is that of cells and series.
+_FILTERS: tuple[tuple[str, str, Callable[[Cell, Series], Option]], ...] = (
+    ("vendor", "Vendor", lambda _, s: _same(vendor_pair_label(s))),
+    (
+        "domain",
+        "Domains",
+        lambda _, s: Option(s.domain_mode, MODES.get(s.domain_mode, visible(s.domain_mode))),
+    ),
+    ("bridge", "Bridge", lambda _, s: _same(visible(s.bridge))),
+    ("data", "Data", lambda c, _: Option(visible(c.data_type), data_type_label(c.data_type))),
+    ("size", "Size", lambda c, _: Option(str(c.payload_bytes), format_size(c.payload_bytes))),
+    ("rate", "Rate", lambda c, _: Option(f"{c.rate_hz:g}", format_hz(c.rate_hz))),
+    ("qos", "QoS", lambda _, s: _same(qos_label(s))),
+    ("device", "Devices", lambda _, s: _same(device_label(s))),
+    ("backend", "Backend", lambda _, s: _same(visible(s.backend))),
+    ("serialization", "Serialization", lambda _, s: _same(visible(s.serialization))),
+    ("link", "Link", lambda _, s: _same(visible(s.connectivity))),
+)
+
+
+def filters_info(groups: Groups) -> tuple[Filter, ...]:
+    """Every filter that has something to choose from: two options at least."""
+    found = []
+    for key, label, option_of in _FILTERS:
+        options = [option_of(groups.cell_of(group), groups.series_of(group)) for group in groups.groups]
+        distinct = _ordered(groups, option_of)
+        if len(distinct) > 1:
+            place = {option: index for index, option in enumerate(distinct)}
+            found.append(Filter(key, label, tuple(distinct), tuple(place[option] for option in options)))
+    return tuple(found)
+
+
+def _ordered(groups: Groups, option_of: Callable[[Cell, Series], Option]) -> list[Option]:
+    """The options in the order in which sorted cells and series have them; numbers by size."""
+    by_series = sorted(groups.groups, key=lambda group: (group.series, group.cell))
+    options = list(dict.fromkeys(option_of(groups.cell_of(g), groups.series_of(g)) for g in by_series))
+    if all(option.value.replace(".", "", 1).isdigit() for option in options):
+        options.sort(key=lambda option: float(option.value))
+    return options

@@ -1,0 +1,97 @@
+"""Comparisons as Markdown and JUnit: what they say, and that strings of a trace stay strings."""
+
+from __future__ import annotations
+
+from xml.etree import ElementTree as ET
+
+import pytest
+from roundtrip_frames import MS, steady
+
+from dds_trace.analyzer.verdicts.compare import CompareOptions, compare_roundtrips
+from dds_trace.analyzer.verdicts.gates import judge_gates, parse_gate
+from dds_trace.reports.comparison import comparison_junit, comparison_markdown, markdown_text, plain_line
+
+HOSTILE = "<script>alert(1)</script>|`a`](http://x)\n# h @you\x1b[31m\x00"
+OPTIONS = CompareOptions(metrics=("latency",), statistics=("p50",), replicates=199)
+GATES = [
+    parse_gate(t)
+    for t in ("latency_p50 > +10%", "latency_p50 > +2ms", "latency_p99 > 1ms", "received_ratio < 1%")
+]
+
+
+def compared(**parameters):
+    options = CompareOptions(metrics=("latency",), statistics=("p50", "p99"), replicates=199)
+    found = compare_roundtrips(
+        steady([5 * MS] * 40, **parameters), steady([6 * MS] * 40, **parameters), options
+    )
+    return found, judge_gates(found, GATES)
+
+
+def test_markdown_says_the_outcome_first():
+    text = comparison_markdown(*compared())
+    assert text.index("**Regressed**") < text.index("| gate |") < text.index("| group |")
+    row = next(line for line in text.splitlines() if "latency p50" in line)
+    cells = [cell.strip() for cell in row.strip("|").split("|")]
+    assert cells[2:] == [
+        "5.000 ms",
+        "6.000 ms",
+        "+20.0%",
+        "+20.0% to +20.0%",
+        "0%",
+        "worse",
+    ]
+    unknown = next(line for line in text.splitlines() if "latency p99" in line)
+    assert unknown.endswith("|  |  | unknown | unknown to unknown | 0% | inconclusive |")
+
+
+def test_markdown_of_nothing():
+    nothing = compare_roundtrips(steady([MS]), steady([MS], vendor="zenoh"), OPTIONS)
+    text = comparison_markdown(nothing)
+    assert "nothing to compare" in text
+    assert "Only in the base" in text
+    assert "Only in the new" in text
+
+
+def test_junit_counts_and_names():
+    _, results = compared()
+    root = ET.fromstring(comparison_junit(results))
+    assert root.tag == "testsuites"
+    assert {k: root.get(k) for k in ("tests", "failures", "errors", "skipped")} == {
+        "tests": "4",
+        "failures": "1",
+        "errors": "0",
+        "skipped": "1",
+    }
+    cases = root.findall("testsuite/testcase")
+    assert [c.get("name") for c in cases] == [g.text for g in GATES]
+    assert cases[0].find("failure").get("message") == "+20.0%, interval +20.0% to +20.0%"
+    assert [len(c) for c in cases] == [1, 0, 1, 0]
+    assert "inconclusive" in cases[2].find("skipped").get("message")
+    assert ET.fromstring(comparison_junit([])).get("tests") == "0"
+
+
+def test_hostile_strings_stay_strings():
+    found, results = compared(bridge=HOSTILE)
+    text = comparison_markdown(found, results)
+    assert "<script" not in text
+    assert "](http" not in text
+    assert "\x1b" not in text
+    assert "@you" not in text
+    assert len([line for line in text.splitlines() if line.startswith("#")]) == 1
+    widths = {
+        line.count("|") for line in text.splitlines() if "latency p" in line or line.startswith("| group")
+    }
+    assert widths == {9}
+    root = ET.fromstring(comparison_junit(results))
+    assert "<script>alert(1)</script>" in root.find("testsuite/testcase").get("classname")
+
+
+@pytest.mark.parametrize("character", ["\n", "\r", "\x00", "\x1b", "\x7f", "\u2028", "\u202e", "\ud800"])
+def test_control_characters_are_taken_out(character):
+    assert plain_line(f"a{character}b") == "a b"
+
+
+def test_markdown_text_shows_what_was_there():
+    assert markdown_text("ros2 33 KB") == "ros2 33 KB"
+    assert markdown_text("a|b") == "a&#124;b"
+    assert markdown_text("www.example.com") == "www&#46;example&#46;com"

@@ -91,7 +91,7 @@ def main_command(
 
     [bold]dds-bridge zenoh-bridge-dds --half relay --peer 192.168.0.5:7447[/bold]
     """
-    from dds_trace.cli.record_values import default_discovery, parse_durations
+    from dds_trace.cli.record.values import default_discovery, parse_durations
     from dds_trace.recorder.backends.base import Discovery
     from dds_trace.recorder.bridges import BRIDGED_TOPICS, BridgeOptions, Half, bridged_topic, load_bridge
     from dds_trace.tracefile import OptionError, Qos

@@ -200,7 +200,7 @@ def test_a_bridge_that_dies_in_mid_run_is_told_in_a_trace_that_is_kept(domains, 
 
     ping_domain, relay_domain = str(domains.take()), str(domains.take())
     out = tmp_path / "ping.mcap"
-    record = [sys.executable, "-m", "dds_trace.cli.record", "--discovery", "localhost"]
+    record = [sys.executable, "-m", "dds_trace.cli.record.command", "--discovery", "localhost"]
     relay = [*record, "--role", "relay", "--domain", relay_domain, "--out", str(tmp_path / "relay.mcap")]
     ping = [
         *record,

@@ -11,8 +11,8 @@ import pytest
 from typer.testing import CliRunner
 
 from dds_trace.cli import choices
-from dds_trace.cli import record as command
-from dds_trace.cli.record_run import print_result
+from dds_trace.cli.record import command
+from dds_trace.cli.record.run import print_result
 from dds_trace.recorder import (
     DEFAULT_MESSAGES,
     DEFAULT_WARMUP,
@@ -46,8 +46,8 @@ def parsed(monkeypatch, tmp_path):
     for name in ("ROS_DOMAIN_ID", "ROS_LOCALHOST_ONLY", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
         monkeypatch.delenv(name, raising=False)
     seen = []
-    monkeypatch.setattr("dds_trace.cli.record_run.record_until_stopped", seen.append)
-    monkeypatch.setattr("dds_trace.cli.record_run.print_result", lambda *_, **__: None)
+    monkeypatch.setattr("dds_trace.cli.record.run.record_until_stopped", seen.append)
+    monkeypatch.setattr("dds_trace.cli.record.run.print_result", lambda *_, **__: None)
 
     def parse(*arguments, role="ping"):
         result = CliRunner().invoke(
@@ -250,14 +250,14 @@ def test_a_trace_that_was_cut_off_is_closed_again(tmp_path):
 def test_the_cost_of_recording_is_printed_without_middleware_too(monkeypatch, tmp_path):
     cost = RecorderCost(30.0, 500.0, 900.0, 4_000.0, 9_000.0, 3000)
     monkeypatch.setattr(
-        "dds_trace.cli.record_tools.measure_recorder_cost",
+        "dds_trace.cli.record.tools.measure_recorder_cost",
         lambda folder: cost if folder == tmp_path else None,
     )
 
     def without_middleware(*_):
         raise BackendUnavailableError("no ROS 2 here")
 
-    monkeypatch.setattr("dds_trace.cli.record_tools.measure_floor", without_middleware)
+    monkeypatch.setattr("dds_trace.cli.record.tools.measure_floor", without_middleware)
     result = CliRunner().invoke(command.app, ["--self-test", "--out", str(tmp_path / "x.mcap")])
     assert result.exit_code == 0, result.output
     assert result.output.splitlines() == [
@@ -293,7 +293,7 @@ def test_the_words_of_the_options_are_those_of_the_recorder():
     assert f"Messages before, which do not count. Default: {DEFAULT_WARMUP} " in output
 
 
-@pytest.mark.parametrize("module", ["dds_trace.cli.record", "dds_trace.cli.bridge"])
+@pytest.mark.parametrize("module", ["dds_trace.cli.record.command", "dds_trace.cli.bridge"])
 def test_help_loads_neither_the_recorder_nor_numpy(module):
     code = (
         f"import sys; from {module} import app\n"

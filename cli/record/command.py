@@ -5,8 +5,8 @@ from __future__ import annotations
 import typer
 
 from dds_trace.cli import choices
-from dds_trace.cli import record_words as words
 from dds_trace.cli.errors import run_command
+from dds_trace.cli.record import words
 
 BRIDGED_PING_DOMAIN = 5
 
@@ -68,9 +68,9 @@ def main_command(
 
     [bold]dds-record --role ping  --out ping.mcap[/bold]
     """
-    from dds_trace.cli.record_run import print_result, record_until_stopped
-    from dds_trace.cli.record_tools import recover_trace, report_own_cost
-    from dds_trace.cli.record_values import (
+    from dds_trace.cli.record.run import print_result, record_until_stopped
+    from dds_trace.cli.record.tools import recover_trace, report_own_cost
+    from dds_trace.cli.record.values import (
         default_discovery,
         default_domain,
         parse_durations,

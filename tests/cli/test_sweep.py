@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from dds_trace.cli import sweep as command
-from dds_trace.recorder.sweep import Cell, read_plan
-from dds_trace.recorder.sweep.plan.plan import schedule
+from dds_trace.recorder.sweep import Cell, read_plan, schedule
 from dds_trace.recorder.sweep.search import Answer, MaxRate
 from dds_trace.recorder.sweep.sweep import SweepOutcome
 from dds_trace.tracefile import __version__

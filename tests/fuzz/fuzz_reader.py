@@ -6,7 +6,7 @@
 Whatever bytes lie on disk, `read_trace` gives a usable trace or a `TraceError` that names the file; it never crashes,
 hangs (more than ten seconds for one input) or takes memory without bound (1 GB). The first byte of an input says what
 the others are, because no mutation finds its way through a CRC and a compressed frame by chance. Finds become tests
-in `tests/tracefile/test_reader_finds.py`.
+in `tests/tracefile/reading/test_reader_finds.py`.
 """
 
 from __future__ import annotations

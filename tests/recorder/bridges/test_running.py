@@ -169,7 +169,8 @@ RECORDER = """
 import sys
 sys.path[:0] = {path!r}
 import stand_in_bridge
-from dds_trace.recorder.bridges import BRIDGE_MODULES, BridgeOptions, open_bridge, supervise
+from dds_trace.recorder.bridges import BRIDGE_MODULES, BridgeOptions, open_bridge
+from dds_trace.recorder.bridges.process import supervise
 supervise.STOP_PATIENCE_S = 0.2
 BRIDGE_MODULES["stand-in"] = "stand_in_bridge"
 stand_in_bridge.BRIDGE = stand_in_bridge.StandInBridge(part="leaves_children")

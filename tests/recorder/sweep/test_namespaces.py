@@ -153,7 +153,7 @@ def test_namespaces_of_a_killed_sweep_are_removed_by_the_next():
 
 @skipped
 def test_failure_half_way_leaves_nothing_behind(monkeypatch):
-    from dds_trace.recorder.sweep.station.station import namespaces
+    from dds_trace.recorder.sweep.station import namespaces
 
     def refuse(*_arguments):
         raise BackendUnavailableError("tc: Specified qdisc kind is unknown.")

@@ -5,7 +5,7 @@ import json
 import platform
 import socket
 
-from dds_trace.recorder.host.fingerprint import fingerprint as host
+from dds_trace.recorder.host import fingerprint as host
 from dds_trace.recorder.host.fingerprint import host_fingerprint, middleware_configuration, read_text
 
 # As Linux prints it; columns are status, quality, level, noise, then discarded packets.

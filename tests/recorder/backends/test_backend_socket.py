@@ -62,7 +62,7 @@ def test_all_data_types_go_there_and_back(domain_id, tmp_path, protocol, more):
 def independent_delays(domain_id, folder, delay_s):
     """RTT and the time within the relay, by the relay's own clock readings, of each message (ns)."""
     folder.mkdir()
-    script = Path(__file__).parents[1] / "support" / "plain_echo.py"
+    script = Path(__file__).parents[2] / "support" / "plain_echo.py"
     port = port_of(domain_id, SOCKET_PORT)
     with subprocess.Popen(
         [sys.executable, script, str(port), IMU.topic, IMU.type_name, str(delay_s)],

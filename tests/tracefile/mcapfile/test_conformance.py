@@ -15,7 +15,7 @@ import pytest
 from dds_trace.tracefile.mcapfile.record_stream import read_records
 from dds_trace.tracefile.mcapfile.records import LAYOUTS, Opcode
 
-SUITE = Path(__file__).parents[1] / "data" / "mcap-conformance.tar.xz"
+SUITE = Path(__file__).parents[2] / "data" / "mcap-conformance.tar.xz"
 NOT_LISTED = {Opcode.MESSAGE_INDEX}  # the suite names no index of messages, nor an attachment's CRC
 
 

@@ -6,7 +6,7 @@ import queue
 import subprocess
 import sys
 
-from dds_trace.recorder.host.fingerprint import sampling
+from dds_trace.recorder.host import sampling
 from dds_trace.recorder.host.sampling import HostSampler
 
 # Linux 6: a line of names, then a line of values for each protocol.

@@ -1,15 +1,15 @@
 """Traces in, one frozen `Analysis` out.
 
-from dds_trace.analyzer import analyze
+from . import analyze
 a = analyze("runs/")          # a.summary, a.roundtrips ... are polars frames
 """
 
-from dds_trace.analyzer.analysis import Analysis, Details, Finding, Severity, Source
-from dds_trace.analyzer.clocks.alignment import Alignment, align_clocks, clock_table, ping_boots
-from dds_trace.analyzer.clocks.fit import ClockFit, ClockKnot, ClockSegment, ClockStep
-from dds_trace.analyzer.exports.foxglove import DerivedTrace, write_derived
-from dds_trace.analyzer.exports.tables import EXPORTERS, export_tables
-from dds_trace.analyzer.groups.breakdown import (
+from .analysis import Analysis, Details, Finding, Severity, Source
+from .clocks.alignment import Alignment, align_clocks, clock_table, ping_boots
+from .clocks.fit import ClockFit, ClockKnot, ClockSegment, ClockStep
+from .exports.foxglove import DerivedTrace, write_derived
+from .exports.tables import EXPORTERS, export_tables
+from .groups.breakdown import (
     STAGES,
     break_down,
     ping_wall_offsets,
@@ -18,8 +18,8 @@ from dds_trace.analyzer.groups.breakdown import (
     summarize_breakdown,
     with_stamps,
 )
-from dds_trace.analyzer.groups.freshness import outage_table, summarize_freshness
-from dds_trace.analyzer.model.columns import (
+from .groups.freshness import outage_table, summarize_freshness
+from .model.columns import (
     MEASURED_COLUMNS,
     PARAMETER_COLUMNS,
     ROUNDTRIP_COLUMNS,
@@ -27,20 +27,20 @@ from dds_trace.analyzer.model.columns import (
     SUMMARY_COLUMNS,
     Column,
 )
-from dds_trace.analyzer.model.metrics import METRICS
-from dds_trace.analyzer.pairing.pair import Outcome
-from dds_trace.analyzer.pipeline import analyze, default_output
-from dds_trace.analyzer.recordings.topics import TopicReport, analyze_topics
-from dds_trace.analyzer.statistics.intervals import Interval, percentile_interval, ratio_interval
-from dds_trace.analyzer.statistics.percentiles import PERCENTILES, Percentile
-from dds_trace.analyzer.statistics.sample_size import (
+from .model.metrics import METRICS
+from .pairing.pair import Outcome
+from .pipeline import analyze, default_output
+from .recordings.topics import TopicReport, analyze_topics
+from .statistics.intervals import Interval, percentile_interval, ratio_interval
+from .statistics.percentiles import PERCENTILES, Percentile
+from .statistics.sample_size import (
     RunLength,
     minimum_messages,
     plan_run,
     planned_messages,
     supported_percentiles,
 )
-from dds_trace.analyzer.verdicts.answers import (
+from .verdicts.answers import (
     Answer,
     Clarity,
     Contender,
@@ -49,15 +49,15 @@ from dds_trace.analyzer.verdicts.answers import (
     find_answers,
     find_headlines,
 )
-from dds_trace.analyzer.verdicts.change import Verdict
-from dds_trace.analyzer.verdicts.compare import (
+from .verdicts.change import Verdict
+from .verdicts.compare import (
     MATCH_COLUMNS,
     CompareOptions,
     Comparison,
     bridge_cost,
     compare_roundtrips,
 )
-from dds_trace.analyzer.verdicts.gates import (
+from .verdicts.gates import (
     Gate,
     GateOutcome,
     GateResult,
@@ -68,7 +68,7 @@ from dds_trace.analyzer.verdicts.gates import (
     parse_gate,
     varying_columns,
 )
-from dds_trace.analyzer.verdicts.recommend import (
+from .verdicts.recommend import (
     Candidate,
     Fit,
     Job,

@@ -12,10 +12,11 @@ if TYPE_CHECKING:
 
     import polars as pl
 
-    from dds_trace.analyzer.pairing.rows import RoundTripRows
-    from dds_trace.analyzer.verdicts.answers import Answer
-    from dds_trace.analyzer.verdicts.recommend import Recommendation
     from dds_trace.tracefile import Run, Session
+
+    from .pairing.rows import RoundTripRows
+    from .verdicts.answers import Answer
+    from .verdicts.recommend import Recommendation
 
 
 class Severity(Enum):

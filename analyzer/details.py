@@ -6,19 +6,19 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
-from dds_trace.analyzer.analysis import Details
-from dds_trace.analyzer.clocks.alignment import ping_boots
-from dds_trace.analyzer.findings.left_out import is_too_large
-from dds_trace.analyzer.groups.host_samples import host_sample_frame
-from dds_trace.analyzer.groups.interval_frames import (
+from .analysis import Details
+from .clocks.alignment import ping_boots
+from .findings.left_out import is_too_large
+from .groups.host_samples import host_sample_frame
+from .groups.interval_frames import (
     INTERVAL_SCHEMA,
     ONE_WAY_SCHEMA,
     interval_rows,
     one_way_rows,
 )
-from dds_trace.analyzer.pairing.one_way import fit_devices, segment_table
-from dds_trace.analyzer.pairing.rows import partition_groups
-from dds_trace.analyzer.verdicts.answers import (
+from .pairing.one_way import fit_devices, segment_table
+from .pairing.rows import partition_groups
+from .verdicts.answers import (
     ANSWER_COLUMNS,
     CASE_COLUMNS,
     CONTENDER_COLUMNS,
@@ -26,17 +26,17 @@ from dds_trace.analyzer.verdicts.answers import (
     contender_names,
     without_floor,
 )
-from dds_trace.analyzer.verdicts.compare import BRIDGE_MATCH_COLUMNS, QUANTILES, CompareOptions, bridge_cost
-from dds_trace.analyzer.verdicts.recommend import recommend_settings
+from .verdicts.compare import BRIDGE_MATCH_COLUMNS, QUANTILES, CompareOptions, bridge_cost
+from .verdicts.recommend import recommend_settings
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from dds_trace.analyzer.groups.batch import Wanted
-    from dds_trace.analyzer.groups.frames import Frames
-    from dds_trace.analyzer.loading.campaign import Campaign
-    from dds_trace.analyzer.pairing.rows import RowsByGroup
-    from dds_trace.analyzer.verdicts.answers import Answer
+    from .groups.batch import Wanted
+    from .groups.frames import Frames
+    from .loading.campaign import Campaign
+    from .pairing.rows import RowsByGroup
+    from .verdicts.answers import Answer
 
 _COSTS = CompareOptions(metrics=("latency",), statistics=tuple(QUANTILES))
 

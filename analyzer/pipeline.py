@@ -5,33 +5,35 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.analyzer.analysis import Analysis
-from dds_trace.analyzer.details import collect_details
-from dds_trace.analyzer.engines.batches import Work, plan_batches
-from dds_trace.analyzer.engines.cluster import ClusterEngine
-from dds_trace.analyzer.engines.local import LocalEngine
-from dds_trace.analyzer.engines.merge import MergedResults
-from dds_trace.analyzer.findings.evidence import Evidence
-from dds_trace.analyzer.findings.left_out import SKETCHED, earlier_rows, size_findings
-from dds_trace.analyzer.findings.table import find_findings
-from dds_trace.analyzer.groups.batch import Wanted
-from dds_trace.analyzer.groups.summary import group_exchanges
-from dds_trace.analyzer.loading.remote import is_remote
-from dds_trace.analyzer.pairing.exchanges import find_exchanges
-from dds_trace.analyzer.pairing.parquet import write_summary
-from dds_trace.analyzer.pairing.rows import RowKeeper, RowsByGroup
 from dds_trace.tracefile import MissingEventsError
+
+from .analysis import Analysis
+from .details import collect_details
+from .engines.batches import Work, plan_batches
+from .engines.cluster import ClusterEngine
+from .engines.local import LocalEngine
+from .engines.merge import MergedResults
+from .findings.evidence import Evidence
+from .findings.left_out import SKETCHED, earlier_rows, size_findings
+from .findings.table import find_findings
+from .groups.batch import Wanted
+from .groups.summary import group_exchanges
+from .loading.remote import is_remote
+from .pairing.exchanges import find_exchanges
+from .pairing.parquet import write_summary
+from .pairing.rows import RowKeeper, RowsByGroup
 
 if TYPE_CHECKING:
     import os
     from collections.abc import Iterator
 
-    from dds_trace.analyzer.engines.local import Engine
-    from dds_trace.analyzer.groups.summary import Grouping
-    from dds_trace.analyzer.loading.campaign import Campaign, Progress
-    from dds_trace.analyzer.pairing.exchanges import Exchanges
-    from dds_trace.analyzer.verdicts.recommend import Job
     from dds_trace.tracefile import Run
+
+    from .engines.local import Engine
+    from .groups.summary import Grouping
+    from .loading.campaign import Campaign, Progress
+    from .pairing.exchanges import Exchanges
+    from .verdicts.recommend import Job
 
 OUTPUT_FOLDER = "analysis"
 """Where results go by default, below the analyzed folder."""
@@ -62,7 +64,7 @@ def analyze(
 ) -> Analysis:
     """Analyze every trace in a folder.
 
-        from dds_trace.analyzer import analyze
+        from . import analyze
         a = analyze("runs/")
         a.summary.select("vendor", "payload_bytes", "latency_p50_ns", "latency_p99_ns")
 

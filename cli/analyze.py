@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dds_trace.cli import compare, watch
-from dds_trace.cli.errors import run_command
 from dds_trace.tracefile import OptionError
+
+from . import compare, watch
+from .errors import run_command
 
 if TYPE_CHECKING:
     from dds_trace.analyzer import Analysis
@@ -158,7 +159,7 @@ def main_command(
     if derived_mcap:
         exported += _write_derived(analysis, target)
     if analysis.details is not None and analysis.details.recommendation is not None:
-        from dds_trace.cli.analyze_text import print_recommendation
+        from .analyze_text import print_recommendation
 
         print_recommendation(analysis.details.recommendation)
     for path in (*analysis.outputs.values(), *reports, *exported):
@@ -181,7 +182,8 @@ def _duration_ns(text: str) -> int:
 
 def _show_topics(folder: Path, target: Path) -> None:
     from dds_trace.analyzer import analyze_topics
-    from dds_trace.cli.analyze_text import print_topics
+
+    from .analyze_text import print_topics
 
     report = analyze_topics(folder, skip=[target])
     print_topics(report)

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dds_trace.cli import choices
-from dds_trace.cli.errors import run_command
+from . import choices
+from .errors import run_command
 
 if TYPE_CHECKING:
     from dds_trace.recorder.bridges import Bridge, BridgeOptions, RunningBridge
@@ -91,10 +91,11 @@ def main_command(
 
     [bold]dds-bridge zenoh-bridge-dds --half relay --peer 192.168.0.5:7447[/bold]
     """
-    from dds_trace.cli.record.values import default_discovery, parse_durations
     from dds_trace.recorder.backends.base import Discovery
     from dds_trace.recorder.bridges import BRIDGED_TOPICS, BridgeOptions, Half, bridged_topic, load_bridge
     from dds_trace.tracefile import OptionError, Qos
+
+    from .record.values import default_discovery, parse_durations
 
     if list_them:
         _list(as_json=as_json)

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dds_trace.cli.errors import run_command
 from dds_trace.tracefile import OptionError, __version__
+
+from .errors import run_command
 
 if TYPE_CHECKING:
     from dds_trace.recorder.sweep import Cell, Plan

@@ -1,12 +1,13 @@
 """The ping and relay roles that stamp T1-T4 and hand them to a trace."""
 
-from dds_trace.recorder.backends.base import Discovery, ExecutorKind, NodeOptions, Serialization, Transport
-from dds_trace.recorder.options import DEFAULT_MESSAGES, DEFAULT_WARMUP, PingOptions, RecordOptions
-from dds_trace.recorder.recording import Recorded, record
-from dds_trace.recorder.roles.floor import FloorCost, measure_floor
-from dds_trace.recorder.roles.progress import PingProgress, RelayProgress, Watch
 from dds_trace.tracefile.units.durations import parse_duration
 from dds_trace.tracefile.units.sizes import format_size, parse_size
+
+from .backends.base import Discovery, ExecutorKind, NodeOptions, Serialization, Transport
+from .options import DEFAULT_MESSAGES, DEFAULT_WARMUP, PingOptions, RecordOptions
+from .recording import Recorded, record
+from .roles.floor import FloorCost, measure_floor
+from .roles.progress import PingProgress, RelayProgress, Watch
 
 __all__ = [
     "DEFAULT_MESSAGES",

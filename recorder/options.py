@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from dds_trace.recorder.backends.base import NodeOptions, Serialization
 from dds_trace.tracefile import OptionError, OutputExistsError, TraceDestination
+
+from .backends.base import NodeOptions, Serialization
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -10,31 +10,33 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.backends import open_node
-from dds_trace.recorder.backends.domains import check_domain
-from dds_trace.recorder.bridges.asked import open_asked_bridge
-from dds_trace.recorder.host.clock import SystemClock
-from dds_trace.recorder.host.privileges import apply_privileges
-from dds_trace.recorder.host.sampling import HostSampler
-from dds_trace.recorder.host.steady import collect_young, steady_interpreter
-from dds_trace.recorder.payloads import load_payload, open_live_payload, served_data_types
-from dds_trace.recorder.roles.echo import explain_silence, look_for_relays
-from dds_trace.recorder.roles.floor import measured_cost, measured_floor
-from dds_trace.recorder.roles.ping import Ping
-from dds_trace.recorder.roles.plan import check_serialization, plan_run
-from dds_trace.recorder.roles.relay import Relay
-from dds_trace.recorder.roles.session import describe_session
 from dds_trace.tracefile import HOST_TOPIC, NoEchoError, TraceSink
+
+from .backends import open_node
+from .backends.domains import check_domain
+from .bridges.asked import open_asked_bridge
+from .host.clock import SystemClock
+from .host.privileges import apply_privileges
+from .host.sampling import HostSampler
+from .host.steady import collect_young, steady_interpreter
+from .payloads import load_payload, open_live_payload, served_data_types
+from .roles.echo import explain_silence, look_for_relays
+from .roles.floor import measured_cost, measured_floor
+from .roles.ping import Ping
+from .roles.plan import check_serialization, plan_run
+from .roles.relay import Relay
+from .roles.session import describe_session
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from dds_trace.recorder.backends.base import Node
-    from dds_trace.recorder.bridges import RunningBridge
-    from dds_trace.recorder.options import PingOptions, RecordOptions
-    from dds_trace.recorder.payloads.base import Payload
-    from dds_trace.recorder.roles.progress import PingProgress, RelayProgress, Watch
     from dds_trace.tracefile import ClosedTrace, Run, Session
+
+    from .backends.base import Node
+    from .bridges import RunningBridge
+    from .options import PingOptions, RecordOptions
+    from .payloads.base import Payload
+    from .roles.progress import PingProgress, RelayProgress, Watch
 
 LOOK_S = 0.5
 """Between two looks at a role while it runs."""

@@ -10,9 +10,9 @@ from enum import Enum
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.reports.book.answer import answer_info
-from dds_trace.reports.book.overview import overview_info
-from dds_trace.reports.book.own_cost import own_costs
+from .book.answer import answer_info
+from .book.overview import overview_info
+from .book.own_cost import own_costs
 
 if TYPE_CHECKING:
     from pathlib import Path

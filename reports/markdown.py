@@ -4,21 +4,22 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from dds_trace.reports.book.answer import answer_info
-from dds_trace.reports.book.findings import findings_info
-from dds_trace.reports.book.groups import METRICS, STATISTICS, data_type_label, groups_info
-from dds_trace.reports.book.intervals import intervals_info
-from dds_trace.reports.book.overview import overview_info
-from dds_trace.reports.book.values import values_info
-from dds_trace.reports.figures.comparison.bridge_cost import bridge_cost_info
-from dds_trace.reports.text import format_added_ns, format_hz, format_ns, format_ratio, format_size, markdown
+from .book.answer import answer_info
+from .book.findings import findings_info
+from .book.groups import METRICS, STATISTICS, data_type_label, groups_info
+from .book.intervals import intervals_info
+from .book.overview import overview_info
+from .book.values import values_info
+from .figures.comparison.bridge_cost import bridge_cost_info
+from .text import format_added_ns, format_hz, format_ns, format_ratio, format_size, markdown
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
     from dds_trace.analyzer.analysis import Analysis
-    from dds_trace.reports.figures.comparison.bridge_cost import Cost
+
+    from .figures.comparison.bridge_cost import Cost
 
 FILE_NAME = "report.md"
 MOST_GROUPS = 150

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol
 
-from dds_trace.reports import document, markdown, terminal
-from dds_trace.reports.html import page
 from dds_trace.tracefile.errors import OptionError, OutputError
+
+from . import document, markdown, terminal
+from .html import page
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -12,21 +12,22 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from dds_trace.reports.book.answer import answer_info
-from dds_trace.reports.book.curves import curves_info
-from dds_trace.reports.book.findings import findings_info
-from dds_trace.reports.book.groups import METRICS, groups_info
-from dds_trace.reports.book.overview import overview_info
-from dds_trace.reports.book.values import values_info
-from dds_trace.reports.text import MISSING, format_hz, format_ns, format_ratio, format_size, visible
+from .book.answer import answer_info
+from .book.curves import curves_info
+from .book.findings import findings_info
+from .book.groups import METRICS, groups_info
+from .book.overview import overview_info
+from .book.values import values_info
+from .text import MISSING, format_hz, format_ns, format_ratio, format_size, visible
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
     from dds_trace.analyzer.analysis import Analysis
-    from dds_trace.reports.book.groups import Groups
-    from dds_trace.reports.book.values import Values
+
+    from .book.groups import Groups
+    from .book.values import Values
 
 WIDTH = 80
 SPARK_CELLS = 16

@@ -1,6 +1,6 @@
 """The contract between the devices that record and the machine that analyzes: one `.mcap` file."""
 
-from dds_trace.tracefile.errors import (
+from .errors import (
     BackendUnavailableError,
     BridgeError,
     MissingEventsError,
@@ -11,8 +11,8 @@ from dds_trace.tracefile.errors import (
     TraceError,
     TraceFormatError,
 )
-from dds_trace.tracefile.format.descriptions import FORMAT_VERSION, Qos, Run, Session
-from dds_trace.tracefile.format.events import (
+from .format.descriptions import FORMAT_VERSION, Qos, Run, Session
+from .format.events import (
     CDR_HEADER,
     EVENT_DTYPE,
     HOST_TOPIC,
@@ -23,19 +23,19 @@ from dds_trace.tracefile.format.events import (
     pack_event,
     unpack_event,
 )
-from dds_trace.tracefile.reading.discovery import find_traces
-from dds_trace.tracefile.reading.reader import (
+from .reading.discovery import find_traces
+from .reading.reader import (
     expected_events,
     iter_event_batches,
     read_descriptions,
     read_trace,
 )
-from dds_trace.tracefile.reading.trace import Trace
-from dds_trace.tracefile.recovery.recover import RecoveryReport, recover
-from dds_trace.tracefile.version import __version__
-from dds_trace.tracefile.writing.background import run_in_background
-from dds_trace.tracefile.writing.cost import RecorderCost, measure_recorder_cost
-from dds_trace.tracefile.writing.sink import ClosedTrace, TraceDestination, TraceSink
+from .reading.trace import Trace
+from .recovery.recover import RecoveryReport, recover
+from .version import __version__
+from .writing.background import run_in_background
+from .writing.cost import RecorderCost, measure_recorder_cost
+from .writing.sink import ClosedTrace, TraceDestination, TraceSink
 
 __all__ = [
     "CDR_HEADER",

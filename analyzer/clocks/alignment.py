@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 
-from dds_trace.analyzer.clocks.fit import ClockFit, fit_clock
+from .fit import ClockFit, fit_clock
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

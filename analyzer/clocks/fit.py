@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from dds_trace.analyzer.clocks.lines import DRIFT, Intervals, Lines, find_stretches, find_windows
+from .lines import DRIFT, Intervals, Lines, find_stretches, find_windows
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dds_trace.analyzer.groups.batch import Batch, Wanted
-from dds_trace.analyzer.groups.frames import frames_of
-from dds_trace.analyzer.groups.summary import count_exchanges, measure_batch, metric_values
-from dds_trace.analyzer.loading.events import merge_parts
-from dds_trace.analyzer.model.metrics import METRICS
-from dds_trace.analyzer.pairing.parquet import table_of
-from dds_trace.analyzer.pairing.roundtrips import pair_exchanges
+from ..groups.batch import Batch, Wanted
+from ..groups.frames import frames_of
+from ..groups.summary import count_exchanges, measure_batch, metric_values
+from ..loading.events import merge_parts
+from ..model.metrics import METRICS
+from ..pairing.parquet import table_of
+from ..pairing.roundtrips import pair_exchanges
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     import pyarrow as pa
     from numpy.typing import NDArray
 
-    from dds_trace.analyzer.groups.frames import Frames
-    from dds_trace.analyzer.groups.summary import Statistics
-    from dds_trace.analyzer.loading.events import Copies, Part, StageKey
-    from dds_trace.analyzer.pairing.exchanges import Exchange
-    from dds_trace.analyzer.pairing.roundtrips import PairedExchanges
+    from ..groups.frames import Frames
+    from ..groups.summary import Statistics
+    from ..loading.events import Copies, Part, StageKey
+    from ..pairing.exchanges import Exchange
+    from ..pairing.roundtrips import PairedExchanges
 
 BATCH_EVENTS = 1_000_000
 """Events of a batch, unless one group alone has more: a hundred megabytes while it is worked at. Of a campaign of few

@@ -13,19 +13,20 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.analyzer.engines.batches import work_at
-from dds_trace.analyzer.loading.campaign import campaign_of, skipped_source
-from dds_trace.analyzer.loading.remote import find_anywhere
-from dds_trace.analyzer.loading.shelf import LoadedTrace, load_trace
 from dds_trace.tracefile import BackendUnavailableError, EventColumns, TraceFormatError
+
+from ..loading.campaign import campaign_of, skipped_source
+from ..loading.remote import find_anywhere
+from ..loading.shelf import LoadedTrace, load_trace
+from .batches import work_at
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping, Sequence
 
-    from dds_trace.analyzer.analysis import Source
-    from dds_trace.analyzer.engines.batches import Work, Worked
-    from dds_trace.analyzer.loading.campaign import Campaign, Progress
-    from dds_trace.analyzer.loading.events import EventsByKey, Part, StageKey
+    from ..analysis import Source
+    from ..loading.campaign import Campaign, Progress
+    from ..loading.events import EventsByKey, Part, StageKey
+    from .batches import Work, Worked
 
 _TIMEOUT_S = 30
 

@@ -7,18 +7,18 @@ from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Protocol
 
-from dds_trace.analyzer.engines.batches import work_at
-from dds_trace.analyzer.loading.campaign import load_campaign
-from dds_trace.analyzer.loading.shelf import TraceShelf
+from ..loading.campaign import load_campaign
+from ..loading.shelf import TraceShelf
+from .batches import work_at
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
     from concurrent.futures import Future
     from pathlib import Path
 
-    from dds_trace.analyzer.engines.batches import Work, Worked
-    from dds_trace.analyzer.loading.campaign import Campaign, Progress
-    from dds_trace.analyzer.loading.events import EventsByKey
+    from ..loading.campaign import Campaign, Progress
+    from ..loading.events import EventsByKey
+    from .batches import Work, Worked
 
 _MOST_WORKERS = 2  # each holds a batch; the writing of rows takes another core
 

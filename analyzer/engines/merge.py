@@ -6,17 +6,17 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from dds_trace.analyzer.engines.oversized import ValueSpool, merge_sketches
-from dds_trace.analyzer.groups.frames import concatenate_frames
-from dds_trace.analyzer.groups.summary import Statistics, summarize_groups
-from dds_trace.analyzer.loading.events import merge_parts, total_copies
-from dds_trace.analyzer.pairing.roundtrips import PairedExchanges
+from ..groups.frames import concatenate_frames
+from ..groups.summary import Statistics, summarize_groups
+from ..loading.events import merge_parts, total_copies
+from ..pairing.roundtrips import PairedExchanges
+from .oversized import ValueSpool, merge_sketches
 
 if TYPE_CHECKING:
-    from dds_trace.analyzer.engines.batches import Worked
-    from dds_trace.analyzer.groups.frames import Frames
-    from dds_trace.analyzer.groups.summary import Grouping, Summary
-    from dds_trace.analyzer.loading.events import Copies, EventsByKey, StageKey
+    from ..groups.frames import Frames
+    from ..groups.summary import Grouping, Summary
+    from ..loading.events import Copies, EventsByKey, StageKey
+    from .batches import Worked
 
 
 class MergedResults:

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from dds_trace.analyzer.groups.summary import Statistics, measure_groups
-from dds_trace.analyzer.model.metrics import METRICS
-from dds_trace.analyzer.statistics.percentiles import PERCENTILES, K
+from ..groups.summary import Statistics, measure_groups
+from ..model.metrics import METRICS
+from ..statistics.percentiles import PERCENTILES, K
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     import polars as pl
 
-    from dds_trace.analyzer.analysis import Analysis
+    from ..analysis import Analysis
 
 EXPORTERS: Mapping[str, Callable[[pl.LazyFrame, Path], object]] = {
     "csv": lambda rows, path: rows.sink_csv(path),

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
-from dds_trace.analyzer.analysis import Finding, Severity
-from dds_trace.analyzer.clocks.alignment import ping_boots
+from ..analysis import Finding, Severity
+from ..clocks.alignment import ping_boots
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from dds_trace.analyzer.findings.evidence import Evidence
+    from .evidence import Evidence
 
 _DRIFT_PPB = 100_000
 """A crystal is off by less than 100 ppm; more is a clock that is being slewed, or a fault."""

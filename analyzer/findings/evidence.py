@@ -6,18 +6,19 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from dds_trace.analyzer.model.names import name_groups
+from ..model.names import name_groups
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from dds_trace.analyzer.analysis import Details
-    from dds_trace.analyzer.groups.summary import Grouping, Summary
-    from dds_trace.analyzer.loading.campaign import Campaign
-    from dds_trace.analyzer.pairing.exchanges import Exchange, Exchanges
-    from dds_trace.analyzer.pairing.pair import Published
-    from dds_trace.analyzer.pairing.roundtrips import PairedExchanges
     from dds_trace.tracefile import Session
+
+    from ..analysis import Details
+    from ..groups.summary import Grouping, Summary
+    from ..loading.campaign import Campaign
+    from ..pairing.exchanges import Exchange, Exchanges
+    from ..pairing.pair import Published
+    from ..pairing.roundtrips import PairedExchanges
 
 _MOST_FILES = 2
 """Files that a session's name lists: those of a long sweep would fill a screen."""

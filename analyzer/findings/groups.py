@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections import defaultdict
 from typing import TYPE_CHECKING
 
-from dds_trace.analyzer.analysis import Finding, Severity
-from dds_trace.analyzer.findings.evidence import exchange_name, percent, some
-from dds_trace.analyzer.model.metrics import METRICS
-from dds_trace.analyzer.pairing.pair import Outcome
-from dds_trace.analyzer.statistics.percentiles import PERCENTILES
+from ..analysis import Finding, Severity
+from ..model.metrics import METRICS
+from ..pairing.pair import Outcome
+from ..statistics.percentiles import PERCENTILES
+from .evidence import exchange_name, percent, some
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from dds_trace.analyzer.findings.evidence import Evidence
-    from dds_trace.analyzer.statistics.percentiles import Percentile
+    from ..statistics.percentiles import Percentile
+    from .evidence import Evidence
 
 _LOST = {
     Outcome.LOST_OUTBOUND.value: "on the way out",

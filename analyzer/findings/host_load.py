@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections import defaultdict
 from typing import TYPE_CHECKING
 
-from dds_trace.analyzer.analysis import Finding, Severity
+from ..analysis import Finding, Severity
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from dds_trace.analyzer.findings.evidence import Evidence
+    from .evidence import Evidence
 
 _SATURATED_PERCENT = 95.0
 _SATURATED_SHARE = 0.1

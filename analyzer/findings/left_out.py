@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from dds_trace.analyzer.analysis import Finding, Severity
-from dds_trace.analyzer.engines.batches import WHOLE_GROUP_EVENTS
-from dds_trace.analyzer.engines.oversized import RELATIVE_ERROR
-from dds_trace.analyzer.findings.evidence import some
-from dds_trace.analyzer.pairing.rows import partition_groups
-from dds_trace.analyzer.verdicts.answers import CASE_COLUMNS
-from dds_trace.analyzer.verdicts.compare import BRIDGE_MATCH_COLUMNS
+from ..analysis import Finding, Severity
+from ..engines.batches import WHOLE_GROUP_EVENTS
+from ..engines.oversized import RELATIVE_ERROR
+from ..pairing.rows import partition_groups
+from ..verdicts.answers import CASE_COLUMNS
+from ..verdicts.compare import BRIDGE_MATCH_COLUMNS
+from .evidence import some
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
     import polars as pl
 
-    from dds_trace.analyzer.findings.evidence import Evidence
-    from dds_trace.analyzer.pairing.rows import RowsByGroup
+    from ..pairing.rows import RowsByGroup
+    from .evidence import Evidence
 
 MOST_COMPARED_ROWS = 4_000_000
 """Rows of one kind of message that are compared: they are in memory at once, with what sorting them takes."""

@@ -6,14 +6,14 @@ from collections import defaultdict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.analyzer.analysis import Finding, Severity
-from dds_trace.analyzer.findings.evidence import exchange_name, percent, some
+from ..analysis import Finding, Severity
+from .evidence import exchange_name, percent, some
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from dds_trace.analyzer.findings.evidence import Evidence
-    from dds_trace.analyzer.pairing.exchanges import Unplaced
+    from ..pairing.exchanges import Unplaced
+    from .evidence import Evidence
 
 _RATE_TOLERANCE = 0.02
 """A run that publishes more than 2 % slower than asked has measured another load."""

@@ -6,14 +6,15 @@ import json
 from collections import Counter, defaultdict
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.analyzer.analysis import Finding, Severity
-from dds_trace.analyzer.findings.evidence import some
+from ..analysis import Finding, Severity
+from .evidence import some
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from dds_trace.analyzer.findings.evidence import Evidence
     from dds_trace.tracefile import Session
+
+    from .evidence import Evidence
 
 _OF_MIDDLEWARE = ("versions", "configuration", "settings")
 """Parts of the fingerprint that differ by nature between middlewares: compared within one vendor only."""

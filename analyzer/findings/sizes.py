@@ -6,13 +6,13 @@ from collections import defaultdict
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.analyzer.analysis import Finding, Severity
-from dds_trace.analyzer.model.columns import PARAMETER_NAMES
+from ..analysis import Finding, Severity
+from ..model.columns import PARAMETER_NAMES
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from dds_trace.analyzer.findings.evidence import Evidence
+    from .evidence import Evidence
 
 _SEGMENT_BYTES = 512 * 1024
 """Fast DDS's shared-memory segment: a message that does not fit goes another way (eProsima, SHM transport)."""

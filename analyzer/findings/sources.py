@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from dds_trace.analyzer.analysis import Finding, Severity
-from dds_trace.analyzer.findings.evidence import some
+from ..analysis import Finding, Severity
+from .evidence import some
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from dds_trace.analyzer.findings.evidence import Evidence
+    from .evidence import Evidence
 
 
 def skipped_files(evidence: Evidence) -> Iterator[Finding]:

@@ -10,14 +10,14 @@ from collections import defaultdict
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from dds_trace.analyzer.analysis import Finding, Severity
-from dds_trace.analyzer.findings import clocks, groups, runs, sessions, sizes, sources
-from dds_trace.analyzer.findings import host_load as load
+from ..analysis import Finding, Severity
+from . import clocks, groups, runs, sessions, sizes, sources
+from . import host_load as load
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from dds_trace.analyzer.findings.evidence import Evidence
+    from .evidence import Evidence
 
     Check = Callable[[Evidence], Iterator[Finding]]
 

@@ -9,8 +9,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from dds_trace.analyzer.pairing.roundtrips import RoundTrips
-    from dds_trace.analyzer.verdicts.recommend import Job
+    from ..pairing.roundtrips import RoundTrips
+    from ..verdicts.recommend import Job
 
 
 @dataclass(frozen=True, slots=True)

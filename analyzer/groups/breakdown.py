@@ -19,8 +19,9 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from dds_trace.analyzer.clocks.alignment import session_of_run
 from dds_trace.tracefile import Stage
+
+from ..clocks.alignment import session_of_run
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from dds_trace.analyzer.groups.interval_frames import (
+from .interval_frames import (
     breakdown_frame,
     freshness_frame,
     interval_frame,
@@ -22,12 +22,12 @@ from dds_trace.analyzer.groups.interval_frames import (
     outage_frame,
     response_frame,
 )
-from dds_trace.analyzer.groups.timeline import draw_timeline
+from .timeline import draw_timeline
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from dds_trace.analyzer.groups.batch import Batch
+    from .batch import Batch
 
     Frames = dict[str, pl.DataFrame]
     """Name -> frame; the names are those of `MAKERS` and, where asked for, of `DETAIL_MAKERS`."""

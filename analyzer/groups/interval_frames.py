@@ -7,25 +7,26 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 
-from dds_trace.analyzer.groups.breakdown import (
+from ..model.metrics import METRICS
+from ..pairing.one_way import knots_of
+from ..pairing.pair import MISSING
+from ..statistics.intervals import percentile_interval
+from ..statistics.percentiles import PERCENTILES, summarize_values
+from .breakdown import (
     STAMP_COLUMNS,
     break_down,
     response_against_latency,
     summarize_breakdown,
 )
-from dds_trace.analyzer.groups.freshness import outage_table, summarize_freshness
-from dds_trace.analyzer.model.metrics import METRICS
-from dds_trace.analyzer.pairing.one_way import knots_of
-from dds_trace.analyzer.pairing.pair import MISSING
-from dds_trace.analyzer.statistics.intervals import percentile_interval
-from dds_trace.analyzer.statistics.percentiles import PERCENTILES, summarize_values
+from .freshness import outage_table, summarize_freshness
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from dds_trace.analyzer.groups.batch import Batch
-    from dds_trace.analyzer.pairing.roundtrips import RoundTrips
     from dds_trace.tracefile import EventColumns
+
+    from ..pairing.roundtrips import RoundTrips
+    from .batch import Batch
 
 INTERVAL_SCHEMA: dict[str, type[pl.DataType]] = {
     "group": pl.UInt32,

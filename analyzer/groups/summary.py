@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from dds_trace.analyzer.model.columns import PARAMETER_COLUMNS, STATISTICS, SUMMARY_COLUMNS, schema_of
-from dds_trace.analyzer.model.metrics import METRICS
-from dds_trace.analyzer.pairing.pair import LOSSES, OUTCOMES, Outcome
-from dds_trace.analyzer.statistics.percentiles import Histogram, histogram_of, summarize_values
+from ..model.columns import PARAMETER_COLUMNS, STATISTICS, SUMMARY_COLUMNS, schema_of
+from ..model.metrics import METRICS
+from ..pairing.pair import LOSSES, OUTCOMES, Outcome
+from ..statistics.percentiles import Histogram, histogram_of, summarize_values
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
-    from dds_trace.analyzer.pairing.exchanges import Exchange
-    from dds_trace.analyzer.pairing.roundtrips import RoundTrips
+    from ..pairing.exchanges import Exchange
+    from ..pairing.roundtrips import RoundTrips
 
 
 _NS_PER_S = 1_000_000_000

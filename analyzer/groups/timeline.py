@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from dds_trace.analyzer.pairing.pair import Outcome
+from ..pairing.pair import Outcome
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from dds_trace.analyzer.pairing.roundtrips import RoundTrips
+    from ..pairing.roundtrips import RoundTrips
 
 
 _ALL_POINTS = 100_000

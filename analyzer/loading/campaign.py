@@ -7,17 +7,19 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.analyzer.analysis import Source
-from dds_trace.analyzer.loading.events import Copies, EventsByKey, index_parts
-from dds_trace.analyzer.loading.remote import find_anywhere
-from dds_trace.analyzer.loading.shelf import TraceShelf
 from dds_trace.tracefile import MissingEventsError, TraceFormatError
+
+from ..analysis import Source
+from .events import Copies, EventsByKey, index_parts
+from .remote import find_anywhere
+from .shelf import TraceShelf
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
-    from dds_trace.analyzer.loading.shelf import LoadedTrace
     from dds_trace.tracefile import Run, Session, Trace
+
+    from .shelf import LoadedTrace
 
     Progress = Callable[[int, int, Path], None]
     """Told before each trace is read: how many are done, how many there are, and which comes next."""

@@ -15,15 +15,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.analyzer.loading.event_store import StoredEvents, write_events
-from dds_trace.analyzer.loading.events import Part, split_trace
-from dds_trace.analyzer.loading.remote import is_remote, local_copy, remote_key
 from dds_trace.tracefile import OutputError, Run, Session, Stage, Trace, TraceFormatError, read_trace
+
+from .event_store import StoredEvents, write_events
+from .events import Part, split_trace
+from .remote import is_remote, local_copy, remote_key
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from dds_trace.analyzer.loading.events import StageKey
+    from .events import StageKey
 
 MOST_HELD_EVENTS = 24_000_000
 """Events that stay in memory, 56 bytes each; those of further traces wait in files."""

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import polars as pl
 
-from dds_trace.analyzer.model.metrics import METRICS
-from dds_trace.analyzer.statistics.percentiles import PERCENTILES
+from ..statistics.percentiles import PERCENTILES
+from .metrics import METRICS
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,15 +7,17 @@ from collections import defaultdict
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.analyzer.model.columns import PARAMETER_NAMES
 from dds_trace.tracefile import EventColumns, Stage
+
+from ..model.columns import PARAMETER_NAMES
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
-    from dds_trace.analyzer.loading.campaign import Campaign
-    from dds_trace.analyzer.loading.events import Key, StageKey
     from dds_trace.tracefile import Run, Session
+
+    from ..loading.campaign import Campaign
+    from ..loading.events import Key, StageKey
 
 NO_RELAY = 0
 

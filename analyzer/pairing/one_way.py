@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 
-from dds_trace.analyzer.clocks.fit import ClockFit, fit_clock
+from ..clocks.fit import ClockFit, fit_clock
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from dds_trace.analyzer.pairing.exchanges import Exchange
+    from .exchanges import Exchange
 
 ONE_WAY_COLUMNS = ("outbound_ns", "return_ns", "clock_bound_ns")
 

@@ -12,16 +12,17 @@ import polars as pl
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from dds_trace.analyzer.model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS, Column
-from dds_trace.analyzer.pairing.pair import OUTCOMES
 from dds_trace.tracefile import OutputError
+
+from ..model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS, Column
+from .pair import OUTCOMES
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
     from types import TracebackType
 
-    from dds_trace.analyzer.pairing.roundtrips import RoundTrips
+    from .roundtrips import RoundTrips
 
 _ROWS_PER_GROUP = 1 << 20
 

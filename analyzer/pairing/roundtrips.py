@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 import polars as pl
 
-from dds_trace.analyzer.model.columns import KEY_COLUMNS, PARAMETER_COLUMNS, ROUNDTRIP_COLUMNS, schema_of
-from dds_trace.analyzer.model.metrics import with_metrics
-from dds_trace.analyzer.pairing.one_way import OneWay, fit_exchanges
-from dds_trace.analyzer.pairing.pair import MISSING, OUTCOMES, Published, pair_messages, published_messages
+from ..model.columns import KEY_COLUMNS, PARAMETER_COLUMNS, ROUNDTRIP_COLUMNS, schema_of
+from ..model.metrics import with_metrics
+from .one_way import OneWay, fit_exchanges
+from .pair import MISSING, OUTCOMES, Published, pair_messages, published_messages
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    from dds_trace.analyzer.clocks.fit import ClockFit
-    from dds_trace.analyzer.pairing.exchanges import Exchange
+    from ..clocks.fit import ClockFit
+    from .exchanges import Exchange
 
 
 Scalar = TypeVar("Scalar", bound=np.generic)

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import polars as pl
 import pyarrow as pa
 
-from dds_trace.analyzer.model.columns import PARAMETER_NAMES, ROUNDTRIP_COLUMNS, schema_of
-from dds_trace.analyzer.pairing.parquet import RoundTripsWriter
+from ..model.columns import PARAMETER_NAMES, ROUNDTRIP_COLUMNS, schema_of
+from .parquet import RoundTripsWriter
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

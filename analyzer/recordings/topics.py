@@ -10,15 +10,16 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from dds_trace.analyzer.analysis import Source
-from dds_trace.analyzer.recordings.messages import find_recordings, iter_messages
 from dds_trace.tracefile.errors import MissingEventsError, TraceFormatError
+
+from ..analysis import Source
+from .messages import find_recordings, iter_messages
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
     from pathlib import Path
 
-    from dds_trace.analyzer.recordings.messages import RecordedMessage, Topic
+    from .messages import RecordedMessage, Topic
 
 Int64 = NDArray[np.int64]
 

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dds_trace.analyzer.statistics.sample_size import minimum_messages
+from .sample_size import minimum_messages
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]

@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 from fractions import Fraction
 
-from dds_trace.analyzer.statistics.percentiles import PERCENTILES
+from .percentiles import PERCENTILES
 
 
 def planned_messages(quantile: float, confidence: float = 0.95, inflation: float = 1.0) -> int:

@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 
-from dds_trace.analyzer.statistics.intervals import percentile_interval, ranges_overlap, ratio_interval
-from dds_trace.analyzer.verdicts.recommend import CELL_COLUMNS, SETTING_COLUMNS, delivered_latencies, parts_of
+from ..statistics.intervals import percentile_interval, ranges_overlap, ratio_interval
+from .recommend import CELL_COLUMNS, SETTING_COLUMNS, delivered_latencies, parts_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from dds_trace.analyzer.statistics.intervals import Interval
+    from ..statistics.intervals import Interval
 
     ContenderNames = Mapping[tuple[Any, ...], str]
     """The values of `CONTENDER_COLUMNS` -> what the setting is called."""

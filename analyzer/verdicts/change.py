@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dds_trace.analyzer.statistics.intervals import (
+from ..statistics.intervals import (
     REPLICATES,
     SEED,
     bootstrap_mean,
@@ -17,13 +17,13 @@ from dds_trace.analyzer.statistics.intervals import (
     dependence_of,
     quantile_of,
 )
-from dds_trace.analyzer.statistics.percentiles import PERCENTILES
-from dds_trace.analyzer.statistics.sample_size import planned_messages
+from ..statistics.percentiles import PERCENTILES
+from ..statistics.sample_size import planned_messages
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from dds_trace.analyzer.statistics.intervals import Values
+    from ..statistics.intervals import Values
 
     Float64 = NDArray[np.float64]
 

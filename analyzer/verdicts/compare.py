@@ -16,15 +16,15 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
-from dds_trace.analyzer.model.columns import PARAMETER_NAMES
-from dds_trace.analyzer.statistics.intervals import REPLICATES, ratio_interval
-from dds_trace.analyzer.statistics.percentiles import PERCENTILES
-from dds_trace.analyzer.verdicts.change import Sample, change_of, probability_of_superiority
+from ..model.columns import PARAMETER_NAMES
+from ..statistics.intervals import REPLICATES, ratio_interval
+from ..statistics.percentiles import PERCENTILES
+from .change import Sample, change_of, probability_of_superiority
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from dds_trace.analyzer.statistics.intervals import Interval
+    from ..statistics.intervals import Interval
 
 MATCH_COLUMNS = tuple(
     name

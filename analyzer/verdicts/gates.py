@@ -22,14 +22,15 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.analyzer.model.metrics import METRICS
-from dds_trace.analyzer.verdicts.compare import QUANTILES
 from dds_trace.tracefile.errors import OptionError
+
+from ..model.metrics import METRICS
+from .compare import QUANTILES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from dds_trace.analyzer.verdicts.compare import CompareOptions, Comparison
+    from .compare import CompareOptions, Comparison
 
 STATISTICS = ("mean", *QUANTILES)
 RECEIVED_RATIO = "received_ratio"

@@ -18,11 +18,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 
-from dds_trace.analyzer.statistics.intervals import percentile_interval, ranges_overlap
-from dds_trace.analyzer.statistics.sample_size import minimum_messages, planned_messages
-from dds_trace.analyzer.verdicts.compare import MATCH_COLUMNS
-from dds_trace.analyzer.verdicts.interpolation import guess_cell
 from dds_trace.tracefile.errors import OptionError
+
+from ..statistics.intervals import percentile_interval, ranges_overlap
+from ..statistics.sample_size import minimum_messages, planned_messages
+from .compare import MATCH_COLUMNS
+from .interpolation import guess_cell
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence

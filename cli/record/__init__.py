@@ -1,5 +1,5 @@
 """`dds-record`: its words, values and commands."""
 
-from dds_trace.cli.record.command import main
+from .command import main
 
 __all__ = ["main"]

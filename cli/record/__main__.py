@@ -1,5 +1,5 @@
 """`python -m dds_trace.cli.record`."""
 
-from dds_trace.cli.record.command import main
+from .command import main
 
 main()

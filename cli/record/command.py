@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import typer
 
-from dds_trace.cli import choices
-from dds_trace.cli.errors import run_command
-from dds_trace.cli.record import words  # noqa: TC001 - typer reads the annotations
+from .. import choices
+from ..errors import run_command
+from . import words  # noqa: TC001 - typer reads the annotations
 
 BRIDGED_PING_DOMAIN = 5
 
@@ -68,15 +68,6 @@ def main_command(
 
     [bold]dds-record --role ping  --out ping.mcap[/bold]
     """
-    from dds_trace.cli.record.run import print_result, record_until_stopped
-    from dds_trace.cli.record.tools import recover_trace, report_own_cost
-    from dds_trace.cli.record.values import (
-        default_discovery,
-        default_domain,
-        parse_durations,
-        parse_labels,
-        refuse_others,
-    )
     from dds_trace.recorder import (
         DEFAULT_WARMUP,
         Discovery,
@@ -89,6 +80,16 @@ def main_command(
         parse_size,
     )
     from dds_trace.tracefile import OptionError, Qos, TraceDestination
+
+    from .run import print_result, record_until_stopped
+    from .tools import recover_trace, report_own_cost
+    from .values import (
+        default_discovery,
+        default_domain,
+        parse_durations,
+        parse_labels,
+        refuse_others,
+    )
 
     if recover_path is not None:
         recover_trace(recover_path)

@@ -8,8 +8,9 @@ import threading
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.cli.progress import TerminalWatch, describe_progress
 from dds_trace.recorder import record
+
+from ..progress import TerminalWatch, describe_progress
 
 if TYPE_CHECKING:
     from dds_trace.recorder import Recorded, RecordOptions

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from dds_trace.cli import choices
+from .. import choices
 
 
 def _panel(title: str) -> Any:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from dds_trace.tracefile import OptionError
 
 if TYPE_CHECKING:
-    from dds_trace.recorder.backends.base import Backend, Node, NodeOptions
+    from .base import Backend, Node, NodeOptions
 
 BACKEND_MODULES = {
     "ros2": "dds_trace.recorder.backends.ros2",

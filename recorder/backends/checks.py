@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from dds_trace.recorder.backends.base import ExecutorKind, Transport
-from dds_trace.recorder.backends.domains import LAST_DOMAIN, first_port
-from dds_trace.recorder.backends.qos import asked_durations
 from dds_trace.tracefile import OptionError
+
+from .base import ExecutorKind, Transport
+from .domains import LAST_DOMAIN, first_port
+from .qos import asked_durations
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
-    from dds_trace.recorder.backends.base import NodeOptions
     from dds_trace.tracefile import Qos
+
+    from .base import NodeOptions
 
 
 def refuse_others_options(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING
 
-from dds_trace.recorder.backends.base import Discovery
+from .base import Discovery
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

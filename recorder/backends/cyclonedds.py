@@ -18,18 +18,19 @@ from importlib import import_module, metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.backends.base import Discovery, Endpoint, Middleware, TopicView
-from dds_trace.recorder.backends.checks import refuse_others_options, refuse_peers, refuse_typed
-from dds_trace.recorder.backends.cyclone_settings import CYCLONE_LOOPBACK, cyclone_settings
-from dds_trace.recorder.backends.dds_types import DDS_TYPES, check_known, dds_name, split_type
-from dds_trace.recorder.backends.qos import asked_durations, duration_extra, incompatible_pairs
 from dds_trace.tracefile import BackendUnavailableError, OptionError, Qos
+
+from .base import Discovery, Endpoint, Middleware, TopicView
+from .checks import refuse_others_options, refuse_peers, refuse_typed
+from .cyclone_settings import CYCLONE_LOOPBACK, cyclone_settings
+from .dds_types import DDS_TYPES, check_known, dds_name, split_type
+from .qos import asked_durations, duration_extra, incompatible_pairs
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from types import TracebackType
 
-    from dds_trace.recorder.backends.base import (
+    from .base import (
         Node,
         NodeOptions,
         Publisher,

@@ -9,8 +9,9 @@ from dds_trace.tracefile.units.durations import INFINITE_NS, format_duration
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
-    from dds_trace.recorder.backends.base import Endpoint
     from dds_trace.tracefile import Qos
+
+    from .base import Endpoint
 
 # A publisher must offer at least what a subscription requests (DDS 1.4, section 2.2.3). From weak to strong.
 RANKS = {

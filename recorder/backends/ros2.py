@@ -22,7 +22,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.backends.base import (
+from dds_trace.tracefile import BackendUnavailableError, OptionError, Qos
+
+from .base import (
     Discovery,
     Endpoint,
     ExecutorKind,
@@ -30,20 +32,19 @@ from dds_trace.recorder.backends.base import (
     TopicView,
     Transport,
 )
-from dds_trace.recorder.backends.checks import refuse_peers
-from dds_trace.recorder.backends.qos import (
+from .checks import refuse_peers
+from .qos import (
     DURATION_POLICIES,
     asked_durations,
     duration_extra,
     incompatible_pairs,
 )
-from dds_trace.tracefile import BackendUnavailableError, OptionError, Qos
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from types import TracebackType
 
-    from dds_trace.recorder.backends.base import (
+    from .base import (
         Node,
         NodeOptions,
         Publisher,

@@ -12,8 +12,10 @@ import threading
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.backends.base import Discovery, Endpoint, Middleware, TopicView, Transport
-from dds_trace.recorder.backends.checks import (
+from dds_trace.tracefile import OptionError, Qos
+
+from .base import Discovery, Endpoint, Middleware, TopicView, Transport
+from .checks import (
     SOCKET_PORT,
     peer_addresses,
     port_of,
@@ -21,14 +23,13 @@ from dds_trace.recorder.backends.checks import (
     refuse_others_options,
     refuse_typed,
 )
-from dds_trace.recorder.backends.socket_links import TUNED_BUFFER_BYTES, Greeting, TcpLinks, UdpLinks
-from dds_trace.tracefile import OptionError, Qos
+from .socket_links import TUNED_BUFFER_BYTES, Greeting, TcpLinks, UdpLinks
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from types import TracebackType
 
-    from dds_trace.recorder.backends.base import (
+    from .base import (
         Node,
         NodeOptions,
         Publisher,

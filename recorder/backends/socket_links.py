@@ -22,7 +22,7 @@ from dds_trace.tracefile import OptionError
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from dds_trace.recorder.backends.base import RawMessage
+    from .base import RawMessage
 
 TUNED_BUFFER_BYTES = 4_000_000
 FRAGMENT_BYTES = 60_000

@@ -14,8 +14,10 @@ from functools import partial
 from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.backends.base import Discovery, Endpoint, Middleware, TopicView
-from dds_trace.recorder.backends.checks import (
+from dds_trace.tracefile import BackendUnavailableError, OptionError, Qos
+
+from .base import Discovery, Endpoint, Middleware, TopicView
+from .checks import (
     ZENOH_PORT,
     peer_addresses,
     port_of,
@@ -23,13 +25,12 @@ from dds_trace.recorder.backends.checks import (
     refuse_others_options,
     refuse_typed,
 )
-from dds_trace.tracefile import BackendUnavailableError, OptionError, Qos
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from types import TracebackType
 
-    from dds_trace.recorder.backends.base import (
+    from .base import (
         Node,
         NodeOptions,
         Publisher,

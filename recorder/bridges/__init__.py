@@ -1,6 +1,6 @@
 """The bridges between two DDS domains: one file for each, launched and supervised, never imported by a role."""
 
-from dds_trace.recorder.bridges.base import (
+from .base import (
     BRIDGED_TOPICS,
     Bridge,
     BridgedTopic,
@@ -10,8 +10,8 @@ from dds_trace.recorder.bridges.base import (
     bridged_topic,
     split_halves,
 )
-from dds_trace.recorder.bridges.process.running import BridgeState, RunningBridge, find_program, open_bridge
-from dds_trace.recorder.bridges.registry import BRIDGE_MODULES, load_bridge
+from .process.running import BridgeState, RunningBridge, find_program, open_bridge
+from .registry import BRIDGE_MODULES, load_bridge
 
 __all__ = [
     "BRIDGED_TOPICS",

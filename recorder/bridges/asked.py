@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from contextlib import ExitStack
 
-    from dds_trace.recorder.bridges import RunningBridge
-    from dds_trace.recorder.options import PingOptions, RecordOptions
-    from dds_trace.recorder.payloads.base import DataType
+    from ..options import PingOptions, RecordOptions
+    from ..payloads.base import DataType
+    from . import RunningBridge
 
 
 def open_asked_bridge(
@@ -24,7 +24,7 @@ def open_asked_bridge(
     """
     if asked.bridge == "none":
         return None
-    from dds_trace.recorder.bridges import (  # noqa: PLC0415 - nothing else needs it loaded
+    from . import (  # noqa: PLC0415 - nothing else needs it loaded
         BRIDGED_TOPICS,
         BridgedTopic,
         BridgeOptions,

@@ -10,8 +10,9 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import TYPE_CHECKING, Protocol
 
-from dds_trace.recorder.backends.base import Discovery, Transport
 from dds_trace.tracefile import OptionError, Qos
+
+from ..backends.base import Discovery, Transport
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -12,8 +12,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.recorder.bridges.base import Halves
-from dds_trace.recorder.bridges.builtin_common import (
+from dds_trace.tracefile import __version__
+
+from .base import Halves
+from .builtin_common import (
     INSTALL_ROS2,
     UP_LINE,
     Traffic,
@@ -23,12 +25,11 @@ from dds_trace.recorder.bridges.builtin_common import (
     run,
     serve,
 )
-from dds_trace.tracefile import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from dds_trace.recorder.bridges.base import BridgeOptions
+    from .base import BridgeOptions
 
 
 @dataclass(frozen=True, slots=True)

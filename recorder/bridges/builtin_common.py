@@ -9,17 +9,18 @@ import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.backends import open_node
-from dds_trace.recorder.backends.base import Discovery, NodeOptions, Transport
-from dds_trace.recorder.bridges.base import BridgedTopic, BridgeOptions, Half
-from dds_trace.recorder.host.steady import collect_young, steady_interpreter
 from dds_trace.tracefile import Qos, TraceError, TraceFormatError
+
+from ..backends import open_node
+from ..backends.base import Discovery, NodeOptions, Transport
+from ..host.steady import collect_young, steady_interpreter
+from .base import BridgedTopic, BridgeOptions, Half
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from dds_trace.recorder.backends.base import Node, Receive
-    from dds_trace.recorder.bridges.base import BridgeSide
+    from ..backends.base import Node, Receive
+    from .base import BridgeSide
 
 INSTALL_ROS2 = "it needs ROS 2's rclpy: pip install 'dds-trace[ros2]', or source /opt/ros/DISTRO/setup.bash"
 UP_LINE = "bridging"

@@ -15,8 +15,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.bridges.base import Halves
-from dds_trace.recorder.bridges.builtin_common import (
+from dds_trace.tracefile import __version__
+
+from .base import Halves
+from .builtin_common import (
     INSTALL_ROS2,
     UP_LINE,
     Traffic,
@@ -26,14 +28,13 @@ from dds_trace.recorder.bridges.builtin_common import (
     run,
     serve,
 )
-from dds_trace.recorder.bridges.zenoh_link import zenoh_link
-from dds_trace.tracefile import __version__
+from .zenoh_link import zenoh_link
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from dds_trace.recorder.backends.base import Receive
-    from dds_trace.recorder.bridges.base import BridgeOptions
+    from ..backends.base import Receive
+    from .base import BridgeOptions
 
 KEY_PREFIX = "dds_trace/bridge"
 """A topic travels between the halves as the zenoh key `dds_trace/bridge/TOPIC`."""

@@ -8,18 +8,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.backends.base import Discovery
-from dds_trace.recorder.backends.qos import asked_durations
-from dds_trace.recorder.bridges.base import Half, Halves, split_address
-from dds_trace.recorder.bridges.process.programs import reported_version
-from dds_trace.recorder.bridges.texts import yaml_text
 from dds_trace.tracefile import OptionError
+
+from ..backends.base import Discovery
+from ..backends.qos import asked_durations
+from .base import Half, Halves, split_address
+from .process.programs import reported_version
+from .texts import yaml_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from dds_trace.recorder.bridges.base import BridgeOptions
     from dds_trace.tracefile import Qos
+
+    from .base import BridgeOptions
 
 PROGRAM = "ddsrouter"
 CONFIGURATION_VERSION = "v5.0"

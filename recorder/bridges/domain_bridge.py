@@ -5,20 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.backends.qos import asked_durations
-from dds_trace.recorder.bridges.base import Halves
-from dds_trace.recorder.bridges.process.programs import (
+from ..backends.qos import asked_durations
+from .base import Halves
+from .process.programs import (
     discovery_environment,
     ros_package_program,
     ros_package_version,
 )
-from dds_trace.recorder.bridges.texts import yaml_text
+from .texts import yaml_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from dds_trace.recorder.bridges.base import BridgeOptions
+    from .base import BridgeOptions
 
 PACKAGE = "domain_bridge"
 

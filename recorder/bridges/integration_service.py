@@ -7,17 +7,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.backends.qos import asked_durations
-from dds_trace.recorder.bridges.base import Halves
-from dds_trace.recorder.bridges.process.programs import discovery_environment
-from dds_trace.recorder.bridges.texts import yaml_text
 from dds_trace.tracefile.units.durations import SECOND_NS
+
+from ..backends.qos import asked_durations
+from .base import Halves
+from .process.programs import discovery_environment
+from .texts import yaml_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from dds_trace.recorder.bridges.base import BridgeOptions
     from dds_trace.tracefile import Qos
+
+    from .base import BridgeOptions
 
 PROGRAM = "integration-service"
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from dds_trace.tracefile import OptionError
 
 if TYPE_CHECKING:
-    from dds_trace.recorder.bridges.base import Bridge
+    from .base import Bridge
 
 BRIDGE_MODULES = {
     "builtin": "dds_trace.recorder.bridges.builtin",

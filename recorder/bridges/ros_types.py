@@ -5,8 +5,8 @@ from __future__ import annotations
 from itertools import groupby
 from typing import TYPE_CHECKING
 
-from dds_trace.recorder.backends.dds_types import DDS_TYPES, dds_name, split_type
-from dds_trace.recorder.bridges.texts import element
+from ..backends.dds_types import DDS_TYPES, dds_name, split_type
+from .texts import element
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element

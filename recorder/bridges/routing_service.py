@@ -8,20 +8,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.recorder.backends.base import Discovery
-from dds_trace.recorder.backends.qos import asked_durations
-from dds_trace.recorder.bridges.base import Halves
-from dds_trace.recorder.bridges.process.programs import reported_version
-from dds_trace.recorder.bridges.ros_types import rti_types
-from dds_trace.recorder.bridges.texts import element, xml_text
 from dds_trace.tracefile.units.durations import SECOND_NS
+
+from ..backends.base import Discovery
+from ..backends.qos import asked_durations
+from .base import Halves
+from .process.programs import reported_version
+from .ros_types import rti_types
+from .texts import element, xml_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from xml.etree.ElementTree import Element
 
-    from dds_trace.recorder.bridges.base import BridgeOptions, BridgeSide
     from dds_trace.tracefile import Qos
+
+    from .base import BridgeOptions, BridgeSide
 
 PROGRAM = "rtiroutingservice"
 CONFIGURATION_NAME = "dds_trace"

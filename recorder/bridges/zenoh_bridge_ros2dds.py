@@ -12,15 +12,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.recorder.backends.base import Discovery
-from dds_trace.recorder.bridges.base import Halves
-from dds_trace.recorder.bridges.process.programs import reported_version, ros_package_program
-from dds_trace.recorder.bridges.zenoh_link import zenoh_environment, zenoh_link
+from ..backends.base import Discovery
+from .base import Halves
+from .process.programs import reported_version, ros_package_program
+from .zenoh_link import zenoh_environment, zenoh_link
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from dds_trace.recorder.bridges.base import BridgeOptions
+    from .base import BridgeOptions
 
 PROGRAM = "zenoh-bridge-ros2dds"
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.backends.cyclone_settings import cyclone_settings
+from ..backends.cyclone_settings import cyclone_settings
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from dds_trace.recorder.bridges.base import BridgeOptions
+    from .base import BridgeOptions
 
 
 def zenoh_link(options: BridgeOptions, mode: str) -> dict[str, Any]:

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import psutil
 
-from dds_trace.recorder.host.fingerprint import read_text, wifi_signals
 from dds_trace.tracefile import run_in_background
+
+from .fingerprint import read_text, wifi_signals
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

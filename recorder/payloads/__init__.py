@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from dds_trace.recorder.payloads import bag, file
-from dds_trace.recorder.payloads.binary import BINARY
-from dds_trace.recorder.payloads.foreign import OWN_TYPES
-from dds_trace.recorder.payloads.header import header_data_type
-from dds_trace.recorder.payloads.imu import IMU
-from dds_trace.recorder.payloads.string import STRING
-from dds_trace.recorder.payloads.topic import open_payload as open_live_payload
 from dds_trace.tracefile import OptionError
+
+from . import bag, file
+from .binary import BINARY
+from .foreign import OWN_TYPES
+from .header import header_data_type
+from .imu import IMU
+from .string import STRING
+from .topic import open_payload as open_live_payload
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from dds_trace.recorder.payloads.base import DataType, Payload
+    from .base import DataType, Payload
 
 DATA_TYPES = {data_type.name: data_type for data_type in (BINARY, STRING, IMU)}
 """By the name that `--data` takes and the trace keeps; a relay serves all of them at once."""

@@ -7,11 +7,12 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.backends.base import Serialization
-from dds_trace.recorder.payloads.base import Message, Payload
-from dds_trace.recorder.payloads.foreign import foreign_data_type, make_room
-from dds_trace.recorder.payloads.limits import check_held_bytes
 from dds_trace.tracefile import BackendUnavailableError, OptionError
+
+from ..backends.base import Serialization
+from .base import Message, Payload
+from .foreign import foreign_data_type, make_room
+from .limits import check_held_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

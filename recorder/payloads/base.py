@@ -9,8 +9,8 @@ if TYPE_CHECKING:
     import threading
     from collections.abc import Callable, Sequence
 
-    from dds_trace.recorder.backends.base import Serialization
-    from dds_trace.recorder.payloads.stamp import StampPlace
+    from ..backends.base import Serialization
+    from .stamp import StampPlace
 
 RELAY_SUFFIX = "_relay"
 """Of a topic's name for the way back."""

@@ -6,14 +6,15 @@ import random
 import struct
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.backends.base import Serialization
-from dds_trace.recorder.payloads.base import DataType, Message, Payload
-from dds_trace.recorder.payloads.cdr import CdrWriter
-from dds_trace.recorder.payloads.stamp import RAW_HEADER_STAMP, TYPED_HEADER_STAMP, stamp_text
 from dds_trace.tracefile import OptionError
 
+from ..backends.base import Serialization
+from .base import DataType, Message, Payload
+from .cdr import CdrWriter
+from .stamp import RAW_HEADER_STAMP, TYPED_HEADER_STAMP, stamp_text
+
 if TYPE_CHECKING:
-    from dds_trace.recorder.backends.base import RawMessage
+    from ..backends.base import RawMessage
 
 DEFAULT_BYTES = 33_000
 MAX_BYTES = (1 << 32) - 1  # width, step and the length of `data` are uint32

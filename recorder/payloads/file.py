@@ -5,13 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.recorder.payloads.base import Payload
-from dds_trace.recorder.payloads.binary import BINARY, image_message
-from dds_trace.recorder.payloads.limits import check_held_bytes
 from dds_trace.tracefile import OptionError
 
+from .base import Payload
+from .binary import BINARY, image_message
+from .limits import check_held_bytes
+
 if TYPE_CHECKING:
-    from dds_trace.recorder.payloads.base import Message
+    from .base import Message
 
 
 def load_payload(where: str) -> Payload:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.payloads.binary import BINARY
-from dds_trace.recorder.payloads.header import header_data_type
-from dds_trace.recorder.payloads.imu import IMU
-from dds_trace.recorder.payloads.stamp import stamp_text
-from dds_trace.recorder.payloads.string import STRING
 from dds_trace.tracefile import OptionError
 
+from .binary import BINARY
+from .header import header_data_type
+from .imu import IMU
+from .stamp import stamp_text
+from .string import STRING
+
 if TYPE_CHECKING:
-    from dds_trace.recorder.payloads.base import DataType
+    from .base import DataType
 
 OWN_TYPES = {data_type.type_name: data_type for data_type in (BINARY, STRING, IMU)}
 """The types that every relay serves."""

@@ -5,14 +5,15 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
-from dds_trace.recorder.backends.base import Serialization
-from dds_trace.recorder.payloads.base import DataType
-from dds_trace.recorder.payloads.stamp import RAW_HEADER_STAMP
 from dds_trace.tracefile import OptionError
 
+from ..backends.base import Serialization
+from .base import DataType
+from .stamp import RAW_HEADER_STAMP
+
 if TYPE_CHECKING:
-    from dds_trace.recorder.backends.base import RawMessage
-    from dds_trace.recorder.payloads.base import Payload
+    from ..backends.base import RawMessage
+    from .base import Payload
 
 HEADER_BYTES = 64
 """Encapsulation 4, time 8, length of frame_id 4, our stamp and its zero 47; rounded up to four."""

@@ -5,14 +5,15 @@ from __future__ import annotations
 import random
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.backends.base import Serialization
-from dds_trace.recorder.payloads.base import DataType, Message, Payload
-from dds_trace.recorder.payloads.cdr import CdrWriter
-from dds_trace.recorder.payloads.stamp import RAW_HEADER_STAMP, TYPED_HEADER_STAMP, stamp_text
 from dds_trace.tracefile import OptionError
 
+from ..backends.base import Serialization
+from .base import DataType, Message, Payload
+from .cdr import CdrWriter
+from .stamp import RAW_HEADER_STAMP, TYPED_HEADER_STAMP, stamp_text
+
 if TYPE_CHECKING:
-    from dds_trace.recorder.backends.base import RawMessage
+    from ..backends.base import RawMessage
 
 # orientation, angular velocity and linear acceleration, each with its 3 x 3 covariance
 FIELDS = (4, 9, 3, 9, 3, 9)

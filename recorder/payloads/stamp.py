@@ -9,7 +9,7 @@ import struct
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 if TYPE_CHECKING:
-    from dds_trace.recorder.backends.base import RawMessage
+    from ..backends.base import RawMessage
 
 STAMP_BYTES = 46
 STAMP_PREFIX = b"dt1:"

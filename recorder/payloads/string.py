@@ -7,14 +7,15 @@ import string
 import struct
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.backends.base import Serialization
-from dds_trace.recorder.payloads.base import DataType, Message, Payload
-from dds_trace.recorder.payloads.cdr import CdrWriter
-from dds_trace.recorder.payloads.stamp import RAW_STRING_STAMP, STAMP_BYTES, TYPED_STRING_STAMP, stamp_text
 from dds_trace.tracefile import OptionError
 
+from ..backends.base import Serialization
+from .base import DataType, Message, Payload
+from .cdr import CdrWriter
+from .stamp import RAW_STRING_STAMP, STAMP_BYTES, TYPED_STRING_STAMP, stamp_text
+
 if TYPE_CHECKING:
-    from dds_trace.recorder.backends.base import RawMessage
+    from ..backends.base import RawMessage
 
 PAPER_BYTES = (4, 91, 1405, 2675)
 DEFAULT_BYTES = PAPER_BYTES[1]

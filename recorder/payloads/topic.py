@@ -8,18 +8,19 @@ from collections import deque
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
-from dds_trace.recorder.backends.base import Serialization
-from dds_trace.recorder.payloads.base import RELAY_SUFFIX, Message, Payload
-from dds_trace.recorder.payloads.foreign import OWN_TYPES, foreign_data_type, make_room
-from dds_trace.recorder.payloads.stamp import STAMP_PREFIX
 from dds_trace.tracefile import OptionError, Qos
+
+from ..backends.base import Serialization
+from .base import RELAY_SUFFIX, Message, Payload
+from .foreign import OWN_TYPES, foreign_data_type, make_room
+from .stamp import STAMP_PREFIX
 
 if TYPE_CHECKING:
     import threading
     from collections.abc import Callable, Iterator
 
-    from dds_trace.recorder.backends.base import Endpoint, Node
-    from dds_trace.recorder.payloads.base import DataType
+    from ..backends.base import Endpoint, Node
+    from .base import DataType
 
 MAX_WAITING = 64
 """Messages that may wait for those before them to be published; more are counted and left out."""

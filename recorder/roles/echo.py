@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.recorder.backends.checks import SOCKET_PORT, ZENOH_PORT, port_of
-from dds_trace.recorder.payloads import DATA_TYPES
+from ..backends.checks import SOCKET_PORT, ZENOH_PORT, port_of
+from ..payloads import DATA_TYPES
 
 if TYPE_CHECKING:
-    from dds_trace.recorder.backends.base import Endpoint, Node
-    from dds_trace.recorder.payloads.base import DataType
-    from dds_trace.recorder.roles.ping import RunPlan
+    from ..backends.base import Endpoint, Node
+    from ..payloads.base import DataType
+    from .ping import RunPlan
 
 _DISCOVERY = (
     "both have the same --domain and --discovery and a --backend that speaks DDS (ros2, cyclonedds, connext), and the "

@@ -9,13 +9,15 @@ import time
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.backends import open_node
-from dds_trace.recorder.payloads import STRING
 from dds_trace.tracefile import NoEchoError, Qos, TraceError, measure_recorder_cost
 
+from ..backends import open_node
+from ..payloads import STRING
+
 if TYPE_CHECKING:
-    from dds_trace.recorder.backends.base import NodeOptions
     from dds_trace.tracefile import RecorderCost
+
+    from ..backends.base import NodeOptions
 
 BRIEF_S = 0.15
 """Enough for a median beside each session; `dds-record --self-test` takes its time."""

@@ -8,20 +8,22 @@ from array import array
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.backends.base import Serialization
-from dds_trace.recorder.host.clock import SystemClock, sharpen_sleep
-from dds_trace.recorder.host.steady import steady_interpreter
-from dds_trace.recorder.payloads.stamp import PROBE_RUN_ID
-from dds_trace.recorder.roles.progress import PingProgress, rtt_percentiles_ns
 from dds_trace.tracefile import Qos, Run
+
+from ..backends.base import Serialization
+from ..host.clock import SystemClock, sharpen_sleep
+from ..host.steady import steady_interpreter
+from ..payloads.stamp import PROBE_RUN_ID
+from .progress import PingProgress, rtt_percentiles_ns
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from dds_trace.recorder.backends.base import Node
-    from dds_trace.recorder.host.clock import Clock
-    from dds_trace.recorder.payloads.base import Feed, Payload
     from dds_trace.tracefile import TraceSink
+
+    from ..backends.base import Node
+    from ..host.clock import Clock
+    from ..payloads.base import Feed, Payload
 
 SECOND_NS = 1_000_000_000
 LEAD_NS = SECOND_NS // 20

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from dds_trace.recorder.options import DEFAULT_MESSAGES, DEFAULT_RATE_HZ
-from dds_trace.recorder.roles.ping import RunPlan
 from dds_trace.tracefile import OptionError
+
+from ..options import DEFAULT_MESSAGES, DEFAULT_RATE_HZ
+from .ping import RunPlan
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from dds_trace.recorder.backends.base import Serialization
-    from dds_trace.recorder.options import PingOptions, RecordOptions
-    from dds_trace.recorder.payloads.base import DataType, Payload
+    from ..backends.base import Serialization
+    from ..options import PingOptions, RecordOptions
+    from ..payloads.base import DataType, Payload
 
 
 def plan_run(

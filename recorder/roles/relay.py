@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.backends.base import Serialization
-from dds_trace.recorder.host.clock import SystemClock
-from dds_trace.recorder.payloads.stamp import PROBE_RUN_ID
-from dds_trace.recorder.roles.progress import RelayProgress
+from ..backends.base import Serialization
+from ..host.clock import SystemClock
+from ..payloads.stamp import PROBE_RUN_ID
+from .progress import RelayProgress
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from dds_trace.recorder.backends.base import Node, Publisher, Receive
-    from dds_trace.recorder.host.clock import Clock
-    from dds_trace.recorder.payloads.base import DataType
     from dds_trace.tracefile import Qos, TraceSink
+
+    from ..backends.base import Node, Publisher, Receive
+    from ..host.clock import Clock
+    from ..payloads.base import DataType
 
 T3, T4 = 3, 4
 

@@ -6,15 +6,16 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.backends.base import Discovery
-from dds_trace.recorder.host.fingerprint import host_fingerprint
 from dds_trace.tracefile import Session
+
+from ..backends.base import Discovery
+from ..host.fingerprint import host_fingerprint
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from dds_trace.recorder.backends.base import Node
-    from dds_trace.recorder.host.clock import ClockAnchor
+    from ..backends.base import Node
+    from ..host.clock import ClockAnchor
 
 
 def describe_session(

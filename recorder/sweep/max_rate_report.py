@@ -10,15 +10,15 @@ from dataclasses import asdict
 from html import escape
 from typing import TYPE_CHECKING
 
-from dds_trace.recorder.sweep.plan.cells import format_cell_size
-from dds_trace.recorder.sweep.run.state import write_atomically
-from dds_trace.recorder.sweep.search import Answer
+from .plan.cells import format_cell_size
+from .run.state import write_atomically
+from .search import Answer
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from dds_trace.recorder.sweep.plan.plan import Search
-    from dds_trace.recorder.sweep.search import MaxRate
+    from .plan.plan import Search
+    from .search import MaxRate
 
 COLUMNS = ("middleware", "bridge", "data", "size", "max_rate_hz", "answer", "fails_at_hz", "held", "why")
 

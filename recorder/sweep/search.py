@@ -11,16 +11,16 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import TYPE_CHECKING
 
-from dds_trace.recorder.sweep.plan.schedule import group_by_relay
-from dds_trace.recorder.sweep.run.state import Status
+from .plan.schedule import group_by_relay
+from .run.state import Status
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
     from typing import Any
 
-    from dds_trace.recorder.sweep.plan.cells import Cell
-    from dds_trace.recorder.sweep.plan.plan import Plan, Search
-    from dds_trace.recorder.sweep.run.runner import Runner
+    from .plan.cells import Cell
+    from .plan.plan import Plan, Search
+    from .run.runner import Runner
 
 HELD_SHARE = 0.95
 """Of the asked rate, that the sender has to reach."""

@@ -5,19 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.recorder.sweep.plan.schedule import schedule
-from dds_trace.recorder.sweep.run.lock import holding_folder
-from dds_trace.recorder.sweep.run.runner import Runner
-from dds_trace.recorder.sweep.search import find_max_rates, search_plan
-from dds_trace.recorder.sweep.station.station import open_station
+from .plan.schedule import schedule
+from .run.lock import holding_folder
+from .run.runner import Runner
+from .search import find_max_rates, search_plan
+from .station.station import open_station
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from dds_trace.recorder.sweep.plan.plan import Plan
-    from dds_trace.recorder.sweep.run.progress import SweepProgress
-    from dds_trace.recorder.sweep.search import MaxRate
+    from .plan.plan import Plan
+    from .run.progress import SweepProgress
+    from .search import MaxRate
 
 INCOMPLETE_EXIT_CODE = 10
 """Of `dds-sweep`: some cells have no complete recording. Complete is 0; 1 to 9 are errors of the `TraceError` tree."""

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
-from dds_trace.reports.book.groups import (
+from ..text import format_added_ns, format_count, format_ns, format_ratio, visible
+from .groups import (
     METRICS,
     data_type_label,
     domain_label,
@@ -17,8 +18,8 @@ from dds_trace.reports.book.groups import (
     pair_label,
     vendor_pair_label,
 )
-from dds_trace.reports.book.values import values_info
-from dds_trace.reports.book.verdicts import (
+from .values import values_info
+from .verdicts import (
     CLEARLY,
     MODES,
     Verdict,
@@ -26,15 +27,15 @@ from dds_trace.reports.book.verdicts import (
     contender_labels,
     verdicts_info,
 )
-from dds_trace.reports.text import format_added_ns, format_count, format_ns, format_ratio, visible
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from dds_trace.analyzer import Analysis
     from dds_trace.analyzer import Answer as CellAnswer
-    from dds_trace.reports.book.groups import Groups
-    from dds_trace.reports.book.values import Values
+
+    from .groups import Groups
+    from .values import Values
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from dds_trace.reports.book.groups import METRICS
+from .groups import METRICS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -6,8 +6,8 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.reports.book.groups import group_labels, groups_info
-from dds_trace.reports.text import MAX_FINDING_CHARACTERS, visible
+from ..text import MAX_FINDING_CHARACTERS, visible
+from .groups import group_labels, groups_info
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

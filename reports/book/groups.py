@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.reports.text import format_hz, format_size, visible
+from ..text import format_hz, format_size, visible
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from dds_trace.reports.book.run_times import run_times
+from .run_times import run_times
 
 if TYPE_CHECKING:
     from dds_trace.analyzer.analysis import Analysis

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.reports.book.groups import METRICS
+from .groups import METRICS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
 from typing import TYPE_CHECKING
 
-from dds_trace.reports.book.groups import (
+from ..text import format_count, format_hz, format_size, visible
+from .groups import (
     VENDORS,
     data_type_label,
     device_label,
@@ -16,15 +17,15 @@ from dds_trace.reports.book.groups import (
     vendor_label,
     vendor_pair_label,
 )
-from dds_trace.reports.book.own_cost import floor_words, own_costs, recorder_words
-from dds_trace.reports.book.run_times import run_times
-from dds_trace.reports.text import format_count, format_hz, format_size, visible
+from .own_cost import floor_words, own_costs, recorder_words
+from .run_times import run_times
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from dds_trace.analyzer.analysis import Analysis
-    from dds_trace.reports.book.groups import Groups
+
+    from .groups import Groups
 
 MOST_LISTED = 12
 """More values of a kind than this are given as a range or cut, so that the first screen stays one screen."""

@@ -7,8 +7,8 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.reports.book.groups import VENDORS, known_first, vendor_label
-from dds_trace.reports.text import format_ns, visible
+from ..text import format_ns, visible
+from .groups import VENDORS, known_first, vendor_label
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.reports.book.groups import vendor_label
-from dds_trace.reports.text import format_count, visible
+from ..text import format_count, visible
+from .groups import vendor_label
 
 if TYPE_CHECKING:
     from dds_trace.analyzer.analysis import Analysis

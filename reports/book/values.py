@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.reports.book.groups import METRICS, STATISTICS
+from .groups import METRICS, STATISTICS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.analyzer import find_headlines
-from dds_trace.reports.book.groups import DATA_TYPES, data_type_label, pair_label
-from dds_trace.reports.text import visible
+
+from ..text import visible
+from .groups import DATA_TYPES, data_type_label, pair_label
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -4,32 +4,32 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from dds_trace.reports.figures.comparison.bridge_cost import bridge_cost_figure, bridge_cost_info
-from dds_trace.reports.figures.comparison.domain_difference import (
+from .comparison.bridge_cost import bridge_cost_figure, bridge_cost_info
+from .comparison.domain_difference import (
     domain_difference_figure,
     domain_difference_info,
 )
-from dds_trace.reports.figures.comparison.vendor_comparison import (
+from .comparison.vendor_comparison import (
     vendor_comparison_figure,
     vendor_comparison_info,
 )
-from dds_trace.reports.figures.distribution.breakdown import breakdown_figure, breakdown_info
-from dds_trace.reports.figures.distribution.ecdf import ecdf_figure, ecdf_info
-from dds_trace.reports.figures.distribution.percentile_curve import (
+from .distribution.breakdown import breakdown_figure, breakdown_info
+from .distribution.ecdf import ecdf_figure, ecdf_info
+from .distribution.percentile_curve import (
     percentile_curve_figure,
     percentile_curve_info,
 )
-from dds_trace.reports.figures.figure import Figure, LeftOut
-from dds_trace.reports.figures.over_time.clock import clock_figure, clock_info
-from dds_trace.reports.figures.over_time.host_load import host_load_figure, host_load_info
-from dds_trace.reports.figures.over_time.one_way import one_way_figure, one_way_info
-from dds_trace.reports.figures.over_time.timeline import timeline_figure, timeline_info
-from dds_trace.reports.figures.scaling.heatmap import heatmap_figure, heatmap_info
-from dds_trace.reports.figures.scaling.latency_by_rate import latency_by_rate_figure, latency_by_rate_info
-from dds_trace.reports.figures.scaling.latency_by_size import latency_by_size_figure, latency_by_size_info
-from dds_trace.reports.figures.scaling.received import received_figure, received_info
-from dds_trace.reports.figures.scaling.sustainable import sustainable_figure, sustainable_info
-from dds_trace.reports.figures.scaling.transfer_rate import transfer_rate_figure, transfer_rate_info
+from .figure import Figure, LeftOut
+from .over_time.clock import clock_figure, clock_info
+from .over_time.host_load import host_load_figure, host_load_info
+from .over_time.one_way import one_way_figure, one_way_info
+from .over_time.timeline import timeline_figure, timeline_info
+from .scaling.heatmap import heatmap_figure, heatmap_info
+from .scaling.latency_by_rate import latency_by_rate_figure, latency_by_rate_info
+from .scaling.latency_by_size import latency_by_size_figure, latency_by_size_info
+from .scaling.received import received_figure, received_info
+from .scaling.sustainable import sustainable_figure, sustainable_info
+from .scaling.transfer_rate import transfer_rate_figure, transfer_rate_info
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.reports.book.groups import groups_info
+from ..book.groups import groups_info
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
     from dds_trace.analyzer.analysis import Analysis
-    from dds_trace.reports.book.groups import Cell, Series
+
+    from ..book.groups import Cell, Series
 
 
 @dataclass(frozen=True, slots=True)

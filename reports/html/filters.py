@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.reports.book.groups import data_type_label, device_label, qos_label, vendor_pair_label
-from dds_trace.reports.book.verdicts import MODES
-from dds_trace.reports.text import format_hz, format_size, visible
+from ..book.groups import data_type_label, device_label, qos_label, vendor_pair_label
+from ..book.verdicts import MODES
+from ..text import format_hz, format_size, visible
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from dds_trace.reports.book.groups import Cell, Groups, Series
+    from ..book.groups import Cell, Groups, Series
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,25 +16,26 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
-from dds_trace.reports.book.answer import answer_info
-from dds_trace.reports.book.curves import curves_info
-from dds_trace.reports.book.findings import findings_info, severity_counts
-from dds_trace.reports.book.groups import METRICS, STATISTICS, data_type_label, groups_info
-from dds_trace.reports.book.intervals import intervals_info
-from dds_trace.reports.book.overview import overview_info
-from dds_trace.reports.book.recording import record_tables
-from dds_trace.reports.book.values import values_info
-from dds_trace.reports.figures import CAMPAIGN_FIGURES, CELL_FIGURES, Figure, LeftOut
-from dds_trace.reports.html.filters import filters_info
-from dds_trace.reports.html.styles import PALETTE, series_styles, vendor_places
-from dds_trace.reports.text import format_hz, format_size, json_island, visible
+from ..book.answer import answer_info
+from ..book.curves import curves_info
+from ..book.findings import findings_info, severity_counts
+from ..book.groups import METRICS, STATISTICS, data_type_label, groups_info
+from ..book.intervals import intervals_info
+from ..book.overview import overview_info
+from ..book.recording import record_tables
+from ..book.values import values_info
+from ..figures import CAMPAIGN_FIGURES, CELL_FIGURES, Figure, LeftOut
+from ..text import format_hz, format_size, json_island, visible
+from .filters import filters_info
+from .styles import PALETTE, series_styles, vendor_places
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
     from dds_trace.analyzer.analysis import Analysis
-    from dds_trace.reports.book.answer import Answer
+
+    from ..book.answer import Answer
 
 FILE_NAME = "report.html"
 SCRIPTS = (

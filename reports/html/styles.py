@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.reports.book.groups import VENDORS, known_first
+from ..book.groups import VENDORS, known_first
 
 if TYPE_CHECKING:
-    from dds_trace.reports.book.groups import Groups
+    from ..book.groups import Groups
 
 # Okabe and Ito's colour-blind-safe hues, darkened for white paper and lightened for a dark one so that each keeps a
 # contrast of 3:1 against it (WCAG 1.4.11). Known vendors have fixed places; others take the free ones by name.

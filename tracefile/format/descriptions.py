@@ -9,7 +9,7 @@ import json
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.tracefile.errors import TraceFormatError
+from ..errors import TraceFormatError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

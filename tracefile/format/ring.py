@@ -39,9 +39,9 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from dds_trace.tracefile.errors import TraceFormatError
-from dds_trace.tracefile.format.descriptions import Session
-from dds_trace.tracefile.format.events import EVENT_DTYPE, Stage
+from ..errors import TraceFormatError
+from .descriptions import Session
+from .events import EVENT_DTYPE, Stage
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -11,21 +11,21 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile.mcapfile.event_scan import (
+from .event_scan import (
     MESSAGES_AND_CHANNELS,
     Scan,
     scan_records,
     split_by_channel,
 )
-from dds_trace.tracefile.mcapfile.packed_chunks import DamagedChunkError, PackedChunk, UnpackMemory
-from dds_trace.tracefile.mcapfile.records import MAGIC, MAX_RECORD_BYTES, Opcode, TornRecordError, record_name
+from .packed_chunks import DamagedChunkError, PackedChunk, UnpackMemory
+from .records import MAGIC, MAX_RECORD_BYTES, Opcode, TornRecordError, record_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Iterator
 
-    from dds_trace.tracefile.mcapfile.event_scan import ChannelEvents
-    from dds_trace.tracefile.mcapfile.records import Buffer, RecordFile, RecordHeader
-    from dds_trace.tracefile.mcapfile.summary import Summary
+    from .event_scan import ChannelEvents
+    from .records import Buffer, RecordFile, RecordHeader
+    from .summary import Summary
 
 BLOCK_BYTES = 2 << 20
 """Small chunks are handled together up to this size, so that their number costs no more than their bytes."""

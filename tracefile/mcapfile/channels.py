@@ -5,15 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.tracefile.errors import TraceFormatError
-from dds_trace.tracefile.format.events import EVENT_SCHEMA_NAME, STAGE_OF_TOPIC
-from dds_trace.tracefile.mcapfile.records import LAYOUTS, Opcode
+from ..errors import TraceFormatError
+from ..format.events import EVENT_SCHEMA_NAME, STAGE_OF_TOPIC
+from .records import LAYOUTS, Opcode
 
 if TYPE_CHECKING:
     from collections.abc import ItemsView
     from pathlib import Path
 
-    from dds_trace.tracefile.format.events import Stage
+    from ..format.events import Stage
 
 
 @dataclass(frozen=True, slots=True)

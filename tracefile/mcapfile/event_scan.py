@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from dds_trace.tracefile.format.events import CDR_HEADER, EVENT_CDR_BYTES, EVENT_DTYPE
-from dds_trace.tracefile.mcapfile.records import RECORD_HEADER, Opcode
+from ..format.events import CDR_HEADER, EVENT_CDR_BYTES, EVENT_DTYPE
+from .records import RECORD_HEADER, Opcode
 
 if TYPE_CHECKING:
     from collections.abc import Container
 
-    from dds_trace.tracefile.mcapfile.records import Buffer
+    from .records import Buffer
 
 Records: TypeAlias = "np.ndarray[Any, np.dtype[np.void]]"
 

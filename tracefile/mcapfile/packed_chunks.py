@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 import cramjam
 import zstandard
 
-from dds_trace.tracefile.format.crc import crc32
-from dds_trace.tracefile.mcapfile.records import MAX_RECORD_BYTES, Fields
+from ..format.crc import crc32
+from .records import MAX_RECORD_BYTES, Fields
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from dds_trace.tracefile.mcapfile.records import RecordFile, RecordHeader
+    from .records import RecordFile, RecordHeader
 
 _HEADER_BYTES = 64  # all fields before the records, with room for the name of any compression that we know
 

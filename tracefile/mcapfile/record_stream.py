@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.tracefile.errors import TraceFormatError
-from dds_trace.tracefile.mcapfile.event_scan import EVENT_RECORD_BYTES, Scan, scan_records
-from dds_trace.tracefile.mcapfile.packed_chunks import DamagedChunkError, PackedChunk
-from dds_trace.tracefile.mcapfile.records import (
+from ..errors import TraceFormatError
+from .event_scan import EVENT_RECORD_BYTES, Scan, scan_records
+from .packed_chunks import DamagedChunkError, PackedChunk
+from .records import (
     LAYOUTS,
     MAGIC,
     RECORD_HEADER,
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from dds_trace.tracefile.mcapfile.records import Buffer
+    from .records import Buffer
 
 
 def read_records(path: Path) -> Iterator[tuple[Opcode, dict[str, Any]]]:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from dds_trace.tracefile.errors import TraceFormatError
+from ..errors import TraceFormatError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.tracefile.format.crc import crc32
-from dds_trace.tracefile.mcapfile.event_scan import scan_records
-from dds_trace.tracefile.mcapfile.records import LAYOUTS, MAGIC, RECORD_HEADER, Opcode, RecordLayout
+from ..format.crc import crc32
+from .event_scan import scan_records
+from .records import LAYOUTS, MAGIC, RECORD_HEADER, Opcode, RecordLayout
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from dds_trace.tracefile.mcapfile.records import RecordFile
+    from .records import RecordFile
 
 _FOOTER_LENGTH = 20
 _MAX_BYTES = 32 << 20  # chunk indexes of half a million chunks

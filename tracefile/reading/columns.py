@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dds_trace.tracefile.format.events import EVENT_DTYPE, EventColumns, Stage
+from ..format.events import EVENT_DTYPE, EventColumns, Stage
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from dds_trace.tracefile.mcapfile.event_scan import Records
+    from ..mcapfile.event_scan import Records
 
 # An event is six fields of 8 bytes and then two of 4: two blocks of columns, each filled in one step.
 _NAMES = EVENT_DTYPE.names or ()

@@ -6,8 +6,8 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile.errors import MissingEventsError
-from dds_trace.tracefile.reading.storage import is_bag
+from ..errors import MissingEventsError
+from .storage import is_bag
 
 if TYPE_CHECKING:
     from collections.abc import Collection

@@ -6,22 +6,22 @@ from collections import Counter
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile.format.events import Stage
-from dds_trace.tracefile.mcapfile.blocks import BlockJobs
-from dds_trace.tracefile.mcapfile.channels import ChannelTable
-from dds_trace.tracefile.mcapfile.event_scan import EVENT_RECORD_BYTES, MESSAGE_HEADER
-from dds_trace.tracefile.mcapfile.in_order import in_order
-from dds_trace.tracefile.mcapfile.packed_chunks import DamagedChunkError, PackedChunk
-from dds_trace.tracefile.mcapfile.records import MAGIC, Opcode, RecordFile, TornRecordError
-from dds_trace.tracefile.mcapfile.summary import read_summary
-from dds_trace.tracefile.reading.source import TOPIC_PREFIX, Batch, Text, event_batch, plain
+from ..format.events import Stage
+from ..mcapfile.blocks import BlockJobs
+from ..mcapfile.channels import ChannelTable
+from ..mcapfile.event_scan import EVENT_RECORD_BYTES, MESSAGE_HEADER
+from ..mcapfile.in_order import in_order
+from ..mcapfile.packed_chunks import DamagedChunkError, PackedChunk
+from ..mcapfile.records import MAGIC, Opcode, RecordFile, TornRecordError
+from ..mcapfile.summary import read_summary
+from .source import TOPIC_PREFIX, Batch, Text, event_batch, plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from concurrent.futures import Executor
     from pathlib import Path
 
-    from dds_trace.tracefile.mcapfile.blocks import Block
+    from ..mcapfile.blocks import Block
 
 _BLOCKS_AHEAD = 8
 _BYTES_AHEAD = 32 << 20  # chunks larger than usual are unpacked one after the other

@@ -12,21 +12,21 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile.errors import TraceFormatError
-from dds_trace.tracefile.format.events import SESSION_TOPIC, EventColumns, Stage
-from dds_trace.tracefile.reading.columns import ColumnsBuilder
-from dds_trace.tracefile.reading.ring_events import ring_beside
-from dds_trace.tracefile.reading.source import TOPIC_PREFIX
-from dds_trace.tracefile.reading.storage import open_source, storage_files
-from dds_trace.tracefile.reading.texts import TextCollector
-from dds_trace.tracefile.reading.trace import Trace
+from ..errors import TraceFormatError
+from ..format.events import SESSION_TOPIC, EventColumns, Stage
+from .columns import ColumnsBuilder
+from .ring_events import ring_beside
+from .source import TOPIC_PREFIX
+from .storage import open_source, storage_files
+from .texts import TextCollector
+from .trace import Trace
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
-    from dds_trace.tracefile.reading.ring_events import RingBeside
-    from dds_trace.tracefile.reading.source import Batch, Source
+    from .ring_events import RingBeside
+    from .source import Batch, Source
 
 _NOTES = 20  # nobody reads more lines about one trace
 _MOST_WORKERS = 4  # beyond that, memory is what is waited for

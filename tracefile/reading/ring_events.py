@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dds_trace.tracefile.errors import TraceFormatError
-from dds_trace.tracefile.format.events import EVENT_DTYPE
-from dds_trace.tracefile.format.ring import STAGE_NUMBERS, TICKET_MASK, read_ring, ring_path
-from dds_trace.tracefile.reading.source import Batch
+from ..errors import TraceFormatError
+from ..format.events import EVENT_DTYPE
+from ..format.ring import STAGE_NUMBERS, TICKET_MASK, read_ring, ring_path
+from .source import Batch
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from dds_trace.tracefile.format.ring import RingContents
+    from ..format.ring import RingContents
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import zstandard
 
-from dds_trace.tracefile.format.events import CDR_HEADER, EVENT_CDR_BYTES, EVENT_DTYPE
-from dds_trace.tracefile.mcapfile.packed_chunks import unpack_zstd
+from ..format.events import CDR_HEADER, EVENT_CDR_BYTES, EVENT_DTYPE
+from ..mcapfile.packed_chunks import unpack_zstd
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from dds_trace.tracefile.format.events import Stage
-    from dds_trace.tracefile.mcapfile.event_scan import Records
+    from ..format.events import Stage
+    from ..mcapfile.event_scan import Records
 
 TOPIC_PREFIX = "/dds_trace/"
 

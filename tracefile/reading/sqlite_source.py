@@ -9,9 +9,9 @@ from contextlib import ExitStack, closing
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
-from dds_trace.tracefile.errors import TraceFormatError
-from dds_trace.tracefile.format.events import EVENT_SCHEMA_NAME, STAGE_OF_TOPIC, Stage
-from dds_trace.tracefile.reading.source import TOPIC_PREFIX, Batch, Text, event_batch, plain
+from ..errors import TraceFormatError
+from ..format.events import EVENT_SCHEMA_NAME, STAGE_OF_TOPIC, Stage
+from .source import TOPIC_PREFIX, Batch, Text, event_batch, plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

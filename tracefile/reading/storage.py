@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Any
 
 import zstandard
 
-from dds_trace.tracefile.errors import TraceFormatError
-from dds_trace.tracefile.mcapfile.packed_chunks import LARGEST_RATIO
-from dds_trace.tracefile.reading.mcap_source import McapSource
-from dds_trace.tracefile.reading.sqlite_source import SqliteSource
+from ..errors import TraceFormatError
+from ..mcapfile.packed_chunks import LARGEST_RATIO
+from .mcap_source import McapSource
+from .sqlite_source import SqliteSource
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from concurrent.futures import Executor
 
-    from dds_trace.tracefile.reading.source import Source
+    from .source import Source
 
 BAG_METADATA = "metadata.yaml"
 ZSTD_SUFFIX = ".zstd"

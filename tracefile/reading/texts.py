@@ -6,14 +6,14 @@ import json
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.tracefile.errors import TraceFormatError
-from dds_trace.tracefile.format.descriptions import Run, Session
-from dds_trace.tracefile.format.events import HOST_TOPIC, RUN_TOPIC, SESSION_TOPIC
+from ..errors import TraceFormatError
+from ..format.descriptions import Run, Session
+from ..format.events import HOST_TOPIC, RUN_TOPIC, SESSION_TOPIC
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from dds_trace.tracefile.reading.source import Text
+    from .source import Text
 
 _HEADER_BYTES = 8  # CDR header and the string's length
 _MAX_BYTES = 4 << 20  # a session with every configuration file of its host is a few kilobytes

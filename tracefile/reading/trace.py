@@ -9,8 +9,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from dds_trace.tracefile.format.descriptions import Run, Session
-    from dds_trace.tracefile.format.events import EventColumns, Stage
+    from ..format.descriptions import Run, Session
+    from ..format.events import EventColumns, Stage
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,19 +7,19 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile.errors import OptionError, OutputExistsError, TraceFormatError
-from dds_trace.tracefile.format.descriptions import Session
-from dds_trace.tracefile.format.events import SESSION_TOPIC
-from dds_trace.tracefile.format.ring import read_ring, ring_path
-from dds_trace.tracefile.mcapfile.records import RecordFile
-from dds_trace.tracefile.recovery.salvage import Salvage, SalvagedText
-from dds_trace.tracefile.writing.bag_metadata import write_metadata
-from dds_trace.tracefile.writing.writer import MAX_CHUNK_EVENTS, TraceWriter, output_error
+from ..errors import OptionError, OutputExistsError, TraceFormatError
+from ..format.descriptions import Session
+from ..format.events import SESSION_TOPIC
+from ..format.ring import read_ring, ring_path
+from ..mcapfile.records import RecordFile
+from ..writing.bag_metadata import write_metadata
+from ..writing.writer import MAX_CHUNK_EVENTS, TraceWriter, output_error
+from .salvage import Salvage, SalvagedText
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from dds_trace.tracefile.format.ring import RingContents, Slots
+    from ..format.ring import RingContents, Slots
 
 KILLED_SUFFIX = ".killed"
 UNFINISHED_SUFFIX = ".recovering"

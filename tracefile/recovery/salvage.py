@@ -7,20 +7,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dds_trace.tracefile.errors import TraceFormatError
-from dds_trace.tracefile.format.ring import SLOT_DTYPE, STAGE_NUMBERS
-from dds_trace.tracefile.mcapfile.channels import ChannelTable
-from dds_trace.tracefile.mcapfile.event_scan import MESSAGE_HEADER, scan_records
-from dds_trace.tracefile.mcapfile.packed_chunks import DamagedChunkError, PackedChunk
-from dds_trace.tracefile.mcapfile.records import MAGIC, Opcode, TornRecordError
-from dds_trace.tracefile.writing.event_chunks import MESSAGE_DTYPE
-from dds_trace.tracefile.writing.writer import LIBRARY
+from ..errors import TraceFormatError
+from ..format.ring import SLOT_DTYPE, STAGE_NUMBERS
+from ..mcapfile.channels import ChannelTable
+from ..mcapfile.event_scan import MESSAGE_HEADER, scan_records
+from ..mcapfile.packed_chunks import DamagedChunkError, PackedChunk
+from ..mcapfile.records import MAGIC, Opcode, TornRecordError
+from ..writing.event_chunks import MESSAGE_DTYPE
+from ..writing.writer import LIBRARY
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from dds_trace.tracefile.format.ring import Slots
-    from dds_trace.tracefile.mcapfile.records import RecordFile, RecordHeader
+    from ..format.ring import Slots
+    from ..mcapfile.records import RecordFile, RecordHeader
 
 _NUMBER_OF_STAGE = {stage: number for number, stage in STAGE_NUMBERS.items()}
 _CHANNEL_IDS = 1 << 16

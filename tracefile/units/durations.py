@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from dds_trace.tracefile import OptionError
+from .. import OptionError
 
 SECOND_NS = 1_000_000_000
 UNIT_NS = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": SECOND_NS}

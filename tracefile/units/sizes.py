@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from dds_trace.tracefile import OptionError
+from .. import OptionError
 
 UNIT_BYTES = {
     "": 1,

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from dds_trace.tracefile.writing.writer import TopicCount
+    from .writer import TopicCount
 
 METADATA_NAME = "metadata.yaml"
 BAG_VERSION = 9

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dds_trace.tracefile.errors import OutputError
-from dds_trace.tracefile.format.descriptions import Session
-from dds_trace.tracefile.writing.sink import TraceDestination, TraceSink
-from dds_trace.tracefile.writing.writer import output_error
+from ..errors import OutputError
+from ..format.descriptions import Session
+from .sink import TraceDestination, TraceSink
+from .writer import output_error
 
 if TYPE_CHECKING:
     from collections.abc import Callable

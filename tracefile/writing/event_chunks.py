@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from dds_trace.tracefile.format.events import CDR_HEADER, EVENT_CDR_BYTES, EVENT_DTYPE, Stage
+from ..format.events import CDR_HEADER, EVENT_CDR_BYTES, EVENT_DTYPE, Stage
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from dds_trace.tracefile.format.ring import Slots
+    from ..format.ring import Slots
 
 MESSAGE_OPCODE = 5
 MESSAGE_HEADER_BYTES = 2 + 4 + 8 + 8

@@ -19,18 +19,18 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.tracefile.errors import OutputError, OutputExistsError
-from dds_trace.tracefile.format.events import RUN_TOPIC, SESSION_TOPIC
-from dds_trace.tracefile.format.ring import SLOT_BYTES, SLOT_STRUCT, STAGE_MARKS, Ring, ring_path
-from dds_trace.tracefile.writing.background import run_in_background
-from dds_trace.tracefile.writing.bag_metadata import METADATA_NAME, write_metadata
-from dds_trace.tracefile.writing.writer import MAX_CHUNK_EVENTS, TraceWriter, output_error
+from ..errors import OutputError, OutputExistsError
+from ..format.events import RUN_TOPIC, SESSION_TOPIC
+from ..format.ring import SLOT_BYTES, SLOT_STRUCT, STAGE_MARKS, Ring, ring_path
+from .background import run_in_background
+from .bag_metadata import METADATA_NAME, write_metadata
+from .writer import MAX_CHUNK_EVENTS, TraceWriter, output_error
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
-    from dds_trace.tracefile.format.descriptions import Run, Session
+    from ..format.descriptions import Run, Session
 
 
 BUSY_SWITCH_INTERVAL_S = 1e-4

@@ -25,10 +25,10 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from dds_trace.tracefile.errors import OutputError
-from dds_trace.tracefile.format.crc import crc32
-from dds_trace.tracefile.format.descriptions import STRING_DEFINITION, STRING_SCHEMA_NAME
-from dds_trace.tracefile.format.events import (
+from ..errors import OutputError
+from ..format.crc import crc32
+from ..format.descriptions import STRING_DEFINITION, STRING_SCHEMA_NAME
+from ..format.events import (
     CDR_HEADER,
     EVENT_DEFINITION,
     EVENT_SCHEMA_NAME,
@@ -36,8 +36,8 @@ from dds_trace.tracefile.format.events import (
     SESSION_TOPIC,
     Stage,
 )
-from dds_trace.tracefile.version import __version__
-from dds_trace.tracefile.writing.event_chunks import Chunk, EventChunkBuilder, positions_by_channel
+from ..version import __version__
+from .event_chunks import Chunk, EventChunkBuilder, positions_by_channel
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -45,8 +45,8 @@ if TYPE_CHECKING:
 
     from mcap.records import McapRecord
 
-    from dds_trace.tracefile.format.descriptions import Session
-    from dds_trace.tracefile.format.ring import Slots
+    from ..format.descriptions import Session
+    from ..format.ring import Slots
 
 MAGIC = b"\x89MCAP0\r\n"
 LIBRARY = "dds-trace"

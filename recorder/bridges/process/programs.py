@@ -8,13 +8,13 @@ import subprocess
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.recorder.backends.base import Discovery
-from dds_trace.recorder.bridges.process.supervise import program_environment
+from ...backends.base import Discovery
+from .supervise import program_environment
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from dds_trace.recorder.bridges.base import BridgeOptions
+    from ..base import BridgeOptions
 
 VERSION_TIMEOUT_S = 10.0
 

@@ -13,15 +13,16 @@ from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.bridges.base import BridgeOptions, Half, split_halves
-from dds_trace.recorder.bridges.process.supervise import SupervisedProgram, program_environment
-from dds_trace.recorder.bridges.registry import load_bridge
 from dds_trace.tracefile import BackendUnavailableError, BridgeError
+
+from ..base import BridgeOptions, Half, split_halves
+from ..registry import load_bridge
+from .supervise import SupervisedProgram, program_environment
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from dds_trace.recorder.bridges.base import Bridge
+    from ..base import Bridge
 
 UP_TIMEOUT_S = 20.0
 """How long a program may take until it says that it serves; ROS 2 on a small board needs seconds to start."""

@@ -6,9 +6,10 @@ import re
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.backends.base import ExecutorKind, Serialization, Transport
-from dds_trace.recorder.backends.qos import RANKS
 from dds_trace.tracefile.units.sizes import format_size
+
+from ...backends.base import ExecutorKind, Serialization, Transport
+from ...backends.qos import RANKS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

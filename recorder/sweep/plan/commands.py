@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.sweep.plan.cells import AXES, RELAY_AXES
-from dds_trace.recorder.sweep.plan.plan import BACKENDS_WITH_PEERS
+from .cells import AXES, RELAY_AXES
+from .plan import BACKENDS_WITH_PEERS
 
 if TYPE_CHECKING:
-    from dds_trace.recorder.sweep.plan.cells import Cell, RelayNeed
-    from dds_trace.recorder.sweep.plan.plan import DeviceSettings, Plan
-    from dds_trace.recorder.sweep.plan.schedule import Group
+    from .cells import Cell, RelayNeed
+    from .plan import DeviceSettings, Plan
+    from .schedule import Group
 
 
 def relay_arguments(plan: Plan, need: RelayNeed) -> list[str]:

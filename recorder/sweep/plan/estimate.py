@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from dds_trace.recorder.sweep.plan.schedule import schedule
+from .schedule import schedule
 
 if TYPE_CHECKING:
-    from dds_trace.recorder.sweep.plan.cells import Cell
-    from dds_trace.recorder.sweep.plan.plan import Plan
+    from .cells import Cell
+    from .plan import Plan
 
 RUN_OVERHEAD_S = 3.5
 """Start of the ping's process, discovery up to the echo, drain and close; measured with ROS 2 on two slow cores."""

@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.recorder.backends import BACKEND_MODULES
+from ...backends import BACKEND_MODULES
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -8,14 +8,14 @@ from dataclasses import asdict, dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.bridges import BRIDGE_MODULES, load_bridge
-from dds_trace.recorder.bridges.base import Halves
+from ...bridges import BRIDGE_MODULES, load_bridge
+from ...bridges.base import Halves
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from dds_trace.recorder.sweep.plan.cells import Cell
-    from dds_trace.recorder.sweep.plan.link import Link
+    from .cells import Cell
+    from .link import Link
 
 
 BACKENDS_WITH_PEERS = ("socket", "zenoh")

@@ -9,12 +9,13 @@ from dataclasses import dataclass, fields, replace
 from enum import Enum
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
-from dds_trace.recorder.sweep.plan.cells import AXES, Cell
-from dds_trace.recorder.sweep.plan.link import LINK_KEYS, PRESETS, Link
-from dds_trace.recorder.sweep.plan.plan import DeviceSettings, Exclusion, Plan, RunSettings, Search
-from dds_trace.recorder.sweep.run.result import PERCENTILES
 from dds_trace.tracefile import OptionError
 from dds_trace.tracefile.units.sizes import parse_size
+
+from ..run.result import PERCENTILES
+from .cells import AXES, Cell
+from .link import LINK_KEYS, PRESETS, Link
+from .plan import DeviceSettings, Exclusion, Plan, RunSettings, Search
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -6,13 +6,13 @@ import random
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from dds_trace.recorder.sweep.plan.plan import Order
+from .plan import Order
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from dds_trace.recorder.sweep.plan.cells import Cell, RelayNeed
-    from dds_trace.recorder.sweep.plan.plan import Plan
+    from .cells import Cell, RelayNeed
+    from .plan import Plan
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from dds_trace.recorder.sweep.plan.estimate import Remaining
+    from ..plan.estimate import Remaining
 
 
 class SweepProgress(Protocol):

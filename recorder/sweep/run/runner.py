@@ -15,23 +15,24 @@ import time
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.sweep.plan.commands import half_arguments, ping_arguments, relay_arguments
-from dds_trace.recorder.sweep.plan.estimate import Estimate
-from dds_trace.recorder.sweep.run.result import CellResult, read_result
-from dds_trace.recorder.sweep.run.split import Part, split_relay_trace
-from dds_trace.recorder.sweep.run.state import CellState, Status, SweepState
-from dds_trace.recorder.sweep.station.programs import Program
 from dds_trace.tracefile import BackendUnavailableError, OptionError, TraceError, TraceFormatError
+
+from ..plan.commands import half_arguments, ping_arguments, relay_arguments
+from ..plan.estimate import Estimate
+from ..station.programs import Program
+from .result import CellResult, read_result
+from .split import Part, split_relay_trace
+from .state import CellState, Status, SweepState
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from dds_trace.recorder.sweep.plan.cells import Cell
-    from dds_trace.recorder.sweep.plan.plan import Plan
-    from dds_trace.recorder.sweep.plan.schedule import Group
-    from dds_trace.recorder.sweep.run.progress import SweepProgress
-    from dds_trace.recorder.sweep.station.devices import RelayDevice, RunningRelay
+    from ..plan.cells import Cell
+    from ..plan.plan import Plan
+    from ..plan.schedule import Group
+    from ..station.devices import RelayDevice, RunningRelay
+    from .progress import SweepProgress
 
 PARTS = ".parts"
 START_ALLOWANCE_S = 40.0

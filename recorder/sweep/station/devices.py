@@ -7,14 +7,15 @@ import shutil
 import subprocess
 from typing import TYPE_CHECKING, Protocol
 
-from dds_trace.recorder.sweep.station.programs import Program
 from dds_trace.tracefile import BackendUnavailableError, OptionError, __version__
+
+from .programs import Program
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from dds_trace.recorder.sweep.plan.plan import DeviceSettings
+    from ..plan.plan import DeviceSettings
 
 SSH_TIMEOUT_S = 60.0
 

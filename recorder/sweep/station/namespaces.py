@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
-    from dds_trace.recorder.sweep.plan.link import Link
+    from ..plan.link import Link
 
 INTERFACE = "link0"
 """The link's device in either namespace."""

@@ -5,16 +5,16 @@ from __future__ import annotations
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
-from dds_trace.recorder.sweep.run.runner import PARTS, Station
-from dds_trace.recorder.sweep.station.devices import LocalDevice, PrintedDevice, SshDevice
-from dds_trace.recorder.sweep.station.namespaces import NamespacePair
-from dds_trace.recorder.sweep.station.programs import local_program
+from ..run.runner import PARTS, Station
+from .devices import LocalDevice, PrintedDevice, SshDevice
+from .namespaces import NamespacePair
+from .programs import local_program
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
-    from dds_trace.recorder.sweep.plan.plan import Plan
+    from ..plan.plan import Plan
 
 ECHO_WAIT_S = 20.0
 PERSON_WAIT_S = 3600.0

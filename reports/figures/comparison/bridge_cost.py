@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.analyzer import MATCH_COLUMNS
-from dds_trace.reports.book.groups import data_type_label, groups_info
-from dds_trace.reports.book.host import bridge_loads
-from dds_trace.reports.figures.figure import Figure, LeftOut
+
+from ...book.groups import data_type_label, groups_info
+from ...book.host import bridge_loads
+from ..figure import Figure, LeftOut
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

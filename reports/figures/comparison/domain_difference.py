@@ -5,14 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.reports.book.groups import data_type_label, groups_info
-from dds_trace.reports.book.values import values_info
-from dds_trace.reports.figures.figure import Figure, LeftOut
-from dds_trace.reports.text import format_size
+from ...book.groups import data_type_label, groups_info
+from ...book.values import values_info
+from ...text import format_size
+from ..figure import Figure, LeftOut
 
 if TYPE_CHECKING:
     from dds_trace.analyzer.analysis import Analysis
-    from dds_trace.reports.book.groups import Series
+
+    from ...book.groups import Series
 
 NAME = "domain_difference"
 TITLE = "Same domain against different domains"

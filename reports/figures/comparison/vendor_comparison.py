@@ -5,16 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.reports.book.groups import data_type_label
-from dds_trace.reports.book.values import values_info
-from dds_trace.reports.figures.figure import Figure, LeftOut
-from dds_trace.reports.figures.panels import Panel, panels_info, panels_plan
+from ...book.groups import data_type_label
+from ...book.values import values_info
+from ..figure import Figure, LeftOut
+from ..panels import Panel, panels_info, panels_plan
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from dds_trace.analyzer.analysis import Analysis
-    from dds_trace.reports.book.groups import Cell, Series
+
+    from ...book.groups import Cell, Series
 
 NAME = "vendor_comparison"
 TITLE = "Vendors against each other, per data type"

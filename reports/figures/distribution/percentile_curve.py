@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.reports.book.curves import any_curve
-from dds_trace.reports.figures.figure import Figure, LeftOut
+from ...book.curves import any_curve
+from ..figure import Figure, LeftOut
 
 if TYPE_CHECKING:
     from dds_trace.analyzer.analysis import Analysis

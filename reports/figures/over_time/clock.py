@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.reports.figures.figure import Figure, LeftOut
-from dds_trace.reports.text import visible
+from ...text import visible
+from ..figure import Figure, LeftOut
 
 if TYPE_CHECKING:
     from dds_trace.analyzer.analysis import Analysis

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from dds_trace.reports.book.run_times import run_times
-from dds_trace.reports.figures.figure import Figure, LeftOut
+from ...book.run_times import run_times
+from ..figure import Figure, LeftOut
 
 if TYPE_CHECKING:
     from dds_trace.analyzer.analysis import Analysis

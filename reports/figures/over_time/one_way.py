@@ -6,15 +6,16 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.reports.book.groups import STATISTICS, data_type_label, groups_info
-from dds_trace.reports.figures.figure import Figure, LeftOut
-from dds_trace.reports.figures.panels import Panel, panels_info, panels_plan
+from ...book.groups import STATISTICS, data_type_label, groups_info
+from ..figure import Figure, LeftOut
+from ..panels import Panel, panels_info, panels_plan
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from dds_trace.analyzer.analysis import Analysis
-    from dds_trace.reports.book.groups import Cell, Series
+
+    from ...book.groups import Cell, Series
 
 NAME = "one_way"
 TITLE = "The way out against the way back"

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.reports.book.groups import data_type_label
-from dds_trace.reports.book.values import values_info
-from dds_trace.reports.figures.figure import Figure, LeftOut
-from dds_trace.reports.figures.panels import Panel, panels_info, panels_plan
-from dds_trace.reports.text import format_size
+from ...book.groups import data_type_label
+from ...book.values import values_info
+from ...text import format_size
+from ..figure import Figure, LeftOut
+from ..panels import Panel, panels_info, panels_plan
 
 if TYPE_CHECKING:
     from dds_trace.analyzer.analysis import Analysis

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.reports.book.values import values_info
-from dds_trace.reports.figures.comparison.vendor_comparison import cell_panels
-from dds_trace.reports.figures.figure import Figure, LeftOut
-from dds_trace.reports.figures.panels import Panel, panels_plan
+from ...book.values import values_info
+from ..comparison.vendor_comparison import cell_panels
+from ..figure import Figure, LeftOut
+from ..panels import Panel, panels_plan
 
 if TYPE_CHECKING:
     from dds_trace.analyzer.analysis import Analysis

@@ -4,7 +4,7 @@ from . import analyze
 a = analyze("runs/")          # a.summary, a.roundtrips ... are polars frames
 """
 
-from .analysis import Analysis, Details, Finding, Severity, Source
+from .analysis import Analysis, Details
 from .clocks.alignment import Alignment, align_clocks, clock_table, ping_boots
 from .clocks.fit import ClockFit, ClockKnot, ClockSegment, ClockStep
 from .exports.foxglove import DerivedTrace, write_derived
@@ -27,7 +27,9 @@ from .model.columns import (
     SUMMARY_COLUMNS,
     Column,
 )
+from .model.finding import Finding, Severity
 from .model.metrics import METRICS
+from .model.source import Source
 from .pairing.pair import Outcome
 from .pipeline import analyze, default_output
 from .recordings.topics import TopicReport, analyze_topics

@@ -23,9 +23,9 @@ from .batches import work_at
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping, Sequence
 
-    from ..analysis import Source
     from ..loading.campaign import Campaign, Progress
     from ..loading.events import EventsByKey, Part, StageKey
+    from ..model.source import Source
     from .batches import Work, Worked
 
 _TIMEOUT_S = 30

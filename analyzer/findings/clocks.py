@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
-from ..analysis import Finding, Severity
 from ..clocks.alignment import ping_boots
+from ..model.finding import Finding, Severity
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from typing import TYPE_CHECKING
 
-from ..analysis import Finding, Severity
+from ..model.finding import Finding, Severity
 from ..model.metrics import METRICS
 from ..pairing.pair import Outcome
 from ..statistics.percentiles import PERCENTILES

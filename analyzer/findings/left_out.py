@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ..analysis import Finding, Severity
 from ..engines.batches import WHOLE_GROUP_EVENTS
 from ..engines.oversized import RELATIVE_ERROR
+from ..model.finding import Finding, Severity
 from ..pairing.rows import partition_groups
 from ..verdicts.answers import CASE_COLUMNS
 from ..verdicts.compare import BRIDGE_MATCH_COLUMNS

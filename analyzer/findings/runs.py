@@ -6,7 +6,7 @@ from collections import defaultdict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from ..analysis import Finding, Severity
+from ..model.finding import Finding, Severity
 from .evidence import exchange_name, percent, some
 
 if TYPE_CHECKING:

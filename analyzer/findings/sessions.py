@@ -6,7 +6,7 @@ import json
 from collections import Counter, defaultdict
 from typing import TYPE_CHECKING, Any
 
-from ..analysis import Finding, Severity
+from ..model.finding import Finding, Severity
 from .evidence import some
 
 if TYPE_CHECKING:

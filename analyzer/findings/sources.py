@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ..analysis import Finding, Severity
+from ..model.finding import Finding, Severity
 from .evidence import some
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from collections import defaultdict
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from ..analysis import Finding, Severity
+from ..model.finding import Finding, Severity
 from . import clocks, groups, runs, sessions, sizes, sources
 from . import host_load as load
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import MissingEventsError, TraceFormatError
 
-from ..analysis import Source
+from ..model.source import Source
 from .events import Copies, EventsByKey, index_parts
 from .remote import find_anywhere
 from .shelf import TraceShelf

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dds_trace.tracefile.errors import MissingEventsError, TraceFormatError
 
-from ..analysis import Source
+from ..model.source import Source
 from .messages import find_recordings, iter_messages
 
 if TYPE_CHECKING:

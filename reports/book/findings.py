@@ -12,7 +12,7 @@ from .groups import group_labels, groups_info
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from dds_trace.analyzer.analysis import Analysis, Finding
+    from dds_trace.analyzer import Analysis, Finding
 
 SEVERITIES = {"error": "error", "warning": "warning", "info": "note"}
 """Severity -> the word for it, the most severe first."""

@@ -1,0 +1,36 @@
+"""A finding: one doubtful measurement, as every check words it and every report shows it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+
+class Severity(Enum):
+    """How much a finding should change a reader's trust in the numbers."""
+
+    ERROR = "error"  # numbers named here are wrong or missing
+    WARNING = "warning"  # numbers named here are doubtful
+    INFO = "info"  # worth knowing
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """A doubtful measurement: what is doubtful, where, and what to do about it.
+
+    Attributes:
+        code: a short stable name such as `loss` or `few_samples`, for scripts.
+        where: the file, run, group or device it is about, in words.
+        what: one sentence with the figures.
+        action: one sentence: what to do next.
+        groups: row numbers in `summary` of the groups it is about; empty where it is about a file, run or device.
+        count: how many findings of its kind it stands for; more than one only for the last of very many.
+    """
+
+    severity: Severity
+    code: str
+    where: str
+    what: str
+    action: str
+    groups: tuple[int, ...] = ()
+    count: int = 1

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 import re
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +18,7 @@ import polars as pl
 from mcap.writer import CompressionType, Writer
 
 from dds_trace.tracefile.errors import OutputError, OutputExistsError
+from dds_trace.tracefile.files import replacing
 from dds_trace.tracefile.format.events import CDR_HEADER
 from dds_trace.tracefile.version import __version__
 
@@ -98,16 +98,12 @@ def write_derived(
             raise OutputExistsError(f"{target}: exists already; choose another name or add --force")
     rows = _in_order(roundtrips, ping_wall or {})
     topics = tuple(rows["topic"].unique(maintain_order=True))
-    unfinished = path.with_name(f".{path.name}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with unfinished.open("wb") as file:
+        with replacing(path) as draft, draft.open("wb") as file:
             _write_messages(Writer(file, compression=CompressionType.ZSTD), rows, topics)
-        unfinished.replace(path)
         layout.write_text(json.dumps(foxglove_layout(topics), indent=2) + "\n")
     except OSError as err:
-        with suppress(OSError):
-            unfinished.unlink()
         raise OutputError(
             f"{path}: cannot be written ({err.strerror or err}); check disk space and permissions"
         ) from err

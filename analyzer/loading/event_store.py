@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dds_trace.tracefile import EVENT_DTYPE, EventColumns
+from dds_trace.tracefile.files import replacing
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -55,16 +56,13 @@ def write_events(path: Path, parts: Mapping[Label, EventColumns]) -> dict[Label,
     Raises:
         OSError: it cannot be written.
     """
-    unfinished = path.with_name(f"{path.name}.part")
-    with unfinished.open("wb") as stream:
-        written = {
+    with replacing(path) as draft, draft.open("wb") as stream:
+        return {
             label: StoredEvents(
                 path, len(columns), {name: _write_column(stream, getattr(columns, name)) for name in _FIELDS}
             )
             for label, columns in parts.items()
         }
-    unfinished.replace(path)
-    return written
 
 
 def _write_column(stream: BinaryIO, values: np.ndarray[Any, Any]) -> Column:

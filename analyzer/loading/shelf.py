@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.tracefile import OutputError, Run, Session, Stage, Trace, TraceFormatError, read_trace
+from dds_trace.tracefile.files import replacing
 
 from .event_store import StoredEvents, write_events
 from .events import Part, split_trace
@@ -137,9 +138,8 @@ class TraceShelf:
         events = folder / f"{key}.events"
         written = write_events(events, {label: part.load() for label, part in loaded.parts.items()})
         parts = {label: replace(part, events=written[label]) for label, part in loaded.parts.items()}
-        unfinished = folder / f"{key}.json.part"
-        unfinished.write_text(json.dumps(_to_dict(LoadedTrace(loaded.trace, parts))))
-        unfinished.replace(folder / f"{key}.json")
+        with replacing(folder / f"{key}.json") as draft:
+            draft.write_text(json.dumps(_to_dict(LoadedTrace(loaded.trace, parts))))
         return LoadedTrace(loaded.trace, parts)
 
 

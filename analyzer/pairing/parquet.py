@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import os
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
@@ -13,6 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from dds_trace.tracefile import OutputError
+from dds_trace.tracefile.files import replacing
 
 from ..model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS, Column
 from .pair import OUTCOMES
@@ -58,12 +58,13 @@ class RoundTripsWriter:
 
     def __enter__(self) -> RoundTripsWriter:  # noqa: PYI034 - `Self` is Python 3.11's
         """Begin the file."""
-        with ExitStack() as stack:
-            unfinished = stack.enter_context(_replacing(self.path))
+        with _telling(self.path), ExitStack() as stack:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            draft = stack.enter_context(replacing(self.path))
             deltas = [c.name for c in ROUNDTRIP_COLUMNS if c.unit == "ns" or c.name == "sequence"]
             self._writer = stack.enter_context(
                 pq.ParquetWriter(
-                    unfinished,
+                    draft,
                     _AS_WRITTEN,
                     compression="zstd",
                     compression_level=1,
@@ -123,8 +124,10 @@ def write_summary(summary: pl.DataFrame, path: Path) -> None:
     Raises:
         OutputError: the folder or the file cannot be written.
     """
-    with _replacing(path) as unfinished, _telling(path):
-        pq.write_table(summary.to_arrow().cast(_schema(SUMMARY_COLUMNS)), unfinished, compression="zstd")
+    with _telling(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(path) as draft:
+            pq.write_table(summary.to_arrow().cast(_schema(SUMMARY_COLUMNS)), draft, compression="zstd")
 
 
 def _schema(columns: tuple[Column, ...]) -> pa.Schema:
@@ -143,20 +146,6 @@ _AS_WRITTEN = pa.schema(
     pa.field(f.name, pa.dictionary(pa.int32(), pa.string()) if pa.types.is_string(f.type) else f.type)
     for f in ROUNDTRIPS_SCHEMA
 )
-
-
-@contextmanager
-def _replacing(path: Path) -> Iterator[Path]:
-    """A file beside `path` that takes its place once it is complete."""
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
-    with _telling(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        yield unfinished
-        with _telling(path):
-            unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)
 
 
 @contextmanager

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING
 
+from ..files import replacing
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
@@ -49,10 +51,8 @@ def write_metadata(trace: Path, topics: Sequence[TopicCount], time_range_ns: tup
         count=count,
         topics=per_topic or " []\n",
     )
-    path = trace.with_name(METADATA_NAME)
-    unfinished = path.with_suffix(".yaml.tmp")
-    unfinished.write_text(text, encoding="utf-8")
-    unfinished.replace(path)
+    with replacing(trace.with_name(METADATA_NAME)) as draft:
+        draft.write_text(text, encoding="utf-8")
 
 
 _TOPIC = """

@@ -24,6 +24,7 @@ from dds_trace.tracefile import (
     pack_event,
     read_trace,
 )
+from dds_trace.tracefile.files import replacing
 from dds_trace.tracefile.format.descriptions import STRING_DEFINITION, STRING_SCHEMA_NAME
 from dds_trace.tracefile.format.events import EVENT_DEFINITION, EVENT_SCHEMA_NAME
 
@@ -88,15 +89,13 @@ def _write(part: Part, trace: Trace, events: Mapping[Stage, EventColumns]) -> No
     samples += [(session.wall_ns(sample["monotonic_ns"]), sample) for sample in part.samples]
     entries += [(log_time_ns, HOST_TOPIC, _string_cdr(json.dumps(sample))) for log_time_ns, sample in samples]
     entries.append((session.wall_anchor_ns, SESSION_TOPIC, _string_cdr(session.to_json())))
-    draft = part.path.with_name(part.path.name + ".new")
-    with draft.open("wb") as file:
+    with replacing(part.path) as draft, draft.open("wb") as file:
         writer = Writer(file)
         writer.start("ros2", f"dds-trace {__version__}")
         channels = _Channels(writer)
         for sequence, (log_time_ns, topic, data) in enumerate(sorted(entries, key=lambda entry: entry[0])):
             writer.add_message(channels[topic], log_time_ns, data, log_time_ns, sequence)
         writer.finish()  # type: ignore[no-untyped-call]
-    draft.replace(part.path)
 
 
 def _event_entries(

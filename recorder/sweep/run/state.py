@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import asdict, dataclass, field, replace
 from enum import Enum
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.tracefile import OptionError, OutputError, TraceFormatError
+from dds_trace.tracefile.files import replacing
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -143,18 +143,9 @@ def write_atomically(path: Path, text: str) -> None:
     Raises:
         OutputError: it cannot be written.
     """
-    draft = path.with_name(path.name + ".new")
     try:
-        with draft.open("w") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        draft.replace(path)
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+        with replacing(path, fsync=True) as draft:
+            draft.write_text(text)
     except OSError as err:
         raise OutputError(
             f"{path}: {err.strerror}; free some space or give another --out, then run it again"

@@ -1,10 +1,10 @@
 from __future__ import annotations
 
 import json
+import os
 
 import pytest
 
-from dds_trace.recorder.sweep.run import state as state_module
 from dds_trace.recorder.sweep.run.state import Status, SweepState, write_atomically
 from dds_trace.tracefile import OptionError, OutputError, TraceFormatError
 
@@ -56,7 +56,7 @@ def test_interrupted_write_leaves_the_state_before(tmp_path, monkeypatch):
     def stop(_descriptor):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(state_module.os, "fsync", stop)
+    monkeypatch.setattr(os, "fsync", stop)
     with pytest.raises(KeyboardInterrupt):
         state.update("a", attempts=2)
     monkeypatch.undo()

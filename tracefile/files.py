@@ -1,0 +1,51 @@
+"""The one way in which a file is replaced: whole, or not at all."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+
+@contextmanager
+def replacing(path: Path, *, fsync: bool = False) -> Iterator[Path]:
+    """Yield the path of a draft beside `path`, which takes the place of `path` once the block ends without an error.
+
+    A reader finds the old file or the new one, never a part of it. After an error the old file stays and the draft is
+    removed. Where `path` is a symbolic link the link itself is replaced; what it points to is not touched.
+
+    Args:
+        path: the file to write; its folder exists.
+        fsync: whether the new file and its folder are on the disk, not only in the page cache, when this returns.
+
+    Yields:
+        A path that does not exist yet. Its ending is `.part`, so that nobody takes a draft for a trace or a table.
+
+    Raises:
+        OSError: the draft cannot be flushed to the disk, or cannot take the place of `path`.
+    """
+    # Random, so that neither another process nor a link that somebody left in a shared folder meets the draft.
+    draft = path.with_name(f"{path.name}.{secrets.token_hex(4)}.part")
+    try:
+        yield draft
+        if fsync:
+            _flush_to_disk(draft)
+        draft.replace(path)
+        if fsync:
+            _flush_to_disk(path.parent)
+    finally:
+        with suppress(OSError):  # it took its place, or was never written
+            draft.unlink()
+
+
+def _flush_to_disk(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

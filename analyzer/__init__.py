@@ -19,16 +19,16 @@ from .groups.breakdown import (
     with_stamps,
 )
 from .groups.freshness import outage_table, summarize_freshness
+from .model.column import Column
 from .model.columns import (
     MEASURED_COLUMNS,
-    PARAMETER_COLUMNS,
     ROUNDTRIP_COLUMNS,
     STATISTICS,
     SUMMARY_COLUMNS,
-    Column,
 )
 from .model.finding import Finding, Severity
 from .model.metrics import METRICS
+from .model.parameters import MATCH_COLUMNS, PARAMETER_COLUMNS
 from .model.source import Source
 from .pairing.pair import Outcome
 from .pipeline import analyze, default_output
@@ -53,7 +53,6 @@ from .verdicts.answers import (
 )
 from .verdicts.change import Verdict
 from .verdicts.compare import (
-    MATCH_COLUMNS,
     CompareOptions,
     Comparison,
     bridge_cost,

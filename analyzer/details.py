@@ -16,17 +16,16 @@ from .groups.interval_frames import (
     interval_rows,
     one_way_rows,
 )
+from .model.parameters import BRIDGE_MATCH_COLUMNS, CASE_COLUMNS, CONTENDER_COLUMNS
 from .pairing.one_way import fit_devices, segment_table
 from .pairing.rows import partition_groups
 from .verdicts.answers import (
     ANSWER_COLUMNS,
-    CASE_COLUMNS,
-    CONTENDER_COLUMNS,
     answer_case,
     contender_names,
     without_floor,
 )
-from .verdicts.compare import BRIDGE_MATCH_COLUMNS, QUANTILES, CompareOptions, bridge_cost
+from .verdicts.compare import QUANTILES, CompareOptions, bridge_cost
 from .verdicts.recommend import recommend_settings
 
 if TYPE_CHECKING:

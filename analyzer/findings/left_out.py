@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 from ..engines.batches import WHOLE_GROUP_EVENTS
 from ..engines.oversized import RELATIVE_ERROR
 from ..model.finding import Finding, Severity
+from ..model.parameters import BRIDGE_MATCH_COLUMNS, CASE_COLUMNS
 from ..pairing.rows import partition_groups
-from ..verdicts.answers import CASE_COLUMNS
-from ..verdicts.compare import BRIDGE_MATCH_COLUMNS
 from .evidence import some
 
 if TYPE_CHECKING:

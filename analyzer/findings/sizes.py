@@ -6,8 +6,8 @@ from collections import defaultdict
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
-from ..model.columns import PARAMETER_NAMES
 from ..model.finding import Finding, Severity
+from ..model.parameters import SIZE_LINE_COLUMNS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -28,10 +28,9 @@ def unlike_sizes(evidence: Evidence) -> Iterator[Finding]:
     found = evidence.details.intervals.filter(metric="latency", percentile="p50").drop_nulls("method")
     interval = {row["group"]: row for row in found.iter_rows(named=True)}
     lines: dict[tuple[Any, ...], list[tuple[int, int]]] = defaultdict(list)
-    others = [name for name in PARAMETER_NAMES if name != "payload_bytes"]
     for group, row in enumerate(evidence.grouping.parameters.iter_rows(named=True)):
         if group in interval:
-            lines[tuple(row[name] for name in others)].append((row["payload_bytes"], group))
+            lines[tuple(row[name] for name in SIZE_LINE_COLUMNS)].append((row["payload_bytes"], group))
     names = evidence.group_names
     for line in lines.values():
         for (small, before), (large, after) in pairwise(sorted(line)):

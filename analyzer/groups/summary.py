@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from ..model.columns import PARAMETER_COLUMNS, STATISTICS, SUMMARY_COLUMNS, schema_of
+from ..model.column import schema_of
+from ..model.columns import STATISTICS, SUMMARY_COLUMNS
 from ..model.metrics import METRICS
+from ..model.parameters import PARAMETER_COLUMNS, Parameters
 from ..pairing.pair import LOSSES, OUTCOMES, Outcome
 from ..statistics.percentiles import Histogram, histogram_of, summarize_values
 
@@ -93,12 +95,12 @@ class Statistics:
 def group_exchanges(exchanges: Sequence[Exchange]) -> Grouping:
     """Find the groups: exchanges that agree in every parameter column, whatever their run or relay_id."""
     parameters = [exchange.parameters() for exchange in exchanges]
-    groups = sorted(set(parameters), key=lambda values: [(value is None, value) for value in values])
-    number = {values: group for group, values in enumerate(groups)}
-    group_of_exchange = np.array([number[values] for values in parameters], np.uint32)
+    groups = sorted(set(parameters), key=Parameters.order)
+    number = {key: group for group, key in enumerate(groups)}
+    group_of_exchange = np.array([number[key] for key in parameters], np.uint32)
     order = np.argsort(group_of_exchange, kind="stable")
     return Grouping(
-        pl.DataFrame(groups, schema=schema_of(PARAMETER_COLUMNS), orient="row"),
+        pl.DataFrame([key.values() for key in groups], schema=schema_of(PARAMETER_COLUMNS), orient="row"),
         tuple(exchanges[position] for position in order.tolist()),
         group_of_exchange[order],
     )

@@ -5,51 +5,17 @@ One table for everything that must agree on them: the frames, the Parquet files,
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import polars as pl
 
 from ..statistics.percentiles import PERCENTILES
+from .column import Column
 from .metrics import METRICS
-
-
-@dataclass(frozen=True, slots=True)
-class Column:
-    """One column of a frame; `unit` is empty where a value has none."""
-
-    name: str
-    dtype: type[pl.DataType]
-    unit: str
-    meaning: str
-
+from .parameters import PARAMETER_COLUMNS
 
 KEY_COLUMNS = (
     Column("run_id", pl.UInt64, "", "the run, drawn at random by its ping"),
     Column("relay_id", pl.UInt32, "", "the relay; 0 if none took part in the run"),
     Column("sequence", pl.UInt64, "", "the message's number within the run"),
-)
-
-PARAMETER_COLUMNS = (
-    Column("vendor", pl.String, "", "middleware of the ping"),
-    Column("backend", pl.String, "", "API that carried the messages of the ping"),
-    Column("rmw", pl.String, "", "ROS 2 middleware interface of the ping; null outside ROS 2"),
-    Column("bridge", pl.String, "", "none, or the bridge between the two domains"),
-    Column("relay_vendor", pl.String, "", "middleware of the relay; null without its trace"),
-    Column("relay_backend", pl.String, "", "API of the relay; null without its trace"),
-    Column("ping_domain_id", pl.Int32, "", "DDS domain of the ping"),
-    Column("relay_domain_id", pl.Int32, "", "DDS domain of the relay; null if nobody said"),
-    Column("domain_mode", pl.String, "", "same or different"),
-    Column("data_type", pl.String, "", "binary, string, imu or another payload's name"),
-    Column("payload_bytes", pl.UInt32, "B", "application bytes of a message, the stamp not counted"),
-    Column("rate_hz", pl.Float64, "Hz", "rate that the schedule asked for"),
-    Column("reliability", pl.String, "", "reliable or best_effort"),
-    Column("durability", pl.String, "", "volatile or transient_local"),
-    Column("history", pl.String, "", "keep_last or keep_all"),
-    Column("depth", pl.Int32, "", "messages kept, for keep_last"),
-    Column("serialization", pl.String, "", "typed or raw"),
-    Column("ping_device", pl.String, "", "device of the ping"),
-    Column("relay_device", pl.String, "", "device of the relay; null without its trace"),
-    Column("connectivity", pl.String, "", "loopback, wired, wireless ... as the ping was told"),
 )
 
 _PING, _RELAY = "ping's monotonic clock", "relay's monotonic clock"
@@ -114,10 +80,3 @@ SUMMARY_COLUMNS = (
         for statistic in STATISTICS
     )
 )
-
-PARAMETER_NAMES = tuple(column.name for column in PARAMETER_COLUMNS)
-
-
-def schema_of(columns: tuple[Column, ...]) -> dict[str, type[pl.DataType]]:
-    """Column name -> polars type, in order."""
-    return {column.name: column.dtype for column in columns}

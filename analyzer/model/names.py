@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from .columns import PARAMETER_NAMES
+from .parameters import PARAMETER_NAMES
 
 if TYPE_CHECKING:
     import polars as pl

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import EventColumns, Stage
 
-from ..model.columns import PARAMETER_NAMES
+from ..model.parameters import Parameters, parameters_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -89,42 +89,9 @@ class Exchange:
         none = EventColumns.empty()
         return replace(self, t1=none, t2=none, t3=none, t4=none)
 
-    @property
-    def relay_domain_id(self) -> int | None:
-        """The relay's domain: as it says itself, else as the ping was told, else the ping's if nothing is between."""
-        if self.relay is not None:
-            return self.relay.domain_id
-        if self.run.relay_domain_id is not None:
-            return self.run.relay_domain_id
-        return self.ping.domain_id if self.run.bridge == "none" else None
-
-    def parameters(self) -> tuple[Any, ...]:
-        """The values of the parameter columns, in their order; exchanges that agree in them are one group."""
-        run, ping, relay = self.run, self.ping, self.relay
-        values = {
-            "vendor": ping.vendor,
-            "backend": ping.backend,
-            "rmw": ping.rmw,
-            "bridge": run.bridge,
-            "relay_vendor": relay.vendor if relay else None,
-            "relay_backend": relay.backend if relay else None,
-            "ping_domain_id": ping.domain_id,
-            "relay_domain_id": self.relay_domain_id,
-            # A bridge whose far side nobody names still stands between two domains.
-            "domain_mode": "same" if self.relay_domain_id == ping.domain_id else "different",
-            "data_type": run.data_type,
-            "payload_bytes": run.payload_bytes,
-            "rate_hz": run.rate_hz,
-            "reliability": run.qos.reliability,
-            "durability": run.qos.durability,
-            "history": run.qos.history,
-            "depth": run.qos.depth,
-            "serialization": run.serialization,
-            "ping_device": ping.device,
-            "relay_device": relay.device if relay else None,
-            "connectivity": ping.connectivity,
-        }
-        return tuple(values[name] for name in PARAMETER_NAMES)
+    def parameters(self) -> Parameters:
+        """Return the key of its group."""
+        return parameters_of(self.run, self.ping, self.relay)
 
 
 @dataclass(frozen=True, slots=True)

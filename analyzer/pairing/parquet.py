@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 from dds_trace.tracefile import OutputError
 from dds_trace.tracefile.files import replacing
 
-from ..model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS, Column
+from ..model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
 from .pair import OUTCOMES
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import TracebackType
 
+    from ..model.column import Column
     from .roundtrips import RoundTrips
 
 _ROWS_PER_GROUP = 1 << 20

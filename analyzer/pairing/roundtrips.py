@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 import polars as pl
 
-from ..model.columns import KEY_COLUMNS, PARAMETER_COLUMNS, ROUNDTRIP_COLUMNS, schema_of
+from ..model.column import schema_of
+from ..model.columns import KEY_COLUMNS, ROUNDTRIP_COLUMNS
 from ..model.metrics import with_metrics
+from ..model.parameters import PARAMETER_COLUMNS
 from .one_way import OneWay, fit_exchanges
 from .pair import MISSING, OUTCOMES, Published, pair_messages, published_messages
 
@@ -133,7 +135,7 @@ def pair_exchanges(exchanges: Sequence[Exchange], *, one_way: bool = True) -> Ro
         orphans[position] = paired.orphans
 
     described = pl.DataFrame(
-        [(e.run.run_id, e.relay_id, *e.parameters()) for e in exchanges],
+        [(e.run.run_id, e.relay_id, *e.parameters().values()) for e in exchanges],
         schema=schema_of((*KEY_COLUMNS[:2], *PARAMETER_COLUMNS)),
         orient="row",
     )

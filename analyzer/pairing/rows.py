@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING
 import polars as pl
 import pyarrow as pa
 
-from ..model.columns import PARAMETER_NAMES, ROUNDTRIP_COLUMNS, schema_of
+from ..model.column import schema_of
+from ..model.columns import ROUNDTRIP_COLUMNS
+from ..model.parameters import PARAMETER_NAMES
 from .parquet import RoundTripsWriter
 
 if TYPE_CHECKING:

@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 
+from ..model.parameters import CASE_COLUMNS, CONTENDER_COLUMNS
 from ..statistics.intervals import percentile_interval, ranges_overlap, ratio_interval
-from .recommend import CELL_COLUMNS, SETTING_COLUMNS, delivered_latencies, parts_of
+from .recommend import delivered_latencies, parts_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -27,8 +28,6 @@ if TYPE_CHECKING:
     ContenderNames = Mapping[tuple[Any, ...], str]
     """The values of `CONTENDER_COLUMNS` -> what the setting is called."""
 
-CASE_COLUMNS = ("connectivity", "domain_mode", *CELL_COLUMNS)
-CONTENDER_COLUMNS = tuple(name for name in SETTING_COLUMNS if name not in CASE_COLUMNS)
 ANSWER_COLUMNS = ("run_id", "relay_id", "publish_ns", "latency_ns", "rtt_ns", "outcome")
 """What of the rows an answer rests on."""
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
-from ..model.columns import PARAMETER_NAMES
+from ..model.parameters import BRIDGE_MATCH_COLUMNS, MATCH_COLUMNS
 from ..statistics.intervals import REPLICATES, ratio_interval
 from ..statistics.percentiles import PERCENTILES
 from .change import Sample, change_of, probability_of_superiority
@@ -25,13 +25,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from ..statistics.intervals import Interval
-
-MATCH_COLUMNS = tuple(
-    name
-    for name in PARAMETER_NAMES
-    if name not in {"ping_device", "relay_device", "ping_domain_id", "relay_domain_id"}
-)
-"""What makes two groups the same experiment: every parameter but the machines' names and the domains' numbers."""
 
 QUANTILES = {p.name: p.quantile for p in PERCENTILES}
 
@@ -221,9 +214,6 @@ def _metric_rows(base: _Group, new: _Group, metric: str, options: CompareOptions
 
 def _keys_frame(keys: list[tuple[Any, ...]], schema: dict[str, Any]) -> pl.DataFrame:
     return pl.DataFrame(keys, schema=schema, orient="row")
-
-
-BRIDGE_MATCH_COLUMNS = tuple(name for name in MATCH_COLUMNS if name not in {"domain_mode", "bridge"})
 
 
 def bridge_cost(roundtrips: pl.DataFrame, options: CompareOptions | None = None) -> pl.DataFrame:

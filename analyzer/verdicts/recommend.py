@@ -20,19 +20,15 @@ import polars as pl
 
 from dds_trace.tracefile.errors import OptionError
 
+from ..model.parameters import SETTING_COLUMNS
 from ..statistics.intervals import percentile_interval, ranges_overlap
 from ..statistics.sample_size import minimum_messages, planned_messages
-from .compare import MATCH_COLUMNS
 from .interpolation import guess_cell
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
-
-CELL_COLUMNS = ("data_type", "payload_bytes", "rate_hz")
-SETTING_COLUMNS = tuple(name for name in MATCH_COLUMNS if name not in CELL_COLUMNS)
-"""What somebody can choose: middleware, bridge, QoS ... and what they cannot: the link (`connectivity`)."""
 
 IMU_BYTES = 296
 """37 float64, the only size that `data=imu` has."""

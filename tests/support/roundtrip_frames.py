@@ -6,8 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
-from dds_trace.analyzer.model.columns import PARAMETER_NAMES, ROUNDTRIP_COLUMNS, schema_of
+from dds_trace.analyzer.model.column import schema_of
+from dds_trace.analyzer.model.columns import ROUNDTRIP_COLUMNS
 from dds_trace.analyzer.model.metrics import with_metrics
+from dds_trace.analyzer.model.parameters import PARAMETER_NAMES
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping

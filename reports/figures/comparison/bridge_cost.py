@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.analyzer import MATCH_COLUMNS
+from dds_trace.analyzer.model.parameters import BRIDGED_COLUMNS
 
 from ...book.groups import data_type_label, groups_info
 from ...book.host import bridge_loads
@@ -73,14 +73,13 @@ def bridge_cost_info(analysis: Analysis) -> BridgeCost:
         return BridgeCost(())
     groups = groups_info(analysis)
     # Devices are no part of the comparison: a row is drawn at the first of the groups that share all else.
-    match = [name for name in MATCH_COLUMNS if name != "domain_mode"]
     place: dict[tuple[Any, ...], int] = {}
     for index, row in enumerate(analysis.summary.iter_rows(named=True)):
         if row["domain_mode"] == "different":
-            place.setdefault(tuple(row[name] for name in match), index)
+            place.setdefault(tuple(row[name] for name in BRIDGED_COLUMNS), index)
     costs: dict[int, dict[str, Cost]] = {}
     for row in analysis.details.bridge_costs.iter_rows(named=True):
-        group = place.get(tuple(row[name] for name in match))
+        group = place.get(tuple(row[name] for name in BRIDGED_COLUMNS))
         difference_ns = _whole(row["difference_ns"])
         if group is not None and row["metric"] == "latency" and difference_ns is not None:
             ends = (_whole(row["difference_low_ns"]), _whole(row["difference_high_ns"]))

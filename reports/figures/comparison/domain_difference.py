@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from dds_trace.analyzer.model.parameters import SAME_SIDES_COLUMNS
+
 from ...book.groups import data_type_label, groups_info
 from ...book.values import values_info
 from ...text import format_size
@@ -96,8 +98,4 @@ def domain_difference_figure(info: DomainDifference) -> Figure | LeftOut:
 
 
 def _apart_from_domain(series: Series) -> tuple[object, ...]:
-    return tuple(
-        getattr(series, name)
-        for name in series.__dataclass_fields__
-        if name not in {"domain_mode", "bridge", "ping_domain_id", "relay_domain_id"}
-    )
+    return tuple(getattr(series, name) for name in SAME_SIDES_COLUMNS)

@@ -1,0 +1,189 @@
+"""The key of a group: what was asked for and what was sent, and the slices of it by which groups are matched.
+
+A new parameter is a field of `Parameters` and its value in `parameters_of`; grouping, frames, Parquet files, matching and
+names follow from the field's row.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from enum import Enum, auto
+from typing import TYPE_CHECKING, Annotated, get_args, get_type_hints
+
+import polars as pl
+
+from .column import Column
+
+if TYPE_CHECKING:
+    from dds_trace.tracefile import Run, Session
+
+    ParameterValue = str | int | float | None
+
+
+class Part(Enum):
+    """The part of the key that a parameter belongs to; slices are made of parts."""
+
+    MIDDLEWARE = auto()  # the software of both sides
+    DOMAIN_IDS = auto()  # numbers of the domains: only same or different matters to a measurement
+    DOMAIN_MODE = auto()
+    BRIDGE = auto()
+    MESSAGE = auto()  # what was sent
+    SETTINGS = auto()  # how it was to be sent: QoS, and what else was asked for
+    DEVICES = auto()
+    LINK = auto()
+
+
+@dataclass(frozen=True, slots=True)
+class Described:
+    """The row of a parameter: its part, and the dtype, meaning and unit of its column."""
+
+    part: Part
+    dtype: type[pl.DataType]
+    meaning: str
+    unit: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Parameters:
+    """The parameters of one run and relay; those that agree in all parameters are one group."""
+
+    vendor: Annotated[str, Described(Part.MIDDLEWARE, pl.String, "middleware of the ping")]
+    backend: Annotated[
+        str, Described(Part.MIDDLEWARE, pl.String, "API that carried the messages of the ping")
+    ]
+    rmw: Annotated[
+        str | None,
+        Described(Part.MIDDLEWARE, pl.String, "ROS 2 middleware interface of the ping; null outside ROS 2"),
+    ]
+    bridge: Annotated[str, Described(Part.BRIDGE, pl.String, "none, or the bridge between the two domains")]
+    relay_vendor: Annotated[
+        str | None,
+        Described(Part.MIDDLEWARE, pl.String, "middleware of the relay; null without its trace"),
+    ]
+    relay_backend: Annotated[
+        str | None, Described(Part.MIDDLEWARE, pl.String, "API of the relay; null without its trace")
+    ]
+    ping_domain_id: Annotated[int, Described(Part.DOMAIN_IDS, pl.Int32, "DDS domain of the ping")]
+    relay_domain_id: Annotated[
+        int | None, Described(Part.DOMAIN_IDS, pl.Int32, "DDS domain of the relay; null if nobody said")
+    ]
+    domain_mode: Annotated[str, Described(Part.DOMAIN_MODE, pl.String, "same or different")]
+    data_type: Annotated[
+        str, Described(Part.MESSAGE, pl.String, "binary, string, imu or another payload's name")
+    ]
+    payload_bytes: Annotated[
+        int,
+        Described(Part.MESSAGE, pl.UInt32, "application bytes of a message, the stamp not counted", unit="B"),
+    ]
+    rate_hz: Annotated[
+        float, Described(Part.MESSAGE, pl.Float64, "rate that the schedule asked for", unit="Hz")
+    ]
+    reliability: Annotated[str, Described(Part.SETTINGS, pl.String, "reliable or best_effort")]
+    durability: Annotated[str, Described(Part.SETTINGS, pl.String, "volatile or transient_local")]
+    history: Annotated[str, Described(Part.SETTINGS, pl.String, "keep_last or keep_all")]
+    depth: Annotated[int, Described(Part.SETTINGS, pl.Int32, "messages kept, for keep_last")]
+    serialization: Annotated[str, Described(Part.SETTINGS, pl.String, "typed or raw")]
+    ping_device: Annotated[str, Described(Part.DEVICES, pl.String, "device of the ping")]
+    relay_device: Annotated[
+        str | None, Described(Part.DEVICES, pl.String, "device of the relay; null without its trace")
+    ]
+    connectivity: Annotated[
+        str, Described(Part.LINK, pl.String, "loopback, wired, wireless ... as the ping was told")
+    ]
+
+    def values(self) -> tuple[ParameterValue, ...]:
+        """Return the values in the order of `PARAMETER_COLUMNS`."""
+        return tuple(getattr(self, name) for name in PARAMETER_NAMES)
+
+    def order(self) -> tuple[tuple[bool, ParameterValue], ...]:
+        """Return the key by which groups are sorted: column by column, null last."""
+        return tuple((value is None, value) for value in self.values())
+
+
+def parameters_of(run: Run, ping: Session, relay: Session | None) -> Parameters:
+    """Return the key of the group to which a run and one of its relays belong.
+
+    Args:
+        run: the ping's description of the run.
+        ping: session of the ping.
+        relay: session of the relay, None without its trace.
+    """
+    relay_domain_id = relay_domain_of(run, ping, relay)
+    return Parameters(
+        vendor=ping.vendor,
+        backend=ping.backend,
+        rmw=ping.rmw,
+        bridge=run.bridge,
+        relay_vendor=relay.vendor if relay else None,
+        relay_backend=relay.backend if relay else None,
+        ping_domain_id=ping.domain_id,
+        relay_domain_id=relay_domain_id,
+        # A bridge whose far side nobody names still stands between two domains.
+        domain_mode="same" if relay_domain_id == ping.domain_id else "different",
+        data_type=run.data_type,
+        payload_bytes=run.payload_bytes,
+        rate_hz=run.rate_hz,
+        reliability=run.qos.reliability,
+        durability=run.qos.durability,
+        history=run.qos.history,
+        depth=run.qos.depth,
+        serialization=run.serialization,
+        ping_device=ping.device,
+        relay_device=relay.device if relay else None,
+        connectivity=ping.connectivity,
+    )
+
+
+def relay_domain_of(run: Run, ping: Session, relay: Session | None) -> int | None:
+    """Return the relay's domain: as it says itself, else as the ping was told, else the ping's without a bridge."""
+    if relay is not None:
+        return relay.domain_id
+    if run.relay_domain_id is not None:
+        return run.relay_domain_id
+    return ping.domain_id if run.bridge == "none" else None
+
+
+_DESCRIBED: dict[str, Described] = {
+    name: get_args(hint)[1] for name, hint in get_type_hints(Parameters, include_extras=True).items()
+}
+
+PARAMETER_COLUMNS = tuple(Column(name, row.dtype, row.unit, row.meaning) for name, row in _DESCRIBED.items())
+PARAMETER_NAMES = tuple(field.name for field in fields(Parameters))
+
+
+def names_of(*parts: Part) -> tuple[str, ...]:
+    """Return the names of the parameters of some parts, in the order of their columns."""
+    return tuple(name for name, row in _DESCRIBED.items() if row.part in parts)
+
+
+CELL_COLUMNS = names_of(Part.MESSAGE)
+"""What was sent; a report calls it a cell."""
+
+SERIES_COLUMNS = tuple(name for name in PARAMETER_NAMES if name not in CELL_COLUMNS)
+"""Who sent it to whom, through what and how."""
+
+CONTENDER_COLUMNS = names_of(Part.MIDDLEWARE, Part.BRIDGE, Part.SETTINGS)
+"""What somebody can choose for a given kind of message."""
+
+SETTING_COLUMNS = names_of(Part.MIDDLEWARE, Part.BRIDGE, Part.SETTINGS, Part.DOMAIN_MODE, Part.LINK)
+"""What a recommendation names: the choice, and the domains and link for which it holds."""
+
+CASE_COLUMNS = (*names_of(Part.LINK), *names_of(Part.DOMAIN_MODE), *CELL_COLUMNS)
+"""The kind of message that contenders are compared for, in the order of the answers."""
+
+MATCH_COLUMNS = names_of(
+    Part.MIDDLEWARE, Part.BRIDGE, Part.DOMAIN_MODE, Part.MESSAGE, Part.SETTINGS, Part.LINK
+)
+"""What makes two groups the same experiment: every parameter but the devices' names and the domains' numbers."""
+
+BRIDGE_MATCH_COLUMNS = names_of(Part.MIDDLEWARE, Part.MESSAGE, Part.SETTINGS, Part.LINK)
+"""What makes two groups the same experiment, in one domain and through a bridge."""
+
+BRIDGED_COLUMNS = names_of(Part.MIDDLEWARE, Part.BRIDGE, Part.MESSAGE, Part.SETTINGS, Part.LINK)
+"""What tells the rows of `Details.bridge_costs` apart: what was matched, and the bridge."""
+
+SAME_SIDES_COLUMNS = names_of(Part.MIDDLEWARE, Part.SETTINGS, Part.DEVICES, Part.LINK)
+"""What groups share that differ in nothing but their messages and the way between the domains."""
+
+SIZE_LINE_COLUMNS = tuple(name for name in PARAMETER_NAMES if name != "payload_bytes")
+"""What groups share that differ in nothing but the size of their messages."""

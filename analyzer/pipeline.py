@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import MissingEventsError
+from dds_trace.tracefile.units.counts import counted
 
 from .analysis import Analysis
 from .details import collect_details
@@ -175,11 +176,11 @@ def _runs_by_start(campaign: Campaign, exchanges: Exchanges) -> tuple[Run, ...]:
 
 def _nothing_to_pair(campaign: Campaign, exchanges: Exchanges) -> str:
     reasons = {
-        f"{unplaced.events} events of run {unplaced.run_id:016x} in {campaign.names(unplaced.traces)}"
+        f"{counted(unplaced.events, 'event')} of run {unplaced.run_id:016x} in {campaign.names(unplaced.traces)}"
         for unplaced in exchanges.unplaced
     }
     found = f": {'; '.join(sorted(reasons))}" if reasons else ""
     return (
-        f"{campaign.folder}: {len(campaign.traces)} traces, but no published message (T1) with its run and session "
+        f"{campaign.folder}: {counted(len(campaign.traces), 'trace')}, but no published message (T1) with its run and session "
         f"description{found}; add the trace of the ping"
     )

@@ -10,6 +10,7 @@ from rich.live import Live
 from rich.text import Text
 
 from dds_trace.recorder import PingProgress, RelayProgress
+from dds_trace.tracefile.units.counts import counted
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -23,7 +24,7 @@ def format_duration(duration_ns: int | None) -> str:
 def describe_progress(progress: PingProgress | RelayProgress) -> str:
     """One line of what a role has done."""
     if isinstance(progress, RelayProgress):
-        line = f"{progress.relayed} messages sent back in {progress.runs} runs"
+        line = f"{counted(progress.relayed, 'message')} sent back in {counted(progress.runs, 'run')}"
         return f"{line}, {progress.foreign} without our stamp left alone" if progress.foreign else line
     p50, p99 = format_duration(progress.rtt_p50_ns), format_duration(progress.rtt_p99_ns)
     return (

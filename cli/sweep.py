@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from dds_trace.tracefile import OptionError, __version__
+from dds_trace.tracefile.units.counts import counted
 
 from .errors import run_command
 
@@ -107,7 +108,7 @@ def _sweep(plan: Plan, out: Path, as_json: bool) -> int:
         print(json.dumps({"folder": str(done.folder), "cells": done.cells, "missing": done.missing}))
     else:
         print(f"Wrote {done.folder}")
-        print(f"{complete} of {done.cells} cells are complete")
+        print(f"{complete} of {counted(done.cells, 'cell is', 'cells are')} complete")
     for name, reason in done.missing.items():
         print(f"{name}: {reason}", file=sys.stderr)
     return INCOMPLETE_EXIT_CODE if done.missing else 0
@@ -158,14 +159,15 @@ def _show(plan: Plan, as_json: bool) -> None:
         for cell in group.cells:
             print(f"  {cell.name}  {plan.run.planned_seconds(cell.rate):.0f} s{_doubt(plan, cell)}")
     for reason, count in Counter(reason for _, reason in plan.excluded).items():
-        print(f"left out by [[exclude]]: {count} cells" + (f" ({reason})" if reason else ""))
+        print(f"left out by [[exclude]]: {counted(count, 'cell')}" + (f" ({reason})" if reason else ""))
     if plan.link is not None:
         print(f"link: {plan.link}")
     if plan.by_hand:
         for line in _relay_commands(plan):
             print(line)
     print(
-        f"plan {plan.name}: {len(cells)} cells, {len(plan.excluded)} left out, {len(groups)} starts of a relay, "
+        f"plan {plan.name}: {counted(len(cells), 'cell')}, {len(plan.excluded)} left out, "
+        f"{counted(len(groups), 'start of a relay', 'starts of a relay')}, "
         f"about {plan_seconds(plan)}"
     )
 

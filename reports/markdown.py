@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from dds_trace.tracefile.units.counts import counted
+
 from .book.answer import answer_info
 from .book.findings import findings_info
 from .book.groups import METRICS, STATISTICS, data_type_label, groups_info
@@ -106,7 +108,7 @@ def _groups(analysis: Analysis) -> str:
     names = (f"{METRICS[metric]} {STATISTICS[name]}" for name in SHOWN_STATISTICS)
     table = _table(("Data", "Size", "Rate", "Series", "Received", *names), rows)
     left = len(groups.groups) - len(rows)
-    notes = [f"{left} more groups are in `summary.parquet`."] if left else []
+    notes = [f"{counted(left, 'more group is', 'more groups are')} in `summary.parquet`."] if left else []
     if any(ends):
         notes.insert(
             0, "In brackets: 95 % confidence intervals; a dash is an end that the sample does not support."
@@ -145,7 +147,10 @@ def _bridge_costs(analysis: Analysis) -> str:
     names = (f"Added, {STATISTICS[name]}" for name in COST_STATISTICS)
     table = _table(("Data", "Size", "Rate", "Series", *names, "Bridge CPU"), rows)
     left = len(cells) - len(rows)
-    notes = [HOW_TO_READ_COSTS, *([f"{left} more cells are in the JSON report."] if left else [])]
+    notes = [
+        HOW_TO_READ_COSTS,
+        *([f"{counted(left, 'more cell is', 'more cells are')} in the JSON report."] if left else []),
+    ]
     return "\n\n".join([table, *notes]) if rows else ""
 
 

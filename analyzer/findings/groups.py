@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import defaultdict
 from typing import TYPE_CHECKING
 
+from dds_trace.tracefile.units.counts import counted
+
 from ..model.finding import Finding, Severity
 from ..model.metrics import METRICS
 from ..pairing.pair import Outcome
@@ -37,7 +39,7 @@ def losses(evidence: Evidence) -> Iterator[Finding]:
                 Severity.ERROR,
                 "nothing_received",
                 name,
-                f"None of {published} messages came back ({lost}).",
+                f"None of {counted(published, 'message')} came back ({lost}).",
                 "Check domain, bridge and middleware of both sides; there is nothing to compare here.",
                 (group,),
             )
@@ -46,7 +48,7 @@ def losses(evidence: Evidence) -> Iterator[Finding]:
                 Severity.WARNING,
                 "loss",
                 name,
-                f"{published - received} of {published} messages ({percent(published - received, published)}) "
+                f"{published - received} of {counted(published, 'message')} ({percent(published - received, published)}) "
                 f"did not come back: {lost}.",
                 "Read percentiles here as those of the messages that survived; look at reliability, "
                 "socket buffers and rate.",
@@ -78,7 +80,7 @@ def duplicates(evidence: Evidence) -> Iterator[Finding]:
                 Severity.WARNING,
                 "duplicates",
                 name,
-                f"{count} replies came more than once; the first one counts.",
+                f"{counted(count, 'reply', 'replies')} came more than once; the first one counts.",
                 "Look for a second bridge or route between the two sides.",
                 (group,),
             )
@@ -93,7 +95,7 @@ def reordering(evidence: Evidence) -> Iterator[Finding]:
                 Severity.WARNING,
                 "reordering",
                 name,
-                f"{count} of {received} replies came after the reply to a later message.",
+                f"{count} of {counted(received, 'reply', 'replies')} came after the reply to a later message.",
                 "With reliable QoS on one topic this should not happen: look for several routes or relays.",
                 (group,),
             )
@@ -106,7 +108,9 @@ def impossible_times(evidence: Evidence) -> Iterator[Finding]:
     for exchange, group, row in zip(
         evidence.roundtrips.exchanges, evidence.exchange_groups(), rows, strict=True
     ):
-        found = [f"{name.removeprefix('negative_')} of {n} messages" for name, n in row.items() if n]
+        found = [
+            f"{name.removeprefix('negative_')} of {counted(n, 'message')}" for name, n in row.items() if n
+        ]
         if found:
             yield Finding(
                 Severity.ERROR,
@@ -159,14 +163,15 @@ def few_samples(evidence: Evidence) -> Iterator[Finding]:
                 lacking[groups, tuple(together)].append(percentile)
     for (groups, metrics), percentiles in lacking.items():
         counts = sorted(int(samples[metric][group]) for metric in metrics for group in groups)
-        held = f"{counts[0]}" if counts[0] == counts[-1] else f"{counts[0]} to {counts[-1]}"
+        few = f"{counts[0]} to " if counts[0] != counts[-1] else ""
+        held = f"{'is' if counts[-1] == 1 else 'are'} {few}{counted(counts[-1], 'sample')}"
         wanted = ", ".join(f"{_shown(p)} (takes {p.needs})" for p in percentiles)
         everywhere = len(groups) == len(names) and len(groups) > 1
         yield Finding(
             Severity.INFO,
             "few_samples",
             f"all {len(groups)} groups" if everywhere else some(names[group] for group in groups),
-            f"Null for want of samples: {wanted} of {', '.join(metrics)}; there are {held} samples.",
+            f"Null for want of samples: {wanted} of {', '.join(metrics)}; there {held}.",
             f"Record at least {percentiles[-1].needs} messages a group to see all of them.",
             groups,
         )
@@ -190,7 +195,7 @@ def outages(evidence: Evidence) -> Iterator[Finding]:
             Severity.WARNING,
             "outage",
             names[group],
-            f"{len(found)} times several messages in a row were lost, {found['messages'].sum()} in all{longest}"
+            f"{counted(len(found), 'time')} several messages in a row were lost, {found['messages'].sum()} in all{longest}"
             + (f"; {endless} lasted to the end of the run." if endless else "."),
             "Look at the timeline: a link that drops out, a bridge or relay that restarts, a full buffer.",
             (group,),

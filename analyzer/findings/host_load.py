@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import defaultdict
 from typing import TYPE_CHECKING
 
+from dds_trace.tracefile.units.counts import counted
+
 from ..model.finding import Finding, Severity
 
 if TYPE_CHECKING:
@@ -32,7 +34,7 @@ def cpu_saturation(evidence: Evidence) -> Iterator[Finding]:
                 Severity.WARNING,
                 "cpu_saturated",
                 evidence.session_name(evidence.campaign.sessions[session_id]),
-                f"In {full} of {len(found)} seconds a processor was busy to at least {_SATURATED_PERCENT:g} %.",
+                f"In {full} of {counted(len(found), 'second')} a processor was busy to at least {_SATURATED_PERCENT:g} %.",
                 "Latencies here hold time spent waiting for the processor: lower rate or size, or free the device.",
             )
 
@@ -49,6 +51,6 @@ def kernel_drops(evidence: Evidence) -> Iterator[Finding]:
                 Severity.WARNING,
                 "udp_buffer_overflow",
                 evidence.session_name(evidence.campaign.sessions[session_id]),
-                f"The kernel threw away {count:.0f} datagrams for want of receive buffer while this was recorded.",
+                f"The kernel threw away {counted(round(count), 'datagram')} for want of receive buffer while this was recorded.",
                 "Losses and late large messages are to be expected: raise net.core.rmem_max and net.core.rmem_default.",
             )

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from dds_trace.tracefile.units.counts import counted
+
 from ..engines.batches import WHOLE_GROUP_EVENTS
 from ..engines.oversized import RELATIVE_ERROR
 from ..model.finding import Finding, Severity
@@ -63,7 +65,8 @@ def size_findings(evidence: Evidence, rows: RowsByGroup | None, in_parts: Sequen
             Severity.INFO,
             "group_in_parts",
             some(names[group] for group in in_parts),
-            f"{len(in_parts)} groups have more than {WHOLE_GROUP_EVENTS:,} events each and were worked at in parts: "
+            f"{counted(len(in_parts), 'group has', 'groups have')} more than {WHOLE_GROUP_EVENTS:,} events"
+            f"{'' if len(in_parts) == 1 else ' each'} and {'was' if len(in_parts) == 1 else 'were'} worked at in parts: "
             "there is no breakdown of where their time goes, and no response against round trip time.",
             "Analyze a folder with fewer of their runs to see these.",
             tuple(in_parts),

@@ -6,6 +6,8 @@ from collections import defaultdict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from dds_trace.tracefile.units.counts import counted
+
 from ..model.finding import Finding, Severity
 from .evidence import exchange_name, percent, some
 
@@ -69,8 +71,8 @@ def unplaced_events(evidence: Evidence) -> Iterator[Finding]:
             _UNPLACED[reason].severity,
             _UNPLACED[reason].code,
             f"{evidence.campaign.names(traces)}{of_relay}",
-            f"{_UNPLACED[reason].what} {sum(u.events for u in held)} events, runs {runs}"
-            + (f" ({detail})." if detail else "."),
+            f"{_UNPLACED[reason].what} {counted(sum(u.events for u in held), 'event')}, "
+            f"{'run' if len(held) == 1 else 'runs'} {runs}" + (f" ({detail})." if detail else "."),
             _UNPLACED[reason].action,
         )
 
@@ -84,7 +86,7 @@ def unfinished_runs(evidence: Evidence) -> Iterator[Finding]:
                 Severity.WARNING,
                 "unfinished_run",
                 evidence.run_name(run_id),
-                f"The run has no end: {kept} messages were published, {run.planned_messages} planned.",
+                f"The run has no end: {counted(kept, 'message was', 'messages were')} published, {run.planned_messages} planned.",
                 "The last messages may count as lost though they were only under way; repeat the run if that matters.",
             )
         elif run.published < run.planned_messages:
@@ -92,7 +94,7 @@ def unfinished_runs(evidence: Evidence) -> Iterator[Finding]:
                 Severity.WARNING,
                 "unfinished_run",
                 evidence.run_name(run_id),
-                f"The run was stopped after {run.published} of {run.planned_messages} planned messages.",
+                f"The run was stopped after {run.published} of {counted(run.planned_messages, 'planned message')}.",
                 "Percentiles rest on fewer samples than planned; repeat the run if that matters.",
             )
         if run.state == "finished" and kept < run.published:
@@ -100,8 +102,9 @@ def unfinished_runs(evidence: Evidence) -> Iterator[Finding]:
                 Severity.ERROR,
                 "missing_publications",
                 evidence.run_name(run_id),
-                f"{run.published - kept} of {run.published} published messages have no T1 in the trace; "
-                "they have no row.",
+                f"{run.published - kept} of {counted(run.published, 'published message')} "
+                f"{'has no T1 in the trace; it has' if run.published - kept == 1 else 'have no T1 in the trace; they have'} "
+                "no row.",
                 "Use the whole trace; if it is whole, the recorder dropped events.",
             )
 
@@ -114,7 +117,7 @@ def repeated_publications(evidence: Evidence) -> Iterator[Finding]:
                 Severity.ERROR,
                 "repeated_publications",
                 evidence.run_name(run_id),
-                f"{published.repeated} T1 events repeat the sequence number of another; the first one counts.",
+                f"{counted(published.repeated, 'T1 event repeats', 'T1 events repeat')} the sequence number of another; the first one counts.",
                 "Each run needs its own random run_id, and each message its own sequence number.",
             )
 
@@ -130,7 +133,11 @@ def orphan_events(evidence: Evidence) -> Iterator[Finding]:
                 Severity.WARNING,
                 "orphan_events",
                 exchange_name(exchange),
-                f"{count} T2, T3 or T4 events name messages without T1; they have no row.",
+                counted(
+                    count,
+                    "T2, T3 or T4 event names a message without T1; it has no row.",
+                    "T2, T3 or T4 events name messages without T1; they have no row.",
+                ),
                 "Use the whole trace of the ping; if it is whole, its recorder dropped events.",
                 (group,),
             )
@@ -149,7 +156,11 @@ def missing_schedule(evidence: Evidence) -> Iterator[Finding]:
             Severity.INFO,
             "no_schedule",
             some(evidence.run_name(run_id) for run_id in sorted(unscheduled)),
-            f"{len(unscheduled)} runs recorded no planned send times; their response times are null.",
+            counted(
+                len(unscheduled),
+                "run recorded no planned send times; its response times are null.",
+                "runs recorded no planned send times; their response times are null.",
+            ),
             "Record T0 (scheduled_ns of T1) to see what a late sender hides.",
         )
 
@@ -192,7 +203,7 @@ def relays_without_trace(evidence: Evidence) -> Iterator[Finding]:
             Severity.WARNING,
             "missing_relay_trace",
             f"relay {relay_id:08x}",
-            f"{len(runs)} runs have replies of this relay but none of its events: latency and intermediate time "
+            f"{counted(len(runs), 'run has', 'runs have')} replies of this relay but none of its events: latency and intermediate time "
             "are null, and losses are lost_unknown.",
             "Its trace here does not know these runs: use the whole trace, or the one that is missing."
             if described
@@ -203,7 +214,7 @@ def relays_without_trace(evidence: Evidence) -> Iterator[Finding]:
             Severity.WARNING,
             "undescribed_relay",
             f"relay {relay_id:08x}",
-            f"{len(runs)} runs have events of this relay, but no session describes it: its vendor, backend and "
+            f"{counted(len(runs), 'run has', 'runs have')} events of this relay, but no session describes it: its vendor, backend and "
             "device are null.",
             "Keep the topic /dds_trace/session when filtering bags.",
         )
@@ -220,7 +231,7 @@ def gaps_of_relays(evidence: Evidence) -> Iterator[Finding]:
                 Severity.WARNING,
                 "relay_trace_gaps",
                 exchange_name(exchange),
-                f"{gaps} of {received} messages ({percent(gaps, received)}) came back, but the relay's trace "
+                f"{gaps} of {counted(received, 'message')} ({percent(gaps, received)}) came back, but the relay's trace "
                 "lacks their T3 or T4: their latency is null, and lost_outbound may count messages that did arrive.",
                 "Use the whole trace of the relay.",
                 (group,),

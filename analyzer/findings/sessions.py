@@ -6,6 +6,8 @@ import json
 from collections import Counter, defaultdict
 from typing import TYPE_CHECKING, Any
 
+from dds_trace.tracefile.units.counts import counted
+
 from ..model.finding import Finding, Severity
 from .evidence import some
 
@@ -33,7 +35,7 @@ def recorder_drops(evidence: Evidence) -> Iterator[Finding]:
                 Severity.ERROR,
                 "recorder_drops",
                 evidence.session_name(session),
-                f"The recorder dropped {session.dropped_events} events; messages that it dropped count as lost.",
+                f"The recorder dropped {counted(session.dropped_events, 'event')}; messages that it dropped count as lost.",
                 "Do not trust losses here; record to a faster disk, at a lower rate or with a larger ring.",
             )
 
@@ -62,7 +64,7 @@ def doubtful_sessions(evidence: Evidence) -> Iterator[Finding]:
             Severity.WARNING,
             "doubtful_session",
             some(evidence.session_name(evidence.campaign.sessions[c]) for c in candidates),
-            f"{len(candidates)} {role} sessions could have recorded the events of {len(runs)} runs (a restarted "
+            f"{len(candidates)} {role} sessions could have recorded the events of {counted(len(runs), 'run')} (a restarted "
             "process, or traces merged into one file); each run was given the last session started before it.",
             "Keep each recording in its own file.",
         )

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from dds_trace.tracefile.units.counts import counted
+
 from ..model.finding import Finding, Severity
 from .evidence import some
 
@@ -57,7 +59,7 @@ def rescued_events(evidence: Evidence) -> Iterator[Finding]:
                 Severity.INFO,
                 "ring_recovered",
                 evidence.campaign.name(position),
-                f"{trace.ring_events} events come from the ring that a killed recorder left beside the file.",
+                f"{counted(trace.ring_events, 'event comes', 'events come')} from the ring that a killed recorder left beside the file.",
                 "Nothing to do; keep the ring file beside its trace.",
             )
 
@@ -70,7 +72,11 @@ def unreadable_messages(evidence: Evidence) -> Iterator[Finding]:
                 Severity.WARNING,
                 "unreadable_messages",
                 evidence.campaign.name(position),
-                f"{trace.unreadable_messages} messages on event topics are no events and were not used.",
+                counted(
+                    trace.unreadable_messages,
+                    "message on an event topic is no event and was not used.",
+                    "messages on event topics are no events and were not used.",
+                ),
                 "Compare what wrote the file with docs/trace-format.md.",
             )
 
@@ -106,7 +112,8 @@ def copied_files(evidence: Evidence) -> Iterator[Finding]:
                 Severity.INFO,
                 "overlapping_files",
                 name,
-                f"{copy.events} of its events are also in {evidence.campaign.names(copy.others) or name}; "
-                "they were counted once.",
+                f"{copy.events} of its events {'is' if copy.events == 1 else 'are'} also in "
+                f"{evidence.campaign.names(copy.others) or name}; "
+                f"{'it was' if copy.events == 1 else 'they were'} counted once.",
                 "Nothing to do; keep the more complete file to save time.",
             )

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import MissingEventsError, TraceFormatError
+from dds_trace.tracefile.units.counts import counted
 
 from ..model.source import Source
 from .events import Copies, EventsByKey, index_parts
@@ -172,7 +173,7 @@ def _read_sources(
         copied = of_trace[position].events if position in of_trace else 0
         if copied:
             others = ", ".join(_relative(traces[other].path, folder) for other in of_trace[position].others)
-            remark = f"{copied} of its {held} events are also in {others or 'itself'} and counted once"
+            remark = f"{copied} of its {counted(held, 'event')} {'is' if copied == 1 else 'are'} also in {others or 'itself'} and counted once"
             detail = f"{detail}; {remark}" if detail else remark
             status = "duplicate" if copied == held else status
         yield Source(name, status, detail, held - copied)

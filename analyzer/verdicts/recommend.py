@@ -19,6 +19,7 @@ import numpy as np
 import polars as pl
 
 from dds_trace.tracefile.errors import OptionError
+from dds_trace.tracefile.units.counts import counted
 
 from ..model.parameters import SETTING_COLUMNS
 from ..statistics.intervals import percentile_interval, ranges_overlap
@@ -270,7 +271,7 @@ def _measured(setting: dict[str, Any], cell: pl.DataFrame, job: Job, confidence:
         if not len(latencies):
             reason = "no relay trace: these messages have no latency"
         elif len(latencies) < needs:
-            reason = f"{len(latencies)} messages; an interval at {job.reliability:g} takes {needs}"
+            reason = f"{counted(len(latencies), 'message')}; an interval at {job.reliability:g} takes {needs}"
         else:
             reason = "the deadline lies within the interval; record more messages"
     return Candidate(
@@ -310,8 +311,8 @@ def _guessed(
         messages=0,
         held_out=guess.held_out,
         reason=(
-            f"not measured: interpolated between measured sizes and rates; {guess.held_out} held-out cells were off "
-            f"by a factor of up to {guess.error_factor:.2f}"
+            f"not measured: interpolated between measured sizes and rates; "
+            f"{counted(guess.held_out, 'held-out cell was', 'held-out cells were')} off by a factor of up to {guess.error_factor:.2f}"
         ),
     )
 

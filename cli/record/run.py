@@ -9,6 +9,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.recorder import record
+from dds_trace.tracefile.units.counts import counted
 
 from ..progress import TerminalWatch, describe_progress
 
@@ -37,7 +38,7 @@ def print_result(recorded: Recorded, *, as_json: bool) -> None:
     else:
         print(f"Wrote {trace.path}")
         print(
-            f"{describe_progress(recorded.progress)}; {trace.events} events, {trace.dropped_events} dropped"
+            f"{describe_progress(recorded.progress)}; {counted(trace.events, 'event')}, {trace.dropped_events} dropped"
         )
     if trace.error is not None:
         raise trace.error

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.tracefile import Qos, TraceError, TraceFormatError
+from dds_trace.tracefile.units.counts import counted
 
 from ..backends import open_node
 from ..backends.base import Discovery, NodeOptions, Transport
@@ -137,7 +138,7 @@ def serve(nodes: Sequence[Node], traffic: Traffic, what: str) -> None:
                     raise node.error
             if before == (before := traffic.messages):  # a quiet moment
                 collect_young()
-    print(f"forwarded {traffic.messages} messages", flush=True)
+    print(f"forwarded {counted(traffic.messages, 'message')}", flush=True)
 
 
 def run(main: Callable[[Path], None]) -> None:

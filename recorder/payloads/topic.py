@@ -9,6 +9,7 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from dds_trace.tracefile import OptionError, Qos
+from dds_trace.tracefile.units.counts import counted
 
 from ..backends.base import Serialization
 from .base import RELAY_SUFFIX, Message, Payload
@@ -136,7 +137,7 @@ class LiveFeed:
         arrivals_ns = list(self._arrivals_ns)
         if self._sample is None or self._data_type is None or len(arrivals_ns) < 2:
             raise OptionError(
-                f"{self._where}: {len(arrivals_ns)} messages came; look whether its publisher sends, "
+                f"{self._where}: {counted(len(arrivals_ns), 'message')} came; look whether its publisher sends, "
                 "or give a longer --wait"
             )
         rate_hz = (len(arrivals_ns) - 1) / (arrivals_ns[-1] - arrivals_ns[0]) * 1e9

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from dds_trace.tracefile.units.counts import counted
+
 from ..backends.checks import SOCKET_PORT, ZENOH_PORT, port_of
 from ..payloads import DATA_TYPES
 
@@ -76,8 +78,9 @@ def explain_silence(node: Node, plan: RunPlan, waited_s: float) -> str:
     )
     where = f", at {', '.join(options.peers)}" if options.peers else ""
     count = node.count_participants()
+    others = "an unknown number of other nodes" if count is None else counted(count - 1, "other node")
     saw = [
-        f"{'an unknown number of' if count is None else count - 1} other nodes in domain {options.domain_id}",
+        f"{others} in domain {options.domain_id}",
         f"{_listed(sight.subscriptions)} subscribed to {data_type.topic}",
         f"{_listed(sight.publishers)} publishing {data_type.relay_topic}",
         *sight.incompatible,

@@ -11,6 +11,8 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import TYPE_CHECKING
 
+from dds_trace.tracefile.units.counts import counted
+
 from .plan.schedule import group_by_relay
 from .run.state import Status
 
@@ -143,7 +145,10 @@ def why_not_held(search: Search, asked_hz: float, result: Mapping[str, Any]) -> 
     percentile = f"p{search.percentile:g}"
     response_ms = result["response_ms"][percentile] if result["response_ms"] else math.inf
     conditions = (
-        (result["cut_off"], f"cut off after {result['published']} of {result['planned']} messages"),
+        (
+            result["cut_off"],
+            f"cut off after {result['published']} of {counted(result['planned'], 'message')}",
+        ),
         (achieved_hz < HELD_SHARE * asked_hz, f"{achieved_hz:.0f} of {asked_hz:g} messages a second sent"),
         (loss_percent > search.loss_percent, f"{loss_percent:.3g} % lost"),
         (response_ms > search.deadline_ms, f"response {percentile} {response_ms:.3g} ms"),

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
+from dds_trace.tracefile.units.counts import counted
+
 from ..text import format_added_ns, format_count, format_ns, format_ratio, visible
 from .groups import (
     METRICS,
@@ -230,7 +232,7 @@ def _unknown_remarks(metric: str) -> list[str]:
 
 
 def _losses(values: Values) -> str:
-    published = sum(count or 0 for count in values.plain["published"])
+    published = round(sum(count or 0 for count in values.plain["published"]))
     received = sum(count or 0 for count in values.plain["received"])
     lost = published - received
     if lost == 0:
@@ -238,9 +240,11 @@ def _losses(values: Values) -> str:
     touched = sum(
         (a or 0) > (b or 0) for a, b in zip(values.plain["published"], values.plain["received"], strict=True)
     )
-    groups = f"{format_count(touched)} of {format_count(len(values.plain['published']))} groups"
+    count = len(values.plain["published"])
+    groups = f"{format_count(touched)} of {counted(count, 'group', text=format_count(count))}"
     share = format_ratio(lost / published)
-    return f"{format_count(lost)} of {format_count(published)} messages ({share}) did not come back, in {groups}."
+    messages = counted(published, "message", text=format_count(published))
+    return f"{format_count(lost)} of {messages} ({share}) did not come back, in {groups}."
 
 
 def _and(names: Iterable[str]) -> str:

@@ -6,6 +6,8 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from dds_trace.tracefile.units.counts import counted
+
 from ..text import MAX_FINDING_CHARACTERS, visible
 from .groups import group_labels, groups_info
 
@@ -92,7 +94,7 @@ def severity_counts(kinds: Sequence[FindingKind]) -> tuple[tuple[str, str], ...]
     """Severity and how many kinds have it, in words: `2 warnings`."""
     counts = Counter(kind.severity for kind in kinds)
     return tuple(
-        (severity, f"{counts[severity]} {word}{'' if counts[severity] == 1 else 's'}")
+        (severity, counted(counts[severity], word))
         for severity, word in SEVERITIES.items()
         if counts[severity]
     )

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
 from typing import TYPE_CHECKING
 
+from dds_trace.tracefile.units.counts import counted
+
 from ..text import format_count, format_hz, format_size, visible
 from .groups import (
     VENDORS,
@@ -106,7 +108,7 @@ def _messages(analysis: Analysis) -> str:
     published, received = (int(analysis.summary[name].sum()) for name in ("published", "received"))
     runs = len(analysis.runs)
     came_back = "all came back" if published == received else f"{format_count(received)} came back"
-    return f"{format_count(published)} in {format_count(runs)} run{'' if runs == 1 else 's'}, {came_back}"
+    return f"{format_count(published)} in {counted(runs, 'run', text=format_count(runs))}, {came_back}"
 
 
 def _sent(groups: Groups) -> str:

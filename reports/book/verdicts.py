@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.analyzer import find_headlines
+from dds_trace.tracefile.units.counts import counted
 
 from ..text import visible
 from .groups import DATA_TYPES, data_type_label, pair_label
@@ -126,7 +127,7 @@ def contender_labels(answers: Sequence[Answer]) -> dict[str, str]:
 
 def cells_label(count: int) -> str:
     """As in `1 cell`, `12 cells`."""
-    return f"{count} cell{'' if count == 1 else 's'}"
+    return counted(count, "cell")
 
 
 def _label(setting: Mapping[str, Any]) -> str:

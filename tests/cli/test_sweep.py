@@ -111,7 +111,7 @@ def test_dry_run_of_the_papers_plan_from_the_command_line():
 def test_dry_run_names_what_is_left_out_and_what_cannot_be_carried(call, plan):
     code, out, _ = call(plan, "--dry-run")
     assert code == 0
-    assert "left out by [[exclude]]: 1 cells (for the test)" in out
+    assert "left out by [[exclude]]: 1 cell (for the test)" in out
     assert (
         "ros2_same_binary-4MB_1000Hz  0 s  asks 32000 of 10000 Mbit/s: will be cut off after 30 s more" in out
     )

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..units.counts import counted
+
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
@@ -98,7 +100,7 @@ def unpack_event(data: bytes | memoryview) -> tuple[int, ...]:
     """
     if len(data) != EVENT_CDR_BYTES or bytes(data[:2]) != CDR_HEADER[:2]:
         raise ValueError(
-            f"an event is {EVENT_CDR_BYTES} bytes of little-endian CDR, this is {len(data)} bytes"
+            f"an event is {EVENT_CDR_BYTES} bytes of little-endian CDR, this is {counted(len(data), 'byte')}"
         )
     return EVENT_STRUCT.unpack_from(data, len(CDR_HEADER))
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING
 
+from ..units.counts import counted
 from .event_scan import (
     MESSAGES_AND_CHANNELS,
     Scan,
@@ -133,7 +134,7 @@ class BlockJobs:
         if header.length > MAX_RECORD_BYTES:
             name = record_name(header.opcode)
             self.notes.append(
-                f"the {name} record of {header.length} bytes at byte {header.offset} is left out"
+                f"the {name} record of {counted(header.length, 'byte')} at byte {header.offset} is left out"
             )
             return
         size = max(header.end - header.offset, min(BLOCK_BYTES, self.file.size - header.offset))
@@ -174,7 +175,12 @@ class BlockJobs:
                 continue
             found = scan_records(data, start, stop)
             if found.end < stop:
-                notes.append(_left_out(chunk.offset, f"{stop - found.end} bytes in it are no records"))
+                notes.append(
+                    _left_out(
+                        chunk.offset,
+                        counted(stop - found.end, "byte in it is no record", "bytes in it are no records"),
+                    )
+                )
                 continue
             scan.extend(found)
             places.append((start, chunk.offset))

@@ -10,6 +10,7 @@ import cramjam
 import zstandard
 
 from ..format.crc import crc32
+from ..units.counts import counted
 from .records import MAX_RECORD_BYTES, Fields
 
 if TYPE_CHECKING:
@@ -96,7 +97,7 @@ class PackedChunk:
         except (ValueError, MemoryError, zstandard.ZstdError, cramjam.DecompressionError) as err:
             raise DamagedChunkError(f"it cannot be unpacked ({err})") from err
         if found != self.unpacked_bytes:
-            raise DamagedChunkError(f"it holds {found} bytes and claims {self.unpacked_bytes}")
+            raise DamagedChunkError(f"it holds {counted(found, 'byte')} and claims {self.unpacked_bytes}")
         if self.crc and crc32(room) != self.crc:
             raise DamagedChunkError("its CRC does not match")
         return room

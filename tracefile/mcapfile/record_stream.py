@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from ..errors import TraceFormatError
+from ..units.counts import counted
 from .event_scan import EVENT_RECORD_BYTES, Scan, scan_records
 from .packed_chunks import DamagedChunkError, PackedChunk
 from .records import (
@@ -55,7 +56,9 @@ def read_records(path: Path) -> Iterator[tuple[Opcode, dict[str, Any]]]:
 def _records_in(data: Buffer) -> Iterator[tuple[Opcode, dict[str, Any]]]:
     scan = scan_records(data, 0, len(data), LAYOUTS)
     if scan.end != len(data):
-        raise DamagedChunkError(f"{len(data) - scan.end} bytes in it are no records")
+        raise DamagedChunkError(
+            counted(len(data) - scan.end, "byte in it is no record", "bytes in it are no records")
+        )
     for opcode, start, length in sorted([*_events(scan), *scan.others], key=lambda found: found[1]):
         yield Opcode(opcode), LAYOUTS[Opcode(opcode)].parse(memoryview(data)[start : start + length])
 

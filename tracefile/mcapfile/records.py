@@ -15,6 +15,7 @@ from enum import IntEnum
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from ..errors import TraceFormatError
+from ..units.counts import counted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -73,7 +74,7 @@ class Fields:
         """The next `size` bytes."""
         end = self._at + size
         if end > len(self._data):
-            raise ValueError(f"a field of {size} bytes reaches beyond its record")
+            raise ValueError(f"a field of {counted(size, 'byte')} reaches beyond its record")
         taken = bytes(self._data[self._at : end])
         self._at = end
         return taken

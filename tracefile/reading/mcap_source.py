@@ -14,6 +14,7 @@ from ..mcapfile.in_order import in_order
 from ..mcapfile.packed_chunks import DamagedChunkError, PackedChunk
 from ..mcapfile.records import MAGIC, Opcode, RecordFile, TornRecordError
 from ..mcapfile.summary import read_summary
+from ..units.counts import counted
 from .source import TOPIC_PREFIX, Batch, Text, event_batch, plain
 
 if TYPE_CHECKING:
@@ -162,10 +163,13 @@ class McapSource:
             channel = self._channels.get(channel_id)
             if channel is None:
                 notes.append(
-                    f"{count} messages belong to channel {channel_id}, which is nowhere declared; not used"
+                    f"{counted(count, 'message belongs', 'messages belong')} to channel {channel_id}, "
+                    "which is nowhere declared; not used"
                 )
             elif channel.fault:
-                notes.append(f"{count} messages of {channel.topic} are not used: {channel.fault}")
+                notes.append(
+                    f"{counted(count, 'message')} of {channel.topic} {'is' if count == 1 else 'are'} not used: {channel.fault}"
+                )
         if self._summary is None or self._jobs.passed_over:
             return notes
         for channel_id, claimed in (self._summary.message_counts() or {}).items():
@@ -173,7 +177,8 @@ class McapSource:
             if channel and channel.stage and claimed != self._messages[channel_id]:
                 found = self._messages[channel_id]
                 notes.append(
-                    f"the statistics claim {claimed} messages of {channel.topic}, {found} were found"
+                    f"the statistics claim {counted(claimed, 'message')} of {channel.topic}, "
+                    f"{found} {'was' if found == 1 else 'were'} found"
                 )
         return notes
 

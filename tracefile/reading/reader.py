@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from ..errors import TraceFormatError
 from ..format.events import SESSION_TOPIC, EventColumns, Stage
+from ..units.counts import counted
 from .columns import ColumnsBuilder
 from .ring_events import ring_beside
 from .source import TOPIC_PREFIX
@@ -165,12 +166,25 @@ class _Gathered:
 
     def _first_notes(self) -> list[str]:
         more = len(self.notes) - _NOTES
-        return self.notes if more <= 0 else [*self.notes[:_NOTES], f"and {more} more notes like these"]
+        return (
+            self.notes
+            if more <= 0
+            else [
+                *self.notes[:_NOTES],
+                f"and {counted(more, 'more note like this', 'more notes like these')}",
+            ]
+        )
 
     def trace(self, events: Mapping[Stage, EventColumns]) -> Trace:
         self.check()
         if self.texts.unreadable_samples:
-            self.notes.append(f"{self.texts.unreadable_samples} host samples are no JSON objects; not used")
+            self.notes.append(
+                counted(
+                    self.texts.unreadable_samples,
+                    "host sample is no JSON object; not used",
+                    "host samples are no JSON objects; not used",
+                )
+            )
         return Trace(
             path=self.path,
             sessions=self.texts.sessions,

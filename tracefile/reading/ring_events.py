@@ -10,6 +10,7 @@ import numpy as np
 from ..errors import TraceFormatError
 from ..format.events import EVENT_DTYPE
 from ..format.ring import STAGE_NUMBERS, TICKET_MASK, read_ring, ring_path
+from ..units.counts import counted
 from .source import Batch
 
 if TYPE_CHECKING:
@@ -45,7 +46,9 @@ class RingBeside:
             last = int(slots["mark"][-1] & TICKET_MASK)
             missing = last + 1 - events_in_file - len(slots)
             if missing:
-                batch.notes.append(f"{missing} events are neither in the file nor in the ring beside it")
+                batch.notes.append(
+                    f"{counted(missing, 'event is', 'events are')} neither in the file nor in the ring beside it"
+                )
         if self.contents.recording:
             batch.notes.append("still being recorded; these are the events up to now")
         return batch

@@ -11,6 +11,7 @@ from urllib.parse import quote
 
 from ..errors import TraceFormatError
 from ..format.events import EVENT_SCHEMA_NAME, STAGE_OF_TOPIC, Stage
+from ..units.counts import counted
 from .source import TOPIC_PREFIX, Batch, Text, event_batch, plain
 
 if TYPE_CHECKING:
@@ -110,7 +111,10 @@ class SqliteSource:
                         yield from rows.batches()
                         rows = _Rows(self._shown_as)
             if self._missing_bytes > 0:
-                last.truncated = f"ends early, {self._missing_bytes} bytes of the database are missing"
+                last.truncated = (
+                    f"ends early, {counted(self._missing_bytes, 'byte')} of the database "
+                    f"{'is' if self._missing_bytes == 1 else 'are'} missing"
+                )
         except _SQLITE_ERRORS as err:
             last.truncated = f"ends early, the database is damaged ({err!r}); all rows before are used"
         yield from rows.batches()

@@ -12,6 +12,7 @@ from ..format.descriptions import Session
 from ..format.events import SESSION_TOPIC
 from ..format.ring import read_ring, ring_path
 from ..mcapfile.records import RecordFile
+from ..units.counts import counted
 from ..writing.bag_metadata import write_metadata
 from ..writing.writer import MAX_CHUNK_EVENTS, TraceWriter, output_error
 from .salvage import Salvage, SalvagedText
@@ -54,11 +55,14 @@ class RecoveryReport:
     def lines(self) -> list[str]:
         """The report for a terminal."""
         if self.recovered is None:
-            return [f"{self.path} is closed and whole ({self.file_events} events); nothing to recover"]
+            return [
+                f"{self.path} is closed and whole ({counted(self.file_events, 'event')}); nothing to recover"
+            ]
+        torn = counted(self.torn_bytes, "byte")
         return [
-            f"{self.file_events} events in the file, {self.ring_events} more in the ring",
-            f"{self.missing_events} events missing, {self.dropped_events} dropped while recording",
-            f"{self.torn_bytes} bytes of an unfinished record and {self.damaged_chunks} damaged chunks left out",
+            f"{counted(self.file_events, 'event')} in the file, {self.ring_events} more in the ring",
+            f"{counted(self.missing_events, 'event')} missing, {self.dropped_events} dropped while recording",
+            f"{torn} of an unfinished record and {counted(self.damaged_chunks, 'damaged chunk')} left out",
             *(f"The original is kept as {original}" for original in self.originals),
         ]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 from .. import OptionError
+from .counts import counted
 
 UNIT_BYTES = {
     "": 1,
@@ -42,4 +43,4 @@ def format_size(size_bytes: int) -> str:
     for unit in ("GB", "MB", "KB"):
         if size_bytes >= UNIT_BYTES[unit.lower()] and size_bytes % UNIT_BYTES[unit.lower()] == 0:
             return f"{size_bytes // UNIT_BYTES[unit.lower()]} {unit}"
-    return f"{size_bytes} bytes"
+    return counted(size_bytes, "byte")

@@ -173,7 +173,7 @@ def _middleware_name(backend: str, rmw: str | None) -> str:
 
 def format_cell_size(size_bytes: int) -> str:
     """The size as cells' names have it: `33KB`, `91B`."""
-    return format_size(size_bytes).replace(" bytes", "B").replace(" ", "")
+    return format_size(size_bytes).replace("bytes", "B").replace("byte", "B").replace(" ", "")
 
 
 def _other_name(name: str, value: object) -> str:

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Protocol
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from dds_trace.tracefile.units.counts import counted
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -45,7 +47,7 @@ class PlainProgress:
         """Remembers the numbers."""
         self._cells, self._done = cells, done
         if done:
-            self.note(f"{done} of {cells} cells are there already")
+            self.note(f"{done} of {counted(cells, 'cell is', 'cells are')} there already")
 
     def relay(self, name: str) -> None:
         """One line."""

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dds_trace.tracefile import Stage, TraceFormatError, read_trace
+from dds_trace.tracefile.units.counts import counted
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -61,7 +62,7 @@ class CellResult:
         rtt = (
             f"RTT p50 {self.rtt_ms['p50']:.2f} p99 {self.rtt_ms['p99']:.2f} ms" if self.rtt_ms else "no reply"
         )
-        return f"{rtt}, {self.received}/{self.published} messages{loss}{cut}"
+        return f"{rtt}, {self.received}/{counted(self.published, 'message')}{loss}{cut}"
 
 
 def read_result(path: Path) -> CellResult:
@@ -72,7 +73,7 @@ def read_result(path: Path) -> CellResult:
     """
     trace = read_trace(path)
     if len(trace.runs) != 1:
-        raise TraceFormatError(path, f"holds {len(trace.runs)} runs where a cell has one")
+        raise TraceFormatError(path, f"holds {counted(len(trace.runs), 'run')} where a cell has one")
     run = trace.runs[0]
     if run.state != "finished":
         raise TraceFormatError(path, "the run was not finished")

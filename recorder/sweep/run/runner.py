@@ -16,6 +16,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.tracefile import BackendUnavailableError, OptionError, TraceError, TraceFormatError
+from dds_trace.tracefile.units.counts import counted
 
 from ..plan.commands import half_arguments, ping_arguments, relay_arguments
 from ..plan.estimate import Estimate
@@ -220,7 +221,8 @@ class Runner:
         link = self._measure_link()
         if link and link["ping"]["sent_bytes"] < result.sent_bytes:
             raise CellFailedError(
-                f"its messages did not cross the link: {link['ping']['sent_bytes']} bytes of {result.sent_bytes} did",
+                f"its messages did not cross the link: "
+                f"{counted(link['ping']['sent_bytes'], 'byte')} of {result.sent_bytes} did",
                 hopeless=True,
             )
         draft.replace(self.ping_path(cell.name))

@@ -238,7 +238,7 @@ def test_times_below_zero(tmp_path):
     write_pair(tmp_path, messages)
     finding = findings(tmp_path)["negative_times"]
     assert finding.severity is Severity.ERROR
-    assert "intermediate of 1 messages, latency of 1 messages" in finding.what
+    assert "intermediate of 1 message, latency of 1 message" in finding.what
     assert f"relay {RELAY_ID:08x} on beta" in finding.where
 
 
@@ -322,7 +322,7 @@ def test_repeated_publications(tmp_path):
     events = ping_events(sound())
     events[Stage.T1].append(event(7, 5 * MS, scheduled_ns=7 * PERIOD))
     write_trace(tmp_path / "ping.mcap", ping_session(), [described(sound())], events)
-    assert findings(tmp_path)["repeated_publications"].what.startswith("1 T1 events repeat")
+    assert findings(tmp_path)["repeated_publications"].what.startswith("1 T1 event repeats")
 
 
 def test_what_the_reader_noticed(tmp_path, monkeypatch):

@@ -159,7 +159,7 @@ def test_outage(tmp_path):
         messages[s] = replace(messages[s], t2=None)
     write_pair(tmp_path, messages)
     # From message 50, planned at 5 s, to the reply to 54 at 5.402 s.
-    assert "1 times several messages in a row were lost, 4 in all; the longest lasted 402.000 ms." in (
+    assert "1 time several messages in a row were lost, 4 in all; the longest lasted 402.000 ms." in (
         findings(tmp_path)["outage"].what
     )
 

@@ -49,7 +49,7 @@ def test_run_without_any_reply(tmp_path):
     path = write_trace(tmp_path / "a.mcap", ping_session(), [run()], ping_events([Message(0, t1=0)]))
     result = read_result(path)
     assert (result.rtt_ms, result.achieved_rate_hz, result.loss_percent) == (None, None, 100.0)
-    assert str(result).startswith("no reply, 0/1 messages")
+    assert str(result).startswith("no reply, 0/1 message,")
 
 
 def test_run_that_was_not_finished_is_no_result(tmp_path):

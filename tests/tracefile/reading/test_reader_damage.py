@@ -298,7 +298,7 @@ class TestClaims:
         path.write_bytes(data)
         trace = read_trace(path)
         assert {stage: rows(trace.events[stage]) for stage in EVENTS} == EVENTS
-        assert trace.notes == ("the statistics claim 1 messages of /dds_trace/t1, 12 were found",)
+        assert trace.notes == ("the statistics claim 1 message of /dds_trace/t1, 12 were found",)
 
     def test_a_frame_that_grows_beyond_belief_is_left_out(self, tmp_path):
         path = write_trace(tmp_path / "t.mcap", ping_session(), host=[{"x": "x" * 3_000_000}])

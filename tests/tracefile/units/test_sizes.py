@@ -35,4 +35,4 @@ def test_what_is_no_size_is_named(text):
 
 @given(st.integers(0, 2**40))
 def test_what_is_formatted_reads_back(size_bytes):
-    assert parse_size(format_size(size_bytes).replace(" bytes", "")) == size_bytes
+    assert parse_size(format_size(size_bytes).removesuffix("s").removesuffix(" byte")) == size_bytes

@@ -115,7 +115,7 @@ def test_dry_run_names_what_is_left_out_and_what_cannot_be_carried(call, plan):
     assert (
         "ros2_same_binary-4MB_1000Hz  0 s  asks 32000 of 10000 Mbit/s: will be cut off after 30 s more" in out
     )
-    assert "plan small: 3 cells, 1 left out, 1 starts of a relay" in out
+    assert "plan small: 3 cells, 1 left out, 1 start of a relay" in out
 
 
 def test_dry_run_with_the_commands_for_the_other_device(call, plan):

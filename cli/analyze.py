@@ -5,7 +5,6 @@ one, and anything else belongs to the command without a name. So no command chan
 means; a folder that bears the name of a command is written `./compare`.
 """
 
-import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -16,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dds_trace.tracefile import OptionError
+from dds_trace.tracefile.units.durations import parse_duration
 
 from . import compare, watch
 from .errors import run_command
@@ -138,7 +137,7 @@ def main_command(
     from dds_trace.reports import write_report
 
     target = default_output(folder) if out is None else out
-    deadline_ns = None if deadline is None else _duration_ns(deadline)
+    deadline_ns = None if deadline is None else parse_duration(deadline, "--deadline")
     job = None if recommend is None else parse_job(recommend)
     if topics:
         _show_topics(folder, target)
@@ -168,16 +167,6 @@ def main_command(
     for finding in analysis.findings:
         if finding.severity is Severity.ERROR:
             print(f"{finding.where}: {finding.what} {finding.action}", file=sys.stderr)
-
-
-_NS = {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9}
-
-
-def _duration_ns(text: str) -> int:
-    found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*(ns|us|ms|s)", text.strip())
-    if found is None or not (value := round(float(found[1]) * _NS[found[2]])) or value >= 1 << 63:
-        raise OptionError(f"--deadline {text!r}: write a time such as 20ms (ns, us, ms, s)")
-    return value
 
 
 def _show_topics(folder: Path, target: Path) -> None:

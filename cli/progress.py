@@ -11,14 +11,10 @@ from rich.text import Text
 
 from dds_trace.recorder import PingProgress, RelayProgress
 from dds_trace.tracefile.units.counts import counted
+from dds_trace.tracefile.units.durations import format_duration
 
 if TYPE_CHECKING:
     from types import TracebackType
-
-
-def format_duration(duration_ns: int | None) -> str:
-    """`0.82 ms`, or a dash where there is none."""
-    return "-" if duration_ns is None else f"{duration_ns / 1e6:.3g} ms"
 
 
 def describe_progress(progress: PingProgress | RelayProgress) -> str:
@@ -26,7 +22,7 @@ def describe_progress(progress: PingProgress | RelayProgress) -> str:
     if isinstance(progress, RelayProgress):
         line = f"{counted(progress.relayed, 'message')} sent back in {counted(progress.runs, 'run')}"
         return f"{line}, {progress.foreign} without our stamp left alone" if progress.foreign else line
-    p50, p99 = format_duration(progress.rtt_p50_ns), format_duration(progress.rtt_p99_ns)
+    p50, p99 = (format_duration(time_ns, "ms") for time_ns in (progress.rtt_p50_ns, progress.rtt_p99_ns))
     return (
         f"sent {progress.sent}/{progress.planned}, received {progress.received}, lost {progress.lost}, "
         f"RTT p50 {p50}, p99 {p99}"

@@ -1,8 +1,5 @@
 """The ping and relay roles that stamp T1-T4 and hand them to a trace."""
 
-from dds_trace.tracefile.units.durations import parse_duration
-from dds_trace.tracefile.units.sizes import format_size, parse_size
-
 from .backends.base import Discovery, ExecutorKind, NodeOptions, Serialization, Transport
 from .options import DEFAULT_MESSAGES, DEFAULT_WARMUP, PingOptions, RecordOptions
 from .recording import Recorded, record
@@ -24,9 +21,6 @@ __all__ = [
     "Serialization",
     "Transport",
     "Watch",
-    "format_size",
     "measure_floor",
-    "parse_duration",
-    "parse_size",
     "record",
 ]

@@ -5,6 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from dds_trace.tracefile.units.counts import counted
+from dds_trace.tracefile.units.durations import format_duration
+from dds_trace.tracefile.units.rates import format_rate
+from dds_trace.tracefile.units.sizes import format_size
 
 from .book.answer import answer_info
 from .book.findings import findings_info
@@ -13,7 +16,7 @@ from .book.intervals import intervals_info
 from .book.overview import overview_info
 from .book.values import values_info
 from .figures.comparison.bridge_cost import bridge_cost_info
-from .text import format_added_ns, format_hz, format_ns, format_ratio, format_size, markdown
+from .text import format_added_ns, format_ratio, markdown
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -96,7 +99,7 @@ def _groups(analysis: Analysis) -> str:
             (
                 data_type_label(cell.data_type),
                 format_size(cell.payload_bytes),
-                format_hz(cell.rate_hz),
+                format_rate(cell.rate_hz),
                 groups.labels[group.series],
                 format_ratio(values.plain["received_ratio"][group.index]),
                 *(
@@ -121,8 +124,12 @@ def _with_interval(
 ) -> str:
     """As in `1.2 ms [1.1 ms, 1.4 ms]`; without brackets where neither end is known."""
     low, high = (end[name][group] if name in end else None for end in ends)
-    shown = format_ns(values_ns[group])
-    return shown if low is None and high is None else f"{shown} [{format_ns(low)}, {format_ns(high)}]"
+    shown = format_duration(values_ns[group])
+    return (
+        shown
+        if low is None and high is None
+        else f"{shown} [{format_duration(low)}, {format_duration(high)}]"
+    )
 
 
 def _bridge_costs(analysis: Analysis) -> str:
@@ -136,10 +143,10 @@ def _bridge_costs(analysis: Analysis) -> str:
             (
                 data_type_label(cell.data_type),
                 format_size(cell.payload_bytes),
-                format_hz(cell.rate_hz),
+                format_rate(cell.rate_hz),
                 groups.labels[group.series],
                 *(_added(bridged.costs.get(name)) for name in COST_STATISTICS),
-                format_ns(None)
+                format_duration(None)
                 if bridged.bridge_cpu_percent is None
                 else f"{bridged.bridge_cpu_percent:.0f} %",
             )
@@ -157,7 +164,7 @@ def _bridge_costs(analysis: Analysis) -> str:
 def _added(cost: Cost | None) -> str:
     """As in `+0.3 ms [0.2 ms, 0.4 ms], x1.5`."""
     if cost is None:
-        return format_ns(None)
+        return format_duration(None)
     within = ""
     if cost.low_ns is not None and cost.high_ns is not None:
         within = f" [{format_added_ns(cost.low_ns)}, {format_added_ns(cost.high_ns)}]"
@@ -172,9 +179,9 @@ def _clocks(analysis: Analysis) -> str:
     rows = [
         (
             f"{row['ping_device']} → {row['relay_device']}",
-            f"{format_ns(row['offset_ns'])} ± {format_ns(row['bound_ns'])}",
+            f"{format_duration(row['offset_ns'])} ± {format_duration(row['bound_ns'])}",
             f"{row['drift_ppb'] / 1000:+.3g} ± {row['drift_bound_ppb'] / 1000:.2g} ppm",
-            "" if row["step_before_ns"] is None else format_ns(row["step_before_ns"]),
+            "" if row["step_before_ns"] is None else format_duration(row["step_before_ns"]),
         )
         for row in analysis.details.clock_fits.iter_rows(named=True)
         if not row["same_clock"]

@@ -12,13 +12,18 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from dds_trace.tracefile.units.durations import format_duration
+from dds_trace.tracefile.units.quantities import MISSING
+from dds_trace.tracefile.units.rates import format_rate
+from dds_trace.tracefile.units.sizes import format_size
+
 from .book.answer import answer_info
 from .book.curves import curves_info
 from .book.findings import findings_info
 from .book.groups import METRICS, groups_info
 from .book.overview import overview_info
 from .book.values import values_info
-from .text import MISSING, format_hz, format_ns, format_ratio, format_size, visible
+from .text import format_ratio, visible
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -107,7 +112,7 @@ def _tables(analysis: Analysis) -> list[RenderableType]:
     for place, label in enumerate(groups.labels):
         tables += [Text(label, style="bold"), _table(shown, place), Text()]
     if known:
-        low, high = (format_ns(end) for end in shown.ends_ns)
+        low, high = (format_duration(end) for end in shown.ends_ns)
         note = f"{METRICS[shown.metric]}. Each sparkline spans {low} to {high} (log scale): where the messages lie."
         tables.append(Text(note, style="dim"))
     return tables
@@ -126,9 +131,9 @@ def _table(shown: _Shown, series: int) -> Table:
         table.add_row(
             Text(visible(cell.data_type)),
             format_size(cell.payload_bytes),
-            format_hz(cell.rate_hz),
+            format_rate(cell.rate_hz),
             format_ratio(shown.values.plain["received_ratio"][group.index]),
-            *(format_ns(times[name][group.index]) for name in ("p50", "p99", "max")),
+            *(format_duration(times[name][group.index]) for name in ("p50", "p99", "max")),
             Text(_sparkline(shown.curves[group.index], shown.ends_ns)),
         )
     return table

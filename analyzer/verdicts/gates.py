@@ -23,6 +23,8 @@ from enum import Enum
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.tracefile.errors import OptionError
+from dds_trace.tracefile.units.durations import UNIT_NS
+from dds_trace.tracefile.units.quantities import split_quantity
 
 from ..model.metrics import METRICS
 from .compare import QUANTILES
@@ -35,7 +37,6 @@ if TYPE_CHECKING:
 STATISTICS = ("mean", *QUANTILES)
 RECEIVED_RATIO = "received_ratio"
 GATE_METRICS = (*(f"{metric}_{statistic}" for metric in METRICS for statistic in STATISTICS), RECEIVED_RATIO)
-UNITS_NS = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
 _OPERATORS: dict[str, Callable[[float, float], bool]] = {
     ">": operator.gt,
     ">=": operator.ge,
@@ -43,7 +44,6 @@ _OPERATORS: dict[str, Callable[[float, float], bool]] = {
     "<=": operator.le,
 }
 _GATE = re.compile(r"\s*(?P<metric>[A-Za-z0-9_.]+)\s*(?P<operator>>=|<=|>|<)\s*(?P<limit>\S.*?)\s*")
-_LIMIT = re.compile(r"(?P<sign>[+-]?)\s*(?P<number>\d+(?:\.\d*)?|\.\d+)\s*(?P<unit>%|ns|us|ms|s)")
 
 
 class GateOutcome(Enum):
@@ -132,13 +132,14 @@ def _parse_metric(text: str, name: str) -> tuple[str, str]:
 
 
 def _parse_limit(text: str, limit: str, metric: str) -> tuple[Against, float]:
-    found = _LIMIT.fullmatch(limit)
-    if found is None:
+    sign = limit[0] if limit[0] in "+-" else ""
+    number, unit = split_quantity(limit[len(sign) :]) or (0.0, "")
+    if unit != "%" and unit not in UNIT_NS:
         raise OptionError(
             f"--fail-if {text!r}: no limit {limit!r}; write a change such as +10% or +2ms, or a value such as 20ms",
         )
-    number = float(found["sign"] + found["number"])
-    is_share, is_signed = found["unit"] == "%", bool(found["sign"])
+    number = -number if sign == "-" else number
+    is_share, is_signed = unit == "%", bool(sign)
     if metric == RECEIVED_RATIO:
         if not is_share or is_signed:
             raise OptionError(f"--fail-if {text!r}: {RECEIVED_RATIO} takes a share such as 99%")
@@ -147,7 +148,7 @@ def _parse_limit(text: str, limit: str, metric: str) -> tuple[Against, float]:
         if not is_signed:
             raise OptionError(f"--fail-if {text!r}: write +{limit} for a change against the base")
         return Against.RATIO, 1 + number / 100
-    return Against.DIFFERENCE if is_signed else Against.NEW, number * UNITS_NS[found["unit"]]
+    return Against.DIFFERENCE if is_signed else Against.NEW, number * UNIT_NS[unit]
 
 
 @dataclass(frozen=True, slots=True)

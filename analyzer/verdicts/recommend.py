@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import difflib
 import math
-import re
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import TYPE_CHECKING, Any
@@ -20,6 +20,10 @@ import polars as pl
 
 from dds_trace.tracefile.errors import OptionError
 from dds_trace.tracefile.units.counts import counted
+from dds_trace.tracefile.units.durations import parse_duration
+from dds_trace.tracefile.units.quantities import split_quantity
+from dds_trace.tracefile.units.rates import parse_rate
+from dds_trace.tracefile.units.sizes import parse_size
 
 from ..model.parameters import SETTING_COLUMNS
 from ..statistics.intervals import percentile_interval, ranges_overlap
@@ -52,12 +56,6 @@ class Job:
     domain_mode: str | None = None
 
 
-_BYTES = {"": 1, "b": 1, "kb": 10**3, "mb": 10**6, "kib": 2**10, "mib": 2**20}
-_NS = {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9}
-_HZ = {"": 1, "hz": 1, "khz": 1000}
-_NUMBER = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*([A-Za-z]*)")
-
-
 def parse_job(text: str) -> Job:
     """The job that `KEY=VALUE ...` describes.
 
@@ -77,8 +75,9 @@ def parse_job(text: str) -> Job:
             raise OptionError(f"--recommend {text!r}: {key} has no value; write {key}={_EXAMPLES[key]}")
         if key in values:
             raise OptionError(f"--recommend {text!r}: {key} is given twice")
-        values[key] = _KEYS[key](value)
-        if values[key] is None:
+        with suppress(OptionError):
+            values[key] = _KEYS[key](value)
+        if values.get(key) is None:
             raise OptionError(
                 f"--recommend {text!r}: {key}={value} is not understood; write {key}={_EXAMPLES[key]}"
             )
@@ -98,30 +97,17 @@ def parse_job(text: str) -> Job:
     )
 
 
-def _quantity(text: str, units: Mapping[str, int]) -> float | None:
-    found = _NUMBER.fullmatch(text)
-    if found is None or found[2].lower() not in units:
-        return None
-    value = float(found[1]) * units[found[2].lower()]
-    return value if value > 0 else None
-
-
-def _whole(text: str, units: Mapping[str, int]) -> int | None:
-    value = _quantity(text, units)
-    return None if value is None else max(1, round(value))
-
-
 def _share(text: str) -> float | None:
-    value = _quantity(text.removesuffix("%"), {"": 1})
-    share = None if value is None else value / 100 if text.endswith("%") else value
-    return share if share is not None and 0 < share < 1 else None
+    number, unit = split_quantity(text) or (0.0, "")
+    share = {"": number, "%": number / 100}.get(unit, 0.0)
+    return share if 0 < share < 1 else None
 
 
 _KEYS: dict[str, Callable[[str], Any]] = {
     "data": str,
-    "size": lambda text: _whole(text, _BYTES),
-    "rate": lambda text: _quantity(text, _HZ),
-    "deadline": lambda text: _whole(text, _NS),
+    "size": lambda text: parse_size(text) or None,
+    "rate": parse_rate,
+    "deadline": parse_duration,
     "reliability": _share,
     "domain": lambda text: text if text in {"same", "different"} else None,
 }

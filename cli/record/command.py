@@ -77,9 +77,9 @@ def main_command(
         RecordOptions,
         Serialization,
         Transport,
-        parse_size,
     )
     from dds_trace.tracefile import OptionError, Qos, TraceDestination
+    from dds_trace.tracefile.units.sizes import parse_size
 
     from .run import print_result, record_until_stopped
     from .tools import recover_trace, report_own_cost

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.recorder import measure_floor
 from dds_trace.tracefile import TraceError, measure_recorder_cost, recover
+from dds_trace.tracefile.units.durations import format_duration
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -54,4 +55,4 @@ def report_own_cost(out: Path | None, backend: str, options: NodeOptions) -> Non
 
 
 def _us(duration_ns: float) -> str:
-    return f"{duration_ns / 1e3:.3g} us"
+    return format_duration(duration_ns, "us")

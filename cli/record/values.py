@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 from typing import Any
 
-from dds_trace.recorder import Discovery, parse_duration
+from dds_trace.recorder import Discovery
 from dds_trace.tracefile import OptionError
+from dds_trace.tracefile.units.durations import parse_duration
 
 DEFAULT_DOMAIN = 10
 

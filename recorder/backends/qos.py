@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile.units.durations import INFINITE_NS, format_duration
+from dds_trace.tracefile.units.durations import INFINITE_NS, spell_duration
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -49,8 +49,8 @@ def mismatches(offered: Qos, requested: Qos) -> list[str]:
             found.append(f"{policy} ({offers} offered, {requests} requested)")
     offers_ns, requests_ns = offered.extra.get("deadline_ns"), requested.extra.get("deadline_ns")
     if requests_ns is not None and (offers_ns is None or offers_ns > requests_ns):
-        offers = "none" if offers_ns is None else format_duration(offers_ns)
-        found.append(f"deadline ({offers} offered, {format_duration(requests_ns)} requested)")
+        offers = "none" if offers_ns is None else spell_duration(offers_ns)
+        found.append(f"deadline ({offers} offered, {spell_duration(requests_ns)} requested)")
     return found
 
 

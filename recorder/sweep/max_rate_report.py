@@ -10,7 +10,8 @@ from dataclasses import asdict
 from html import escape
 from typing import TYPE_CHECKING
 
-from .plan.cells import format_cell_size
+from dds_trace.tracefile.units.sizes import spell_size
+
 from .run.state import write_atomically
 from .search import Answer
 
@@ -57,7 +58,7 @@ def max_rate_rows(answers: list[MaxRate]) -> list[tuple[str, ...]]:
             found.cell.middleware,
             found.cell.bridge,
             found.cell.data,
-            format_cell_size(found.cell.size) if found.cell.size is not None else "",
+            spell_size(found.cell.size) if found.cell.size is not None else "",
             f"{found.cell.rate:g}" if found.answer in (Answer.FOUND, Answer.AT_LEAST) else "",
             found.answer.value,
             f"{found.failing_hz:g}" if found.failing_hz is not None else "",

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import polars as pl
 
 from dds_trace.tracefile.units.counts import counted
+from dds_trace.tracefile.units.durations import format_duration
 
-from ..text import format_added_ns, format_count, format_ns, format_ratio, visible
+from ..text import format_added_ns, format_count, format_ratio, visible
 from .groups import (
     METRICS,
     data_type_label,
@@ -111,7 +112,7 @@ def _ways(vendor: str, groups: Groups, values: Values) -> str:
         if median_ns is not None:
             ways.setdefault(domain_label(groups.series_of(group)), []).append(median_ns)
     spans = {
-        way: " to ".join(dict.fromkeys(format_ns(end) for end in (min(found), max(found))))
+        way: " to ".join(dict.fromkeys(format_duration(end) for end in (min(found), max(found))))
         for way, found in ways.items()
     }
     what = f"{vendor}: median {METRICS[metric].lower()}"
@@ -155,12 +156,12 @@ def _level_remarks(groups: Groups, values: Values, metric: str) -> list[str]:
         if not medians:
             continue
         low, high = ((ns, groups.groups[index]) for ns, index in (medians[0], medians[-1]))
-        first = f"{data_type_label(data_type)}: median {METRICS[metric].lower()} {format_ns(low[0])}"
+        first = f"{data_type_label(data_type)}: median {METRICS[metric].lower()} {format_duration(low[0])}"
         if low[1] == high[1]:
             remarks.append(f"{first} ({_place(groups, low[1].index, labels)}).")
         else:
             ends = tuple(_place(groups, end.index, labels) for end in (low[1], high[1]))
-            remarks.append(f"{first} ({ends[0]}) to {format_ns(high[0])} ({ends[1]}).")
+            remarks.append(f"{first} ({ends[0]}) to {format_duration(high[0])} ({ends[1]}).")
     return remarks
 
 

@@ -9,7 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from ..text import format_hz, format_size, visible
+from dds_trace.tracefile.units.rates import format_rate
+from dds_trace.tracefile.units.sizes import format_size
+
+from ..text import visible
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -78,7 +81,7 @@ class Cell:
     @property
     def label(self) -> str:
         """As in `Binary 33 KB at 10 Hz`."""
-        return f"{data_type_label(self.data_type)} {format_size(self.payload_bytes)} at {format_hz(self.rate_hz)}"
+        return f"{data_type_label(self.data_type)} {format_size(self.payload_bytes)} at {format_rate(self.rate_hz)}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,8 +7,10 @@ from datetime import datetime, timedelta, timezone
 from typing import TYPE_CHECKING
 
 from dds_trace.tracefile.units.counts import counted
+from dds_trace.tracefile.units.rates import format_rate
+from dds_trace.tracefile.units.sizes import format_size
 
-from ..text import format_count, format_hz, format_size, visible
+from ..text import format_count, visible
 from .groups import (
     VENDORS,
     data_type_label,
@@ -128,8 +130,8 @@ def _rates(groups: Groups) -> str:
     if not rates:
         return ""
     if len(rates) > MOST_LISTED:
-        return f"{len(rates)} rates from {format_hz(rates[0])} to {format_hz(rates[-1])}"
-    return ", ".join(format_hz(rate).removesuffix(" Hz") for rate in rates) + " Hz"
+        return f"{len(rates)} rates from {format_rate(rates[0])} to {format_rate(rates[-1])}"
+    return ", ".join(format_rate(rate).removesuffix(" Hz") for rate in rates) + " Hz"
 
 
 def _when(analysis: Analysis) -> str:

@@ -7,7 +7,9 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from ..text import format_ns, visible
+from dds_trace.tracefile.units.durations import format_duration
+
+from ..text import visible
 from .groups import VENDORS, known_first, vendor_label
 
 if TYPE_CHECKING:
@@ -89,7 +91,7 @@ def _words(what: str, said: Sequence[tuple[OwnCost, str]]) -> str:
 def _span(median_ns: int | None, p99_ns: int | None) -> str:
     if median_ns is None:
         return ""
-    return format_ns(median_ns) + ("" if p99_ns is None else f" (p99 {format_ns(p99_ns)})")
+    return format_duration(median_ns) + ("" if p99_ns is None else f" (p99 {format_duration(p99_ns)})")
 
 
 def _numbers(sessions: Sequence[Session], part: str, name: str) -> list[int]:

@@ -5,9 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from dds_trace.tracefile.units.rates import format_rate
+from dds_trace.tracefile.units.sizes import format_size
+
 from ..book.groups import data_type_label, device_label, qos_label, vendor_pair_label
 from ..book.verdicts import MODES
-from ..text import format_hz, format_size, visible
+from ..text import visible
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -54,7 +57,7 @@ _FILTERS: tuple[tuple[str, str, Callable[[Cell, Series], Option]], ...] = (
     ("bridge", "Bridge", lambda _, s: _same(visible(s.bridge))),
     ("data", "Data", lambda c, _: Option(visible(c.data_type), data_type_label(c.data_type))),
     ("size", "Size", lambda c, _: Option(str(c.payload_bytes), format_size(c.payload_bytes))),
-    ("rate", "Rate", lambda c, _: Option(f"{c.rate_hz:g}", format_hz(c.rate_hz))),
+    ("rate", "Rate", lambda c, _: Option(f"{c.rate_hz:g}", format_rate(c.rate_hz))),
     ("qos", "QoS", lambda _, s: _same(qos_label(s))),
     ("device", "Devices", lambda _, s: _same(device_label(s))),
     ("backend", "Backend", lambda _, s: _same(visible(s.backend))),

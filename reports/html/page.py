@@ -16,6 +16,9 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
+from dds_trace.tracefile.units.rates import format_rate
+from dds_trace.tracefile.units.sizes import format_size
+
 from ..book.answer import answer_info
 from ..book.curves import curves_info
 from ..book.findings import findings_info, severity_counts
@@ -25,7 +28,7 @@ from ..book.overview import overview_info
 from ..book.recording import record_tables
 from ..book.values import values_info
 from ..figures import CAMPAIGN_FIGURES, CELL_FIGURES, Figure, LeftOut
-from ..text import format_hz, format_size, json_island, visible
+from ..text import json_island, visible
 from .filters import filters_info
 from .styles import PALETTE, series_styles, vendor_places
 
@@ -157,7 +160,7 @@ def _island(analysis: Analysis, figures: list[Figure]) -> dict[str, Any]:
                 "bytes": cell.payload_bytes,
                 "size": format_size(cell.payload_bytes),
                 "hz": cell.rate_hz,
-                "rate": format_hz(cell.rate_hz),
+                "rate": format_rate(cell.rate_hz),
             }
             for cell in groups.cells
         ],

@@ -10,7 +10,10 @@ from campaigns import write_runs
 
 from dds_trace.cli.watch import Watcher, WatchOptions
 from dds_trace.reports import REPORTERS
-from dds_trace.reports.text import format_bytes_per_s, format_hz, format_ns, format_ratio, visible
+from dds_trace.reports.text import format_ratio, visible
+from dds_trace.tracefile.units.durations import format_duration
+from dds_trace.tracefile.units.rates import format_rate
+from dds_trace.tracefile.units.sizes import format_bytes_per_s
 
 pytestmark = pytest.mark.browser
 
@@ -218,10 +221,10 @@ def test_tables_sort_by_number(reader, pages):
     first = tab.locator("#groups-table tbody tr").first.locator("td").nth(6)
     heading.get_by_role("button").click()
     assert heading.get_attribute("aria-sort") == "ascending"
-    assert first.inner_text() == format_ns(medians.min())
+    assert first.inner_text() == format_duration(medians.min())
     heading.get_by_role("button").press("Enter")
     assert heading.get_attribute("aria-sort") == "descending"
-    assert first.inner_text() == format_ns(medians.max())
+    assert first.inner_text() == format_duration(medians.max())
 
 
 @pytest.mark.parametrize(("descending", "order"), [(False, ["2", "10", "-"]), (True, ["10", "2", "-"])])
@@ -279,8 +282,8 @@ def test_page_and_python_write_numbers_alike(reader, pages):
     tab = reader.open(pages("one message"))
     values = [0, 7, 812, 999.4, 999.6, 1000, 1254, 999_600, 1.254e6, 1.2e8, 6.1e10, -383_000, 99_999.5, 0.004]
     for name, function in (
-        ("formatNs", format_ns),
-        ("formatHz", format_hz),
+        ("formatNs", format_duration),
+        ("formatHz", format_rate),
         ("formatBytesPerS", format_bytes_per_s),
     ):
         assert tab.evaluate(f"values => values.map({name})", values) == [function(value) for value in values]

@@ -1,32 +1,47 @@
-"""Durations as people write them: `20ms`, `1.5s`, `500us`."""
+"""Durations: read as people write them (`20ms`, `1.5s`, `500us`), written for people and for the command line."""
 
 from __future__ import annotations
 
-import re
-
-from .. import OptionError
+from ..errors import OptionError
+from .quantities import format_quantity, split_quantity
 
 SECOND_NS = 1_000_000_000
-UNIT_NS = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": SECOND_NS}
+UNIT_NS = {"s": SECOND_NS, "ms": 1_000_000, "us": 1_000, "ns": 1}
 INFINITE_NS = (2**31 - 1) * SECOND_NS
-"""From here on a duration of DDS is one without end: its seconds are a signed 32-bit integer (RTPS 2.5, section 9.3.2)."""
-_DURATION = re.compile(r"\s*(\d+(?:\.\d+)?)\s*(ns|us|ms|s)\s*")
+"""Shortest duration that DDS takes as infinite: its seconds are a signed 32-bit integer (RTPS 2.5, section 9.3.2)."""
+
+_SHOWN_NS = {"s": SECOND_NS, "ms": 1_000_000, "µs": 1_000, "ns": 1}
+_READ_NS = UNIT_NS | _SHOWN_NS
 
 
-def parse_duration(text: str) -> int:
-    """The ns that `text` means, at least 1.
+def parse_duration(text: str, what: str = "duration") -> int:
+    """Read a duration in ns.
+
+    Args:
+        text: a number and one of the units ns, us, µs, ms and s.
+        what: the name of the value in the error.
 
     Raises:
-        OptionError: it is no duration.
+        OptionError: `text` is no duration, is shorter than half a nanosecond, or is `INFINITE_NS` or longer.
     """
-    match = _DURATION.fullmatch(text)
-    duration_ns = round(float(match[1]) * UNIT_NS[match[2]]) if match else 0
+    value, unit = split_quantity(text) or (0.0, "")
+    duration_ns = round(value * _READ_NS.get(unit, 0))
     if not 0 < duration_ns < INFINITE_NS:
-        raise OptionError(f"duration {text!r} is not understood; write 20ms, 1.5s or 500us, more than 0")
+        raise OptionError(f"{what} {text!r} is not understood; write 20ms, 1.5s or 500us, more than 0")
     return duration_ns
 
 
-def format_duration(duration_ns: int) -> str:
-    """`duration_ns` with the largest unit that leaves a whole part: `20ms`."""
-    unit = next((unit for unit in ("s", "ms", "us") if duration_ns >= UNIT_NS[unit]), "ns")
-    return f"{duration_ns / UNIT_NS[unit]:g}{unit}"
+def format_duration(value_ns: float | None, unit: str | None = None) -> str:
+    """Write a duration to three digits: `812 ns`, `1.25 ms`; `MISSING` for None, an infinite one and NaN.
+
+    Args:
+        value_ns: the duration, which may be negative.
+        unit: the one unit of `UNIT_NS` to write it in; else the one that leaves one to three digits before the point.
+    """
+    return format_quantity(value_ns, _SHOWN_NS if unit is None else {unit: UNIT_NS[unit]})
+
+
+def spell_duration(duration_ns: int) -> str:
+    """Write a duration to 15 digits, as `parse_duration` reads it, in the largest unit that it fills: `20ms`."""
+    unit = next((unit for unit, factor in UNIT_NS.items() if duration_ns >= factor), "ns")
+    return f"{duration_ns / UNIT_NS[unit]:.15g}{unit}"

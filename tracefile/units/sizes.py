@@ -1,46 +1,60 @@
-"""Sizes as people write them: `33KB`, `4MB`, `1KiB`, or plain bytes."""
+"""Sizes: read as people write them (`33KB`, `4MB`, `1KiB`, plain bytes), written for people and for names of files."""
 
 from __future__ import annotations
 
-import re
+from ..errors import OptionError
+from .quantities import MISSING, format_quantity, split_quantity
 
-from .. import OptionError
-from .counts import counted
-
-UNIT_BYTES = {
-    "": 1,
-    "b": 1,
-    "kb": 10**3,
-    "mb": 10**6,
-    "gb": 10**9,
-    "kib": 2**10,
-    "mib": 2**20,
-    "gib": 2**30,
-}
-_SIZE = re.compile(r"\s*(\d+(?:\.\d+)?)\s*([a-z]*)\s*", re.IGNORECASE)
+_DECIMAL_BYTES = {"GB": 10**9, "MB": 10**6, "KB": 10**3, "B": 1}
+_BINARY_BYTES = {"GiB": 2**30, "MiB": 2**20, "KiB": 2**10}
+UNIT_BYTES = {"": 1} | {unit.lower(): size for unit, size in (_DECIMAL_BYTES | _BINARY_BYTES).items()}
 
 
-def parse_size(text: str) -> int:
-    """The number of bytes that `text` means; KB is 1000, KiB 1024.
+def parse_size(text: str, what: str = "size") -> int:
+    """Read a size in bytes; KB is 1000, KiB 1024.
+
+    Args:
+        text: a number and one of the units B, KB, MB, GB, KiB, MiB and GiB, or a number alone.
+        what: the name of the value in the error.
 
     Raises:
-        OptionError: it is no size.
+        OptionError: `text` is no size, or no whole number of bytes.
     """
-    match = _SIZE.fullmatch(text)
-    unit = UNIT_BYTES.get(match[2].lower()) if match else None
-    if match is None or unit is None:
+    value, unit = split_quantity(text) or (0.0, "?")
+    if unit not in UNIT_BYTES:
         raise OptionError(
-            f"size {text!r} is not understood; write bytes, or 33KB, 4MB (1000), 1KiB, 2MiB (1024)"
+            f"{what} {text!r} is not understood; write bytes, or 33KB, 4MB (1000), 1KiB, 2MiB (1024)"
         )
-    size_bytes = float(match[1]) * unit
+    size_bytes = value * UNIT_BYTES[unit]
     if size_bytes != int(size_bytes):
-        raise OptionError(f"size {text!r} is not a whole number of bytes")
+        raise OptionError(f"{what} {text!r} is not a whole number of bytes")
     return int(size_bytes)
 
 
 def format_size(size_bytes: int) -> str:
-    """The shortest way to write it exactly, in decimal units."""
-    for unit in ("GB", "MB", "KB"):
-        if size_bytes >= UNIT_BYTES[unit.lower()] and size_bytes % UNIT_BYTES[unit.lower()] == 0:
-            return f"{size_bytes // UNIT_BYTES[unit.lower()]} {unit}"
-    return counted(size_bytes, "byte")
+    """Write a size exactly, with at most one decimal: `33 KB`, `1.5 MB`, `1 KiB`, `1405 B`."""
+    for unit, factor in _DECIMAL_BYTES.items():
+        if size_bytes >= factor > 1 and size_bytes % (factor / 10) == 0:
+            return f"{size_bytes / factor:.15g} {unit}"
+    for unit, factor in _BINARY_BYTES.items():
+        if size_bytes >= factor and size_bytes % factor == 0:
+            return f"{size_bytes // factor} {unit}"
+    return f"{size_bytes} B"
+
+
+def spell_size(size_bytes: int) -> str:
+    """Write a size exactly and as `parse_size` reads it, in whole decimal units: `33KB`, `1500KB`, `91B`."""
+    filled = (unit for unit, size in _DECIMAL_BYTES.items() if size_bytes >= size and size_bytes % size == 0)
+    unit = next(filled, "B")
+    return f"{size_bytes // _DECIMAL_BYTES[unit]}{unit}"
+
+
+def format_bytes(value_bytes: float | None) -> str:
+    """Write an amount of data to three digits: `1.65 MB`; `MISSING` for None, an infinite one and NaN."""
+    return format_quantity(value_bytes, _DECIMAL_BYTES)
+
+
+def format_bytes_per_s(value: float | None) -> str:
+    """Write a transfer rate in bytes/s to three digits: `1.65 MB/s`; `MISSING` as for `format_bytes`."""
+    shown = format_bytes(value)
+    return shown if shown == MISSING else f"{shown}/s"

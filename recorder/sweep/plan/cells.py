@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.tracefile.units.sizes import format_size
+from dds_trace.tracefile.units.sizes import spell_size
 
 from ...backends.base import ExecutorKind, Serialization, Transport
 from ...backends.qos import RANKS
@@ -110,7 +110,7 @@ class Cell:
             if self.relay_backend is not None or self.relay_rmw is not None
             else []
         )
-        data = self.data if self.size is None else f"{self.data}-{format_cell_size(self.size)}"
+        data = self.data if self.size is None else f"{self.data}-{spell_size(self.size)}"
         others = [
             _other_name(axis.name, getattr(self, axis.name))
             for axis in OTHER_AXES
@@ -169,11 +169,6 @@ OTHER_AXES = tuple(axis for axis in AXES.values() if axis.name not in _ALWAYS_NA
 def _middleware_name(backend: str, rmw: str | None) -> str:
     short = rmw and rmw.removeprefix("rmw_").removesuffix("_cpp")
     return f"{backend}-{short}" if short else backend
-
-
-def format_cell_size(size_bytes: int) -> str:
-    """The size as cells' names have it: `33KB`, `91B`."""
-    return format_size(size_bytes).replace("bytes", "B").replace("byte", "B").replace(" ", "")
 
 
 def _other_name(name: str, value: object) -> str:

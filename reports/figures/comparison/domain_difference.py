@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from dds_trace.analyzer.model.parameters import SAME_SIDES_COLUMNS
+from dds_trace.tracefile.units.sizes import format_size
 
 from ...book.groups import data_type_label, groups_info
 from ...book.values import values_info
-from ...text import format_size
 from ..figure import Figure, LeftOut
 
 if TYPE_CHECKING:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from dds_trace.tracefile.units.rates import format_rate
+
 from ...book.groups import data_type_label
 from ...book.values import values_info
-from ...text import format_hz
 from ..figure import Figure, LeftOut
 from ..panels import Panel, panels_info, panels_plan
 
@@ -34,7 +35,7 @@ def latency_by_size_info(analysis: Analysis) -> LatencyBySize:
     panels = panels_info(
         analysis,
         key=lambda cell, _: (cell.data_type, cell.rate_hz),
-        title=lambda cell, _: f"{data_type_label(cell.data_type)} at {format_hz(cell.rate_hz)}",
+        title=lambda cell, _: f"{data_type_label(cell.data_type)} at {format_rate(cell.rate_hz)}",
         x=lambda cell: float(cell.payload_bytes),
         drawn=values_info(analysis).timed,
     )

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from dds_trace.tracefile.units.sizes import format_size
+
 from ...book.groups import data_type_label
 from ...book.values import values_info
-from ...text import format_size
 from ..figure import Figure, LeftOut
 from ..panels import Panel, panels_info, panels_plan
 

@@ -34,14 +34,7 @@ from .pairing.pair import Outcome
 from .pipeline import analyze, default_output
 from .recordings.topics import TopicReport, analyze_topics
 from .statistics.intervals import Interval, percentile_interval, ratio_interval
-from .statistics.percentiles import PERCENTILES, Percentile
-from .statistics.sample_size import (
-    RunLength,
-    minimum_messages,
-    plan_run,
-    planned_messages,
-    supported_percentiles,
-)
+from .statistics.percentiles import PERCENTILES, Percentile, minimum_messages, planned_messages
 from .verdicts.answers import (
     Answer,
     Clarity,
@@ -115,7 +108,6 @@ __all__ = [
     "Outcome",
     "Percentile",
     "Recommendation",
-    "RunLength",
     "Severity",
     "Source",
     "TopicReport",
@@ -143,7 +135,6 @@ __all__ = [
     "percentile_interval",
     "ping_boots",
     "ping_wall_offsets",
-    "plan_run",
     "planned_messages",
     "ratio_interval",
     "recommend_settings",
@@ -151,7 +142,6 @@ __all__ = [
     "response_against_latency",
     "summarize_breakdown",
     "summarize_freshness",
-    "supported_percentiles",
     "varying_columns",
     "with_stamps",
     "write_derived",

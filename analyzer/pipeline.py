@@ -77,7 +77,7 @@ def analyze(
             only traces that are new; a third to a half of the bytes that they take in memory.
         cluster: address of a Dask scheduler (`tcp://host:8786`) whose workers do the work; they read the traces
             themselves, so `path` must be the same for them, or in object storage (`s3://...`). Keeps no cache.
-        sketch: percentiles from histograms, off by `sketch.RELATIVE_ERROR` at most, and no rows: neither
+        sketch: percentiles from histograms, off by `histogram.RELATIVE_ERROR` at most, and no rows: neither
             `roundtrips` nor its file, and no group compared with another. So no rows travel, and a group may be of
             any size. Rows that an earlier analysis left in `out` stay there, and a finding says so.
         details: one-way times, `Analysis.details` and the findings that rest on them; without, these are null, None

@@ -1,6 +1,6 @@
 """Statistics of groups whose rows are not all in one place: exact from their values, or near from their histograms.
 
-The histograms are integer log-linear ones (`analyzer/statistics/percentiles.py`): counts of equal buckets add up, so merging
+The histograms are integer log-linear ones (`analyzer/statistics/histogram.py`): counts of equal buckets add up, so merging
 loses nothing, and a percentile is off by half a bucket at most, `RELATIVE_ERROR` of its value. Counts, mean, standard
 deviation and extremes merge without that error (Chan, Golub and LeVeque, "Updating formulae and a pairwise algorithm
 for computing sample variances", 1979).
@@ -17,15 +17,12 @@ import polars as pl
 
 from ..groups.summary import Statistics, measure_groups
 from ..model.metrics import METRICS
-from ..statistics.percentiles import PERCENTILES, K
+from ..statistics.percentiles import PERCENTILES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from numpy.typing import NDArray
-
-RELATIVE_ERROR = 2.0 ** -(K + 1)
-"""Of a percentile from a histogram: half the width of a bucket, 0.05 %."""
 
 
 class ValueSpool:

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 from dds_trace.tracefile.units.counts import counted
 
 from ..engines.batches import WHOLE_GROUP_EVENTS
-from ..engines.oversized import RELATIVE_ERROR
 from ..model.finding import Finding, Severity
 from ..model.parameters import BRIDGE_MATCH_COLUMNS, CASE_COLUMNS
 from ..pairing.rows import partition_groups
+from ..statistics.histogram import RELATIVE_ERROR
 from .evidence import some
 
 if TYPE_CHECKING:

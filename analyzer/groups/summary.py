@@ -13,7 +13,8 @@ from ..model.columns import STATISTICS, SUMMARY_COLUMNS
 from ..model.metrics import METRICS
 from ..model.parameters import PARAMETER_COLUMNS, Parameters
 from ..pairing.pair import LOSSES, OUTCOMES, Outcome
-from ..statistics.percentiles import Histogram, histogram_of, summarize_values
+from ..statistics.histogram import Histogram, histogram_of
+from ..statistics.percentiles import summarize_values
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

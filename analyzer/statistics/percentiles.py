@@ -1,23 +1,66 @@
-"""Statistics of one metric of one group: exact percentiles with their sample support, moments, histograms."""
+"""Percentiles of a sample: which ones exist, how they are computed, and how many messages each of them takes.
+
+A two-sided interval for the q-quantile by order statistics exists once the sample is unlikely to lie wholly on one
+side of it: `q**n <= (1 - confidence) / 2`, and the same for `1 - q` (H. A. David and H. N. Nagaraja, "Order
+Statistics", 3rd ed. 2003, section 7.1). That is 368 independent messages for p99 and 3,688 for p99.9 at 95 %.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from fractions import Fraction
 
 import numpy as np
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+Values = NDArray[np.int64 | np.float64]
+"""A series or a sample; in float64 a lost message may stand as infinity."""
+
+
+def minimum_messages(quantile: float) -> int:
+    """Return the sample size below which a quantile has no estimate, because the sample holds nothing beyond it.
+
+    One over the share of the distribution that lies beyond: 10 for p90, 20 for p95, 100 for p99, 1000 for p99.9
+    (`docs/trace-format.md`). That supports a point estimate; an interval takes `planned_messages`.
+
+    Args:
+        quantile: between 0 and 1, both excluded.
+    """
+    _check(quantile, 0.5)
+    if quantile <= 0.5:
+        return 1
+    beyond = 1 - Fraction(str(quantile))  # exact: 1 / (1 - 0.9) is 10.000000000000002 in floats
+    return math.ceil(1 / beyond)
+
+
+def planned_messages(quantile: float, confidence: float = 0.95, inflation: float = 1.0) -> int:
+    """Return the number of messages from which a two-sided confidence interval for a quantile exists.
+
+    Args:
+        quantile: between 0 and 1, both excluded.
+        confidence: between 0 and 1, both excluded.
+        inflation: how many messages count as one, because neighbours are alike (`Dependence.inflation`).
+    """
+    _check(quantile, confidence)
+    independent = math.log((1 - confidence) / 2) / math.log(max(quantile, 1 - quantile))
+    return math.ceil(round(independent * max(inflation, 1.0), 9))
+
+
+def _check(quantile: float, confidence: float) -> None:
+    if not 0 < quantile < 1 or not 0 < confidence < 1:
+        raise ValueError("quantile and confidence lie between 0 and 1, both excluded")
 
 
 @dataclass(frozen=True, slots=True)
 class Percentile:
-    """A percentile and the number of samples below which it is not given.
+    """A percentile of the summary.
 
-    With fewer samples than `1 / (1 - quantile)` the percentile interpolates towards the sample's maximum,
-    which says nothing about a tail that the sample has not seen.
+    Attributes:
+        name: `p50`, `p99_9` ...
+        quantile: between 0 and 1.
+        needs: the sample size below which it is null. With fewer samples than `1 / (1 - quantile)` the percentile
+            interpolates towards the sample's maximum, which says nothing about a tail that the sample has not seen.
     """
 
     name: str
@@ -25,97 +68,47 @@ class Percentile:
     needs: int
 
 
-PERCENTILES = (
-    Percentile("p50", 0.50, 1),
-    Percentile("p90", 0.90, 10),
-    Percentile("p95", 0.95, 20),
-    Percentile("p99", 0.99, 100),
-    Percentile("p99_9", 0.999, 1000),
+PERCENTILES = tuple(
+    Percentile(name, quantile, minimum_messages(quantile))
+    for name, quantile in (("p50", 0.50), ("p90", 0.90), ("p95", 0.95), ("p99", 0.99), ("p99_9", 0.999))
 )
 
 
-def summarize_values(values_ns: NDArray[np.int64]) -> dict[str, float | None]:
-    """Mean, standard deviation, extremes and percentiles of one metric, None where the sample does not support it.
+def quantile_of(ordered: Values, quantile: float) -> float:
+    """Return a quantile of a sample by linear interpolation between order statistics.
 
-    Percentiles are exact: linear interpolation between order statistics (numpy's and polars' `linear`,
-    Hyndman and Fan's definition 7). The standard deviation is the sample's (n - 1).
+    That is `linear` of numpy and polars, definition 7 of R. Hyndman and Y. Fan, "Sample quantiles in statistical
+    packages", The American Statistician 50, 1996. The result is infinite if one of the two order statistics is.
 
     Args:
-        values_ns: the metric's values, rising.
+        ordered: the sample in rising order, at least one value.
+        quantile: from 0 to 1.
+    """
+    position = quantile * (len(ordered) - 1)
+    below = math.floor(position)
+    low, high = float(ordered[below]), float(ordered[min(below + 1, len(ordered) - 1)])
+    share = position - below
+    return low if share == 0 or low == high else low + (high - low) * share
+
+
+def summarize_values(ordered_ns: NDArray[np.int64]) -> dict[str, float | None]:
+    """Return mean, standard deviation, extremes and percentiles of one metric.
+
+    Percentiles are exact (`quantile_of`). The standard deviation is the sample's (n - 1).
+
+    Args:
+        ordered_ns: the metric's values in rising order.
 
     Returns:
-        Statistic (`mean`, `std`, `min`, `p50` ... `max`) -> value in ns.
+        Statistic (`mean`, `std`, `min`, `max`, `p50` ... `p99_9`) -> value in ns, None where the sample is too small.
     """
-    n = len(values_ns)
-    supported = [p for p in PERCENTILES if n >= p.needs]
-    found: dict[str, float | None] = {"mean": None, "std": None, "min": None, "max": None}
-    found |= {p.name: None for p in PERCENTILES}
+    n = len(ordered_ns)
+    statistics: dict[str, float | None] = {"mean": None, "std": None, "min": None, "max": None}
+    statistics |= {p.name: quantile_of(ordered_ns, p.quantile) if n >= p.needs else None for p in PERCENTILES}
     if n:
-        mean = values_ns.mean()
-        found |= {"mean": float(mean), "min": float(values_ns[0]), "max": float(values_ns[-1])}
-        found |= {p.name: _percentile(values_ns, p.quantile) for p in supported}
-        if n > 1:  # numpy's `std`, which would take the mean again
-            apart = values_ns - mean
-            found["std"] = math.sqrt(float(np.square(apart, out=apart).sum()) / (n - 1))
-    return found
-
-
-def _percentile(ordered_ns: NDArray[np.int64], quantile: float) -> float:
-    position = quantile * (len(ordered_ns) - 1)
-    below = int(position)
-    low, high = int(ordered_ns[below]), int(ordered_ns[min(below + 1, len(ordered_ns) - 1)])
-    return low + (high - low) * (position - below)
-
-
-# A float64's bits are its binary logarithm followed by its mantissa: the exponent and the first K mantissa bits
-# number 2**K equal steps in every octave, which is the bucket of a log-linear histogram (HdrHistogram's layout)
-# without a logarithm. Integers below 2**(K + 1) each have a bucket of their own.
-K = 10
-_SHIFT = 52 - K
-_FIRST = 1023 << K  # the bucket of 1.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Histogram:
-    """Counts of values in log-linear buckets; relative error of a value at most 0.05 % (half a bucket).
-
-    Two histograms merge by addition of the counts of equal centres.
-
-    Attributes:
-        value_ns: float64, the buckets' centres, rising; empty buckets are left out.
-        count: uint64, values in the bucket.
-    """
-
-    value_ns: NDArray[np.float64]
-    count: NDArray[np.uint64]
-
-
-def histogram_of(values_ns: NDArray[np.int64]) -> Histogram:
-    """The histogram of rising values; those below zero (a clock fault) mirror those above."""
-    zero, positive = np.searchsorted(values_ns, [0, 1]).tolist()
-    below = _positive_histogram(-values_ns[:zero][::-1])
-    above = _positive_histogram(values_ns[positive:])
-    zeros = [positive - zero] if positive > zero else []
-    return Histogram(
-        np.concatenate([-below.value_ns[::-1], np.zeros(len(zeros)), above.value_ns]),
-        np.concatenate([below.count[::-1], np.array(zeros, np.uint64), above.count]),
-    )
-
-
-def _positive_histogram(values_ns: NDArray[np.int64]) -> Histogram:
-    """Of rising values, so that those of one bucket are neighbours."""
-    if not len(values_ns):
-        return Histogram(np.empty(0), np.empty(0, np.uint64))
-    buckets = values_ns.astype(np.float64).view(np.int64)
-    buckets >>= _SHIFT
-    first = np.append(0, np.flatnonzero(buckets[1:] != buckets[:-1]) + 1)
-    return Histogram(_centre(buckets[first] - _FIRST), np.diff(first, append=len(buckets)).astype(np.uint64))
-
-
-def _centre(buckets: NDArray[np.int64]) -> NDArray[np.float64]:
-    """The mean of the integers that fall into each bucket."""
-    octave = np.ldexp(1.0, buckets >> K)
-    width = octave / (1 << K)
-    low = octave + width * (buckets & ((1 << K) - 1))
-    # A bucket narrower than 1 holds the one integer at its lower end.
-    return np.asarray(low + np.maximum(width - 1, 0) / 2, np.float64)
+        mean = ordered_ns.mean()
+        statistics |= {"mean": float(mean), "min": float(ordered_ns[0]), "max": float(ordered_ns[-1])}
+        if n > 1:  # numpy's `std` would compute the mean again
+            apart = ordered_ns - mean
+            statistics["std"] = math.sqrt(float(np.square(apart, out=apart).sum()) / (n - 1))
+    return statistics

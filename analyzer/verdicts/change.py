@@ -9,21 +9,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..statistics.intervals import (
-    REPLICATES,
-    SEED,
-    bootstrap_mean,
-    bootstrap_quantile,
-    dependence_of,
-    quantile_of,
-)
-from ..statistics.percentiles import PERCENTILES
-from ..statistics.sample_size import planned_messages
+from ..statistics.bootstrap import REPLICATES, SEED, bootstrap_mean, bootstrap_quantile
+from ..statistics.dependence import dependence_of
+from ..statistics.percentiles import PERCENTILES, planned_messages, quantile_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from ..statistics.intervals import Values
+    from ..statistics.percentiles import Values
 
     Float64 = NDArray[np.float64]
 

@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any
 import polars as pl
 
 from ..model.parameters import BRIDGE_MATCH_COLUMNS, MATCH_COLUMNS
-from ..statistics.intervals import REPLICATES, ratio_interval
+from ..statistics.bootstrap import REPLICATES
+from ..statistics.intervals import ratio_interval
 from ..statistics.percentiles import PERCENTILES
 from .change import Sample, change_of, probability_of_superiority
 

@@ -27,7 +27,7 @@ from dds_trace.tracefile.units.sizes import parse_size
 
 from ..model.parameters import SETTING_COLUMNS
 from ..statistics.intervals import percentile_interval, ranges_overlap
-from ..statistics.sample_size import minimum_messages, planned_messages
+from ..statistics.percentiles import minimum_messages, planned_messages
 from .interpolation import guess_cell
 
 if TYPE_CHECKING:

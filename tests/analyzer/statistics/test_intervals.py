@@ -1,4 +1,4 @@
-"""Intervals: ranks by hand and by exact sums, coverage by drawing, block lengths and the bootstrap against formulas."""
+"""Intervals: ranks by hand and by exact sums, coverage by drawing."""
 
 from __future__ import annotations
 
@@ -9,26 +9,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from series import autoregressive
 
 from dds_trace.analyzer.statistics.intervals import (
-    bootstrap_mean,
-    bootstrap_quantile,
-    dependence_of,
     order_statistic_ranks,
     percentile_interval,
-    quantile_of,
     ratio_interval,
 )
-
-
-def autoregressive(messages: int, correlation: float, seed: int):
-    """Normal values whose neighbours correlate; the first 200 are thrown away."""
-    noise = np.random.default_rng(seed).standard_normal(messages + 200)
-    values = np.empty(messages + 200)
-    values[0] = noise[0]
-    for i in range(1, messages + 200):
-        values[i] = correlation * values[i - 1] + math.sqrt(1 - correlation**2) * noise[i]
-    return values[200:]
+from dds_trace.analyzer.statistics.percentiles import quantile_of
 
 
 def exact_at_most(k: int, n: int, p: float) -> float:
@@ -96,13 +84,6 @@ def test_lost_messages_are_infinitely_late():
     assert quantile_of(np.array([math.inf, math.inf]), 0.5) == math.inf
 
 
-@given(values=st.lists(st.integers(-(10**12), 10**12), min_size=1, max_size=60), q=st.floats(0.01, 0.99))
-@settings(deadline=None)
-def test_quantiles_are_numpys(values, q):
-    ordered = np.sort(np.array(values, np.int64))
-    assert quantile_of(ordered, q) == pytest.approx(float(np.quantile(ordered, q)), rel=1e-12, abs=1e-3)
-
-
 @given(values=st.lists(st.integers(0, 10**9), min_size=100, max_size=300))
 @settings(deadline=None)
 def test_percentiles_and_their_ends_are_monotonic(values):
@@ -137,64 +118,6 @@ def test_intervals_that_ignore_correlation_would_fail_the_same_test():
         lower, upper = order_statistic_ranks(1000, 0.5)
         held += ordered[lower - 1] <= 0 <= ordered[upper - 1]
     assert held < 75
-
-
-def test_independent_messages_count_in_full():
-    found = [dependence_of(autoregressive(1000, 0.0, seed)) for seed in range(20)]
-    assert sum(d.inflation < 1.3 for d in found) >= 17
-
-
-def test_inflation_of_a_known_series():
-    # An autoregressive series with correlation r of neighbours: (1 + r) / (1 - r), so 3 for 0.5 and 9 for 0.8.
-    for correlation, inflation in ((0.5, 3.0), (0.8, 9.0)):
-        found = [dependence_of(autoregressive(20_000, correlation, seed)) for seed in range(5)]
-        assert np.mean([d.inflation for d in found]) == pytest.approx(inflation, rel=0.15)
-
-
-def test_block_length_grows_as_politis_and_white_say():
-    # b = (2 G^2 / D)^(1/3) n^(1/3), G = 2r / (1 - r)^2 sigma^2, D = 4/3 g(0)^2, g(0) = (1 + r) / (1 - r) sigma^2:
-    # r = 0.5 gives G / g(0) = 4/3, b = (1.5 * 16/9)^(1/3) * 20000^(1/3) = 1.387 * 27.14 = 37.6.
-    found = [dependence_of(autoregressive(20_000, 0.5, seed)).block_messages for seed in range(5)]
-    assert np.mean(found) == pytest.approx(37.6, rel=0.25)
-
-
-def test_constant_short_and_alternating_series_are_taken_as_independent():
-    for series in (np.ones(500), np.arange(5), np.tile([0, 1], 200), np.empty(0)):
-        assert dependence_of(series).block_messages == 1
-        assert dependence_of(series).inflation == 1.0
-
-
-def test_a_series_of_bursts_is_worth_fewer_messages():
-    bursts = np.repeat(np.random.default_rng(3).random(200) < 0.1, 20)
-    assert dependence_of(bursts).inflation > 8
-
-
-def test_the_bootstrap_spreads_as_the_mean_does():
-    values = autoregressive(400, 0.0, 1)
-    assert bootstrap_mean(values).std() == pytest.approx(values.std() / 20, rel=0.1)
-    alike = [autoregressive(2000, 0.8, seed) for seed in range(8)]
-    spread = np.mean([bootstrap_mean(v, dependence_of(v).block_messages).std() for v in alike])
-    assert spread == pytest.approx(3 / math.sqrt(2000), rel=0.2)  # inflation 9 of the variance
-
-
-def test_the_bootstrap_spreads_as_a_quantile_does():
-    drawn = [np.quantile(autoregressive(1000, 0.5, seed), 0.9) for seed in range(300)]
-    found = []
-    for seed in range(10):
-        values = autoregressive(1000, 0.5, seed)
-        block = dependence_of(values <= np.quantile(values, 0.9)).block_messages
-        found.append(bootstrap_quantile(values, 0.9, block).std())
-    assert np.mean(found) == pytest.approx(np.std(drawn), rel=0.15)
-
-
-def test_bootstrap_draws_come_from_the_sample_and_are_the_same_each_time():
-    values = np.random.default_rng(1).permutation(3000) * 10
-    first = bootstrap_quantile(values, 0.99, 4)
-    assert first.shape == (499,)
-    assert set(first.tolist()) <= set(values.tolist())
-    assert np.array_equal(first, bootstrap_quantile(values, 0.99, 4))
-    assert not np.array_equal(first, bootstrap_quantile(values, 0.99, 4, seed=7))
-    assert bootstrap_quantile(np.array([42]), 0.5).tolist() == [42.0] * 499
 
 
 def test_ratio_by_hand():

@@ -1,0 +1,71 @@
+"""Histograms of log-linear buckets: two of them merge by addition of their counts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+MANTISSA_BITS = 10
+"""A float64's bits are its binary logarithm followed by its mantissa: exponent and first mantissa bits number
+`2**MANTISSA_BITS` equal steps in every octave. That is the bucket of a log-linear histogram (HdrHistogram's layout)
+without a logarithm. Integers below `2**(MANTISSA_BITS + 1)` each have a bucket of their own."""
+
+RELATIVE_ERROR = 2.0 ** -(MANTISSA_BITS + 1)
+"""Largest error of a value that is read from a histogram, as a share of the value: half a bucket, 0.05 %."""
+
+_SHIFT = 52 - MANTISSA_BITS
+_BUCKET_OF_ONE = 1023 << MANTISSA_BITS
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Histogram:
+    """Counts of values in log-linear buckets.
+
+    Attributes:
+        value_ns: float64, the buckets' centres in rising order, at most `RELATIVE_ERROR` off; empty buckets are left out.
+        count: uint64, values in the bucket.
+    """
+
+    value_ns: NDArray[np.float64]
+    count: NDArray[np.uint64]
+
+
+def histogram_of(ordered_ns: NDArray[np.int64]) -> Histogram:
+    """Count values in buckets; negative ones (a clock fault) mirror positive ones.
+
+    Args:
+        ordered_ns: the values in rising order.
+    """
+    zero, positive = np.searchsorted(ordered_ns, [0, 1]).tolist()
+    below = _positive_histogram(-ordered_ns[:zero][::-1])
+    above = _positive_histogram(ordered_ns[positive:])
+    zeros = [positive - zero] if positive > zero else []
+    return Histogram(
+        np.concatenate([-below.value_ns[::-1], np.zeros(len(zeros)), above.value_ns]),
+        np.concatenate([below.count[::-1], np.array(zeros, np.uint64), above.count]),
+    )
+
+
+def _positive_histogram(ordered_ns: NDArray[np.int64]) -> Histogram:
+    """Count positive values in rising order, in which those of one bucket are neighbours."""
+    if not len(ordered_ns):
+        return Histogram(np.empty(0), np.empty(0, np.uint64))
+    buckets = ordered_ns.astype(np.float64).view(np.int64)
+    buckets >>= _SHIFT
+    first = np.append(0, np.flatnonzero(buckets[1:] != buckets[:-1]) + 1)
+    count = np.diff(first, append=len(buckets)).astype(np.uint64)
+    return Histogram(_centres(buckets[first] - _BUCKET_OF_ONE), count)
+
+
+def _centres(buckets: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the mean of the integers that fall into each bucket."""
+    octave = np.ldexp(1.0, buckets >> MANTISSA_BITS)
+    width = octave / (1 << MANTISSA_BITS)
+    low = octave + width * (buckets & ((1 << MANTISSA_BITS) - 1))
+    # A bucket narrower than 1 holds the one integer at its lower end.
+    return np.asarray(low + np.maximum(width - 1, 0) / 2, np.float64)

@@ -1,0 +1,112 @@
+"""Percentiles: by hand, against numpy, and the sample sizes that the literature gives."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dds_trace.analyzer.statistics.intervals import order_statistic_ranks
+from dds_trace.analyzer.statistics.percentiles import (
+    PERCENTILES,
+    minimum_messages,
+    planned_messages,
+    quantile_of,
+    summarize_values,
+)
+
+NANOSECONDS = st.integers(-(10**6), 10**15)
+
+
+def summarize(values):
+    return summarize_values(np.sort(np.array(values, np.int64)))
+
+
+def test_ten_values_by_hand():
+    found = summarize([50, 10, 30, 20, 40, 60, 100, 80, 90, 70])
+    assert found == {
+        "mean": 55.0,
+        "std": pytest.approx(math.sqrt(8250 / 9)),
+        "min": 10.0,
+        "p50": 55.0,  # between the 5th and the 6th: 50 + 0.5 * 10
+        "p90": pytest.approx(91.0),  # position 0.9 * 9 = 8.1: 90 + 0.1 * 10
+        "p95": None,
+        "p99": None,
+        "p99_9": None,
+        "max": 100.0,
+    }
+
+
+def test_nothing_and_one():
+    assert set(summarize([]).values()) == {None}
+    one = summarize([7])
+    assert (one["mean"], one["min"], one["p50"], one["max"]) == (7.0, 7.0, 7.0, 7.0)
+    assert (one["std"], one["p90"]) == (None, None)
+
+
+@pytest.mark.parametrize(("name", "needs"), [("p90", 10), ("p95", 20), ("p99", 100), ("p99_9", 1000)])
+def test_a_percentile_takes_its_number_of_samples(name, needs):
+    assert summarize(range(needs - 1))[name] is None
+    quantile = next(p.quantile for p in PERCENTILES if p.name == name)
+    assert summarize(range(needs))[name] == pytest.approx(quantile * (needs - 1))
+
+
+@given(st.lists(NANOSECONDS, min_size=1, max_size=300))
+def test_percentiles_are_numpys_linear_and_monotonic(values):
+    found = summarize(values)
+    given_ones = [(p, found[p.name]) for p in PERCENTILES if found[p.name] is not None]
+    for percentile, value in given_ones:
+        assert value == pytest.approx(np.quantile(values, percentile.quantile, method="linear"), rel=1e-12)
+    heights = [found["min"], *(value for _, value in given_ones), found["max"]]
+    assert heights == sorted(heights)
+
+
+@given(values=st.lists(st.integers(-(10**12), 10**12), min_size=1, max_size=60), q=st.floats(0.01, 0.99))
+@settings(deadline=None)
+def test_quantiles_are_numpys(values, q):
+    ordered = np.sort(np.array(values, np.int64))
+    assert quantile_of(ordered, q) == pytest.approx(float(np.quantile(ordered, q)), rel=1e-12, abs=1e-3)
+
+
+def test_known_figures():
+    assert planned_messages(0.99) == 368
+    assert planned_messages(0.999) == 3688
+    assert planned_messages(0.5) == 6  # 0.5**6 = 0.016
+    assert planned_messages(0.01) == 368  # the low tail likewise
+    assert planned_messages(0.99, confidence=0.99) == 528  # log(0.005) / log(0.99) = 527.2
+
+
+def test_alike_neighbours_take_more_messages():
+    assert planned_messages(0.99, inflation=3.0) == 1102  # 3 x 367.03
+    assert planned_messages(0.99, inflation=0.2) == 368  # never fewer than independent ones
+
+
+@pytest.mark.parametrize("quantile", [0.5, 0.9, 0.95, 0.99, 0.999])
+def test_planned_is_the_first_size_with_both_ends(quantile):
+    planned = planned_messages(quantile)
+    assert None not in order_statistic_ranks(planned, quantile)
+    assert None in order_statistic_ranks(planned - 1, quantile)
+
+
+def test_minimum_agrees_with_the_summary():
+    assert {p.name: minimum_messages(p.quantile) for p in PERCENTILES} == {
+        p.name: p.needs for p in PERCENTILES
+    }
+    assert minimum_messages(0.9999) == 10_000
+
+
+def test_the_true_p99_exceeds_the_largest_of_150_in_22_of_100_runs():
+    missed = 0.99**150
+    assert missed == pytest.approx(0.2215, abs=1e-4)
+    generator = np.random.default_rng(1)
+    beyond = (generator.random((20_000, 150)).max(axis=1) < 0.99).mean()
+    assert beyond == pytest.approx(0.2215, abs=0.015)
+
+
+@pytest.mark.parametrize("bad", [0.0, 1.0, -1.0, 99.0])
+def test_quantiles_are_no_percents(bad):
+    with pytest.raises(ValueError, match="between 0 and 1"):
+        planned_messages(bad)

@@ -5,18 +5,15 @@ a = analyze("runs/")          # a.summary, a.roundtrips ... are polars frames
 """
 
 from .analysis import Analysis, Details
-from .clocks.alignment import Alignment, align_clocks, clock_table, ping_boots
+from .clocks.boots import ping_wall_offsets
 from .clocks.fit import ClockFit, ClockKnot, ClockSegment, ClockStep
 from .exports.foxglove import DerivedTrace, write_derived
 from .exports.tables import EXPORTERS, export_tables
 from .groups.breakdown import (
     STAGES,
     break_down,
-    ping_wall_offsets,
-    relay_wall_offsets,
     response_against_latency,
     summarize_breakdown,
-    with_stamps,
 )
 from .groups.freshness import outage_table, summarize_freshness
 from .model.column import Column
@@ -82,7 +79,6 @@ __all__ = [
     "STAGES",
     "STATISTICS",
     "SUMMARY_COLUMNS",
-    "Alignment",
     "Analysis",
     "Answer",
     "Candidate",
@@ -113,12 +109,10 @@ __all__ = [
     "TopicReport",
     "Verdict",
     "Win",
-    "align_clocks",
     "analyze",
     "analyze_topics",
     "break_down",
     "bridge_cost",
-    "clock_table",
     "compare_roundtrips",
     "default_output",
     "export_tables",
@@ -133,16 +127,13 @@ __all__ = [
     "parse_gate",
     "parse_job",
     "percentile_interval",
-    "ping_boots",
     "ping_wall_offsets",
     "planned_messages",
     "ratio_interval",
     "recommend_settings",
-    "relay_wall_offsets",
     "response_against_latency",
     "summarize_breakdown",
     "summarize_freshness",
     "varying_columns",
-    "with_stamps",
     "write_derived",
 ]

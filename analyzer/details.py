@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import polars as pl
 
 from .analysis import Details
-from .clocks.alignment import ping_boots
+from .clocks.boots import ping_boots
 from .findings.left_out import is_too_large
 from .groups.host_samples import host_sample_frame
 from .groups.interval_frames import (
@@ -52,7 +52,7 @@ def collect_details(
         in_parts: groups that no batch held whole: what a column of their rows says is added here.
         wanted: what is asked for.
     """
-    boots = ping_boots(list(campaign.sessions.values()), list(campaign.runs.values()))
+    boots = ping_boots(campaign.sessions.values(), campaign.runs.values())
     # A job is about one data type; that much of a large campaign is read for it.
     of_job = rows.rows.scan().filter(pl.col("data_type") == wanted.job.data_type) if wanted.job else None
     intervals = pl.DataFrame(

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
-from ..clocks.alignment import ping_boots
+from ..clocks.boots import ping_boots
 from ..model.finding import Finding, Severity
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def _steps(evidence: Evidence) -> Iterator[tuple[dict[str, Any], str | None]]:
     """
     if evidence.details is None:
         return
-    boots = ping_boots(list(evidence.campaign.sessions.values()), list(evidence.campaign.runs.values()))
+    boots = ping_boots(evidence.campaign.sessions.values(), evidence.campaign.runs.values())
     knots = evidence.details.clock_knots.sort("at_ns")
     for fit in evidence.details.clock_fits.drop_nulls("step_before_ns").iter_rows(named=True):
         own = knots.filter(ping_device=fit["ping_device"], relay_device=fit["relay_device"])

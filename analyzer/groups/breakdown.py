@@ -19,14 +19,9 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from dds_trace.tracefile import Stage
-
-from ..clocks.alignment import session_of_run
-
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from dds_trace.tracefile import EventColumns, Run, Session
 
 STAGES = (
     "waiting_ns",
@@ -42,51 +37,6 @@ STAMP_COLUMNS = ("relay_source_ns", "relay_received_ns", "reply_source_ns", "rep
 """`source_ns` and `received_ns` of T3 and of T2, i64, ns since 1970, null where the trace has 0."""
 
 
-def ping_wall_offsets(sessions: Sequence[Session], runs: Sequence[Run]) -> dict[int, int]:
-    """Wall clock minus monotonic clock of the ping in each run that names its session, ns, by run_id."""
-    of_session = {s.session_id: s.wall_anchor_ns - s.monotonic_anchor_ns for s in sessions}
-    return {run.run_id: of_session[s] for run in runs if (s := session_of_run(run)) in of_session}
-
-
-def relay_wall_offsets(sessions: Sequence[Session]) -> dict[int, int]:
-    """Wall clock minus monotonic clock of each relay, ns, by relay_id (drawn anew by each relay process)."""
-    return {
-        s.relay_id: s.wall_anchor_ns - s.monotonic_anchor_ns
-        for s in sessions
-        if s.role == "relay" and s.relay_id is not None
-    }
-
-
-def with_stamps(roundtrips: pl.DataFrame, events: Mapping[Stage, EventColumns]) -> pl.DataFrame:
-    """The round trips with `STAMP_COLUMNS`, from the events of T2 and T3 that they were paired from.
-
-    Args:
-        roundtrips: frame of `docs/trace-format.md`.
-        events: T2 and T3 of all traces (`EventColumns.concatenate`); an event that is there twice counts once.
-    """
-    frame = roundtrips
-    for stage, instant, names in (
-        (Stage.T3, "relay_in_ns", STAMP_COLUMNS[:2]),
-        (Stage.T2, "receive_ns", STAMP_COLUMNS[2:]),
-    ):
-        columns = events[stage]
-        keys = ["run_id", "relay_id", "sequence", instant]
-        stamps = pl.DataFrame(
-            {
-                "run_id": columns.run_id,
-                "relay_id": columns.relay_id,
-                "sequence": columns.sequence,
-                instant: columns.monotonic_ns,
-                names[0]: columns.source_ns,
-                names[1]: columns.received_ns,
-            },
-        )
-        known = [pl.when(pl.col(name) != 0).then(pl.col(name)).alias(name) for name in names]
-        stamps = stamps.unique(keys, keep="first", maintain_order=True).with_columns(known)
-        frame = frame.join(stamps, on=keys, how="left", maintain_order="left")
-    return frame
-
-
 def break_down(
     roundtrips: pl.DataFrame,
     ping_wall: Mapping[int, int] | None = None,
@@ -95,9 +45,10 @@ def break_down(
     """The parts of every message's response.
 
     Args:
-        roundtrips: frame of `align_clocks`, with the columns `STAMP_COLUMNS` where the trace has such stamps.
-        ping_wall: `ping_wall_offsets`; without it, or for a run that it does not hold, no part needs it.
-        relay_wall: `relay_wall_offsets`, likewise.
+        roundtrips: frame of `docs/trace-format.md`, with the columns `STAMP_COLUMNS` where the trace has such stamps.
+        ping_wall: run_id -> wall clock minus monotonic clock of the ping in ns; parts that need the offset of a run
+            that is missing here are null.
+        relay_wall: relay_id -> the same of the relay.
 
     Returns:
         The input with, all i64 ns and null where a stamp is missing: `waiting_ns` (T0 to T1: a schedule that was

@@ -174,7 +174,7 @@ def summarize_freshness(
     """One row per run and relay: deadline misses, age of information, outages.
 
     Args:
-        roundtrips: frame of `docs/trace-format.md`; with `outbound_ns` and `clock_bound_ns` (`align_clocks`) the age at
+        roundtrips: frame of `docs/trace-format.md`; with `outbound_ns` and `clock_bound_ns` the age at
             the relay is given too.
         deadline_ns: a message misses it if it is lost or its `metric` is larger. None: nothing is judged.
         metric: column that the deadline is for.

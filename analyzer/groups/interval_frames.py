@@ -144,7 +144,7 @@ def breakdown_frame(batch: Batch) -> pl.DataFrame:
 
 
 def _stamps(roundtrips: RoundTrips) -> Iterator[pl.Series]:
-    """`breakdown.STAMP_COLUMNS` as `breakdown.with_stamps` has them, without a join: the row of an event is known."""
+    """Make the columns `breakdown.STAMP_COLUMNS` from the events of T2 and T3 that each row was paired from."""
     for stage, instant, names in (
         ("t3", "relay_in_ns", STAMP_COLUMNS[:2]),
         ("t2", "receive_ns", STAMP_COLUMNS[2:]),

@@ -146,7 +146,7 @@ def fit_devices(knots: pl.DataFrame, boots: Mapping[int, int]) -> tuple[ClockFit
 
     Args:
         knots: frame of `knots_of`.
-        boots: boot of each run's ping, by run_id (`clocks.ping_boots`).
+        boots: boot of each run's ping, by run_id (`boots.ping_boots`).
     """
     ids = pl.Series(list(boots), dtype=pl.UInt64)
     of_run = pl.Series(list(boots.values()), dtype=pl.Int64)

@@ -6,6 +6,8 @@ import polars as pl
 import pytest
 from polars.testing import assert_frame_equal
 from trace_files import (
+    RELAY_ID,
+    WALL_ANCHOR_NS,
     Message,
     event,
     ping_events,
@@ -135,6 +137,30 @@ def test_on_one_machine_one_way_times_are_exact(tmp_path):
     assert analysis.details.clock_fits["same_clock"].to_list() == [True]
     assert analysis.roundtrips["outbound_ns"].unique().to_list() == [2 * MS]
     assert analysis.roundtrips["clock_bound_ns"].unique().to_list() == [0]
+
+
+def test_reception_stamps_are_those_of_the_events_that_were_paired(tmp_path):
+    # us  T0=0  T1=5  source 7  R3=45  T3=60  T4=70  source 73  R2=112  T2=120; wall clock stamps but for T0 to T4.
+    def stamped(monotonic_us, source_us, received_us, relay_id=RELAY_ID):
+        wall = [WALL_ANCHOR_NS + us * 1000 for us in (source_us, received_us)]
+        return event(0, monotonic_us * 1000, relay_id=relay_id, source_ns=wall[0], received_ns=wall[1])
+
+    taken = stamped(60, 7, 45)
+    events = {Stage.T3: [taken, stamped(65, 9, 50), taken], Stage.T4: [event(0, 70_000, relay_id=RELAY_ID)]}
+    write_trace(tmp_path / "relay.mcap", relay_session(device="alpha"), (), events)
+    described = [run(planned_messages=1, published=1)]
+    others = stamped(119, 74, 111, relay_id=RELAY_ID + 1)
+    events = {Stage.T1: [event(0, 5_000)], Stage.T2: [stamped(120, 73, 112), others, stamped(130, 80, 125)]}
+    write_trace(tmp_path / "ping.mcap", ping_session(), described, events)
+    parts = analyze(tmp_path).details.breakdown.filter(group=0)
+    assert parts.select("part", "mean_ns").rows() == [
+        ("waiting_ns", 5_000),
+        ("outbound_transport_ns", 40_000),
+        ("relay_delivery_ns", 15_000),
+        ("relay_ns", 10_000),
+        ("return_transport_ns", 42_000),
+        ("ping_delivery_ns", 8_000),
+    ]
 
 
 def test_a_group_has_the_same_details_alone_and_beside_another(tmp_path):

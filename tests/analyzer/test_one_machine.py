@@ -2,60 +2,49 @@
 
 from __future__ import annotations
 
-import numpy as np
 import polars as pl
 import pytest
 from processes import ping, relay
+from roundtrip_frames import with_one_way
 
 from dds_trace.analyzer import analyze
-from dds_trace.analyzer.clocks.alignment import align_clocks, ping_boots
-from dds_trace.analyzer.groups.breakdown import (
-    STAGES,
-    break_down,
-    ping_wall_offsets,
-    relay_wall_offsets,
-    with_stamps,
-)
-from dds_trace.tracefile import EventColumns, Stage, find_traces, read_trace
+from dds_trace.analyzer.groups.breakdown import STAGES
 
 pytestmark = pytest.mark.middleware
 
-LOCAL = ("--discovery", "localhost", "--device", "this-machine")
+LOCAL = ("--discovery", "localhost")
 
 
-def record(folder, domain_id):
-    """200 messages at 50 Hz to a relay and back: the analysis, and the frame with the middleware's stamps."""
-    with relay(domain_id, folder / "relay.mcap", *LOCAL) as process:
+def record(folder, domain_id, *, relay_device):
+    """200 messages at 50 Hz to a relay on this machine and back."""
+    folder.mkdir()
+    with relay(domain_id, folder / "relay.mcap", *LOCAL, "--device", relay_device) as process:
         more = ("--rate", 50, "--messages", 200, "--size", "1KB", "--label", "why=clock test")
-        assert ping(domain_id, folder / "ping.mcap", *LOCAL, *more).status == 0
+        device = ("--device", "this-machine")
+        assert ping(domain_id, folder / "ping.mcap", *LOCAL, *device, *more).status == 0
         assert process.stop().status == 0
-    analysis = analyze(folder)
-    traces = [read_trace(path) for path in find_traces(folder)]
-    events = {s: EventColumns.concatenate(t.events[s] for t in traces) for s in (Stage.T2, Stage.T3)}
-    return analysis, with_stamps(analysis.roundtrips, events)
+    return analyze(folder)
 
 
 def test_clocks_on_a_real_exchange(tmp_path, domain_id):
-    analysis, frame = record(tmp_path, domain_id)
-    boots = ping_boots(analysis.sessions, analysis.runs)
-    (known,) = align_clocks(frame, boots).fits
-    assert known.same_clock
-    (fit,) = align_clocks(frame.with_columns(relay_device=pl.lit("another")), boots).fits
-    assert not fit.same_clock  # two names: the fit has to find out by itself
-    assert fit.steps == ()
-    for knot in fit.segments[0].knots:
-        assert abs(knot.offset_ns) <= knot.bound_ns
+    analysis = record(tmp_path / "one", domain_id, relay_device="this-machine")
+    assert analysis.details.clock_fits["same_clock"].to_list() == [True]
+    assert_parts_add_up(analysis)
+
+    # Two names: the fit has to find out by itself.
+    details = record(tmp_path / "two", domain_id, relay_device="another").details
+    assert details.clock_fits["same_clock"].to_list() == [False]
+    assert details.clock_fits["step_before_ns"].to_list() == [None]
+    assert (details.clock_knots["offset_ns"].abs() <= details.clock_knots["bound_ns"]).all()
 
     # Real jitter, and a relay's clock that was put off by a known amount.
+    frame = analysis.roundtrips
     true_ns = frame["relay_in_ns"] - frame["publish_ns"]
     for offset_ns, drift_ppb, step_ns in ((10**15, 40_000, 0), (-(10**12), -40_000, 10**9)):
-        aligned = align_clocks(put_off(frame, offset_ns, drift_ppb, step_ns))
-        error_ns = (aligned.roundtrips["outbound_ns"] - true_ns).abs()
+        aligned = with_one_way(put_off(frame, offset_ns, drift_ppb, step_ns))
+        error_ns = (aligned["outbound_ns"] - true_ns).abs()
         assert error_ns.count() > 150
-        assert (error_ns <= aligned.roundtrips["clock_bound_ns"] + 1).drop_nulls().all()
-        assert len(aligned.fits[0].steps) == (1 if step_ns else 0)
-
-    assert_parts_add_up(analysis, frame)
+        assert (error_ns <= aligned["clock_bound_ns"] + 1).drop_nulls().all()
 
 
 def put_off(frame, offset_ns, drift_ppb, step_ns):
@@ -69,16 +58,13 @@ def put_off(frame, offset_ns, drift_ppb, step_ns):
     return frame.with_columns(shifted).with_columns(relay_device=pl.lit("another"))
 
 
-def assert_parts_add_up(analysis, frame):
-    parts = break_down(
-        align_clocks(frame).roundtrips,
-        ping_wall_offsets(analysis.sessions, analysis.runs),
-        relay_wall_offsets(analysis.sessions),
-    ).filter(pl.col("outcome") == "completed")
-    if parts["relay_received_ns"].null_count() == len(parts):
+def assert_parts_add_up(analysis):
+    parts = analysis.details.breakdown.sort("order")
+    if len(parts) != len(STAGES):
         return  # this client library gives no reception stamps
-    values = parts.select(STAGES).to_numpy()
-    assert np.isfinite(values).all()
-    assert np.array_equal(values.sum(axis=1), parts["response_ns"].to_numpy())
-    assert (values[:, 1:] >= 0).all()
-    assert parts["delivery_bound_ns"].null_count() == 0
+    assert parts["part"].to_list() == list(STAGES)
+    complete = analysis.roundtrips.filter(outcome="completed")
+    assert parts["messages"].unique().to_list() == [len(complete)]
+    assert parts["mean_ns"].sum() == pytest.approx(complete["response_ns"].mean(), rel=1e-9)
+    assert (parts["mean_ns"][1:] >= 0).all()
+    assert parts["bound_ns"].null_count() == 0

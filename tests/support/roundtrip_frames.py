@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import polars as pl
 
 from dds_trace.analyzer.model.column import schema_of
 from dds_trace.analyzer.model.columns import ROUNDTRIP_COLUMNS
 from dds_trace.analyzer.model.metrics import with_metrics
 from dds_trace.analyzer.model.parameters import PARAMETER_NAMES
+from dds_trace.analyzer.pairing.one_way import ONE_WAY_COLUMNS, fit_exchanges
+from dds_trace.analyzer.pairing.pair import MISSING
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -92,3 +96,20 @@ def steady(
             },
         )
     return roundtrips(rows, **parameters)
+
+
+def with_one_way(frame: pl.DataFrame) -> pl.DataFrame:
+    """The frame, whose runs and relays follow one another, with the one-way times that the analysis gives them."""
+    of_exchange = frame.partition_by("run_id", "relay_id", maintain_order=True)
+    devices = [
+        SimpleNamespace(
+            ping=SimpleNamespace(device=rows["ping_device"][0]),
+            relay=SimpleNamespace(device=rows["relay_device"][0]),
+        )
+        for rows in of_exchange
+    ]
+    bounds = np.cumsum([0, *(len(rows) for rows in of_exchange)])
+    names = ("publish_ns", "relay_in_ns", "relay_out_ns", "receive_ns")
+    stamps = {name: frame[name].fill_null(MISSING).to_numpy() for name in names}
+    one_way = fit_exchanges(devices, bounds, stamps, MISSING)
+    return frame.drop(ONE_WAY_COLUMNS, strict=False).with_columns(one_way.columns)

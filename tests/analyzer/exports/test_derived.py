@@ -9,9 +9,8 @@ import polars as pl
 import pytest
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
-from roundtrip_frames import MS, steady
+from roundtrip_frames import MS, steady, with_one_way
 
-from dds_trace.analyzer.clocks.alignment import align_clocks
 from dds_trace.analyzer.exports.foxglove import PLOTTED_TOPICS, foxglove_layout, topic_name, write_derived
 from dds_trace.tracefile.errors import OutputError, OutputExistsError
 
@@ -23,7 +22,7 @@ def frame():
         steady([5 * MS, None, 7 * MS], run_id=0xA1, relay_id=3),
         steady([50 * MS], run_id=0xB2, relay_id=3, vendor="zenoh", data_type="imu", rate_hz=2.5),
     ]
-    return align_clocks(pl.concat(runs)).roundtrips
+    return with_one_way(pl.concat(runs))
 
 
 def test_rosbags_reads_back_every_number(tmp_path):

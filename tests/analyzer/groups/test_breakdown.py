@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-import numpy as np
 import polars as pl
 import pytest
-from roundtrip_frames import MS, roundtrips
+from roundtrip_frames import MS, roundtrips, with_one_way
 
-from dds_trace.analyzer.clocks.alignment import align_clocks
 from dds_trace.analyzer.groups.breakdown import (
     STAGES,
     break_down,
-    ping_wall_offsets,
-    relay_wall_offsets,
     response_against_latency,
     summarize_breakdown,
-    with_stamps,
 )
-from dds_trace.tracefile.format.descriptions import Run, Session
-from dds_trace.tracefile.format.events import EVENT_DTYPE, EventColumns, Stage
 
 PING_WALL, RELAY_WALL = 10**18, 2 * 10**18  # wall clock at monotonic zero of each device
 
@@ -38,7 +31,7 @@ MESSAGE = {
 
 
 def parts_of(rows, **parameters):
-    frame = align_clocks(roundtrips(rows, **{"relay_device": "ping-pi", **parameters})).roundtrips
+    frame = with_one_way(roundtrips(rows, **{"relay_device": "ping-pi", **parameters}))
     return break_down(frame, {1: PING_WALL}, {1: RELAY_WALL})
 
 
@@ -73,7 +66,7 @@ def test_without_reception_stamps_the_whole_ways_remain():
 
 
 def test_without_anchors_nothing_is_mixed():
-    frame = align_clocks(roundtrips([MESSAGE])).roundtrips
+    frame = with_one_way(roundtrips([MESSAGE]))
     row = break_down(frame).row(0, named=True)
     assert row["relay_delivery_ns"] is None
     assert row["outbound_ns"] is not None
@@ -141,43 +134,9 @@ def test_waiting_shows_in_the_response_and_not_in_the_round_trip():
     assert row["rtt_p99_ns"] is None
 
 
-def test_offsets_come_from_the_sessions():
-    def session(number, role, relay_id):
-        return Session(number, role, "d", "ros2", "fastdds", None, 5, relay_id, "wired", 1000 * number, 100)
-
-    runs = [Run(5, "binary", 1, 1.0, 1, 0, extra={"session_id": f"{1:016x}"}), Run(6, "binary", 1, 1.0, 1, 0)]
-    sessions = [session(1, "ping", None), session(2, "relay", 77)]
-    assert ping_wall_offsets(sessions, runs) == {5: 900}
-    assert relay_wall_offsets(sessions) == {77: 1900}
-
-
 @pytest.mark.parametrize("rows", [[], [{"publish_ns": 0}]])
 def test_frames_without_a_reply(rows):
     parts = parts_of(rows)
     assert set(STAGES) <= set(parts.columns)
     assert all(parts.schema[name] == pl.Int64 for name in STAGES)
     assert response_against_latency(parts, ["vendor"]).is_empty()
-
-
-def test_stamps_come_from_the_very_events_that_were_paired():
-    def events(*rows):
-        names = ("run_id", "relay_id", "sequence", "monotonic_ns", "source_ns", "received_ns")
-        records = np.zeros(len(rows), EVENT_DTYPE)
-        for name, values in zip(names, zip(*rows, strict=True), strict=True):
-            records[name] = values
-        return EventColumns.from_records(records)
-
-    frame = roundtrips(
-        [{"publish_ns": 0, "relay_in_ns": 50, "receive_ns": 90}, {"publish_ns": 100, "receive_ns": 190}]
-    )
-    found = with_stamps(
-        frame,
-        {
-            Stage.T3: events(
-                (1, 1, 0, 55, 7, 8), (1, 1, 0, 50, 11, 12), (1, 1, 0, 50, 11, 12)
-            ),  # a duplicate, a copy
-            Stage.T2: events((1, 1, 0, 90, 21, 0), (1, 2, 1, 190, 5, 6)),  # the second is another relay's
-        },
-    )
-    assert found.select(frame.columns).equals(frame)
-    assert found.select(found.columns[-4:]).rows() == [(11, 12, 21, None), (None, None, None, None)]

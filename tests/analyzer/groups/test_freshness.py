@@ -7,9 +7,8 @@ import polars as pl
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from roundtrip_frames import MS, roundtrips, steady
+from roundtrip_frames import MS, roundtrips, steady, with_one_way
 
-from dds_trace.analyzer.clocks.alignment import align_clocks
 from dds_trace.analyzer.groups.freshness import (
     age_of_information,
     longest_run,
@@ -92,7 +91,7 @@ def test_a_reply_without_the_relays_trace_is_judged_on_rtt_only():
 
 def test_age_at_the_ping_and_at_the_relay():
     # Replies after 21 ms (10 out, 1 in the relay, 10 back) of messages at 0, 100, 200 ms.
-    frame = align_clocks(
+    frame = with_one_way(
         roundtrips(
             [
                 {
@@ -105,7 +104,7 @@ def test_age_at_the_ping_and_at_the_relay():
             ],
             relay_device="ping-pi",
         ),
-    ).roundtrips
+    )
     row = summarize_freshness(frame).row(0, named=True)
     # From 21 to 121 on average over each 100 ms; at the relay from 10 to 110. One machine: no clock error.
     assert (row["age_mean_ns"], row["age_peak_mean_ns"], row["age_peak_max_ns"]) == (

@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import polars as pl
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from roundtrip_frames import MS, S, roundtrips
+from roundtrip_frames import MS, S
 
-from dds_trace.analyzer.clocks.alignment import align_clocks, clock_table, ping_boots
 from dds_trace.analyzer.clocks.fit import fit_clock
 from dds_trace.analyzer.clocks.lines import DRIFT, Intervals, Lines
-from dds_trace.tracefile.format.descriptions import Run, Session
 
 START_NS = (
     40 * 24 * 3600 * S
@@ -203,80 +200,6 @@ def test_nothing_to_fit_gives_no_segment():
 def test_a_message_longer_in_the_relay_than_under_way_is_refused():
     with pytest.raises(ValueError, match="leave it out"):
         fit_clock(*(np.array([t], np.int64) for t in (0, 10, 90, 20)))
-
-
-def test_one_way_times_of_a_frame():
-    frame = roundtrips(
-        [
-            {"publish_ns": 0, "relay_in_ns": 1100, "relay_out_ns": 1200, "receive_ns": 300},
-            {"publish_ns": 1000, "relay_in_ns": 2100},  # lost on the way back
-            {
-                "publish_ns": 2000,
-                "relay_in_ns": 3100,
-                "relay_out_ns": 3900,
-                "receive_ns": 2500,
-            },  # 800 in 500 ns
-        ],
-    )
-    aligned = align_clocks(frame)
-    assert aligned.roundtrips["outbound_ns"].to_list() == [100, None, None]
-    assert aligned.roundtrips["return_ns"].to_list() == [100, None, None]
-    assert aligned.roundtrips["clock_bound_ns"].to_list() == [101, None, None]
-    one_way = ["outbound_ns", "return_ns", "clock_bound_ns"]
-    assert aligned.roundtrips.drop(one_way).equals(frame.drop(one_way))
-    (fit,) = aligned.fits
-    assert (fit.ping_device, fit.relay_device) == ("ping-pi", "relay-pi")
-    table = clock_table(aligned.fits)
-    assert table.select("segment", "at_ns", "offset_ns", "bound_ns").rows() == [(0, 150, 1000, 101)]
-
-
-def test_device_pairs_and_boots_are_fitted_apart():
-    message = {"publish_ns": 0, "relay_in_ns": 1100, "relay_out_ns": 1200, "receive_ns": 300}
-    later = {**message, "relay_in_ns": 5_001_100, "relay_out_ns": 5_001_200}
-    frame = pl.concat(
-        [
-            roundtrips([message], run_id=1),
-            roundtrips([later], run_id=2),
-            roundtrips([message], run_id=3, relay_device="third"),
-        ],
-    )
-    aligned = align_clocks(frame, {1: 100, 2: 900})
-    assert [(f.relay_device, f.boot, f.segments[0].offset_ns) for f in aligned.fits] == [
-        ("relay-pi", 100, 1000),
-        ("relay-pi", 900, 5_001_000),
-        ("third", 0, 1000),
-    ]
-    assert aligned.roundtrips["outbound_ns"].to_list() == [100, 100, 100]
-
-
-def test_frames_without_a_pair_have_the_columns_all_the_same():
-    frame = roundtrips([{"publish_ns": 0}], relay_device=None)
-    aligned = align_clocks(frame)
-    assert aligned.fits == ()
-    assert aligned.roundtrips["outbound_ns"].to_list() == [None]
-    assert aligned.roundtrips["clock_bound_ns"].dtype == pl.Int64
-    assert align_clocks(frame.clear()).roundtrips.columns == aligned.roundtrips.columns
-    assert clock_table(()).is_empty()
-
-
-def test_boots_are_told_apart_by_the_wall_clock_at_monotonic_zero():
-    def session(number, device, wall_s, monotonic_s):
-        return Session(
-            number, "ping", device, "ros2", "fastdds", None, 5, None, "wired", wall_s * S, monotonic_s * S
-        )
-
-    def run(number, session_id):
-        return Run(number, "binary", 1, 1.0, 1, 0, extra={"session_id": f"{session_id:016x}"})
-
-    sessions = [
-        session(1, "a", 1000, 100),
-        session(2, "a", 1501, 600),  # same boot, wall clock one second on
-        session(3, "a", 5000, 50),  # after a reboot
-        session(4, "b", 1000, 100),
-    ]
-    boots = ping_boots(sessions, [run(10, 1), run(20, 2), run(30, 3), run(40, 4), run(50, 77)])
-    assert boots == {10: 900, 20: 900, 30: 4950, 40: 900, 50: 0}
-    assert ping_boots([], [Run(1, "binary", 1, 1.0, 1, 0)]) == {1: 0}
 
 
 def test_a_long_campaign_has_a_knot_every_ten_seconds():

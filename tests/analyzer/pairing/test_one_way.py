@@ -1,0 +1,54 @@
+"""One-way times of rows, and the clocks of devices over several runs, on stamps drawn by hand."""
+
+from __future__ import annotations
+
+import polars as pl
+from roundtrip_frames import roundtrips, with_one_way
+
+from dds_trace.analyzer.pairing.one_way import KNOT_SCHEMA, fit_devices, segment_table
+
+MESSAGE = {"publish_ns": 0, "relay_in_ns": 1100, "relay_out_ns": 1200, "receive_ns": 300}
+ONE_WAY = ["outbound_ns", "return_ns", "clock_bound_ns"]
+
+
+def test_one_way_times_take_four_stamps_that_agree():
+    frame = roundtrips(
+        [
+            MESSAGE,
+            {"publish_ns": 1000, "relay_in_ns": 2100},  # lost on the way back
+            {
+                "publish_ns": 2000,
+                "relay_in_ns": 3100,
+                "relay_out_ns": 3900,
+                "receive_ns": 2500,
+            },  # 800 in 500 ns
+        ],
+    )
+    aligned = with_one_way(frame)
+    assert aligned.select(ONE_WAY).rows() == [(100, 100, 101), (None, None, None), (None, None, None)]
+    assert aligned.drop(ONE_WAY).equals(frame.drop(ONE_WAY))
+
+
+def test_one_way_columns_are_int64_without_a_relay():
+    aligned = with_one_way(roundtrips([{"publish_ns": 0}], relay_device=None))
+    assert aligned["outbound_ns"].to_list() == [None]
+    assert aligned["clock_bound_ns"].dtype == pl.Int64
+
+
+def test_device_pairs_and_boots_are_fitted_apart():
+    def knot(run_id, relay_device, offset_ns):
+        return (0, run_id, 1, "ping-pi", relay_device, 1, 150, offset_ns, 101)
+
+    knots = pl.DataFrame(
+        [knot(1, "relay-pi", 1000), knot(2, "relay-pi", 5_001_000), knot(3, "third", 1000)],
+        schema=KNOT_SCHEMA,
+        orient="row",
+    )
+    fits = fit_devices(knots, {1: 100, 2: 900})
+    assert [(f.relay_device, f.boot, f.segments[0].offset_ns) for f in fits] == [
+        ("relay-pi", 100, 1000),
+        ("relay-pi", 900, 5_001_000),
+        ("third", 0, 1000),
+    ]
+    assert segment_table(fits).select("segment", "at_ns", "bound_ns").rows() == [(0, 150, 102)] * 3
+    assert segment_table(fit_devices(knots.clear(), {})).is_empty()

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from dds_trace.reports.reporters import REPORT_MODULES
 from dds_trace.tracefile.units.durations import parse_duration
 
 from . import compare, watch
@@ -24,20 +25,23 @@ if TYPE_CHECKING:
     from dds_trace.analyzer import Analysis
 
 
-class ReportKind(str, Enum):
-    """What `--report` takes; the keys of `reports.REPORTERS`."""
-
-    HTML = "html"
-    MD = "md"
-    JSON = "json"
-    TERMINAL = "terminal"
-
-
 class ExportKind(str, Enum):
     """What `--export` takes; the keys of `analyzer.EXPORTERS`."""
 
     CSV = "csv"
     ARROW = "arrow"
+
+
+def _known_kinds(kinds: list[str] | None) -> list[str] | None:
+    """Refuse a kind of report that the table of reporters does not have.
+
+    Raises:
+        typer.BadParameter: as for an option with a fixed choice.
+    """
+    for kind in kinds or ():
+        if kind not in REPORT_MODULES:
+            raise typer.BadParameter(f"{kind!r} is not one of {', '.join(map(repr, REPORT_MODULES))}.")
+    return kinds
 
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich")
@@ -54,11 +58,12 @@ def main_command(
         ),
     ],
     report: Annotated[
-        list[ReportKind] | None,
+        list[str] | None,
         typer.Option(
             metavar="KIND",
-            help="html, md, json or terminal [dim](default)[/dim]; repeatable.",
+            help=f"{', '.join(REPORT_MODULES)}; repeatable. [dim]Default: terminal[/dim]",
             show_default=False,
+            callback=_known_kinds,
         ),
     ] = None,
     out: Annotated[
@@ -134,7 +139,7 @@ def main_command(
     [bold]dds-analyze watch runs/[/bold]
     """
     from dds_trace.analyzer import Severity, analyze, default_output, export_tables, parse_job
-    from dds_trace.reports import write_report
+    from dds_trace.reports import write_reports
 
     target = default_output(folder) if out is None else out
     deadline_ns = None if deadline is None else parse_duration(deadline, "--deadline")
@@ -153,7 +158,7 @@ def main_command(
             deadline_ns=deadline_ns,
             job=job,
         )
-    reports = [write_report(analysis, kind.value, target) for kind in report or [ReportKind.TERMINAL]]
+    reports = write_reports(analysis, report or ["terminal"], target)
     exported = [path for kind in export or [] for path in export_tables(analysis, kind.value, target)]
     if derived_mcap:
         exported += _write_derived(analysis, target)

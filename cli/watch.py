@@ -114,11 +114,12 @@ class Watcher:
 
     def _analyzed(self, version: str) -> str:
         from dds_trace.analyzer import analyze
-        from dds_trace.reports import render_live
+        from dds_trace.reports.book.book import Book
+        from dds_trace.reports.html.page import render_live
 
         cache = self._options.cache
         analysis = analyze(self._options.folder, out=self._target() if cache else None, cache=cache)
-        return render_live(analysis, version)
+        return render_live(Book(analysis), version)
 
     def _failed(self, why: str, version: str) -> Shown:
         print(f"{self._options.folder}: {why}", file=sys.stderr)
@@ -145,7 +146,7 @@ class Watcher:
 
 
 def _waiting(version: str, why: str = "") -> Shown:
-    from dds_trace.reports import live_script
+    from dds_trace.reports.html.page import live_script
 
     page = _WAITING.format(version=version, script=live_script())
     return Shown(_encoded(page + (f"<p>{escape(why)}" if why else "")), version)

@@ -1,6 +1,5 @@
 """Pages and tables drawn from an `Analysis`; nothing is computed here."""
 
-from .html.page import live_script, render_live
-from .reporters import REPORTERS, Reporter, write_report
+from .reporters import REPORT_MODULES, Reporter, load_reporter, render_report, write_reports
 
-__all__ = ["REPORTERS", "Reporter", "live_script", "render_live", "write_report"]
+__all__ = ["REPORT_MODULES", "Reporter", "load_reporter", "render_report", "write_reports"]

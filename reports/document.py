@@ -10,16 +10,12 @@ from enum import Enum
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
-from .book.answer import answer_info
-from .book.overview import overview_info
-from .book.own_cost import own_costs
-
 if TYPE_CHECKING:
     from pathlib import Path
 
     import polars as pl
 
-    from dds_trace.analyzer.analysis import Analysis
+    from .book.book import Book
 
 FILE_NAME = "report.json"
 FORMAT_VERSION = 1
@@ -43,16 +39,16 @@ _IDENTIFIERS = ("run_id", "session_id")
 """Written as `sessions` and `runs` have them: 64 bits do not survive a JSON number."""
 
 
-def render(analysis: Analysis) -> str:
+def render(book: Book) -> str:
     """The report, an element of a list a line; strings are as the traces have them, all beyond ASCII escaped."""
-    parts = [f"{json.dumps(name)}: {_lines(value)}" for name, value in _document(analysis).items()]
+    parts = [f"{json.dumps(name)}: {_lines(value)}" for name, value in _document(book).items()]
     return "{\n" + ",\n".join(parts) + "\n}\n"
 
 
-def write(analysis: Analysis, folder: Path) -> Path:
+def write(book: Book, folder: Path) -> Path:
     """Writes the report into `folder` and says where."""
     path = folder / FILE_NAME
-    path.write_text(render(analysis), encoding="utf-8", newline="\n")
+    path.write_text(render(book), encoding="utf-8", newline="\n")
     return path
 
 
@@ -64,14 +60,15 @@ def schema() -> dict[str, Any]:
     return found
 
 
-def _document(analysis: Analysis) -> dict[str, Any]:
+def _document(book: Book) -> dict[str, Any]:
+    analysis = book.analysis
     details = analysis.details
     return {
         "format": FORMAT_VERSION,
         "title": analysis.title,
-        "measured": overview_info(analysis).facts,
-        "own_cost": own_costs(analysis),
-        "answer": answer_info(analysis),
+        "measured": book.overview.facts,
+        "own_cost": book.own_costs,
+        "answer": book.answer,
         "findings": analysis.findings,
         "sources": analysis.sources,
         "sessions": [json.loads(session.to_json()) for session in analysis.sessions],

@@ -9,22 +9,16 @@ from dds_trace.tracefile.units.durations import format_duration
 from dds_trace.tracefile.units.rates import format_rate
 from dds_trace.tracefile.units.sizes import format_size
 
-from .book.answer import answer_info
-from .book.findings import findings_info
-from .book.groups import METRICS, STATISTICS, data_type_label, groups_info
-from .book.intervals import intervals_info
-from .book.overview import overview_info
-from .book.values import values_info
-from .figures.comparison.bridge_cost import bridge_cost_info
+from .book.groups import METRICS, STATISTICS, data_type_label
+from .figures.bridge_cost import bridge_cost_info
 from .text import format_added_ns, format_ratio, markdown
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
-    from dds_trace.analyzer.analysis import Analysis
-
-    from .figures.comparison.bridge_cost import Cost
+    from .book.book import Book
+    from .figures.bridge_cost import Cost
 
 FILE_NAME = "report.md"
 MOST_GROUPS = 150
@@ -37,9 +31,9 @@ HOW_TO_READ_COSTS = (
 SHOWN_STATISTICS = ("p50", "p90", "p99", "max")
 
 
-def render(analysis: Analysis) -> str:
+def render(book: Book) -> str:
     """The report as GitHub-flavoured Markdown."""
-    overview, answer = overview_info(analysis), answer_info(analysis)
+    overview, answer = book.overview, book.answer
     parts = [
         f"# Latency report: {markdown(overview.title)}",
         f"**{markdown(answer.headline)}**",
@@ -52,25 +46,25 @@ def render(analysis: Analysis) -> str:
         "## What was measured",
         _list(f"{markdown(fact.label)}: {markdown(fact.value)}" for fact in overview.facts),
         "## Findings",
-        _findings(analysis),
+        _findings(book),
         "## Groups",
-        _groups(analysis),
-        *_section("What a bridge costs", _bridge_costs(analysis)),
-        *_section("Clocks", _clocks(analysis)),
+        _groups(book),
+        *_section("What a bridge costs", _bridge_costs(book)),
+        *_section("Clocks", _clocks(book)),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
-def write(analysis: Analysis, folder: Path) -> Path:
+def write(book: Book, folder: Path) -> Path:
     """Writes the report into `folder` and says where."""
     path = folder / FILE_NAME
-    path.write_text(render(analysis), encoding="utf-8", newline="\n")
+    path.write_text(render(book), encoding="utf-8", newline="\n")
     return path
 
 
-def _findings(analysis: Analysis) -> str:
+def _findings(book: Book) -> str:
     """A row a kind, then what the kinds with several findings hold, in lists that open."""
-    kinds = findings_info(analysis)
+    kinds = book.findings
     if not kinds:
         return "Nothing doubtful was found."
     rows = [
@@ -85,12 +79,12 @@ def _findings(analysis: Analysis) -> str:
     return "\n\n".join(parts)
 
 
-def _groups(analysis: Analysis) -> str:
-    groups, values = groups_info(analysis), values_info(analysis)
+def _groups(book: Book) -> str:
+    groups, values = book.groups, book.values
     if not groups.groups:
         return "No measurement was found."
     metric = values.default_metric
-    intervals = intervals_info(analysis)
+    intervals = book.intervals
     ends = [side.get(metric, {}) for side in (intervals.low_ns, intervals.high_ns)]
     rows = []
     for group in sorted(groups.groups, key=lambda group: (group.cell, group.series))[:MOST_GROUPS]:
@@ -132,9 +126,9 @@ def _with_interval(
     )
 
 
-def _bridge_costs(analysis: Analysis) -> str:
-    groups = groups_info(analysis)
-    cells = [cell for panel in bridge_cost_info(analysis).panels for cell in panel.cells]
+def _bridge_costs(book: Book) -> str:
+    groups = book.groups
+    cells = [cell for panel in bridge_cost_info(book).panels for cell in panel.cells]
     rows = []
     for bridged in cells[:MOST_GROUPS]:
         group = groups.groups[bridged.group]
@@ -172,9 +166,9 @@ def _added(cost: Cost | None) -> str:
     return f"{format_added_ns(cost.difference_ns)}{within}{ratio}"
 
 
-def _clocks(analysis: Analysis) -> str:
+def _clocks(book: Book) -> str:
     """A row per pair of devices that have two clocks, and stretch without a step."""
-    if analysis.details is None:
+    if book.analysis.details is None:
         return ""
     rows = [
         (
@@ -183,7 +177,7 @@ def _clocks(analysis: Analysis) -> str:
             f"{row['drift_ppb'] / 1000:+.3g} ± {row['drift_bound_ppb'] / 1000:.2g} ppm",
             "" if row["step_before_ns"] is None else format_duration(row["step_before_ns"]),
         )
-        for row in analysis.details.clock_fits.iter_rows(named=True)
+        for row in book.analysis.details.clock_fits.iter_rows(named=True)
         if not row["same_clock"]
     ]
     return _table(("Devices", "Offset", "Drift", "Step before"), rows[:MOST_GROUPS])

@@ -1,54 +1,89 @@
-"""The table of reporters: one module each, with the same two doors `render` and `write`."""
+"""The table of report formats: one module each, with the same two doors `render` and `write`."""
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Protocol
 
 from dds_trace.tracefile.errors import OptionError, OutputError
 
-from . import document, markdown, terminal
-from .html import page
-
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable
     from pathlib import Path
 
-    from dds_trace.analyzer.analysis import Analysis
+    from dds_trace.analyzer import Analysis
+
+    from .book.book import Book
+
+REPORT_MODULES = {
+    "html": "dds_trace.reports.html.page",
+    "md": "dds_trace.reports.markdown",
+    "json": "dds_trace.reports.document",
+    "terminal": "dds_trace.reports.terminal",
+}
+"""Kind of report, as `--report` takes it -> the module that is its `Reporter`, imported at first use."""
 
 
 class Reporter(Protocol):
-    """What a reporter's module offers."""
+    """A report format, as its module offers it."""
 
-    def render(self, analysis: Analysis) -> str:
-        """The report as text; equal input gives equal text."""
+    def render(self, book: Book) -> str:
+        """Return the report as text; equal input gives equal text."""
 
-    def write(self, analysis: Analysis, folder: Path) -> Path | None:
-        """Writes the report below `folder` and gives its path, or prints it and gives None."""
-
-
-REPORTERS: Mapping[str, Reporter] = {"html": page, "md": markdown, "json": document, "terminal": terminal}
-"""Kind of report, as `--report` takes it -> its reporter."""
+    def write(self, book: Book, folder: Path) -> Path | None:
+        """Write the report below `folder` and return its path, or print it and return None."""
 
 
-def write_report(analysis: Analysis, kind: str, folder: Path) -> Path | None:
-    """Writes one report of an analysis.
-
-    Args:
-        analysis: what to report.
-        kind: a key of `REPORTERS`.
-        folder: where files go; it must exist.
-
-    Returns:
-        The file, or None for a report that was printed to stdout.
+def load_reporter(kind: str) -> Reporter:
+    """Return the reporter of one kind.
 
     Raises:
         OptionError: there is no such kind.
-        OutputError: the file cannot be written.
     """
-    if kind not in REPORTERS:
-        raise OptionError(f"no report of kind {kind!r}; choose from {', '.join(REPORTERS)}")
+    if kind not in REPORT_MODULES:
+        raise OptionError(f"no report of kind {kind!r}; choose from {', '.join(REPORT_MODULES)}")
+    reporter: Reporter = import_module(REPORT_MODULES[kind])
+    return reporter
+
+
+def write_reports(analysis: Analysis, kinds: Iterable[str], folder: Path) -> list[Path | None]:
+    """Write reports of one analysis; what several of them say is worked out once.
+
+    Args:
+        analysis: what to report.
+        kinds: keys of `REPORT_MODULES`; one that is named twice is written once.
+        folder: folder of the files; it must exist.
+
+    Returns:
+        For each kind its file, or None for a report that was printed to stdout.
+
+    Raises:
+        OptionError: there is no such kind; nothing was written.
+        OutputError: a file cannot be written.
+    """
+    reporters = {kind: load_reporter(kind) for kind in kinds}
+    book = _book(analysis)
+    return [_write(reporter, book, kind, folder) for kind, reporter in reporters.items()]
+
+
+def render_report(analysis: Analysis, kind: str) -> str:
+    """Return one report of an analysis as text.
+
+    Raises:
+        OptionError: there is no such kind.
+    """
+    return load_reporter(kind).render(_book(analysis))
+
+
+def _book(analysis: Analysis) -> Book:
+    from .book.book import Book  # noqa: PLC0415 - the names of the kinds are read without polars
+
+    return Book(analysis)
+
+
+def _write(reporter: Reporter, book: Book, kind: str, folder: Path) -> Path | None:
     try:
-        return REPORTERS[kind].write(analysis, folder)
+        return reporter.write(book, folder)
     except OSError as err:
         raise OutputError(
             f"{folder}: cannot write the {kind} report ({err.strerror}); check the folder"

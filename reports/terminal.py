@@ -17,20 +17,14 @@ from dds_trace.tracefile.units.quantities import MISSING
 from dds_trace.tracefile.units.rates import format_rate
 from dds_trace.tracefile.units.sizes import format_size
 
-from .book.answer import answer_info
-from .book.curves import curves_info
-from .book.findings import findings_info
-from .book.groups import METRICS, groups_info
-from .book.overview import overview_info
-from .book.values import values_info
+from .book.groups import METRICS
 from .text import format_ratio, visible
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from dds_trace.analyzer.analysis import Analysis
-
+    from .book.book import Book
     from .book.groups import Groups
     from .book.values import Values
 
@@ -41,22 +35,22 @@ _COLORS = {"error": "red", "warning": "yellow", "info": "blue"}
 _COLUMNS = (("Size", 8), ("Rate", 7), ("Recv", 9), ("p50", 8), ("p99", 8), ("max", 8))
 
 
-def render(analysis: Analysis) -> str:
+def render(book: Book) -> str:
     """The report as plain text of 80 columns, without colours."""
     text = io.StringIO()
-    Console(file=text, width=WIDTH, color_system=None, legacy_windows=False).print(_report(analysis))
+    Console(file=text, width=WIDTH, color_system=None, legacy_windows=False).print(_report(book))
     return "\n".join(line.rstrip() for line in text.getvalue().splitlines()) + "\n"
 
 
-def write(analysis: Analysis, folder: Path) -> None:  # noqa: ARG001 - every reporter has this door
+def write(book: Book, folder: Path) -> None:  # noqa: ARG001 - every reporter has this door
     """Prints the report to stdout, in colours where stdout is a terminal."""
     console = Console(legacy_windows=False)
-    console.print(_report(analysis), width=min(console.width, 120) if console.is_terminal else WIDTH)
+    console.print(_report(book), width=min(console.width, 120) if console.is_terminal else WIDTH)
 
 
-def _report(analysis: Analysis) -> RenderableType:
+def _report(book: Book) -> RenderableType:
     # Text objects only: a str would be read for rich's [markup], and strings of traces must stay strings.
-    overview, answer = overview_info(analysis), answer_info(analysis)
+    overview, answer = book.overview, book.answer
     return Group(
         Text(f"Latency report: {overview.title}", style="bold"),
         Text(),
@@ -66,8 +60,8 @@ def _report(analysis: Analysis) -> RenderableType:
         _list([*(f"{verdict.data}: {verdict.sentence}" for verdict in answer.verdicts), *answer.remarks]),
         *((Text(answer.rule, style="dim"),) if answer.rule else ()),
         Text(),
-        *_findings(analysis),
-        *_tables(analysis),
+        *_findings(book),
+        *_tables(book),
     )
 
 
@@ -78,10 +72,10 @@ def _list(items: Sequence[str]) -> Table:
     return grid
 
 
-def _findings(analysis: Analysis) -> list[RenderableType]:
+def _findings(book: Book) -> list[RenderableType]:
     """One entry a kind, with the first of its findings; the others are in the HTML and JSON reports."""
     lines: list[RenderableType] = []
-    for kind in findings_info(analysis):
+    for kind in book.findings:
         first = kind.listed[0]
         heading = (f"{kind.severity_word} ", f"bold {_COLORS[kind.severity]}"), (f"{kind.heading}: ", "bold")
         lines.append(Text.assemble(*heading, f"{first.where}: {first.what}"))
@@ -100,10 +94,10 @@ class _Shown:
     ends_ns: tuple[int, int]
 
 
-def _tables(analysis: Analysis) -> list[RenderableType]:
+def _tables(book: Book) -> list[RenderableType]:
     """One table per series, then what the sparklines mean."""
-    groups, values = groups_info(analysis), values_info(analysis)
-    curves = curves_info(analysis).values_ns[values.default_metric]
+    groups, values = book.groups, book.values
+    curves = book.curves.values_ns[values.default_metric]
     known = [value for curve in curves for value in curve if value > 0]
     shown = _Shown(
         groups, values, values.default_metric, curves, (min(known, default=1), max(known, default=1))

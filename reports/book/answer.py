@@ -17,11 +17,9 @@ from .groups import (
     data_type_label,
     domain_label,
     group_labels,
-    groups_info,
     pair_label,
     vendor_pair_label,
 )
-from .values import values_info
 from .verdicts import (
     CLEARLY,
     MODES,
@@ -60,9 +58,8 @@ class Answer:
     rule: str
 
 
-def answer_info(analysis: Analysis) -> Answer:
+def answer_info(analysis: Analysis, groups: Groups, values: Values) -> Answer:
     """The answer that `analysis.details` supports."""
-    groups, values = groups_info(analysis), values_info(analysis)
     metric = values.default_metric
     if not groups.groups:
         return Answer("No measurement was found.", metric, (), (), "")

@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING
 from dds_trace.tracefile.units.counts import counted
 
 from ..text import MAX_FINDING_CHARACTERS, visible
-from .groups import group_labels, groups_info
+from .groups import group_labels
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from dds_trace.analyzer import Analysis, Finding
+
+    from .groups import Groups
 
 SEVERITIES = {"error": "error", "warning": "warning", "info": "note"}
 """Severity -> the word for it, the most severe first."""
@@ -72,9 +74,9 @@ class FindingKind:
         return self.listed[0].action if len(actions) == 1 else ""
 
 
-def findings_info(analysis: Analysis) -> tuple[FindingKind, ...]:
+def findings_info(analysis: Analysis, groups: Groups) -> tuple[FindingKind, ...]:
     """The kinds of findings, most severe first."""
-    labels = group_labels(groups_info(analysis))
+    labels = group_labels(groups)
     together: dict[tuple[str, str], list[Finding]] = {}
     for finding in analysis.findings:
         together.setdefault((finding.severity.value, finding.code), []).append(finding)

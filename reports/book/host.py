@@ -7,20 +7,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from .run_times import run_times
-
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from dds_trace.analyzer.analysis import Analysis
 
+    from .run_times import RunTime
 
-def bridge_loads(analysis: Analysis) -> dict[int, float]:
+
+def bridge_loads(analysis: Analysis, times: Sequence[RunTime]) -> dict[int, float]:
     """Mean load of the bridges' processes during the runs of each group, percent of one processor, by group."""
     if analysis.details is None:
         return {}
     samples = analysis.details.host_samples.filter(pl.col("bridge_cpu_percent").is_not_null())
     of_session = {key[0]: part for key, part in samples.partition_by("session_id", as_dict=True).items()}
     found: dict[int, list[float]] = {}
-    for run in run_times(analysis) if of_session else ():
+    for run in times if of_session else ():
         if run.session is not None and run.session.session_id in of_session:
             part = of_session[run.session.session_id]
             at_ns = part["monotonic_ns"].to_numpy()

@@ -16,20 +16,20 @@ from .groups import (
     data_type_label,
     device_label,
     domain_label,
-    groups_info,
     known_first,
     vendor_label,
     vendor_pair_label,
 )
-from .own_cost import floor_words, own_costs, recorder_words
-from .run_times import run_times
+from .own_cost import floor_words, recorder_words
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
     from dds_trace.analyzer.analysis import Analysis
 
     from .groups import Groups
+    from .own_cost import OwnCost
+    from .run_times import RunTime
 
 MOST_LISTED = 12
 """More values of a kind than this are given as a range or cut, so that the first screen stays one screen."""
@@ -66,9 +66,10 @@ class Overview:
         )
 
 
-def overview_info(analysis: Analysis) -> Overview:
+def overview_info(
+    analysis: Analysis, groups: Groups, costs: Sequence[OwnCost], times: Sequence[RunTime]
+) -> Overview:
     """The facts that are known; a line without a value is left out."""
-    groups, costs = groups_info(analysis), own_costs(analysis)
     facts = (
         Fact("Devices", _devices(analysis, groups)),
         Fact("Link", _listed(sorted({visible(one.connectivity) for one in groups.series}))),
@@ -77,7 +78,7 @@ def overview_info(analysis: Analysis) -> Overview:
         Fact("Messages", _messages(analysis)),
         Fact("Sent", _sent(groups)),
         Fact("Rates", _rates(groups)),
-        Fact("When", _when(analysis)),
+        Fact("When", _when(analysis, times)),
         Fact("Traces", _traces(analysis)),
         Fact("Recorder", recorder_words(costs)),
         Fact("Library", floor_words(costs)),
@@ -134,12 +135,12 @@ def _rates(groups: Groups) -> str:
     return ", ".join(format_rate(rate).removesuffix(" Hz") for rate in rates) + " Hz"
 
 
-def _when(analysis: Analysis) -> str:
+def _when(analysis: Analysis, times: Sequence[RunTime]) -> str:
     """From the first recorder's start to the last message of a run whose recorder is known, in UTC."""
     instants = [session.wall_anchor_ns for session in analysis.sessions]
     if not instants:
         return ""
-    instants += [run.session.wall_ns(run.last_ns) for run in run_times(analysis) if run.session is not None]
+    instants += [run.session.wall_ns(run.last_ns) for run in times if run.session is not None]
     start, end = _utc(min(instants)), _utc(max(instants))
     if start is None or end is None:
         return ""

@@ -19,15 +19,9 @@ from plotly.offline import get_plotlyjs
 from dds_trace.tracefile.units.rates import format_rate
 from dds_trace.tracefile.units.sizes import format_size
 
-from ..book.answer import answer_info
-from ..book.curves import curves_info
-from ..book.findings import findings_info, severity_counts
-from ..book.groups import METRICS, STATISTICS, data_type_label, groups_info
-from ..book.intervals import intervals_info
-from ..book.overview import overview_info
-from ..book.recording import record_tables
-from ..book.values import values_info
-from ..figures import CAMPAIGN_FIGURES, CELL_FIGURES, Figure, LeftOut
+from ..book.findings import severity_counts
+from ..book.groups import METRICS, STATISTICS, data_type_label
+from ..figures import FIGURES, Figure, LeftOut, Scope
 from ..text import json_island, visible
 from .filters import filters_info
 from .styles import PALETTE, series_styles, vendor_places
@@ -36,9 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
-    from dds_trace.analyzer.analysis import Analysis
-
-    from ..book.answer import Answer
+    from ..book.book import Book
 
 FILE_NAME = "report.html"
 SCRIPTS = (
@@ -61,14 +53,14 @@ FORMULA = (
 )
 
 
-def render(analysis: Analysis) -> str:
+def render(book: Book) -> str:
     """The page."""
-    return _render(analysis, SCRIPTS)
+    return _render(book, SCRIPTS)
 
 
-def render_live(analysis: Analysis, version: str) -> str:
+def render_live(book: Book, version: str) -> str:
     """The page for a server: it loads itself again, with the view it has, once `GET version` answers another version."""
-    return _render(analysis, (*SCRIPTS, LIVE_SCRIPT), version)
+    return _render(book, (*SCRIPTS, LIVE_SCRIPT), version)
 
 
 def live_script() -> str:
@@ -76,11 +68,9 @@ def live_script() -> str:
     return _asset(LIVE_SCRIPT)
 
 
-def _render(analysis: Analysis, scripts: Iterable[str], version: str = "") -> str:
-    campaign = [figure(analysis) for figure in CAMPAIGN_FIGURES]
-    cell = [figure(analysis) for figure in CELL_FIGURES]
-    findings = findings_info(analysis)
-    drawn = [figure for figure in (*campaign, *cell) if isinstance(figure, Figure)]
+def _render(book: Book, scripts: Iterable[str], version: str = "") -> str:
+    made = [(maker.scope, maker.draw(book)) for maker in FIGURES]
+    drawn = [(scope, figure) for scope, figure in made if isinstance(figure, Figure)]
     # A closing tag inside would end the element. Plotly's file and ours have none; a later one must not surprise us.
     plotly, script = (_safe_script(text) for text in (get_plotlyjs(), "\n".join(map(_asset, scripts))))
     environment = Environment(
@@ -92,23 +82,23 @@ def _render(analysis: Analysis, scripts: Iterable[str], version: str = "") -> st
         style=Markup(_asset("page.css")),  # noqa: S704 - our own file
         plotly=Markup(plotly),  # noqa: S704 - from plotly's own package
         script=Markup(script),  # noqa: S704 - our own files
-        island=Markup(json_island(_island(analysis, drawn))),  # noqa: S704 - `json_island` escapes
-        overview=overview_info(analysis),
+        island=Markup(json_island(_island(book, [figure for _, figure in drawn]))),  # noqa: S704 - `json_island` escapes
+        overview=book.overview,
         formula=FORMULA,
-        answer=_answer(analysis, answer_info(analysis)),
-        findings=findings,
-        severities=severity_counts(findings),
-        campaign_figures=[figure for figure in campaign if isinstance(figure, Figure)],
-        cell_figures=[figure for figure in cell if isinstance(figure, Figure)],
-        left_out=[figure for figure in (*campaign, *cell) if isinstance(figure, LeftOut)],
-        record_tables=record_tables(analysis),
+        answer=_answer(book),
+        findings=book.findings,
+        severities=severity_counts(book.findings),
+        campaign_figures=[figure for scope, figure in drawn if scope is Scope.CAMPAIGN],
+        cell_figures=[figure for scope, figure in drawn if scope is Scope.CELL],
+        left_out=[figure for _, figure in made if isinstance(figure, LeftOut)],
+        record_tables=book.record_tables,
     )
 
 
-def write(analysis: Analysis, folder: Path) -> Path:
+def write(book: Book, folder: Path) -> Path:
     """Writes the page into `folder` and says where."""
     path = folder / FILE_NAME
-    path.write_text(render(analysis), encoding="utf-8", newline="\n")
+    path.write_text(render(book), encoding="utf-8", newline="\n")
     return path
 
 
@@ -135,11 +125,11 @@ def _policy(*scripts: str, connect: str) -> str:
     )
 
 
-def _island(analysis: Analysis, figures: list[Figure]) -> dict[str, Any]:
-    groups, values = groups_info(analysis), values_info(analysis)
+def _island(book: Book, figures: list[Figure]) -> dict[str, Any]:
+    groups, values = book.groups, book.values
     filters = filters_info(groups)
     return {
-        "title": visible(analysis.title),
+        "title": visible(book.analysis.title),
         "metrics": [{"key": key, "label": label} for key, label in METRICS.items() if values.has(key)],
         "statistics": [{"key": key, "label": label} for key, label in STATISTICS.items()],
         "filters": [{"key": one.key, "label": one.label, "options": one.options} for one in filters],
@@ -165,8 +155,8 @@ def _island(analysis: Analysis, figures: list[Figure]) -> dict[str, Any]:
             for cell in groups.cells
         ],
         "values": values,
-        "curves": curves_info(analysis),
-        "intervals": intervals_info(analysis),
+        "curves": book.curves,
+        "intervals": book.intervals,
         "figures": {
             figure.name: {"title": figure.title, "kind": figure.kind, "plan": figure.plan}
             for figure in figures
@@ -174,9 +164,9 @@ def _island(analysis: Analysis, figures: list[Figure]) -> dict[str, Any]:
     }
 
 
-def _answer(analysis: Analysis, answer: Answer) -> dict[str, Any]:
+def _answer(book: Book) -> dict[str, Any]:
     """The answer with each verdict's parts in their vendors' colours; the inconclusive part has none."""
-    places = vendor_places(groups_info(analysis))
+    answer, places = book.answer, vendor_places(book.groups)
     verdicts = []
     for verdict in answer.verdicts:
         parts = [

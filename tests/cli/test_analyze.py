@@ -11,8 +11,7 @@ import typer
 from trace_files import Message, run, write_pair
 
 import dds_trace.cli.analyze
-from dds_trace.cli.analyze import COMMANDS, ReportKind, main
-from dds_trace.reports import REPORTERS
+from dds_trace.cli.analyze import COMMANDS, main
 
 TIMELINE = [Message(s, t0=1000 * s, t1=1000 * s + 5, t3=900, t4=930, t2=1000 * s + 205) for s in range(12)]
 
@@ -103,8 +102,10 @@ def test_an_unknown_report_is_refused_before_anything_is_read(runs, capsys):
     assert not (runs / "analysis").exists()
 
 
-def test_every_reporter_can_be_asked_for():
-    assert {kind.value for kind in ReportKind} == set(REPORTERS)
+def test_another_kind_of_report_is_refused_before_anything_is_read(runs, capsys):
+    assert analyze(runs, "--report", "pdf") == 2
+    assert "'pdf' is not one of 'html', 'md'" in capsys.readouterr().err
+    assert not (runs / "analysis").exists()
 
 
 def test_help_takes_neither_polars_nor_a_middleware():

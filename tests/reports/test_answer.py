@@ -3,8 +3,8 @@ from dataclasses import replace
 
 from analyses import EVERY_ANALYSIS, MS, Measured, make_analysis
 
-from dds_trace.reports.book.answer import answer_info
-from dds_trace.reports.book.overview import Fact, overview_info
+from dds_trace.reports.book.book import Book
+from dds_trace.reports.book.overview import Fact
 from dds_trace.reports.book.verdicts import Verdict, Win
 
 # 0 to 19 in an order in which neighbours are no more alike than others, so that 20 messages count as 20.
@@ -16,7 +16,7 @@ BRIDGED = {"bridge": "builtin", "domain_mode": "different"}
 
 
 def test_a_clear_winner_is_named():
-    answer = answer_info(make_analysis(Measured(SLOW), Measured(FAST, **ZENOH)))
+    answer = Book(make_analysis(Measured(SLOW), Measured(FAST, **ZENOH))).answer
     assert answer.verdicts == (
         Verdict("Binary, same domain", "same domain", 1, (Win("Zenoh", "zenoh", 1),), inconclusive=0),
     )
@@ -27,7 +27,7 @@ def test_a_clear_winner_is_named():
 def test_overlap_is_inconclusive():
     # 20 messages: the interval of the median reaches from the 6th to the 15th, 1.005 to 1.014 ms of the faster.
     slightly_slower = [ns + 5_000 for ns in FAST]
-    answer = answer_info(make_analysis(Measured(slightly_slower), Measured(FAST, **ZENOH)))
+    answer = Book(make_analysis(Measured(slightly_slower), Measured(FAST, **ZENOH))).answer
     assert answer.verdicts[0].inconclusive == 1
     assert answer.verdicts[0].sentence == "inconclusive."
     assert (
@@ -39,30 +39,30 @@ def test_overlap_is_inconclusive():
 def test_lost_messages_are_infinitely_late():
     # Half of the faster one's messages are lost, so its median is infinite and it cannot lead.
     lossy = [*FAST[:10], *["lost_return"] * 10]
-    answer = answer_info(make_analysis(Measured(SLOW), Measured(lossy, **ZENOH)))
+    answer = Book(make_analysis(Measured(SLOW), Measured(lossy, **ZENOH))).answer
     assert all(win.contender != "Zenoh" for win in answer.verdicts[0].wins)
     assert answer.remarks[-1] == "10 of 40 messages (25 %) did not come back, in 1 of 2 groups."
 
 
 def test_too_few_messages_are_inconclusive():
-    answer = answer_info(make_analysis(Measured([10 * MS] * 3), Measured([MS] * 3, **ZENOH)))
+    answer = Book(make_analysis(Measured([10 * MS] * 3), Measured([MS] * 3, **ZENOH))).answer
     assert answer.verdicts[0].inconclusive == 1
 
 
 def test_a_quality_of_service_is_part_of_a_choice():
-    answer = answer_info(make_analysis(Measured(SLOW), Measured(FAST, reliability="best_effort")))
+    answer = Book(make_analysis(Measured(SLOW), Measured(FAST, reliability="best_effort"))).answer
     assert answer.verdicts[0].wins == (Win("Fast DDS, best_effort", "fastdds", 1),)
 
 
 def test_without_the_round_trips_in_memory_nothing_is_judged():
     held = make_analysis(Measured(SLOW), Measured(FAST, **ZENOH))
-    answer = answer_info(replace(held, details=None))
+    answer = Book(replace(held, details=None)).answer
     assert answer.headline == ("Fast DDS and Zenoh were not compared: that takes the rows of all messages.")
     assert answer.rule == ""
 
 
 def test_unlike_conditions_are_not_compared():
-    answer = answer_info(make_analysis(Measured(SLOW, payload_bytes=1000), Measured(FAST, **ZENOH)))
+    answer = Book(make_analysis(Measured(SLOW, payload_bytes=1000), Measured(FAST, **ZENOH))).answer
     assert answer.verdicts == ()
     assert answer.headline == (
         "Fast DDS and Zenoh were not measured under equal conditions, so no choice can be made from this."
@@ -70,18 +70,18 @@ def test_unlike_conditions_are_not_compared():
 
 
 def test_bridges_are_contenders_across_domains():
-    answer = answer_info(
+    answer = Book(
         make_analysis(
             Measured(SLOW, **BRIDGED), Measured(FAST, bridge="zenoh-bridge-dds", domain_mode="different")
         )
-    )
+    ).answer
     (verdict,) = answer.verdicts
     assert verdict.data == "Binary, different domains"
     assert verdict.wins == (Win("Fast DDS via zenoh-bridge-dds", "fastdds", 1),)
 
 
 def test_one_middleware_leaves_no_choice_and_the_bridge_its_price():
-    answer = answer_info(make_analysis(Measured(FAST), Measured(SLOW, **BRIDGED)))
+    answer = Book(make_analysis(Measured(FAST), Measured(SLOW, **BRIDGED))).answer
     assert answer.headline == (
         "Fast DDS: median latency 1.01 ms in the same domain and 10 ms via builtin. No other middleware was measured."
     )
@@ -99,16 +99,14 @@ def test_one_middleware_leaves_no_choice_and_the_bridge_its_price():
 def test_a_bridge_that_lost_messages_is_not_called_quick_for_those_that_came_back():
     half = [ns if place % 2 else "lost_outbound" for place, ns in enumerate(FAST)]
     price = "Fast DDS, via builtin: "
-    alone = answer_info(make_analysis(Measured(SLOW), Measured(half, **BRIDGED)))
+    alone = Book(make_analysis(Measured(SLOW), Measured(half, **BRIDGED))).answer
     assert alone.remarks[1] == (
         f"{price}1 cell lost messages that the same domain did not, and is not compared."
     )
-    both = answer_info(
-        make_analysis(
+    both = Book(make_analysis(
             Measured(SLOW), Measured(half, **BRIDGED),
             Measured(FAST, rate_hz=20.0), Measured(SLOW, rate_hz=20.0, **BRIDGED),
-        )
-    )  # fmt: skip
+        )).answer  # fmt: skip
     assert both.remarks[1].startswith(f"{price}median +9 ms (95 %: ")
     assert both.remarks[1].endswith(
         "in the one cell compared; clearly slower. 1 cell lost messages that the same domain did not, and is not compared."
@@ -116,28 +114,26 @@ def test_a_bridge_that_lost_messages_is_not_called_quick_for_those_that_came_bac
 
 
 def test_counts_over_cells():
-    answer = answer_info(
-        make_analysis(
+    answer = Book(make_analysis(
             Measured(SLOW), Measured(FAST, **ZENOH),
             Measured(SLOW, rate_hz=20.0), Measured(FAST, rate_hz=20.0, **ZENOH),
             Measured(FAST, rate_hz=50.0), Measured(SLOW, rate_hz=50.0, **ZENOH),
             Measured(FAST, rate_hz=80.0), Measured(FAST, rate_hz=80.0, **ZENOH),
-        )
-    )  # fmt: skip
+        )).answer  # fmt: skip
     assert answer.headline == (
         "In the same domain, Zenoh was clearly fastest in 2 of 4 cells (Fast DDS in 1, 1 inconclusive)."
     )
 
 
 def test_without_a_relay_the_round_trip_is_compared_and_said_so():
-    answer = answer_info(EVERY_ANALYSIS["ping without relay"]())
+    answer = Book(EVERY_ANALYSIS["ping without relay"]()).answer
     assert answer.metric == "rtt"
     assert "the latency is unknown" in answer.remarks[0]
 
 
 def test_nothing_to_say():
-    assert answer_info(EVERY_ANALYSIS["empty folder"]()).headline == "No measurement was found."
-    lost = answer_info(EVERY_ANALYSIS["nothing came back"]())
+    assert Book(EVERY_ANALYSIS["empty folder"]()).answer.headline == "No measurement was found."
+    lost = Book(EVERY_ANALYSIS["nothing came back"]()).answer
     assert lost.headline == "No message came back, so there is no time to compare."
     assert lost.remarks == ("40 of 40 messages (100 %) did not come back, in 2 of 2 groups.",)
 
@@ -148,7 +144,7 @@ def test_overview_lists_what_was_measured():
         Measured([MS, "lost_return"], rate_hz=20.0, payload_bytes=1405, data_type="string"),
         title="kitchen",
     )
-    overview = overview_info(analysis)
+    overview = Book(analysis).overview
     assert (
         overview.brief == "Fast DDS; pi-one → pi-two; 5 messages in 2 runs, 4 came back; 2026-09-21 14:13 UTC"
     )
@@ -168,4 +164,4 @@ def test_overview_lists_what_was_measured():
 
 
 def test_overview_of_nothing():
-    assert overview_info(make_analysis()).facts == (Fact("Traces", "none found"),)
+    assert Book(make_analysis()).overview.facts == (Fact("Traces", "none found"),)

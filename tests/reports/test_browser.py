@@ -9,7 +9,8 @@ from analyses import EVERY_ANALYSIS, HOSTILE
 from campaigns import write_runs
 
 from dds_trace.cli.watch import Watcher, WatchOptions
-from dds_trace.reports import REPORTERS
+from dds_trace.reports import load_reporter
+from dds_trace.reports.book.book import Book
 from dds_trace.reports.text import format_ratio, visible
 from dds_trace.tracefile.units.durations import format_duration
 from dds_trace.tracefile.units.rates import format_rate
@@ -55,7 +56,7 @@ def pages(tmp_path_factory):
     def page_of(name):
         if name not in written:
             path = folder / f"{name.replace(' ', '_')}.html"
-            path.write_text(REPORTERS["html"].render(EVERY_ANALYSIS[name]()), encoding="utf-8")
+            path.write_text(load_reporter("html").render(Book(EVERY_ANALYSIS[name]())), encoding="utf-8")
             written[name] = path.as_uri()
         return written[name]
 

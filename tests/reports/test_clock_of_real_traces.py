@@ -7,8 +7,9 @@ import pytest
 from rewritten_traces import rewrite_sessions, shift_relay_clock
 
 from dds_trace.analyzer import analyze
+from dds_trace.reports.book.book import Book
 from dds_trace.reports.figures import Figure, LeftOut
-from dds_trace.reports.figures.over_time.clock import clock_figure, clock_info
+from dds_trace.reports.figures.clock import clock_figure, clock_info
 
 SAMPLES = Path(__file__).parents[2] / "sample_traces" / "same_domain"
 AHEAD_NS = 3_250_000_000
@@ -30,7 +31,7 @@ def shifted(tmp_path_factory, truth):
 
 
 def test_every_mark_is_within_its_bound_of_the_clock_that_was_set(shifted, truth):
-    (pair,) = clock_info(shifted).pairs
+    (pair,) = clock_info(Book(shifted)).pairs
     at_ns = shifted.details.clock_knots.sort("at_ns")["at_ns"].to_list()
     assert len(pair.offset_ns) == len(at_ns) == 5, "one for each run: they are short"
     for at, offset, bound in zip(at_ns, pair.offset_ns, pair.bound_ns, strict=True):
@@ -40,12 +41,12 @@ def test_every_mark_is_within_its_bound_of_the_clock_that_was_set(shifted, truth
 
 
 def test_the_drift_is_in_the_title(shifted):
-    (pair,) = clock_info(shifted).pairs
+    (pair,) = clock_info(Book(shifted)).pairs
     drift, within = map(
         float, re.fullmatch(r"alpha → beta: drift \+([\d.]+) ± ([\d.]+) ppm", pair.title).groups()
     )
     assert abs(drift - DRIFT_PPM) <= within < DRIFT_PPM
-    assert isinstance(clock_figure(clock_info(shifted)), Figure)
+    assert isinstance(clock_figure(clock_info(Book(shifted))), Figure)
 
 
 def test_latencies_are_those_of_the_true_clock(shifted):
@@ -58,6 +59,6 @@ def test_latencies_are_those_of_the_true_clock(shifted):
 
 def test_traces_of_one_clock_have_no_clock_figure(tmp_path):
     rewrite_sessions(SAMPLES, tmp_path / "one", {"device": "alpha"})
-    left_out = clock_figure(clock_info(analyze(tmp_path / "one")))
+    left_out = clock_figure(clock_info(Book(analyze(tmp_path / "one"))))
     assert isinstance(left_out, LeftOut)
     assert "one device" in left_out.reason

@@ -4,38 +4,43 @@ from dataclasses import replace
 import pytest
 from analyses import EVERY_ANALYSIS, MS, Measured, make_analysis
 
+from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.curves import curves_info
 from dds_trace.reports.book.intervals import intervals_info
 from dds_trace.reports.book.values import values_info
-from dds_trace.reports.figures import CAMPAIGN_FIGURES, CELL_FIGURES, Figure, LeftOut
-from dds_trace.reports.figures.comparison.bridge_cost import bridge_cost_info
-from dds_trace.reports.figures.comparison.domain_difference import (
+from dds_trace.reports.figures import FIGURES, Figure, LeftOut
+from dds_trace.reports.figures.breakdown import Breakdown, Part, breakdown_info
+from dds_trace.reports.figures.bridge_cost import bridge_cost_info
+from dds_trace.reports.figures.capacity import (
+    Received,
+    TransferRate,
+    received_info,
+    sustainable_info,
+    transfer_rate_info,
+)
+from dds_trace.reports.figures.clock import ClockPair, clock_info
+from dds_trace.reports.figures.distribution import DistributionCurves, distribution_info
+from dds_trace.reports.figures.domain_difference import (
     DomainDifference,
     Pair,
     PairPanel,
     domain_difference_info,
 )
-from dds_trace.reports.figures.comparison.vendor_comparison import VendorComparison, vendor_comparison_info
-from dds_trace.reports.figures.distribution.breakdown import Breakdown, Part, breakdown_info
-from dds_trace.reports.figures.distribution.percentile_curve import PercentileCurve, percentile_curve_info
-from dds_trace.reports.figures.over_time.clock import ClockPair, clock_info
-from dds_trace.reports.figures.over_time.host_load import Load, host_load_info
-from dds_trace.reports.figures.over_time.one_way import one_way_info
-from dds_trace.reports.figures.over_time.timeline import GroupTimeline, Timeline, timeline_info
-from dds_trace.reports.figures.panels import Line, Panel
-from dds_trace.reports.figures.scaling.heatmap import Heatmap, HeatmapPanel, heatmap_info
-from dds_trace.reports.figures.scaling.latency_by_rate import (
+from dds_trace.reports.figures.figure import Line, Panel
+from dds_trace.reports.figures.heatmap import Heatmap, HeatmapPanel, heatmap_info
+from dds_trace.reports.figures.host_load import Load, host_load_info
+from dds_trace.reports.figures.latency import (
     LatencyByRate,
+    LatencyBySize,
     latency_by_rate_figure,
     latency_by_rate_info,
+    latency_by_size_info,
 )
-from dds_trace.reports.figures.scaling.latency_by_size import LatencyBySize, latency_by_size_info
-from dds_trace.reports.figures.scaling.received import Received, received_info
-from dds_trace.reports.figures.scaling.sustainable import sustainable_info
-from dds_trace.reports.figures.scaling.transfer_rate import TransferRate, transfer_rate_info
+from dds_trace.reports.figures.one_way import one_way_info
+from dds_trace.reports.figures.timeline import GroupTimeline, Timeline, timeline_info
+from dds_trace.reports.figures.vendor_comparison import VendorComparison, vendor_comparison_info
 from dds_trace.reports.text import json_island
 
-ALL_FIGURES = (*CAMPAIGN_FIGURES, *CELL_FIGURES)
 BRIDGED = {"bridge": "builtin", "domain_mode": "different"}
 
 
@@ -69,39 +74,39 @@ def test_latency_by_rate_has_a_panel_per_size_with_two_rates(campaign):
         Line(1, (10.0,), (0,)),
         Line(2, (10.0,), (4,)),
     )
-    assert latency_by_rate_info(campaign) == LatencyByRate(
+    assert latency_by_rate_info(Book(campaign)) == LatencyByRate(
         (Panel("Binary 33 KB", (line_same, line_bridged, line_zenoh)),)
     )
 
 
 def test_latency_by_size_has_a_panel_per_rate_with_two_sizes(campaign):
     lines = (Line(0, (33_000.0, 67_000.0), (1, 3)), Line(1, (33_000.0,), (0,)), Line(2, (33_000.0,), (4,)))
-    assert latency_by_size_info(campaign) == LatencyBySize((Panel("Binary at 10 Hz", lines),))
+    assert latency_by_size_info(Book(campaign)) == LatencyBySize((Panel("Binary at 10 Hz", lines),))
 
 
 def test_vendor_comparison_puts_groups_of_one_cell_above_one_another(campaign):
     # Cells: 33 KB at 10 Hz, 33 KB at 20 Hz, 67 KB at 10 Hz.
     same = Panel("Binary, same domain", (Line(0, (0.0, 1.0, 2.0), (1, 2, 3)), Line(2, (0.0,), (4,))))
     different = Panel("Binary, different domains", (Line(1, (0.0,), (0,)),))
-    assert vendor_comparison_info(campaign) == VendorComparison((same, different))
-    assert received_info(campaign) == Received((same, different))
+    assert vendor_comparison_info(Book(campaign)) == VendorComparison((same, different))
+    assert received_info(Book(campaign)) == Received((same, different))
 
 
 def test_transfer_rate_stands_over_size_times_rate(campaign):
     # Zenoh's one reply spans no time and has no transfer rate.
     lines = (Line(0, (330_000.0, 660_000.0, 670_000.0), (1, 2, 3)), Line(1, (330_000.0,), (0,)))
-    assert transfer_rate_info(campaign) == TransferRate((Panel("Binary", lines),))
+    assert transfer_rate_info(Book(campaign)) == TransferRate((Panel("Binary", lines),))
 
 
 def test_domain_difference_pairs_equal_groups(campaign):
-    assert domain_difference_info(campaign) == DomainDifference(
+    assert domain_difference_info(Book(campaign)) == DomainDifference(
         (PairPanel("Binary 33 KB", (Pair(10.0, 1, 0),)),)
     )
 
 
 def test_domain_difference_pairs_no_unlike_groups():
     unlike = make_analysis(Measured([MS]), Measured([MS], reliability="best_effort", **BRIDGED))
-    assert domain_difference_info(unlike) == DomainDifference(())
+    assert domain_difference_info(Book(unlike)) == DomainDifference(())
 
 
 def test_every_bridge_is_compared_with_the_same_domain():
@@ -111,18 +116,18 @@ def test_every_bridge_is_compared_with_the_same_domain():
         Measured([MS], bridge="zenoh-bridge-dds", domain_mode="different"),
     )
     # Sorted by bridge: builtin 0, none 1, zenoh-bridge-dds 2.
-    assert domain_difference_info(both).panels[0].pairs == (Pair(10.0, 1, 0), Pair(10.0, 1, 2))
+    assert domain_difference_info(Book(both)).panels[0].pairs == (Pair(10.0, 1, 0), Pair(10.0, 1, 2))
 
 
 def test_heatmap_has_a_plane_per_series_with_two_tiles(campaign):
     tiles = ((33_000, 10.0, 1), (33_000, 20.0, 2), (67_000, 10.0, 3))
-    assert heatmap_info(campaign) == Heatmap((HeatmapPanel("Binary: Fast DDS, same domain", tiles),))
+    assert heatmap_info(Book(campaign)) == Heatmap((HeatmapPanel("Binary: Fast DDS, same domain", tiles),))
 
 
 def test_breakdown_stacks_the_parts_of_the_response(campaign):
     without_relay = Measured([MS], relay_device=None)
-    assert breakdown_info(make_analysis(without_relay)) == Breakdown((), {})
-    info = breakdown_info(campaign)
+    assert breakdown_info(Book(make_analysis(without_relay))) == Breakdown((), {})
+    info = breakdown_info(Book(campaign))
     assert [panel.title for panel in info.panels] == [
         "Binary: Fast DDS, same domain",
         "Binary: Fast DDS, via builtin",
@@ -138,7 +143,7 @@ def test_breakdown_stacks_the_parts_of_the_response(campaign):
 
 
 def test_one_way_shows_both_ways_with_the_clock_bound(campaign):
-    way = one_way_info(campaign).ways[1]
+    way = one_way_info(Book(campaign)).ways[1]
     assert (way.outbound_ns["p50"], way.return_ns["p50"], way.bound_ns) == (1_575_000, 1_425_000, 50_000)
     assert (way.outbound_ns["max"], way.return_ns["p90"]) == (2_100_000, None)
 
@@ -149,7 +154,7 @@ def test_bridge_cost_is_the_difference_with_its_interval():
         Measured([MS + ns for ns in mixed], connectivity="wireless"),
         Measured([3 * MS + ns for ns in mixed], connectivity="wireless", **BRIDGED),
     )
-    (panel,) = bridge_cost_info(analysis).panels
+    (panel,) = bridge_cost_info(Book(analysis)).panels
     (cell,) = panel.cells
     cost = cell.costs["p50"]
     # Sorted by bridge: builtin is group 0. Samples of the bridge in the run (0 to 1.9 s): 30 % each.
@@ -161,11 +166,11 @@ def test_bridge_cost_is_the_difference_with_its_interval():
 
 def test_sustainable_needs_two_rates(campaign):
     # 33 KB was sent at 10 and 20 Hz; 67 KB at one rate.
-    assert [panel.title for panel in sustainable_info(campaign).panels] == ["Binary 33 KB"]
+    assert [panel.title for panel in sustainable_info(Book(campaign)).panels] == ["Binary 33 KB"]
 
 
 def test_clock_shows_offsets_since_the_first():
-    info = clock_info(make_analysis(Measured([MS, MS])))
+    info = clock_info(Book(make_analysis(Measured([MS, MS]))))
     assert info.pairs == (
         ClockPair(
             "pi-one → pi-two: drift +20 ± 1 ppm", 500, (0.0, 10.0), (0, 200_000), (50_000, 50_000), (0, 0)
@@ -176,7 +181,7 @@ def test_clock_shows_offsets_since_the_first():
 def test_host_load_is_that_of_the_run():
     # 0 s to 1.1 s after the wall anchor; samples at 0, 1, 2 s.
     analysis = make_analysis(Measured([MS] * 12, connectivity="wireless"))
-    assert host_load_info(analysis).groups == {
+    assert host_load_info(Book(analysis)).groups == {
         0: (
             Load("ping", (0.0, 1.0), (20.0, 21.0), (-50.0, -51.0)),
             Load("relay", (0.0, 1.0), (40.0, 41.0), (-50.0, -51.0)),
@@ -194,7 +199,7 @@ def test_intervals_are_by_group():
 
 def test_outages_are_marked_on_the_timeline():
     analysis = make_analysis(Measured([*[MS] * 10, *["lost_return"] * 5, *[MS] * 10]))
-    ((start, end),) = timeline_info(analysis).outages[0]
+    ((start, end),) = timeline_info(Book(analysis)).outages[0]
     # Messages 10 to 14 were due at 1.0 to 1.4 s; the next one came back 2.1 ms after 1.5 s (and 20 µs late).
     assert start == 1.0
     assert 1.5 <= end <= 1.51
@@ -202,7 +207,7 @@ def test_outages_are_marked_on_the_timeline():
 
 def test_without_details_the_figures_that_need_them_say_so(campaign):
     plain = replace(campaign, details=None)
-    left_out = {drawn.name for figure in ALL_FIGURES if isinstance(drawn := figure(plain), LeftOut)}
+    left_out = {drawn.name for maker in FIGURES if isinstance(drawn := maker.draw(Book(plain)), LeftOut)}
     assert left_out == {"bridge_cost", "breakdown", "one_way", "clock", "host_load"}
 
 
@@ -225,24 +230,24 @@ def test_levels_are_ascending_and_hold_the_named_percentiles():
 
 
 def test_one_message_makes_no_curve():
-    assert percentile_curve_info(make_analysis(Measured([MS]))) == PercentileCurve(any_drawn=False)
-    assert percentile_curve_info(make_analysis(Measured([MS, MS]))) == PercentileCurve(any_drawn=True)
+    assert distribution_info(Book(make_analysis(Measured([MS])))) == DistributionCurves(any_drawn=False)
+    assert distribution_info(Book(make_analysis(Measured([MS, MS])))) == DistributionCurves(any_drawn=True)
 
 
 def test_timeline_marks_losses_at_the_time_they_were_due():
     analysis = make_analysis(Measured([MS, "lost_outbound", 3 * MS, "lost_return"]))
-    assert timeline_info(analysis) == Timeline(
+    assert timeline_info(Book(analysis)) == Timeline(
         (GroupTimeline(0, (0.0, 0.2), (1_000_000, 3_000_000), (2_100_000, 6_100_000), (0.1, 0.3), (1, 1)),),
         decimated=False,
     )
 
 
 def test_a_thinned_timeline_keeps_extremes_and_counts_losses(monkeypatch):
-    monkeypatch.setattr("dds_trace.reports.figures.over_time.timeline.POINTS_IN_PAGE", 10)
-    monkeypatch.setattr("dds_trace.reports.figures.over_time.timeline.FEWEST_POINTS", 10)
+    monkeypatch.setattr("dds_trace.reports.figures.timeline.POINTS_IN_PAGE", 10)
+    monkeypatch.setattr("dds_trace.reports.figures.timeline.FEWEST_POINTS", 10)
     messages = [MS + n for n in range(1000)]
     messages[333], messages[666] = 500 * MS, 1
-    (group,) = timeline_info(make_analysis(Measured([*messages, *["lost_unknown"] * 100]))).groups
+    (group,) = timeline_info(Book(make_analysis(Measured([*messages, *["lost_unknown"] * 100])))).groups
     assert len(group.elapsed_s) <= 10
     assert {500 * MS, 1} <= set(group.latency_ns)
     assert sum(group.lost_count) == 100
@@ -252,8 +257,8 @@ def test_a_thinned_timeline_keeps_extremes_and_counts_losses(monkeypatch):
 @pytest.mark.parametrize("name", EVERY_ANALYSIS)
 def test_every_figure_accepts_every_analysis(name):
     analysis = EVERY_ANALYSIS[name]()
-    for figure in ALL_FIGURES:
-        drawn = figure(analysis)
+    for maker in FIGURES:
+        drawn = maker.draw(Book(analysis))
         if isinstance(drawn, Figure):
             json_island(drawn.plan)
             assert drawn.how_to_read.endswith(".")
@@ -263,13 +268,14 @@ def test_every_figure_accepts_every_analysis(name):
 
 
 def test_nothing_empty_is_drawn():
-    assert all(isinstance(figure(EVERY_ANALYSIS["empty folder"]()), LeftOut) for figure in ALL_FIGURES)
-    drawn = [
-        figure(EVERY_ANALYSIS["nothing came back"]()).name
-        for figure in ALL_FIGURES
-        if isinstance(figure(EVERY_ANALYSIS["nothing came back"]()), Figure)
+    empty, lost = (Book(EVERY_ANALYSIS[name]()) for name in ("empty folder", "nothing came back"))
+    assert all(isinstance(maker.draw(empty), LeftOut) for maker in FIGURES)
+    made = [maker.draw(lost) for maker in FIGURES]
+    assert [figure.name for figure in made if isinstance(figure, Figure)] == [
+        "received",
+        "timeline",
+        "host_load",
     ]
-    assert drawn == ["received", "timeline", "host_load"]
 
 
 def test_a_figure_left_out_says_why():
@@ -279,6 +285,6 @@ def test_a_figure_left_out_says_why():
 
 
 def test_names_are_unique():
-    analysis = EVERY_ANALYSIS["small campaign"]()
-    names = [figure(analysis).name for figure in ALL_FIGURES]
+    book = Book(EVERY_ANALYSIS["small campaign"]())
+    names = [maker.draw(book).name for maker in FIGURES]
     assert len(set(names)) == len(names)

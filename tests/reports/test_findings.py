@@ -4,8 +4,9 @@ import pytest
 from analyses import EVERY_ANALYSIS, MS, Measured, make_analysis
 
 from dds_trace.analyzer import Finding, Severity
-from dds_trace.reports import REPORTERS
-from dds_trace.reports.book.findings import FindingKind, OneFinding, findings_info, severity_counts
+from dds_trace.reports import load_reporter
+from dds_trace.reports.book.book import Book
+from dds_trace.reports.book.findings import FindingKind, OneFinding, severity_counts
 from dds_trace.reports.book.groups import groups_info
 
 RATES = [10.0 * step for step in range(1, 7)]
@@ -24,7 +25,7 @@ def loss(group, **changes):
 
 def test_a_kind_is_one_entry_with_a_count():
     step = Finding(Severity.ERROR, "cpu_saturated", "ping on pi", "It was busy.", "Free it.")
-    loss_of_two, busy = findings_info(analysis_with(loss(0), loss(2), step))
+    loss_of_two, busy = Book(analysis_with(loss(0), loss(2), step)).findings
     assert loss_of_two == FindingKind(
         "warning",
         "loss",
@@ -40,7 +41,7 @@ def test_a_kind_is_one_entry_with_a_count():
 
 
 def test_findings_that_are_not_listed_one_by_one_are_counted():
-    (kind,) = findings_info(analysis_with(loss(0), loss(1, groups=(1, 2, 3, 4), count=33)))
+    (kind,) = Book(analysis_with(loss(0), loss(1, groups=(1, 2, 3, 4), count=33))).findings
     assert kind.heading == "Loss (34)"
     assert kind.listed[1].where == "4 groups, such as Binary 33 KB at 20 Hz"
     assert kind.listed[1].groups == tuple(f"Binary 33 KB at {rate} Hz" for rate in (20, 30, 40, 50))
@@ -55,44 +56,44 @@ def test_findings_that_are_not_listed_one_by_one_are_counted():
     ],
 )
 def test_where_is_made_from_what_tells_the_groups_apart(groups, where):
-    (kind,) = findings_info(analysis_with(loss(0, groups=groups)))
+    (kind,) = Book(analysis_with(loss(0, groups=groups))).findings
     assert kind.listed[0].where == where
     assert kind.listed[0].groups == ()
 
 
 def test_actions_that_differ_are_not_said_for_all():
     same, differing = (
-        findings_info(analysis_with(loss(0), loss(1, action=action)))[0]
+        Book(analysis_with(loss(0), loss(1, action=action))).findings[0]
         for action in ("Look at it.", "Leave it.")
     )
     assert (same.common_action, differing.common_action) == ("Look at it.", "")
 
 
 def test_severities_are_counted_in_words_the_most_severe_first():
-    kinds = findings_info(
+    kinds = Book(
         analysis_with(
             *(Finding(severity, f"code_{n}", "w", "x.", "y.") for n, severity in enumerate(Severity)),
             loss(0),
             loss(1),
         )
-    )
+    ).findings
     assert severity_counts(kinds) == (("error", "1 error"), ("warning", "2 warnings"), ("info", "1 note"))
 
 
 def test_markdown_has_a_row_a_kind_and_a_list_that_opens():
-    text = REPORTERS["md"].render(analysis_with(loss(0), loss(1)))
+    text = load_reporter("md").render(Book(analysis_with(loss(0), loss(1))))
     (row,) = (line for line in text.splitlines() if line.startswith("| warning"))
     assert row.startswith("| warning | Loss (2) | Binary 33 KB at 10 Hz |")
     assert "<details><summary>Loss (2)</summary>\n\n- Binary 33 KB at 10 Hz: 1 of 2 is lost." in text
 
 
 def test_the_terminal_says_a_kind_once():
-    text = REPORTERS["terminal"].render(analysis_with(loss(0), loss(1), loss(2)))
+    text = load_reporter("terminal").render(Book(analysis_with(loss(0), loss(1), loss(2))))
     assert text.count("Look at it.") == 1
     assert "warning Loss (3): Binary 33 KB at 10 Hz: 1 of 2 is lost." in text
 
 
 def test_hostile_findings_are_one_kind():
     analysis = EVERY_ANALYSIS["hostile strings"]()
-    assert [kind.count for kind in findings_info(analysis)] == [6]
+    assert [kind.count for kind in Book(analysis).findings] == [6]
     assert len(groups_info(analysis).groups) == 6

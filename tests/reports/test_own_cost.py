@@ -3,8 +3,9 @@ from dataclasses import replace
 import pytest
 from analyses import MS, Measured, make_analysis
 
-from dds_trace.reports import REPORTERS
-from dds_trace.reports.book.overview import Fact, overview_info
+from dds_trace.reports import load_reporter
+from dds_trace.reports.book.book import Book
+from dds_trace.reports.book.overview import Fact
 from dds_trace.reports.book.own_cost import OwnCost, own_costs
 
 FLOOR = {"median_ns": 400_000, "p99_ns": 1_200_000, "messages": 50}
@@ -21,7 +22,7 @@ def analysis_of(extras, *measured):
 
 
 def facts(analysis):
-    return {fact.label: fact.value for fact in overview_info(analysis).facts}
+    return {fact.label: fact.value for fact in Book(analysis).overview.facts}
 
 
 def test_of_several_sessions_the_slowest_counts():
@@ -63,11 +64,13 @@ def test_what_was_not_measured_is_not_shown(extra):
 
 @pytest.mark.parametrize("kind", ["html", "md", "terminal", "json"])
 def test_every_report_has_both(kind):
-    text = REPORTERS[kind].render(analysis_of([{"recorder_cost": COST, "client_library_floor": FLOOR}]))
+    text = load_reporter(kind).render(
+        Book(analysis_of([{"recorder_cost": COST, "client_library_floor": FLOOR}]))
+    )
     words = " ".join(text.split())
     assert "keeping an event took" in words
     assert "a message from a node to itself took" in words
 
 
 def test_a_fact_without_a_value_is_no_fact():
-    assert Fact("Recorder", "") not in overview_info(make_analysis()).facts
+    assert Fact("Recorder", "") not in Book(make_analysis()).overview.facts

@@ -11,8 +11,9 @@ from analyses import EVERY_ANALYSIS, HOSTILE, MS, Measured, make_analysis
 from jsonschema import Draft202012Validator
 
 from dds_trace.analyzer import Details, parse_job, recommend_settings
-from dds_trace.reports import REPORTERS, document, write_report
-from dds_trace.reports.figures import CAMPAIGN_FIGURES, CELL_FIGURES, Figure
+from dds_trace.reports import REPORT_MODULES, document, load_reporter, write_reports
+from dds_trace.reports.book.book import Book
+from dds_trace.reports.figures import FIGURES, Figure
 from dds_trace.tracefile.errors import OptionError, OutputError
 
 
@@ -21,9 +22,9 @@ def analysis(request):
     return EVERY_ANALYSIS[request.param]()
 
 
-@pytest.mark.parametrize("kind", REPORTERS)
+@pytest.mark.parametrize("kind", REPORT_MODULES)
 def test_every_reporter_accepts_every_analysis_and_repeats_itself(analysis, kind):
-    assert REPORTERS[kind].render(analysis) == REPORTERS[kind].render(analysis)
+    assert load_reporter(kind).render(Book(analysis)) == load_reporter(kind).render(Book(analysis))
 
 
 @pytest.mark.parametrize(
@@ -31,27 +32,27 @@ def test_every_reporter_accepts_every_analysis_and_repeats_itself(analysis, kind
 )
 def test_files_are_written_where_asked(tmp_path, kind, name):
     analysis = EVERY_ANALYSIS["ping without relay"]()
-    path = write_report(analysis, kind, tmp_path)
+    (path,) = write_reports(analysis, [kind], tmp_path)
     assert path == tmp_path / name
-    assert path.read_bytes().decode("utf-8") == REPORTERS[kind].render(analysis)
+    assert path.read_bytes().decode("utf-8") == load_reporter(kind).render(Book(analysis))
 
 
 def test_the_terminal_report_is_printed(tmp_path, capsys):
     analysis = EVERY_ANALYSIS["ping without relay"]()
-    assert write_report(analysis, "terminal", tmp_path) is None
+    assert write_reports(analysis, ["terminal"], tmp_path) == [None]
     printed = "\n".join(line.rstrip() for line in capsys.readouterr().out.splitlines())
-    assert printed == REPORTERS["terminal"].render(analysis).rstrip("\n")
+    assert printed == load_reporter("terminal").render(Book(analysis)).rstrip("\n")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_an_unknown_kind_is_an_option_error(tmp_path):
     with pytest.raises(OptionError, match="'pdf'; choose from html, md, json, terminal"):
-        write_report(EVERY_ANALYSIS["empty folder"](), "pdf", tmp_path)
+        write_reports(EVERY_ANALYSIS["empty folder"](), ["pdf"], tmp_path)
 
 
 def test_a_missing_folder_is_an_output_error(tmp_path):
     with pytest.raises(OutputError, match="cannot write the md report"):
-        write_report(EVERY_ANALYSIS["empty folder"](), "md", tmp_path / "gone")
+        write_reports(EVERY_ANALYSIS["empty folder"](), ["md"], tmp_path / "gone")
 
 
 # JSON
@@ -59,7 +60,7 @@ def test_a_missing_folder_is_an_output_error(tmp_path):
 
 def test_the_json_report_follows_its_schema(analysis):
     Draft202012Validator.check_schema(document.schema())
-    Draft202012Validator(document.schema()).validate(json.loads(document.render(analysis)))
+    Draft202012Validator(document.schema()).validate(json.loads(document.render(Book(analysis))))
 
 
 def closed(schema):
@@ -77,12 +78,12 @@ def test_the_schema_describes_every_field(analysis):
     schema = closed(document.schema())
     for name in ("sessions", "runs"):
         schema["properties"][name] = {}
-    Draft202012Validator(schema).validate(json.loads(document.render(analysis)))
+    Draft202012Validator(schema).validate(json.loads(document.render(Book(analysis))))
 
 
 def test_the_json_report_has_every_frame_of_the_details():
     analysis = EVERY_ANALYSIS["small campaign"]()
-    report = json.loads(document.render(analysis))
+    report = json.loads(document.render(Book(analysis)))
     for field in fields(Details):
         held = getattr(analysis.details, field.name)
         if isinstance(held, pl.DataFrame):
@@ -100,7 +101,7 @@ def test_the_json_report_has_every_frame_of_the_details():
 
 
 def test_the_json_report_of_an_analysis_without_details_has_null_for_them():
-    report = json.loads(document.render(replace(EVERY_ANALYSIS["one message"](), details=None)))
+    report = json.loads(document.render(Book(replace(EVERY_ANALYSIS["one message"](), details=None))))
     assert all(report[name] is None for name in (*document.FRAMES, "answers", "recommendation"))
     Draft202012Validator(document.schema()).validate(report)
 
@@ -109,7 +110,7 @@ def test_a_recommendation_is_in_the_json_report():
     analysis = EVERY_ANALYSIS["small campaign"]()
     job = parse_job("data=binary size=33KB rate=10 deadline=50ms reliability=0.9")
     recommended = replace(analysis.details, recommendation=recommend_settings(analysis.roundtrips, job))
-    report = json.loads(document.render(replace(analysis, details=recommended)))
+    report = json.loads(document.render(Book(replace(analysis, details=recommended))))
     Draft202012Validator(closed(document.schema())["properties"]["recommendation"]).validate(
         report["recommendation"]
     )
@@ -122,14 +123,14 @@ def test_a_recommendation_is_in_the_json_report():
 
 
 def test_the_schema_is_strict_enough_to_miss_a_column():
-    report = json.loads(document.render(EVERY_ANALYSIS["one message"]()))
+    report = json.loads(document.render(Book(EVERY_ANALYSIS["one message"]())))
     del report["groups"][0]["latency_p50_ns"]
     assert not Draft202012Validator(document.schema()).is_valid(report)
 
 
 def test_the_json_report_keeps_strings_whole_and_numbers_exact():
     long = "x" * 1000 + "\x1b</script>"
-    report = json.loads(document.render(make_analysis(Measured([MS, 2 * MS], ping_device=long))))
+    report = json.loads(document.render(Book(make_analysis(Measured([MS, 2 * MS], ping_device=long)))))
     assert report["groups"][0]["ping_device"] == long
     assert report["groups"][0]["latency_p50_ns"] == 1_500_000.0
     assert report["groups"][0]["latency_p90_ns"] is None
@@ -140,14 +141,14 @@ def test_the_json_report_keeps_strings_whole_and_numbers_exact():
 
 
 def test_the_terminal_report_fits_80_columns_and_has_no_control_character(analysis):
-    text = REPORTERS["terminal"].render(analysis)
+    text = load_reporter("terminal").render(Book(analysis))
     assert max(len(line) for line in text.splitlines()) <= 80
     assert {c for c in text if unicodedata.category(c) in {"Cc", "Cf", "Zl", "Zp"}} <= {"\n"}
 
 
 def test_a_sparkline_shows_where_the_messages_lie():
     fast, slow = [MS] * 10, [100 * MS] * 10
-    text = REPORTERS["terminal"].render(make_analysis(Measured(fast), Measured(slow, rate_hz=20.0)))
+    text = load_reporter("terminal").render(Book(make_analysis(Measured(fast), Measured(slow, rate_hz=20.0))))
     (fast_line,) = (line for line in text.splitlines() if "10 Hz" in line and "binary" in line)
     (slow_line,) = (line for line in text.splitlines() if "20 Hz" in line and "binary" in line)
     assert fast_line.endswith("1 ms █")
@@ -156,14 +157,14 @@ def test_a_sparkline_shows_where_the_messages_lie():
 
 def test_rich_markup_in_a_trace_stays_text():
     analysis = make_analysis(Measured([MS], ping_device="[bold]pi[/bold]"))
-    assert "[bold]pi[/bold]" in REPORTERS["terminal"].render(analysis)
+    assert "[bold]pi[/bold]" in load_reporter("terminal").render(Book(analysis))
 
 
 # Markdown
 
 
 def test_markdown_keeps_its_tables_whole():
-    text = REPORTERS["md"].render(EVERY_ANALYSIS["hostile strings"]())
+    text = load_reporter("md").render(Book(EVERY_ANALYSIS["hostile strings"]()))
     tables = [block.splitlines() for block in text.split("\n\n") if block.startswith("| ")]
     assert tables
     for table in tables:
@@ -171,17 +172,19 @@ def test_markdown_keeps_its_tables_whole():
 
 
 def test_markdown_makes_hostile_strings_inert():
-    text = REPORTERS["md"].render(EVERY_ANALYSIS["hostile strings"]())
+    text = load_reporter("md").render(Book(EVERY_ANALYSIS["hostile strings"]()))
     for syntax in ("<script", "<img", "](", "**d**", "`c`", "http://", "\x1b", "\u2028"):
         assert syntax not in text
     assert "@everyone" not in text
 
 
 def test_markdown_has_intervals_costs_of_bridges_and_clocks():
-    text = REPORTERS["md"].render(
-        make_analysis(
-            Measured([MS + 1000 * n for n in range(100)]),
-            Measured([2 * MS + 1000 * n for n in range(100)], bridge="builtin", domain_mode="different"),
+    text = load_reporter("md").render(
+        Book(
+            make_analysis(
+                Measured([MS + 1000 * n for n in range(100)]),
+                Measured([2 * MS + 1000 * n for n in range(100)], bridge="builtin", domain_mode="different"),
+            )
         )
     )
     (row,) = (
@@ -207,7 +210,7 @@ def scripts_of(page):
 
 
 def test_the_policy_admits_the_two_scripts_of_the_page_and_nothing_else(analysis):
-    page = REPORTERS["html"].render(analysis)
+    page = load_reporter("html").render(Book(analysis))
     (policy,) = re.findall(r'Content-Security-Policy" content="([^"]*)"', page)
     policy = policy.replace("&#39;", "'")
     hashes = [
@@ -220,7 +223,7 @@ def test_the_policy_admits_the_two_scripts_of_the_page_and_nothing_else(analysis
 
 
 def test_the_page_refers_to_nothing_outside(analysis):
-    page = REPORTERS["html"].render(analysis)
+    page = load_reporter("html").render(Book(analysis))
     outside = page
     for script in scripts_of(page):
         outside = outside.replace(script, "")
@@ -230,7 +233,7 @@ def test_the_page_refers_to_nothing_outside(analysis):
 
 
 def test_hostile_strings_are_text_in_html():
-    page = REPORTERS["html"].render(EVERY_ANALYSIS["hostile strings"]())
+    page = load_reporter("html").render(Book(EVERY_ANALYSIS["hostile strings"]()))
     for script in scripts_of(page):
         page = page.replace(script, "")
     assert "window.pwned" in page, "the text itself is shown"
@@ -242,7 +245,7 @@ def test_hostile_strings_are_text_in_html():
 
 
 def test_hostile_strings_do_not_change_the_island():
-    page = REPORTERS["html"].render(EVERY_ANALYSIS["hostile strings"]())
+    page = load_reporter("html").render(Book(EVERY_ANALYSIS["hostile strings"]()))
     (island,) = re.findall(r'<script type="application/json" id="data">(.*?)</script>', page, re.DOTALL)
     labels = [
         option["label"]
@@ -255,17 +258,13 @@ def test_hostile_strings_do_not_change_the_island():
 
 
 def test_plotly_is_in_the_page_once():
-    page = REPORTERS["html"].render(EVERY_ANALYSIS["one message"]())
+    page = load_reporter("html").render(Book(EVERY_ANALYSIS["one message"]()))
     assert page.count("plotly.js v") == 1
 
 
 def test_a_campaign_of_the_paper_stays_below_8_mb():
     analysis = EVERY_ANALYSIS["500 groups"]()
-    plans = {
-        f.name: f.plan
-        for figure in (*CAMPAIGN_FIGURES, *CELL_FIGURES)
-        if isinstance(f := figure(analysis), Figure)
-    }
+    plans = {f.name: f.plan for maker in FIGURES if isinstance(f := maker.draw(Book(analysis)), Figure)}
     for name in ("timeline", "host_load", "clock"):
         assert plans[name]["decimated"], f"the page is as large as it gets only with all of {name} in it"
-    assert len(REPORTERS["html"].render(analysis).encode()) < 8_000_000
+    assert len(load_reporter("html").render(Book(analysis)).encode()) < 8_000_000

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from analyses import small_campaign
 
+from dds_trace.reports.book.book import Book
 from dds_trace.reports.html import page
 
 ROOT = Path(__file__).parents[2]
@@ -25,7 +26,7 @@ def stored_report(*arguments):
 
 
 def test_a_page_comes_back_as_it_was(tmp_path):
-    whole = page.write(small_campaign(), tmp_path)
+    whole = page.write(Book(small_campaign()), tmp_path)
     kept = tmp_path / "campaign" / "report.html"
     assert stored_report("keep", whole, kept).returncode == 0
     assert kept.stat().st_size < whole.stat().st_size - 3_000_000

@@ -8,14 +8,12 @@ from typing import TYPE_CHECKING
 from dds_trace.analyzer.model.parameters import SAME_SIDES_COLUMNS
 from dds_trace.tracefile.units.sizes import format_size
 
-from ...book.groups import data_type_label, groups_info
-from ...book.values import values_info
-from ..figure import Figure, LeftOut
+from ..book.groups import data_type_label
+from .figure import Figure, LeftOut, figure_maker
 
 if TYPE_CHECKING:
-    from dds_trace.analyzer.analysis import Analysis
-
-    from ...book.groups import Series
+    from ..book.book import Book
+    from ..book.groups import Groups, Series
 
 NAME = "domain_difference"
 TITLE = "Same domain against different domains"
@@ -55,12 +53,11 @@ class DomainDifference:
     panels: tuple[PairPanel, ...]
 
 
-def domain_pairs(analysis: Analysis) -> tuple[tuple[int, int], ...]:
+def domain_pairs(groups: Groups) -> tuple[tuple[int, int], ...]:
     """Groups (same domain, different domains) of equal cell, vendors, devices and QoS, in the order of cells.
 
     A group in the same domain stands in several pairs where several bridges were measured against it.
     """
-    groups = groups_info(analysis)
     at_home = {
         (group.cell, _apart_from_domain(groups.series_of(group))): group.index
         for group in groups.groups
@@ -74,12 +71,11 @@ def domain_pairs(analysis: Analysis) -> tuple[tuple[int, int], ...]:
     )
 
 
-def domain_difference_info(analysis: Analysis) -> DomainDifference:
+def domain_difference_info(book: Book) -> DomainDifference:
     """Every pair of which messages came back on both sides, in panels by data type and size."""
-    groups = groups_info(analysis)
-    timed = values_info(analysis).timed
+    groups, timed = book.groups, book.values.timed
     panels: dict[str, list[Pair]] = {}
-    for same, different in domain_pairs(analysis):
+    for same, different in domain_pairs(groups):
         if not timed(same) or not timed(different):
             continue
         cell = groups.cell_of(groups.groups[same])
@@ -95,6 +91,9 @@ def domain_difference_figure(info: DomainDifference) -> Figure | LeftOut:
             NAME, TITLE, "no cell was measured both in the same and in different domains with all else equal."
         )
     return Figure(NAME, TITLE, HOW_TO_READ, "pairs", {"panels": info.panels})
+
+
+FIGURE = figure_maker(domain_difference_info, domain_difference_figure)
 
 
 def _apart_from_domain(series: Series) -> tuple[object, ...]:

@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from ...book.run_times import run_times
-from ..figure import Figure, LeftOut
+from .figure import Figure, LeftOut, Scope, figure_maker
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from dds_trace.analyzer.analysis import Analysis
+    from ..book.book import Book
 
 NAME = "timeline"
 TITLE = "Latency over time"
@@ -65,12 +64,12 @@ class Timeline:
     outages: Mapping[int, tuple[tuple[float, float], ...]] = field(default_factory=dict)
 
 
-def timeline_info(analysis: Analysis) -> Timeline:
-    """The rows of `analysis.timeline`, thinned to what a page can hold: per slice of time the extremes."""
-    frame = analysis.timeline.sort("group", "elapsed_s", "run_id", "relay_id", "sequence")
-    share = max(FEWEST_POINTS, POINTS_IN_PAGE // max(1, analysis.summary.height))
+def timeline_info(book: Book) -> Timeline:
+    """Thin the rows of `analysis.timeline` to what a page can hold: the extremes of each slice of time."""
+    frame = book.analysis.timeline.sort("group", "elapsed_s", "run_id", "relay_id", "sequence")
+    share = max(FEWEST_POINTS, POINTS_IN_PAGE // max(1, book.analysis.summary.height))
     groups = []
-    decimated = analysis.timeline_decimated
+    decimated = book.analysis.timeline_decimated
     for (group,), rows in frame.group_by(["group"], maintain_order=True):
         drawn, thinned = _thinned(rows.filter(pl.col("outcome") == "completed"), share)
         lost_at, lost_count = _crosses(
@@ -87,7 +86,7 @@ def timeline_info(analysis: Analysis) -> Timeline:
                 lost_count,
             )
         )
-    return Timeline(tuple(groups), decimated, _outages(analysis))
+    return Timeline(tuple(groups), decimated, _outages(book))
 
 
 def timeline_figure(info: Timeline) -> Figure | LeftOut:
@@ -108,12 +107,15 @@ def timeline_figure(info: Timeline) -> Figure | LeftOut:
     )
 
 
-def _outages(analysis: Analysis) -> dict[int, tuple[tuple[float, float], ...]]:
+FIGURE = figure_maker(timeline_info, timeline_figure, Scope.CELL)
+
+
+def _outages(book: Book) -> dict[int, tuple[tuple[float, float], ...]]:
     """The longest outages of each group, where they lie on the axis of its runs."""
-    if analysis.details is None or not analysis.details.outages.height:
+    if book.analysis.details is None or not book.analysis.details.outages.height:
         return {}
-    origin_ns = {run.run_id: run.origin_ns for run in run_times(analysis)}
-    longest = analysis.details.outages.sort("duration_ns", descending=True, nulls_last=True)
+    origin_ns = {run.run_id: run.origin_ns for run in book.run_times}
+    longest = book.analysis.details.outages.sort("duration_ns", descending=True, nulls_last=True)
     spans: dict[int, list[tuple[float, float]]] = {}
     columns = ("group", "run_id", "start_ns", "end_ns")
     for group, run_id, start_ns, end_ns in longest.select(columns).iter_rows():

@@ -6,16 +6,14 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from ...book.groups import STATISTICS, data_type_label, groups_info
-from ..figure import Figure, LeftOut
-from ..panels import Panel, panels_info, panels_plan
+from ..book.groups import STATISTICS, data_type_label
+from .figure import Figure, LeftOut, Panel, figure_maker, panels_info, panels_plan
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from dds_trace.analyzer.analysis import Analysis
-
-    from ...book.groups import Cell, Series
+    from ..book.book import Book
+    from ..book.groups import Cell, Series
 
 NAME = "one_way"
 TITLE = "The way out against the way back"
@@ -42,13 +40,13 @@ class OneWay:
     ways: Mapping[int, Way]
 
 
-def one_way_info(analysis: Analysis) -> OneWay:
+def one_way_info(book: Book) -> OneWay:
     """The rows of `details.one_way`."""
-    groups = groups_info(analysis)
+    groups = book.groups
     label_of = dict(zip(groups.series, groups.labels, strict=True))
     found: dict[int, dict[str, Way]] = {}
-    if analysis.details is not None:
-        for row in analysis.details.one_way.iter_rows(named=True):
+    if book.analysis.details is not None:
+        for row in book.analysis.details.one_way.iter_rows(named=True):
             times = {name: _whole(row[f"{name}_ns"]) for name in STATISTICS}
             found.setdefault(row["group"], {})[row["metric"]] = Way(times, times, _whole(row["bound_p50_ns"]))
     ways = {
@@ -61,7 +59,7 @@ def one_way_info(analysis: Analysis) -> OneWay:
         return f"{data_type_label(cell.data_type)}: {label_of[series]}"
 
     panels = panels_info(
-        analysis, lambda cell, series: (cell.data_type, series), title, drawn=lambda group: group in ways
+        book.groups, lambda cell, series: (cell.data_type, series), title, drawn=lambda group: group in ways
     )
     return OneWay(panels, ways)
 
@@ -72,6 +70,9 @@ def one_way_figure(info: OneWay) -> Figure | LeftOut:
         return LeftOut(NAME, TITLE, "no message has all four time stamps (a relay's trace is missing).")
     ways = {str(group): way for group, way in info.ways.items()}
     return Figure(NAME, TITLE, HOW_TO_READ, "one_way", panels_plan(info.panels, ways=ways))
+
+
+FIGURE = figure_maker(one_way_info, one_way_figure)
 
 
 def _whole(value_ns: float | None) -> int | None:

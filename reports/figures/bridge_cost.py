@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 from dds_trace.analyzer.model.parameters import BRIDGED_COLUMNS
 
-from ...book.groups import data_type_label, groups_info
-from ...book.host import bridge_loads
-from ..figure import Figure, LeftOut
+from ..book.groups import data_type_label
+from .figure import Figure, LeftOut, figure_maker
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from dds_trace.analyzer.analysis import Analysis
+    from ..book.book import Book
 
 NAME = "bridge_cost"
 TITLE = "What a bridge costs"
@@ -67,18 +66,18 @@ class BridgeCost:
     panels: tuple[BridgePanel, ...]
 
 
-def bridge_cost_info(analysis: Analysis) -> BridgeCost:
+def bridge_cost_info(book: Book) -> BridgeCost:
     """The rows of `details.bridge_costs`, each at the groups that it was made of."""
-    if analysis.details is None:
+    if book.analysis.details is None:
         return BridgeCost(())
-    groups = groups_info(analysis)
+    groups = book.groups
     # Devices are no part of the comparison: a row is drawn at the first of the groups that share all else.
     place: dict[tuple[Any, ...], int] = {}
-    for index, row in enumerate(analysis.summary.iter_rows(named=True)):
+    for index, row in enumerate(book.analysis.summary.iter_rows(named=True)):
         if row["domain_mode"] == "different":
             place.setdefault(tuple(row[name] for name in BRIDGED_COLUMNS), index)
     costs: dict[int, dict[str, Cost]] = {}
-    for row in analysis.details.bridge_costs.iter_rows(named=True):
+    for row in book.analysis.details.bridge_costs.iter_rows(named=True):
         group = place.get(tuple(row[name] for name in BRIDGED_COLUMNS))
         difference_ns = _whole(row["difference_ns"])
         if group is not None and row["metric"] == "latency" and difference_ns is not None:
@@ -86,7 +85,7 @@ def bridge_cost_info(analysis: Analysis) -> BridgeCost:
             costs.setdefault(group, {})[row["statistic"]] = Cost(
                 difference_ns, *ends, row["ratio"], row["verdict"]
             )
-    loads = bridge_loads(analysis)
+    loads = book.bridge_loads
     panels: dict[str, list[BridgedCell]] = {}
     for one in sorted(groups.groups, key=lambda group: (group.cell, group.series)):
         if one.index in costs:
@@ -106,6 +105,9 @@ def bridge_cost_figure(info: BridgeCost) -> Figure | LeftOut:
             "no cell has a latency both in the same and in different domains with all else equal.",
         )
     return Figure(NAME, TITLE, HOW_TO_READ, "bridge_cost", {"panels": info.panels})
+
+
+FIGURE = figure_maker(bridge_cost_info, bridge_cost_figure)
 
 
 def _whole(value_ns: float | None) -> int | None:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from ...book.groups import data_type_label, groups_info
-from ..figure import Figure, LeftOut
+from ..book.groups import data_type_label
+from .figure import Figure, LeftOut, figure_maker
 
 if TYPE_CHECKING:
-    from dds_trace.analyzer.analysis import Analysis
+    from ..book.book import Book
 
 NAME = "heatmap"
 TITLE = "Size by rate, per vendor"
@@ -38,9 +38,9 @@ class Heatmap:
     panels: tuple[HeatmapPanel, ...]
 
 
-def heatmap_info(analysis: Analysis) -> Heatmap:
+def heatmap_info(book: Book) -> Heatmap:
     """Every group, as a tile of its series' plane."""
-    groups = groups_info(analysis)
+    groups = book.groups
     planes: dict[tuple[str, int], list[tuple[int, float, int]]] = {}
     for group in sorted(groups.groups, key=lambda group: (group.cell, group.series)):
         cell = groups.cell_of(group)
@@ -61,3 +61,6 @@ def heatmap_figure(info: Heatmap) -> Figure | LeftOut:
     if not info.panels:
         return LeftOut(NAME, TITLE, "no data type was measured at two sizes or rates by one series.")
     return Figure(NAME, TITLE, HOW_TO_READ, "heatmap", {"panels": info.panels})
+
+
+FIGURE = figure_maker(heatmap_info, heatmap_figure)

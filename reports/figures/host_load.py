@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from ...book.run_times import run_times
-from ..figure import Figure, LeftOut
+from .figure import Figure, LeftOut, Scope, figure_maker
 
 if TYPE_CHECKING:
-    from dds_trace.analyzer.analysis import Analysis
+    from ..book.book import Book
 
 NAME = "host_load"
 TITLE = "Processor load and Wi-Fi signal against latency"
@@ -49,22 +48,22 @@ class HostLoad:
     decimated: bool
 
 
-def host_load_info(analysis: Analysis) -> HostLoad:
+def host_load_info(book: Book) -> HostLoad:
     """The rows of `details.host_samples` that were taken during a run, by its group and role.
 
     Devices are brought together by their wall clocks, which is enough for samples of one second.
     """
-    if analysis.details is None or not analysis.details.host_samples.height:
+    if book.analysis.details is None or not book.analysis.details.host_samples.height:
         return HostLoad({}, decimated=False)
-    samples = analysis.details.host_samples.filter(
+    samples = book.analysis.details.host_samples.filter(
         pl.col("cpu_busiest_percent").is_not_null() | pl.col("wifi_signal_dbm").is_not_null()
     ).sort("wall_ns")
     groups: dict[tuple[int, str], list[pl.DataFrame]] = {}
-    for run in run_times(analysis):
+    for run in book.run_times:
         if run.session is None:
             continue
         first, last = run.session.wall_ns(run.origin_ns), run.session.wall_ns(run.last_ns)
-        devices = _devices(analysis, run.group)
+        devices = _devices(book, run.group)
         during = samples.filter(pl.col("wall_ns").is_between(first, last)).filter(
             (pl.col("session_id") == run.session.session_id)
             | ((pl.col("role") == "relay") & pl.col("device").is_in(devices)),
@@ -97,6 +96,9 @@ def host_load_figure(info: HostLoad) -> Figure | LeftOut:
     return Figure(NAME, TITLE, HOW_TO_READ, "host_load", {"groups": groups, "decimated": info.decimated})
 
 
-def _devices(analysis: Analysis, group: int) -> list[str]:
-    device = analysis.summary["relay_device"][group]
+FIGURE = figure_maker(host_load_info, host_load_figure, Scope.CELL)
+
+
+def _devices(book: Book, group: int) -> list[str]:
+    device = book.analysis.summary["relay_device"][group]
     return [] if device is None else [device]

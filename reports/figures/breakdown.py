@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from ...book.groups import data_type_label, groups_info
-from ..figure import Figure, LeftOut
-from ..panels import Panel, panels_info, panels_plan
+from ..book.groups import data_type_label
+from .figure import Figure, LeftOut, Panel, figure_maker, panels_info, panels_plan
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from dds_trace.analyzer.analysis import Analysis
-
-    from ...book.groups import Cell, Series
+    from ..book.book import Book
+    from ..book.groups import Cell, Series
 
 NAME = "breakdown"
 TITLE = "Where the time goes, on average"
@@ -58,15 +56,15 @@ class Breakdown:
     parts: Mapping[int, tuple[Part, ...]]
 
 
-def breakdown_info(analysis: Analysis) -> Breakdown:
+def breakdown_info(book: Book) -> Breakdown:
     """The means of `details.breakdown`, in the panel of its group's data type and series."""
-    groups = groups_info(analysis)
+    groups = book.groups
     label_of = dict(zip(groups.series, groups.labels, strict=True))
     parts: dict[int, list[Part]] = {}
-    if analysis.details is not None:
+    if book.analysis.details is not None:
         columns = ("group", "part", "mean_ns", "bound_ns")
         for group, part, mean_ns, bound_ns in (
-            analysis.details.breakdown.sort("group", "order").select(columns).iter_rows()
+            book.analysis.details.breakdown.sort("group", "order").select(columns).iter_rows()
         ):
             bound = None if bound_ns is None else round(bound_ns)
             parts.setdefault(group, []).append(Part(part, round(mean_ns), bound))
@@ -75,7 +73,7 @@ def breakdown_info(analysis: Analysis) -> Breakdown:
         return f"{data_type_label(cell.data_type)}: {label_of[series]}"
 
     panels = panels_info(
-        analysis, lambda cell, series: (cell.data_type, series), title, drawn=lambda group: group in parts
+        book.groups, lambda cell, series: (cell.data_type, series), title, drawn=lambda group: group in parts
     )
     return Breakdown(panels, {group: tuple(found) for group, found in parts.items()})
 
@@ -99,3 +97,6 @@ def breakdown_figure(info: Breakdown) -> Figure | LeftOut:
             parts={str(group): parts for group, parts in info.parts.items()},
         ),
     )
+
+
+FIGURE = figure_maker(breakdown_info, breakdown_figure)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from ...text import visible
-from ..figure import Figure, LeftOut
+from ..text import visible
+from .figure import Figure, LeftOut, figure_maker
 
 if TYPE_CHECKING:
-    from dds_trace.analyzer.analysis import Analysis
+    from ..book.book import Book
 
 NAME = "clock"
 TITLE = "Clock offset and drift"
@@ -52,11 +52,11 @@ class Clock:
     """Whether a pair is left out because ping and relay ran on one device."""
 
 
-def clock_info(analysis: Analysis) -> Clock:
+def clock_info(book: Book) -> Clock:
     """The knots of `details.clock_knots`, of devices that are two."""
-    if analysis.details is None:
+    if book.analysis.details is None:
         return Clock((), decimated=False, one_clock=False)
-    fits, knots = analysis.details.clock_fits, analysis.details.clock_knots
+    fits, knots = book.analysis.details.clock_fits, book.analysis.details.clock_knots
     two = fits.filter(~fits["same_clock"])
     step = max(1, -(-knots.height // KNOTS_IN_PAGE))
     pairs = []
@@ -96,3 +96,6 @@ def clock_figure(info: Clock) -> Figure | LeftOut:
         )
         return LeftOut(NAME, TITLE, f"{why}.")
     return Figure(NAME, TITLE, HOW_TO_READ, "clock", {"pairs": info.pairs, "decimated": info.decimated})
+
+
+FIGURE = figure_maker(clock_info, clock_figure)

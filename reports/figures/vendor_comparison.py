@@ -5,17 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from ...book.groups import data_type_label
-from ...book.values import values_info
-from ..figure import Figure, LeftOut
-from ..panels import Panel, panels_info, panels_plan
+from ..book.groups import data_type_label
+from .figure import Figure, LeftOut, Panel, figure_maker, panels_info, panels_plan
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from dds_trace.analyzer.analysis import Analysis
-
-    from ...book.groups import Cell, Series
+    from ..book.book import Book
+    from ..book.groups import Cell, Groups, Series
 
 NAME = "vendor_comparison"
 TITLE = "Vendors against each other, per data type"
@@ -32,9 +29,9 @@ class VendorComparison:
     panels: tuple[Panel, ...]
 
 
-def vendor_comparison_info(analysis: Analysis) -> VendorComparison:
+def vendor_comparison_info(book: Book) -> VendorComparison:
     """Every group, over its cell."""
-    return VendorComparison(cell_panels(analysis, values_info(analysis).timed))
+    return VendorComparison(cell_panels(book.groups, book.values.timed))
 
 
 def vendor_comparison_figure(info: VendorComparison) -> Figure | LeftOut:
@@ -44,7 +41,10 @@ def vendor_comparison_figure(info: VendorComparison) -> Figure | LeftOut:
     return Figure(NAME, TITLE, HOW_TO_READ, "cells", panels_plan(info.panels, value="statistic"))
 
 
-def cell_panels(analysis: Analysis, drawn: Callable[[int], bool]) -> tuple[Panel, ...]:
+FIGURE = figure_maker(vendor_comparison_info, vendor_comparison_figure)
+
+
+def cell_panels(groups: Groups, drawn: Callable[[int], bool]) -> tuple[Panel, ...]:
     """One panel per data type and domain mode; x is the rank of the cell among all cells."""
 
     def title(cell: Cell, series: Series) -> str:
@@ -54,4 +54,4 @@ def cell_panels(analysis: Analysis, drawn: Callable[[int], bool]) -> tuple[Panel
     def key(cell: Cell, series: Series) -> tuple[str, str]:
         return cell.data_type, series.domain_mode
 
-    return panels_info(analysis, key, title, drawn=drawn)
+    return panels_info(groups, key, title, drawn=drawn)

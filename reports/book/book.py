@@ -1,0 +1,100 @@
+"""What the reports of one analysis say, worked out once and handed to every reporter and figure."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+from .answer import answer_info
+from .curves import curves_info
+from .findings import findings_info
+from .groups import groups_info
+from .host import bridge_loads
+from .intervals import intervals_info
+from .overview import overview_info
+from .own_cost import own_costs
+from .recording import record_tables
+from .run_times import run_times
+from .values import values_info
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from dds_trace.analyzer.analysis import Analysis
+
+    from .answer import Answer
+    from .curves import Curves
+    from .findings import FindingKind
+    from .groups import Groups
+    from .intervals import Intervals
+    from .overview import Overview
+    from .own_cost import OwnCost
+    from .recording import RecordTable
+    from .run_times import RunTime
+    from .values import Values
+
+
+class Book:
+    """The parts of a report; each is computed at its first use and kept.
+
+    Args:
+        analysis: what is reported. It must not change while the book is in use.
+    """
+
+    def __init__(self, analysis: Analysis) -> None:
+        self.analysis = analysis
+
+    @cached_property
+    def groups(self) -> Groups:
+        """Groups of `analysis.summary` with their series and cells."""
+        return groups_info(self.analysis)
+
+    @cached_property
+    def values(self) -> Values:
+        """Numbers of `analysis.summary`, by column and group."""
+        return values_info(self.analysis)
+
+    @cached_property
+    def intervals(self) -> Intervals:
+        """Confidence intervals of the percentiles, by metric and group."""
+        return intervals_info(self.analysis)
+
+    @cached_property
+    def curves(self) -> Curves:
+        """Distributions thinned for drawing, by metric and group."""
+        return curves_info(self.analysis)
+
+    @cached_property
+    def run_times(self) -> tuple[RunTime, ...]:
+        """Start and end of each run of `analysis.timeline`."""
+        return run_times(self.analysis)
+
+    @cached_property
+    def bridge_loads(self) -> Mapping[int, float]:
+        """Mean load of the bridges' processes by group, percent of one processor."""
+        return bridge_loads(self.analysis, self.run_times)
+
+    @cached_property
+    def own_costs(self) -> tuple[OwnCost, ...]:
+        """Cost of measuring, by vendor and backend."""
+        return own_costs(self.analysis)
+
+    @cached_property
+    def overview(self) -> Overview:
+        """Lines that say what was measured."""
+        return overview_info(self.analysis, self.groups, self.own_costs, self.run_times)
+
+    @cached_property
+    def answer(self) -> Answer:
+        """Headline, verdicts and remarks."""
+        return answer_info(self.analysis, self.groups, self.values)
+
+    @cached_property
+    def findings(self) -> tuple[FindingKind, ...]:
+        """Findings by kind, the most severe first."""
+        return findings_info(self.analysis, self.groups)
+
+    @cached_property
+    def record_tables(self) -> tuple[RecordTable, ...]:
+        """Tables of the sessions and files."""
+        return record_tables(self.analysis)

@@ -1,1 +1,0 @@
-"""Figures that set vendors, domains and bridges beside each other."""

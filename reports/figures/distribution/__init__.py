@@ -1,1 +1,0 @@
-"""Figures of how one group's values are spread."""

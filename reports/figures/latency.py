@@ -1,0 +1,87 @@
+"""The paper's first two figures: latency against rate with a panel per size, and against size with a panel per rate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from dds_trace.tracefile.units.rates import format_rate
+from dds_trace.tracefile.units.sizes import format_size
+
+from ..book.groups import data_type_label
+from .figure import Figure, LeftOut, Panel, figure_maker, over_two_positions, panels_info, panels_plan
+
+if TYPE_CHECKING:
+    from ..book.book import Book
+
+
+@dataclass(frozen=True, slots=True)
+class LatencyByRate:
+    """One panel per data type and size; x is the rate in Hz. Only panels with two rates at least."""
+
+    panels: tuple[Panel, ...]
+
+
+def latency_by_rate_info(book: Book) -> LatencyByRate:
+    """Collect every group that has a neighbour at another rate."""
+    panels = panels_info(
+        book.groups,
+        key=lambda cell, _: (cell.data_type, cell.payload_bytes),
+        title=lambda cell, _: f"{data_type_label(cell.data_type)} {format_size(cell.payload_bytes)}",
+        x=lambda cell: cell.rate_hz,
+        drawn=book.values.timed,
+    )
+    return LatencyByRate(over_two_positions(panels))
+
+
+def latency_by_rate_figure(info: LatencyByRate) -> Figure | LeftOut:
+    """Draw lines over the rate, on a log axis."""
+    name, title = "latency_by_rate", "Latency against frequency, per size"
+    if not info.panels:
+        return LeftOut(name, title, "no message size was measured at two rates.")
+    how_to_read = (
+        "A flat line does not care how often you send; a line that climbs to the right is running out of capacity, "
+        "one that falls is waking up from sleep."
+    )
+    return Figure(
+        name, title, how_to_read, "lines", panels_plan(info.panels, x_title="Rate (Hz)", x_unit="hz")
+    )
+
+
+LATENCY_BY_RATE = figure_maker(latency_by_rate_info, latency_by_rate_figure)
+
+
+@dataclass(frozen=True, slots=True)
+class LatencyBySize:
+    """One panel per data type and rate; x is the payload in bytes. Only panels with two sizes at least."""
+
+    panels: tuple[Panel, ...]
+
+
+def latency_by_size_info(book: Book) -> LatencyBySize:
+    """Collect every group that has a neighbour of another size."""
+    panels = panels_info(
+        book.groups,
+        key=lambda cell, _: (cell.data_type, cell.rate_hz),
+        title=lambda cell, _: f"{data_type_label(cell.data_type)} at {format_rate(cell.rate_hz)}",
+        x=lambda cell: float(cell.payload_bytes),
+        drawn=book.values.timed,
+    )
+    return LatencyBySize(over_two_positions(panels))
+
+
+def latency_by_size_figure(info: LatencyBySize) -> Figure | LeftOut:
+    """Draw lines over the payload size, on a log axis."""
+    name, title = "latency_by_size", "Latency against size, per frequency"
+    if not info.panels:
+        return LeftOut(name, title, "no data type was measured with two message sizes at one rate.")
+    how_to_read = (
+        "Latency should rise gently with size; a sudden step marks a limit on the way, such as a socket buffer, "
+        "a shared-memory segment or the link itself."
+    )
+    return Figure(
+        name, title, how_to_read, "lines", panels_plan(info.panels, x_title="Message size", x_unit="bytes")
+    )
+
+
+LATENCY_BY_SIZE = figure_maker(latency_by_size_info, latency_by_size_figure)

@@ -1,1 +1,0 @@
-"""Figures over the time of a run."""

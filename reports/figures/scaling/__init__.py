@@ -1,1 +1,0 @@
-"""Figures over payload size and rate."""

@@ -1,0 +1,90 @@
+"""A new figure is one file and one row of `FIGURES`, a new report format one file and one row of `REPORT_MODULES`."""
+
+import json
+import re
+import sys
+from types import ModuleType
+
+import pytest
+from analyses import EVERY_ANALYSIS, MS, Measured, make_analysis
+from campaigns import write_runs
+
+from dds_trace.cli.analyze import main
+from dds_trace.reports import REPORT_MODULES, load_reporter
+from dds_trace.reports.book.book import Book
+from dds_trace.reports.figures import FIGURES, Figure, LeftOut, figure_maker
+from dds_trace.reports.figures.figure import panels_info, panels_plan
+
+
+@pytest.fixture
+def toy_figure():
+    """Worst latency against size: what a newcomer would write, with the page's own kind of lines."""
+
+    def worst_info(book):
+        return panels_info(
+            book.groups,
+            key=lambda cell, _: cell.rate_hz,
+            title=lambda cell, _: f"toy panel at {cell.rate_hz:g} Hz",
+            x=lambda cell: float(cell.payload_bytes),
+        )
+
+    def worst_figure(panels):
+        if not panels:
+            return LeftOut("toy", "A toy figure", "nothing was measured.")
+        plan = panels_plan(panels, x_title="Size", x_unit="bytes")
+        return Figure("toy", "A toy figure", "Read it from left to right.", "lines", plan)
+
+    FIGURES.append(figure_maker(worst_info, worst_figure))
+    yield
+    FIGURES.pop()
+
+
+def island_of(page):
+    return json.loads(re.search(r'<script type="application/json"[^>]*>(.*?)</script>', page, re.DOTALL)[1])
+
+
+@pytest.mark.usefixtures("toy_figure")
+def test_a_toy_figure_is_drawn_after_the_others():
+    page = load_reporter("html").render(
+        Book(make_analysis(Measured([MS, 2 * MS]), Measured([MS], payload_bytes=7)))
+    )
+    assert "A toy figure" in page
+    assert "Read it from left to right." in page
+    (panel,) = island_of(page)["figures"]["toy"]["plan"]["panels"]
+    assert panel["title"] == "toy panel at 10 Hz"
+    assert panel["lines"] == [{"series": 0, "x": [7.0, 33000.0], "groups": [1, 0]}]
+
+
+@pytest.mark.usefixtures("toy_figure")
+def test_a_toy_figure_without_data_is_listed_with_its_reason():
+    page = load_reporter("html").render(Book(EVERY_ANALYSIS["empty folder"]()))
+    assert "nothing was measured." in page
+
+
+def render(book):
+    return "".join(f"{group.index},{group.published}\n" for group in book.groups.groups)
+
+
+def write(book, folder):
+    path = folder / "report.toy"
+    path.write_text(render(book))
+    return path
+
+
+@pytest.fixture
+def toy_format(monkeypatch):
+    """A module with the two doors, as a new file would be: the number of messages of each group."""
+    module = ModuleType("toy_report")
+    module.render, module.write = render, write
+    monkeypatch.setitem(sys.modules, "toy_report", module)
+    monkeypatch.setitem(REPORT_MODULES, "toy", "toy_report")
+
+
+@pytest.mark.usefixtures("toy_format")
+def test_a_toy_report_format_is_written_by_the_command(tmp_path, capsys):
+    write_runs(tmp_path, [0])
+    with pytest.raises(SystemExit) as ended:
+        main([str(tmp_path), "--report", "toy", "--out", str(tmp_path / "out")])
+    assert not ended.value.code
+    assert str(tmp_path / "out" / "report.toy") in capsys.readouterr().out
+    assert re.fullmatch(r"(\d+,\d+\n)+", (tmp_path / "out" / "report.toy").read_text())

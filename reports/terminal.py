@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from .book.book import Book
     from .book.groups import Groups
-    from .book.values import Values
+    from .book.numbers import Values
 
 WIDTH = 80
 SPARK_CELLS = 16

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from dds_trace.analyzer import Answer as CellAnswer
 
     from .groups import Groups
-    from .values import Values
+    from .numbers import Values
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,16 +6,12 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from .answer import answer_info
-from .curves import curves_info
 from .findings import findings_info
 from .groups import groups_info
-from .host import bridge_loads
-from .intervals import intervals_info
+from .numbers import curves_info, intervals_info, values_info
 from .overview import overview_info
-from .own_cost import own_costs
-from .recording import record_tables
-from .run_times import run_times
-from .values import values_info
+from .recording import own_costs, record_tables
+from .runs import bridge_loads, run_times
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -23,15 +19,12 @@ if TYPE_CHECKING:
     from dds_trace.analyzer.analysis import Analysis
 
     from .answer import Answer
-    from .curves import Curves
     from .findings import FindingKind
     from .groups import Groups
-    from .intervals import Intervals
+    from .numbers import Curves, Intervals, Values
     from .overview import Overview
-    from .own_cost import OwnCost
-    from .recording import RecordTable
-    from .run_times import RunTime
-    from .values import Values
+    from .recording import OwnCost, RecordTable
+    from .runs import RunTime
 
 
 class Book:

@@ -20,7 +20,7 @@ from .groups import (
     vendor_label,
     vendor_pair_label,
 )
-from .own_cost import floor_words, recorder_words
+from .recording import floor_words, recorder_words
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from dds_trace.analyzer.analysis import Analysis
 
     from .groups import Groups
-    from .own_cost import OwnCost
-    from .run_times import RunTime
+    from .recording import OwnCost
+    from .runs import RunTime
 
 MOST_LISTED = 12
 """More values of a kind than this are given as a range or cut, so that the first screen stays one screen."""

@@ -14,12 +14,6 @@ if TYPE_CHECKING:
     from ..book.book import Book
     from ..book.groups import Cell, Series
 
-NAME = "breakdown"
-TITLE = "Where the time goes, on average"
-HOW_TO_READ = (
-    "A whole bar is the mean response from T0 to T2, its parts from below in the order of time; means are drawn because "
-    "they add up and percentiles do not."
-)
 
 PARTS = {
     "waiting_ns": "Late send (T0 to T1)",
@@ -80,15 +74,20 @@ def breakdown_info(book: Book) -> Breakdown:
 
 def breakdown_figure(info: Breakdown) -> Figure | LeftOut:
     """Stacked bars over cells."""
+    name, title = "breakdown", "Where the time goes, on average"
+    how_to_read = (
+        "A whole bar is the mean response from T0 to T2, its parts from below in the order of time; means are drawn because "
+        "they add up and percentiles do not."
+    )
     if not info.panels:
         return LeftOut(
-            NAME, TITLE, "no message has a schedule and all four time stamps (a relay's trace is missing)."
+            name, title, "no message has a schedule and all four time stamps (a relay's trace is missing)."
         )
     used = {part.name for parts in info.parts.values() for part in parts}
     return Figure(
-        NAME,
-        TITLE,
-        HOW_TO_READ,
+        name,
+        title,
+        how_to_read,
         "breakdown",
         panels_plan(
             info.panels,

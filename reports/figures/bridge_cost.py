@@ -2,27 +2,19 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.analyzer.model.parameters import BRIDGED_COLUMNS
 
 from ..book.groups import data_type_label
+from ..book.numbers import whole_ns
 from .figure import Figure, LeftOut, figure_maker
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from ..book.book import Book
-
-NAME = "bridge_cost"
-TITLE = "What a bridge costs"
-HOW_TO_READ = (
-    "Each mark is the latency through a bridge less that in the same domain, with its 95 % interval; an interval that "
-    "reaches the zero line shows no difference that these samples can prove, and where a bridge loses many messages the "
-    "share received is to be looked at first, because only those that came back have a latency."
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,9 +71,9 @@ def bridge_cost_info(book: Book) -> BridgeCost:
     costs: dict[int, dict[str, Cost]] = {}
     for row in book.analysis.details.bridge_costs.iter_rows(named=True):
         group = place.get(tuple(row[name] for name in BRIDGED_COLUMNS))
-        difference_ns = _whole(row["difference_ns"])
+        difference_ns = whole_ns(row["difference_ns"])
         if group is not None and row["metric"] == "latency" and difference_ns is not None:
-            ends = (_whole(row["difference_low_ns"]), _whole(row["difference_high_ns"]))
+            ends = (whole_ns(row["difference_low_ns"]), whole_ns(row["difference_high_ns"]))
             costs.setdefault(group, {})[row["statistic"]] = Cost(
                 difference_ns, *ends, row["ratio"], row["verdict"]
             )
@@ -98,17 +90,19 @@ def bridge_cost_info(book: Book) -> BridgeCost:
 
 def bridge_cost_figure(info: BridgeCost) -> Figure | LeftOut:
     """Marks with intervals over cells."""
+    name, title = "bridge_cost", "What a bridge costs"
+    how_to_read = (
+        "Each mark is the latency through a bridge less that in the same domain, with its 95 % interval; an interval that "
+        "reaches the zero line shows no difference that these samples can prove, and where a bridge loses many messages the "
+        "share received is to be looked at first, because only those that came back have a latency."
+    )
     if not info.panels:
         return LeftOut(
-            NAME,
-            TITLE,
+            name,
+            title,
             "no cell has a latency both in the same and in different domains with all else equal.",
         )
-    return Figure(NAME, TITLE, HOW_TO_READ, "bridge_cost", {"panels": info.panels})
+    return Figure(name, title, how_to_read, "bridge_cost", {"panels": info.panels})
 
 
 FIGURE = figure_maker(bridge_cost_info, bridge_cost_figure)
-
-
-def _whole(value_ns: float | None) -> int | None:
-    return None if value_ns is None or not math.isfinite(value_ns) else round(value_ns)

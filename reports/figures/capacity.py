@@ -8,8 +8,16 @@ from typing import TYPE_CHECKING
 from dds_trace.tracefile.units.sizes import format_size
 
 from ..book.groups import data_type_label
-from .figure import Figure, LeftOut, Panel, figure_maker, over_two_positions, panels_info, panels_plan
-from .vendor_comparison import cell_panels
+from .figure import (
+    Figure,
+    LeftOut,
+    Panel,
+    cell_panels,
+    figure_maker,
+    over_two_positions,
+    panels_info,
+    panels_plan,
+)
 
 if TYPE_CHECKING:
     from ..book.book import Book

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from ..book.curves import any_curve
+from ..book.numbers import any_curve
 from .figure import Figure, LeftOut, Scope, figure_maker
 
 if TYPE_CHECKING:

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, TypeVar
 
+from ..book.groups import data_type_label
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Mapping
 
@@ -137,6 +139,19 @@ def panels_info(
         )
         for panel, lines in points.items()
     )
+
+
+def cell_panels(groups: Groups, drawn: Callable[[int], bool]) -> tuple[Panel, ...]:
+    """One panel per data type and domain mode; x is the rank of the cell among all cells."""
+
+    def title(cell: Cell, series: Series) -> str:
+        mode = "same domain" if series.domain_mode == "same" else "different domains"
+        return f"{data_type_label(cell.data_type)}, {mode}"
+
+    def key(cell: Cell, series: Series) -> tuple[str, str]:
+        return cell.data_type, series.domain_mode
+
+    return panels_info(groups, key, title, drawn=drawn)
 
 
 def over_two_positions(panels: tuple[Panel, ...]) -> tuple[Panel, ...]:

@@ -12,12 +12,6 @@ from .figure import Figure, LeftOut, Scope, figure_maker
 if TYPE_CHECKING:
     from ..book.book import Book
 
-NAME = "host_load"
-TITLE = "Processor load and Wi-Fi signal against latency"
-HOW_TO_READ = (
-    "All panels share the time axis, so a latency that rises where the load rises or the signal falls has its cause below it; the load is that "
-    "of the busiest processor."
-)
 
 SAMPLES_IN_PAGE = 30_000
 """About 300 KB of JSON, shared by all groups; of more, every n-th is drawn."""
@@ -90,10 +84,15 @@ def host_load_info(book: Book) -> HostLoad:
 
 def host_load_figure(info: HostLoad) -> Figure | LeftOut:
     """Latency, load and signal over one time axis for the series of the chosen cell."""
+    name, title = "host_load", "Processor load and Wi-Fi signal against latency"
+    how_to_read = (
+        "All panels share the time axis, so a latency that rises where the load rises or the signal falls has its cause below it; the load is that "
+        "of the busiest processor."
+    )
     if not info.groups:
-        return LeftOut(NAME, TITLE, "no device sampled its load during a run.")
+        return LeftOut(name, title, "no device sampled its load during a run.")
     groups = {str(group): loads for group, loads in info.groups.items()}
-    return Figure(NAME, TITLE, HOW_TO_READ, "host_load", {"groups": groups, "decimated": info.decimated})
+    return Figure(name, title, how_to_read, "host_load", {"groups": groups, "decimated": info.decimated})
 
 
 FIGURE = figure_maker(host_load_info, host_load_figure, Scope.CELL)

@@ -1,4 +1,4 @@
-"""The paper's first two figures: latency against rate with a panel per size, and against size with a panel per rate."""
+"""Latency against rate with a panel per size, against size with a panel per rate, and over the plane of both."""
 
 from __future__ import annotations
 
@@ -85,3 +85,55 @@ def latency_by_size_figure(info: LatencyBySize) -> Figure | LeftOut:
 
 
 LATENCY_BY_SIZE = figure_maker(latency_by_size_info, latency_by_size_figure)
+
+
+@dataclass(frozen=True, slots=True)
+class HeatmapPanel:
+    """The plane of one series and data type.
+
+    Attributes:
+        tiles: (payload bytes, rate, group) of every tile that was measured.
+    """
+
+    title: str
+    tiles: tuple[tuple[int, float, int], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Heatmap:
+    """Panels by data type, then series; only planes with two tiles at least."""
+
+    panels: tuple[HeatmapPanel, ...]
+
+
+def heatmap_info(book: Book) -> Heatmap:
+    """Every group, as a tile of its series' plane."""
+    groups = book.groups
+    planes: dict[tuple[str, int], list[tuple[int, float, int]]] = {}
+    for group in sorted(groups.groups, key=lambda group: (group.cell, group.series)):
+        cell = groups.cell_of(group)
+        planes.setdefault((cell.data_type, group.series), []).append(
+            (cell.payload_bytes, cell.rate_hz, group.index)
+        )
+    return Heatmap(
+        tuple(
+            HeatmapPanel(f"{data_type_label(data_type)}: {groups.labels[series]}", tuple(tiles))
+            for (data_type, series), tiles in planes.items()
+            if len(tiles) > 1
+        )
+    )
+
+
+def heatmap_figure(info: Heatmap) -> Figure | LeftOut:
+    """Tiles with the value written in them where there is room."""
+    name, title = "heatmap", "Size by rate, per vendor"
+    how_to_read = (
+        "Each tile is one size (upwards) at one rate (to the right), all panels on one colour scale; an empty place "
+        "was not measured."
+    )
+    if not info.panels:
+        return LeftOut(name, title, "no data type was measured at two sizes or rates by one series.")
+    return Figure(name, title, how_to_read, "heatmap", {"panels": info.panels})
+
+
+HEATMAP = figure_maker(heatmap_info, heatmap_figure)

@@ -15,12 +15,6 @@ if TYPE_CHECKING:
 
     from ..book.book import Book
 
-NAME = "timeline"
-TITLE = "Latency over time"
-HOW_TO_READ = (
-    "Each dot is a message that came back; crosses on the line at the top are messages that did not, at the time "
-    "they were due, so a row of crosses is an outage, and outages are shaded."
-)
 
 POINTS_IN_PAGE = 40_000
 """About 1 MB of JSON, shared by all groups; a page of 500 groups stays quick to open."""
@@ -91,13 +85,18 @@ def timeline_info(book: Book) -> Timeline:
 
 def timeline_figure(info: Timeline) -> Figure | LeftOut:
     """Dots over time for the series of the chosen cell."""
+    name, title = "timeline", "Latency over time"
+    how_to_read = (
+        "Each dot is a message that came back; crosses on the line at the top are messages that did not, at the time "
+        "they were due, so a row of crosses is an outage, and outages are shaded."
+    )
     if not info.groups:
-        return LeftOut(NAME, TITLE, "no message was published.")
+        return LeftOut(name, title, "no message was published.")
     by_group = {str(one.group): one for one in info.groups}
     return Figure(
-        NAME,
-        TITLE,
-        HOW_TO_READ,
+        name,
+        title,
+        how_to_read,
         "timeline",
         {
             "groups": by_group,

@@ -9,7 +9,7 @@ from rewritten_traces import rewrite_sessions, shift_relay_clock
 from dds_trace.analyzer import analyze
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.figures import Figure, LeftOut
-from dds_trace.reports.figures.clock import clock_figure, clock_info
+from dds_trace.reports.figures.clocks import clock_figure, clock_info
 
 SAMPLES = Path(__file__).parents[2] / "sample_traces" / "same_domain"
 AHEAD_NS = 3_250_000_000

@@ -5,9 +5,7 @@ import pytest
 from analyses import EVERY_ANALYSIS, MS, Measured, make_analysis
 
 from dds_trace.reports.book.book import Book
-from dds_trace.reports.book.curves import curves_info
-from dds_trace.reports.book.intervals import intervals_info
-from dds_trace.reports.book.values import values_info
+from dds_trace.reports.book.numbers import curves_info, intervals_info, values_info
 from dds_trace.reports.figures import FIGURES, Figure, LeftOut
 from dds_trace.reports.figures.breakdown import Breakdown, Part, breakdown_info
 from dds_trace.reports.figures.bridge_cost import bridge_cost_info
@@ -18,27 +16,29 @@ from dds_trace.reports.figures.capacity import (
     sustainable_info,
     transfer_rate_info,
 )
-from dds_trace.reports.figures.clock import ClockPair, clock_info
-from dds_trace.reports.figures.distribution import DistributionCurves, distribution_info
-from dds_trace.reports.figures.domain_difference import (
+from dds_trace.reports.figures.clocks import ClockPair, clock_info, one_way_info
+from dds_trace.reports.figures.comparison import (
     DomainDifference,
     Pair,
     PairPanel,
+    VendorComparison,
     domain_difference_info,
+    vendor_comparison_info,
 )
+from dds_trace.reports.figures.distribution import DistributionCurves, distribution_info
 from dds_trace.reports.figures.figure import Line, Panel
-from dds_trace.reports.figures.heatmap import Heatmap, HeatmapPanel, heatmap_info
 from dds_trace.reports.figures.host_load import Load, host_load_info
 from dds_trace.reports.figures.latency import (
+    Heatmap,
+    HeatmapPanel,
     LatencyByRate,
     LatencyBySize,
+    heatmap_info,
     latency_by_rate_figure,
     latency_by_rate_info,
     latency_by_size_info,
 )
-from dds_trace.reports.figures.one_way import one_way_info
 from dds_trace.reports.figures.timeline import GroupTimeline, Timeline, timeline_info
-from dds_trace.reports.figures.vendor_comparison import VendorComparison, vendor_comparison_info
 from dds_trace.reports.text import json_island
 
 BRIDGED = {"bridge": "builtin", "domain_mode": "different"}

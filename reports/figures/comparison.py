@@ -1,4 +1,4 @@
-"""The paper's heart: the same domain against different domains, side by side, with the difference."""
+"""Groups that sent the same messages side by side: vendors, and the same domain against different domains."""
 
 from __future__ import annotations
 
@@ -9,18 +9,38 @@ from dds_trace.analyzer.model.parameters import SAME_SIDES_COLUMNS
 from dds_trace.tracefile.units.sizes import format_size
 
 from ..book.groups import data_type_label
-from .figure import Figure, LeftOut, figure_maker
+from .figure import Figure, LeftOut, Panel, cell_panels, figure_maker, panels_plan
 
 if TYPE_CHECKING:
     from ..book.book import Book
     from ..book.groups import Groups, Series
 
-NAME = "domain_difference"
-TITLE = "Same domain against different domains"
-HOW_TO_READ = (
-    "Plain bars stay in one domain, hatched bars cross to another through a bridge; the number above a hatched bar "
-    "is what crossing cost."
-)
+
+@dataclass(frozen=True, slots=True)
+class VendorComparison:
+    """One panel per data type and domain mode; x is the rank of the cell in `Groups.cells`."""
+
+    panels: tuple[Panel, ...]
+
+
+def vendor_comparison_info(book: Book) -> VendorComparison:
+    """Every group, over its cell."""
+    return VendorComparison(cell_panels(book.groups, book.values.timed))
+
+
+def vendor_comparison_figure(info: VendorComparison) -> Figure | LeftOut:
+    """Marks over cells: sizes, and within each size the rates."""
+    name, title = "vendor_comparison", "Vendors against each other, per data type"
+    how_to_read = (
+        "Marks above one another sent the same messages: the lowest was fastest there, and every mark of the campaign "
+        "is in this figure."
+    )
+    if not info.panels:
+        return LeftOut(name, title, "no message came back.")
+    return Figure(name, title, how_to_read, "cells", panels_plan(info.panels, value="statistic"))
+
+
+VENDOR_COMPARISON = figure_maker(vendor_comparison_info, vendor_comparison_figure)
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,14 +106,19 @@ def domain_difference_info(book: Book) -> DomainDifference:
 
 def domain_difference_figure(info: DomainDifference) -> Figure | LeftOut:
     """Grouped bars per rate."""
+    name, title = "domain_difference", "Same domain against different domains"
+    how_to_read = (
+        "Plain bars stay in one domain, hatched bars cross to another through a bridge; the number above a hatched bar "
+        "is what crossing cost."
+    )
     if not info.panels:
         return LeftOut(
-            NAME, TITLE, "no cell was measured both in the same and in different domains with all else equal."
+            name, title, "no cell was measured both in the same and in different domains with all else equal."
         )
-    return Figure(NAME, TITLE, HOW_TO_READ, "pairs", {"panels": info.panels})
+    return Figure(name, title, how_to_read, "pairs", {"panels": info.panels})
 
 
-FIGURE = figure_maker(domain_difference_info, domain_difference_figure)
+DOMAIN_DIFFERENCE = figure_maker(domain_difference_info, domain_difference_figure)
 
 
 def _apart_from_domain(series: Series) -> tuple[object, ...]:

@@ -1,22 +1,80 @@
-"""How the relay's clock runs against the ping's."""
+"""The way out against the way back, and the two clocks that tell them apart."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from ..book.groups import STATISTICS, data_type_label
+from ..book.numbers import whole_ns
 from ..text import visible
-from .figure import Figure, LeftOut, figure_maker
+from .figure import Figure, LeftOut, Panel, figure_maker, panels_info, panels_plan
 
 if TYPE_CHECKING:
-    from ..book.book import Book
+    from collections.abc import Mapping
 
-NAME = "clock"
-TITLE = "Clock offset and drift"
-HOW_TO_READ = (
-    "Each mark is how far the relay's clock was from the ping's, less the first offset, with its bound; a slope is drift, a jump a clock that "
-    "was set, and one-way times are only as good as the bound."
-)
+    from ..book.book import Book
+    from ..book.groups import Cell, Series
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """One-way times of one group, by statistic, ns; and how far they may be off (`bound_ns`, for half of the messages less)."""
+
+    outbound_ns: Mapping[str, int | None]
+    return_ns: Mapping[str, int | None]
+    bound_ns: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class OneWay:
+    """One panel per data type and series; x is the rank of the cell."""
+
+    panels: tuple[Panel, ...]
+    ways: Mapping[int, Way]
+
+
+def one_way_info(book: Book) -> OneWay:
+    """The rows of `details.one_way`."""
+    groups = book.groups
+    label_of = dict(zip(groups.series, groups.labels, strict=True))
+    found: dict[int, dict[str, Way]] = {}
+    if book.analysis.details is not None:
+        for row in book.analysis.details.one_way.iter_rows(named=True):
+            times = {name: whole_ns(row[f"{name}_ns"]) for name in STATISTICS}
+            found.setdefault(row["group"], {})[row["metric"]] = Way(
+                times, times, whole_ns(row["bound_p50_ns"])
+            )
+    ways = {
+        group: Way(both["outbound"].outbound_ns, both["return"].return_ns, both["outbound"].bound_ns)
+        for group, both in found.items()
+        if both.keys() == {"outbound", "return"}
+    }
+
+    def title(cell: Cell, series: Series) -> str:
+        return f"{data_type_label(cell.data_type)}: {label_of[series]}"
+
+    panels = panels_info(
+        book.groups, lambda cell, series: (cell.data_type, series), title, drawn=lambda group: group in ways
+    )
+    return OneWay(panels, ways)
+
+
+def one_way_figure(info: OneWay) -> Figure | LeftOut:
+    """Two marks over each cell."""
+    name, title = "one_way", "The way out against the way back"
+    how_to_read = (
+        "Full marks are the way out, open marks the way back; a bar is how far the clocks of the two devices may be off, and asymmetry inside it "
+        "cannot be seen."
+    )
+    if not info.panels:
+        return LeftOut(name, title, "no message has all four time stamps (a relay's trace is missing).")
+    ways = {str(group): way for group, way in info.ways.items()}
+    return Figure(name, title, how_to_read, "one_way", panels_plan(info.panels, ways=ways))
+
+
+ONE_WAY = figure_maker(one_way_info, one_way_figure)
+
 
 KNOTS_IN_PAGE = 4000
 """Shared by all pairs of devices; of more, every n-th."""
@@ -88,14 +146,19 @@ def clock_info(book: Book) -> Clock:
 
 def clock_figure(info: Clock) -> Figure | LeftOut:
     """Marks with bounds over time, a panel per pair."""
+    name, title = "clock", "Clock offset and drift"
+    how_to_read = (
+        "Each mark is how far the relay's clock was from the ping's, less the first offset, with its bound; a slope is drift, a jump a clock that "
+        "was set, and one-way times are only as good as the bound."
+    )
     if not info.pairs:
         why = (
             "ping and relay ran on one device, so there is one clock"
             if info.one_clock
             else "no relay's clock is known"
         )
-        return LeftOut(NAME, TITLE, f"{why}.")
-    return Figure(NAME, TITLE, HOW_TO_READ, "clock", {"pairs": info.pairs, "decimated": info.decimated})
+        return LeftOut(name, title, f"{why}.")
+    return Figure(name, title, how_to_read, "clock", {"pairs": info.pairs, "decimated": info.decimated})
 
 
-FIGURE = figure_maker(clock_info, clock_figure)
+CLOCK = figure_maker(clock_info, clock_figure)

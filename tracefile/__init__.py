@@ -13,7 +13,6 @@ from .errors import (
 )
 from .format.descriptions import FORMAT_VERSION, Qos, Run, Session
 from .format.events import (
-    CDR_HEADER,
     EVENT_DTYPE,
     HOST_TOPIC,
     RUN_TOPIC,
@@ -23,6 +22,7 @@ from .format.events import (
     pack_event,
     unpack_event,
 )
+from .format.string_cdr import CDR_HEADER
 from .reading.discovery import find_traces
 from .reading.reader import (
     expected_events,

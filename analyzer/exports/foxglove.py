@@ -19,7 +19,7 @@ from mcap.writer import CompressionType, Writer
 
 from dds_trace.tracefile.errors import OutputError, OutputExistsError
 from dds_trace.tracefile.files import replacing
-from dds_trace.tracefile.format.events import CDR_HEADER
+from dds_trace.tracefile.format.string_cdr import CDR_HEADER
 from dds_trace.tracefile.version import __version__
 
 if TYPE_CHECKING:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Protocol
 from dds_trace.tracefile import OptionError, Qos
 
 from ..backends.base import Discovery, Transport
+from ..backends.domains import LAST_DOMAIN
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -20,9 +21,6 @@ if TYPE_CHECKING:
 
 LOCAL_LINK = "127.0.0.1:7447"
 """Where the two halves of a bridge meet when both run on this machine and no other address is given."""
-
-LAST_DOMAIN_ID = 231
-"""The highest DDS domain whose ports exist (see `docs/bridges.md`)."""
 
 
 class Halves(Enum):
@@ -121,8 +119,8 @@ class BridgeOptions:
 
     def __post_init__(self) -> None:
         for domain_id in (self.ping_domain_id, self.relay_domain_id):
-            if not 0 <= domain_id <= LAST_DOMAIN_ID:
-                raise OptionError(f"there is no domain {domain_id}; choose one from 0 to {LAST_DOMAIN_ID}")
+            if not 0 <= domain_id <= LAST_DOMAIN:
+                raise OptionError(f"there is no domain {domain_id}; choose one from 0 to {LAST_DOMAIN}")
         if self.ping_domain_id == self.relay_domain_id:
             raise OptionError(
                 f"a bridge joins two domains, both ends are {self.ping_domain_id}; "

@@ -28,6 +28,7 @@ import zstandard
 sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
 
 with atheris.instrument_imports(include=["dds_trace.tracefile"]):
+    from mcap.opcode import Opcode
     from trace_files import Message, ping_events, ping_session, run, string_cdr, write_trace
 
     from dds_trace.tracefile import (
@@ -42,7 +43,7 @@ with atheris.instrument_imports(include=["dds_trace.tracefile"]):
         read_trace,
     )
     from dds_trace.tracefile.format.ring import ring_path
-    from dds_trace.tracefile.mcapfile.records import MAGIC, Opcode
+    from dds_trace.tracefile.mcapfile.records import MAGIC
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from mcap.writer import CompressionType, IndexType, Writer
 
-from dds_trace.tracefile.format.descriptions import STRING_DEFINITION, STRING_SCHEMA_NAME, Run, Session
+from dds_trace.tracefile.format.descriptions import Run, Session
 from dds_trace.tracefile.format.events import (
     EVENT_DEFINITION,
     EVENT_SCHEMA_NAME,
@@ -26,6 +26,7 @@ from dds_trace.tracefile.format.events import (
     Stage,
     pack_event,
 )
+from dds_trace.tracefile.format.string_cdr import STRING_DEFINITION, STRING_SCHEMA_NAME
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence

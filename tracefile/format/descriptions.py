@@ -18,9 +18,6 @@ if TYPE_CHECKING:
 FORMAT_VERSION = 1
 """Version 1: first version (2026). The history of the format is kept here."""
 
-STRING_SCHEMA_NAME = "std_msgs/msg/String"
-STRING_DEFINITION = "string data\n"
-
 
 @dataclass(frozen=True, slots=True)
 class Qos:

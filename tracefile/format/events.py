@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..units.counts import counted
+from .string_cdr import CDR_HEADER
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -28,8 +29,6 @@ int64 received_ns
 uint32 payload_bytes
 uint32 relay_id
 """
-
-CDR_HEADER = b"\x00\x01\x00\x00"  # XCDR1, little endian
 
 EVENT_DTYPE = np.dtype(
     [

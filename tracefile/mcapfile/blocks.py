@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING
 
+from mcap.opcode import Opcode
+
 from ..units.counts import counted
 from .event_scan import (
     MESSAGES_AND_CHANNELS,
@@ -19,7 +21,7 @@ from .event_scan import (
     split_by_channel,
 )
 from .packed_chunks import DamagedChunkError, PackedChunk, UnpackMemory
-from .records import MAGIC, MAX_RECORD_BYTES, Opcode, TornRecordError, record_name
+from .records import MAGIC, MAX_RECORD_BYTES, TornRecordError, record_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Iterator

@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from mcap.opcode import Opcode
+
 from ..errors import TraceFormatError
 from ..format.events import EVENT_SCHEMA_NAME, STAGE_OF_TOPIC
-from .records import LAYOUTS, Opcode
+from .records import LAYOUTS
 
 if TYPE_CHECKING:
     from collections.abc import ItemsView

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from mcap.opcode import Opcode
+
 from ..errors import TraceFormatError
+from ..format.event_record import EVENT_RECORD_BYTES, RECORD_HEADER
 from ..units.counts import counted
-from .event_scan import EVENT_RECORD_BYTES, Scan, scan_records
+from .event_scan import Scan, scan_records
 from .packed_chunks import DamagedChunkError, PackedChunk
-from .records import (
-    LAYOUTS,
-    MAGIC,
-    RECORD_HEADER,
-    Opcode,
-    RecordFile,
-    TornRecordError,
-)
+from .records import LAYOUTS, MAGIC, RecordFile, TornRecordError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

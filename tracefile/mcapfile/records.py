@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import os
 import stat
-import struct
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from mcap.opcode import Opcode
+
 from ..errors import TraceFormatError
+from ..format.event_record import RECORD_HEADER
 from ..units.counts import counted
 
 if TYPE_CHECKING:
@@ -24,32 +25,11 @@ if TYPE_CHECKING:
 Buffer: TypeAlias = "bytes | memoryview"
 
 MAGIC = b"\x89MCAP0\r\n"
-RECORD_HEADER = struct.Struct("<BQ")  # opcode, length of the content
 
 MAX_RECORD_BYTES = 64 << 20
 """A record that we hold in memory whole is at most this long, packed or unpacked; writers' chunks are 0.7-8 MB."""
 
 _MAX_MAP_BYTES = 1 << 20  # more than an entry for each of the 65,536 channels that a file can have
-
-
-class Opcode(IntEnum):
-    """What a record is."""
-
-    HEADER = 0x01
-    FOOTER = 0x02
-    SCHEMA = 0x03
-    CHANNEL = 0x04
-    MESSAGE = 0x05
-    CHUNK = 0x06
-    MESSAGE_INDEX = 0x07
-    CHUNK_INDEX = 0x08
-    ATTACHMENT = 0x09
-    ATTACHMENT_INDEX = 0x0A
-    STATISTICS = 0x0B
-    METADATA = 0x0C
-    METADATA_INDEX = 0x0D
-    SUMMARY_OFFSET = 0x0E
-    DATA_END = 0x0F
 
 
 class Fields:

@@ -5,9 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from mcap.opcode import Opcode
+
 from ..format.crc import crc32
+from ..format.event_record import RECORD_HEADER
 from .event_scan import scan_records
-from .records import LAYOUTS, MAGIC, RECORD_HEADER, Opcode, RecordLayout
+from .records import LAYOUTS, MAGIC, RecordLayout
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

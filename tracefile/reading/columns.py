@@ -11,7 +11,7 @@ from ..format.events import EVENT_DTYPE, EventColumns, Stage
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from ..mcapfile.event_scan import Records
+    from ..format.event_record import Records
 
 # An event is six fields of 8 bytes and then two of 4: two blocks of columns, each filled in one step.
 _NAMES = EVENT_DTYPE.names or ()

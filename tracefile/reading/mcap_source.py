@@ -6,13 +6,15 @@ from collections import Counter
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
+from mcap.opcode import Opcode
+
+from ..format.event_record import EVENT_RECORD_BYTES, MESSAGE_HEADER
 from ..format.events import Stage
 from ..mcapfile.blocks import BlockJobs
 from ..mcapfile.channels import ChannelTable
-from ..mcapfile.event_scan import EVENT_RECORD_BYTES, MESSAGE_HEADER
 from ..mcapfile.in_order import in_order
 from ..mcapfile.packed_chunks import DamagedChunkError, PackedChunk
-from ..mcapfile.records import MAGIC, Opcode, RecordFile, TornRecordError
+from ..mcapfile.records import MAGIC, RecordFile, TornRecordError
 from ..mcapfile.summary import read_summary
 from ..units.counts import counted
 from .source import TOPIC_PREFIX, Batch, Text, event_batch, plain

@@ -8,15 +8,16 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import zstandard
 
-from ..format.events import CDR_HEADER, EVENT_CDR_BYTES, EVENT_DTYPE
+from ..format.events import EVENT_CDR_BYTES, EVENT_DTYPE
+from ..format.string_cdr import CDR_HEADER
 from ..mcapfile.packed_chunks import unpack_zstd
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
+    from ..format.event_record import Records
     from ..format.events import Stage
-    from ..mcapfile.event_scan import Records
 
 TOPIC_PREFIX = "/dds_trace/"
 

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 from ..errors import TraceFormatError
 from ..format.descriptions import Run, Session
 from ..format.events import HOST_TOPIC, RUN_TOPIC, SESSION_TOPIC
+from ..format.string_cdr import decode_string
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from .source import Text
 
-_HEADER_BYTES = 8  # CDR header and the string's length
 _MAX_BYTES = 4 << 20  # a session with every configuration file of its host is a few kilobytes
 
 
@@ -87,21 +87,17 @@ class TextCollector:
 
 
 def _string(text: Text) -> str:
-    """The text in a serialized `std_msgs/msg/String`, of either byte order.
+    """Return the text of a message.
 
     Raises:
-        TraceFormatError: it is none.
+        TraceFormatError: it is no `std_msgs/msg/String`, or longer than any description or sample.
     """
     data = text.data
     if len(data) > _MAX_BYTES:
         raise TraceFormatError(
             text.path, f"a message of {text.topic} has {len(data)} bytes, more than can be meant"
         )
-    order = {b"\x00\x00": "big", b"\x00\x01": "little"}.get(data[:2])
-    size = int.from_bytes(data[4:_HEADER_BYTES], "big" if order == "big" else "little")
-    if order is None or not 1 <= size <= len(data) - _HEADER_BYTES:
-        raise TraceFormatError(text.path, f"a message of {text.topic} is no serialized std_msgs/msg/String")
     try:
-        return data[_HEADER_BYTES : _HEADER_BYTES + size - 1].decode()
-    except UnicodeDecodeError as err:
-        raise TraceFormatError(text.path, f"a message of {text.topic} is no UTF-8 text ({err})") from err
+        return decode_string(data)
+    except ValueError as err:
+        raise TraceFormatError(text.path, f"a message of {text.topic} is {err}") from err

@@ -6,14 +6,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from mcap.opcode import Opcode
 
 from ..errors import TraceFormatError
+from ..format.event_record import EVENT_RECORD_DTYPE, MESSAGE_HEADER
 from ..format.ring import SLOT_DTYPE, STAGE_NUMBERS
+from ..format.string_cdr import decode_string
 from ..mcapfile.channels import ChannelTable
-from ..mcapfile.event_scan import MESSAGE_HEADER, scan_records
+from ..mcapfile.event_scan import scan_records
 from ..mcapfile.packed_chunks import DamagedChunkError, PackedChunk
-from ..mcapfile.records import MAGIC, Opcode, TornRecordError
-from ..writing.event_chunks import MESSAGE_DTYPE
+from ..mcapfile.records import MAGIC, TornRecordError
 from ..writing.writer import LIBRARY
 
 if TYPE_CHECKING:
@@ -102,7 +104,7 @@ class Salvage:
         runs = dict(scan.runs)
         for at in sorted([*others, *runs]):
             if at in runs:
-                yield self._slots(np.frombuffer(data, MESSAGE_DTYPE, runs[at], at))
+                yield self._slots(np.frombuffer(data, EVENT_RECORD_DTYPE, runs[at], at))
                 continue
             opcode, length = others[at]
             content = memoryview(data)[at : at + length]
@@ -128,8 +130,10 @@ class Salvage:
     def _text(self, content: memoryview) -> Iterator[SalvagedText]:
         channel_id, _, log_time_ns, _ = MESSAGE_HEADER.unpack_from(content)
         channel = self._channels.get(channel_id)
-        data = content[MESSAGE_HEADER.size :]
-        if channel is not None and len(data) > 8:
-            yield SalvagedText(
-                channel.topic, bytes(data[8:]).rstrip(b"\0").decode(errors="replace"), log_time_ns
-            )
+        if channel is None:
+            return
+        try:
+            text = decode_string(content[MESSAGE_HEADER.size :])
+        except ValueError:  # no String, so not a text of the recorder's
+            return
+        yield SalvagedText(channel.topic, text, log_time_ns)

@@ -7,29 +7,13 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from ..format.events import CDR_HEADER, EVENT_CDR_BYTES, EVENT_DTYPE, Stage
+from ..format.event_record import EVENT_RECORD_BYTES, EVENT_RECORD_DTYPE, fill_constants
+from ..format.events import Stage
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from ..format.ring import Slots
-
-MESSAGE_OPCODE = 5
-MESSAGE_HEADER_BYTES = 2 + 4 + 8 + 8
-"""Channel id, number in the channel, log time, publish time."""
-
-MESSAGE_DTYPE = np.dtype(
-    [
-        ("opcode", "u1"),
-        ("length", "<u8"),
-        ("channel_id", "<u2"),
-        ("number", "<u4"),
-        ("times_ns", "<u8", (2,)),
-        ("cdr_header", f"V{len(CDR_HEADER)}"),
-        ("event", f"V{EVENT_DTYPE.itemsize}"),
-    ],
-)
-"""One Message record of an event channel, 91 bytes; `times_ns` is log time and publish time."""
 
 MESSAGES_AT = 4096
 """Where messages start in the builder's buffer: room for the schemas and channels that come before."""
@@ -73,11 +57,9 @@ class EventChunkBuilder:
 
     def __init__(self, wall_offset_ns: int, max_events: int) -> None:
         self._wall_offset_ns = wall_offset_ns
-        self._buffer = np.zeros(MESSAGES_AT + max_events * MESSAGE_DTYPE.itemsize, np.uint8)
-        self._messages = np.frombuffer(self._buffer, MESSAGE_DTYPE, max_events, MESSAGES_AT)
-        self._messages["opcode"] = MESSAGE_OPCODE
-        self._messages["length"] = MESSAGE_HEADER_BYTES + EVENT_CDR_BYTES
-        self._messages["cdr_header"] = np.void(CDR_HEADER)
+        self._buffer = np.zeros(MESSAGES_AT + max_events * EVENT_RECORD_BYTES, np.uint8)
+        self._messages = np.frombuffer(self._buffer, EVENT_RECORD_DTYPE, max_events, MESSAGES_AT)
+        fill_constants(self._messages)
 
     def build(
         self,
@@ -114,9 +96,9 @@ class EventChunkBuilder:
             messages["number"][positions] = np.arange(first, first + len(positions))
             entries = np.empty((len(positions), 2), np.uint64)
             entries[:, 0] = times[positions]
-            entries[:, 1] = positions * MESSAGE_DTYPE.itemsize + len(declarations)
+            entries[:, 1] = positions * EVENT_RECORD_BYTES + len(declarations)
             index[channel_id] = entries
         start = MESSAGES_AT - len(declarations)
         self._buffer[start:MESSAGES_AT] = np.frombuffer(declarations, np.uint8)
-        end = MESSAGES_AT + count * MESSAGE_DTYPE.itemsize
+        end = MESSAGES_AT + count * EVENT_RECORD_BYTES
         return Chunk(self._buffer.data[start:end], int(times[0]), int(times[-1]), index)

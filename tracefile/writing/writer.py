@@ -27,15 +27,14 @@ from mcap.records import (
 
 from ..errors import OutputError
 from ..format.crc import crc32
-from ..format.descriptions import STRING_DEFINITION, STRING_SCHEMA_NAME
 from ..format.events import (
-    CDR_HEADER,
     EVENT_DEFINITION,
     EVENT_SCHEMA_NAME,
     RUN_TOPIC,
     SESSION_TOPIC,
     Stage,
 )
+from ..format.string_cdr import STRING_DEFINITION, STRING_SCHEMA_NAME, encode_string
 from ..version import __version__
 from .event_chunks import Chunk, EventChunkBuilder, positions_by_channel
 
@@ -158,13 +157,12 @@ class TraceWriter:
         """
         channel = self._channel(topic, STRING_SCHEMA)
         log_time = max(time_ns, self._last_ns)
-        data = text.encode() + b"\0"
         message = Message(
             channel_id=channel.id,
             log_time=log_time,
             publish_time=log_time,
             sequence=self._counts.get(channel.id, 0),
-            data=CDR_HEADER + struct.pack("<I", len(data)) + data,
+            data=encode_string(text),
         )
         declarations = _declarations([channel])
         content = memoryview(declarations + _record(message))

@@ -15,7 +15,6 @@ import numpy as np
 from mcap.writer import Writer
 
 from dds_trace.tracefile import (
-    CDR_HEADER,
     HOST_TOPIC,
     SESSION_TOPIC,
     Stage,
@@ -25,8 +24,8 @@ from dds_trace.tracefile import (
     read_trace,
 )
 from dds_trace.tracefile.files import replacing
-from dds_trace.tracefile.format.descriptions import STRING_DEFINITION, STRING_SCHEMA_NAME
 from dds_trace.tracefile.format.events import EVENT_DEFINITION, EVENT_SCHEMA_NAME
+from dds_trace.tracefile.format.string_cdr import STRING_DEFINITION, STRING_SCHEMA_NAME, encode_string
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -87,8 +86,10 @@ def _write(part: Part, trace: Trace, events: Mapping[Stage, EventColumns]) -> No
         if first_ns <= sample["log_time_ns"] <= last_ns + _SAMPLE_MARGIN_NS
     ]
     samples += [(session.wall_ns(sample["monotonic_ns"]), sample) for sample in part.samples]
-    entries += [(log_time_ns, HOST_TOPIC, _string_cdr(json.dumps(sample))) for log_time_ns, sample in samples]
-    entries.append((session.wall_anchor_ns, SESSION_TOPIC, _string_cdr(session.to_json())))
+    entries += [
+        (log_time_ns, HOST_TOPIC, encode_string(json.dumps(sample))) for log_time_ns, sample in samples
+    ]
+    entries.append((session.wall_anchor_ns, SESSION_TOPIC, encode_string(session.to_json())))
     with replacing(part.path) as draft, draft.open("wb") as file:
         writer = Writer(file)
         writer.start("ros2", f"dds-trace {__version__}")
@@ -106,12 +107,6 @@ def _event_entries(
         rows = zip(*(getattr(columns, name).tolist() for name in columns.__slots__), strict=True)
         for log_time_ns, row in zip(log_times_ns.tolist(), rows, strict=True):
             yield log_time_ns, stage.topic, pack_event(*row)
-
-
-def _string_cdr(text: str) -> bytes:
-    """A `std_msgs/msg/String`: length with the closing NUL, then the text."""
-    data = text.encode() + b"\0"
-    return CDR_HEADER + len(data).to_bytes(4, "little") + data
 
 
 class _Channels(dict[str, int]):

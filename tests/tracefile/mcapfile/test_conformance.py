@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from mcap.opcode import Opcode
 
 from dds_trace.tracefile.mcapfile.record_stream import read_records
-from dds_trace.tracefile.mcapfile.records import LAYOUTS, Opcode
+from dds_trace.tracefile.mcapfile.records import LAYOUTS
 
 SUITE = Path(__file__).parents[2] / "data" / "mcap-conformance.tar.xz"
 NOT_LISTED = {Opcode.MESSAGE_INDEX}  # the suite names no index of messages, nor an attachment's CRC

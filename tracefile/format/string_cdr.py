@@ -1,0 +1,38 @@
+"""`std_msgs/msg/String` as CDR: encapsulation, length with the closing NUL, UTF-8, NUL."""
+
+from __future__ import annotations
+
+import struct
+
+STRING_SCHEMA_NAME = "std_msgs/msg/String"
+STRING_DEFINITION = "string data\n"
+
+CDR_HEADER = b"\x00\x01\x00\x00"
+"""Encapsulation of XCDR1 in little-endian byte order, as everything of ours is written."""
+
+_LENGTHS = {b"\x00\x00": struct.Struct(">4xI"), b"\x00\x01": struct.Struct("<4xI")}
+"""Representation identifier of XCDR1 -> encapsulation and length of a string in that byte order."""
+
+_TEXT_AT = len(CDR_HEADER) + 4
+
+
+def encode_string(text: str) -> bytes:
+    """Return `text` as a little-endian String message."""
+    data = text.encode() + b"\0"
+    return CDR_HEADER + struct.pack("<I", len(data)) + data
+
+
+def decode_string(data: bytes | memoryview) -> str:
+    """Return the text of a String message of either byte order; bytes behind the message are ignored.
+
+    Raises:
+        ValueError: `data` is no String, or its text is not UTF-8; the error completes "the message is ...".
+    """
+    length = _LENGTHS.get(bytes(data[:2]))
+    size = length.unpack_from(data)[0] if length is not None and len(data) >= _TEXT_AT else 0
+    if not 1 <= size <= len(data) - _TEXT_AT:
+        raise ValueError(f"no serialized {STRING_SCHEMA_NAME}")
+    try:
+        return bytes(data[_TEXT_AT : _TEXT_AT + size - 1]).decode()
+    except UnicodeDecodeError as err:
+        raise ValueError(f"no UTF-8 text ({err})") from err

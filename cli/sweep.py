@@ -121,7 +121,7 @@ def _search(plan: Plan, out: Path, as_json: bool) -> int:
     from dds_trace.recorder.sweep import (
         COLUMNS,
         INCOMPLETE_EXIT_CODE,
-        Answer,
+        RateAnswer,
         make_progress,
         max_rate_rows,
         run_search,
@@ -141,7 +141,7 @@ def _search(plan: Plan, out: Path, as_json: bool) -> int:
         Console(width=None if sys.stdout.isatty() else 200).print(table)
         for path in written:
             print(f"Wrote {path}")
-    return INCOMPLETE_EXIT_CODE if any(found.answer is Answer.FAILED for found in answers) else 0
+    return INCOMPLETE_EXIT_CODE if any(found.answer is RateAnswer.FAILED for found in answers) else 0
 
 
 def _show(plan: Plan, as_json: bool) -> None:

@@ -11,7 +11,7 @@ from .plan.plan_file import parse_plan, read_plan
 from .plan.schedule import Group, schedule
 from .run.progress import SweepProgress, make_progress
 from .run.result import CellResult, read_result
-from .search import Answer, MaxRate
+from .search import MaxRate, RateAnswer
 from .station.devices import printed_command
 from .sweep import INCOMPLETE_EXIT_CODE, SweepOutcome, run_search, run_sweep
 
@@ -19,13 +19,13 @@ __all__ = [
     "COLUMNS",
     "INCOMPLETE_EXIT_CODE",
     "PRESETS",
-    "Answer",
     "Cell",
     "CellResult",
     "Group",
     "Link",
     "MaxRate",
     "Plan",
+    "RateAnswer",
     "Remaining",
     "SweepOutcome",
     "SweepProgress",

@@ -1,4 +1,4 @@
-"""The answers of a search for the highest rates as JSON, as a table and as a figure."""
+"""The report of a search for the highest rates: JSON, a table and a figure."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 from dds_trace.tracefile.units.sizes import spell_size
 
-from .run.state import write_atomically
-from .search import Answer
+from .run.state import replace_text
+from .search import RateAnswer
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -25,21 +25,21 @@ COLUMNS = ("middleware", "bridge", "data", "size", "max_rate_hz", "answer", "fai
 
 _ROW_PX, _LABEL_PX, _BAR_PX, _TOP_PX = 22, 330, 420, 64
 _COLOURS = {
-    Answer.FOUND: "#0072b2",
-    Answer.AT_LEAST: "#009e73",
-    Answer.BELOW: "#d55e00",
-    Answer.FAILED: "#999999",
+    RateAnswer.FOUND: "#0072b2",
+    RateAnswer.AT_LEAST: "#009e73",
+    RateAnswer.BELOW: "#d55e00",
+    RateAnswer.FAILED: "#999999",
 }
-"""Okabe and Ito's, told apart by the colour-blind; the answer stands in words beside each bar as well."""
+"""Colour of a bar by its answer, from Okabe and Ito's palette for the colour-blind; each bar also has its answer in words."""
 
 
 def write_max_rates(folder: Path, answers: list[MaxRate], search: Search) -> list[Path]:
-    """Writes `max_rate.json`, `.csv` and `.svg` and gives their paths."""
+    """Write `max_rate.json`, `.csv` and `.svg` into `folder` and return their paths."""
     texts = {
         "max_rate.json": json.dumps(
             {
                 "search": asdict(search),
-                "answers": [{**asdict(found), "answer": found.answer.value} for found in answers],
+                "answers": [{**asdict(rate), "answer": rate.answer.value} for rate in answers],
             },
             indent=1,
         ),
@@ -47,30 +47,30 @@ def write_max_rates(folder: Path, answers: list[MaxRate], search: Search) -> lis
         "max_rate.svg": max_rate_svg(answers, search),
     }
     for name, text in texts.items():
-        write_atomically(folder / name, text)
+        replace_text(folder / name, text)
     return [folder / name for name in texts]
 
 
 def max_rate_rows(answers: list[MaxRate]) -> list[tuple[str, ...]]:
-    """One row of `COLUMNS` for each answer."""
+    """Return one row of `COLUMNS` for each answer."""
     return [
         (
-            found.cell.middleware,
-            found.cell.bridge,
-            found.cell.data,
-            spell_size(found.cell.size) if found.cell.size is not None else "",
-            f"{found.cell.rate:g}" if found.answer in (Answer.FOUND, Answer.AT_LEAST) else "",
-            found.answer.value,
-            f"{found.failing_hz:g}" if found.failing_hz is not None else "",
-            "{}/{}".format(*found.held_repeats),
-            found.reason,
+            highest.cell.middleware,
+            highest.cell.bridge,
+            highest.cell.data,
+            spell_size(highest.cell.size) if highest.cell.size is not None else "",
+            f"{highest.cell.rate:g}" if highest.answer in (RateAnswer.FOUND, RateAnswer.AT_LEAST) else "",
+            highest.answer.value,
+            f"{highest.failing_hz:g}" if highest.failing_hz is not None else "",
+            "{}/{}".format(*highest.held_repeats),
+            highest.reason,
         )
-        for found in answers
+        for highest in answers
     ]
 
 
 def max_rate_csv(answers: list[MaxRate]) -> str:
-    """The rows as CSV."""
+    """Return the rows as CSV."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
@@ -79,31 +79,31 @@ def max_rate_csv(answers: list[MaxRate]) -> str:
 
 
 def max_rate_svg(answers: list[MaxRate], search: Search) -> str:
-    """A bar for each answer on a logarithmic axis of messages a second."""
+    """Return an SVG figure: a bar for each answer on a logarithmic axis of messages a second."""
     height = _TOP_PX + _ROW_PX * len(answers) + 20
     lines = [_HEAD.format(width=_LABEL_PX + _BAR_PX + 200, height=height, search=search)]
     lines += [
         _TICK.format(x=_LABEL_PX + _x(rate_hz, search), top=_TOP_PX, bottom=height - 16, rate_hz=rate_hz)
         for rate_hz in _ticks(search)
     ]
-    for row, (found, cells) in enumerate(zip(answers, max_rate_rows(answers), strict=True)):
-        said = (
+    for row, (highest, cells) in enumerate(zip(answers, max_rate_rows(answers), strict=True)):
+        rate = (
             f"{cells[4]} Hz"
-            if found.answer is Answer.FOUND
+            if highest.answer is RateAnswer.FOUND
             else f"{cells[5]} {cells[4] and cells[4] + ' Hz'}"
         )
         lines.append(
             _BAR.format(
                 label=escape(" ".join(part for part in cells[:4] if part)),
-                said=said.strip(),
+                said=rate.strip(),
                 label_x=_LABEL_PX - 8,
                 x=_LABEL_PX,
                 y=_TOP_PX + _ROW_PX * row,
-                width=_x(found.cell.rate, search) if cells[4] else 2,
-                end_x=_LABEL_PX + (_x(found.cell.rate, search) if cells[4] else 2) + 6,
+                width=_x(highest.cell.rate, search) if cells[4] else 2,
+                end_x=_LABEL_PX + (_x(highest.cell.rate, search) if cells[4] else 2) + 6,
                 text_y=_TOP_PX + _ROW_PX * row + 12,
                 height=_ROW_PX - 7,
-                colour=_COLOURS[found.answer],
+                colour=_COLOURS[highest.answer],
             ),
         )
     return "".join([*lines, "</svg>\n"])

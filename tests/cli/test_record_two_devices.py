@@ -46,10 +46,10 @@ def test_its_commands_lead_to_completed_round_trips_over_the_link(tmp_path):
         pytest.importorskip(package, reason=f"{package} is not installed")
     with two_devices(tmp_path, PING, RELAY) as (pair, devices):
         for section, blocks in groupby(command_blocks(PAGE), lambda block: block.section):
-            pair.measure()
+            pair.report()
             _follow(list(blocks), devices)
             if section != "Bring the traces together":
-                sent = pair.measure()
+                sent = pair.report()
                 for role in ("ping", "relay"):  # or the messages found another way than the link
                     assert sent[role]["sent_bytes"] > (MESSAGES + WARMUP) * PAYLOAD_BYTES, section
     _check(devices["ping"].folder / "runs")

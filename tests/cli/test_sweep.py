@@ -9,7 +9,7 @@ import pytest
 
 from dds_trace.cli import sweep as command
 from dds_trace.recorder.sweep import Cell, read_plan, schedule
-from dds_trace.recorder.sweep.search import Answer, MaxRate
+from dds_trace.recorder.sweep.search import RateAnswer, MaxRate
 from dds_trace.recorder.sweep.sweep import SweepOutcome
 from dds_trace.tracefile import __version__
 
@@ -169,7 +169,7 @@ def test_interruption_has_the_shells_exit_code_and_says_how_to_go_on(call, plan,
 def test_max_rate_prints_a_table_and_writes_it(call, plan, monkeypatch, tmp_path):
     import dds_trace.recorder.sweep
 
-    found = [MaxRate(Cell(size=33_000, rate=480.0), Answer.FOUND, 510.0, (3, 3), "2 % lost")]
+    found = [MaxRate(Cell(size=33_000, rate=480.0), RateAnswer.FOUND, 510.0, (3, 3), "2 % lost")]
     monkeypatch.setattr(dds_trace.recorder.sweep, "run_search", lambda *_arguments: (tmp_path, found))
     code, out, _ = call(plan, "--max-rate")
     assert code == 0

@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from ..format.event_record import EVENT_RECORD_BYTES, EVENT_RECORD_DTYPE, fill_constants
-from ..format.events import Stage
+from ..format.events import EVENT_DTYPE, Stage
+from ..format.ring import SLOT_DTYPE, STAGE_NUMBERS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from ..format.events import EventColumns
     from ..format.ring import Slots
 
 MESSAGES_AT = 4096
@@ -45,6 +47,21 @@ def positions_by_channel(slots: Slots) -> dict[int, Positions]:
     stages = slots["stage"].copy()
     found = {number: np.flatnonzero(stages == number) for number in range(1, len(Stage) + 1)}
     return {number: positions for number, positions in found.items() if len(positions)}
+
+
+def slots_in_time(events: Mapping[Stage, EventColumns]) -> Slots:
+    """Return events as slots of a ring, ordered by their monotonic time; events of equal time keep the stages' order."""
+    numbered = [(number, events[stage]) for number, stage in STAGE_NUMBERS.items() if stage in events]
+    slots = np.zeros(sum(len(columns) for _, columns in numbered), SLOT_DTYPE)
+    end = 0
+    for number, columns in numbered:
+        records = np.empty(len(columns), EVENT_DTYPE)
+        for name in EVENT_DTYPE.names or ():
+            records[name] = getattr(columns, name)
+        start, end = end, end + len(records)
+        slots["event"][start:end] = records.view(slots["event"].dtype)
+        slots["stage"][start:end] = number
+    return slots[np.argsort(slots["monotonic_ns"], kind="stable")]
 
 
 class EventChunkBuilder:

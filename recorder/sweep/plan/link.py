@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypeAlias, TypedDict
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -43,8 +43,8 @@ class Link:
         """Whether a queue discipline for the rate is all there is to apply."""
         return not (self.delay_ms or self.jitter_ms or self.loss_percent or self.outage_ms)
 
-    def to_dict(self) -> dict[str, Any]:
-        """As written to the trace."""
+    def to_dict(self) -> dict[str, str | float]:
+        """Return the values as written to the trace."""
         return asdict(self)
 
     def __str__(self) -> str:
@@ -56,6 +56,40 @@ class Link:
             f"outage {self.outage_ms:g} ms every {self.outage_every_s:g} s" if self.outage_ms else "",
         ]
         return f"{self.name} ({', '.join(part for part in parts if part) or 'nothing shaped'})"
+
+
+class EndCounters(TypedDict):
+    """Traffic of one end of the link since the report before."""
+
+    sent_bytes: int
+    sent_packets: int
+    dropped_packets: int
+
+
+ForwarderReport: TypeAlias = "dict[str, dict[str, float | None]]"
+"""Direction (`from_ping`, `from_relay`) -> frames by fate, and lateness in microseconds (`Wire.report`)."""
+
+
+class LinkReport(TypedDict):
+    """Work of the link since the report before, as written to the trace.
+
+    Attributes:
+        monotonic_ns: time of the report.
+        link: the emulated values, null for a bare veth.
+        applied_by: parts of the system that emulate them, joined by `+`.
+        commands: the commands of `tc`.
+        ping: the ping's end.
+        relay: the relay's end.
+        forwarder: report of the user-space wire; null if the kernel did it all.
+    """
+
+    monotonic_ns: int
+    link: dict[str, str | float] | None
+    applied_by: str
+    commands: list[str]
+    ping: EndCounters
+    relay: EndCounters
+    forwarder: ForwarderReport | None
 
 
 PRESETS: Mapping[str, Link] = {

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from .link import Link
 
 
+PERCENTILES = (50.0, 90.0, 95.0, 99.0, 99.9)
+"""Percentiles in the result of a cell, and those that a search may set its deadline for."""
+
 BACKENDS_WITH_PEERS = ("socket", "zenoh")
 """Backends whose ping connects to an address instead of looking for the relay."""
 

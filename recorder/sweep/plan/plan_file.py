@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 from dds_trace.tracefile import OptionError
 from dds_trace.tracefile.units.sizes import parse_size
 
-from ..run.result import PERCENTILES
 from .cells import AXES, Cell
 from .link import LINK_KEYS, PRESETS, Link
-from .plan import DeviceSettings, Exclusion, Plan, RunSettings, Search
+from .plan import PERCENTILES, DeviceSettings, Exclusion, Plan, RunSettings, Search
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -1,43 +1,43 @@
-"""What a cell's ping trace says in a few numbers: for progress, the state file and the search of rates.
+"""The result of one cell: a few numbers of its ping trace, for progress, the state file and the search of rates.
 
-The analyzer's figures are the ones to publish; these are here so that a sweep knows whether a cell is whole.
+Publish the analyzer's figures, not these: they only tell a sweep whether a cell is whole.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dds_trace.tracefile import Stage, TraceFormatError, read_trace
 from dds_trace.tracefile.units.counts import counted
 
+from ..plan.plan import PERCENTILES
+
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
     from dds_trace.tracefile import EventColumns, Run, Trace
-
-    Times = np.ndarray[Any, np.dtype[np.int64]]
-
-PERCENTILES = (50.0, 90.0, 95.0, 99.0, 99.9)
 
 
 @dataclass(frozen=True, slots=True)
 class CellResult:
-    """One run as its ping saw it; warm-up left out of every number.
+    """One run as its ping recorded it; no number but `sent_bytes` counts the warm-up.
 
     Attributes:
         run_id: 16 hex digits.
         planned: messages that the schedule held.
         published: messages handed to the middleware.
         received: published messages whose reply came.
-        sent_bytes: application bytes of the published messages, of the warm-up as well.
-        achieved_rate_hz: of publishing, None with fewer than two messages.
+        sent_bytes: application bytes of all published messages, those of the warm-up included.
+        achieved_rate_hz: rate of publishing, None with fewer than two messages.
         rtt_ms: percentile (`p50`, `p90`, `p95`, `p99`, `p99.9`) -> T2 - T1, None without replies.
-        response_ms: likewise T2 - T0.
+        response_ms: percentile -> T2 - T0, None without replies.
         dropped_events: events that the recorder could not keep.
-        cut_off: the run was ended before its schedule was through.
+        cut_off: whether the run was ended before the end of its schedule.
     """
 
     run_id: str
@@ -53,7 +53,7 @@ class CellResult:
 
     @property
     def loss_percent(self) -> float:
-        """Published messages without a reply; 100 if nothing was published."""
+        """Share of the published messages without a reply; 100 if nothing was published."""
         return 100.0 * (self.published - self.received) / self.published if self.published else 100.0
 
     def __str__(self) -> str:
@@ -66,10 +66,10 @@ class CellResult:
 
 
 def read_result(path: Path) -> CellResult:
-    """The result of the one run in a ping's trace.
+    """Return the result of the one run in a ping's trace.
 
     Raises:
-        TraceFormatError: no trace, or it does not hold exactly one finished run.
+        TraceFormatError: `path` is no trace, or does not hold exactly one finished run.
     """
     trace = read_trace(path)
     if len(trace.runs) != 1:
@@ -77,8 +77,8 @@ def read_result(path: Path) -> CellResult:
     run = trace.runs[0]
     if run.state != "finished":
         raise TraceFormatError(path, "the run was not finished")
-    sent = _of_run(trace, Stage.T1, run)
-    replies = _of_run(trace, Stage.T2, run)
+    sent = _measured_events(trace, Stage.T1, run)
+    replies = _measured_events(trace, Stage.T2, run)
     # The first reply of each message counts; further ones are duplicates.
     answered, first = np.unique(replies.sequence, return_index=True)
     receive_ns = replies.monotonic_ns[first]
@@ -91,19 +91,20 @@ def read_result(path: Path) -> CellResult:
         received=len(both),
         sent_bytes=int(trace.events[Stage.T1].payload_bytes.sum(dtype=np.int64)),
         achieved_rate_hz=(len(sent) - 1) / (span_ns / 1e9) if span_ns else None,
-        rtt_ms=_percentiles(receive_ns[in_answered] - sent.monotonic_ns[in_sent]),
-        response_ms=_percentiles(receive_ns[in_answered] - sent.scheduled_ns[in_sent]),
+        rtt_ms=_percentiles_ms(receive_ns[in_answered] - sent.monotonic_ns[in_sent]),
+        response_ms=_percentiles_ms(receive_ns[in_answered] - sent.scheduled_ns[in_sent]),
         dropped_events=sum(session.dropped_events for session in trace.sessions),
         cut_off=len(sent) < run.planned_messages,
     )
 
 
-def _of_run(trace: Trace, stage: Stage, run: Run) -> EventColumns:
+def _measured_events(trace: Trace, stage: Stage, run: Run) -> EventColumns:
+    """Return the events of a run at one stage, without its warm-up."""
     columns = trace.events[stage]
     return columns.take((columns.run_id == run.run_id) & (columns.sequence >= run.warmup_messages))
 
 
-def _percentiles(times_ns: Times) -> dict[str, float] | None:
+def _percentiles_ms(times_ns: NDArray[np.int64]) -> dict[str, float] | None:
     if not len(times_ns):
         return None
     values_ms = np.percentile(times_ns, PERCENTILES) / 1e6

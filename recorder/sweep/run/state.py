@@ -1,28 +1,31 @@
-"""What a sweep has done so far: `state.json`, replaced as a whole so that any interruption leaves a valid one."""
+"""The state of a sweep: `state.json`, replaced as a whole so that any interruption leaves a valid file."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import OptionError, OutputError, TraceFormatError
 from dds_trace.tracefile.files import replacing
 
+from .result import CellResult
+
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
     from pathlib import Path
+
+    from ..plan.link import LinkReport
 
 STATE_VERSION = 1
 """Version 1: first version (2026)."""
 
 
 class Status(Enum):
-    """How far a cell is."""
+    """Progress of one cell."""
 
     PENDING = "pending"  # not begun
-    RUNNING = "running"  # begun; found in a state file that nobody works on, it was interrupted
+    RUNNING = "running"  # begun; in a state file that no sweep works on, it was interrupted
     RECORDED = "recorded"  # the ping's trace is there, the relay's part is still in the relay's own trace
     COMPLETE = "complete"  # both traces are there
     FAILED = "failed"  # tried as often as the plan allows; `reason` says why it failed
@@ -30,15 +33,15 @@ class Status(Enum):
 
 @dataclass(frozen=True, slots=True)
 class CellState:
-    """One cell's line in the state file.
+    """One cell's entry in the state file.
 
     Attributes:
-        attempts: runs that were begun.
-        reason: why it failed last; empty if it did not.
-        run_id: of the run that counts, 16 hex digits; empty before there is one.
-        segment: the relay's own trace that still holds the relay's part of it; empty when it is taken out.
-        result: what the ping's trace says (`CellResult`), for progress and later readers.
-        link: what the emulated link did during the run (`NamespacePair.measure`), empty without one.
+        attempts: number of runs that were begun.
+        reason: reason of the last failure; empty without one.
+        run_id: the run that counts, 16 hex digits; empty before there is one.
+        segment: name of the relay's own trace that still holds this cell's part; empty once it is taken out.
+        result: numbers of the ping's trace; None before there are any. The file has `{}` for None.
+        link: report of the emulated link for the run; None without such a link, `{}` in the file.
     """
 
     status: Status = Status.PENDING
@@ -46,12 +49,12 @@ class CellState:
     reason: str = ""
     run_id: str = ""
     segment: str = ""
-    result: Mapping[str, Any] = field(default_factory=dict)
-    link: Mapping[str, Any] = field(default_factory=dict)
+    result: CellResult | None = None
+    link: LinkReport | None = None
 
     @property
     def done(self) -> bool:
-        """Whether nothing is left to be run for it."""
+        """Whether the cell needs no further run."""
         return self.status in (Status.COMPLETE, Status.RECORDED)
 
 
@@ -59,11 +62,12 @@ class SweepState:
     """The state of one sweep, saved after every change.
 
     Args:
-        path: of the state file; its folder exists.
-        digest: of the plan; recorded cells keep to it.
+        path: path of the state file; its folder exists.
+        plan_name: name of the plan, for the file and for errors.
+        digest: digest of the plan's settings; a file of another digest is refused.
 
     Raises:
-        TraceFormatError: the file is none of ours.
+        TraceFormatError: the file is not a state of this version.
         OptionError: it belongs to a plan that records the same cells differently.
     """
 
@@ -78,25 +82,17 @@ class SweepState:
     def __getitem__(self, name: str) -> CellState:
         return self._cells.get(name, CellState())
 
-    def update(self, name: str, **changes: Any) -> CellState:
-        """Changes fields of a cell, saves the state and gives the cell's new state."""
-        self._cells[name] = replace(self[name], **changes)
-        self._save()
-        return self._cells[name]
-
-    def update_all(self, names: Iterable[str], **changes: Any) -> None:
-        """Changes fields of several cells at once."""
-        for name in names:
-            self._cells[name] = replace(self[name], **changes)
+    def __setitem__(self, name: str, cell: CellState) -> None:
+        self._cells[name] = cell
         self._save()
 
     def in_segment(self, segment: str) -> dict[str, CellState]:
-        """The cells whose relay's part is still in this segment."""
+        """Return the cells whose relay's part is still in this segment, by name."""
         return {name: cell for name, cell in self._cells.items() if cell.segment == segment}
 
     @property
     def segments(self) -> list[str]:
-        """Relay traces that still hold parts of cells, oldest first."""
+        """Names of the relay traces that still hold parts of cells, oldest first."""
         return list(dict.fromkeys(cell.segment for cell in self._cells.values() if cell.segment))
 
     def _load(self) -> None:
@@ -104,7 +100,12 @@ class SweepState:
             held = json.loads(self.path.read_text())
             version, digest = held["format"], held["plan_digest"]
             self._cells = {
-                name: CellState(**{**cell, "status": Status(cell["status"])})
+                name: replace(
+                    CellState(**cell),
+                    status=Status(cell["status"]),
+                    result=CellResult(**cell["result"]) if cell["result"] else None,
+                    link=cell["link"] or None,
+                )
                 for name, cell in held["cells"].items()
             }
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as err:
@@ -123,22 +124,26 @@ class SweepState:
             )
 
     def _save(self) -> None:
-        text = json.dumps(
-            {
-                "format": STATE_VERSION,
-                "plan": self._plan_name,
-                "plan_digest": self._digest,
-                "cells": {
-                    name: {**asdict(cell), "status": cell.status.value} for name, cell in self._cells.items()
-                },
-            },
-            indent=1,
-        )
-        write_atomically(self.path, text)
+        cells = {
+            name: {
+                **asdict(cell),
+                "status": cell.status.value,
+                "result": asdict(cell.result) if cell.result else {},
+                "link": cell.link or {},
+            }
+            for name, cell in self._cells.items()
+        }
+        document = {
+            "format": STATE_VERSION,
+            "plan": self._plan_name,
+            "plan_digest": self._digest,
+            "cells": cells,
+        }
+        replace_text(self.path, json.dumps(document, indent=1))
 
 
-def write_atomically(path: Path, text: str) -> None:
-    """Replaces a file so that a reader, or a reboot, finds either the old text or the new one.
+def replace_text(path: Path, text: str) -> None:
+    """Replace a file so that a reader, or a reboot, finds either the old text or the new one.
 
     Raises:
         OutputError: it cannot be written.

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 SSH_TIMEOUT_S = 60.0
 
 
-class RunningRelay(Protocol):
-    """A relay, or a half of a bridge, that has been started."""
+class StartedProgram(Protocol):
+    """A relay, or a half of a bridge, that was started on its device."""
 
     @property
     def failure(self) -> str | None:
@@ -50,10 +50,10 @@ class RelayDevice(Protocol):
             OptionError: it has another version of dds-trace.
         """
 
-    def start(self, arguments: Sequence[str], segment: str) -> RunningRelay:
+    def start(self, arguments: Sequence[str], segment: str) -> StartedProgram:
         """A relay that writes the trace `segment`."""
 
-    def start_half(self, arguments: Sequence[str], segment: str) -> RunningRelay:
+    def start_half(self, arguments: Sequence[str], segment: str) -> StartedProgram:
         """The relay's half of a bridge, beside the relay that writes `segment`."""
 
     def collect(self, segment: str) -> Path | None:
@@ -86,12 +86,12 @@ class LocalDevice:
     def prepare(self) -> None:
         """Nothing is needed."""
 
-    def start(self, arguments: Sequence[str], segment: str) -> RunningRelay:
+    def start(self, arguments: Sequence[str], segment: str) -> StartedProgram:
         """A relay on this machine."""
         command = [*self._command, *arguments, "--out", str(self._folder / segment)]
         return _RelayProgram(Program(command, _log_path(self._folder, segment), held=self._held))
 
-    def start_half(self, arguments: Sequence[str], segment: str) -> RunningRelay:
+    def start_half(self, arguments: Sequence[str], segment: str) -> StartedProgram:
         """Not called: on one machine the ping's `dds-record` runs both halves."""
         raise NotImplementedError
 
@@ -143,19 +143,19 @@ class SshDevice:
                 "as unlike recorders are not one measurement",
             )
 
-    def start(self, arguments: Sequence[str], segment: str) -> RunningRelay:
+    def start(self, arguments: Sequence[str], segment: str) -> StartedProgram:
         """A relay there."""
         command = f"dds-record {shlex.join(arguments)} --out {self._remote}/{shlex.quote(segment)}"
         return self._start(command, self._pid_file(segment), _log_path(self._folder, segment))
 
-    def start_half(self, arguments: Sequence[str], segment: str) -> RunningRelay:
+    def start_half(self, arguments: Sequence[str], segment: str) -> StartedProgram:
         """A half there."""
         name = f"{segment}.half"
         return self._start(
             f"dds-bridge {shlex.join(arguments)}", self._pid_file(name), _log_path(self._folder, name)
         )
 
-    def _start(self, command: str, pid: str, log: Path) -> RunningRelay:
+    def _start(self, command: str, pid: str, log: Path) -> StartedProgram:
         # A command in the background reads from /dev/null unless it is given a copy of the input.
         script = (
             f"{self._setup} exec 3<&0; {command} </dev/null 3<&- & program=$!; echo $program >{pid}; "
@@ -227,14 +227,14 @@ class PrintedDevice:
     def prepare(self) -> None:
         """Nothing can be checked."""
 
-    def start(self, arguments: Sequence[str], segment: str) -> RunningRelay:
+    def start(self, arguments: Sequence[str], segment: str) -> StartedProgram:
         """Shows the command to start there."""
         before = "end the relay there (Ctrl-C), then start" if self._running else "start on the other device"
         self._running = True
         self._show(f"{before}: {printed_command(arguments, segment.split('-', maxsplit=1)[0])}")
         return _PrintedRelay()
 
-    def start_half(self, arguments: Sequence[str], segment: str) -> RunningRelay:  # noqa: ARG002 - the role's signature
+    def start_half(self, arguments: Sequence[str], segment: str) -> StartedProgram:  # noqa: ARG002 - the role's signature
         """Shows the command to start beside the relay there."""
         self._show(f"and beside it: dds-bridge {shlex.join(arguments)}")
         return _PrintedRelay()

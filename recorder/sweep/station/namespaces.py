@@ -12,11 +12,14 @@ import shutil
 import struct
 import subprocess
 import sys
+import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import BackendUnavailableError, OptionError
+
+from ..plan.link import EndCounters
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,7 +27,7 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
-    from ..plan.link import Link
+    from ..plan.link import ForwarderReport, Link, LinkReport
 
 INTERFACE = "link0"
 """The link's device in either namespace."""
@@ -96,7 +99,7 @@ class NamespacePair:
         self.commands: list[str] = []
         self._forwarder: subprocess.Popen[str] | None = None
         self._taps: list[int] = []
-        self._counted: dict[str, dict[str, int]] = {}
+        self._counted: dict[Side, EndCounters] = {}
 
     def __enter__(self) -> Self:
         require_root()
@@ -116,28 +119,31 @@ class NamespacePair:
     ) -> None:
         self._remove()
 
-    def measure(self) -> dict[str, Any]:
-        """What the link did since the call before, as it is written to the trace.
+    def report(self) -> LinkReport:
+        """Return the work of the link since the call before, as written to the trace.
 
-        Returns:
-            `link` (the emulated values), `applied_by`, `commands` (of `tc`), for each role `sent_bytes`,
-            `sent_packets` and `dropped_packets` of its end of the link, and `forwarder`, how well the user-space
-            wire held (frames by fate, lateness in microseconds), null if the kernel did it all.
+        Raises:
+            BackendUnavailableError: the user-space wire has ended by itself.
         """
-        counters = {
-            role: self._counters(side) for role, side in zip(_ROLES, (self.ping, self.relay), strict=True)
-        }
-        before, self._counted = self._counted, counters
-        since = {
-            role: {name: count - before.get(role, {}).get(name, 0) for name, count in counted.items()}
-            for role, counted in counters.items()
-        }
         return {
+            "monotonic_ns": time.monotonic_ns(),
             "link": self.link.to_dict() if self.link else None,
             "applied_by": self.applied_by,
             "commands": self.commands,
-            **since,
+            "ping": self._traffic_since(self.ping),
+            "relay": self._traffic_since(self.relay),
             "forwarder": self._ask_forwarder(),
+        }
+
+    def _traffic_since(self, side: Side) -> EndCounters:
+        """Return the traffic of one end of the link since the call before."""
+        now = _counters(side)
+        before = self._counted.get(side, EndCounters(sent_bytes=0, sent_packets=0, dropped_packets=0))
+        self._counted[side] = now
+        return {
+            "sent_bytes": now["sent_bytes"] - before["sent_bytes"],
+            "sent_packets": now["sent_packets"] - before["sent_packets"],
+            "dropped_packets": now["dropped_packets"] - before["dropped_packets"],
         }
 
     def _create(self) -> None:
@@ -173,7 +179,7 @@ class NamespacePair:
         self.applied_by = "+".join(applied)
         if needs_forwarder and self.link:
             self._forwarder = start_forwarder(self._taps, self.link)
-        self.measure()
+        self.report()  # what setting up sent does not count
 
     def _has_netem(self) -> bool:
         try:
@@ -183,29 +189,16 @@ class NamespacePair:
         tc("-n", self.ping.namespace, "qdisc", "del", "dev", "lo", "root")
         return True
 
-    def _ask_forwarder(self) -> Any:
+    def _ask_forwarder(self) -> ForwarderReport | None:
         if self._forwarder is None or self._forwarder.stdin is None or self._forwarder.stdout is None:
             return None
         try:
             self._forwarder.stdin.write("report\n")
             self._forwarder.stdin.flush()
-            return json.loads(self._forwarder.stdout.readline())
+            report: ForwarderReport = json.loads(self._forwarder.stdout.readline())
         except (OSError, ValueError) as err:
             raise BackendUnavailableError("the emulated link ended by itself; run the sweep again") from err
-
-    @staticmethod
-    def _counters(side: Side) -> dict[str, int]:
-        shown = json.loads(ip("-n", side.namespace, "-s", "-j", "link", "show", "dev", INTERFACE))
-        sent = shown[0]["stats64"]["tx"]
-        disciplines = json.loads(
-            tc("-n", side.namespace, "-s", "-j", "qdisc", "show", "dev", INTERFACE) or "[]"
-        )
-        return {
-            "sent_bytes": sent["bytes"],
-            "sent_packets": sent["packets"],
-            "dropped_packets": sent["dropped"]
-            + sum(discipline.get("drops", 0) for discipline in disciplines),
-        }
+        return report
 
     def _remove(self) -> None:
         if self._forwarder is not None:
@@ -217,6 +210,18 @@ class NamespacePair:
         for side in (self.ping, self.relay):
             with contextlib.suppress(BackendUnavailableError):  # creating it may have failed
                 ip("netns", "delete", side.namespace)
+
+
+def _counters(side: Side) -> EndCounters:
+    """Return the traffic of one end of the link since it was made."""
+    shown = json.loads(ip("-n", side.namespace, "-s", "-j", "link", "show", "dev", INTERFACE))
+    sent = shown[0]["stats64"]["tx"]
+    disciplines = json.loads(tc("-n", side.namespace, "-s", "-j", "qdisc", "show", "dev", INTERFACE) or "[]")
+    return {
+        "sent_bytes": sent["bytes"],
+        "sent_packets": sent["packets"],
+        "dropped_packets": sent["dropped"] + sum(discipline.get("drops", 0) for discipline in disciplines),
+    }
 
 
 def queue_disciplines(link: Link, *, kernel_does_all: bool) -> list[list[str]]:

@@ -1,11 +1,11 @@
-"""Sets up where a plan's two roles run: here, in two namespaces, or with the relay on another device."""
+"""The station of a sweep: where the two roles run, here, in two namespaces, or with the relay on another device."""
 
 from __future__ import annotations
 
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from ..run.runner import PARTS, Station
 from .devices import LocalDevice, PrintedDevice, SshDevice
 from .namespaces import NamespacePair
 from .programs import local_program
@@ -14,11 +14,37 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
+    from ..plan.link import LinkReport
     from ..plan.plan import Plan
+    from .devices import RelayDevice
+
+PARTS = ".parts"
+"""Folder below that of the sweep for traces that are not yet those of a cell."""
 
 ECHO_WAIT_S = 20.0
 PERSON_WAIT_S = 3600.0
-"""For a person to start the relay on the other device."""
+"""Time for a person to start the relay on the other device."""
+
+
+@dataclass(frozen=True, slots=True)
+class Station:
+    """The places where the two roles of a sweep run.
+
+    Attributes:
+        ping_command: `dds-record` on this machine, with the words that must precede it.
+        device: device of the relay.
+        held: file descriptor of the lock of `holding_folder`, for the programs to hold as well.
+        wait_s: longest time that a ping waits for the relay's echo.
+        relay_address: address at which the ping reaches the relay's device, None on one machine.
+        report_link: returns the report of the emulated link since the call before; None without such a link.
+    """
+
+    ping_command: Sequence[str]
+    device: RelayDevice
+    held: int | None = None
+    wait_s: float = 20.0
+    relay_address: str | None = None
+    report_link: Callable[[], LinkReport | None] | None = None
 
 
 @contextmanager
@@ -30,14 +56,14 @@ def open_station(
     show: Callable[[str], None],
     command: Sequence[str] | None = None,
 ) -> Iterator[Station]:
-    """The station of a plan while the block runs.
+    """Yield the station of a plan; namespaces and link are gone after the block.
 
     Args:
-        plan: says where the relay is and what is between the roles.
-        folder: of the sweep.
-        held: the lock of the folder.
-        show: prints a line, such as a command that a person is to start.
-        command: `dds-record` on this machine, the installed one unless given.
+        plan: the plan, which names the devices and the link.
+        folder: folder of the sweep.
+        held: file descriptor of the folder's lock.
+        show: prints a line, such as a command for a person to start.
+        command: `dds-record` on this machine; the installed one if left out.
 
     Raises:
         OptionError, BackendUnavailableError: as `NamespacePair`.
@@ -53,7 +79,7 @@ def open_station(
             pair = stack.enter_context(NamespacePair(plan.link))
             relay = LocalDevice(parts, [*pair.relay.prefix, *own], held)
             yield Station(
-                [*pair.ping.prefix, *own], relay, held, ECHO_WAIT_S, pair.relay.address, pair.measure
+                [*pair.ping.prefix, *own], relay, held, ECHO_WAIT_S, pair.relay.address, pair.report
             )
     else:
         yield Station(own, LocalDevice(parts, own, held), held, ECHO_WAIT_S)

@@ -62,7 +62,7 @@ def test_rate_is_found_in_the_time_that_bytes_take():
     with NamespacePair(Link(rate_mbit_s=10)) as pair, echo(pair):
         assert pair.applied_by == "veth+tbf"
         small, large = ask(pair, 100, 10), ask(pair, 25_000, 10)
-        measured = pair.measure()
+        measured = pair.report()
     # 25,000 bytes take 20 ms at 10 Mbit/s; up to 3,028 bytes of each direction pass at once.
     assert min(large) > 2 * (25_000 - 3_028) * 8 / 10e6 * 1e3
     assert median(small) < median(large) / 5
@@ -75,7 +75,7 @@ def test_rate_is_found_in_the_time_that_bytes_take():
 def test_delay_is_found_in_every_round_trip_and_its_lateness_is_told():
     with NamespacePair(Link(delay_ms=20)) as pair, echo(pair):
         times = ask(pair, 100, 20)
-        measured = pair.measure()
+        measured = pair.report()
     assert len(times) == 20
     assert min(times) >= 40
     if pair.applied_by == "tap_forwarder":
@@ -95,10 +95,10 @@ def test_loss_is_of_fragments_so_large_datagrams_suffer_more():
 
 @skipped
 @needs_tap
-def test_measure_counts_from_one_call_to_the_next():
+def test_report_counts_from_one_call_to_the_next():
     with NamespacePair(Link(delay_ms=1)) as pair, echo(pair):
         ask(pair, 100, 5)
-        first, second = pair.measure(), pair.measure()
+        first, second = pair.report(), pair.report()
     assert first["ping"]["sent_packets"] >= 5
     assert second["ping"]["sent_packets"] < first["ping"]["sent_packets"]
     assert first["link"]["delay_ms"] == 1
@@ -112,7 +112,7 @@ def test_every_preset_can_be_applied_and_leaves_nothing_behind(link):
     pair = NamespacePair(link)
     with pair:
         assert pair.ping.namespace in ip("netns", "list")
-        assert pair.measure()["link"] == (link.to_dict() if link else None)
+        assert pair.report()["link"] == (link.to_dict() if link else None)
         routes = ip("-n", pair.ping.namespace, "route", "show")
         assert "224.0.0.0/4 dev link0" in routes
     assert pair.ping.namespace not in ip("netns", "list")

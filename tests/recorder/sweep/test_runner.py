@@ -20,7 +20,7 @@ import dds_trace.recorder.sweep.run.runner as runner_module
 from dds_trace.recorder.sweep import sweep as sweep_module
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan
 from dds_trace.recorder.sweep.run.state import Status, SweepState
-from dds_trace.recorder.sweep.search import Answer
+from dds_trace.recorder.sweep.search import RateAnswer
 from dds_trace.recorder.sweep.station.station import open_station
 from dds_trace.recorder.sweep.sweep import run_search, run_sweep
 from dds_trace.tracefile import OptionError, Stage, read_trace
@@ -189,10 +189,10 @@ def test_result_is_what_the_timeline_says(desk):
     desk.sweep()
     result = desk.state(FIRST).result
     # Warm-up is message 0; of 1..4 the last is lost; round trips are 0.2, 0.3, 0.4 ms
-    assert (result["planned"], result["published"], result["received"]) == (4, 4, 3)
-    assert result["rtt_ms"]["p50"] == 0.3
-    assert result["achieved_rate_hz"] == 1000.0
-    assert not result["cut_off"]
+    assert (result.planned, result.published, result.received) == (4, 4, 3)
+    assert result.rtt_ms["p50"] == 0.3
+    assert result.achieved_rate_hz == 1000.0
+    assert not result.cut_off
 
 
 def test_commands_have_what_the_cell_asks_for(desk):
@@ -313,7 +313,7 @@ def test_search_of_the_highest_rate_goes_on_where_it_was_interrupted(desk):
     )
     for _ in range(2):
         folder, (found,) = run_search(plan, desk.folder / "runs", Heard(), command=COMMAND)
-        assert (found.answer, found.cell.rate, found.held_repeats) == (Answer.AT_LEAST, 900.0, (1, 1))
+        assert (found.answer, found.cell.rate, found.held_repeats) == (RateAnswer.AT_LEAST, 900.0, (1, 1))
         assert folder == desk.folder / "runs" / "plan-max-rate"
     # 300 and 520 on the way, then the highest; nothing again the second time but the relay
     assert desk.started == {
@@ -371,12 +371,12 @@ def test_interruption_keeps_what_is_complete_and_goes_on_from_there(desk):
 @pytest.fixture
 def link(monkeypatch):
     """What the stand-ins' link is said to have done; the test fills it in."""
-    measured = {"link": {"rate_mbit_s": 54}, "ping": {"sent_bytes": 5 * 33_000}}
+    measured = {"monotonic_ns": 0, "link": {"rate_mbit_s": 54}, "ping": {"sent_bytes": 5 * 33_000}}
 
     @contextmanager
     def with_link(*arguments, **options):
         with open_station(*arguments, **options) as station:
-            yield replace(station, measure_link=lambda: measured)
+            yield replace(station, report_link=lambda: measured)
 
     monkeypatch.setattr(sweep_module, "open_station", with_link)
     return measured

@@ -14,10 +14,11 @@ from dds_trace.recorder.sweep.max_rate_report import COLUMNS, max_rate_rows, max
 from dds_trace.recorder.sweep.plan.cells import Cell
 from dds_trace.recorder.sweep.plan.plan import Search
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan
+from dds_trace.recorder.sweep.run.result import CellResult
 from dds_trace.recorder.sweep.search import (
-    Answer,
     Bisection,
     MaxRate,
+    RateAnswer,
     messages_needed,
     search_plan,
     why_not_held,
@@ -27,7 +28,7 @@ SEARCH = Search(min_rate=1, max_rate=1000, resolution=1.1, knee_repeats=3)
 
 
 def search(holds, settings=SEARCH):
-    """Answer, rates and the trials as {rate: runs}."""
+    """RateAnswer, rates and the trials as {rate: runs}."""
     trials = Counter()
 
     def trial(rate_hz, number):
@@ -40,7 +41,7 @@ def search(holds, settings=SEARCH):
 @pytest.mark.parametrize("limit_hz", [1.5, 7, 33, 100, 480, 990])
 def test_limit_is_found_within_the_resolution(limit_hz):
     (answer, rate_hz, failing_hz, reason), trials = search(lambda rate_hz, _: rate_hz <= limit_hz)
-    assert answer is Answer.FOUND
+    assert answer is RateAnswer.FOUND
     assert rate_hz <= limit_hz < failing_hz <= rate_hz * 1.11
     assert reason == f"{failing_hz:g} is too much"
     assert sum(trials.values()) <= 14  # 7 halvings of a factor of 1000 to 1.1, and the repeats at the knee
@@ -48,13 +49,13 @@ def test_limit_is_found_within_the_resolution(limit_hz):
 
 def test_middleware_that_holds_everything():
     (answer, rate_hz, failing_hz, _), trials = search(lambda *_: True)
-    assert (answer, rate_hz, failing_hz) == (Answer.AT_LEAST, 1000, None)
+    assert (answer, rate_hz, failing_hz) == (RateAnswer.AT_LEAST, 1000, None)
     assert trials[1000] == 2  # two of three decide
 
 
 def test_middleware_that_holds_nothing():
     (answer, rate_hz, failing_hz, reason), trials = search(lambda *_: False)
-    assert (answer, rate_hz, failing_hz) == (Answer.BELOW, 1, 1)
+    assert (answer, rate_hz, failing_hz) == (RateAnswer.BELOW, 1, 1)
     assert reason == "1 is too much"
     assert trials[1] == 2
 
@@ -66,7 +67,7 @@ def test_one_bad_run_at_the_knee_is_outvoted():
         return rate_hz <= 100 and (number > 1 or rate_hz < 90)
 
     (answer, rate_hz, _, _), _ = search(holds)
-    assert answer is Answer.FOUND
+    assert answer is RateAnswer.FOUND
     assert 82 <= rate_hz <= 100
 
 
@@ -74,20 +75,24 @@ def test_one_lucky_run_is_outvoted_and_the_answer_moves_down():
     (answer, rate_hz, _, _), _ = search(
         lambda rate_hz, number: rate_hz <= 50 or (number == 1 and rate_hz <= 120)
     )
-    assert answer is Answer.FOUND
+    assert answer is RateAnswer.FOUND
     assert 45 <= rate_hz <= 50
 
 
 def result(**changes):
-    return {
+    fields = {
+        "run_id": "00000000000000ff",
         "planned": 1000,
         "published": 1000,
         "received": 1000,
+        "sent_bytes": 33_000_000,
         "achieved_rate_hz": 100.0,
+        "rtt_ms": {"p50": 1.0, "p99": 20.0},
         "response_ms": {"p50": 1.0, "p99": 20.0},
+        "dropped_events": 0,
         "cut_off": False,
-        **changes,
     }
+    return CellResult(**{**fields, **changes})
 
 
 @pytest.mark.parametrize(
@@ -126,10 +131,10 @@ def test_runs_are_long_enough_for_the_percentile():
 
 
 ANSWERS = [
-    MaxRate(Cell(size=33_000, rate=480.0), Answer.FOUND, 510.0, (3, 3), "2 % lost"),
-    MaxRate(Cell(size=91, rate=1000.0), Answer.AT_LEAST, None, (2, 2), ""),
-    MaxRate(Cell(size=4_000_000, rate=1.0), Answer.BELOW, 1.0, (0, 2), "response p99 80 ms"),
-    MaxRate(Cell(backend="<b>", rate=0.0), Answer.FAILED, None, (0, 0), "no echo"),
+    MaxRate(Cell(size=33_000, rate=480.0), RateAnswer.FOUND, 510.0, (3, 3), "2 % lost"),
+    MaxRate(Cell(size=91, rate=1000.0), RateAnswer.AT_LEAST, None, (2, 2), ""),
+    MaxRate(Cell(size=4_000_000, rate=1.0), RateAnswer.BELOW, 1.0, (0, 2), "response p99 80 ms"),
+    MaxRate(Cell(backend="<b>", rate=0.0), RateAnswer.FAILED, None, (0, 0), "no echo"),
 ]
 
 

@@ -1,11 +1,16 @@
 from __future__ import annotations
 
+import errno
+import os
+from collections import defaultdict
+
 import pytest
 from mcap.reader import make_reader
 from trace_files import Message, event, relay_events, relay_session, write_trace
 
-from dds_trace.recorder.sweep.run.split import Part, split_relay_trace
-from dds_trace.tracefile import HOST_TOPIC, Stage, TraceFormatError, read_trace
+from dds_trace.recorder.sweep.run.split import CellPart, split_relay_trace
+from dds_trace.tracefile import HOST_TOPIC, OutputError, Stage, TraceFormatError, read_trace
+from dds_trace.tracefile.writing.writer import MAX_CHUNK_EVENTS
 
 SECOND_NS = 1_000_000_000
 FIRST_RUN, SECOND_RUN = 0x11, 0x22
@@ -37,7 +42,7 @@ def segment(tmp_path):
 
 def test_each_part_has_its_run_whole_and_nothing_of_the_other(segment, tmp_path):
     paths = {run_id: tmp_path / f"{run_id}.mcap" for run_id in (FIRST_RUN, SECOND_RUN)}
-    counts = split_relay_trace(segment, [Part(run_id, path) for run_id, path in paths.items()])
+    counts = split_relay_trace(segment, [CellPart(run_id, path) for run_id, path in paths.items()])
     assert counts == {FIRST_RUN: 10, SECOND_RUN: 10}
     whole = read_trace(segment)
     for run_id, path in paths.items():
@@ -53,7 +58,7 @@ def test_each_part_has_its_run_whole_and_nothing_of_the_other(segment, tmp_path)
 def test_host_samples_are_those_of_the_runs_time_and_those_that_are_added(segment, tmp_path):
     path = tmp_path / "part.mcap"
     link = {"monotonic_ns": 11 * SECOND_NS, "link": {"delay_ms": 1}}
-    split_relay_trace(segment, [Part(SECOND_RUN, path, (link,))])
+    split_relay_trace(segment, [CellPart(SECOND_RUN, path, link)])
     samples = read_trace(path).host_samples
     assert [sample["second"] for sample in samples if "second" in sample] == [10, 11]
     assert [sample["link"] for sample in samples if "link" in sample] == [{"delay_ms": 1}]
@@ -61,7 +66,7 @@ def test_host_samples_are_those_of_the_runs_time_and_those_that_are_added(segmen
 
 def test_part_is_a_file_for_every_mcap_tool(segment, tmp_path):
     path = tmp_path / "part.mcap"
-    split_relay_trace(segment, [Part(FIRST_RUN, path)])
+    split_relay_trace(segment, [CellPart(FIRST_RUN, path)])
     with path.open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
         assert reader.get_header().profile == "ros2"
@@ -75,13 +80,53 @@ def test_part_is_a_file_for_every_mcap_tool(segment, tmp_path):
         assert times == sorted(times)
 
 
+def test_sequence_counts_the_messages_of_each_channel(segment, tmp_path):
+    path = tmp_path / "part.mcap"
+    split_relay_trace(segment, [CellPart(SECOND_RUN, path)])
+    with path.open("rb") as stream:
+        sequences = defaultdict(list)
+        for _, channel, message in make_reader(stream, validate_crcs=True).iter_messages():
+            sequences[channel.topic].append(message.sequence)
+    assert sequences == {
+        "/dds_trace/session": [0],
+        "/dds_trace/t3": [0, 1, 2, 3, 4],
+        "/dds_trace/t4": [0, 1, 2, 3, 4],
+        HOST_TOPIC: [0, 1],
+    }
+
+
+def test_a_run_longer_than_a_chunk_is_written_whole(tmp_path):
+    count = MAX_CHUNK_EVENTS // 2 + 10  # T3 and T4 of each: a chunk and a little more
+    timeline = [Message(n, t3=n * 1000, t4=n * 1000 + 400) for n in range(count)]
+    segment = write_trace(tmp_path / "a.mcap", relay_session(), (), relay_events(timeline, run_id=FIRST_RUN))
+    path = tmp_path / "part.mcap"
+    assert split_relay_trace(segment, [CellPart(FIRST_RUN, path)]) == {FIRST_RUN: 2 * count}
+    part = read_trace(path)
+    for stage in (Stage.T3, Stage.T4):
+        assert part.events[stage].sequence.tolist() == list(range(count))
+
+
+def test_part_that_cannot_be_written_leaves_what_was_there(segment, tmp_path, monkeypatch):
+    path = tmp_path / "part.mcap"
+    path.write_bytes(b"before")
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "pwritev", full)
+    with pytest.raises(OutputError, match="the disk is full"):
+        split_relay_trace(segment, [CellPart(FIRST_RUN, path)])
+    assert path.read_bytes() == b"before"
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["part.mcap", "segment.mcap"]
+
+
 def test_run_that_the_relay_never_saw_gets_no_file(segment, tmp_path):
     path = tmp_path / "part.mcap"
-    assert split_relay_trace(segment, [Part(0x33, path)]) == {0x33: 0}
+    assert split_relay_trace(segment, [CellPart(0x33, path)]) == {0x33: 0}
     assert not path.exists()
 
 
 def test_trace_without_a_session_has_no_clock(tmp_path):
     path = write_trace(tmp_path / "a.mcap", (), (), relay_events(messages(0)))
     with pytest.raises(TraceFormatError, match="names no session"):
-        split_relay_trace(path, [Part(1, tmp_path / "b.mcap")])
+        split_relay_trace(path, [CellPart(1, tmp_path / "b.mcap")])

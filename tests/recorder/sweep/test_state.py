@@ -5,8 +5,32 @@ import os
 
 import pytest
 
-from dds_trace.recorder.sweep.run.state import Status, SweepState, write_atomically
+from dds_trace.recorder.sweep.run.result import CellResult
+from dds_trace.recorder.sweep.run.state import CellState, Status, SweepState, replace_text
 from dds_trace.tracefile import OptionError, OutputError, TraceFormatError
+
+RESULT = CellResult(
+    run_id="ff",
+    planned=4,
+    published=4,
+    received=3,
+    sent_bytes=132_000,
+    achieved_rate_hz=10.0,
+    rtt_ms={"p50": 1.5},
+    response_ms=None,
+    dropped_events=0,
+    cut_off=False,
+)
+COUNTERS = {"sent_bytes": 140_000, "sent_packets": 100, "dropped_packets": 0}
+LINK = {
+    "monotonic_ns": 7,
+    "link": {"name": "wifi-54", "rate_mbit_s": 54.0},
+    "applied_by": "veth+tbf",
+    "commands": ["tc qdisc add"],
+    "ping": COUNTERS,
+    "relay": COUNTERS,
+    "forwarder": None,
+}
 
 
 def open_state(folder, digest="d1"):
@@ -16,10 +40,8 @@ def open_state(folder, digest="d1"):
 def test_state_comes_back_as_it_was_left(tmp_path):
     state = open_state(tmp_path)
     assert state["a"].status is Status.PENDING
-    state.update("a", status=Status.RUNNING, attempts=1)
-    state.update(
-        "b", status=Status.RECORDED, run_id="00000000000000ff", segment="s.mcap", result={"received": 3}
-    )
+    state["a"] = CellState(Status.RUNNING, attempts=1)
+    state["b"] = CellState(Status.RECORDED, run_id="ff", segment="s.mcap", result=RESULT, link=LINK)
     again = open_state(tmp_path)
     assert again["a"] == state["a"]
     assert again["b"] == state["b"]
@@ -29,7 +51,7 @@ def test_state_comes_back_as_it_was_left(tmp_path):
 
 
 def test_other_settings_of_the_plan_are_not_mixed_in(tmp_path):
-    open_state(tmp_path).update("a", status=Status.COMPLETE)
+    open_state(tmp_path)["a"] = CellState(Status.COMPLETE)
     with pytest.raises(OptionError, match="unlike runs are not mixed"):
         open_state(tmp_path, digest="d2")
 
@@ -51,19 +73,19 @@ def test_state_of_a_later_version(tmp_path):
 
 def test_interrupted_write_leaves_the_state_before(tmp_path, monkeypatch):
     state = open_state(tmp_path)
-    state.update("a", attempts=1)
+    state["a"] = CellState(attempts=1)
 
     def stop(_descriptor):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(os, "fsync", stop)
     with pytest.raises(KeyboardInterrupt):
-        state.update("a", attempts=2)
+        state["a"] = CellState(attempts=2)
     monkeypatch.undo()
     assert open_state(tmp_path)["a"].attempts == 1
 
 
 def test_folder_that_cannot_be_written_is_a_clear_error(tmp_path):
     with pytest.raises(OutputError, match="No such file"):
-        write_atomically(tmp_path / "none" / "state.json", "{}")
+        replace_text(tmp_path / "none" / "state.json", "{}")
     assert list(tmp_path.iterdir()) == []

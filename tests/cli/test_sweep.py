@@ -9,7 +9,7 @@ import pytest
 
 from dds_trace.cli import sweep as command
 from dds_trace.recorder.sweep import Cell, read_plan, schedule
-from dds_trace.recorder.sweep.search import RateAnswer, MaxRate
+from dds_trace.recorder.sweep.search import MaxRate, RateAnswer
 from dds_trace.recorder.sweep.sweep import SweepOutcome
 from dds_trace.tracefile import __version__
 

@@ -6,6 +6,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from dds_trace.tracefile.visible import visible
+
 if TYPE_CHECKING:
     from dds_trace.analyzer import Recommendation, TopicReport
 
@@ -30,10 +32,10 @@ def print_recommendation(found: "Recommendation") -> None:
             _ms(one.margin_ns),
             one.reason,
         )
-        table.add_row(*(Text(_plain(cell)) for cell in cells))
+        table.add_row(*(Text(visible(cell)) for cell in cells))
     console = Console(width=160)
     what = f"{job.data_type} {job.payload_bytes} B at {job.rate_hz:g} Hz within {job.deadline_ns / 1e6:g} ms"
-    console.print(Text(f"{_plain(what)}, {job.reliability:.4%} of messages"))
+    console.print(Text(f"{visible(what)}, {job.reliability:.4%} of messages"))
     console.print(table)
     if not found.candidates:
         console.print("The traces say nothing of such messages.")
@@ -59,10 +61,5 @@ def print_topics(report: "TopicReport") -> None:
             "" if row["age_p50_ns"] is None else _ms(row["age_p50_ns"]),
             row["age_from"] or "",
         )
-        table.add_row(*(Text(_plain(cell)) for cell in cells))
+        table.add_row(*(Text(visible(cell)) for cell in cells))
     Console(width=160).print(table)
-
-
-def _plain(text: str) -> str:
-    """Without what steers a terminal."""
-    return "".join(c if c.isprintable() else " " for c in text)

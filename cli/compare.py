@@ -107,7 +107,7 @@ def _print_table(comparison: "Comparison", results: "list[GateResult]") -> None:
     from rich.text import Text
 
     from dds_trace.analyzer import group_words, varying_columns
-    from dds_trace.reports.comparison import plain_line
+    from dds_trace.tracefile.visible import MAX_FINDING_CHARACTERS, visible
 
     console = Console(width=None if sys.stdout.isatty() else 160)
     table = Table("group", "metric", "base ms", "new ms", "change", "interval", "verdict")
@@ -115,7 +115,7 @@ def _print_table(comparison: "Comparison", results: "list[GateResult]") -> None:
     for row in comparison.rows.iter_rows(named=True):
         low, high = _percent(row["ratio_low"]), _percent(row["ratio_high"])
         cells = (
-            plain_line(group_words(row, names)),
+            visible(group_words(row, names), MAX_FINDING_CHARACTERS),
             f"{row['metric']} {row['statistic']}",
             _ms(row["base_ns"]),
             _ms(row["new_ns"]),
@@ -126,7 +126,11 @@ def _print_table(comparison: "Comparison", results: "list[GateResult]") -> None:
         table.add_row(*map(Text, cells))
     console.print(table)
     for result in results:
-        console.print(Text(f"{result.outcome.value}: {result.gate.text} ({plain_line(result.where)})"))
+        console.print(
+            Text(
+                f"{result.outcome.value}: {result.gate.text} ({visible(result.where, MAX_FINDING_CHARACTERS)})"
+            )
+        )
 
 
 def _ms(value_ns: float | None) -> str:

@@ -1,11 +1,10 @@
 """A comparison as text for CI: Markdown for a pull request, JUnit XML for a test report.
 
-Every string from a trace is data: escaped for the format, control characters taken out.
+Every string from a trace is data: escaped for the format, control characters spelled out.
 """
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET  # written, never parsed
 
@@ -16,27 +15,15 @@ from dds_trace.analyzer.verdicts.gates import (
     overall_outcome,
     varying_columns,
 )
+from dds_trace.tracefile.visible import MAX_FINDING_CHARACTERS, visible
+
+from .text import markdown
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from dds_trace.analyzer.verdicts.compare import Comparison
     from dds_trace.analyzer.verdicts.gates import GateResult
-
-# Control characters, line and paragraph separators, text direction, lone surrogates: XML 1.0 forbids most of them and
-# a reader could be misled by the rest.
-_CONTROL = re.compile("[\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]")
-_MARKUP = re.compile(r"[\\`*_{}\[\]<>()#+!|~&@:\"']|(?<=\w)\.(?=\w)|^[-=]")
-
-
-def plain_line(text: str) -> str:
-    """The text on one line, without characters that steer a terminal, a parser or the direction of reading."""
-    return _CONTROL.sub(" ", text)
-
-
-def markdown_text(text: str) -> str:
-    """Text that Markdown shows as it is: no markup, link, HTML or mention, on one line."""
-    return _MARKUP.sub(lambda found: f"&#{ord(found[0])};", plain_line(text))
 
 
 def comparison_markdown(comparison: Comparison, results: Sequence[GateResult] = ()) -> str:
@@ -46,7 +33,7 @@ def comparison_markdown(comparison: Comparison, results: Sequence[GateResult] = 
         lines += [f"**{overall_outcome(results).value.capitalize()}**", ""]
         lines += ["| gate | group | measured | interval | outcome |", "|---|---|---:|---:|---|"]
         lines += [
-            f"| {markdown_text(r.gate.text)} | {markdown_text(r.where)} | {_measured(r, r.measured)} "
+            f"| {markdown(r.gate.text)} | {markdown(r.where)} | {_measured(r, r.measured)} "
             f"| {_interval(_measured(r, r.low), _measured(r, r.high))} | {r.outcome.value} |"
             for r in results
         ]
@@ -75,7 +62,7 @@ def comparison_markdown(comparison: Comparison, results: Sequence[GateResult] = 
         if not groups.is_empty():
             lines += [f"{title}:", ""]
             lines += [
-                f"- {markdown_text(group_words(row, groups.columns))}" for row in groups.iter_rows(named=True)
+                f"- {markdown(group_words(row, groups.columns))}" for row in groups.iter_rows(named=True)
             ]
             lines.append("")
     return "\n".join(lines)
@@ -89,7 +76,11 @@ def comparison_junit(results: Sequence[GateResult]) -> str:
     root = ET.Element("testsuites", counts)
     suite = ET.SubElement(root, "testsuite", {"name": "dds-analyze compare", **counts, "time": "0"})
     for result in results:
-        name = {"classname": plain_line(result.where), "name": plain_line(result.gate.text), "time": "0"}
+        name = {
+            "classname": visible(result.where, MAX_FINDING_CHARACTERS),
+            "name": visible(result.gate.text),
+            "time": "0",
+        }
         case = ET.SubElement(suite, "testcase", name)
         said = (
             f"{_measured(result, result.measured)}, interval "
@@ -108,7 +99,7 @@ def _markdown_row(row: dict[str, Any], names: Sequence[str]) -> str:
     ends = [None if row[end] is None else row[end] - 1 for end in ("ratio_low", "ratio_high")]
     faster = "" if row["superiority"] is None else f"{row['superiority']:.0%}"
     return (
-        f"| {markdown_text(group_words(row, names))} | {row['metric']} {row['statistic']} | {_ms(row['base_ns'])} "
+        f"| {markdown(group_words(row, names))} | {row['metric']} {row['statistic']} | {_ms(row['base_ns'])} "
         f"| {_ms(row['new_ns'])} | {_percent(change)} | {_interval(*map(_percent, ends))} | {faster} | {row['verdict']} |"
     )
 

@@ -16,9 +16,10 @@ from dds_trace.tracefile.units.durations import format_duration
 from dds_trace.tracefile.units.quantities import MISSING
 from dds_trace.tracefile.units.rates import format_rate
 from dds_trace.tracefile.units.sizes import format_size
+from dds_trace.tracefile.visible import visible
 
 from .book.groups import METRICS
-from .text import format_ratio, visible
+from .text import format_ratio
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

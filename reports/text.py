@@ -8,37 +8,14 @@ from __future__ import annotations
 
 import json
 import math
-import unicodedata
 from dataclasses import fields
 from typing import Any
 
 from dds_trace.tracefile.units.durations import format_duration
 from dds_trace.tracefile.units.quantities import MISSING
+from dds_trace.tracefile.visible import MAX_FINDING_CHARACTERS, visible
 
-MAX_SHOWN_CHARACTERS = 300
-"""A label of a million characters would bury the page; the JSON report keeps it whole."""
-
-MAX_FINDING_CHARACTERS = 3000
-"""A finding may name several groups in full."""
-
-# Cc control, Cf format (bidi overrides, zero width), Zl and Zp line separators, Cs lone surrogates, Co private use.
-_HIDDEN_CATEGORIES = frozenset({"Cc", "Cf", "Zl", "Zp", "Cs", "Co"})
 _MARKDOWN_PLAIN = frozenset(" ,()%+-=/'.;:?!\"")
-
-
-def visible(text: object, most: int = MAX_SHOWN_CHARACTERS) -> str:
-    r"""The text with every control or invisible character spelled out (`\x1b`, `\u2028`), cut to `most` characters."""
-    shown = str(text)
-    if len(shown) > most:
-        shown = shown[: most - 1] + "…"
-    return "".join(_spelled(c) if unicodedata.category(c) in _HIDDEN_CATEGORIES else c for c in shown)
-
-
-def _spelled(character: str) -> str:
-    code = ord(character)
-    if code <= 0xFF:
-        return f"\\x{code:02x}"
-    return f"\\u{code:04x}" if code <= 0xFFFF else f"\\U{code:08x}"
 
 
 def markdown(text: object) -> str:

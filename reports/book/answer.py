@@ -10,8 +10,9 @@ import polars as pl
 
 from dds_trace.tracefile.units.counts import counted
 from dds_trace.tracefile.units.durations import format_duration
+from dds_trace.tracefile.visible import visible
 
-from ..text import format_added_ns, format_count, format_ratio, visible
+from ..text import format_added_ns, format_count, format_ratio
 from .groups import (
     METRICS,
     data_type_label,

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from dds_trace.tracefile.units.counts import counted
+from dds_trace.tracefile.visible import MAX_FINDING_CHARACTERS, visible
 
-from ..text import MAX_FINDING_CHARACTERS, visible
 from .groups import group_labels
 
 if TYPE_CHECKING:

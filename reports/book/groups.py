@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from dds_trace.tracefile.units.rates import format_rate
 from dds_trace.tracefile.units.sizes import format_size
-
-from ..text import visible
+from dds_trace.tracefile.visible import visible
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 from dds_trace.tracefile.units.counts import counted
 from dds_trace.tracefile.units.rates import format_rate
 from dds_trace.tracefile.units.sizes import format_size
+from dds_trace.tracefile.visible import visible
 
-from ..text import format_count, visible
+from ..text import format_count
 from .groups import (
     VENDORS,
     data_type_label,

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from dds_trace.tracefile.units.durations import format_duration
+from dds_trace.tracefile.visible import visible
 
-from ..text import format_count, visible
+from ..text import format_count
 from .groups import VENDORS, known_first, vendor_label
 
 if TYPE_CHECKING:

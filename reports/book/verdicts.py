@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from dds_trace.analyzer import find_headlines
 from dds_trace.tracefile.units.counts import counted
+from dds_trace.tracefile.visible import visible
 
-from ..text import visible
 from .groups import DATA_TYPES, data_type_label, pair_label
 
 if TYPE_CHECKING:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from dds_trace.tracefile.visible import visible
+
 from ..book.groups import STATISTICS, data_type_label
 from ..book.numbers import whole_ns
-from ..text import visible
 from .figure import Figure, LeftOut, Panel, figure_maker, panels_info, panels_plan
 
 if TYPE_CHECKING:

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 from dds_trace.tracefile.units.rates import format_rate
 from dds_trace.tracefile.units.sizes import format_size
+from dds_trace.tracefile.visible import visible
 
 from ..book.groups import data_type_label, device_label, qos_label, vendor_pair_label
 from ..book.verdicts import MODES
-from ..text import visible
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -18,11 +18,12 @@ from plotly.offline import get_plotlyjs
 
 from dds_trace.tracefile.units.rates import format_rate
 from dds_trace.tracefile.units.sizes import format_size
+from dds_trace.tracefile.visible import visible
 
 from ..book.findings import severity_counts
 from ..book.groups import METRICS, STATISTICS, data_type_label
 from ..figures import FIGURES, Figure, LeftOut, Scope
-from ..text import json_island, visible
+from ..text import json_island
 from .filters import filters_info
 from .styles import PALETTE, series_styles, vendor_places
 

@@ -11,10 +11,11 @@ from campaigns import write_runs
 from dds_trace.cli.watch import Watcher, WatchOptions
 from dds_trace.reports import load_reporter
 from dds_trace.reports.book.book import Book
-from dds_trace.reports.text import format_ratio, visible
+from dds_trace.reports.text import format_ratio
 from dds_trace.tracefile.units.durations import format_duration
 from dds_trace.tracefile.units.rates import format_rate
 from dds_trace.tracefile.units.sizes import format_bytes_per_s
+from dds_trace.tracefile.visible import visible
 
 pytestmark = pytest.mark.browser
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from xml.etree import ElementTree as ET
 
-import pytest
 from roundtrip_frames import MS, steady
 
 from dds_trace.analyzer.verdicts.compare import CompareOptions, compare_roundtrips
 from dds_trace.analyzer.verdicts.gates import judge_gates, parse_gate
-from dds_trace.reports.comparison import comparison_junit, comparison_markdown, markdown_text, plain_line
+from dds_trace.reports.comparison import comparison_junit, comparison_markdown
 
 HOSTILE = "<script>alert(1)</script>|`a`](http://x)\n# h @you\x1b[31m\x00"
 OPTIONS = CompareOptions(metrics=("latency",), statistics=("p50",), replicates=199)
@@ -84,14 +83,3 @@ def test_hostile_strings_stay_strings():
     assert widths == {9}
     root = ET.fromstring(comparison_junit(results))
     assert "<script>alert(1)</script>" in root.find("testsuite/testcase").get("classname")
-
-
-@pytest.mark.parametrize("character", ["\n", "\r", "\x00", "\x1b", "\x7f", "\u2028", "\u202e", "\ud800"])
-def test_control_characters_are_taken_out(character):
-    assert plain_line(f"a{character}b") == "a b"
-
-
-def test_markdown_text_shows_what_was_there():
-    assert markdown_text("ros2 33 KB") == "ros2 33 KB"
-    assert markdown_text("a|b") == "a&#124;b"
-    assert markdown_text("www.example.com") == "www&#46;example&#46;com"

@@ -22,13 +22,13 @@ from mcap.records import Message
 from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 
-from dds_trace.tracefile.format.events import EVENT_DEFINITION, EVENT_SCHEMA_NAME, Stage, pack_event
-from dds_trace.tracefile.writing.cost import (
+from dds_trace.recorder.host.recorder_cost import (
     measure_timer_ns,
-    nobodys_session,
+    measuring_session,
     time_paced_events,
     worst_stall_ns,
 )
+from dds_trace.tracefile.format.events import EVENT_DEFINITION, EVENT_SCHEMA_NAME, Stage, pack_event
 from dds_trace.tracefile.writing.sink import TraceDestination, TraceSink
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ SUSTAINED_EVENTS = 300_000
 @contextmanager
 def sink(path: Path) -> Iterator[Record]:
     """Our sink."""
-    opened = TraceSink(TraceDestination(path), nobodys_session())
+    opened = TraceSink(TraceDestination(path), measuring_session())
     yield opened.record
     opened.close()
 

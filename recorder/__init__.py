@@ -1,6 +1,7 @@
 """The ping and relay roles that stamp T1-T4 and hand them to a trace."""
 
 from .backends.base import Discovery, ExecutorKind, NodeOptions, Serialization, Transport
+from .host.recorder_cost import RecorderCost, measure_recorder_cost
 from .options import DEFAULT_MESSAGES, DEFAULT_WARMUP, PingOptions, RecordOptions
 from .recording import Recorded, record
 from .roles.floor import FloorCost, measure_floor
@@ -17,10 +18,12 @@ __all__ = [
     "PingProgress",
     "RecordOptions",
     "Recorded",
+    "RecorderCost",
     "RelayProgress",
     "Serialization",
     "Transport",
     "Watch",
     "measure_floor",
+    "measure_recorder_cost",
     "record",
 ]

@@ -34,7 +34,6 @@ from .reading.trace import Trace
 from .recovery.recover import RecoveryReport, recover
 from .version import __version__
 from .writing.background import run_in_background
-from .writing.cost import RecorderCost, measure_recorder_cost
 from .writing.sink import ClosedTrace, TraceDestination, TraceSink
 
 __all__ = [
@@ -54,7 +53,6 @@ __all__ = [
     "OutputError",
     "OutputExistsError",
     "Qos",
-    "RecorderCost",
     "RecoveryReport",
     "Run",
     "Session",
@@ -68,7 +66,6 @@ __all__ = [
     "expected_events",
     "find_traces",
     "iter_event_batches",
-    "measure_recorder_cost",
     "pack_event",
     "read_descriptions",
     "read_trace",

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from dds_trace.recorder import measure_floor
-from dds_trace.tracefile import TraceError, measure_recorder_cost, recover
+from dds_trace.recorder import measure_floor, measure_recorder_cost
+from dds_trace.tracefile import TraceError, recover
 from dds_trace.tracefile.units.durations import format_duration
 
 if TYPE_CHECKING:

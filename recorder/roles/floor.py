@@ -9,15 +9,15 @@ import time
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.tracefile import NoEchoError, Qos, TraceError, measure_recorder_cost
+from dds_trace.tracefile import NoEchoError, Qos, TraceError
 
 from ..backends import open_node
+from ..host.recorder_cost import measure_recorder_cost
 from ..payloads import STRING
 
 if TYPE_CHECKING:
-    from dds_trace.tracefile import RecorderCost
-
     from ..backends.base import NodeOptions
+    from ..host.recorder_cost import RecorderCost
 
 BRIEF_S = 0.15
 """Enough for a median beside each session; `dds-record --self-test` takes its time."""

@@ -1,4 +1,4 @@
-"""What recording costs on this machine: the time that `TraceSink.record` takes from the node it observes."""
+"""The cost of recording on this machine: the time that `TraceSink.record` takes from the node it observes."""
 
 from __future__ import annotations
 
@@ -6,23 +6,23 @@ import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import OutputError
-from ..format.descriptions import Session
-from .sink import TraceDestination, TraceSink
-from .writer import output_error
+from dds_trace.tracefile import OutputError, Session, TraceDestination, TraceSink
+from dds_trace.tracefile.writing.writer import output_error
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from numpy.typing import NDArray
+
     Record = Callable[[int, int, int, int], object]
-    """Keeps an event: stage, run id, sequence, monotonic time in ns, as `TraceSink.record`."""
+    """Function that keeps an event, given stage, run id, sequence and monotonic time in ns, as `TraceSink.record` is."""
 
 PACE_NS = 1_000_000
-"""1 kHz: between two events, caches and the draining thread get to the state that they have in a node."""
+"""Time between two events: at 1 kHz, caches and the draining thread are in the state that they have in a node."""
 
 STALL_EVENTS = 10
 _TIMER_READINGS = 20_000
@@ -31,15 +31,15 @@ _CHUNK_SECONDS = 0.25  # so that a measurement of a few seconds has several chun
 
 @dataclass(frozen=True, slots=True)
 class RecorderCost:
-    """The recorder's own cost in ns; times of events are net of reading the clock.
+    """The recorder's own cost in ns; times of events exclude reading the clock.
 
     Attributes:
-        timer_ns: one reading of the monotonic clock: what any time stamp costs.
-        record_median_ns: keeping one event, at 1 kHz.
-        record_p99_ns: likewise, 99th percentile.
-        record_max_ns: likewise, the slowest, chunks being closed meanwhile.
-        stall_of_ten_ns: the slowest ten consecutive events together.
-        events: how many events were measured.
+        timer_ns: time of one reading of the monotonic clock, which every time stamp costs.
+        record_median_ns: median time of keeping one event at 1 kHz.
+        record_p99_ns: 99th percentile of that time.
+        record_max_ns: maximum of that time; chunks are closed during the measurement.
+        stall_of_ten_ns: maximum time of ten consecutive events together.
+        events: number of measured events.
     """
 
     timer_ns: float
@@ -51,14 +51,14 @@ class RecorderCost:
 
 
 def measure_recorder_cost(folder: Path | None = None, seconds: float = 3.0) -> RecorderCost:
-    """The cost of recording on this machine, from a trace that is deleted again.
+    """Measure the cost of recording on this machine with a trace that is deleted again.
 
     Args:
-        folder: where the traces will be, since their disk may have a part in it; else the temporary folder.
-        seconds: how long events are recorded.
+        folder: folder of the coming traces, because their disk may add to the cost; else the temporary folder.
+        seconds: duration of the measurement.
 
     Raises:
-        OutputError: nothing can be written there.
+        OutputError: the folder cannot be written.
     """
     timer_ns = measure_timer_ns()
     count = max(int(seconds * 1e9) // PACE_NS, STALL_EVENTS)
@@ -68,7 +68,7 @@ def measure_recorder_cost(folder: Path | None = None, seconds: float = 3.0) -> R
         raise output_error(folder or Path(tempfile.gettempdir()), err) from err
     with scratch as name:
         destination = TraceDestination(Path(name) / "cost.mcap", chunk_seconds=_CHUNK_SECONDS)
-        sink = TraceSink(destination, nobodys_session())
+        sink = TraceSink(destination, measuring_session())
         times = time_paced_events(sink.record, count)
         closed = sink.close()
     if closed.error is not None:
@@ -85,14 +85,14 @@ def measure_recorder_cost(folder: Path | None = None, seconds: float = 3.0) -> R
 
 
 def measure_timer_ns() -> float:
-    """The median time of one reading of the monotonic clock."""
+    """Return the median time in ns of one reading of the monotonic clock."""
     now = time.monotonic_ns
     readings = np.fromiter((now() for _ in range(_TIMER_READINGS)), np.int64, _TIMER_READINGS)
     return float(np.median(np.diff(readings)))
 
 
-def time_paced_events(record: Record, count: int) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """The time in ns that each of `count` events takes at 1 kHz, one reading of the clock included.
+def time_paced_events(record: Record, count: int) -> NDArray[np.float64]:
+    """Return the time in ns that each of `count` events takes at 1 kHz, one reading of the clock included.
 
     The thread sleeps between events, as one that waits for messages does.
     """
@@ -108,14 +108,14 @@ def time_paced_events(record: Record, count: int) -> np.ndarray[Any, np.dtype[np
     return times
 
 
-def worst_stall_ns(times: np.ndarray[Any, np.dtype[np.float64]]) -> float:
-    """The largest sum of `STALL_EVENTS` consecutive times."""
+def worst_stall_ns(times: NDArray[np.float64]) -> float:
+    """Return the largest sum of `STALL_EVENTS` consecutive times."""
     sums = np.convolve(times, np.ones(STALL_EVENTS), "valid")
     return float(sums.max())
 
 
-def nobodys_session() -> Session:
-    """The session of a measurement: no middleware, no domain."""
+def measuring_session() -> Session:
+    """Return the session of a measurement, which has neither middleware nor domain."""
     return Session(
         session_id=0,
         role="relay",

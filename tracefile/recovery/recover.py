@@ -14,13 +14,13 @@ from ..format.ring import read_ring, ring_path
 from ..mcapfile.records import RecordFile
 from ..units.counts import counted
 from ..writing.bag_metadata import write_metadata
-from ..writing.writer import MAX_CHUNK_EVENTS, TraceWriter, output_error
+from ..writing.writer import TraceWriter, output_error
 from .salvage import Salvage, SalvagedText
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from ..format.ring import RingContents, Slots
+    from ..format.ring import RingContents
 
 KILLED_SUFFIX = ".killed"
 UNFINISHED_SUFFIX = ".recovering"
@@ -154,31 +154,28 @@ def _look_at(trace: Path) -> _Found:
 
 
 def _write(unfinished: Path, found: _Found, report: RecoveryReport) -> TraceWriter:
-    """Write the closed trace: the file's content, the ring's, and the session as it was, with the figures."""
-    writer = TraceWriter(unfinished, found.session, fsync=False)
-    with closing(RecordFile(found.trace)) as file:
-        for item in Salvage(file):
-            if isinstance(item, SalvagedText):
-                writer.write_text(item.topic, item.text, item.log_time_ns)
-            else:
-                _write_events(writer, item)
-    if found.ring is not None:
-        _write_events(writer, found.ring.slots)
-    figures = {
+    """Write the closed trace: the file's content, the ring's, and the session as it was, with the report's counts."""
+    counts = {
         "file_events": report.file_events,
         "ring_events": report.ring_events,
         "missing_events": report.missing_events,
     }
-    extra = {**found.session.extra, "recovered": figures}
-    session = replace(found.session, dropped_events=report.dropped_events, extra=extra)
-    writer.write_text(SESSION_TOPIC, session.to_json(), writer.time_range_ns[1])
-    writer.finish()
+    session = replace(
+        found.session,
+        dropped_events=report.dropped_events,
+        extra={**found.session.extra, "recovered": counts},
+    )
+    with TraceWriter(unfinished, found.session) as writer, closing(RecordFile(found.trace)) as file:
+        for item in Salvage(file):
+            if isinstance(item, SalvagedText):
+                writer.write_text(item.topic, item.text, item.log_time_ns)
+            else:
+                writer.write_events(item)
+        if found.ring is not None:
+            writer.write_events(found.ring.slots)
+        writer.write_text(SESSION_TOPIC, session.to_json(), writer.time_range_ns[1])
+        writer.finish()
     return writer
-
-
-def _write_events(writer: TraceWriter, slots: Slots) -> None:
-    for start in range(0, len(slots), MAX_CHUNK_EVENTS):
-        writer.write_events(slots[start : start + MAX_CHUNK_EVENTS])
 
 
 def _take_place(trace: Path, unfinished: Path) -> tuple[Path, ...]:

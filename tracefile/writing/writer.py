@@ -82,12 +82,14 @@ class TopicCount:
 
 
 class TraceWriter:
-    """Writes one trace. Every method leaves a readable file behind, also where it fails.
+    """Writer of one trace; every method leaves a readable file behind, also where it fails.
+
+    As a context it leaves a file that is not finished as `abandon` does.
 
     Args:
         path: the `.mcap` file, which must not exist.
-        session: whose clock anchor makes the log times.
-        fsync: each chunk is on the disk when its call returns, not only in the page cache.
+        session: the session whose clock anchor turns monotonic times into log times.
+        fsync: whether each chunk is on the disk, not only in the page cache, when its call returns.
 
     Raises:
         OutputError: the file cannot be made; later, by each method: it cannot be written.
@@ -111,10 +113,11 @@ class TraceWriter:
             self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
         except OSError as err:
             raise output_error(path, err) from err
+        self._is_open = True
         try:
             self._append([MAGIC, _record(Header(profile="ros2", library=f"{LIBRARY} {__version__}"))])
         except OutputError:
-            os.close(self._descriptor)
+            self.abandon()
             path.unlink(missing_ok=True)
             raise
 
@@ -142,10 +145,16 @@ class TraceWriter:
         return min((chunk.message_start_time for chunk in self._chunks), default=0), self._last_ns
 
     def write_events(self, slots: Slots) -> None:
-        """Append a chunk of events (one to `MAX_CHUNK_EVENTS`) in the order of `slots`."""
-        by_channel = positions_by_channel(slots)
-        declarations = _declarations([self._channels[EVENT_TOPICS[number - 1]] for number in by_channel])
-        self._write_chunk(self._builder.build(slots, by_channel, declarations, self._counts, self._last_ns))
+        """Append any number of events in the order of `slots`, in chunks of at most `MAX_CHUNK_EVENTS`.
+
+        After an error the chunks before it are in the file.
+        """
+        for first in range(0, len(slots), MAX_CHUNK_EVENTS):
+            chunk = slots[first : first + MAX_CHUNK_EVENTS]
+            by_channel = positions_by_channel(chunk)
+            declarations = _declarations([self._channels[EVENT_TOPICS[number - 1]] for number in by_channel])
+            built = self._builder.build(chunk, by_channel, declarations, self._counts, self._last_ns)
+            self._write_chunk(built)
 
     def write_text(self, topic: str, text: str, time_ns: int) -> None:
         """Append a chunk with one `std_msgs/msg/String`, so that it is not lost with what comes later.
@@ -205,8 +214,16 @@ class TraceWriter:
         self.abandon()
 
     def abandon(self) -> None:
-        """Close the file as it is, without summary."""
-        os.close(self._descriptor)
+        """Close the file as it is, without summary; a file that is closed already stays as it is."""
+        if self._is_open:
+            os.close(self._descriptor)
+        self._is_open = False
+
+    def __enter__(self) -> TraceWriter:  # noqa: PYI034 - `Self` is Python 3.11's
+        return self
+
+    def __exit__(self, *_exception: object) -> None:
+        self.abandon()
 
     def _channel(self, topic: str, schema: Schema) -> Channel:
         if topic not in self._channels:

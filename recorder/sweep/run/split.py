@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dds_trace.tracefile import HOST_TOPIC, SESSION_TOPIC, OutputError, TraceFormatError, read_trace
+from dds_trace.tracefile import HOST_TOPIC, SESSION_TOPIC, TraceFormatError, read_trace
 from dds_trace.tracefile.files import replacing
 from dds_trace.tracefile.writing.event_chunks import slots_in_time
-from dds_trace.tracefile.writing.writer import MAX_CHUNK_EVENTS, TraceWriter
+from dds_trace.tracefile.writing.writer import TraceWriter
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -84,22 +84,12 @@ def _write(part: CellPart, trace: Trace, slots: Slots) -> None:
         samples.append((session.wall_ns(part.link["monotonic_ns"]), part.link))
     samples.sort(key=lambda timed: timed[0])
     before = np.searchsorted(times_ns, [time_ns for time_ns, _ in samples], side="right").tolist()
-    with replacing(part.path) as draft:
-        writer = TraceWriter(draft, session)
-        try:
-            writer.write_text(SESSION_TOPIC, session.to_json(), session.wall_anchor_ns)
-            written = 0
-            for end, (time_ns, sample) in zip(before, samples, strict=True):
-                _write_events(writer, slots[written:end])
-                writer.write_text(HOST_TOPIC, json.dumps(sample), time_ns)
-                written = end
-            _write_events(writer, slots[written:])
-            writer.finish()
-        except OutputError:
-            writer.abandon()
-            raise
-
-
-def _write_events(writer: TraceWriter, slots: Slots) -> None:
-    for first in range(0, len(slots), MAX_CHUNK_EVENTS):
-        writer.write_events(slots[first : first + MAX_CHUNK_EVENTS])
+    with replacing(part.path) as draft, TraceWriter(draft, session) as writer:
+        writer.write_text(SESSION_TOPIC, session.to_json(), session.wall_anchor_ns)
+        written = 0
+        for end, (time_ns, sample) in zip(before, samples, strict=True):
+            writer.write_events(slots[written:end])
+            writer.write_text(HOST_TOPIC, json.dumps(sample), time_ns)
+            written = end
+        writer.write_events(slots[written:])
+        writer.finish()

@@ -32,24 +32,9 @@ from .pipeline import analyze, default_output
 from .recordings.topics import TopicReport, analyze_topics
 from .statistics.intervals import Interval, percentile_interval, ratio_interval
 from .statistics.percentiles import PERCENTILES, Percentile, minimum_messages, planned_messages
-from .verdicts.answers import (
-    Answer,
-    Clarity,
-    Contender,
-    Headline,
-    Win,
-    find_answers,
-    find_headlines,
-)
-from .verdicts.change import Verdict
-from .verdicts.compare import (
-    CompareOptions,
-    Comparison,
-    bridge_cost,
-    compare_roundtrips,
-)
+from .verdicts.answers import CaseAnswer, Headline, find_headlines
+from .verdicts.compare import CompareOptions, Comparison, compare_roundtrips
 from .verdicts.gates import (
-    Gate,
     GateOutcome,
     GateResult,
     group_words,
@@ -59,14 +44,8 @@ from .verdicts.gates import (
     parse_gate,
     varying_columns,
 )
-from .verdicts.recommend import (
-    Candidate,
-    Fit,
-    Job,
-    Recommendation,
-    parse_job,
-    recommend_settings,
-)
+from .verdicts.job import Job, parse_job
+from .verdicts.recommend import Recommendation, recommend_settings
 
 __all__ = [
     "EXPORTERS",
@@ -80,9 +59,7 @@ __all__ = [
     "STATISTICS",
     "SUMMARY_COLUMNS",
     "Analysis",
-    "Answer",
-    "Candidate",
-    "Clarity",
+    "CaseAnswer",
     "ClockFit",
     "ClockKnot",
     "ClockSegment",
@@ -90,12 +67,9 @@ __all__ = [
     "Column",
     "CompareOptions",
     "Comparison",
-    "Contender",
     "DerivedTrace",
     "Details",
     "Finding",
-    "Fit",
-    "Gate",
     "GateOutcome",
     "GateResult",
     "Headline",
@@ -107,16 +81,12 @@ __all__ = [
     "Severity",
     "Source",
     "TopicReport",
-    "Verdict",
-    "Win",
     "analyze",
     "analyze_topics",
     "break_down",
-    "bridge_cost",
     "compare_roundtrips",
     "default_output",
     "export_tables",
-    "find_answers",
     "find_headlines",
     "group_words",
     "judge_gates",

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from .model.finding import Finding
     from .model.source import Source
     from .pairing.rows import RoundTripRows
-    from .verdicts.answers import Answer
+    from .verdicts.answers import CaseAnswer
     from .verdicts.recommend import Recommendation
 
 
@@ -51,7 +51,7 @@ class Details:
             `host_samples.HOST_SAMPLE_SCHEMA`.
         bridge_costs: different domains against the same domain for equal parameters (`compare.bridge_cost`), p50 and
             p99 of the latency. Read from the rows' file kind by kind; a kind of message with more than
-            `large.MOST_COMPARED_ROWS` rows has none, and a finding says so.
+            `cases.MOST_COMPARED_ROWS` rows has none, and a finding says so.
         answers: who is fastest for each kind of message, likewise.
         deadline_ns: the deadline that `freshness` judges; None for none.
         recommendation: what was asked for with `job`, if anything was.
@@ -67,7 +67,7 @@ class Details:
     clock_knots: pl.DataFrame
     host_samples: pl.DataFrame
     bridge_costs: pl.DataFrame
-    answers: tuple[Answer, ...]
+    answers: tuple[CaseAnswer, ...]
     deadline_ns: int | None = None
     recommendation: Recommendation | None = None
 

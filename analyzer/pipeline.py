@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from .groups.summary import Grouping
     from .loading.campaign import Campaign, Progress
     from .pairing.exchanges import Exchanges
-    from .verdicts.recommend import Job
+    from .verdicts.job import Job
 
 OUTPUT_FOLDER = "analysis"
 """Where results go by default, below the analyzed folder."""

@@ -9,21 +9,16 @@ from dds_trace.tracefile.units.counts import counted
 from ..engines.batches import WHOLE_GROUP_EVENTS
 from ..model.finding import Finding, Severity
 from ..model.parameters import BRIDGE_MATCH_COLUMNS, CASE_COLUMNS
-from ..pairing.rows import partition_groups
 from ..statistics.histogram import RELATIVE_ERROR
+from ..verdicts.cases import MOST_COMPARED_ROWS, is_too_large, partition_groups
 from .evidence import some
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    import polars as pl
-
     from ..pairing.rows import RowsByGroup
     from .evidence import Evidence
-
-MOST_COMPARED_ROWS = 4_000_000
-"""Rows of one kind of message that are compared: they are in memory at once, with what sorting them takes."""
 
 SKETCHED = Finding(
     Severity.INFO,
@@ -44,11 +39,6 @@ def earlier_rows(path: Path) -> Finding:
         "The rows in this file are those of an earlier analysis; the summary beside it was not made from them.",
         "Analyze without --sketch to replace them, or give a sketch a folder of its own with --out.",
     )
-
-
-def is_too_large(case: pl.DataFrame) -> bool:
-    """Whether one part of `RowsByGroup.groups` has more rows than are compared."""
-    return int(case["published"].sum()) > MOST_COMPARED_ROWS
 
 
 def size_findings(evidence: Evidence, rows: RowsByGroup | None, in_parts: Sequence[int]) -> Iterator[Finding]:

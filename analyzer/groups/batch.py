@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from ..pairing.roundtrips import RoundTrips
-    from ..verdicts.recommend import Job
+    from ..verdicts.job import Job
 
 
 @dataclass(frozen=True, slots=True)

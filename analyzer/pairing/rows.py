@@ -106,12 +106,6 @@ class RowsByGroup:
         return self.rows.scan().select(name).slice(*span).collect().to_series()
 
 
-def partition_groups(groups: pl.DataFrame, columns: Sequence[str]) -> list[pl.DataFrame]:
-    """`RowsByGroup.groups`, or some of them, in parts that agree in some parameter columns, sorted by these."""
-    ordered = groups.sort(*columns, maintain_order=True)
-    return ordered.partition_by(*columns, maintain_order=True) if len(ordered) else []
-
-
 class RowKeeper:
     """Takes rows batch by batch, writes them, and holds them while they are few.
 

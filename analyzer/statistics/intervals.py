@@ -27,6 +27,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
+Range = tuple[float | None, float | None]
+"""Lower and upper end; an end that is None excludes nothing."""
+
+
 @dataclass(frozen=True, slots=True)
 class Interval:
     """An estimate with its confidence interval; a value that the sample does not support is None.
@@ -52,9 +56,10 @@ class Interval:
         """Whether both ends are known."""
         return self.lower is not None and self.upper is not None
 
-
-Range = tuple[float | None, float | None]
-"""Lower and upper end; an end that is None excludes nothing."""
+    @property
+    def range(self) -> Range:
+        """Both ends."""
+        return self.lower, self.upper
 
 
 def ranges_overlap(one: Range, other: Range) -> bool:

@@ -1,1 +1,8 @@
-"""What follows from groups: answers, comparisons, gates, bridge costs, recommendations."""
+"""Verdicts on groups: answers, recommendations, comparisons, costs of bridges, gates.
+
+- `cases`: the parts of a campaign that are judged together, and the latencies in them.
+- `contenders`, `answers`: who is fastest for which kind of message.
+- `job`, `recommend`, `interpolation`: which setting meets a deadline.
+- `change`, `compare`, `bridge_cost`: what changed from one side to the other, and by how much.
+- `gates`: conditions under which a comparison fails, for CI.
+"""

@@ -1,4 +1,4 @@
-"""What can be said of the change of one statistic from one series to another: difference, ratio, interval, effect."""
+"""The change of one statistic from one series to another: difference, ratio, intervals, effect."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 
     Float64 = NDArray[np.float64]
 
-MEAN_NEEDS = 10
+FEWEST_FOR_MEAN = 10
 """Independent messages below which a mean has no interval: the bootstrap of so few is far too narrow."""
 
 
-class Verdict(Enum):
-    """What the interval of a ratio new / base says of a time, where less is better."""
+class ChangeVerdict(Enum):
+    """The verdict on a time by the interval of its ratio new / base; less is better."""
 
     BETTER = "better"
     WORSE = "worse"
@@ -35,13 +35,19 @@ class Verdict(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """One statistic of one group on both sides. Ends of intervals are None where a sample does not support them.
+    """One statistic of one group on both sides; None where a sample is too small for a value or an end.
 
     Attributes:
-        base: the statistic of the base, in ns; None if its sample is too small.
-        new: the same of the new side, with `new_low` and `new_high`.
-        difference: new - base, with `difference_low` and `difference_high`.
-        ratio: new / base, with `ratio_low` and `ratio_high`.
+        base: the statistic of the base, ns.
+        new: the statistic of the new side, ns.
+        new_low: lower end of its interval.
+        new_high: upper end of its interval.
+        difference: new - base, ns.
+        difference_low: lower end of its interval.
+        difference_high: upper end of its interval.
+        ratio: new / base.
+        ratio_low: lower end of its interval.
+        ratio_high: upper end of its interval.
     """
 
     base: float | None
@@ -55,32 +61,37 @@ class Change:
     ratio_low: float | None
     ratio_high: float | None
 
-    def verdict(self, same_within: float) -> Verdict:
-        """Better, worse, the same, or not to be told from these samples."""
+    def verdict(self, same_within: float) -> ChangeVerdict:
+        """Judge the change by the interval of the ratio; `same_within` as in `CompareOptions`."""
         if self.ratio_low is None or self.ratio_high is None:
-            return Verdict.INCONCLUSIVE
+            return ChangeVerdict.INCONCLUSIVE
         if 1 - same_within <= self.ratio_low and self.ratio_high <= 1 + same_within:
-            return Verdict.SAME
+            return ChangeVerdict.SAME
         if self.ratio_high < 1:
-            return Verdict.BETTER
+            return ChangeVerdict.BETTER
         if self.ratio_low > 1:
-            return Verdict.WORSE
-        return Verdict.INCONCLUSIVE
+            return ChangeVerdict.WORSE
+        return ChangeVerdict.INCONCLUSIVE
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drawn:
-    """A statistic of one sample, and what the bootstrap makes of it; None where the sample is too small for it."""
+    """A statistic of one sample and of its replicates; None where the sample is too small.
+
+    Attributes:
+        value: the statistic.
+        drawn: float64, shape (replicates,): the statistic of each sample that the bootstrap drew.
+    """
 
     value: float | None
     drawn: Float64 | None
 
 
 class Sample:
-    """A series, and what was computed of it: one that is compared several times is drawn from once.
+    """A series with the statistics that were drawn from it: a series that is compared several times is drawn from once.
 
     Args:
-        values: in the order of time.
+        values: the series in the order of time.
     """
 
     def __init__(self, values: Values) -> None:
@@ -92,11 +103,11 @@ class Sample:
 
     @cached_property
     def ordered(self) -> Values:
-        """The values rising."""
+        """The values in rising order."""
         return np.sort(self.values)
 
     def draw(self, statistic: str, confidence: float, replicates: int, seed: int) -> Drawn:
-        """A statistic (`mean` or the name of a percentile) of the series, and of so many samples drawn from it."""
+        """Return a statistic (`mean` or the name of a percentile) of the series and of `replicates` samples drawn from it."""
         how = (statistic, confidence, replicates, seed)
         if how not in self._drawn:
             make = self._mean if statistic == "mean" else self._percentile
@@ -108,7 +119,7 @@ class Sample:
             return Drawn(None, None)
         dependence = dependence_of(self.values)
         mean = float(self.values.mean())
-        if len(self) / dependence.inflation < MEAN_NEEDS:
+        if len(self) / dependence.inflation < FEWEST_FOR_MEAN:
             return Drawn(mean, None)
         block = dependence.block_messages
         return Drawn(mean, bootstrap_mean(self.values, block, replicates=replicates, seed=seed))
@@ -139,13 +150,13 @@ def change_of(
     confidence: float = 0.95,
     replicates: int = REPLICATES,
 ) -> Change:
-    """A statistic of two series and what can be said of its change.
+    """Compare a statistic of two series.
 
     Args:
         base: values of the base.
         new: values of the new side.
         statistic: `mean` or the name of a percentile.
-        confidence: of the intervals; an end is given only if both samples are worth enough messages for it.
+        confidence: of the intervals; an end is known only if both samples are worth enough messages for it.
         replicates: draws of the bootstrap.
     """
     before, after = (
@@ -177,7 +188,7 @@ def change_of(
 
 
 def probability_of_superiority(base: Sample, new: Sample) -> float | None:
-    """How often a value drawn from `new` is below one drawn from `base`, ties counted half; None without values.
+    """Return how often a value drawn from `new` is below one drawn from `base`, ties counted half; None without values.
 
     One half means no difference, 1 that every new message is faster than every one of the base.
     """

@@ -20,23 +20,28 @@ import operator
 import re
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from dds_trace.tracefile.errors import OptionError
 from dds_trace.tracefile.units.durations import UNIT_NS
 from dds_trace.tracefile.units.quantities import split_quantity
 
 from ..model.metrics import METRICS
-from .compare import QUANTILES
+from .compare import COMPARED_STATISTICS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
+    import polars as pl
+
+    from ..model.parameters import ParameterValue
     from .compare import CompareOptions, Comparison
 
-STATISTICS = ("mean", *QUANTILES)
 RECEIVED_RATIO = "received_ratio"
-GATE_METRICS = (*(f"{metric}_{statistic}" for metric in METRICS for statistic in STATISTICS), RECEIVED_RATIO)
+_GATE_METRICS = (
+    *(f"{metric}_{statistic}" for metric in METRICS for statistic in COMPARED_STATISTICS),
+    RECEIVED_RATIO,
+)
 _OPERATORS: dict[str, Callable[[float, float], bool]] = {
     ">": operator.gt,
     ">=": operator.ge,
@@ -47,7 +52,7 @@ _GATE = re.compile(r"\s*(?P<metric>[A-Za-z0-9_.]+)\s*(?P<operator>>=|<=|>|<)\s*(
 
 
 class GateOutcome(Enum):
-    """What came of a gate; `exit_code` for the shell, apart from those of `TraceError`."""
+    """The outcome of a gate; its exit codes differ from those of `TraceError`."""
 
     PASSED = "passed"
     REGRESSED = "regressed"
@@ -56,7 +61,7 @@ class GateOutcome(Enum):
 
     @property
     def exit_code(self) -> int:
-        """Exit code of a command whose gates came out like this."""
+        """Exit code of a command whose gates have this outcome."""
         return _EXIT_CODES[self]
 
 
@@ -69,7 +74,7 @@ _EXIT_CODES = {
 
 
 class Against(Enum):
-    """What a limit is measured against; the values are prefixes of the columns of a comparison."""
+    """The value that a limit applies to, by the prefix of its columns in a comparison."""
 
     RATIO = "ratio"  # change as a share of the base
     DIFFERENCE = "difference"  # change in ns
@@ -81,11 +86,11 @@ class Gate:
     """A condition under which a comparison fails.
 
     Attributes:
-        text: as it was written.
+        text: the gate as it was written.
         metric: `latency`, `rtt`, `response`, `intermediate` or `received_ratio`.
         statistic: `mean` or a percentile; empty for `received_ratio`.
         operator: `>`, `>=`, `<` or `<=`.
-        against: what the limit is measured against.
+        against: the value that the limit applies to.
         limit: a ratio new / base for `RATIO`, ns for `DIFFERENCE` and `NEW` (a share for `received_ratio`).
     """
 
@@ -97,7 +102,7 @@ class Gate:
     limit: float
 
     def judge(self, value: float | None, low: float | None, high: float | None) -> GateOutcome:
-        """The outcome for an estimate and its interval; an end that is None is one that nobody knows."""
+        """Judge an estimate by its interval; an end that is None is unknown."""
         if value is None or low is None or high is None:
             return GateOutcome.INCONCLUSIVE
         fails = [_OPERATORS[self.operator](end, self.limit) for end in (low, high)]
@@ -107,23 +112,23 @@ class Gate:
 
 
 def parse_gate(text: str) -> Gate:
-    """The gate that a text of the module's grammar describes.
+    """Read a gate in the grammar of this module.
 
     Raises:
-        OptionError: the text is none; the message says where it went wrong and names the nearest metric.
+        OptionError: the text is not a gate; the message says where it goes wrong and names the nearest metric.
     """
-    found = _GATE.fullmatch(text)
-    if found is None:
+    match = _GATE.fullmatch(text)
+    if match is None:
         raise OptionError(f"--fail-if {text!r}: write METRIC > LIMIT, for example 'latency_p99 > +10%'")
-    metric, statistic = _parse_metric(text, found["metric"])
-    against, limit = _parse_limit(text, found["limit"], metric)
-    return Gate(text.strip(), metric, statistic, found["operator"], against, limit)
+    metric, statistic = _parse_metric(text, match["metric"])
+    against, limit = _parse_limit(text, match["limit"], metric)
+    return Gate(text.strip(), metric, statistic, match["operator"], against, limit)
 
 
 def _parse_metric(text: str, name: str) -> tuple[str, str]:
     spelled = name.lower().replace(".", "_")  # p99.9 is meant as p99_9
-    if spelled not in GATE_METRICS:
-        near = difflib.get_close_matches(spelled, GATE_METRICS, n=1, cutoff=0)[0]
+    if spelled not in _GATE_METRICS:
+        near = difflib.get_close_matches(spelled, _GATE_METRICS, n=1, cutoff=0)[0]
         raise OptionError(f"--fail-if {text!r}: no metric {name!r}; did you mean {near!r}?")
     if spelled == RECEIVED_RATIO:
         return spelled, ""
@@ -153,11 +158,15 @@ def _parse_limit(text: str, limit: str, metric: str) -> tuple[Against, float]:
 
 @dataclass(frozen=True, slots=True)
 class GateResult:
-    """A gate on one group.
+    """The outcome of a gate for one group.
 
     Attributes:
-        where: the group, in words: the parameters that tell the compared groups apart.
-        measured: what was measured against the limit, in the limit's terms, with its interval.
+        gate: the gate.
+        where: the group in words: the parameters that tell the compared groups apart.
+        outcome: the outcome.
+        measured: the measured value in the unit of the limit.
+        low: lower end of its interval.
+        high: upper end of its interval.
     """
 
     gate: Gate
@@ -169,7 +178,7 @@ class GateResult:
 
 
 def options_for(gates: Sequence[Gate], options: CompareOptions) -> CompareOptions:
-    """The options with every metric and statistic that the gates need."""
+    """Add every metric and statistic that the gates need to the options."""
     timed = [gate for gate in gates if gate.statistic]
     return replace(
         options,
@@ -179,9 +188,9 @@ def options_for(gates: Sequence[Gate], options: CompareOptions) -> CompareOption
 
 
 def judge_gates(comparison: Comparison, gates: Sequence[Gate]) -> list[GateResult]:
-    """Every gate on every matched group, groups in the order of the comparison (made with `options_for` the gates)."""
+    """Judge every matched group by every gate, gate by gate; the comparison was made with `options_for` the gates."""
     names = varying_columns(comparison)
-    results = []
+    results: list[GateResult] = []
     for gate in gates:
         judge = _judge_received if gate.metric == RECEIVED_RATIO else _judge_time
         results += judge(comparison, gate, names)
@@ -189,7 +198,7 @@ def judge_gates(comparison: Comparison, gates: Sequence[Gate]) -> list[GateResul
 
 
 def overall_outcome(results: Sequence[GateResult]) -> GateOutcome:
-    """Regressed if any gate failed, else inconclusive if any is, else passed; nothing to compare without a result."""
+    """Return regressed if any gate failed, else inconclusive if any is, else passed; without results, nothing to compare."""
     for outcome in (GateOutcome.REGRESSED, GateOutcome.INCONCLUSIVE, GateOutcome.PASSED):
         if any(result.outcome is outcome for result in results):
             return outcome
@@ -197,33 +206,36 @@ def overall_outcome(results: Sequence[GateResult]) -> GateOutcome:
 
 
 def varying_columns(comparison: Comparison) -> list[str]:
-    """The match columns that differ between the compared groups; vendor, bridge, data and size at least."""
+    """Return the match columns that differ between the compared groups, and always those of vendor, bridge and message."""
     always = {"vendor", "bridge", "data_type", "payload_bytes", "rate_hz"}
     groups = comparison.delivery
     return [n for n in comparison.options.match if n in always or groups[n].n_unique() > 1]
 
 
-def group_words(row: dict[str, Any], names: Sequence[str]) -> str:
-    """A group in words: `vendor=fastdds payload_bytes=33000 ...`."""
+def group_words(row: Mapping[str, ParameterValue], names: Sequence[str]) -> str:
+    """Describe a group in words: `vendor=fastdds payload_bytes=33000 ...`."""
     return " ".join(
         f"{name}={row[name]:g}" if isinstance(row[name], float) else f"{name}={row[name]}" for name in names
     )
 
 
-def _judge_time(comparison: Comparison, gate: Gate, names: Sequence[str]) -> list[GateResult]:
+def _judge_time(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator[GateResult]:
     unit = "" if gate.against is Against.RATIO else "_ns"
     columns = [f"{gate.against.value}{end}{unit}" for end in ("", "_low", "_high")]
-    rows = comparison.rows.filter(
-        (comparison.rows["metric"] == gate.metric) & (comparison.rows["statistic"] == gate.statistic),
+    return _judge_rows(
+        comparison.rows.filter(metric=gate.metric, statistic=gate.statistic), gate, columns, names
     )
-    return [_result(gate, row, columns, names) for row in rows.iter_rows(named=True)]
 
 
-def _judge_received(comparison: Comparison, gate: Gate, names: Sequence[str]) -> list[GateResult]:
+def _judge_received(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator[GateResult]:
     columns = [f"new_received_ratio{end}" for end in ("", "_low", "_high")]
-    return [_result(gate, row, columns, names) for row in comparison.delivery.iter_rows(named=True)]
+    return _judge_rows(comparison.delivery, gate, columns, names)
 
 
-def _result(gate: Gate, row: dict[str, Any], columns: Sequence[str], names: Sequence[str]) -> GateResult:
-    value, low, high = (row[column] for column in columns)
-    return GateResult(gate, group_words(row, names), gate.judge(value, low, high), value, low, high)
+def _judge_rows(
+    rows: pl.DataFrame, gate: Gate, columns: Sequence[str], names: Sequence[str]
+) -> Iterator[GateResult]:
+    """Judge every row; `columns` are those of the value and of the ends of its interval."""
+    for row in rows.iter_rows(named=True):
+        value, low, high = (row[column] for column in columns)
+        yield GateResult(gate, group_words(row, names), gate.judge(value, low, high), value, low, high)

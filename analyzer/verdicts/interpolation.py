@@ -1,7 +1,7 @@
-"""A guess for a cell that was not measured, from cells around it, with its error from cells that were held out.
+"""A guess for a size and rate that were not measured, with its error from measurements that were held out.
 
 Between measured sizes and rates the logarithm of the time is taken as linear in the logarithms of size and rate. That
-is wrong where a limit is crossed (a socket buffer, a shared-memory segment), which is why every measured cell that has
+is wrong where a limit is crossed (a socket buffer, a shared-memory segment), which is why every measurement that has
 neighbours is predicted from them as if it were unknown: the largest of these errors is the guess's own. Nothing is
 guessed outside of what was measured.
 """
@@ -16,21 +16,22 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-Cell = tuple[float, float]
+SizeAndRate = tuple[float, float]
 """Payload in bytes and rate in Hz, both above 0."""
 
-NEEDED_HELD_OUT = 3
-"""Held-out cells below which no guess is made: the largest of so few errors bounds nothing."""
+FEWEST_HELD_OUT = 3
+"""Held-out measurements below which no guess is made: the largest of so few errors bounds nothing."""
 
 
 @dataclass(frozen=True, slots=True)
 class Guess:
-    """A time in an unmeasured cell.
+    """A time that was not measured.
 
     Attributes:
         value_ns: the interpolated time.
-        error_factor: the largest factor by which a held-out cell was off, at least 1.
-        held_out: how many cells were held out. With m of them, the next error is larger than all in one of m + 1.
+        error_factor: the largest factor by which a held-out measurement was off, at least 1.
+        held_out: number of held-out measurements. With m of them, the next error exceeds all of theirs in one case
+            of m + 1.
     """
 
     value_ns: float
@@ -48,42 +49,48 @@ class Guess:
         return self.value_ns * self.error_factor
 
 
-def guess_cell(measured_ns: Mapping[Cell, float], cell: Cell) -> Guess | None:
-    """The time of a cell from measured ones (above 0), None where they do not surround it or too few can be held out."""
+def guess_time(measured_ns: Mapping[SizeAndRate, float], at: SizeAndRate) -> Guess | None:
+    """Guess a time from measured ones; None if these do not surround it, or too few of them can be held out.
+
+    Args:
+        measured_ns: times above 0.
+        at: size and rate of the guess.
+    """
     logs = {(math.log(size), math.log(rate)): math.log(value) for (size, rate), value in measured_ns.items()}
-    found = _interpolate(logs, (math.log(cell[0]), math.log(cell[1])))
+    log_value = _interpolate(logs, (math.log(at[0]), math.log(at[1])))
     errors = [abs(error) for error in _held_out_errors(logs)]
-    if found is None or len(errors) < NEEDED_HELD_OUT:
+    if log_value is None or len(errors) < FEWEST_HELD_OUT:
         return None
-    return Guess(math.exp(found), math.exp(max(errors)), len(errors))
+    return Guess(math.exp(log_value), math.exp(max(errors)), len(errors))
 
 
-def _held_out_errors(logs: Mapping[Cell, float]) -> Iterable[float]:
-    for cell, value in logs.items():
-        found = _interpolate({other: v for other, v in logs.items() if other != cell}, cell)
-        if found is not None:
-            yield found - value
+def _held_out_errors(logs: Mapping[SizeAndRate, float]) -> Iterable[float]:
+    for at, value in logs.items():
+        predicted = _interpolate({other: v for other, v in logs.items() if other != at}, at)
+        if predicted is not None:
+            yield predicted - value
 
 
-def _interpolate(logs: Mapping[Cell, float], cell: Cell) -> float | None:
-    """Along the sizes and then the rates, and the other way round; the mean of the ways that the cells allow."""
-    size, rate = cell
+def _interpolate(logs: Mapping[SizeAndRate, float], at: SizeAndRate) -> float | None:
+    """Interpolate along the sizes and then the rates, and the other way round; return the mean of what is possible."""
+    size, rate = at
     swapped = {(r, s): value for (s, r), value in logs.items()}
     ways = [_two_steps(logs, size, rate), _two_steps(swapped, rate, size)]
-    found = [way for way in ways if way is not None]
-    return sum(found) / len(found) if found else None
+    values = [value for value in ways if value is not None]
+    return sum(values) / len(values) if values else None
 
 
-def _two_steps(logs: Mapping[Cell, float], first: float, second: float) -> float | None:
+def _two_steps(logs: Mapping[SizeAndRate, float], first: float, second: float) -> float | None:
+    """Interpolate along the first coordinate on every line of equal second one, then between these lines."""
     lines: dict[float, dict[float, float]] = {}
     for (x, y), value in logs.items():
         lines.setdefault(y, {})[x] = value
-    across = {y: found for y, line in lines.items() if (found := _between(line, first)) is not None}
+    across = {y: at_first for y, line in lines.items() if (at_first := _between(line, first)) is not None}
     return _between(across, second)
 
 
 def _between(line: Mapping[float, float], x: float) -> float | None:
-    """Linear between the two nearest known points, None outside of them."""
+    """Interpolate linearly between the two nearest known points; None outside of them."""
     if x in line:
         return line[x]
     for low, high in pairwise(sorted(line)):

@@ -1,128 +1,39 @@
-"""Which middleware, bridge and settings do for a job: `data=binary size=502KB rate=20 deadline=50ms reliability=0.999`.
+"""Recommendation: which middleware, bridge and settings meet the deadline of a job.
 
-A setting does if messages arrive within the deadline with the wanted probability. Lost messages count as infinitely
+A setting meets a job if messages arrive within the deadline with the wanted probability. Lost messages count as infinitely
 late, so the question is whether the `reliability` quantile of the latency is below the deadline, and its confidence
-interval (`analyzer/statistics/intervals.py`) gives the answer: it meets the deadline if the upper end does, it misses it if the
-lower end does, and otherwise these traces cannot tell. A reply that was lost makes its message count as lost.
+interval (`analyzer/statistics/intervals.py`) gives the answer: the setting meets the deadline if the upper end does, it misses
+it if the lower end does, and otherwise these traces cannot tell. A reply that was lost makes its message count as lost.
 """
 
 from __future__ import annotations
 
-import difflib
 import math
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numpy as np
 import polars as pl
 
-from dds_trace.tracefile.errors import OptionError
 from dds_trace.tracefile.units.counts import counted
-from dds_trace.tracefile.units.durations import parse_duration
-from dds_trace.tracefile.units.quantities import split_quantity
-from dds_trace.tracefile.units.rates import parse_rate
-from dds_trace.tracefile.units.sizes import parse_size
 
 from ..model.parameters import SETTING_COLUMNS
 from ..statistics.intervals import percentile_interval, ranges_overlap
 from ..statistics.percentiles import minimum_messages, planned_messages
-from .interpolation import guess_cell
+from .cases import delivered_latencies, parts_of
+from .interpolation import guess_time
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Mapping
 
-    from numpy.typing import NDArray
-
-IMU_BYTES = 296
-"""37 float64, the only size that `data=imu` has."""
-
-
-@dataclass(frozen=True, slots=True)
-class Job:
-    """What is asked for.
-
-    Attributes:
-        reliability: share of messages that must arrive within the deadline, between 0 and 1, both excluded.
-        domain_mode: `same`, `different`, or None where both will do.
-    """
-
-    data_type: str
-    payload_bytes: int
-    rate_hz: float
-    deadline_ns: int
-    reliability: float
-    domain_mode: str | None = None
-
-
-def parse_job(text: str) -> Job:
-    """The job that `KEY=VALUE ...` describes.
-
-    Keys: `data`, `size` (bytes, KB, MB, KiB, MiB; `data=imu` needs none), `rate` (Hz), `deadline` (ns, us, ms, s),
-    `reliability` (0.999 or 99.9%), and optionally `domain` (same or different).
-
-    Raises:
-        OptionError: a key is unknown, given twice or missing, or a value is not of its kind; the message names it.
-    """
-    values: dict[str, Any] = {}
-    for word in text.split():
-        key, equals, value = word.partition("=")
-        if key not in _KEYS:
-            near = difflib.get_close_matches(key, _KEYS, n=1, cutoff=0)[0]
-            raise OptionError(f"--recommend {text!r}: no key {key!r}; did you mean {near!r}?")
-        if not equals or not value:
-            raise OptionError(f"--recommend {text!r}: {key} has no value; write {key}={_EXAMPLES[key]}")
-        if key in values:
-            raise OptionError(f"--recommend {text!r}: {key} is given twice")
-        with suppress(OptionError):
-            values[key] = _KEYS[key](value)
-        if values.get(key) is None:
-            raise OptionError(
-                f"--recommend {text!r}: {key}={value} is not understood; write {key}={_EXAMPLES[key]}"
-            )
-    if values.get("data") == "imu":
-        values.setdefault("size", IMU_BYTES)
-    missing = [key for key in _KEYS if key not in values and key != "domain"]
-    if missing:
-        wanted = " ".join(f"{key}={_EXAMPLES[key]}" for key in missing)
-        raise OptionError(f"--recommend {text!r}: {', '.join(missing)} missing; add {wanted}")
-    return Job(
-        values["data"],
-        values["size"],
-        values["rate"],
-        values["deadline"],
-        values["reliability"],
-        values.get("domain"),
-    )
-
-
-def _share(text: str) -> float | None:
-    number, unit = split_quantity(text) or (0.0, "")
-    share = {"": number, "%": number / 100}.get(unit, 0.0)
-    return share if 0 < share < 1 else None
-
-
-_KEYS: dict[str, Callable[[str], Any]] = {
-    "data": str,
-    "size": lambda text: parse_size(text) or None,
-    "rate": parse_rate,
-    "deadline": parse_duration,
-    "reliability": _share,
-    "domain": lambda text: text if text in {"same", "different"} else None,
-}
-_EXAMPLES = {
-    "data": "binary",
-    "size": "502KB",
-    "rate": "20",
-    "deadline": "50ms",
-    "reliability": "0.999",
-    "domain": "same",
-}
+    from ..statistics.intervals import Range
+    from .cases import Setting
+    from .interpolation import SizeAndRate
+    from .job import Job
 
 
 class Fit(Enum):
-    """Whether a setting does for a job."""
+    """Whether a setting meets a job."""
 
     MEETS = "meets"
     INCONCLUSIVE = "inconclusive"
@@ -134,23 +45,23 @@ _FIT_ORDER = {fit: order for order, fit in enumerate(Fit)}
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One setting and what the traces say of it for a job.
+    """One setting, and how far it meets a job by the traces.
 
     Attributes:
-        setting: the columns `SETTING_COLUMNS`.
-        fit: whether it does.
-        measured: False where the cell was not measured and the numbers are a guess from cells around it.
+        setting: value of each of `SETTING_COLUMNS`.
+        fit: whether it meets the deadline.
+        measured: whether the job's size and rate were measured; otherwise the numbers are a guess from others around it.
         latency_ns: the `reliability` quantile of the latency; infinite if too many messages were lost, None if unknown.
-        lower_ns: lower end of its interval (of a guess: the value divided by the largest held-out error), None if unknown.
-        upper_ns: upper end, likewise.
-        margin_ns: deadline less upper end; negative where it is beyond, None where it is unknown or infinite.
-        messages: published messages of the cell, 0 for a guess.
-        held_out: cells that a guess's error comes from, 0 for a measured cell.
-        tied: its interval overlaps that of the best candidate, so these traces do not tell the two apart.
-        reason: one sentence: why it is inconclusive, or what a guess rests on; empty otherwise.
+        lower_ns: lower end of the interval (of a guess: the value divided by the largest held-out error), None if unknown.
+        upper_ns: upper end of the interval (of a guess: the value times that error), None if unknown.
+        margin_ns: deadline less upper end, negative if that is later; None if it is unknown or infinite.
+        messages: published messages of the job's size and rate, 0 for a guess.
+        held_out: measurements that a guess's error comes from, 0 for a measured candidate.
+        tied: whether the interval overlaps that of the best candidate, so that these traces do not tell the two apart.
+        reason: one sentence: why the fit is inconclusive, or what a guess rests on; empty otherwise.
     """
 
-    setting: Mapping[str, Any]
+    setting: Setting
     fit: Fit
     measured: bool
     latency_ns: float | None
@@ -162,12 +73,23 @@ class Candidate:
     tied: bool = False
     reason: str = ""
 
+    @property
+    def range(self) -> Range:
+        """Both ends of the interval, ns."""
+        return self.lower_ns, self.upper_ns
+
+    def order(self) -> tuple[int, bool, float, float, str]:
+        """Return the key by which candidates are ranked: fit, measured before guessed, upper end, estimate, setting."""
+        upper, value = (math.inf if v is None else v for v in (self.upper_ns, self.latency_ns))
+        return _FIT_ORDER[self.fit], not self.measured, upper, value, str(list(self.setting.items()))
+
 
 @dataclass(frozen=True, slots=True)
 class Recommendation:
-    """The ranking for a job.
+    """The candidates for a job.
 
     Attributes:
+        job: what is asked for.
         candidates: best first: those that meet the deadline by their upper end, then the inconclusive, then the others.
     """
 
@@ -176,7 +98,7 @@ class Recommendation:
 
     @property
     def best(self) -> tuple[Candidate, ...]:
-        """The candidates that meet the deadline and cannot be told apart from the first; empty if none meets it."""
+        """Candidates that meet the deadline and cannot be told apart from the first; empty if no candidate meets it."""
         return tuple(c for c in self.candidates if c.fit is Fit.MEETS and c.tied)
 
     @property
@@ -187,26 +109,11 @@ class Recommendation:
         )
 
 
-def delivered_latencies(roundtrips: pl.DataFrame) -> NDArray[np.float64]:
-    """Latency of each message in the order of the frame, infinite if it was lost; empty if no latency is known.
-
-    A reply that came back without the relay's stamps took at most half of its round trip. It counts with that: left
-    out, it would give the lost ones more weight than they have.
-    """
-    if roundtrips["latency_ns"].null_count() == len(roundtrips):
-        return np.empty(0, np.float64)
-    lost = pl.col("outcome") != "completed"
-    at_most = pl.coalesce(pl.col("latency_ns").cast(pl.Float64), pl.col("rtt_ns") / 2)
-    return (
-        roundtrips.select(pl.when(lost).then(math.inf).otherwise(at_most)).to_series().drop_nulls().to_numpy()
-    )
-
-
 def recommend_settings(roundtrips: pl.DataFrame, job: Job, confidence: float = 0.95) -> Recommendation:
-    """The ranking of every setting that the traces say something about.
+    """Rank every setting whose latency for a job was measured or can be guessed.
 
     Args:
-        roundtrips: frame of `docs/trace-format.md`.
+        roundtrips: rows of `docs/trace-format.md`.
         job: what is asked for.
         confidence: of the intervals.
     """
@@ -218,27 +125,18 @@ def recommend_settings(roundtrips: pl.DataFrame, job: Job, confidence: float = 0
         for setting, part in parts_of(roundtrips.filter(wanted), SETTING_COLUMNS)
         if (candidate := _candidate(setting, part, job, confidence)) is not None
     ]
-    candidates.sort(key=_order)
+    candidates.sort(key=Candidate.order)
     if candidates:
         best = candidates[0]
-        candidates = [replace(c, tied=c is best or _overlap(c, best)) for c in candidates]
+        candidates = [replace(c, tied=c is best or ranges_overlap(c.range, best.range)) for c in candidates]
     return Recommendation(job, tuple(candidates))
 
 
-def parts_of(frame: pl.DataFrame, columns: Sequence[str]) -> Iterator[tuple[dict[str, Any], pl.DataFrame]]:
-    """The frame by the values of some columns, messages of a part in the order of time within each run."""
-
-    def key(part: pl.DataFrame) -> list[tuple[bool, Any]]:
-        return [(value is not None, value) for value in part.row(0)]
-
-    parts = [(part.select(columns), part) for part in frame.partition_by(*columns, maintain_order=True)]
-    for of_part, part in sorted(parts, key=lambda held: key(held[0])):
-        yield of_part.row(0, named=True), part.sort("run_id", "relay_id", "publish_ns")
-
-
-def _candidate(setting: dict[str, Any], part: pl.DataFrame, job: Job, confidence: float) -> Candidate | None:
-    cells = {
-        (c["payload_bytes"], c["rate_hz"]): rows for c, rows in parts_of(part, ("payload_bytes", "rate_hz"))
+def _candidate(setting: Setting, part: pl.DataFrame, job: Job, confidence: float) -> Candidate | None:
+    """Judge a setting by its round trips; None if nothing can be said of it."""
+    size_and_rate = ("payload_bytes", "rate_hz")
+    cells: dict[SizeAndRate, pl.DataFrame] = {
+        rows.select(size_and_rate).row(0): rows for _, rows in parts_of(part, size_and_rate)
     }
     measured = cells.get((job.payload_bytes, job.rate_hz))
     if measured is not None:
@@ -246,10 +144,10 @@ def _candidate(setting: dict[str, Any], part: pl.DataFrame, job: Job, confidence
     return _guessed(setting, cells, job)
 
 
-def _measured(setting: dict[str, Any], cell: pl.DataFrame, job: Job, confidence: float) -> Candidate:
+def _measured(setting: Setting, cell: pl.DataFrame, job: Job, confidence: float) -> Candidate:
     latencies = delivered_latencies(cell)
     interval = percentile_interval(latencies, job.reliability, confidence)
-    fit = _fit(interval.lower, interval.upper, job.deadline_ns)
+    fit = _fit(interval.range, job.deadline_ns)
     reason = ""
     if fit is Fit.INCONCLUSIVE:
         needs = planned_messages(job.reliability, confidence, interval.samples / max(1, interval.independent))
@@ -274,21 +172,19 @@ def _measured(setting: dict[str, Any], cell: pl.DataFrame, job: Job, confidence:
     )
 
 
-def _guessed(
-    setting: dict[str, Any], cells: Mapping[tuple[float, float], pl.DataFrame], job: Job
-) -> Candidate | None:
+def _guessed(setting: Setting, cells: Mapping[SizeAndRate, pl.DataFrame], job: Job) -> Candidate | None:
     values = {
         cell: value
         for cell, rows in cells.items()
         if (value := percentile_interval(delivered_latencies(rows), job.reliability).value) is not None
         and 0 < value < math.inf
     }
-    guess = guess_cell(values, (job.payload_bytes, job.rate_hz))
+    guess = guess_time(values, (job.payload_bytes, job.rate_hz))
     if guess is None:
         return None
     return Candidate(
         setting=setting,
-        fit=_fit(guess.lower_ns, guess.upper_ns, job.deadline_ns),
+        fit=_fit((guess.lower_ns, guess.upper_ns), job.deadline_ns),
         measured=False,
         latency_ns=guess.value_ns,
         lower_ns=guess.lower_ns,
@@ -303,7 +199,8 @@ def _guessed(
     )
 
 
-def _fit(lower: float | None, upper: float | None, deadline_ns: int) -> Fit:
+def _fit(interval_ns: Range, deadline_ns: int) -> Fit:
+    lower, upper = interval_ns
     if upper is not None and upper <= deadline_ns:
         return Fit.MEETS
     if lower is not None and lower > deadline_ns:
@@ -313,19 +210,3 @@ def _fit(lower: float | None, upper: float | None, deadline_ns: int) -> Fit:
 
 def _margin(upper: float | None, deadline_ns: int) -> float | None:
     return None if upper is None or math.isinf(upper) else deadline_ns - upper
-
-
-def _order(candidate: Candidate) -> tuple[int, bool, float, float, str]:
-    """Those that meet first, measured before guessed, then by upper end and estimate (infinite where unknown)."""
-    upper, value = (math.inf if v is None else v for v in (candidate.upper_ns, candidate.latency_ns))
-    return (
-        _FIT_ORDER[candidate.fit],
-        not candidate.measured,
-        upper,
-        value,
-        str(list(candidate.setting.items())),
-    )
-
-
-def _overlap(one: Candidate, other: Candidate) -> bool:
-    return ranges_overlap((one.lower_ns, one.upper_ns), (other.lower_ns, other.upper_ns))

@@ -33,8 +33,7 @@ from .verdicts import (
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from dds_trace.analyzer import Analysis
-    from dds_trace.analyzer import Answer as CellAnswer
+    from dds_trace.analyzer import Analysis, CaseAnswer
 
     from .groups import Groups
     from .numbers import Values
@@ -80,7 +79,7 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values) -> Answer:
 
 
 def _headline(
-    verdicts: tuple[Verdict, ...], groups: Groups, values: Values, answers: Sequence[CellAnswer]
+    verdicts: tuple[Verdict, ...], groups: Groups, values: Values, answers: Sequence[CaseAnswer]
 ) -> str:
     vendors = sorted({vendor_pair_label(series) for series in groups.series})
     if not verdicts:

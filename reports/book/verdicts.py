@@ -18,7 +18,7 @@ from .groups import DATA_TYPES, data_type_label, pair_label
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from dds_trace.analyzer import Answer, Headline
+    from dds_trace.analyzer import CaseAnswer, Headline
 
 CLEARLY = (
     "A cell is one data type, size and rate. One is called clearly fastest only where the 95 % confidence interval of its p99 "
@@ -83,7 +83,7 @@ class Verdict:
         return "; ".join(parts) + "."
 
 
-def verdicts_info(answers: Sequence[Answer]) -> tuple[Verdict, ...]:
+def verdicts_info(answers: Sequence[CaseAnswer]) -> tuple[Verdict, ...]:
     """One verdict per kind of data in which two contenders met, data types and domain modes in their usual order."""
     contenders = {one.name: one for answer in answers for one in answer.contenders}
     labels = contender_labels(answers)
@@ -100,8 +100,8 @@ def verdicts_info(answers: Sequence[Answer]) -> tuple[Verdict, ...]:
                 mode=mode,
                 cells=headline.cases,
                 wins=tuple(
-                    Win(labels[win.name], str(contenders[win.name].setting["vendor"]), win.cases)
-                    for win in headline.wins
+                    Win(labels[lead.name], str(contenders[lead.name].setting["vendor"]), lead.cases)
+                    for lead in headline.leads
                 ),
                 inconclusive=headline.inconclusive,
             )
@@ -109,7 +109,7 @@ def verdicts_info(answers: Sequence[Answer]) -> tuple[Verdict, ...]:
     return tuple(verdicts)
 
 
-def contender_labels(answers: Sequence[Answer]) -> dict[str, str]:
+def contender_labels(answers: Sequence[CaseAnswer]) -> dict[str, str]:
     """The label of each contender by its name in the answers: vendor and bridge, and more where these are not enough."""
     settings = {one.name: one.setting for answer in answers for one in answer.contenders}
     labels = {name: _label(setting) for name, setting in settings.items()}

@@ -5,6 +5,7 @@ from dataclasses import fields, replace
 import polars as pl
 import pytest
 from polars.testing import assert_frame_equal
+from roundtrip_frames import rows_by_group
 from trace_files import (
     RELAY_ID,
     WALL_ANCHOR_NS,
@@ -20,7 +21,9 @@ from trace_files import (
 )
 
 import dds_trace.analyzer.pairing.rows
-from dds_trace.analyzer import CompareOptions, analyze, bridge_cost, find_answers, parse_job
+from dds_trace.analyzer import CompareOptions, analyze, parse_job
+from dds_trace.analyzer.verdicts.answers import find_answers
+from dds_trace.analyzer.verdicts.bridge_cost import bridge_cost
 from dds_trace.tracefile import Stage
 
 MS = 1_000_000
@@ -246,7 +249,7 @@ def test_comparisons_are_those_of_all_rows_though_a_kind_of_message_is_read_at_a
     analysis = analyze(tmp_path)
     details, rows = analysis.details, analysis.roundtrips
     assert details is not None
-    assert details.answers == find_answers(rows)
+    assert details.answers == find_answers(rows_by_group(rows))
     assert [(a.domain_mode, a.payload_bytes, len(a.contenders)) for a in details.answers] == [
         ("different", 33_000, 2),
         ("different", 502_000, 2),

@@ -10,6 +10,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import polars as pl
+from roundtrip_frames import rows_by_group
 
 from dds_trace.analyzer import Analysis, Details, Finding, Severity, Source
 from dds_trace.analyzer.groups.breakdown import break_down, response_against_latency, summarize_breakdown
@@ -20,7 +21,8 @@ from dds_trace.analyzer.pairing.one_way import KNOT_SCHEMA, SEGMENT_SCHEMA
 from dds_trace.analyzer.pairing.rows import RoundTripRows
 from dds_trace.analyzer.statistics.intervals import percentile_interval
 from dds_trace.analyzer.verdicts.answers import find_answers
-from dds_trace.analyzer.verdicts.compare import CompareOptions, bridge_cost
+from dds_trace.analyzer.verdicts.bridge_cost import bridge_cost
+from dds_trace.analyzer.verdicts.compare import CompareOptions
 from dds_trace.tracefile.format.descriptions import Qos, Run, Session
 
 if TYPE_CHECKING:
@@ -274,7 +276,7 @@ def _details(ordered: Sequence[Measured], roundtrips: pl.DataFrame, watched: Wat
                 metrics=("latency",), statistics=("p50", "p90", "p95", "p99", "p99_9"), replicates=100
             ),
         ),
-        answers=find_answers(roundtrips),
+        answers=find_answers(rows_by_group(roundtrips)),
     )
 
 

@@ -14,6 +14,7 @@ from dds_trace.analyzer.model.metrics import with_metrics
 from dds_trace.analyzer.model.parameters import PARAMETER_NAMES
 from dds_trace.analyzer.pairing.one_way import ONE_WAY_COLUMNS, fit_exchanges
 from dds_trace.analyzer.pairing.pair import MISSING
+from dds_trace.analyzer.pairing.rows import RoundTripRows, RowsByGroup
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -113,3 +114,14 @@ def with_one_way(frame: pl.DataFrame) -> pl.DataFrame:
     stamps = {name: frame[name].fill_null(MISSING).to_numpy() for name in names}
     one_way = fit_exchanges(devices, bounds, stamps, MISSING)
     return frame.drop(ONE_WAY_COLUMNS, strict=False).with_columns(one_way.columns)
+
+
+def rows_by_group(frame: pl.DataFrame) -> RowsByGroup:
+    """The rows of a frame by group, as an analysis has them."""
+    keys = list(PARAMETER_NAMES)
+    counts = frame.group_by(keys, maintain_order=True).agg(pl.len().alias("published"))
+    groups = counts.sort(keys, nulls_last=True).with_row_index("group")
+    rows = frame.join(groups, on=keys, how="left", nulls_equal=True).sort(
+        "group", "run_id", "relay_id", "sequence"
+    )
+    return RowsByGroup(RoundTripRows(rows.select(frame.columns)), groups.drop("group"))

@@ -9,9 +9,9 @@ from campaigns import assert_same_results, write_runs
 from polars.testing import assert_frame_equal
 
 import dds_trace.analyzer.engines.batches
-import dds_trace.analyzer.findings.left_out
 import dds_trace.analyzer.loading.shelf
 import dds_trace.analyzer.pairing.rows
+import dds_trace.analyzer.verdicts.cases
 from dds_trace.analyzer import analyze
 from dds_trace.analyzer.loading.event_store import write_events
 from dds_trace.tracefile import EVENT_DTYPE, EventColumns, read_trace
@@ -119,7 +119,7 @@ def test_small_memory_changes_nothing(tmp_path, monkeypatch):
 def test_kinds_of_messages_too_large_to_compare_have_no_answer_and_a_finding(tmp_path, monkeypatch):
     write_runs(tmp_path / "runs", range(3), groups=2)  # 80 messages of the first size, 40 of the second
     whole = analyze(tmp_path / "runs")
-    monkeypatch.setattr(dds_trace.analyzer.findings.left_out, "MOST_COMPARED_ROWS", 79)
+    monkeypatch.setattr(dds_trace.analyzer.verdicts.cases, "MOST_COMPARED_ROWS", 79)
     found = analyze(tmp_path / "runs")
     assert found.details.answers == whole.details.answers[1:]
     assert [f.groups for f in found.findings if f.code == "not_compared"] == [(0,)]

@@ -1,4 +1,4 @@
-"""Recommendations: the query's grammar, rankings on runs whose truth is known, guesses that say they are guesses."""
+"""Recommendations: rankings on runs whose truth is known, guesses that say they are guesses."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import polars as pl
 import pytest
 from roundtrip_frames import MS, steady
 
-from dds_trace.analyzer.verdicts.recommend import Fit, Job, delivered_latencies, parse_job, recommend_settings
-from dds_trace.tracefile.errors import OptionError
+from dds_trace.analyzer.verdicts.job import Job
+from dds_trace.analyzer.verdicts.recommend import Fit, recommend_settings
 
 JOB = Job("binary", 33_000, 10.0, 20 * MS, 0.9)
 
@@ -18,55 +18,6 @@ JOB = Job("binary", 33_000, 10.0, 20 * MS, 0.9)
 def noisy(centre_ns, messages=200, seed=0):
     """Latencies within 10 % of a centre, in no order."""
     return (centre_ns * (1 + 0.1 * np.random.default_rng(seed).uniform(-1, 1, messages))).astype(int).tolist()
-
-
-def test_the_grammar():
-    assert parse_job("data=binary size=502KB rate=20 deadline=50ms reliability=0.999") == Job(
-        "binary",
-        502_000,
-        20.0,
-        50 * MS,
-        0.999,
-    )
-    assert parse_job(
-        "domain=different reliability=99.9% deadline=0.5s rate=2.5Hz size=1KiB data=string"
-    ) == Job(
-        "string",
-        1024,
-        2.5,
-        500 * MS,
-        pytest.approx(0.999),
-        "different",
-    )
-    assert parse_job("data=imu rate=100 deadline=5ms reliability=0.9").payload_bytes == 296
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("dat=binary", "did you mean 'data'"),
-        ("data=binary data=string", "given twice"),
-        ("data=binary size", "size has no value; write size=502KB"),
-        ("data=binary size=big rate=20 deadline=50ms reliability=0.9", "size=big is not understood"),
-        ("data=binary size=1KB rate=0 deadline=50ms reliability=0.9", "rate=0 is not understood"),
-        ("data=binary size=1KB rate=20 deadline=50 reliability=0.9", "deadline=50 is not understood"),
-        ("data=binary size=1KB rate=20 deadline=50ms reliability=1", "reliability=1 is not understood"),
-        ("data=binary size=1KB rate=20 deadline=50ms reliability=0.9 domain=5", "domain=5"),
-        ("data=binary size=1KB", "rate, deadline, reliability missing; add rate=20"),
-        ("", "missing"),
-    ],
-)
-def test_errors_say_what_to_write(text, words):
-    with pytest.raises(OptionError, match=words):
-        parse_job(text)
-
-
-def test_lost_is_infinitely_late_and_a_reply_without_relay_stamps_took_half_of_its_round_trip_at_most():
-    frame = pl.concat(
-        [steady([5 * MS, None]), steady([7 * MS]).with_columns(latency_ns=pl.lit(None, pl.Int64))]
-    )
-    assert frame["rtt_ns"][2] == 14 * MS + 1000
-    assert delivered_latencies(frame).tolist() == [5 * MS, math.inf, 7 * MS + 500]
 
 
 def test_a_ranking_by_what_is_sure():

@@ -1,0 +1,71 @@
+"""What communication between different domains costs against the same domain, for equal parameters."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import polars as pl
+
+from ..model.parameters import BRIDGE_MATCH_COLUMNS
+from ..statistics.percentiles import PERCENTILES
+from .cases import is_too_large, partition_groups
+from .compare import CompareOptions, compare_groups, match_groups
+
+if TYPE_CHECKING:
+    from .cases import GroupRows
+
+_OPTIONS = CompareOptions(metrics=("latency",), statistics=tuple(p.name for p in PERCENTILES))
+
+_RATIOS = ("base_received_ratio", "new_received_ratio")
+
+
+def find_bridge_costs(rows: GroupRows) -> pl.DataFrame:
+    """Compare the percentiles of the latency; the round trips of one kind of message are in memory at a time.
+
+    A kind with more than `cases.MOST_COMPARED_ROWS` round trips has no costs.
+
+    Returns:
+        The frame of `bridge_cost`, sorted by bridge.
+    """
+    across = (pl.col("domain_mode") == "different").any()
+    within = ((pl.col("domain_mode") == "same") & (pl.col("bridge") == "none")).any()
+    costs = [
+        bridge_cost(rows.frame(case), _OPTIONS)
+        for case in partition_groups(rows.groups, BRIDGE_MATCH_COLUMNS)
+        if case.select(across & within).item() and not is_too_large(case)
+    ]
+    empty = bridge_cost(rows.frame(rows.groups.head(0)), _OPTIONS)
+    return pl.concat([empty, *costs]).sort("bridge", maintain_order=True)
+
+
+def bridge_cost(roundtrips: pl.DataFrame, options: CompareOptions | None = None) -> pl.DataFrame:
+    """Compare each bridge's way between domains with the way within a domain, for equal parameters.
+
+    Args:
+        roundtrips: rows of `docs/trace-format.md`.
+        options: how to compare; None for the defaults. Bridge and domain mode are never matched.
+
+    Returns:
+        One row per bridge, group, metric and statistic: `bridge` str, then the columns of `Comparison.rows` (base is
+        the same domain without a bridge, new is the way through the bridge), `base_received_ratio` and
+        `new_received_ratio` f64.
+    """
+    options = options or CompareOptions()
+    match = tuple(name for name in options.match if name in BRIDGE_MATCH_COLUMNS)
+    within = (pl.col("domain_mode") == "same") & (pl.col("bridge") == "none")
+    same = match_groups(roundtrips.filter(within), match)
+    different = roundtrips.filter(pl.col("domain_mode") == "different")
+    tables = []
+    # Of no bridge there are no rows, but the columns.
+    for bridge in [*different["bridge"].unique().sort(), None]:
+        through = match_groups(
+            different.filter(pl.col("bridge").eq_missing(pl.lit(bridge, pl.String))), match
+        )
+        comparison = compare_groups(same, through, roundtrips.schema, replace(options, match=match))
+        delivery = comparison.delivery.select(*match, *_RATIOS)
+        rows = comparison.rows.join(
+            delivery, on=list(match), how="left", nulls_equal=True, maintain_order="left"
+        )
+        tables.append(rows.select(pl.lit(bridge, pl.String).alias("bridge"), pl.all()))
+    return pl.concat(tables)

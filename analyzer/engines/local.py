@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections import deque
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import TYPE_CHECKING, Protocol
+
+from dds_trace.tracefile.in_order import in_order
 
 from ..loading.campaign import load_campaign
 from ..loading.shelf import TraceShelf
@@ -13,7 +15,6 @@ from .batches import work_at
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
-    from concurrent.futures import Future
     from pathlib import Path
 
     from ..loading.campaign import Campaign, Progress
@@ -51,21 +52,14 @@ class LocalEngine:
         return load_campaign(path, skip=skip, progress=progress, shelf=self._shelf)
 
     def work(self, batches: Sequence[Work], events: EventsByKey) -> Iterator[Worked]:
-        """Batches on all cores; as many are in memory as are worked at, and one that waits for its turn."""
+        """Yield the results of the batches, worked at on all cores; one batch waits in memory for its turn."""
         workers = min(_MOST_WORKERS, len(os.sched_getaffinity(0)))
-        ahead: deque[Future[Worked]] = deque()
+        jobs = (
+            (1, partial(work_at, batch, {key: events.parts(key[0], key[1:]) for key in batch.event_keys()}))
+            for batch in batches
+        )
         with ThreadPoolExecutor(workers, thread_name_prefix="analyze") as pool:
-            try:
-                for batch in batches:
-                    if len(ahead) > workers:
-                        yield ahead.popleft().result()
-                    parts = {key: events.parts(key[0], key[1:]) for key in batch.event_keys()}
-                    ahead.append(pool.submit(work_at, batch, parts))
-                while ahead:
-                    yield ahead.popleft().result()
-            finally:
-                for waiting in ahead:
-                    waiting.cancel()
+            yield from in_order(jobs, pool, workers + 1, workers + 1, helping=False)
 
     def close(self) -> None:
         """Remove temporary files."""

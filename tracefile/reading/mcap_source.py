@@ -10,9 +10,9 @@ from mcap.opcode import Opcode
 
 from ..format.event_record import EVENT_RECORD_BYTES, MESSAGE_HEADER
 from ..format.events import Stage
+from ..in_order import in_order
 from ..mcapfile.blocks import BlockJobs
 from ..mcapfile.channels import ChannelTable
-from ..mcapfile.in_order import in_order
 from ..mcapfile.packed_chunks import DamagedChunkError, PackedChunk
 from ..mcapfile.records import MAGIC, RecordFile, TornRecordError
 from ..mcapfile.summary import read_summary

@@ -1,0 +1,68 @@
+"""Jobs on all cores with results in order: the thread that waits for the next result does other jobs meanwhile."""
+
+from __future__ import annotations
+
+from collections import deque
+from concurrent.futures import Future
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+    from concurrent.futures import Executor
+
+T = TypeVar("T")
+
+
+@dataclass(slots=True)
+class _Begun(Generic[T]):
+    size: int
+    job: Callable[[], T]
+    result: Future[T]
+
+    def done_here(self) -> bool:
+        """Do the job in this thread unless a thread of the pool has it; return whether it was done here."""
+        if not self.result.cancel():
+            return False
+        self.result = Future()
+        self.result.set_result(self.job())
+        return True
+
+
+def in_order(
+    jobs: Iterable[tuple[int, Callable[[], T]]],
+    pool: Executor,
+    most_jobs: int,
+    most_size: int,
+    *,
+    helping: bool = True,
+) -> Iterator[T]:
+    """Yield the results of `jobs` in order; a job that fails raises its exception here, perhaps before its turn.
+
+    Jobs that have not begun when this ends early, by an exception or because nobody wants more results, never begin.
+
+    Args:
+        jobs: (size, job) pairs.
+        pool: the threads that do the jobs.
+        most_jobs: the number of jobs that are begun, or done, before their results are asked for.
+        most_size: the sum of the sizes of all these; a larger job is done alone.
+        helping: whether the thread that waits for a result does jobs meanwhile; then a pool with one thread less than
+            there are cores is enough.
+    """
+    begun: deque[_Begun[T]] = deque()
+    try:
+        for size, job in jobs:
+            while begun and (len(begun) >= most_jobs or size + sum(one.size for one in begun) > most_size):
+                yield _next_result(begun, helping=helping)
+            begun.append(_Begun(size, job, pool.submit(job)))
+        while begun:
+            yield _next_result(begun, helping=helping)
+    finally:
+        for one in begun:
+            one.result.cancel()
+
+
+def _next_result(begun: deque[_Begun[T]], *, helping: bool) -> T:
+    while helping and not begun[0].result.done() and any(one.done_here() for one in begun):
+        pass
+    return begun.popleft().result.result()

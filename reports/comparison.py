@@ -1,6 +1,6 @@
-"""A comparison as text for CI: Markdown for a pull request, JUnit XML for a test report.
+"""Comparison as text for CI: Markdown for a pull request, JUnit XML for a test report.
 
-Every string from a trace is data: escaped for the format, control characters spelled out.
+Strings from traces are escaped for the format, and control characters are spelled out.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def comparison_markdown(comparison: Comparison, results: Sequence[GateResult] = ()) -> str:
-    """The comparison as Markdown: outcome of the gates first, then a table of verdicts, then what has no partner."""
+    """Return the comparison as Markdown: outcome of the gates, table of verdicts, groups without a partner."""
     lines = ["# Comparison of latency", ""]
     if results:
         lines += [f"**{overall_outcome(results).value.capitalize()}**", ""]
@@ -69,7 +69,7 @@ def comparison_markdown(comparison: Comparison, results: Sequence[GateResult] = 
 
 
 def comparison_junit(results: Sequence[GateResult]) -> str:
-    """The gates as JUnit XML: one test case per gate and group; inconclusive ones are skipped, none are errors."""
+    """Return the gates as JUnit XML: one test case per gate and group; an inconclusive one is skipped."""
     failed = sum(r.outcome is GateOutcome.REGRESSED for r in results)
     unsure = sum(r.outcome is GateOutcome.INCONCLUSIVE for r in results)
     counts = {"tests": str(len(results)), "failures": str(failed), "errors": "0", "skipped": str(unsure)}

@@ -1,4 +1,4 @@
-"""The JSON report, for scripts: everything that the page says, with `report.schema.json` as its contract."""
+"""JSON report for scripts: everything that the page says, under the contract of `report.schema.json`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from dds_trace.tracefile.files import replacing
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -33,34 +35,35 @@ FRAMES = (
     "host_samples",
     "bridge_costs",
 )
-"""Frames of `analyzer.Details` that the report has under the same names, a row an object."""
+"""Frames of `analyzer.Details` that the report holds under the same names, one object per row."""
 
 _IDENTIFIERS = ("run_id", "session_id")
-"""Written as `sessions` and `runs` have them: 64 bits do not survive a JSON number."""
+"""Columns written as hex digits, as in `sessions` and `runs`: a JSON number does not hold 64 bits."""
 
 
 def render(book: Book) -> str:
-    """The report, an element of a list a line; strings are as the traces have them, all beyond ASCII escaped."""
+    """Return the report with one list item per line; strings stay as in the traces, escaped beyond ASCII."""
     parts = [f"{json.dumps(name)}: {_lines(value)}" for name, value in _document(book).items()]
     return "{\n" + ",\n".join(parts) + "\n}\n"
 
 
 def write(book: Book, folder: Path) -> Path:
-    """Writes the report into `folder` and says where."""
+    """Write the report into `folder` and return its path."""
     path = folder / FILE_NAME
-    path.write_text(render(book), encoding="utf-8", newline="\n")
+    with replacing(path) as draft:
+        draft.write_text(render(book), encoding="utf-8", newline="\n")
     return path
 
 
-def schema() -> dict[str, Any]:
-    """The JSON Schema (2020-12) that every report of this version follows."""
-    found: dict[str, Any] = json.loads(
+def schema() -> dict[str, object]:
+    """Return the JSON Schema (2020-12) of reports of this version."""
+    schema_of_report: dict[str, object] = json.loads(
         (files("dds_trace.reports") / "report.schema.json").read_text(encoding="utf-8")
     )
-    return found
+    return schema_of_report
 
 
-def _document(book: Book) -> dict[str, Any]:
+def _document(book: Book) -> dict[str, object]:
     analysis = book.analysis
     details = analysis.details
     return {
@@ -81,7 +84,7 @@ def _document(book: Book) -> dict[str, Any]:
     }
 
 
-def _rows(frame: pl.DataFrame) -> list[dict[str, Any]]:
+def _rows(frame: pl.DataFrame) -> list[dict[str, object]]:
     identifiers = [name for name in _IDENTIFIERS if name in frame.columns]
     rows = frame.to_dicts()
     for row in rows:
@@ -89,15 +92,15 @@ def _rows(frame: pl.DataFrame) -> list[dict[str, Any]]:
     return rows
 
 
-def _lines(value: Any) -> str:
+def _lines(value: object) -> str:
     plain = _plain(value)
     if isinstance(plain, list) and plain:
         return "[\n" + ",\n".join(json.dumps(each, allow_nan=False) for each in plain) + "\n]"
     return json.dumps(plain, allow_nan=False)
 
 
-def _plain(value: Any) -> Any:
-    """The value as JSON has it: records as objects, null for NaN and infinity."""
+def _plain(value: object) -> object:
+    """Convert a value to plain JSON: records become objects, NaN and infinity null."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Enum):

@@ -1,15 +1,16 @@
-"""The Markdown report: short enough for a pull request, every string of a trace inert."""
+"""Markdown report: short enough for a pull request, with every string from a trace escaped."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from dds_trace.tracefile.files import replacing
 from dds_trace.tracefile.units.counts import counted
 from dds_trace.tracefile.units.durations import format_duration
 from dds_trace.tracefile.units.rates import format_rate
 from dds_trace.tracefile.units.sizes import format_size
 
-from .book.groups import METRICS, STATISTICS, data_type_label
+from .book.groups import METRIC_LABELS, STATISTIC_LABELS, data_type_label
 from .figures.bridge_cost import bridge_cost_info
 from .text import format_added_ns, format_ratio, markdown
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 FILE_NAME = "report.md"
 MOST_GROUPS = 150
-"""A comment on a pull request is read, not searched; the other groups are in `summary.parquet`."""
+"""Most groups listed, because a comment on a pull request is read and not searched."""
 COST_STATISTICS = ("p50", "p90", "p99")
 HOW_TO_READ_COSTS = (
     "Latency through the bridge less that of the same domain, its 95 % interval, and the ratio of the two. Without an "
@@ -32,7 +33,7 @@ SHOWN_STATISTICS = ("p50", "p90", "p99", "max")
 
 
 def render(book: Book) -> str:
-    """The report as GitHub-flavoured Markdown."""
+    """Return the report as GitHub-flavoured Markdown."""
     overview, answer = book.overview, book.answer
     parts = [
         f"# Latency report: {markdown(overview.title)}",
@@ -56,14 +57,15 @@ def render(book: Book) -> str:
 
 
 def write(book: Book, folder: Path) -> Path:
-    """Writes the report into `folder` and says where."""
+    """Write the report into `folder` and return its path."""
     path = folder / FILE_NAME
-    path.write_text(render(book), encoding="utf-8", newline="\n")
+    with replacing(path) as draft:
+        draft.write_text(render(book), encoding="utf-8", newline="\n")
     return path
 
 
 def _findings(book: Book) -> str:
-    """A row a kind, then what the kinds with several findings hold, in lists that open."""
+    """Tabulate the kinds of findings, then list those of kinds with several in sections that open."""
     kinds = book.findings
     if not kinds:
         return "Nothing doubtful was found."
@@ -102,7 +104,7 @@ def _groups(book: Book) -> str:
                 ),
             )
         )
-    names = (f"{METRICS[metric]} {STATISTICS[name]}" for name in SHOWN_STATISTICS)
+    names = (f"{METRIC_LABELS[metric]} {STATISTIC_LABELS[name]}" for name in SHOWN_STATISTICS)
     table = _table(("Data", "Size", "Rate", "Series", "Received", *names), rows)
     left = len(groups.groups) - len(rows)
     notes = [f"{counted(left, 'more group is', 'more groups are')} in `summary.parquet`."] if left else []
@@ -116,7 +118,7 @@ def _groups(book: Book) -> str:
 def _with_interval(
     values_ns: Sequence[int | None], ends: Sequence[Mapping[str, Sequence[int | None]]], name: str, group: int
 ) -> str:
-    """As in `1.2 ms [1.1 ms, 1.4 ms]`; without brackets where neither end is known."""
+    """Format a value with its interval, as in `1.2 ms [1.1 ms, 1.4 ms]`; without brackets if neither end is known."""
     low, high = (end[name][group] if name in end else None for end in ends)
     shown = format_duration(values_ns[group])
     return (
@@ -145,7 +147,7 @@ def _bridge_costs(book: Book) -> str:
                 else f"{bridged.bridge_cpu_percent:.0f} %",
             )
         )
-    names = (f"Added, {STATISTICS[name]}" for name in COST_STATISTICS)
+    names = (f"Added, {STATISTIC_LABELS[name]}" for name in COST_STATISTICS)
     table = _table(("Data", "Size", "Rate", "Series", *names, "Bridge CPU"), rows)
     left = len(cells) - len(rows)
     notes = [
@@ -156,7 +158,7 @@ def _bridge_costs(book: Book) -> str:
 
 
 def _added(cost: Cost | None) -> str:
-    """As in `+0.3 ms [0.2 ms, 0.4 ms], x1.5`."""
+    """Format a cost with interval and ratio, as in `+0.3 ms [0.2 ms, 0.4 ms], x1.5`."""
     if cost is None:
         return format_duration(None)
     within = ""
@@ -167,7 +169,7 @@ def _added(cost: Cost | None) -> str:
 
 
 def _clocks(book: Book) -> str:
-    """A row per pair of devices that have two clocks, and stretch without a step."""
+    """Tabulate the clock fits: a row per pair of devices with two clocks, and per segment without a step."""
     if book.analysis.details is None:
         return ""
     rows = [

@@ -1,4 +1,4 @@
-"""The terminal report: the answer and one line per group, with a sparkline, in 80 columns."""
+"""Terminal report: the answer and one line per group, with a sparkline, in 80 columns."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from dds_trace.tracefile.units.rates import format_rate
 from dds_trace.tracefile.units.sizes import format_size
 from dds_trace.tracefile.visible import visible
 
-from .book.groups import METRICS
+from .book.groups import METRIC_LABELS
 from .text import format_ratio
 
 if TYPE_CHECKING:
@@ -37,20 +37,20 @@ _COLUMNS = (("Size", 8), ("Rate", 7), ("Recv", 9), ("p50", 8), ("p99", 8), ("max
 
 
 def render(book: Book) -> str:
-    """The report as plain text of 80 columns, without colours."""
+    """Return the report as plain text of 80 columns, without colours."""
     text = io.StringIO()
     Console(file=text, width=WIDTH, color_system=None, legacy_windows=False).print(_report(book))
     return "\n".join(line.rstrip() for line in text.getvalue().splitlines()) + "\n"
 
 
 def write(book: Book, folder: Path) -> None:  # noqa: ARG001 - every reporter has this door
-    """Prints the report to stdout, in colours where stdout is a terminal."""
+    """Print the report to stdout, in colours if stdout is a terminal."""
     console = Console(legacy_windows=False)
     console.print(_report(book), width=min(console.width, 120) if console.is_terminal else WIDTH)
 
 
 def _report(book: Book) -> RenderableType:
-    # Text objects only: a str would be read for rich's [markup], and strings of traces must stay strings.
+    # Text objects only: rich would interpret [markup] in a str, and strings from traces must stay literal.
     overview, answer = book.overview, book.answer
     return Group(
         Text(f"Latency report: {overview.title}", style="bold"),
@@ -74,7 +74,7 @@ def _list(items: Sequence[str]) -> Table:
 
 
 def _findings(book: Book) -> list[RenderableType]:
-    """One entry a kind, with the first of its findings; the others are in the HTML and JSON reports."""
+    """List each kind with its first finding; the HTML and JSON reports hold the others."""
     lines: list[RenderableType] = []
     for kind in book.findings:
         first = kind.listed[0]
@@ -86,7 +86,7 @@ def _findings(book: Book) -> list[RenderableType]:
 
 @dataclass(frozen=True, slots=True)
 class _Shown:
-    """What every table looks its numbers up in; all sparklines lie between `ends_ns`."""
+    """Numbers of the tables, and the common ends of all sparklines in ns."""
 
     groups: Groups
     values: Values
@@ -96,7 +96,7 @@ class _Shown:
 
 
 def _tables(book: Book) -> list[RenderableType]:
-    """One table per series, then what the sparklines mean."""
+    """Make one table per series, then the legend of the sparklines."""
     groups, values = book.groups, book.values
     curves = book.curves.values_ns[values.default_metric]
     known = [value for curve in curves for value in curve if value > 0]
@@ -108,7 +108,7 @@ def _tables(book: Book) -> list[RenderableType]:
         tables += [Text(label, style="bold"), _table(shown, place), Text()]
     if known:
         low, high = (format_duration(end) for end in shown.ends_ns)
-        note = f"{METRICS[shown.metric]}. Each sparkline spans {low} to {high} (log scale): where the messages lie."
+        note = f"{METRIC_LABELS[shown.metric]}. Each sparkline spans {low} to {high} (log scale): where the messages lie."
         tables.append(Text(note, style="dim"))
     return tables
 
@@ -135,10 +135,10 @@ def _table(shown: _Shown, series: int) -> Table:
 
 
 def _sparkline(curve: Sequence[int], ends: tuple[int, int]) -> str:
-    """Where the values of a curve lie between the ends, on a log axis; a dash where there is no curve.
+    """Draw where the values of a curve lie between the ends, on a log axis; a dash without a curve.
 
-    The curve's levels are denser in the tail, so a bar says how many of its levels fall there: a picture of the
-    shape, in which rare late messages stay visible.
+    The height of a bar counts levels of the curve. Levels are denser in the tail, so that rare late messages stay
+    visible.
     """
     positive = [value for value in curve if value > 0]
     if not positive:

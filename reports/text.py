@@ -1,7 +1,7 @@
-"""Where strings from traces are made harmless for a medium, and the numbers that have no unit of their own.
+"""Escaping of strings from traces for each format, and numbers without a unit.
 
-Whatever the medium, `visible` comes first. Then HTML is escaped by jinja2's autoescape, its JSON island by
-`json_island`, Markdown by `markdown`; the page writes its CSV files itself (`assets/export.js`).
+`visible` comes first for every format. Then jinja2's autoescape escapes HTML, `json_island` the JSON inside the page,
+and `markdown` Markdown; the page writes its CSV files itself (`assets/export.js`).
 """
 
 from __future__ import annotations
@@ -9,20 +9,23 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import fields
-from typing import Any
+from typing import TYPE_CHECKING
 
 from dds_trace.tracefile.units.durations import format_duration
 from dds_trace.tracefile.units.quantities import MISSING
 from dds_trace.tracefile.visible import MAX_FINDING_CHARACTERS, visible
 
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
 _MARKDOWN_PLAIN = frozenset(" ,()%+-=/'.;:?!\"")
 
 
 def markdown(text: object) -> str:
-    """The text as literal words for GitHub's Markdown, also inside a table cell.
+    """Escape text for GitHub's Markdown, also inside a table cell.
 
-    Punctuation becomes entities, which Markdown never reads as syntax. `@` and `#` get an empty comment behind them,
-    because mentions and issue references are looked for after entities are resolved.
+    Punctuation becomes entities, which Markdown never interprets as syntax. An empty comment follows `@` and `#`,
+    because GitHub resolves entities before it looks for mentions and issue references.
     """
     parts = []
     for c in visible(text, MAX_FINDING_CHARACTERS):
@@ -32,12 +35,12 @@ def markdown(text: object) -> str:
             parts.append(f"{c}<!-- -->")
         else:
             parts.append(f"&#{ord(c)};")
-    # Bare addresses become links of their own accord; an entity in them keeps them text.
+    # GitHub turns bare addresses into links; an entity inside keeps them text.
     return "".join(parts).replace("://", "&#58;//").replace("www.", "www&#46;")
 
 
-def json_island(value: Any) -> str:
-    """JSON that cannot end the `<script>` element it stands in; dataclasses as objects, sorted keys, no NaN."""
+def json_island(value: object) -> str:
+    """Encode JSON that cannot end its `<script>` element: dataclasses as objects, sorted keys, no NaN."""
     text = json.dumps(
         value, separators=(",", ":"), sort_keys=True, ensure_ascii=False, allow_nan=False, default=_fields
     )
@@ -47,18 +50,18 @@ def json_island(value: Any) -> str:
     return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
-def _fields(record: Any) -> dict[str, Any]:
+def _fields(record: DataclassInstance) -> dict[str, object]:
     # Not `asdict`: that copies every number of a campaign one by one.
     return {each.name: getattr(record, each.name) for each in fields(record)}
 
 
 def format_added_ns(value_ns: float) -> str:
-    """A difference of durations with its sign: `+1.25 ms`."""
+    """Format a difference of durations with its sign: `+1.25 ms`."""
     return f"+{format_duration(value_ns)}" if value_ns > 0 else format_duration(value_ns)
 
 
 def format_ratio(value: float | None) -> str:
-    """A share in percent that says 100 % (or 0 %) only where it is exactly that: `99.99 %`."""
+    """Format a share in percent; `100 %` and `0 %` stand for exactly these values: `99.99 %`."""
     if value is None or not math.isfinite(value):
         return MISSING
     percent = 100.0 * value
@@ -70,5 +73,5 @@ def format_ratio(value: float | None) -> str:
 
 
 def format_count(value: float | None) -> str:
-    """A whole number with thin groups: `12,000`."""
+    """Format a whole number with separated thousands: `12,000`."""
     return MISSING if value is None else f"{int(value):,}"

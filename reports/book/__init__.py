@@ -1,1 +1,1 @@
-"""What a report says, worked out once from an `Analysis`: groups, values, curves, answer, overview."""
+"""Contents of a report, computed once from an `Analysis`: groups, numbers, answer, overview, findings."""

@@ -1,4 +1,4 @@
-"""The answer in words: which middleware and bridge for which data, as far as the numbers carry it."""
+"""The answer in words: which middleware and bridge suit which data, as far as the intervals support a choice."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dds_trace.tracefile.visible import visible
 
 from ..text import format_added_ns, format_count, format_ratio
 from .groups import (
-    METRICS,
+    METRIC_LABELS,
     data_type_label,
     domain_label,
     group_labels,
@@ -24,7 +24,7 @@ from .groups import (
 from .verdicts import (
     CLEARLY,
     MODES,
-    Verdict,
+    DataVerdict,
     cells_label,
     contender_labels,
     verdicts_info,
@@ -40,46 +40,46 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
-    """What a reader may take away.
+class Conclusion:
+    """Headline and sentences of a report.
 
     Attributes:
-        headline: the one sentence.
-        metric: the metric that is compared (latency, or what was measured instead).
-        verdicts: by kind of data; empty where nothing could be compared.
-        remarks: further sentences: levels, cost of bridges, losses.
-        rule: what `clearly` means; empty where nothing was compared.
+        headline: the most important sentence.
+        metric: metric of the remarks: latency, or the next one that was measured.
+        verdicts: one per kind of data; empty if no contenders could be compared.
+        remarks: sentences on the range of medians, the cost of bridges and the losses.
+        rule: definition of `clearly`; empty if nothing was compared.
     """
 
     headline: str
     metric: str
-    verdicts: tuple[Verdict, ...]
+    verdicts: tuple[DataVerdict, ...]
     remarks: tuple[str, ...]
     rule: str
 
 
-def answer_info(analysis: Analysis, groups: Groups, values: Values) -> Answer:
-    """The answer that `analysis.details` supports."""
+def answer_info(analysis: Analysis, groups: Groups, values: Values) -> Conclusion:
+    """Derive headline, verdicts and remarks from `analysis.details`."""
     metric = values.default_metric
     if not groups.groups:
-        return Answer("No measurement was found.", metric, (), (), "")
+        return Conclusion("No measurement was found.", metric, (), (), "")
     if not values.has(metric):
-        return Answer(
+        return Conclusion(
             "No message came back, so there is no time to compare.", metric, (), (_losses(values),), ""
         )
-    # Answers are about the latency. Without any relay's trace nobody knows it, and there is nothing to judge.
+    # Answers compare latencies, which need the relay's trace.
     known = analysis.details if metric == "latency" else None
     answers = known.answers if known else ()
     verdicts = verdicts_info(answers)
     bridges = _bridge_remarks(known.bridge_costs) if known else []
     remarks = (*_unknown_remarks(metric), *_level_remarks(groups, values, metric), *bridges, _losses(values))
-    return Answer(
+    return Conclusion(
         _headline(verdicts, groups, values, answers), metric, verdicts, remarks, CLEARLY if verdicts else ""
     )
 
 
 def _headline(
-    verdicts: tuple[Verdict, ...], groups: Groups, values: Values, answers: Sequence[CaseAnswer]
+    verdicts: tuple[DataVerdict, ...], groups: Groups, values: Values, answers: Sequence[CaseAnswer]
 ) -> str:
     vendors = sorted({vendor_pair_label(series) for series in groups.series})
     if not verdicts:
@@ -101,7 +101,7 @@ _MOST_WAYS = 3
 
 
 def _ways(vendor: str, groups: Groups, values: Values) -> str:
-    """What the only middleware takes, in the same domain and through each bridge."""
+    """Describe the medians of the only middleware, in the same domain and through each bridge."""
     metric = values.default_metric
     ways: dict[str, list[int]] = {}
     for group in sorted(groups.groups, key=lambda group: group.series):
@@ -109,10 +109,10 @@ def _ways(vendor: str, groups: Groups, values: Values) -> str:
         if median_ns is not None:
             ways.setdefault(domain_label(groups.series_of(group)), []).append(median_ns)
     spans = {
-        way: " to ".join(dict.fromkeys(format_duration(end) for end in (min(found), max(found))))
-        for way, found in ways.items()
+        way: " to ".join(dict.fromkeys(format_duration(end) for end in (min(medians_ns), max(medians_ns))))
+        for way, medians_ns in ways.items()
     }
-    what = f"{vendor}: median {METRICS[metric].lower()}"
+    what = f"{vendor}: median {METRIC_LABELS[metric].lower()}"
     if len(spans) == 1:
         return f"{what} {next(iter(spans.values()))}."
     said = [f"{span} {_IN_WAY.get(way, way)}" for way, span in list(spans.items())[:_MOST_WAYS]]
@@ -122,8 +122,8 @@ def _ways(vendor: str, groups: Groups, values: Values) -> str:
 _IN_WAY = {"same domain": "in the same domain", "different domains": "across domains"}
 
 
-def _mode_sentence(mode: str, verdicts: list[Verdict]) -> str:
-    """Who was fastest in one domain mode, over all kinds of data."""
+def _mode_sentence(mode: str, verdicts: list[DataVerdict]) -> str:
+    """Name the fastest contender of one domain mode, over all kinds of data."""
     wins: Counter[str] = Counter()
     for verdict in verdicts:
         wins.update({win.contender: win.cells for win in verdict.wins})
@@ -141,7 +141,7 @@ def _mode_sentence(mode: str, verdicts: list[Verdict]) -> str:
 
 
 def _level_remarks(groups: Groups, values: Values, metric: str) -> list[str]:
-    """The range of medians per data type, with where its ends are."""
+    """State the lowest and highest median of each data type, with their groups."""
     remarks, labels = [], group_labels(groups)
     for data_type in dict.fromkeys(cell.data_type for cell in groups.cells):
         medians = sorted(
@@ -153,7 +153,9 @@ def _level_remarks(groups: Groups, values: Values, metric: str) -> list[str]:
         if not medians:
             continue
         low, high = ((ns, groups.groups[index]) for ns, index in (medians[0], medians[-1]))
-        first = f"{data_type_label(data_type)}: median {METRICS[metric].lower()} {format_duration(low[0])}"
+        first = (
+            f"{data_type_label(data_type)}: median {METRIC_LABELS[metric].lower()} {format_duration(low[0])}"
+        )
         if low[1] == high[1]:
             remarks.append(f"{first} ({_place(groups, low[1].index, labels)}).")
         else:
@@ -168,7 +170,7 @@ def _place(groups: Groups, index: int, labels: Sequence[str]) -> str:
 
 
 def _bridge_remarks(costs: pl.DataFrame) -> list[str]:
-    """What crossing to another domain did to the median latency, per vendor and bridge, by measured intervals."""
+    """State what each vendor and bridge adds to the median latency when messages cross to another domain."""
     ways: dict[str, list[dict[str, Any]]] = {}
     known = (pl.col("statistic") == "p50") & (pl.col("metric") == "latency")
     for row in costs.filter(known & pl.col("difference_ns").is_not_null()).iter_rows(named=True):
@@ -176,7 +178,7 @@ def _bridge_remarks(costs: pl.DataFrame) -> list[str]:
     return [_bridge_remark(way, rows) for way, rows in ways.items()]
 
 
-# Verdict of `dds_trace.analyzer.verdicts.compare` on the way through a bridge, in words and in the order in which they are said.
+# DataVerdict of `dds_trace.analyzer.verdicts.compare` on a bridge -> words, in the order of the sentence.
 _BRIDGE_VERDICTS = {
     "worse": "clearly slower",
     "better": "clearly faster",
@@ -186,7 +188,7 @@ _BRIDGE_VERDICTS = {
 
 
 def _bridge_remark(way: str, rows: list[dict[str, Any]]) -> str:
-    # The latency of what came back says nothing where much was lost: what came back is what was quick.
+    # Where messages were lost, the latency of the rest is biased: the quick ones came back.
     whole = [row for row in rows if row["new_received_ratio"] >= row["base_received_ratio"]]
     lossy = len(rows) - len(whole)
     lost = f"{cells_label(lossy)} lost messages that the same domain did not, and {'is' if lossy == 1 else 'are'} not compared."
@@ -207,15 +209,15 @@ def _added_words(rows: list[dict[str, Any]]) -> str:
             else f" (95 %: {format_added_ns(low)} to {format_added_ns(high)})"
         )
         return f"median {format_added_ns(added[0])}{between} against the same domain in the one cell compared; {said}."
-    found = Counter(row["verdict"] for row in rows)
-    counts = [f"{words} in {found[name]}" for name, words in _BRIDGE_VERDICTS.items() if found[name]]
+    verdicts = Counter(row["verdict"] for row in rows)
+    counts = [f"{words} in {verdicts[name]}" for name, words in _BRIDGE_VERDICTS.items() if verdicts[name]]
     counts[0] += f" of {cells_label(len(rows))}"
     ends = f"{format_added_ns(added[0])} to {format_added_ns(added[-1])}"
     return f"median {ends} against the same domain; {', '.join(counts)}."
 
 
 def way_label(row: Mapping[str, Any]) -> str:
-    """As in `Fast DDS, via builtin`, of a row of `bridge_costs`."""
+    """Name the vendor and bridge of a row of `bridge_costs`, as in `Fast DDS, via builtin`."""
     way = "different domains" if row["bridge"] == "none" else f"via {visible(row['bridge'])}"
     return f"{pair_label(row['vendor'], row['relay_vendor'])}, {way}"
 
@@ -223,7 +225,7 @@ def way_label(row: Mapping[str, Any]) -> str:
 def _unknown_remarks(metric: str) -> list[str]:
     if metric == "latency":
         return []
-    what = METRICS[metric].lower()
+    what = METRIC_LABELS[metric].lower()
     return [
         f"No relay's trace was found: the latency is unknown, and the {what} below has the time in the relay in it."
     ]

@@ -1,4 +1,4 @@
-"""What the reports of one analysis say, worked out once and handed to every reporter and figure."""
+"""Contents of the reports of one analysis, computed once and handed to every reporter and figure."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from dds_trace.analyzer.analysis import Analysis
 
-    from .answer import Answer
+    from .answer import Conclusion
     from .findings import FindingKind
     from .groups import Groups
     from .numbers import Curves, Intervals, Values
@@ -28,10 +28,10 @@ if TYPE_CHECKING:
 
 
 class Book:
-    """The parts of a report; each is computed at its first use and kept.
+    """Parts of a report; each is computed at its first use and kept.
 
     Args:
-        analysis: what is reported. It must not change while the book is in use.
+        analysis: analysis to report; it must not change while the book is in use.
     """
 
     def __init__(self, analysis: Analysis) -> None:
@@ -78,7 +78,7 @@ class Book:
         return overview_info(self.analysis, self.groups, self.own_costs, self.run_times)
 
     @cached_property
-    def answer(self) -> Answer:
+    def answer(self) -> Conclusion:
         """Headline, verdicts and remarks."""
         return answer_info(self.analysis, self.groups, self.values)
 

@@ -1,4 +1,4 @@
-"""The findings of an analysis as every report shows them: one entry a kind, groups by the names that the report gives them."""
+"""Findings as every report shows them: one entry per kind, groups under the names that the report gives them."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from .groups import Groups
 
 SEVERITIES = {"error": "error", "warning": "warning", "info": "note"}
-"""Severity -> the word for it, the most severe first."""
+"""Severity -> its word in a report, the most severe first."""
 
 _SPELLED = {"cpu": "CPU", "udp": "UDP"}
 _MOST_NAMED = 3
-"""Groups that a finding names before it counts them."""
+"""Most groups that a finding names; it counts more than these."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +31,7 @@ class OneFinding:
     """One finding; strings are `visible` and not yet escaped for a medium.
 
     Attributes:
-        groups: all the groups that it is about, where `where` only counts them.
+        groups: names of all its groups if `where` only counts them, else empty.
     """
 
     where: str
@@ -42,13 +42,14 @@ class OneFinding:
 
 @dataclass(frozen=True, slots=True)
 class FindingKind:
-    """The findings of one severity and code.
+    """Findings of one severity and code.
 
     Attributes:
         severity: `error`, `warning` or `info`.
-        code: the analyzer's name for it, and `title`, the same for people.
-        count: how many there are, also of those that are not listed one by one.
-        listed: the first ones; at least one.
+        code: name in the analyzer.
+        title: name in a report.
+        count: number of findings, including those that are not listed.
+        listed: first findings; at least one.
     """
 
     severity: str
@@ -59,23 +60,23 @@ class FindingKind:
 
     @property
     def severity_word(self) -> str:
-        """The severity for people."""
+        """Word for the severity."""
         return SEVERITIES[self.severity]
 
     @property
     def heading(self) -> str:
-        """As in `Loss`, or `Loss (12)`."""
+        """Title with the count if it exceeds one, as in `Loss (12)`."""
         return self.title if self.count == 1 else f"{self.title} ({self.count})"
 
     @property
     def common_action(self) -> str:
-        """What to do about all of them; empty where that differs."""
+        """Action that all listed findings share; empty if they differ."""
         actions = {one.action for one in self.listed}
         return self.listed[0].action if len(actions) == 1 else ""
 
 
 def findings_info(analysis: Analysis, groups: Groups) -> tuple[FindingKind, ...]:
-    """The kinds of findings, most severe first."""
+    """Gather the findings by kind, the most severe first."""
     labels = group_labels(groups)
     together: dict[tuple[str, str], list[Finding]] = {}
     for finding in analysis.findings:
@@ -85,15 +86,15 @@ def findings_info(analysis: Analysis, groups: Groups) -> tuple[FindingKind, ...]
             severity,
             code,
             _title(code),
-            sum(finding.count for finding in found),
-            tuple(_one(finding, labels) for finding in found),
+            sum(finding.count for finding in same),
+            tuple(_one(finding, labels) for finding in same),
         )
-        for (severity, code), found in together.items()
+        for (severity, code), same in together.items()
     )
 
 
 def severity_counts(kinds: Sequence[FindingKind]) -> tuple[tuple[str, str], ...]:
-    """Severity and how many kinds have it, in words: `2 warnings`."""
+    """Count the kinds of each severity: (`warning`, `2 warnings`)."""
     counts = Counter(kind.severity for kind in kinds)
     return tuple(
         (severity, counted(counts[severity], word))

@@ -1,13 +1,13 @@
-"""The rows of `summary` as a report speaks of them: groups, the series they form, the cells they share.
+"""Groups of a report, the series that they form and the cells that they share.
 
-A group is one row of `Analysis.summary`. Its cell is what was sent (data type, size, rate); its series is all else
-(who sent it to whom through what). Two groups of one cell are comparable, groups of one series make a line.
+A group is one row of `Analysis.summary`. Its cell is what was sent (data type, size, rate), its series everything
+else (vendor, domains, bridge, QoS, devices). Groups of one cell can be compared; groups of one series form a line.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from dds_trace.tracefile.units.rates import format_rate
 from dds_trace.tracefile.units.sizes import format_size
@@ -18,10 +18,15 @@ if TYPE_CHECKING:
 
     from dds_trace.analyzer.analysis import Analysis
 
-METRICS = {"latency": "Latency", "rtt": "Round trip", "intermediate": "Time in relay", "response": "Response"}
-"""Metric -> label, in the order in which they are offered."""
+METRIC_LABELS = {
+    "latency": "Latency",
+    "rtt": "Round trip",
+    "intermediate": "Time in relay",
+    "response": "Response",
+}
+"""Metric -> label, in the order of the page's menu."""
 
-STATISTICS = {
+STATISTIC_LABELS = {
     "p50": "median",
     "mean": "mean",
     "min": "minimum",
@@ -31,7 +36,7 @@ STATISTICS = {
     "p99_9": "p99.9",
     "max": "maximum",
 }
-"""Statistic -> label, in the order in which they are offered; `<metric>_<statistic>_ns` is the column."""
+"""Statistic -> label, in the order of the page's menu; `<metric>_<statistic>_ns` is its column."""
 
 VENDORS = {
     "fastdds": "Fast DDS",
@@ -40,15 +45,15 @@ VENDORS = {
     "zenoh": "Zenoh",
     "socket": "Socket",
 }
-"""Vendor in a trace -> its name for people; others are shown as the trace has them."""
+"""Vendor in a trace -> label; other vendors are shown as they stand in the trace."""
 
 DATA_TYPES = {"binary": "Binary", "string": "String", "imu": "IMU"}
-"""Data type in a trace -> its name for people, in the order of the paper."""
+"""Data type in a trace -> label, in the order of the paper."""
 
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """Who sent to whom through what: everything of a group but data type, size and rate."""
+    """Parameters of a group without data type, size and rate."""
 
     vendor: str
     relay_vendor: str | None
@@ -71,7 +76,7 @@ class Series:
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """What was sent."""
+    """Data type, size and rate of a group."""
 
     data_type: str
     payload_bytes: int
@@ -79,7 +84,7 @@ class Cell:
 
     @property
     def label(self) -> str:
-        """As in `Binary 33 KB at 10 Hz`."""
+        """Label of the cell, as in `Binary 33 KB at 10 Hz`."""
         return f"{data_type_label(self.data_type)} {format_size(self.payload_bytes)} at {format_rate(self.rate_hz)}"
 
 
@@ -99,7 +104,7 @@ class Groups:
     """All groups of an analysis with their series and cells, each sorted.
 
     Attributes:
-        labels: one per series, naming only what tells the series of this analysis apart.
+        labels: label of each series, made of the parameters in which the series differ.
     """
 
     groups: tuple[Group, ...]
@@ -108,16 +113,16 @@ class Groups:
     labels: tuple[str, ...]
 
     def cell_of(self, group: Group) -> Cell:
-        """What the group sent."""
+        """Return the cell of a group."""
         return self.cells[group.cell]
 
     def series_of(self, group: Group) -> Series:
-        """Who sent it through what."""
+        """Return the series of a group."""
         return self.series[group.series]
 
 
 def groups_info(analysis: Analysis) -> Groups:
-    """The groups of `analysis.summary` in its order; group i is row i."""
+    """List the groups of `analysis.summary`; group i is row i."""
     rows = analysis.summary.to_dicts()
     series_rows = [Series(**{name: row[name] for name in Series.__dataclass_fields__}) for row in rows]
     cell_rows = [Cell(**{name: row[name] for name in Cell.__dataclass_fields__}) for row in rows]
@@ -133,9 +138,9 @@ def groups_info(analysis: Analysis) -> Groups:
 
 
 def group_labels(groups: Groups) -> tuple[str, ...]:
-    """Of each group its cell, then what tells its series from the others: `Binary 33 KB at 10 Hz, via builtin`.
+    """Label each group by its cell and by what sets its series apart: `Binary 33 KB at 10 Hz, via builtin`.
 
-    A vendor that all groups share is not named again and again.
+    A vendor that all groups share is left out.
     """
     endings = {place: f", {label}" for place, label in enumerate(_short_labels(groups)) if label}
     return tuple(f"{groups.cell_of(group).label}{endings.get(group.series, '')}" for group in groups.groups)
@@ -148,36 +153,36 @@ def _short_labels(groups: Groups) -> list[str]:
 
 
 def vendor_label(vendor: str) -> str:
-    """The vendor's name for people."""
+    """Return the label of a vendor."""
     return VENDORS.get(vendor, visible(vendor))
 
 
 def data_type_label(data_type: str) -> str:
-    """The data type's name for people."""
+    """Return the label of a data type."""
     return DATA_TYPES.get(data_type, visible(data_type))
 
 
 def vendor_pair_label(series: Series) -> str:
-    """The vendor, or both where ping and relay differ."""
+    """Return the label of a series' vendor, or of both vendors if ping and relay differ."""
     return pair_label(series.vendor, series.relay_vendor)
 
 
 def pair_label(vendor: str, relay_vendor: str | None) -> str:
-    """The same of two vendors; the relay's is None without its trace."""
+    """Return the label of the vendors of ping and relay; the relay's is None without its trace."""
     if relay_vendor is None or relay_vendor == vendor:
         return vendor_label(vendor)
     return f"{vendor_label(vendor)} → {vendor_label(relay_vendor)}"
 
 
 def domain_label(series: Series) -> str:
-    """`same domain`, or `different domains` with the bridge where one is named."""
+    """Name the domains and the bridge: `same domain`, `different domains`, `via builtin`."""
     if series.domain_mode == "same":
         return "same domain" if series.bridge == "none" else f"same domain via {visible(series.bridge)}"
     return "different domains" if series.bridge == "none" else f"via {visible(series.bridge)}"
 
 
 def qos_label(series: Series) -> str:
-    """As in `reliable, volatile, keep_last 10`."""
+    """Describe the QoS, as in `reliable, volatile, keep_last 10`."""
     return visible(f"{series.reliability}, {series.durability}, {_history_label(series)}")
 
 
@@ -187,7 +192,7 @@ def _history_label(series: Series) -> str:
 
 
 def device_label(series: Series) -> str:
-    """The ping's device, and the relay's where it is known and another."""
+    """Name the ping's device, and the relay's if it is known and differs."""
     if series.relay_device is None or series.relay_device == series.ping_device:
         return visible(series.ping_device)
     return f"{visible(series.ping_device)} → {visible(series.relay_device)}"
@@ -199,7 +204,7 @@ def _backend_label(series: Series) -> str:
     return f"{visible(series.backend)} → {visible(series.relay_backend)}"
 
 
-# What a series label may be made of, after the vendor. A part is named only where the series differ in it.
+# Parts of a series label behind the vendor; a part is named only if the series differ in it.
 _LABEL_PARTS: tuple[Callable[[Series], str], ...] = (
     domain_label,
     _backend_label,
@@ -215,9 +220,9 @@ _LABEL_PARTS: tuple[Callable[[Series], str], ...] = (
 
 
 def _series_labels(series: Sequence[Series]) -> tuple[str, ...]:
-    """The shortest labels that tell all series apart: the vendor, then parts while they are needed.
+    """Build the shortest labels that differ between all series: the vendor, then parts as long as labels are equal.
 
-    The domain is always named where it varies: it is what a reader looks for first.
+    A domain that varies is always named, because readers look for it first.
     """
     labels = [vendor_pair_label(one) for one in series]
     for part in _LABEL_PARTS:
@@ -232,17 +237,17 @@ def _series_labels(series: Sequence[Series]) -> tuple[str, ...]:
 
 
 def known_first(values: Iterable[str], known: Iterable[str]) -> list[str]:
-    """Distinct values: those of `known` in its order, then the others by name."""
+    """Sort distinct values: those of `known` in its order, then the others by name."""
     order = {name: place for place, name in enumerate(known)}
     return sorted(set(values), key=lambda value: (order.get(value, len(order)), value))
 
 
-def _series_order(series: Series) -> tuple[Any, ...]:
+def _series_order(series: Series) -> tuple[object, ...]:
     vendors = [*VENDORS, series.vendor]
     rest = tuple(str(getattr(series, name)) for name in Series.__dataclass_fields__)
     return (vendors.index(series.vendor), series.vendor, series.domain_mode != "same", series.bridge, rest)
 
 
-def _cell_order(cell: Cell) -> tuple[Any, ...]:
+def _cell_order(cell: Cell) -> tuple[object, ...]:
     types = [*DATA_TYPES, cell.data_type]
     return (types.index(cell.data_type), cell.data_type, cell.payload_bytes, cell.rate_hz)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from .groups import METRICS, STATISTICS
+from .groups import METRIC_LABELS, STATISTIC_LABELS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -34,10 +34,10 @@ COUNTS = (
 
 @dataclass(frozen=True, slots=True)
 class Values:
-    """Every number of `summary`; position i of every tuple is group i, None where there is no value.
+    """Numbers of `summary`: item i of each tuple belongs to group i and is None without a value.
 
     Attributes:
-        times_ns: metric -> statistic -> ns, rounded to whole nanoseconds.
+        times_ns: metric -> statistic -> time, rounded to whole nanoseconds.
         plain: the other columns by name (`RATIOS_AND_RATES`, `COUNTS`).
     """
 
@@ -49,17 +49,17 @@ class Values:
         return any(value is not None for column in self.times_ns[metric].values() for value in column)
 
     def timed(self, group: int) -> bool:
-        """Whether the group has a time of any metric: whether anything came back."""
+        """Whether any message of the group came back, so that some metric has a time."""
         return any(columns["max"][group] is not None for columns in self.times_ns.values())
 
     @property
     def default_metric(self) -> str:
-        """What a page shows first: the latency, or the next metric that was measured at all."""
-        return next((metric for metric in METRICS if self.has(metric)), "latency")
+        """Metric that a page shows first: latency, or the next metric that was measured."""
+        return next((metric for metric in METRIC_LABELS if self.has(metric)), "latency")
 
 
 def values_info(analysis: Analysis) -> Values:
-    """The numbers of `analysis.summary`."""
+    """Collect the numbers of `analysis.summary`."""
     return Values(
         times_ns={
             metric: {
@@ -67,16 +67,16 @@ def values_info(analysis: Analysis) -> Values:
                     None if value is None else round(value)
                     for value in _column(analysis, f"{metric}_{statistic}_ns")
                 )
-                for statistic in STATISTICS
+                for statistic in STATISTIC_LABELS
             }
-            for metric in METRICS
+            for metric in METRIC_LABELS
         },
         plain={name: _column(analysis, name) for name in (*RATIOS_AND_RATES, *COUNTS)},
     )
 
 
 def _column(analysis: Analysis, name: str) -> tuple[float | None, ...]:
-    """A column without NaN or infinity; both mean that there is no number."""
+    """Return a column with None for NaN and infinity, which a report shows as missing."""
     return tuple(
         value if value is not None and math.isfinite(value) else None
         for value in analysis.summary[name].to_list()
@@ -85,9 +85,9 @@ def _column(analysis: Analysis, name: str) -> tuple[float | None, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Intervals:
-    """Ends of 95 % intervals: metric -> percentile (`p50` ... `p99_9`) -> per group ns, None without this end.
+    """Ends of the 95 % intervals: metric -> percentile (`p50` to `p99_9`) -> ns per group, None without this end.
 
-    Means and extremes have none.
+    Means and extremes have no interval.
     """
 
     low_ns: Ends
@@ -95,14 +95,14 @@ class Intervals:
 
 
 def intervals_info(analysis: Analysis) -> Intervals:
-    """The metrics of the page; no interval at all where the analysis was made without details."""
+    """Collect the intervals of the page's metrics; there are none without `analysis.details`."""
     height = analysis.summary.height
-    low: dict[str, dict[str, list[int | None]]] = {metric: {} for metric in METRICS}
-    high: dict[str, dict[str, list[int | None]]] = {metric: {} for metric in METRICS}
+    low: dict[str, dict[str, list[int | None]]] = {metric: {} for metric in METRIC_LABELS}
+    high: dict[str, dict[str, list[int | None]]] = {metric: {} for metric in METRIC_LABELS}
     if analysis.details is not None:
         rows = analysis.details.intervals.select("group", "metric", "percentile", "low_ns", "high_ns")
         for group, metric, percentile, low_ns, high_ns in rows.iter_rows():
-            if metric in METRICS:
+            if metric in METRIC_LABELS:
                 for side, end in ((low, low_ns), (high, high_ns)):
                     ends = side[metric].setdefault(percentile, [None] * height)
                     ends[group] = None if end is None else round(end)
@@ -113,7 +113,7 @@ def _frozen(ends: Mapping[str, Mapping[str, list[int | None]]]) -> Ends:
     return {metric: {name: tuple(values) for name, values in of.items()} for metric, of in ends.items()}
 
 
-# Even steps for the body, eight steps per decade of the tail up to p99.99.
+# Steps of 5 % for the body, eight steps per decade for the tail up to p99.99.
 LEVELS = (
     *(0.0, 0.001, 0.003, 0.01, 0.02, 0.03),
     *(step / 20 for step in range(1, 18)),
@@ -123,12 +123,13 @@ LEVELS = (
 
 @dataclass(frozen=True, slots=True)
 class Curves:
-    """The inverse of each group's cumulated histogram.
+    """Inverse of the cumulated histogram of each group.
 
     Attributes:
-        levels: shares of messages, ascending.
-        values_ns: metric -> per group the values that these shares stay below or reach. A list ends where the sample
-            does: level q takes 1 / (1 - q) messages. Empty where the metric was not measured.
+        levels: shares of messages, rising from 0 to 1.
+        values_ns: metric -> for each group the values that these shares of messages do not exceed. A tuple ends at
+            the last level that the sample supports (level q needs 1 / (1 - q) messages); it is empty if the metric was
+            not measured.
     """
 
     levels: tuple[float, ...]
@@ -136,14 +137,16 @@ class Curves:
 
 
 def any_curve(analysis: Analysis) -> bool:
-    """Whether some group has two messages at least, and so a curve."""
+    """Return whether any group has two messages, which a curve needs."""
     messages = analysis.distributions.group_by("group", "metric").agg(pl.sum("count"))["count"]
     return any(count > 1 for count in messages)
 
 
 def curves_info(analysis: Analysis) -> Curves:
-    """Every group's curves, from `analysis.distributions`; a value is exact to the histogram's 0.1 %."""
-    curves: dict[str, list[tuple[int, ...]]] = {metric: [()] * analysis.summary.height for metric in METRICS}
+    """Read the curves of all groups from `analysis.distributions`; values are within the histogram's 0.1 %."""
+    curves: dict[str, list[tuple[int, ...]]] = {
+        metric: [()] * analysis.summary.height for metric in METRIC_LABELS
+    }
     ordered = analysis.distributions.sort("group", "metric", "value_ns")
     values_ns, counts = ordered["value_ns"].to_numpy(), ordered["count"].to_numpy().astype(np.int64)
     lengths = ordered.group_by("group", "metric", maintain_order=True).agg(buckets=pl.len())
@@ -157,7 +160,7 @@ def curves_info(analysis: Analysis) -> Curves:
 
 
 def _curve(values_ns: np.ndarray, counts: np.ndarray) -> tuple[int, ...]:
-    """The value whose rank is the level's share of all, for each level that the sample supports."""
+    """Return the values at the ranks of all levels that the sample supports."""
     ranks = np.cumsum(counts)
     total = int(ranks[-1])
     levels = np.asarray(LEVELS)

@@ -1,4 +1,4 @@
-"""What was measured: the lines that stand above every curve, in every medium."""
+"""What was measured: the lines above all figures, in every report format."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ if TYPE_CHECKING:
     from .runs import RunTime
 
 MOST_LISTED = 12
-"""More values of a kind than this are given as a range or cut, so that the first screen stays one screen."""
+"""Most values listed in one line; more become a range or are cut, so that the first screen stays one screen."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fact:
-    """One line, as in `Rates`: `10, 20, 50 Hz`."""
+    """One labelled line, as in `Rates`: `10, 20, 50 Hz`."""
 
     label: str
     value: str
@@ -46,11 +46,11 @@ class Fact:
 
 @dataclass(frozen=True, slots=True)
 class Overview:
-    """What was measured.
+    """Title and lines of what was measured.
 
     Attributes:
-        title: the analyzed folder's name.
-        facts: the lines, in order. Strings of traces in them are `visible`, not yet escaped for a medium.
+        title: name of the analyzed folder.
+        facts: lines in order; strings from traces are `visible` but not escaped for a format.
     """
 
     title: str
@@ -58,7 +58,7 @@ class Overview:
 
     @property
     def brief(self) -> str:
-        """The most telling lines as one, for a narrow screen."""
+        """Most important lines joined into one, for a narrow screen."""
         known = {fact.label: fact.value for fact in self.facts}
         if "Messages" in known:
             known["Messages"] = known["Messages"].replace(" in ", " messages in ", 1)
@@ -70,7 +70,7 @@ class Overview:
 def overview_info(
     analysis: Analysis, groups: Groups, costs: Sequence[OwnCost], times: Sequence[RunTime]
 ) -> Overview:
-    """The facts that are known; a line without a value is left out."""
+    """Collect the facts; one without a value is left out."""
     facts = (
         Fact("Devices", _devices(analysis, groups)),
         Fact("Link", _listed(sorted({visible(one.connectivity) for one in groups.series}))),
@@ -137,7 +137,7 @@ def _rates(groups: Groups) -> str:
 
 
 def _when(analysis: Analysis, times: Sequence[RunTime]) -> str:
-    """From the first recorder's start to the last message of a run whose recorder is known, in UTC."""
+    """Give the span from the first session to the last message of a run with a known session, in UTC."""
     instants = [session.wall_anchor_ns for session in analysis.sessions]
     if not instants:
         return ""
@@ -152,7 +152,7 @@ def _when(analysis: Analysis, times: Sequence[RunTime]) -> str:
 
 
 def _utc(wall_ns: int) -> datetime | None:
-    """The instant, or None where a device's clock said something that is no date."""
+    """Convert a wall-clock time to UTC; None if the device's clock held no valid date."""
     try:
         return datetime.fromtimestamp(wall_ns / 1e9, tz=timezone.utc)
     except (OverflowError, OSError, ValueError):

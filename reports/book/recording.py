@@ -21,19 +21,19 @@ if TYPE_CHECKING:
 
 
 MOST_ROWS = 200
-"""Of a table; a campaign of 500 cells has two sessions and two files a cell, and the JSON report has them all."""
+"""Most rows of a table. A campaign of 500 cells has 1,000 sessions and files; the JSON report lists them all."""
 
 _FLEETING = "wifi"
-"""The part of a fingerprint that is never twice the same; the figure of the load has it over time."""
+"""Part of a fingerprint that differs between any two sessions; the figure of the load shows it over time."""
 
 
 @dataclass(frozen=True, slots=True)
 class RecordTable:
-    """A titled table of strings, each `visible` and not yet escaped for a medium.
+    """Table of strings that are `visible` but not escaped for a format.
 
     Attributes:
-        count: what there is of it in all.
-        left_out: rows beyond `MOST_ROWS`.
+        count: number of sessions or files, including those left out.
+        left_out: number of rows beyond `MOST_ROWS`.
     """
 
     title: str
@@ -44,12 +44,12 @@ class RecordTable:
 
 
 def record_tables(analysis: Analysis) -> tuple[RecordTable, ...]:
-    """Sessions with the surroundings that their recorders found, and the files."""
+    """Tabulate the sessions with their environment, and the files."""
     return tuple(table for table in (_sessions(analysis), _sources(analysis)) if table.rows)
 
 
 def _sessions(analysis: Analysis) -> RecordTable:
-    """A row for all sessions that were alike; a sweep starts a process a cell."""
+    """Tabulate the sessions; those that were alike share a row, because a sweep starts one process per cell."""
     alike: dict[tuple[str, ...], list[Session]] = {}
     for one in analysis.sessions:
         surroundings = (
@@ -88,7 +88,7 @@ def _sessions(analysis: Analysis) -> RecordTable:
 
 
 def _sources(analysis: Analysis) -> RecordTable:
-    """The files, those that were not simply read first."""
+    """Tabulate the files, those with a problem first."""
     ordered = sorted(analysis.sources, key=lambda one: one.status == "read")
     rows: list[tuple[str, ...]] = [
         (visible(one.path), visible(one.status), format_count(one.events), visible(one.detail))
@@ -103,13 +103,13 @@ def _table(title: str, columns: tuple[str, ...], rows: list[tuple[str, ...]], co
 
 @dataclass(frozen=True, slots=True)
 class OwnCost:
-    """What the sessions of one vendor and backend measured when they began; of several the slowest, None if unknown.
+    """Cost of measuring with one vendor and backend: the slowest of its sessions, None if no session measured it.
 
     Attributes:
-        record_median_ns: to keep one event, with `record_p99_ns`.
-        floor_median_ns: a message of a few bytes from a node to itself, with `floor_p99_ns`: nothing that is measured
-            through this client library can be faster.
-        floor_messages: the fewest messages that a floor rests on.
+        record_median_ns: median time to record one event; `record_p99_ns` likewise.
+        floor_median_ns: median time of a short message from a node to itself, the floor of every latency through this
+            client library; `floor_p99_ns` likewise.
+        floor_messages: smallest number of messages behind a floor.
     """
 
     vendor: str
@@ -122,12 +122,12 @@ class OwnCost:
 
 
 def own_costs(analysis: Analysis) -> tuple[OwnCost, ...]:
-    """One per vendor and backend whose sessions measured anything, vendors in their usual order."""
+    """Collect the costs of each vendor and backend whose sessions measured them."""
     together: dict[tuple[str, str], list[Session]] = {}
     for session in analysis.sessions:
         together.setdefault((session.vendor, session.backend), []).append(session)
     order = known_first({vendor for vendor, _ in together}, VENDORS)
-    found = []
+    costs = []
     for vendor, backend in sorted(together, key=lambda pair: (order.index(pair[0]), pair[1])):
         sessions = together[vendor, backend]
         cost = OwnCost(
@@ -140,18 +140,18 @@ def own_costs(analysis: Analysis) -> tuple[OwnCost, ...]:
             min(_numbers(sessions, "client_library_floor", "messages"), default=None),
         )
         if cost.record_median_ns is not None or cost.floor_median_ns is not None:
-            found.append(cost)
-    return tuple(found)
+            costs.append(cost)
+    return tuple(costs)
 
 
 def recorder_words(costs: Sequence[OwnCost]) -> str:
-    """As in `keeping an event took 2.1 us (p99 4 us)`, by vendor where there are several; empty if unknown."""
+    """Describe the recorder's cost, by vendor if there are several: `keeping an event took 2.1 us (p99 4 us)`."""
     said = [(cost, _span(cost.record_median_ns, cost.record_p99_ns)) for cost in costs]
     return _words("keeping an event took", said)
 
 
 def floor_words(costs: Sequence[OwnCost]) -> str:
-    """As in `a message from a node to itself took 400 us (p99 1.2 ms)`, likewise."""
+    """Describe the client library's floor: `a message from a node to itself took 400 us (p99 1.2 ms)`."""
     said = [(cost, _span(cost.floor_median_ns, cost.floor_p99_ns)) for cost in costs]
     return _words("a message from a node to itself took", said)
 
@@ -177,7 +177,7 @@ def _span(median_ns: int | None, p99_ns: int | None) -> str:
 
 
 def _numbers(sessions: Sequence[Session], part: str, name: str) -> list[int]:
-    """The values of one field, of the sessions that have it: a trace may hold what it likes there."""
+    """Collect the finite, non-negative values of one field of the sessions; foreign traces may hold anything there."""
     parts = [held for session in sessions if isinstance(held := session.extra.get(part), dict)]
     values = [held.get(name) for held in parts]
     return [

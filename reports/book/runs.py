@@ -1,4 +1,4 @@
-"""When each run took place, and the load of the bridges meanwhile."""
+"""Start and end of each run, and the load of the bridges in between."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class RunTime:
-    """When a run took place.
+    """Start and end of one run.
 
     Attributes:
-        group: the group that it belongs to (the first, where several relays answered).
-        origin_ns: when its first counted message was due, on the ping's monotonic clock: 0 of `elapsed_s`.
-        last_ns: when its last message was published, likewise.
-        session: the ping's session, if the run names it.
+        group: index of its group; the first one if several relays answered.
+        origin_ns: planned send time of its first counted message, on the ping's monotonic clock; 0 of `elapsed_s`.
+        last_ns: publish time of its last message, on the same clock.
+        session: session of the ping; None if the run names none.
     """
 
     run_id: int
@@ -34,7 +34,7 @@ class RunTime:
 
 
 def run_times(analysis: Analysis) -> tuple[RunTime, ...]:
-    """The runs of `analysis.timeline`, in its order."""
+    """Collect start and end of the runs of `analysis.timeline`, in its order."""
     due = pl.coalesce("scheduled_ns", "publish_ns")
     times = analysis.scan_roundtrips().group_by("run_id").agg(due.min().alias("origin"), pl.max("publish_ns"))
     spans = {run_id: (origin, last) for run_id, origin, last in times.collect().iter_rows()}
@@ -49,16 +49,22 @@ def run_times(analysis: Analysis) -> tuple[RunTime, ...]:
 
 
 def bridge_loads(analysis: Analysis, times: Sequence[RunTime]) -> dict[int, float]:
-    """Mean load of the bridges' processes during the runs of each group, percent of one processor, by group."""
+    """Average the load of the bridges' processes over the runs of each group.
+
+    Returns:
+        Group -> load in percent of one processor; groups without samples are missing.
+    """
     if analysis.details is None:
         return {}
     samples = analysis.details.host_samples.filter(pl.col("bridge_cpu_percent").is_not_null())
     of_session = {key[0]: part for key, part in samples.partition_by("session_id", as_dict=True).items()}
-    found: dict[int, list[float]] = {}
+    loads_of_group: dict[int, list[float]] = {}
     for run in times if of_session else ():
         if run.session is not None and run.session.session_id in of_session:
             part = of_session[run.session.session_id]
             at_ns = part["monotonic_ns"].to_numpy()
             during = (at_ns >= run.origin_ns) & (at_ns <= run.last_ns)
-            found.setdefault(run.group, []).extend(part["bridge_cpu_percent"].to_numpy()[during].tolist())
-    return {group: round(float(np.mean(loads)), 1) for group, loads in found.items() if loads}
+            loads_of_group.setdefault(run.group, []).extend(
+                part["bridge_cpu_percent"].to_numpy()[during].tolist()
+            )
+    return {group: round(float(np.mean(loads)), 1) for group, loads in loads_of_group.items() if loads}

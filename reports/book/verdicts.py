@@ -1,6 +1,6 @@
-"""Which contender is clearly fastest, by kind of data: the analyzer's answers (`dds_trace.analyzer.verdicts.answers`) with names for people.
+"""Verdicts by kind of data: the analyzer's answers (`dds_trace.analyzer.verdicts.answers`) under the names of a report.
 
-Nothing is judged here: what overlaps and what leads was measured.
+The analyzer has judged which intervals overlap; nothing is judged here.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ CLEARLY = (
 
 MODES = {"same": "same domain", "different": "different domains"}
 
-# Columns of a setting that tell two contenders of one name apart, the most telling first.
+# Columns that extend the labels of contenders with equal labels, the most telling first.
 _FURTHER = (
     "backend",
     "relay_backend",
@@ -43,8 +43,8 @@ _FURTHER = (
 
 
 @dataclass(frozen=True, slots=True)
-class Win:
-    """In how many cells a contender was clearly faster than every other; `vendor` gives it its colour."""
+class WinCount:
+    """Number of cells in which a contender was clearly faster than every other; `vendor` determines its colour."""
 
     contender: str
     vendor: str
@@ -52,26 +52,26 @@ class Win:
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
-    """What one kind of data says about its contenders, over all cells in which at least two were measured.
+class DataVerdict:
+    """Result for one kind of data, over all cells in which at least two contenders were measured.
 
     Attributes:
-        data: data type and domain mode (and the link where several were measured), as in `Binary, same domain`.
-        mode: the domain mode in words.
-        cells: compared cells.
-        wins: most cells first.
-        inconclusive: cells without a clear winner.
+        data: data type, domain mode, and the link if several were measured, as in `Binary, same domain`.
+        mode: domain mode in words.
+        cells: number of compared cells.
+        wins: winners, the one with most cells first.
+        inconclusive: number of cells without a clear winner.
     """
 
     data: str
     mode: str
     cells: int
-    wins: tuple[Win, ...]
+    wins: tuple[WinCount, ...]
     inconclusive: int
 
     @property
     def sentence(self) -> str:
-        """The verdict in one sentence."""
+        """DataVerdict in one sentence."""
         if not self.wins:
             return f"inconclusive in all {cells_label(self.cells)}." if self.cells > 1 else "inconclusive."
         parts = [
@@ -83,8 +83,8 @@ class Verdict:
         return "; ".join(parts) + "."
 
 
-def verdicts_info(answers: Sequence[CaseAnswer]) -> tuple[Verdict, ...]:
-    """One verdict per kind of data in which two contenders met, data types and domain modes in their usual order."""
+def verdicts_info(answers: Sequence[CaseAnswer]) -> tuple[DataVerdict, ...]:
+    """Give one verdict per kind of data with two contenders, in the usual order of data types and domain modes."""
     contenders = {one.name: one for answer in answers for one in answer.contenders}
     labels = contender_labels(answers)
     several_links = len({answer.connectivity for answer in answers}) > 1
@@ -95,12 +95,12 @@ def verdicts_info(answers: Sequence[CaseAnswer]) -> tuple[Verdict, ...]:
         mode = MODES.get(headline.domain_mode, visible(headline.domain_mode))
         link = [visible(headline.connectivity)] if several_links else []
         verdicts.append(
-            Verdict(
+            DataVerdict(
                 data=", ".join([data_type_label(headline.data_type), mode, *link]),
                 mode=mode,
                 cells=headline.cases,
                 wins=tuple(
-                    Win(labels[lead.name], str(contenders[lead.name].setting["vendor"]), lead.cases)
+                    WinCount(labels[lead.name], str(contenders[lead.name].setting["vendor"]), lead.cases)
                     for lead in headline.leads
                 ),
                 inconclusive=headline.inconclusive,
@@ -110,7 +110,11 @@ def verdicts_info(answers: Sequence[CaseAnswer]) -> tuple[Verdict, ...]:
 
 
 def contender_labels(answers: Sequence[CaseAnswer]) -> dict[str, str]:
-    """The label of each contender by its name in the answers: vendor and bridge, and more where these are not enough."""
+    """Label each contender by vendor and bridge, and by more columns where labels would be equal.
+
+    Returns:
+        Name in the answers -> label.
+    """
     settings = {one.name: one.setting for answer in answers for one in answer.contenders}
     labels = {name: _label(setting) for name, setting in settings.items()}
     for column in _FURTHER:
@@ -126,7 +130,7 @@ def contender_labels(answers: Sequence[CaseAnswer]) -> dict[str, str]:
 
 
 def cells_label(count: int) -> str:
-    """As in `1 cell`, `12 cells`."""
+    """Count cells in words: `1 cell`, `12 cells`."""
     return counted(count, "cell")
 
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from ..book.groups import Cell, Series
 
 
-PARTS = {
+PART_LABELS = {
     "waiting_ns": "Late send (T0 to T1)",
     "outbound_ns": "Way there (T1 to T3)",
     "outbound_transport_ns": "Transport there (T1 to the relay's middleware)",
@@ -25,11 +25,11 @@ PARTS = {
     "return_transport_ns": "Transport back (T4 to the ping's middleware)",
     "ping_delivery_ns": "Delivery in the ping (to T2)",
 }
-"""Part in `details.breakdown` -> its name for people, in the order of time."""
+"""Part of `details.breakdown` -> label, in the order of time."""
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class MeanPart:
     """One part of one group's mean response."""
 
     name: str
@@ -42,26 +42,26 @@ class Breakdown:
     """One panel per data type and series; x is the rank of the cell.
 
     Attributes:
-        parts: of each group that has them, in the order of time. The relay's clock says how the two ways divide;
-            `bound_ns` is how far that may be off.
+        parts: group -> its parts in the order of time. The clock fit divides the two ways; `bound_ns` is the largest
+            error of that division.
     """
 
     panels: tuple[Panel, ...]
-    parts: Mapping[int, tuple[Part, ...]]
+    parts: Mapping[int, tuple[MeanPart, ...]]
 
 
 def breakdown_info(book: Book) -> Breakdown:
-    """The means of `details.breakdown`, in the panel of its group's data type and series."""
+    """Collect the means of `details.breakdown`, in panels by data type and series."""
     groups = book.groups
     label_of = dict(zip(groups.series, groups.labels, strict=True))
-    parts: dict[int, list[Part]] = {}
+    parts: dict[int, list[MeanPart]] = {}
     if book.analysis.details is not None:
         columns = ("group", "part", "mean_ns", "bound_ns")
         for group, part, mean_ns, bound_ns in (
             book.analysis.details.breakdown.sort("group", "order").select(columns).iter_rows()
         ):
             bound = None if bound_ns is None else round(bound_ns)
-            parts.setdefault(group, []).append(Part(part, round(mean_ns), bound))
+            parts.setdefault(group, []).append(MeanPart(part, round(mean_ns), bound))
 
     def title(cell: Cell, series: Series) -> str:
         return f"{data_type_label(cell.data_type)}: {label_of[series]}"
@@ -69,11 +69,11 @@ def breakdown_info(book: Book) -> Breakdown:
     panels = panels_info(
         book.groups, lambda cell, series: (cell.data_type, series), title, drawn=lambda group: group in parts
     )
-    return Breakdown(panels, {group: tuple(found) for group, found in parts.items()})
+    return Breakdown(panels, {group: tuple(own_parts) for group, own_parts in parts.items()})
 
 
 def breakdown_figure(info: Breakdown) -> Figure | LeftOut:
-    """Stacked bars over cells."""
+    """Draw stacked bars over cells."""
     name, title = "breakdown", "Where the time goes, on average"
     how_to_read = (
         "A whole bar is the mean response from T0 to T2, its parts from below in the order of time; means are drawn because "
@@ -91,8 +91,8 @@ def breakdown_figure(info: Breakdown) -> Figure | LeftOut:
         "breakdown",
         panels_plan(
             info.panels,
-            names={name: label for name, label in PARTS.items() if name in used},
-            order=[name for name in PARTS if name in used],
+            names={name: label for name, label in PART_LABELS.items() if name in used},
+            order=[name for name in PART_LABELS if name in used],
             parts={str(group): parts for group, parts in info.parts.items()},
         ),
     )

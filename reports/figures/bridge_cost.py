@@ -1,9 +1,9 @@
-"""What a bridge adds to the latency, as far as the samples can tell."""
+"""Latency that a bridge adds, with the interval of the difference."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from dds_trace.analyzer.model.parameters import BRIDGED_COLUMNS
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """The difference of one statistic, ns, with the ends of its interval where the samples support them."""
+    """Difference of one statistic in ns, with the ends of its interval if the samples support them."""
 
     difference_ns: int
     low_ns: int | None
@@ -33,9 +33,10 @@ class BridgedCell:
     """One cell through one bridge.
 
     Attributes:
-        group: the group through the bridge.
-        costs: by percentile (`p50` to `p99_9`), those that the samples support.
-        bridge_cpu_percent: mean load of the bridge's processes during its runs, of one processor; None if not sampled.
+        group: index of the group through the bridge.
+        costs: percentile (`p50` to `p99_9`) -> cost, for those that the samples support.
+        bridge_cpu_percent: mean load of the bridge's processes during its runs, percent of one processor; None
+            without samples.
     """
 
     group: int
@@ -45,7 +46,7 @@ class BridgedCell:
 
 @dataclass(frozen=True, slots=True)
 class BridgePanel:
-    """The bridged cells of one data type, by cell, then series."""
+    """Bridged cells of one data type, sorted by cell, then series."""
 
     title: str
     cells: tuple[BridgedCell, ...]
@@ -59,12 +60,12 @@ class BridgeCost:
 
 
 def bridge_cost_info(book: Book) -> BridgeCost:
-    """The rows of `details.bridge_costs`, each at the groups that it was made of."""
+    """Assign the rows of `details.bridge_costs` to their groups."""
     if book.analysis.details is None:
         return BridgeCost(())
     groups = book.groups
-    # Devices are no part of the comparison: a row is drawn at the first of the groups that share all else.
-    place: dict[tuple[Any, ...], int] = {}
+    # The comparison pools devices, so a row belongs to the first of the groups that differ in nothing else.
+    place: dict[tuple[object, ...], int] = {}
     for index, row in enumerate(book.analysis.summary.iter_rows(named=True)):
         if row["domain_mode"] == "different":
             place.setdefault(tuple(row[name] for name in BRIDGED_COLUMNS), index)
@@ -89,7 +90,7 @@ def bridge_cost_info(book: Book) -> BridgeCost:
 
 
 def bridge_cost_figure(info: BridgeCost) -> Figure | LeftOut:
-    """Marks with intervals over cells."""
+    """Draw marks with intervals over cells."""
     name, title = "bridge_cost", "What a bridge costs"
     how_to_read = (
         "Each mark is the latency through a bridge less that in the same domain, with its 95 % interval; an interval that "

@@ -1,4 +1,4 @@
-"""The way out against the way back, and the two clocks that tell them apart."""
+"""One-way times, and the clock fits that they rest on."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.tracefile.visible import visible
 
-from ..book.groups import STATISTICS, data_type_label
+from ..book.groups import STATISTIC_LABELS, data_type_label
 from ..book.numbers import whole_ns
 from .figure import Figure, LeftOut, Panel, figure_maker, panels_info, panels_plan
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """One-way times of one group, by statistic, ns; and how far they may be off (`bound_ns`, for half of the messages less)."""
+    """One-way times of one group by statistic, in ns, and the median of their clock bound."""
 
     outbound_ns: Mapping[str, int | None]
     return_ns: Mapping[str, int | None]
@@ -36,19 +36,19 @@ class OneWay:
 
 
 def one_way_info(book: Book) -> OneWay:
-    """The rows of `details.one_way`."""
+    """Collect the rows of `details.one_way`."""
     groups = book.groups
     label_of = dict(zip(groups.series, groups.labels, strict=True))
-    found: dict[int, dict[str, Way]] = {}
+    ways_of_group: dict[int, dict[str, Way]] = {}
     if book.analysis.details is not None:
         for row in book.analysis.details.one_way.iter_rows(named=True):
-            times = {name: whole_ns(row[f"{name}_ns"]) for name in STATISTICS}
-            found.setdefault(row["group"], {})[row["metric"]] = Way(
+            times = {name: whole_ns(row[f"{name}_ns"]) for name in STATISTIC_LABELS}
+            ways_of_group.setdefault(row["group"], {})[row["metric"]] = Way(
                 times, times, whole_ns(row["bound_p50_ns"])
             )
     ways = {
         group: Way(both["outbound"].outbound_ns, both["return"].return_ns, both["outbound"].bound_ns)
-        for group, both in found.items()
+        for group, both in ways_of_group.items()
         if both.keys() == {"outbound", "return"}
     }
 
@@ -62,7 +62,7 @@ def one_way_info(book: Book) -> OneWay:
 
 
 def one_way_figure(info: OneWay) -> Figure | LeftOut:
-    """Two marks over each cell."""
+    """Draw two marks over each cell."""
     name, title = "one_way", "The way out against the way back"
     how_to_read = (
         "Full marks are the way out, open marks the way back; a bar is how far the clocks of the two devices may be off, and asymmetry inside it "
@@ -78,19 +78,19 @@ ONE_WAY = figure_maker(one_way_info, one_way_figure)
 
 
 KNOTS_IN_PAGE = 4000
-"""Shared by all pairs of devices; of more, every n-th."""
+"""Most clock knots in a page, for all pairs of devices; of more, every n-th is drawn."""
 
 
 @dataclass(frozen=True, slots=True)
 class ClockPair:
-    """The clocks of two devices.
+    """Clocks of one pair of devices.
 
     Attributes:
-        title: the devices, and the drift of the longest stretch without a step.
-        elapsed_s: of each mark, since the first.
-        offset_ns: relay's clock minus ping's, less `first_offset_ns`.
-        bound_ns: how far each may be off.
-        group: of each mark.
+        title: names of the devices, and the drift of the longest segment without a step.
+        elapsed_s: time of each mark since the first.
+        offset_ns: relay's clock minus ping's clock minus `first_offset_ns`.
+        bound_ns: largest error of each offset.
+        group: group of each mark.
     """
 
     title: str
@@ -103,16 +103,16 @@ class ClockPair:
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """All pairs of devices that have two clocks."""
+    """Pairs of devices with two clocks."""
 
     pairs: tuple[ClockPair, ...]
     decimated: bool
     one_clock: bool
-    """Whether a pair is left out because ping and relay ran on one device."""
+    """Whether a pair is missing because ping and relay shared one clock."""
 
 
 def clock_info(book: Book) -> Clock:
-    """The knots of `details.clock_knots`, of devices that are two."""
+    """Collect the knots of `details.clock_knots` for pairs with two clocks."""
     if book.analysis.details is None:
         return Clock((), decimated=False, one_clock=False)
     fits, knots = book.analysis.details.clock_fits, book.analysis.details.clock_knots
@@ -146,7 +146,7 @@ def clock_info(book: Book) -> Clock:
 
 
 def clock_figure(info: Clock) -> Figure | LeftOut:
-    """Marks with bounds over time, a panel per pair."""
+    """Draw marks with bounds over time, one panel per pair."""
     name, title = "clock", "Clock offset and drift"
     how_to_read = (
         "Each mark is how far the relay's clock was from the ping's, less the first offset, with its bound; a slope is drift, a jump a clock that "

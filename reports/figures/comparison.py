@@ -24,12 +24,12 @@ class VendorComparison:
 
 
 def vendor_comparison_info(book: Book) -> VendorComparison:
-    """Every group, over its cell."""
+    """Collect every group with a time, over its cell."""
     return VendorComparison(cell_panels(book.groups, book.values.timed))
 
 
 def vendor_comparison_figure(info: VendorComparison) -> Figure | LeftOut:
-    """Marks over cells: sizes, and within each size the rates."""
+    """Draw marks over cells: sizes, and within each size the rates."""
     name, title = "vendor_comparison", "Vendors against each other, per data type"
     how_to_read = (
         "Marks above one another sent the same messages: the lowest was fastest there, and every mark of the campaign "
@@ -45,12 +45,12 @@ VENDOR_COMPARISON = figure_maker(vendor_comparison_info, vendor_comparison_figur
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """Two groups that differ in nothing but the domain.
+    """Two groups that differ in the domain alone.
 
     Attributes:
-        rate_hz: the rate of both.
-        same: group in the same domain.
-        different: group across domains.
+        rate_hz: rate of both groups.
+        same: index of the group in the same domain.
+        different: index of the group across domains.
     """
 
     rate_hz: float
@@ -60,7 +60,7 @@ class Pair:
 
 @dataclass(frozen=True, slots=True)
 class PairPanel:
-    """The pairs of one data type and size, by rate."""
+    """Pairs of one data type and size, by rate."""
 
     title: str
     pairs: tuple[Pair, ...]
@@ -74,9 +74,13 @@ class DomainDifference:
 
 
 def domain_pairs(groups: Groups) -> tuple[tuple[int, int], ...]:
-    """Groups (same domain, different domains) of equal cell, vendors, devices and QoS, in the order of cells.
+    """Pair the groups of different domains with those of the same domain.
 
-    A group in the same domain stands in several pairs where several bridges were measured against it.
+    Both groups have equal cell, vendors, devices and QoS. A group in the same domain belongs to several pairs if
+    several bridges were measured.
+
+    Returns:
+        (group in the same domain, group in different domains), in the order of cells.
     """
     at_home = {
         (group.cell, _apart_from_domain(groups.series_of(group))): group.index
@@ -92,7 +96,7 @@ def domain_pairs(groups: Groups) -> tuple[tuple[int, int], ...]:
 
 
 def domain_difference_info(book: Book) -> DomainDifference:
-    """Every pair of which messages came back on both sides, in panels by data type and size."""
+    """Collect the pairs with times on both sides, in panels by data type and size."""
     groups, timed = book.groups, book.values.timed
     panels: dict[str, list[Pair]] = {}
     for same, different in domain_pairs(groups):
@@ -105,7 +109,7 @@ def domain_difference_info(book: Book) -> DomainDifference:
 
 
 def domain_difference_figure(info: DomainDifference) -> Figure | LeftOut:
-    """Grouped bars per rate."""
+    """Draw grouped bars per rate."""
     name, title = "domain_difference", "Same domain against different domains"
     how_to_read = (
         "Plain bars stay in one domain, hatched bars cross to another through a bridge; the number above a hatched bar "

@@ -142,7 +142,7 @@ def panels_info(
 
 
 def cell_panels(groups: Groups, drawn: Callable[[int], bool]) -> tuple[Panel, ...]:
-    """One panel per data type and domain mode; x is the rank of the cell among all cells."""
+    """Spread groups over panels by data type and domain mode; x is the rank of the cell among all cells."""
 
     def title(cell: Cell, series: Series) -> str:
         mode = "same domain" if series.domain_mode == "same" else "different domains"

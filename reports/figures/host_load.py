@@ -14,18 +14,18 @@ if TYPE_CHECKING:
 
 
 SAMPLES_IN_PAGE = 30_000
-"""About 300 KB of JSON, shared by all groups; of more, every n-th is drawn."""
+"""Most samples in a page, for all groups (about 300 KB of JSON); of more, every n-th is drawn."""
 
 
 @dataclass(frozen=True, slots=True)
-class Load:
+class DeviceLoad:
     """Samples of one device during the runs of one group.
 
     Attributes:
         role: `ping` or `relay`.
-        elapsed_s: of each sample, since its run's first message was due, to a tenth.
-        cpu_percent: of the busiest processor.
-        signal_dbm: of the weakest Wi-Fi interface.
+        elapsed_s: time of each sample since the planned first message of its run, rounded to 0.1 s.
+        cpu_percent: load of the busiest processor.
+        signal_dbm: signal of the weakest Wi-Fi interface.
     """
 
     role: str
@@ -36,16 +36,16 @@ class Load:
 
 @dataclass(frozen=True, slots=True)
 class HostLoad:
-    """The loads by group."""
+    """Group -> loads of its devices."""
 
-    groups: dict[int, tuple[Load, ...]]
+    groups: dict[int, tuple[DeviceLoad, ...]]
     decimated: bool
 
 
 def host_load_info(book: Book) -> HostLoad:
-    """The rows of `details.host_samples` that were taken during a run, by its group and role.
+    """Collect the rows of `details.host_samples` taken during a run, by the run's group and role.
 
-    Devices are brought together by their wall clocks, which is enough for samples of one second.
+    Wall clocks relate the devices to each other, which is exact enough for one sample per second.
     """
     if book.analysis.details is None or not book.analysis.details.host_samples.height:
         return HostLoad({}, decimated=False)
@@ -69,21 +69,21 @@ def host_load_info(book: Book) -> HostLoad:
                 groups.setdefault((run.group, role), []).append(own.with_columns(elapsed))
     total = sum(part.height for parts in groups.values() for part in parts)
     step = max(1, -(-total // SAMPLES_IN_PAGE))
-    found: dict[int, tuple[Load, ...]] = {}
+    loads_of_group: dict[int, tuple[DeviceLoad, ...]] = {}
     for (group, role), parts in groups.items():
         rows = pl.concat(parts).sort("elapsed_s").gather_every(step)
-        load = Load(
+        load = DeviceLoad(
             role,
             tuple(rows["elapsed_s"].to_list()),
             tuple(rows["cpu_busiest_percent"].round().cast(pl.Int32).to_list()),
             tuple(rows["wifi_signal_dbm"].round().cast(pl.Int32).to_list()),
         )
-        found[group] = (*found.get(group, ()), load)
-    return HostLoad(found, decimated=step > 1)
+        loads_of_group[group] = (*loads_of_group.get(group, ()), load)
+    return HostLoad(loads_of_group, decimated=step > 1)
 
 
 def host_load_figure(info: HostLoad) -> Figure | LeftOut:
-    """Latency, load and signal over one time axis for the series of the chosen cell."""
+    """Draw latency, load and signal over one time axis, for the series of the chosen cell."""
     name, title = "host_load", "Processor load and Wi-Fi signal against latency"
     how_to_read = (
         "All panels share the time axis, so a latency that rises where the load rises or the signal falls has its cause below it; the load is that "

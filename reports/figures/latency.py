@@ -89,10 +89,10 @@ LATENCY_BY_SIZE = figure_maker(latency_by_size_info, latency_by_size_figure)
 
 @dataclass(frozen=True, slots=True)
 class HeatmapPanel:
-    """The plane of one series and data type.
+    """Plane of one series and data type.
 
     Attributes:
-        tiles: (payload bytes, rate, group) of every tile that was measured.
+        tiles: (payload in bytes, rate in Hz, group) of every measured tile.
     """
 
     title: str
@@ -101,13 +101,13 @@ class HeatmapPanel:
 
 @dataclass(frozen=True, slots=True)
 class Heatmap:
-    """Panels by data type, then series; only planes with two tiles at least."""
+    """Panels by data type, then series. Only planes with two tiles at least."""
 
     panels: tuple[HeatmapPanel, ...]
 
 
 def heatmap_info(book: Book) -> Heatmap:
-    """Every group, as a tile of its series' plane."""
+    """Collect every group as a tile of its series' plane."""
     groups = book.groups
     planes: dict[tuple[str, int], list[tuple[int, float, int]]] = {}
     for group in sorted(groups.groups, key=lambda group: (group.cell, group.series)):
@@ -125,7 +125,7 @@ def heatmap_info(book: Book) -> Heatmap:
 
 
 def heatmap_figure(info: Heatmap) -> Figure | LeftOut:
-    """Tiles with the value written in them where there is room."""
+    """Draw tiles, with the value inside where there is room."""
     name, title = "heatmap", "Size by rate, per vendor"
     how_to_read = (
         "Each tile is one size (upwards) at one rate (to the right), all panels on one colour scale; an empty place "

@@ -17,23 +17,23 @@ if TYPE_CHECKING:
 
 
 POINTS_IN_PAGE = 40_000
-"""About 1 MB of JSON, shared by all groups; a page of 500 groups stays quick to open."""
+"""Most messages in a page, for all groups (about 1 MB of JSON), so that 500 groups open quickly."""
 FEWEST_POINTS = 80
-"""Even of 500 groups each keeps the shape of its run."""
+"""Fewest messages drawn of a group, so that each of 500 groups keeps the shape of its run."""
 MOST_OUTAGES = 50
-"""Of one group; losses are marked in any case."""
+"""Most outages shaded in one group; losses are marked in any case."""
 
 
 @dataclass(frozen=True, slots=True)
 class GroupTimeline:
-    """The messages of one group, by the time they were due since the start of their run.
+    """Messages of one group over their planned send time, counted from the start of their run.
 
     Attributes:
-        elapsed_s: of each message drawn.
-        latency_ns: of the same messages, None where the relay's part is unknown.
-        rtt_ns: of the same messages.
-        lost_elapsed_s: of each cross drawn.
-        lost_count: how many lost messages that cross stands for.
+        elapsed_s: planned send time of each message drawn.
+        latency_ns: latency of these messages, None without the relay's stamps.
+        rtt_ns: round-trip time of these messages.
+        lost_elapsed_s: planned send time of each cross drawn.
+        lost_count: number of lost messages behind that cross.
     """
 
     group: int
@@ -46,11 +46,11 @@ class GroupTimeline:
 
 @dataclass(frozen=True, slots=True)
 class Timeline:
-    """All groups that have a message.
+    """Groups with at least one message.
 
     Attributes:
-        decimated: whether messages were left out for drawing. Extremes and losses never are.
-        outages: (start, end) of each outage by group, in the same time; of many, the longest.
+        decimated: whether messages were left out for drawing; extremes and losses are always drawn.
+        outages: group -> (start, end) of its outages in the same time; the longest `MOST_OUTAGES` of them.
     """
 
     groups: tuple[GroupTimeline, ...]
@@ -84,7 +84,7 @@ def timeline_info(book: Book) -> Timeline:
 
 
 def timeline_figure(info: Timeline) -> Figure | LeftOut:
-    """Dots over time for the series of the chosen cell."""
+    """Draw dots over time, for the series of the chosen cell."""
     name, title = "timeline", "Latency over time"
     how_to_read = (
         "Each dot is a message that came back; crosses on the line at the top are messages that did not, at the time "
@@ -110,7 +110,7 @@ FIGURE = figure_maker(timeline_info, timeline_figure, Scope.CELL)
 
 
 def _outages(book: Book) -> dict[int, tuple[tuple[float, float], ...]]:
-    """The longest outages of each group, where they lie on the axis of its runs."""
+    """Place the longest outages of each group on the time axis of its runs."""
     if book.analysis.details is None or not book.analysis.details.outages.height:
         return {}
     origin_ns = {run.run_id: run.origin_ns for run in book.run_times}
@@ -119,7 +119,7 @@ def _outages(book: Book) -> dict[int, tuple[tuple[float, float], ...]]:
     columns = ("group", "run_id", "start_ns", "end_ns")
     for group, run_id, start_ns, end_ns in longest.select(columns).iter_rows():
         of_group = spans.setdefault(group, [])
-        # An outage without an end lasted to the end of its run: its crosses say so.
+        # An outage without an end lasted to the end of its run, which its crosses show.
         if run_id in origin_ns and end_ns is not None and len(of_group) < MOST_OUTAGES:
             start, end = ((ns - origin_ns[run_id]) / 1e9 for ns in (start_ns, end_ns))
             of_group.append((round(start, 4), round(end, 4)))
@@ -127,7 +127,7 @@ def _outages(book: Book) -> dict[int, tuple[tuple[float, float], ...]]:
 
 
 def _slices(elapsed_s: np.ndarray, count: int) -> np.ndarray:
-    """Which of `count` equal slices of time each instant is in."""
+    """Return for each instant which of `count` equal slices of time holds it."""
     start, end = elapsed_s.min(), elapsed_s.max()
     if end <= start:
         return np.zeros(len(elapsed_s), dtype=np.int64)
@@ -136,7 +136,7 @@ def _slices(elapsed_s: np.ndarray, count: int) -> np.ndarray:
 
 
 def _thinned(rows: pl.DataFrame, share: int) -> tuple[pl.DataFrame, bool]:
-    """At most about `share` rows: of each slice of time the least and the greatest value."""
+    """Keep about `share` rows: the least and the greatest value of each slice of time."""
     if rows.height <= share:
         return rows, False
     place = pl.Series("place", _slices(rows["elapsed_s"].to_numpy(), share // 2))
@@ -147,7 +147,7 @@ def _thinned(rows: pl.DataFrame, share: int) -> tuple[pl.DataFrame, bool]:
 
 
 def _crosses(lost_s: np.ndarray, share: int) -> tuple[tuple[float, ...], tuple[int, ...]]:
-    """At most `share` crosses, each at the first loss it stands for."""
+    """Return at most `share` crosses, each at its first loss, and the losses behind each."""
     if len(lost_s) <= share:
         return tuple(round(float(at), 4) for at in lost_s), (1,) * len(lost_s)
     _, first, count = np.unique(_slices(lost_s, share), return_index=True, return_counts=True)

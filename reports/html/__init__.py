@@ -1,1 +1,1 @@
-"""The page that stands alone: template, filters, styles, scripts."""
+"""Self-contained HTML page: template, filters, styles, scripts."""

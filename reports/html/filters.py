@@ -1,4 +1,4 @@
-"""What a reader can filter by; one choice acts on every figure and table of the page."""
+"""Filters of the page; one choice acts on every figure and table."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Option:
-    """One choice: its name in the page's address, and the label for people."""
+    """One choice of a filter: its name in the page's address and its label."""
 
     value: str
     label: str
@@ -31,9 +31,10 @@ class Filter:
     """One filter of a page.
 
     Attributes:
-        key: its name in the page's address.
-        options: what the groups hold.
-        of_group: per group the place of its option.
+        key: name in the page's address.
+        label: name on the page.
+        options: distinct choices among the groups.
+        of_group: index of each group's option.
     """
 
     key: str
@@ -46,7 +47,7 @@ def _same(text: str) -> Option:
     return Option(text, text)
 
 
-# Key, label, the option of a group. The order of options is that of cells and series.
+# Key, label, and the option of a group. Options come in the order of cells and series.
 _FILTERS: tuple[tuple[str, str, Callable[[Cell, Series], Option]], ...] = (
     ("vendor", "Vendor", lambda _, s: _same(vendor_pair_label(s))),
     (
@@ -67,19 +68,19 @@ _FILTERS: tuple[tuple[str, str, Callable[[Cell, Series], Option]], ...] = (
 
 
 def filters_info(groups: Groups) -> tuple[Filter, ...]:
-    """Every filter that has something to choose from: two options at least."""
-    found = []
+    """List the filters with at least two options."""
+    filters = []
     for key, label, option_of in _FILTERS:
         options = [option_of(groups.cell_of(group), groups.series_of(group)) for group in groups.groups]
         distinct = _ordered(groups, option_of)
         if len(distinct) > 1:
             place = {option: index for index, option in enumerate(distinct)}
-            found.append(Filter(key, label, tuple(distinct), tuple(place[option] for option in options)))
-    return tuple(found)
+            filters.append(Filter(key, label, tuple(distinct), tuple(place[option] for option in options)))
+    return tuple(filters)
 
 
 def _ordered(groups: Groups, option_of: Callable[[Cell, Series], Option]) -> list[Option]:
-    """The options in the order in which sorted cells and series have them; numbers by size."""
+    """Sort the options as cells and series are sorted; numbers by size."""
     by_series = sorted(groups.groups, key=lambda group: (group.series, group.cell))
     options = list(dict.fromkeys(option_of(groups.cell_of(g), groups.series_of(g)) for g in by_series))
     if all(option.value.replace(".", "", 1).isdigit() for option in options):

@@ -1,7 +1,7 @@
-"""The HTML report: one file that stands alone, opens offline and asks nothing of any network.
+"""HTML report: one self-contained file that opens offline and needs no network.
 
-The page holds every number once, as JSON; `assets/*.js` draw figures and tables from it and from the reader's
-filters. Equal input gives equal bytes: no clock, no random id.
+The page holds every number once, as JSON, from which `assets/*.js` draw figures and tables under the reader's filters.
+Equal input gives equal bytes: no clock, no random id.
 """
 
 from __future__ import annotations
@@ -10,18 +10,19 @@ import base64
 import hashlib
 from dataclasses import asdict
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
+from dds_trace.tracefile.files import replacing
 from dds_trace.tracefile.units.rates import format_rate
 from dds_trace.tracefile.units.sizes import format_size
 from dds_trace.tracefile.visible import visible
 
 from ..book.findings import severity_counts
-from ..book.groups import METRICS, STATISTICS, data_type_label
+from ..book.groups import METRIC_LABELS, STATISTIC_LABELS, data_type_label
 from ..figures import FIGURES, Figure, LeftOut, Scope
 from ..text import json_island
 from .filters import filters_info
@@ -46,7 +47,7 @@ SCRIPTS = (
     "figures.js",
     "page.js",
 )
-"""In the order in which they need one another."""
+"""Scripts of the page, each behind those that it needs."""
 LIVE_SCRIPT = "live.js"
 
 FORMULA = (
@@ -55,24 +56,24 @@ FORMULA = (
 
 
 def render(book: Book) -> str:
-    """The page."""
+    """Return the page."""
     return _render(book, SCRIPTS)
 
 
 def render_live(book: Book, version: str) -> str:
-    """The page for a server: it loads itself again, with the view it has, once `GET version` answers another version."""
+    """Return the page for `dds-analyze watch`: it reloads itself, keeping its view, when `GET version` changes."""
     return _render(book, (*SCRIPTS, LIVE_SCRIPT), version)
 
 
 def live_script() -> str:
-    """What makes a page look for a newer one; `data-version` of its root element is its own version."""
+    """Return the script that looks for a newer page; `data-version` of the root element is the page's version."""
     return _asset(LIVE_SCRIPT)
 
 
 def _render(book: Book, scripts: Iterable[str], version: str = "") -> str:
     made = [(maker.scope, maker.draw(book)) for maker in FIGURES]
     drawn = [(scope, figure) for scope, figure in made if isinstance(figure, Figure)]
-    # A closing tag inside would end the element. Plotly's file and ours have none; a later one must not surprise us.
+    # A closing tag would end the element. No script has one today; a later plotly.js might.
     plotly, script = (_safe_script(text) for text in (get_plotlyjs(), "\n".join(map(_asset, scripts))))
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
@@ -97,9 +98,10 @@ def _render(book: Book, scripts: Iterable[str], version: str = "") -> str:
 
 
 def write(book: Book, folder: Path) -> Path:
-    """Writes the page into `folder` and says where."""
+    """Write the page into `folder` and return its path."""
     path = folder / FILE_NAME
-    path.write_text(render(book), encoding="utf-8", newline="\n")
+    with replacing(path) as draft:
+        draft.write_text(render(book), encoding="utf-8", newline="\n")
     return path
 
 
@@ -112,9 +114,10 @@ def _safe_script(text: str) -> str:
 
 
 def _policy(*scripts: str, connect: str) -> str:
-    """Only the page's own two scripts run and nothing is fetched from anywhere but `connect`, if that is given.
+    """Return a security policy under which only these scripts run and nothing but `connect` is fetched.
 
-    Styles may be inline, because plotly.js writes style attributes; pictures are those that a download is made of.
+    Inline styles are allowed because plotly.js writes style attributes, data and blob images because downloads are
+    made of them.
     """
     hashes = " ".join(
         f"'sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}'"
@@ -126,13 +129,13 @@ def _policy(*scripts: str, connect: str) -> str:
     )
 
 
-def _island(book: Book, figures: list[Figure]) -> dict[str, Any]:
+def _island(book: Book, figures: list[Figure]) -> dict[str, object]:
     groups, values = book.groups, book.values
     filters = filters_info(groups)
     return {
         "title": visible(book.analysis.title),
-        "metrics": [{"key": key, "label": label} for key, label in METRICS.items() if values.has(key)],
-        "statistics": [{"key": key, "label": label} for key, label in STATISTICS.items()],
+        "metrics": [{"key": key, "label": label} for key, label in METRIC_LABELS.items() if values.has(key)],
+        "statistics": [{"key": key, "label": label} for key, label in STATISTIC_LABELS.items()],
         "filters": [{"key": one.key, "label": one.label, "options": one.options} for one in filters],
         "groups": {
             "count": len(groups.groups),
@@ -165,8 +168,8 @@ def _island(book: Book, figures: list[Figure]) -> dict[str, Any]:
     }
 
 
-def _answer(book: Book) -> dict[str, Any]:
-    """The answer with each verdict's parts in their vendors' colours; the inconclusive part has none."""
+def _answer(book: Book) -> dict[str, object]:
+    """Return the answer with the parts of each verdict in their vendors' colours; the inconclusive part has no colour."""
     answer, places = book.answer, vendor_places(book.groups)
     verdicts = []
     for verdict in answer.verdicts:

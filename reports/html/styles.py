@@ -1,4 +1,4 @@
-"""How a series looks, the same in every figure: colour and symbol are the vendor's, the dash is the way's."""
+"""Look of a series, the same in every figure: colour and symbol show the vendor, the dash shows domain and bridge."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SYMBOL_VARIANTS = ("", "-open", "-dot", "-open-dot")
 
 @dataclass(frozen=True, slots=True)
 class Style:
-    """Plotly names; colours for light and dark."""
+    """Names of plotly.js for symbol and dash, colours on light and dark ground."""
 
     light: str
     dark: str
@@ -38,7 +38,7 @@ class Style:
 
 
 def vendor_places(groups: Groups) -> dict[str, int]:
-    """Vendor -> its place in the palette: known vendors always have the same."""
+    """Map each vendor to its place in the palette; known vendors keep theirs in every report."""
     return {
         name: place
         for place, name in enumerate(known_first([*VENDORS, *(s.vendor for s in groups.series)], VENDORS))
@@ -46,10 +46,10 @@ def vendor_places(groups: Groups) -> dict[str, int]:
 
 
 def series_styles(groups: Groups) -> tuple[Style, ...]:
-    """One style per series.
+    """Choose a style for each series.
 
-    The first way (same domain) is solid and every bridge has its own dash. Series that share vendor and way (QoS,
-    devices) differ by the filling of their symbol.
+    The same domain is solid and every bridge has its own dash. Series of equal vendor and bridge (they differ in QoS
+    or devices) differ by the filling of their symbol.
     """
     places = vendor_places(groups)
     ways = sorted({(one.domain_mode != "same", one.bridge) for one in groups.series})

@@ -14,7 +14,7 @@ from analyses import small_campaign
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.html import page
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 SCRIPT = ROOT / "scripts" / "stored_report.py"
 STORED = sorted((ROOT / "docs" / "results").glob("*/report.html"))
 

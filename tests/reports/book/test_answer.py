@@ -5,7 +5,7 @@ from analyses import EVERY_ANALYSIS, MS, Measured, make_analysis
 
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.overview import Fact
-from dds_trace.reports.book.verdicts import Verdict, Win
+from dds_trace.reports.book.verdicts import DataVerdict, WinCount
 
 # 0 to 19 in an order in which neighbours are no more alike than others, so that 20 messages count as 20.
 MIXED = random.Random(1).sample(range(20), 20)
@@ -18,7 +18,9 @@ BRIDGED = {"bridge": "builtin", "domain_mode": "different"}
 def test_a_clear_winner_is_named():
     answer = Book(make_analysis(Measured(SLOW), Measured(FAST, **ZENOH))).answer
     assert answer.verdicts == (
-        Verdict("Binary, same domain", "same domain", 1, (Win("Zenoh", "zenoh", 1),), inconclusive=0),
+        DataVerdict(
+            "Binary, same domain", "same domain", 1, (WinCount("Zenoh", "zenoh", 1),), inconclusive=0
+        ),
     )
     assert answer.headline == "In the same domain, Zenoh was clearly fastest in the one cell."
     assert "wholly below the intervals of all the others" in answer.rule
@@ -51,7 +53,7 @@ def test_too_few_messages_are_inconclusive():
 
 def test_a_quality_of_service_is_part_of_a_choice():
     answer = Book(make_analysis(Measured(SLOW), Measured(FAST, reliability="best_effort"))).answer
-    assert answer.verdicts[0].wins == (Win("Fast DDS, best_effort", "fastdds", 1),)
+    assert answer.verdicts[0].wins == (WinCount("Fast DDS, best_effort", "fastdds", 1),)
 
 
 def test_without_the_round_trips_in_memory_nothing_is_judged():
@@ -77,7 +79,7 @@ def test_bridges_are_contenders_across_domains():
     ).answer
     (verdict,) = answer.verdicts
     assert verdict.data == "Binary, different domains"
-    assert verdict.wins == (Win("Fast DDS via zenoh-bridge-dds", "fastdds", 1),)
+    assert verdict.wins == (WinCount("Fast DDS via zenoh-bridge-dds", "fastdds", 1),)
 
 
 def test_one_middleware_leaves_no_choice_and_the_bridge_its_price():

@@ -11,7 +11,7 @@ from dds_trace.reports.book.book import Book
 from dds_trace.reports.figures import Figure, LeftOut
 from dds_trace.reports.figures.clocks import clock_figure, clock_info
 
-SAMPLES = Path(__file__).parents[2] / "sample_traces" / "same_domain"
+SAMPLES = Path(__file__).parents[3] / "sample_traces" / "same_domain"
 AHEAD_NS = 3_250_000_000
 DRIFT_PPM = 40
 

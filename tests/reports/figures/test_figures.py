@@ -7,7 +7,7 @@ from analyses import EVERY_ANALYSIS, MS, Measured, make_analysis
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.numbers import curves_info, intervals_info, values_info
 from dds_trace.reports.figures import FIGURES, Figure, LeftOut
-from dds_trace.reports.figures.breakdown import Breakdown, Part, breakdown_info
+from dds_trace.reports.figures.breakdown import Breakdown, MeanPart, breakdown_info
 from dds_trace.reports.figures.bridge_cost import bridge_cost_info
 from dds_trace.reports.figures.capacity import (
     Received,
@@ -27,7 +27,7 @@ from dds_trace.reports.figures.comparison import (
 )
 from dds_trace.reports.figures.distribution import DistributionCurves, distribution_info
 from dds_trace.reports.figures.figure import Line, Panel
-from dds_trace.reports.figures.host_load import Load, host_load_info
+from dds_trace.reports.figures.host_load import DeviceLoad, host_load_info
 from dds_trace.reports.figures.latency import (
     Heatmap,
     HeatmapPanel,
@@ -135,10 +135,10 @@ def test_breakdown_stacks_the_parts_of_the_response(campaign):
     ]
     # Group 1: latencies of 1 and 2 ms, the way out 50 and 100 µs longer, the way back as much shorter.
     assert info.parts[1] == (
-        Part("waiting_ns", 20_000, 0),
-        Part("outbound_ns", 1_575_000, 50_000),
-        Part("relay_ns", 100_000, 0),
-        Part("return_ns", 1_425_000, 50_000),
+        MeanPart("waiting_ns", 20_000, 0),
+        MeanPart("outbound_ns", 1_575_000, 50_000),
+        MeanPart("relay_ns", 100_000, 0),
+        MeanPart("return_ns", 1_425_000, 50_000),
     )
 
 
@@ -183,8 +183,8 @@ def test_host_load_is_that_of_the_run():
     analysis = make_analysis(Measured([MS] * 12, connectivity="wireless"))
     assert host_load_info(Book(analysis)).groups == {
         0: (
-            Load("ping", (0.0, 1.0), (20.0, 21.0), (-50.0, -51.0)),
-            Load("relay", (0.0, 1.0), (40.0, 41.0), (-50.0, -51.0)),
+            DeviceLoad("ping", (0.0, 1.0), (20.0, 21.0), (-50.0, -51.0)),
+            DeviceLoad("relay", (0.0, 1.0), (40.0, 41.0), (-50.0, -51.0)),
         )
     }
 

@@ -1,40 +1,47 @@
 """The contract between the devices that record and the machine that analyzes: one `.mcap` file."""
 
-from .errors import (
-    BackendUnavailableError,
-    BridgeError,
-    MissingEventsError,
-    NoEchoError,
-    OptionError,
-    OutputError,
-    OutputExistsError,
-    TraceError,
-    TraceFormatError,
-)
-from .format.descriptions import FORMAT_VERSION, Qos, Run, Session
-from .format.events import (
-    EVENT_DTYPE,
-    HOST_TOPIC,
-    RUN_TOPIC,
-    SESSION_TOPIC,
-    EventColumns,
-    Stage,
-    pack_event,
-    unpack_event,
-)
-from .format.string_cdr import CDR_HEADER
-from .reading.discovery import find_traces
-from .reading.reader import (
-    expected_events,
-    iter_event_batches,
-    read_descriptions,
-    read_trace,
-)
-from .reading.trace import Trace
-from .recovery.recover import RecoveryReport, recover
-from .version import __version__
-from .writing.background import run_in_background
-from .writing.sink import ClosedTrace, TraceDestination, TraceSink
+from typing import TYPE_CHECKING
+
+from dds_trace.lazy import contents_page
+
+if TYPE_CHECKING:
+    from .errors import (
+        BackendUnavailableError,
+        BridgeError,
+        MissingEventsError,
+        NoEchoError,
+        OptionError,
+        OutputError,
+        OutputExistsError,
+        TraceError,
+        TraceFormatError,
+    )
+    from .format.descriptions import FORMAT_VERSION, Qos, Run, Session
+    from .format.events import (
+        EVENT_DTYPE,
+        HOST_TOPIC,
+        RUN_TOPIC,
+        SESSION_TOPIC,
+        EventColumns,
+        Stage,
+        pack_event,
+        unpack_event,
+    )
+    from .format.string_cdr import CDR_HEADER
+    from .reading.discovery import find_traces
+    from .reading.reader import (
+        expected_events,
+        iter_event_batches,
+        read_descriptions,
+        read_trace,
+    )
+    from .reading.trace import Trace
+    from .recovery.recover import RecoveryReport, recover
+    from .version import __version__
+    from .writing.background import run_in_background
+    from .writing.sink import ClosedTrace, TraceDestination, TraceSink
+else:
+    __getattr__, __dir__ = contents_page(__name__)
 
 __all__ = [
     "CDR_HEADER",

@@ -1,17 +1,24 @@
 """The bridges between two DDS domains: one file for each, launched and supervised, never imported by a role."""
 
-from .base import (
-    BRIDGED_TOPICS,
-    Bridge,
-    BridgedTopic,
-    BridgeOptions,
-    Half,
-    Halves,
-    bridged_topic,
-    split_halves,
-)
-from .process.running import BridgeState, RunningBridge, find_program, open_bridge
-from .registry import BRIDGE_MODULES, load_bridge
+from typing import TYPE_CHECKING
+
+from dds_trace.lazy import contents_page
+
+if TYPE_CHECKING:
+    from .base import (
+        BRIDGED_TOPICS,
+        Bridge,
+        BridgedTopic,
+        BridgeOptions,
+        Half,
+        Halves,
+        bridged_topic,
+        split_halves,
+    )
+    from .process.running import BridgeState, RunningBridge, find_program, open_bridge
+    from .registry import BRIDGE_MODULES, load_bridge
+else:
+    __getattr__, __dir__ = contents_page(__name__)
 
 __all__ = [
     "BRIDGED_TOPICS",

@@ -1,19 +1,26 @@
 """The whole parameter space from one plan: cells, their order, the devices, the link between them, the state."""
 
-from .max_rate_report import COLUMNS, max_rate_rows, write_max_rates
-from .plan.cells import Cell
-from .plan.commands import half_arguments, relay_arguments
-from .plan.estimate import Remaining, plan_seconds
-from .plan.installed import installed_middlewares
-from .plan.link import PRESETS, Link
-from .plan.plan import Plan
-from .plan.plan_file import parse_plan, read_plan
-from .plan.schedule import Group, schedule
-from .run.progress import SweepProgress, make_progress
-from .run.result import CellResult, read_result
-from .search import MaxRate, RateAnswer
-from .station.devices import printed_command
-from .sweep import INCOMPLETE_EXIT_CODE, SweepOutcome, run_search, run_sweep
+from typing import TYPE_CHECKING
+
+from dds_trace.lazy import contents_page
+
+if TYPE_CHECKING:
+    from .max_rate_report import COLUMNS, max_rate_rows, write_max_rates
+    from .plan.cells import Cell
+    from .plan.commands import half_arguments, relay_arguments
+    from .plan.estimate import Remaining, plan_seconds
+    from .plan.installed import installed_middlewares
+    from .plan.link import PRESETS, Link
+    from .plan.plan import Plan
+    from .plan.plan_file import parse_plan, read_plan
+    from .plan.schedule import Group, schedule
+    from .run.progress import SweepProgress, make_progress
+    from .run.result import CellResult, read_result
+    from .search import MaxRate, RateAnswer
+    from .station.devices import printed_command
+    from .sweep import INCOMPLETE_EXIT_CODE, SweepOutcome, run_search, run_sweep
+else:
+    __getattr__, __dir__ = contents_page(__name__)
 
 __all__ = [
     "COLUMNS",

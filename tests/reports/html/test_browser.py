@@ -8,9 +8,9 @@ import pytest
 from analyses import EVERY_ANALYSIS, HOSTILE
 from campaigns import write_runs
 
-from dds_trace.cli.watch import Watcher, WatchOptions
 from dds_trace.reports import load_reporter
 from dds_trace.reports.book.book import Book
+from dds_trace.reports.html.live import Watcher, WatchOptions
 from dds_trace.reports.text import format_ratio
 from dds_trace.tracefile.units.durations import format_duration
 from dds_trace.tracefile.units.rates import format_rate

@@ -10,8 +10,8 @@ import pytest
 from campaigns import write_runs
 
 import dds_trace.analyzer.loading.shelf
-from dds_trace import analyzer
-from dds_trace.cli.watch import Watcher, WatchOptions, is_own_name
+from dds_trace.reports.html import live
+from dds_trace.reports.html.live import Watcher, WatchOptions, is_own_name
 from dds_trace.tracefile.errors import OutputError
 
 # No proxy of the surroundings may stand between the test and its own server.
@@ -99,7 +99,7 @@ def test_an_analysis_that_fails_is_shown_above_the_last_report(watcher, tmp_path
         raise ZeroDivisionError("<b>division</b>")
 
     with monkeypatch.context() as broken:
-        broken.setattr(analyzer, "analyze", failing)
+        broken.setattr(live, "analyze", failing)
         write_runs(tmp_path, [2])
         assert watcher.refresh() is False
     page = fetch(watcher.address).read().decode()

@@ -1,0 +1,221 @@
+"""The HTML report on a local address, made anew when a trace below its folder changes."""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+import sys
+import threading
+from contextlib import contextmanager
+from dataclasses import dataclass
+from hashlib import sha256
+from html import escape
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import TYPE_CHECKING, TypeAlias
+
+from dds_trace.analyzer import analyze, default_output
+from dds_trace.tracefile import OutputError, TraceError
+
+from ..book.book import Book
+from .page import live_script, render_live
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+Stamp: TypeAlias = "tuple[tuple[str, int, int], ...]"
+"""Path, size in bytes and time of change in ns of every file below a folder."""
+
+TRACE_ENDINGS = (".mcap", ".db3", ".yaml", ".ring")
+
+_WAITING = (
+    '<!doctype html><html lang="en" data-version="{version}"><meta charset="utf-8">'
+    "<title>Waiting for traces</title><body><p>No trace can be analyzed yet. This page looks again by itself."
+    "<script>{script}</script>"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class WatchOptions:
+    """A folder to watch and how to analyze it.
+
+    Attributes:
+        folder: folder with traces at any depth.
+        out: folder for the files and the cache of the analysis; None for its default place.
+        cache: whether to keep events there, so that of a folder that grew only new traces are read; if False,
+            nothing is written.
+    """
+
+    folder: Path
+    out: Path | None = None
+    cache: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """A page and its version, an HTTP entity tag that changes whenever the page does."""
+
+    page: bytes
+    version: str
+
+
+class Watcher:
+    """The latest page of a folder, and the server that hands it out."""
+
+    def __init__(self, options: WatchOptions, host: str = "127.0.0.1", port: int = 0) -> None:
+        """Bind the address at once; nothing is analyzed before `refresh`.
+
+        Raises:
+            OutputError: the address cannot be bound.
+        """
+        self._options = options
+        self._stamp: Stamp | None = None
+        self._report = self._analyzed_version = ""
+        self.shown = _waiting("")
+        try:
+            self._server = _server_class(host)((host, port), _handler(self, host))
+        except (OSError, OverflowError) as err:
+            raise OutputError(
+                f"{host}:{port}: cannot serve there ({getattr(err, 'strerror', None) or err}); choose another --port"
+            ) from err
+        self._server.daemon_threads = True
+
+    @property
+    def address(self) -> str:
+        """URL of the page."""
+        host, port = self._server.server_address[:2]
+        name = host if isinstance(host, str) else host.decode()
+        return f"http://{f'[{name}]' if ':' in name else name}:{port}/"
+
+    def refresh(self) -> bool:
+        """Analyze the folder if a file changed since the last call, and return whether there is a new report.
+
+        An analysis that fails (there is no trace yet, one has just begun, a mistake of ours) leaves the report
+        before it on the page, under a line with the reason.
+        """
+        stamp = _stamp_of(self._options.folder, self._target())
+        if stamp == self._stamp:
+            return False
+        self._stamp = stamp
+        version = sha256(repr(stamp).encode("utf-8", "backslashreplace")).hexdigest()[:16]
+        try:
+            self._report, self._analyzed_version = self._analyzed(version), version
+        except Exception as err:  # noqa: BLE001 - one bad file must not end a watch that runs for a night
+            why = str(err) if isinstance(err, TraceError) else f"{type(err).__name__}: {err}"
+            self.shown = self._failed(why, version)
+            return False
+        self.shown = Shown(_encoded(self._report), version)
+        return True
+
+    def _target(self) -> Path:
+        return default_output(self._options.folder) if self._options.out is None else self._options.out
+
+    def _analyzed(self, version: str) -> str:
+        cache = self._options.cache
+        analysis = analyze(self._options.folder, out=self._target() if cache else None, cache=cache)
+        return render_live(Book(analysis), version)
+
+    def _failed(self, why: str, version: str) -> Shown:
+        print(f"{self._options.folder}: {why}", file=sys.stderr)
+        if not self._report:
+            return _waiting(version, why)
+        notice = f'<p class="notice" role="status">The latest analysis failed: {escape(why)}</p>'
+        # Both are markup of the page's own that no text of a trace can stand before.
+        page = self._report.replace(
+            f'data-version="{self._analyzed_version}"', f'data-version="{version}"', 1
+        )
+        return Shown(_encoded(page.replace("<body>", f"<body>\n{notice}", 1)), version)
+
+    @contextmanager
+    def serving(self) -> Iterator[None]:
+        """Answer requests while the block runs, in a thread of its own."""
+        thread = threading.Thread(target=self._server.serve_forever, name="watch", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            self._server.shutdown()
+            thread.join()
+            self._server.server_close()
+
+
+def _waiting(version: str, why: str = "") -> Shown:
+    page = _WAITING.format(version=version, script=live_script())
+    return Shown(_encoded(page + (f"<p>{escape(why)}" if why else "")), version)
+
+
+def _encoded(page: str) -> bytes:
+    # A file name that is no UTF-8 may be in the reason of a failure.
+    return page.encode("utf-8", "backslashreplace")
+
+
+def _server_class(host: str) -> type[ThreadingHTTPServer]:
+    class Server(ThreadingHTTPServer):
+        address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
+
+    return Server
+
+
+def is_own_name(asked: str, bound: str) -> bool:
+    """Return whether a request's `Host` is a name of this server: of loopback, or the address that it listens on.
+
+    Any other name was pointed here by somebody (DNS rebinding): his page would be allowed to read ours. An address
+    needs no DNS, so where the server listens on all addresses of the machine each of them will do.
+    """
+    name = asked.strip().lower()
+    name = name[1:].partition("]")[0] if name.startswith("[") else name.partition(":")[0]
+    if name in {"localhost", bound.lower()}:
+        return True
+    try:
+        address = ipaddress.ip_address(name)
+        return address.is_loopback or ipaddress.ip_address(bound).is_unspecified
+    except ValueError:
+        return False
+
+
+def _handler(watcher: Watcher, bound: str) -> type[BaseHTTPRequestHandler]:
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            if not is_own_name(self.headers.get("Host", ""), bound):
+                self.send_error(HTTPStatus.MISDIRECTED_REQUEST)
+                return
+            shown = watcher.shown
+            if self.path == "/version":
+                self._send("text/plain", shown.version.encode())
+            elif self.path != "/":
+                self.send_error(HTTPStatus.NOT_FOUND)
+            elif self.headers.get("If-None-Match") == f'"{shown.version}"':
+                self.send_response(HTTPStatus.NOT_MODIFIED)
+                self.end_headers()
+            else:
+                self._send("text/html", shown.page, {"ETag": f'"{shown.version}"'})
+
+        def _send(self, kind: str, body: bytes, headers: dict[str, str] | None = None) -> None:
+            self.send_response(HTTPStatus.OK)
+            self.send_header("Content-Type", f"{kind}; charset=utf-8")
+            self.send_header("Content-Length", str(len(body)))
+            self.send_header("Cache-Control", "no-cache")
+            for name, value in (headers or {}).items():
+                self.send_header(name, value)
+            self.end_headers()
+            self.wfile.write(body)
+
+        def log_message(self, format: str, *args: object) -> None:  # noqa: A002 - signature of the base class
+            """Log nothing: stderr is for the analysis."""
+
+    return Handler
+
+
+def _stamp_of(folder: Path, skip: Path) -> Stamp:
+    """Return the stamp of every file that may be part of a trace, without those that the analysis writes below `skip`."""
+    stamps = []
+    for path in sorted(folder.rglob("*")):
+        if (path.suffix in TRACE_ENDINGS or not path.suffix) and not path.is_relative_to(skip):
+            try:
+                status = path.stat()
+            except OSError:
+                continue  # renamed or deleted meanwhile: the next look sees what became of it
+            if path.is_file():
+                stamps.append((str(path), status.st_size, status.st_mtime_ns))
+    return tuple(stamps)

@@ -54,7 +54,8 @@ class Details:
             `cases.MOST_COMPARED_ROWS` rows has none, and a finding says so.
         answers: who is fastest for each kind of message, likewise.
         deadline_ns: the deadline that `freshness` judges; None for none.
-        recommendation: what was asked for with `job`, if anything was.
+        recommendation: settings for the `job` of the analysis; None without a job.
+        requested: False if the analysis was made with `details=False`: every frame is then empty.
     """
 
     intervals: pl.DataFrame
@@ -70,6 +71,7 @@ class Details:
     answers: tuple[CaseAnswer, ...]
     deadline_ns: int | None = None
     recommendation: Recommendation | None = None
+    requested: bool = True
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,18 +85,18 @@ class Analysis:
         sources: the files that were looked at.
         sessions: the recording processes, sorted by start.
         runs: the runs, sorted by start.
-        rows: one row per published message and relay; see `roundtrips` and `scan_roundtrips`.
+        rows: one row per published message and relay; read with `load_roundtrips` and `scan_roundtrips`.
         summary: one row per group (`docs/trace-format.md`), sorted by its parameter columns; row number i
             is group i wherever another frame has a column `group`.
         distributions: `group` u32, `metric` str (`rtt`, `intermediate`, `latency`, `response`), `value_ns`
             f64 (bucket centre), `count` u64: a histogram per group and metric, relative error at most 0.1 %.
         timeline: `group` u32, `run_id` u64, `relay_id` u32, `sequence` u64, `elapsed_s` f64 (scheduled time
             since the run's first counted message), `latency_ns` i64 null, `rtt_ns` i64 null, `outcome` str: rows of
-            `roundtrips` for drawing, decimated where a run is long (extremes and losses are kept).
+            the round trips for drawing, decimated where a run is long (extremes and losses are kept).
         timeline_decimated: whether `timeline` leaves rows out.
         findings: most severe first.
+        details: what takes more time than rows and summary.
         outputs: files written, by kind (`roundtrips`, `summary`).
-        details: what takes more time than rows and summary; None where it was not asked for.
     """
 
     title: str
@@ -107,17 +109,17 @@ class Analysis:
     timeline: pl.DataFrame
     timeline_decimated: bool
     findings: tuple[Finding, ...]
+    details: Details
     outputs: Mapping[str, Path] = field(default_factory=dict)
-    details: Details | None = None
 
-    @property
-    def roundtrips(self) -> pl.DataFrame:
-        """One row per published message and relay (`docs/trace-format.md`), by group, run, relay and sequence.
+    def load_roundtrips(self) -> pl.DataFrame:
+        """Read all round trips into memory: gigabytes of a large campaign, which `scan_roundtrips` reads in part.
 
-        Of a large campaign they are in a file, and this reads all of it: take `scan_roundtrips` for a part.
+        Returns:
+            One row per published message and relay (`docs/trace-format.md`), by group, run, relay and sequence.
         """
         return self.rows.frame()
 
     def scan_roundtrips(self) -> pl.LazyFrame:
-        """The same, of which only what is asked for is read."""
+        """Return the round trips as a lazy frame, which reads only the rows and columns that a query takes."""
         return self.rows.scan()

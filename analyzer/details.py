@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
 import polars as pl
 
 from .analysis import Details
 from .clocks.boots import ping_boots
+from .groups.batch import Batch
+from .groups.frames import DETAIL_MAKERS
 from .groups.host_samples import host_sample_frame
 from .groups.interval_frames import (
     INTERVAL_SCHEMA,
@@ -15,7 +18,11 @@ from .groups.interval_frames import (
     interval_rows,
     one_way_rows,
 )
+from .model.column import schema_of
+from .model.columns import SUMMARY_COLUMNS
 from .pairing.one_way import fit_devices, segment_table
+from .pairing.roundtrips import pair_exchanges
+from .pairing.rows import RoundTripRows, RowsByGroup
 from .verdicts.answers import find_answers
 from .verdicts.bridge_cost import find_bridge_costs
 from .verdicts.recommend import recommend_settings
@@ -26,14 +33,13 @@ if TYPE_CHECKING:
     from .groups.batch import Wanted
     from .groups.frames import Frames
     from .loading.campaign import Campaign
-    from .pairing.rows import RowsByGroup
     from .verdicts.recommend import Recommendation
 
 
 def collect_details(
     campaign: Campaign, frames: Frames, rows: RowsByGroup, in_parts: Sequence[int], wanted: Wanted
 ) -> Details:
-    """Put the details of a campaign together.
+    """Put the details of a campaign together; without rows if they are not wanted.
 
     Args:
         campaign: its sessions, runs and traces.
@@ -42,6 +48,8 @@ def collect_details(
         in_parts: groups that no batch held whole: the frames lack what only a whole column of their rows gives.
         wanted: what is asked for.
     """
+    if not wanted.details:
+        return details_not_requested()
     boots = ping_boots(campaign.sessions.values(), campaign.runs.values())
     intervals = [row for group in in_parts for row in interval_rows(group, _column_of(rows, group))]
     one_way = [row for group in in_parts for row in one_way_rows(group, _column_of(rows, group))]
@@ -59,6 +67,28 @@ def collect_details(
         answers=find_answers(rows),
         deadline_ns=wanted.deadline_ns,
         recommendation=_recommendation(rows, wanted),
+    )
+
+
+def details_not_requested() -> Details:
+    """Make details without rows, whose frames have the columns of all details."""
+    no_batch = Batch(pair_exchanges([], one_way=False), np.empty(0, np.uint32), all_exchanges=0)
+    frames = {name: make(no_batch) for name, make in DETAIL_MAKERS.items()}
+    no_rows = RoundTripRows.none()
+    no_groups = RowsByGroup(no_rows, pl.DataFrame(schema=schema_of(SUMMARY_COLUMNS)))
+    return Details(
+        intervals=frames["intervals"],
+        one_way=frames["one_way"],
+        breakdown=frames["breakdown"],
+        responses=frames["responses"],
+        freshness=frames["freshness"],
+        outages=frames["outages"],
+        clock_knots=frames["clock_knots"],
+        clock_fits=segment_table(()),
+        host_samples=host_sample_frame(()),
+        bridge_costs=find_bridge_costs(no_groups),
+        answers=(),
+        requested=False,
     )
 
 

@@ -80,7 +80,7 @@ def analyze(
         sketch: percentiles from histograms, off by `histogram.RELATIVE_ERROR` at most, and no rows: neither
             `roundtrips` nor its file, and no group compared with another. So no rows travel, and a group may be of
             any size. Rows that an earlier analysis left in `out` stay there, and a finding says so.
-        details: one-way times, `Analysis.details` and the findings that rest on them; without, these are null, None
+        details: one-way times, `Analysis.details` and the findings that rest on them; without, these are null, empty
             and absent, and a large campaign takes a fraction of the time.
         deadline_ns: judge every message against it (`Analysis.details.freshness`).
         job: what to recommend settings for (`Analysis.details.recommendation`).
@@ -138,11 +138,9 @@ def _analyze(
     rows = keeper.finished()
     by_group = RowsByGroup(rows, summary.frame)
     in_parts = sorted({int(g) for batch in batches if not batch.whole for g in batch.group_of_exchange})
-    details = None
-    if wanted.details:
-        details = collect_details(campaign, frames, by_group, in_parts, wanted)
+    details = collect_details(campaign, frames, by_group, in_parts, wanted)
     evidence = Evidence(campaign, exchanges, paired, grouping, summary, details)
-    if details is not None:
+    if details.requested:
         remarks += size_findings(evidence, None if sketch else by_group, in_parts)
     return Analysis(
         title=folder.resolve().name,

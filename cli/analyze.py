@@ -162,7 +162,7 @@ def main_command(
     exported = [path for kind in export or [] for path in export_tables(analysis, kind.value, target)]
     if derived_mcap:
         exported += _write_derived(analysis, target)
-    if analysis.details is not None and analysis.details.recommendation is not None:
+    if analysis.details.recommendation is not None:
         from .analyze_text import print_recommendation
 
         print_recommendation(analysis.details.recommendation)
@@ -190,7 +190,7 @@ def _write_derived(analysis: "Analysis", target: Path) -> list[Path]:
     from dds_trace.analyzer import ping_wall_offsets, write_derived
 
     wall = ping_wall_offsets(analysis.sessions, analysis.runs)
-    derived = write_derived(analysis.roundtrips, target / "latency.derived.mcap", wall, force=True)
+    derived = write_derived(analysis.load_roundtrips(), target / "latency.derived.mcap", wall, force=True)
     return [derived.path, derived.layout]
 
 

@@ -64,7 +64,7 @@ def compare_command(
     )
 
     gates = [parse_gate(text) for text in fail_if or []]  # before anything is read
-    before, after = (analyze(folder, details=False).roundtrips for folder in (base, new))
+    before, after = (analyze(folder, details=False).load_roundtrips() for folder in (base, new))
     comparison = compare_roundtrips(before, after, options_for(gates, CompareOptions()))
     results = judge_gates(comparison, gates)
     if comparison.delivery.is_empty():

@@ -77,10 +77,10 @@ def _document(book: Book) -> dict[str, object]:
         "sessions": [json.loads(session.to_json()) for session in analysis.sessions],
         "runs": [json.loads(run.to_json()) for run in analysis.runs],
         "groups": analysis.summary.to_dicts(),
-        **{name: None if details is None else _rows(getattr(details, name)) for name in FRAMES},
-        "answers": None if details is None else details.answers,
-        "deadline_ns": None if details is None else details.deadline_ns,
-        "recommendation": None if details is None else details.recommendation,
+        **{name: _rows(getattr(details, name)) if details.requested else None for name in FRAMES},
+        "answers": details.answers if details.requested else None,
+        "deadline_ns": details.deadline_ns,
+        "recommendation": details.recommendation,
     }
 
 

@@ -170,8 +170,6 @@ def _added(cost: Cost | None) -> str:
 
 def _clocks(book: Book) -> str:
     """Tabulate the clock fits: a row per pair of devices with two clocks, and per segment without a step."""
-    if book.analysis.details is None:
-        return ""
     rows = [
         (
             f"{row['ping_device']} → {row['relay_device']}",

@@ -59,8 +59,6 @@ def _steps(evidence: Evidence) -> Iterator[tuple[dict[str, Any], str | None]]:
     one relay process went on is sleep: the relay's if its clock fell back, the ping's if it got ahead. (Each fit is
     of one boot of the ping.)
     """
-    if evidence.details is None:
-        return
     boots = ping_boots(evidence.campaign.sessions.values(), evidence.campaign.runs.values())
     knots = evidence.details.clock_knots.sort("at_ns")
     for fit in evidence.details.clock_fits.drop_nulls("step_before_ns").iter_rows(named=True):
@@ -79,8 +77,6 @@ def _steps(evidence: Evidence) -> Iterator[tuple[dict[str, Any], str | None]]:
 
 def clock_drifts(evidence: Evidence) -> Iterator[Finding]:
     """Two clocks surely part faster than crystals do."""
-    if evidence.details is None:
-        return
     for fit in evidence.details.clock_fits.iter_rows(named=True):
         if abs(fit["drift_ppb"]) - fit["drift_bound_ppb"] > _DRIFT_PPB:
             yield Finding(

@@ -26,14 +26,14 @@ _MOST_FILES = 2
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """The results of every step of one analysis; `details` None where they were not asked for."""
+    """The results of every step of one analysis."""
 
     campaign: Campaign
     exchanges: Exchanges
     roundtrips: PairedExchanges
     grouping: Grouping
     summary: Summary
-    details: Details | None = None
+    details: Details
 
     def published_by_run(self) -> dict[int, tuple[Exchange, Published]]:
         """run_id -> one exchange of the run (all share run and T1) and the run's messages."""

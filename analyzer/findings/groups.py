@@ -183,8 +183,6 @@ def _shown(percentile: Percentile) -> str:
 
 def outages(evidence: Evidence) -> Iterator[Finding]:
     """Groups that lost several messages in a row."""
-    if evidence.details is None:
-        return
     names = evidence.group_names
     for (key,), found in evidence.details.outages.group_by(["group"], maintain_order=True):
         group = int(str(key))
@@ -215,8 +213,6 @@ def waits_in_readers(evidence: Evidence) -> Iterator[Finding]:
     A reader that falls behind takes each message when a later one arrives: the latency is then a multiple of the
     period, and says nothing of the link.
     """
-    if evidence.details is None:
-        return
     names, rates = evidence.group_names, evidence.summary.frame["rate_hz"].to_list()
     parts = evidence.details.breakdown.select("group", "part", "p50_ns", "p99_ns").iter_rows()
     for group, part, median_ns, p99_ns in parts:

@@ -21,8 +21,6 @@ _SATURATED_SHARE = 0.1
 
 def cpu_saturation(evidence: Evidence) -> Iterator[Finding]:
     """Devices with a processor that was busy throughout while they recorded."""
-    if evidence.details is None:
-        return
     busy: dict[int, list[float]] = defaultdict(list)
     samples = evidence.details.host_samples.select("session_id", "cpu_busiest_percent").drop_nulls()
     for session_id, percent in samples.iter_rows():
@@ -41,8 +39,6 @@ def cpu_saturation(evidence: Evidence) -> Iterator[Finding]:
 
 def kernel_drops(evidence: Evidence) -> Iterator[Finding]:
     """Devices whose kernel threw datagrams away for want of receive buffer."""
-    if evidence.details is None:
-        return
     samples = evidence.details.host_samples.drop_nulls("udp_receive_errors")
     last = samples.group_by("session_id", maintain_order=True).last()
     for session_id, count in last.select("session_id", "udp_receive_errors").iter_rows():

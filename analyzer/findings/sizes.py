@@ -23,8 +23,6 @@ _JUMP = 2.0
 
 def unlike_sizes(evidence: Evidence) -> Iterator[Finding]:
     """Neighbouring sizes, all else equal, whose p50 intervals say that latency surely falls, or jumps, with size."""
-    if evidence.details is None:
-        return
     found = evidence.details.intervals.filter(metric="latency", percentile="p50").drop_nulls("method")
     interval = {row["group"]: row for row in found.iter_rows(named=True)}
     lines: dict[tuple[Any, ...], list[tuple[int, int]]] = defaultdict(list)

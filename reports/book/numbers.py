@@ -99,13 +99,12 @@ def intervals_info(analysis: Analysis) -> Intervals:
     height = analysis.summary.height
     low: dict[str, dict[str, list[int | None]]] = {metric: {} for metric in METRIC_LABELS}
     high: dict[str, dict[str, list[int | None]]] = {metric: {} for metric in METRIC_LABELS}
-    if analysis.details is not None:
-        rows = analysis.details.intervals.select("group", "metric", "percentile", "low_ns", "high_ns")
-        for group, metric, percentile, low_ns, high_ns in rows.iter_rows():
-            if metric in METRIC_LABELS:
-                for side, end in ((low, low_ns), (high, high_ns)):
-                    ends = side[metric].setdefault(percentile, [None] * height)
-                    ends[group] = None if end is None else round(end)
+    rows = analysis.details.intervals.select("group", "metric", "percentile", "low_ns", "high_ns")
+    for group, metric, percentile, low_ns, high_ns in rows.iter_rows():
+        if metric in METRIC_LABELS:
+            for side, end in ((low, low_ns), (high, high_ns)):
+                ends = side[metric].setdefault(percentile, [None] * height)
+                ends[group] = None if end is None else round(end)
     return Intervals(_frozen(low), _frozen(high))
 
 

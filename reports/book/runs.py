@@ -54,8 +54,6 @@ def bridge_loads(analysis: Analysis, times: Sequence[RunTime]) -> dict[int, floa
     Returns:
         Group -> load in percent of one processor; groups without samples are missing.
     """
-    if analysis.details is None:
-        return {}
     samples = analysis.details.host_samples.filter(pl.col("bridge_cpu_percent").is_not_null())
     of_session = {key[0]: part for key, part in samples.partition_by("session_id", as_dict=True).items()}
     loads_of_group: dict[int, list[float]] = {}

@@ -55,13 +55,12 @@ def breakdown_info(book: Book) -> Breakdown:
     groups = book.groups
     label_of = dict(zip(groups.series, groups.labels, strict=True))
     parts: dict[int, list[MeanPart]] = {}
-    if book.analysis.details is not None:
-        columns = ("group", "part", "mean_ns", "bound_ns")
-        for group, part, mean_ns, bound_ns in (
-            book.analysis.details.breakdown.sort("group", "order").select(columns).iter_rows()
-        ):
-            bound = None if bound_ns is None else round(bound_ns)
-            parts.setdefault(group, []).append(MeanPart(part, round(mean_ns), bound))
+    columns = ("group", "part", "mean_ns", "bound_ns")
+    for group, part, mean_ns, bound_ns in (
+        book.analysis.details.breakdown.sort("group", "order").select(columns).iter_rows()
+    ):
+        bound = None if bound_ns is None else round(bound_ns)
+        parts.setdefault(group, []).append(MeanPart(part, round(mean_ns), bound))
 
     def title(cell: Cell, series: Series) -> str:
         return f"{data_type_label(cell.data_type)}: {label_of[series]}"

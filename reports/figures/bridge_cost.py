@@ -61,8 +61,6 @@ class BridgeCost:
 
 def bridge_cost_info(book: Book) -> BridgeCost:
     """Assign the rows of `details.bridge_costs` to their groups."""
-    if book.analysis.details is None:
-        return BridgeCost(())
     groups = book.groups
     # The comparison pools devices, so a row belongs to the first of the groups that differ in nothing else.
     place: dict[tuple[object, ...], int] = {}

@@ -40,12 +40,11 @@ def one_way_info(book: Book) -> OneWay:
     groups = book.groups
     label_of = dict(zip(groups.series, groups.labels, strict=True))
     ways_of_group: dict[int, dict[str, Way]] = {}
-    if book.analysis.details is not None:
-        for row in book.analysis.details.one_way.iter_rows(named=True):
-            times = {name: whole_ns(row[f"{name}_ns"]) for name in STATISTIC_LABELS}
-            ways_of_group.setdefault(row["group"], {})[row["metric"]] = Way(
-                times, times, whole_ns(row["bound_p50_ns"])
-            )
+    for row in book.analysis.details.one_way.iter_rows(named=True):
+        times = {name: whole_ns(row[f"{name}_ns"]) for name in STATISTIC_LABELS}
+        ways_of_group.setdefault(row["group"], {})[row["metric"]] = Way(
+            times, times, whole_ns(row["bound_p50_ns"])
+        )
     ways = {
         group: Way(both["outbound"].outbound_ns, both["return"].return_ns, both["outbound"].bound_ns)
         for group, both in ways_of_group.items()
@@ -113,8 +112,6 @@ class Clock:
 
 def clock_info(book: Book) -> Clock:
     """Collect the knots of `details.clock_knots` for pairs with two clocks."""
-    if book.analysis.details is None:
-        return Clock((), decimated=False, one_clock=False)
     fits, knots = book.analysis.details.clock_fits, book.analysis.details.clock_knots
     two = fits.filter(~fits["same_clock"])
     step = max(1, -(-knots.height // KNOTS_IN_PAGE))

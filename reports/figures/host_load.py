@@ -47,7 +47,7 @@ def host_load_info(book: Book) -> HostLoad:
 
     Wall clocks relate the devices to each other, which is exact enough for one sample per second.
     """
-    if book.analysis.details is None or not book.analysis.details.host_samples.height:
+    if not book.analysis.details.host_samples.height:
         return HostLoad({}, decimated=False)
     samples = book.analysis.details.host_samples.filter(
         pl.col("cpu_busiest_percent").is_not_null() | pl.col("wifi_signal_dbm").is_not_null()

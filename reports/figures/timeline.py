@@ -111,7 +111,7 @@ FIGURE = figure_maker(timeline_info, timeline_figure, Scope.CELL)
 
 def _outages(book: Book) -> dict[int, tuple[tuple[float, float], ...]]:
     """Place the longest outages of each group on the time axis of its runs."""
-    if book.analysis.details is None or not book.analysis.details.outages.height:
+    if not book.analysis.details.outages.height:
         return {}
     origin_ns = {run.run_id: run.origin_ns for run in book.run_times}
     longest = book.analysis.details.outages.sort("duration_ns", descending=True, nulls_last=True)

@@ -45,14 +45,13 @@ def drawn(count=200, ahead=AHEAD, first=0):
 def test_one_way_times_are_in_the_rows_and_hold_the_truth_within_their_bound(tmp_path):
     write_pair(tmp_path, drawn())
     analysis = analyze(tmp_path)
-    rows = analysis.roundtrips
+    rows = analysis.load_roundtrips()
     assert rows.columns[-3:] == ["outbound_ns", "return_ns", "clock_bound_ns"]
     assert (rows["outbound_ns"] + rows["return_ns"] == 5 * MS).all()
     # Nothing tells 2 ms out and 3 ms back from a clock that is off by half a millisecond.
     assert ((rows["outbound_ns"] - 2 * MS).abs() <= rows["clock_bound_ns"]).all()
     assert rows["clock_bound_ns"].min() >= 2.5 * MS
     assert rows["clock_bound_ns"].max() < 2.6 * MS
-    assert analysis.details is not None
     assert analysis.details.one_way["metric"].to_list() == ["outbound", "return"]
     assert analysis.details.one_way["messages"].to_list() == [200, 200]
 
@@ -60,7 +59,6 @@ def test_one_way_times_are_in_the_rows_and_hold_the_truth_within_their_bound(tmp
 def test_intervals_repeat_the_summary_and_are_null_where_the_sample_is_too_small(tmp_path):
     write_pair(tmp_path, drawn())
     analysis = analyze(tmp_path)
-    assert analysis.details is not None
     latency = analysis.details.intervals.filter(metric="latency")
     assert latency["percentile"].to_list() == ["p50", "p90", "p95", "p99", "p99_9"]
     assert latency["estimate_ns"].to_list() == [2.5 * MS] * 4 + [None]
@@ -77,7 +75,6 @@ def test_intervals_repeat_the_summary_and_are_null_where_the_sample_is_too_small
 def test_breakdown_without_stamps_of_the_middleware_has_four_parts(tmp_path):
     write_pair(tmp_path, drawn())
     details = analyze(tmp_path).details
-    assert details is not None
     parts = dict(details.breakdown.select("part", "mean_ns").rows())
     assert list(parts) == ["waiting_ns", "outbound_ns", "relay_ns", "return_ns"]
     assert (parts["waiting_ns"], parts["relay_ns"]) == (50, MS)
@@ -90,7 +87,6 @@ def test_freshness_with_a_deadline(tmp_path):
     lost = [Message(m.sequence, t0=m.t0, t1=m.t1) if 20 <= m.sequence < 25 else m for m in messages]
     write_pair(tmp_path, lost)
     details = analyze(tmp_path, deadline_ns=3 * MS).details
-    assert details is not None
     assert details.deadline_ns == 3 * MS
     (row,) = details.freshness.iter_rows(named=True)
     assert (row["group"], row["judged"], row["missed"], row["longest_missed"]) == (0, 200, 5, 5)
@@ -116,7 +112,6 @@ def write_runs(folder, clocks, **sessions):
 def test_the_clock_of_two_devices_is_fitted_over_all_their_runs(tmp_path):
     write_runs(tmp_path, [AHEAD, AHEAD])
     details = analyze(tmp_path).details
-    assert details is not None
     (fit,) = details.clock_fits.iter_rows(named=True)
     assert (fit["ping_device"], fit["relay_device"], fit["same_clock"]) == ("alpha", "beta", False)
     assert abs(fit["offset_ns"] - AHEAD) <= fit["bound_ns"]
@@ -127,7 +122,6 @@ def test_the_clock_of_two_devices_is_fitted_over_all_their_runs(tmp_path):
 def test_a_step_between_two_runs_is_found(tmp_path):
     write_runs(tmp_path, [AHEAD, AHEAD + 1000 * MS])
     details = analyze(tmp_path).details
-    assert details is not None
     before, after = details.clock_fits.iter_rows(named=True)
     assert (before["segment"], after["segment"]) == (0, 1)
     assert abs(after["step_before_ns"] - 1000 * MS) <= after["step_bound_ns"] < 30 * MS
@@ -136,10 +130,9 @@ def test_a_step_between_two_runs_is_found(tmp_path):
 def test_on_one_machine_one_way_times_are_exact(tmp_path):
     write_pair(tmp_path, drawn(ahead=0), relay=relay_session(device="alpha"))
     analysis = analyze(tmp_path)
-    assert analysis.details is not None
     assert analysis.details.clock_fits["same_clock"].to_list() == [True]
-    assert analysis.roundtrips["outbound_ns"].unique().to_list() == [2 * MS]
-    assert analysis.roundtrips["clock_bound_ns"].unique().to_list() == [0]
+    assert analysis.load_roundtrips()["outbound_ns"].unique().to_list() == [2 * MS]
+    assert analysis.load_roundtrips()["clock_bound_ns"].unique().to_list() == [0]
 
 
 def test_reception_stamps_are_those_of_the_events_that_were_paired(tmp_path):
@@ -176,8 +169,6 @@ def test_a_group_has_the_same_details_alone_and_beside_another(tmp_path):
         {Stage.T1: [event(0, 1, run_id=9)]},
     )
     alone, both = analyze(tmp_path / "alone").details, analyze(tmp_path / "both").details
-    assert alone is not None
-    assert both is not None
     for name in ("intervals", "one_way", "breakdown", "responses", "freshness", "outages", "clock_knots"):
         assert_frame_equal(getattr(alone, name), getattr(both, name).filter(pl.col("group") == 0))
 
@@ -202,7 +193,6 @@ def test_host_samples(tmp_path):
         host=[*samples, {"host": [], "wifi": {"w": 3}, "processes": None}],
     )
     details = analyze(tmp_path).details
-    assert details is not None
     columns = ["monotonic_ns", "cpu_percent", "cpu_busiest_percent", "wifi_signal_dbm", "udp_receive_errors"]
     assert details.host_samples.select(columns).rows() == [
         (0, 40.0, 70.0, -61.0, 0.0),
@@ -247,8 +237,7 @@ def test_comparisons_are_those_of_all_rows_though_a_kind_of_message_is_read_at_a
     write_campaign(tmp_path)
     monkeypatch.setattr(dds_trace.analyzer.pairing.rows, "MOST_HELD_ROWS", held_rows)
     analysis = analyze(tmp_path)
-    details, rows = analysis.details, analysis.roundtrips
-    assert details is not None
+    details, rows = analysis.details, analysis.load_roundtrips()
     assert details.answers == find_answers(rows_by_group(rows))
     assert [(a.domain_mode, a.payload_bytes, len(a.contenders)) for a in details.answers] == [
         ("different", 33_000, 2),
@@ -267,18 +256,25 @@ def test_comparisons_are_those_of_all_rows_though_a_kind_of_message_is_read_at_a
     ]
 
 
-def test_without_details_the_columns_are_there_and_null(tmp_path):
+def test_details_that_are_not_requested_are_empty_frames_and_null_columns(tmp_path):
     write_pair(tmp_path, drawn())
     analysis = analyze(tmp_path, details=False)
-    assert analysis.details is None
-    assert analysis.roundtrips["outbound_ns"].null_count() == 200
+    assert not analysis.details.requested
+    requested = analyze(tmp_path).details
+    for field in fields(requested):
+        value = getattr(requested, field.name)
+        if isinstance(value, pl.DataFrame):
+            empty = getattr(analysis.details, field.name)
+            assert empty.is_empty(), field.name
+            assert empty.schema == value.schema, field.name
+    assert analysis.details.answers == ()
+    assert analysis.load_roundtrips()["outbound_ns"].null_count() == 200
 
 
 def test_a_job_gets_its_recommendation(tmp_path):
     write_pair(tmp_path, drawn())
     job = parse_job("data=binary size=33KB rate=10 deadline=50ms reliability=0.9")
     details = analyze(tmp_path, job=job).details
-    assert details is not None
     assert details.recommendation is not None
     assert [c.fit.value for c in details.recommendation.candidates] == ["meets"]
 

@@ -38,7 +38,7 @@ def test_clocks_on_a_real_exchange(tmp_path, domain_id):
     assert (details.clock_knots["offset_ns"].abs() <= details.clock_knots["bound_ns"]).all()
 
     # Real jitter, and a relay's clock that was put off by a known amount.
-    frame = analysis.roundtrips
+    frame = analysis.load_roundtrips()
     true_ns = frame["relay_in_ns"] - frame["publish_ns"]
     for offset_ns, drift_ppb, step_ns in ((10**15, 40_000, 0), (-(10**12), -40_000, 10**9)):
         aligned = with_one_way(put_off(frame, offset_ns, drift_ppb, step_ns))
@@ -63,7 +63,7 @@ def assert_parts_add_up(analysis):
     if len(parts) != len(STAGES):
         return  # this client library gives no reception stamps
     assert parts["part"].to_list() == list(STAGES)
-    complete = analysis.roundtrips.filter(outcome="completed")
+    complete = analysis.load_roundtrips().filter(outcome="completed")
     assert parts["messages"].unique().to_list() == [len(complete)]
     assert parts["mean_ns"].sum() == pytest.approx(complete["response_ns"].mean(), rel=1e-9)
     assert (parts["mean_ns"][1:] >= 0).all()

@@ -36,7 +36,7 @@ def test_the_analyzer_gives_the_plain_numbers(name: str, tmp_path: Path) -> None
     runs = expected(name)["runs"]
     assert len(analysis.summary) == len(runs)  # every run of a sample is a group of its own
     for run_id, run in runs.items():
-        rows = analysis.roundtrips.filter(pl.col("run_id") == int(run_id, 16))
+        rows = analysis.load_roundtrips().filter(pl.col("run_id") == int(run_id, 16))
         assert len(rows) == run["published"]
         assert {key: (rows["outcome"] == key).sum() for key in run["outcomes"]} == run["outcomes"]
         (group,) = analysis.summary.filter(

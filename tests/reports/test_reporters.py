@@ -11,6 +11,7 @@ from analyses import EVERY_ANALYSIS, HOSTILE, MS, Measured, make_analysis
 from jsonschema import Draft202012Validator
 
 from dds_trace.analyzer import Details, parse_job, recommend_settings
+from dds_trace.analyzer.details import details_not_requested
 from dds_trace.reports import REPORT_MODULES, document, load_reporter, write_reports
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.figures import FIGURES, Figure
@@ -101,7 +102,9 @@ def test_the_json_report_has_every_frame_of_the_details():
 
 
 def test_the_json_report_of_an_analysis_without_details_has_null_for_them():
-    report = json.loads(document.render(Book(replace(EVERY_ANALYSIS["one message"](), details=None))))
+    report = json.loads(
+        document.render(Book(replace(EVERY_ANALYSIS["one message"](), details=details_not_requested())))
+    )
     assert all(report[name] is None for name in (*document.FRAMES, "answers", "recommendation"))
     Draft202012Validator(document.schema()).validate(report)
 
@@ -109,7 +112,9 @@ def test_the_json_report_of_an_analysis_without_details_has_null_for_them():
 def test_a_recommendation_is_in_the_json_report():
     analysis = EVERY_ANALYSIS["small campaign"]()
     job = parse_job("data=binary size=33KB rate=10 deadline=50ms reliability=0.9")
-    recommended = replace(analysis.details, recommendation=recommend_settings(analysis.roundtrips, job))
+    recommended = replace(
+        analysis.details, recommendation=recommend_settings(analysis.load_roundtrips(), job)
+    )
     report = json.loads(document.render(Book(replace(analysis, details=recommended))))
     Draft202012Validator(closed(document.schema())["properties"]["recommendation"]).validate(
         report["recommendation"]

@@ -118,7 +118,7 @@ def test_a_cluster_finds_what_one_machine_finds(cluster, runs, tmp_path):
     alone = analyze(runs, out=tmp_path / "alone")
     together = analyze(runs, out=tmp_path / "together", cluster=address)
     assert_same_results(together, alone)
-    assert pl.read_parquet(together.outputs["roundtrips"]).equals(alone.roundtrips)
+    assert pl.read_parquet(together.outputs["roundtrips"]).equals(alone.load_roundtrips())
 
 
 def test_parts_of_a_group_from_several_workers_are_exact(cluster, runs, monkeypatch):
@@ -127,7 +127,7 @@ def test_parts_of_a_group_from_several_workers_are_exact(cluster, runs, monkeypa
     monkeypatch.setattr(dds_trace.analyzer.engines.batches, "WHOLE_GROUP_EVENTS", 200)
     together = analyze(runs, cluster=cluster[0])
     assert together.summary.equals(alone.summary)
-    assert together.roundtrips.equals(alone.roundtrips)
+    assert together.load_roundtrips().equals(alone.load_roundtrips())
 
 
 @pytest.mark.parametrize("in_parts", [False, True])
@@ -138,7 +138,7 @@ def test_a_sketch_is_near_and_says_so(cluster, runs, tmp_path, monkeypatch, in_p
         monkeypatch.setattr(dds_trace.analyzer.engines.batches, "BATCH_EVENTS", 150)
         monkeypatch.setattr(dds_trace.analyzer.engines.batches, "WHOLE_GROUP_EVENTS", 200)
     sketch = analyze(runs, out=tmp_path / "out", cluster=cluster[0], sketch=True)
-    assert sketch.roundtrips.is_empty()
+    assert sketch.load_roundtrips().is_empty()
     assert sorted(sketch.outputs) == ["summary"]
     assert alone.outputs["roundtrips"].read_bytes() == rows  # a sketch replaces what it writes and no more
     assert [f.where for f in sketch.findings if f.code == "earlier_rows"] == ["roundtrips.parquet"]
@@ -163,7 +163,7 @@ def test_object_storage(cluster, runs, tmp_path, monkeypatch):
     alone = analyze(runs)
     for where in ({"cluster": cluster[0]}, {"out": tmp_path / "out", "cache": True}):
         remote = analyze("s3://bucket/campaign", **where)
-        assert remote.roundtrips.equals(alone.roundtrips)
+        assert remote.load_roundtrips().equals(alone.load_roundtrips())
         assert remote.summary.equals(alone.summary)
         assert remote.sources == alone.sources
     read = []

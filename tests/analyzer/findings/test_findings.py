@@ -358,7 +358,7 @@ def test_a_relay_that_nobody_describes(tmp_path):
     write_trace(tmp_path / "relay.mcap", (), (), relay_events(sound()))
     analysis = analyze(tmp_path)
     assert [finding.code for finding in analysis.findings] == ["undescribed_relay"]
-    assert set(analysis.roundtrips["relay_vendor"]) == {None}
+    assert set(analysis.load_roundtrips()["relay_vendor"]) == {None}
     assert analysis.summary["latency_p50_ns"].null_count() == 0
 
 

@@ -82,7 +82,11 @@ def test_duplicates_and_reordering_are_counted(tmp_path):
     ]
     write_trace(tmp_path / "ping.mcap", ping_session(), [run()], ping)
     analysis = analyze(tmp_path)
-    assert analysis.roundtrips.select("duplicates", "reordered").rows() == [(2, True), (0, False), (0, False)]
+    assert analysis.load_roundtrips().select("duplicates", "reordered").rows() == [
+        (2, True),
+        (0, False),
+        (0, False),
+    ]
     assert analysis.summary.select("duplicates", "reordered", "received").rows() == [(2, 1, 3)]
     assert {"duplicates", "reordering"} <= {finding.code for finding in analysis.findings}
 
@@ -164,7 +168,7 @@ def test_groups_are_sorted_by_their_parameters_null_last(tmp_path):
 def test_only_warmup_leaves_a_group_without_numbers(tmp_path):
     write_pair(tmp_path, [Message(0, t0=0, t1=5, t3=7, t4=8, t2=9)], runs=[run(warmup_messages=10)])
     analysis = analyze(tmp_path)
-    assert analysis.roundtrips.height == analysis.timeline.height == analysis.distributions.height == 0
+    assert analysis.load_roundtrips().height == analysis.timeline.height == analysis.distributions.height == 0
     (group,) = analysis.summary.to_dicts()
     assert (group["published"], group["received"], group["received_ratio"], group["rtt_p50_ns"]) == (
         0,

@@ -55,5 +55,5 @@ def test_without_a_schedule_time_runs_from_the_first_publication(tmp_path):
     write_trace(tmp_path / "ping.mcap", ping_session(), [run()], {Stage.T1: t1})
     analysis = analyze(tmp_path)
     assert analysis.timeline["elapsed_s"].to_list() == pytest.approx([0, 0.001, 0.002])
-    assert analysis.roundtrips["scheduled_ns"].null_count() == 3
+    assert analysis.load_roundtrips()["scheduled_ns"].null_count() == 3
     assert "no_schedule" in {finding.code for finding in analysis.findings}

@@ -52,7 +52,7 @@ def test_a_pair(tmp_path):
     analysis = analyze(tmp_path)
     assert statuses(analysis) == {"ping.mcap": ("read", 24), "relay.mcap": ("read", 24)}
     assert analysis.title == tmp_path.name
-    assert analysis.roundtrips["latency_ns"].to_list() == [85] * 12
+    assert analysis.load_roundtrips()["latency_ns"].to_list() == [85] * 12
     assert [session.role for session in analysis.sessions] == ["ping", "relay"]
     assert [described.run_id for described in analysis.runs] == [RUN_ID]
     assert analysis.outputs == {}
@@ -63,7 +63,7 @@ def test_the_same_file_twice_counts_once(tmp_path):
     once = analyze(tmp_path)
     shutil.copy(ping, tmp_path / "ping (copy).mcap")
     twice = analyze(tmp_path)
-    assert twice.roundtrips.equals(once.roundtrips)
+    assert twice.load_roundtrips().equals(once.load_roundtrips())
     assert twice.summary.equals(once.summary)
     assert statuses(twice) == {
         "ping (copy).mcap": ("read", 24),
@@ -88,7 +88,7 @@ def test_another_form_of_the_same_session_counts_once(tmp_path):
         chunked=False,
     )
     both = analyze(tmp_path)
-    assert both.roundtrips.equals(once.roundtrips)
+    assert both.load_roundtrips().equals(once.load_roundtrips())
     assert statuses(both)["ping.mcap"] == ("duplicate", 0)
     assert "duplicate_file" in codes(both)
 
@@ -112,11 +112,11 @@ def test_bags_analyze_to_the_same_result_and_count_once_beside_their_files(tmp_p
         convert(file, tmp_path / "bags" / file.stem, storage)
     once = analyze(tmp_path / "files")
     of_bags = analyze(tmp_path / "bags")
-    assert of_bags.roundtrips.equals(once.roundtrips)
+    assert of_bags.load_roundtrips().equals(once.load_roundtrips())
     assert of_bags.summary.equals(once.summary)
     assert statuses(of_bags) == {"ping": ("read", 24), "relay": ("read", 24)}
     both = analyze(tmp_path)
-    assert both.roundtrips.equals(once.roundtrips)
+    assert both.load_roundtrips().equals(once.load_roundtrips())
     assert statuses(both) == {
         "bags/ping": ("read", 24),
         "bags/relay": ("read", 24),
@@ -144,7 +144,7 @@ def test_a_copy_taken_before_the_end_adds_what_it_has(tmp_path):
         ping_events(TIMELINE[:5]),
     )
     both = analyze(tmp_path)
-    assert both.roundtrips.equals(once.roundtrips)
+    assert both.load_roundtrips().equals(once.load_roundtrips())
     assert statuses(both)["early.mcap"] == ("read", 10)
     assert statuses(both)["ping.mcap"] == ("read", 14)
     assert "overlapping_files" in codes(both)
@@ -159,7 +159,7 @@ def test_a_relay_trace_split_over_files(tmp_path):
     for part, messages in enumerate((TIMELINE[:4], TIMELINE[4:9], TIMELINE[9:])):
         write_trace(tmp_path / f"relay_{part}.mcap", relay_session(), (), relay_events(messages))
     split = analyze(tmp_path)
-    assert split.roundtrips.equals(whole.roundtrips)
+    assert split.load_roundtrips().equals(whole.load_roundtrips())
     assert split.summary.equals(whole.summary)
     assert codes(split) == codes(whole)
     assert len(split.sessions) == 2
@@ -173,7 +173,7 @@ def test_ping_and_relay_merged_into_one_file(tmp_path):
         [run(planned_messages=12, published=12)],
         ping_events(TIMELINE) | relay_events(TIMELINE),
     )
-    assert analyze(tmp_path / "one").roundtrips.equals(analyze(tmp_path / "two").roundtrips)
+    assert analyze(tmp_path / "one").load_roundtrips().equals(analyze(tmp_path / "two").load_roundtrips())
 
 
 def test_a_mixed_folder_names_what_is_no_trace(tmp_path):
@@ -231,7 +231,7 @@ def test_one_file_given_by_name(tmp_path):
     ping, _ = write_pair(tmp_path, TIMELINE)
     analysis = analyze(ping)
     assert statuses(analysis) == {"ping.mcap": ("read", 24)}
-    assert set(analysis.roundtrips["outcome"]) == {"completed"}
+    assert set(analysis.load_roundtrips()["outcome"]) == {"completed"}
     ping.write_bytes(b"no trace")
     with pytest.raises(TraceFormatError, match=r"ping\.mcap"):
         analyze(ping)
@@ -263,7 +263,7 @@ def test_a_truncated_trace_is_used_to_its_end(tmp_path):
     found = codes(analysis)
     assert "truncated_file" in found
     assert "relay_trace_gaps" in found  # messages came back that the relay's trace does not know
-    latencies = analysis.roundtrips["latency_ns"]
+    latencies = analysis.load_roundtrips()["latency_ns"]
     assert latencies.null_count() > 0
     assert set(latencies.drop_nulls()) == {85}
 

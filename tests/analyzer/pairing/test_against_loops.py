@@ -98,7 +98,7 @@ def expected_rows(files):
 def found_rows(analysis):
     return {
         (r["run_id"], r["relay_id"], r["sequence"]): tuple(r[name] for name in MEASURED)
-        for r in analysis.roundtrips.to_dicts()
+        for r in analysis.load_roundtrips().to_dicts()
     }
 
 
@@ -115,11 +115,11 @@ def test_rows_are_those_of_the_loops_in_any_order_and_any_number_of_copies(files
         analysis = analyze(folder)
         found = found_rows(analysis)
         assert found == {key: tuple(getattr(row, n) for n in MEASURED) for key, row in expected.items()}
-        assert len(found) == analysis.roundtrips.height
+        assert len(found) == analysis.load_roundtrips().height
         for changed in ({"reverse": True}, {"copies": True}, {"reverse": True, "copies": True}):
             write(folder, files, **changed)
             again = analyze(folder)
-            assert again.roundtrips.equals(analysis.roundtrips)
+            assert again.load_roundtrips().equals(analysis.load_roundtrips())
             assert again.summary.equals(analysis.summary)
             assert again.timeline.equals(analysis.timeline)
             assert again.distributions.equals(analysis.distributions)
@@ -135,9 +135,11 @@ def test_the_summary_is_that_of_its_rows(files):
         analysis = analyze(name)
     keys = ["relay_device", "relay_vendor", "relay_domain_id"]  # nothing else differs in these recordings
     for group in analysis.summary.to_dicts():
-        rows = analysis.roundtrips.filter(
-            *(pl.col(key).eq_missing(pl.lit(group[key])) for key in keys)
-        ).to_dicts()
+        rows = (
+            analysis.load_roundtrips()
+            .filter(*(pl.col(key).eq_missing(pl.lit(group[key])) for key in keys))
+            .to_dicts()
+        )
         assert group["published"] == len(rows)
         assert group["received"] == sum(row["outcome"] == "completed" for row in rows)
         for outcome in ("lost_outbound", "lost_in_relay", "lost_return", "lost_unknown"):

@@ -33,7 +33,7 @@ NO_RELAY_COLUMNS = (
 
 
 def rows(analysis):
-    return analysis.roundtrips.to_dicts()
+    return analysis.load_roundtrips().to_dicts()
 
 
 def codes(analysis):
@@ -43,7 +43,9 @@ def codes(analysis):
 def test_columns_and_types_are_those_of_the_format(tmp_path):
     write_pair(tmp_path, TWO)
     analysis = analyze(tmp_path)
-    assert dict(analysis.roundtrips.schema) == {column.name: column.dtype for column in ROUNDTRIP_COLUMNS}
+    assert dict(analysis.load_roundtrips().schema) == {
+        column.name: column.dtype for column in ROUNDTRIP_COLUMNS
+    }
     assert dict(analysis.summary.schema) == {column.name: column.dtype for column in SUMMARY_COLUMNS}
 
 
@@ -323,7 +325,7 @@ def test_relay_events_of_a_run_whose_ping_is_missing(tmp_path):
         relay_events(TWO, run_id=99, relay_id=3),
     )
     analysis = analyze(tmp_path)
-    assert set(analysis.roundtrips["run_id"]) == {RUN_ID}
+    assert set(analysis.load_roundtrips()["run_id"]) == {RUN_ID}
     (finding,) = [f for f in analysis.findings if f.code == "orphan_relay_events"]
     assert "2 events" in finding.what
     assert "0000000000000063" in finding.what
@@ -348,7 +350,7 @@ def test_a_run_that_nobody_describes_is_left_out_and_named(tmp_path, runs, sessi
         analyze(tmp_path)
     write_pair(tmp_path, TWO, ping=ping_session(session_id=77), runs=[run(extra={})])
     analysis = analyze(tmp_path)
-    assert set(analysis.roundtrips["run_id"]) == {RUN_ID}
+    assert set(analysis.load_roundtrips()["run_id"]) == {RUN_ID}
     (finding,) = [f for f in analysis.findings if f.code == code]
     assert finding.severity.value == "error"
     assert "odd.mcap" in finding.where

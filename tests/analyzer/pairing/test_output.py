@@ -62,9 +62,9 @@ def test_what_is_read_back_is_what_was_analyzed(tmp_path, monkeypatch):
         {Stage.T1: [event(s, 10**7 + s, run_id=5) for s in range(6)]},
     )
     analysis = analyze(tmp_path, out=tmp_path / "out")
-    assert analysis.roundtrips.height == 18
+    assert analysis.load_roundtrips().height == 18
     assert pq.ParquetFile(analysis.outputs["roundtrips"]).num_row_groups == 3
-    for kind, frame in (("roundtrips", analysis.roundtrips), ("summary", analysis.summary)):
+    for kind, frame in (("roundtrips", analysis.load_roundtrips()), ("summary", analysis.summary)):
         read = pl.read_parquet(analysis.outputs[kind])
         assert read.schema == frame.schema
         assert read.equals(frame)
@@ -76,7 +76,7 @@ def test_a_file_without_rows_has_its_columns(tmp_path):
     analysis = analyze(tmp_path, out=tmp_path / "out")
     read = pl.read_parquet(analysis.outputs["roundtrips"])
     assert read.height == 0
-    assert read.schema == analysis.roundtrips.schema
+    assert read.schema == analysis.load_roundtrips().schema
 
 
 def test_absurd_numbers_survive(tmp_path):

@@ -3,6 +3,7 @@ from dataclasses import replace
 
 from analyses import EVERY_ANALYSIS, MS, Measured, make_analysis
 
+from dds_trace.analyzer.details import details_not_requested
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.overview import Fact
 from dds_trace.reports.book.verdicts import DataVerdict, WinCount
@@ -58,7 +59,7 @@ def test_a_quality_of_service_is_part_of_a_choice():
 
 def test_without_the_round_trips_in_memory_nothing_is_judged():
     held = make_analysis(Measured(SLOW), Measured(FAST, **ZENOH))
-    answer = Book(replace(held, details=None)).answer
+    answer = Book(replace(held, details=details_not_requested())).answer
     assert answer.headline == ("Fast DDS and Zenoh were not compared: that takes the rows of all messages.")
     assert answer.rule == ""
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 import pytest
 from analyses import EVERY_ANALYSIS, MS, Measured, make_analysis
 
+from dds_trace.analyzer.details import details_not_requested
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.numbers import curves_info, intervals_info, values_info
 from dds_trace.reports.figures import FIGURES, Figure, LeftOut
@@ -206,7 +207,7 @@ def test_outages_are_marked_on_the_timeline():
 
 
 def test_without_details_the_figures_that_need_them_say_so(campaign):
-    plain = replace(campaign, details=None)
+    plain = replace(campaign, details=details_not_requested())
     left_out = {drawn.name for maker in FIGURES if isinstance(drawn := maker.draw(Book(plain)), LeftOut)}
     assert left_out == {"bridge_cost", "breakdown", "one_way", "clock", "host_load"}
 

@@ -6,14 +6,19 @@ import json
 import signal
 import sys
 import threading
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from dds_trace.recorder import Discovery  # noqa: TC001 - typer reads the annotations
+from dds_trace.recorder.bridges import BRIDGE_MODULES
 
 from . import choices
 from .errors import run_command
 
 if TYPE_CHECKING:
+    from typer.models import OptionInfo
+
     from dds_trace.recorder.bridges import Bridge, BridgeOptions, RunningBridge
 
 LOOK_S = 0.2
@@ -21,14 +26,15 @@ LOOK_S = 0.2
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich")
 
 
-def _option(*names: str, help: str, **more: Any) -> Any:  # noqa: A002 - typer's word
-    return typer.Option(*names, help=help, show_default=False, **more)
+def _option(name: str, *, help: str, metavar: str | None = None) -> OptionInfo:  # noqa: A002 - typer's word
+    option: OptionInfo = typer.Option(name, help=help, metavar=metavar, show_default=False)
+    return option
 
 
 @app.command(context_settings={"help_option_names": ["-h", "--help"]})
 def main_command(
     name: Annotated[
-        str | None, typer.Argument(metavar="[NAME]", help="Which bridge; see --list.", show_default=False)
+        str | None, typer.Argument(metavar="[NAME]", help=f"{', '.join(BRIDGE_MODULES)}.", show_default=False)
     ] = None,
     list_them: Annotated[
         bool, _option("--list", help="Show which bridges are there, and how to get the others.")
@@ -59,7 +65,7 @@ def main_command(
         _option("--peer", metavar="HOST:PORT", help="Where the other half waits; repeatable."),
     ] = None,
     discovery: Annotated[
-        choices.Discovery | None,
+        Discovery | None,
         _option(
             "--discovery",
             help="How far to look for nodes. [dim]Default: ROS_AUTOMATIC_DISCOVERY_RANGE, else subnet[/dim]",
@@ -91,7 +97,6 @@ def main_command(
 
     [bold]dds-bridge zenoh-bridge-dds --half relay --peer 192.168.0.5:7447[/bold]
     """
-    from dds_trace.recorder.backends.base import Discovery
     from dds_trace.recorder.bridges import BRIDGED_TOPICS, BridgeOptions, Half, bridged_topic, load_bridge
     from dds_trace.tracefile import OptionError, Qos
 
@@ -101,7 +106,7 @@ def main_command(
         _list(as_json=as_json)
         return
     if name is None:
-        raise OptionError("name a bridge; `dds-bridge --list` shows them")
+        raise OptionError("name a bridge, as in `dds-bridge builtin`; `dds-bridge --list` shows all of them")
     options = BridgeOptions(
         from_domain,
         to_domain,
@@ -112,7 +117,7 @@ def main_command(
             depth=depth,
             extra=parse_durations(deadline_ns=deadline, lifespan_ns=lifespan),
         ),
-        discovery=default_discovery() if discovery is None else Discovery(discovery.value),
+        discovery=default_discovery() if discovery is None else discovery,
         tuned=tuned,
         half=Half.BOTH if half is None else Half(half.value),
         listen=listen,
@@ -125,8 +130,8 @@ def main_command(
 
 
 def _list(*, as_json: bool) -> None:
-    """One line for each bridge: its version if it is there, how to get it if not."""
-    from dds_trace.recorder.bridges import BRIDGE_MODULES, load_bridge
+    """Print one line for each bridge: its version if it is installed, else how to get it."""
+    from dds_trace.recorder.bridges import load_bridge
 
     rows = []
     for bridge in map(load_bridge, BRIDGE_MODULES):
@@ -151,7 +156,7 @@ def _list(*, as_json: bool) -> None:
 
 
 def _print_configuration(bridge: Bridge, options: BridgeOptions) -> None:
-    """The text to stdout; where two processes would run, which one it is for goes to stderr."""
+    """Print the configuration to stdout; where two processes would run, print to stderr which one each text is for."""
     from dds_trace.recorder.bridges import split_halves
 
     parts = split_halves(bridge, options)
@@ -162,7 +167,7 @@ def _print_configuration(bridge: Bridge, options: BridgeOptions) -> None:
 
 
 def _run(name: str, options: BridgeOptions) -> None:
-    """Until SIGINT or SIGTERM; a program that fails shows the end of its log."""
+    """Run the bridge until SIGINT or SIGTERM; print the end of the log of a program that fails."""
     from dds_trace.recorder.bridges import open_bridge
 
     stop = threading.Event()
@@ -178,7 +183,7 @@ def _run(name: str, options: BridgeOptions) -> None:
 
 
 def _describe(bridge: RunningBridge) -> str:
-    """`domain 5, pid 4711; domain 10, pid 4712`."""
+    """Return the running programs in words: `domain 5, pid 4711; domain 10, pid 4712`."""
     parts = []
     for part, pid in zip(bridge.parts, bridge.processes.values(), strict=True):
         domains = " and ".join(str(side.domain_id) for side in part.sides())
@@ -187,7 +192,7 @@ def _describe(bridge: RunningBridge) -> str:
 
 
 def main() -> None:
-    """Entry point of `dds-bridge`."""
+    """Run `dds-bridge`."""
     run_command(app)
 
 

@@ -1,67 +1,33 @@
-"""The closed sets of words that options take, shared by the commands.
-
-Those of `dds_trace.recorder.backends.base` stand here once more, so that `--help` loads neither recorder nor numpy; a test compares.
-"""
+"""Words that options of several commands take, and that no room has as an Enum of its own."""
 
 from __future__ import annotations
 
 from enum import Enum
 
 
-class Role(str, Enum):
-    """Which end of the measurement a process is."""
+class Role(Enum):
+    """The two ends of a measurement."""
 
     PING = "ping"
     RELAY = "relay"
 
 
-class Discovery(str, Enum):
-    """How far a node or a bridge looks for others."""
-
-    LOCALHOST = "localhost"
-    SUBNET = "subnet"
-
-
-class Reliability(str, Enum):
+class Reliability(Enum):
     """QoS reliability."""
 
     RELIABLE = "reliable"
     BEST_EFFORT = "best_effort"
 
 
-class Durability(str, Enum):
+class Durability(Enum):
     """QoS durability."""
 
     VOLATILE = "volatile"
     TRANSIENT_LOCAL = "transient_local"
 
 
-class History(str, Enum):
+class History(Enum):
     """QoS history."""
 
     KEEP_LAST = "keep_last"
     KEEP_ALL = "keep_all"
-
-
-class Serialization(str, Enum):
-    """How messages pass the client library."""
-
-    RAW = "raw"
-    TYPED = "typed"
-
-
-class Transport(str, Enum):
-    """Transports of Fast DDS, and of sockets."""
-
-    DEFAULT = "default"
-    UDP = "udp"
-    SHM = "shm"
-    LARGE_DATA = "large-data"
-
-
-class Executor(str, Enum):
-    """Executors of rclpy."""
-
-    AUTO = "auto"
-    EVENTS = "events"
-    SINGLE = "single"

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import typer
 
+from dds_trace.recorder import ExecutorKind, Serialization, Transport
+
 from .. import choices
 from ..errors import run_command
 from . import words  # noqa: TC001 - typer reads the annotations
@@ -43,12 +45,12 @@ def main_command(
     depth: words.Depth = 10,
     deadline: words.Deadline = None,
     lifespan: words.Lifespan = None,
-    serialization: words.Serialization = choices.Serialization.RAW,
+    serialization: words.Serialization = Serialization.RAW,
     backend: words.Backend = "ros2",
     rmw: words.Rmw = None,
-    transport: words.Transport = choices.Transport.DEFAULT,
+    transport: words.Transport = Transport.DEFAULT,
     tuned: words.Tuned = False,
-    executor: words.Executor = choices.Executor.AUTO,
+    executor: words.Executor = ExecutorKind.AUTO,
     cpu_affinity: words.CpuAffinity = None,
     realtime: words.Realtime = None,
     device: words.Device = None,
@@ -70,13 +72,9 @@ def main_command(
     """
     from dds_trace.recorder import (
         DEFAULT_WARMUP,
-        Discovery,
-        ExecutorKind,
         NodeOptions,
         PingOptions,
         RecordOptions,
-        Serialization,
-        Transport,
     )
     from dds_trace.tracefile import OptionError, Qos, TraceDestination
     from dds_trace.tracefile.units.sizes import parse_size
@@ -94,11 +92,11 @@ def main_command(
     if recover_path is not None:
         recover_trace(recover_path)
         return
-    range_ = default_discovery() if discovery is None else Discovery(discovery.value)
-    executor_kind = ExecutorKind(executor.value)
+    if discovery is None:
+        discovery = default_discovery()
     if self_test:
         domain = default_domain() if domain is None else domain
-        report_own_cost(out, backend, NodeOptions(domain, discovery=range_, executor=executor_kind, rmw=rmw))
+        report_own_cost(out, backend, NodeOptions(domain, discovery=discovery, executor=executor, rmw=rmw))
         return
     if role is None or out is None:
         raise OptionError("give --role ping or --role relay, and --out PATH for its trace (see --help)")
@@ -145,7 +143,7 @@ def main_command(
         destination=TraceDestination(out, force=force, fsync=fsync),
         node=NodeOptions(
             domain_id=domain,
-            discovery=range_,
+            discovery=discovery,
             qos=Qos(
                 reliability.value,
                 durability.value,
@@ -153,15 +151,15 @@ def main_command(
                 depth,
                 parse_durations(deadline_ns=deadline, lifespan_ns=lifespan),
             ),
-            executor=executor_kind,
+            executor=executor,
             rmw=rmw,
-            transport=Transport(transport.value),
+            transport=transport,
             tuned=tuned,
             peers=tuple(peer or ()),
         ),
         ping=ping if role is choices.Role.PING else None,
         backend=backend,
-        serialization=Serialization(serialization.value),
+        serialization=serialization,
         relay_id=relay_id,
         types=tuple(types or ()),
         device=device,
@@ -174,7 +172,7 @@ def main_command(
 
 
 def main() -> None:
-    """The entry point of `dds-record`."""
+    """Run `dds-record`."""
     run_command(app)
 
 

@@ -1,4 +1,4 @@
-"""One recording at the terminal: it ends by itself or at Ctrl-C, and says what it wrote."""
+"""One recording at the terminal: it ends by itself or at Ctrl-C and prints its result."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 import signal
 import threading
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from dds_trace.recorder import record
 from dds_trace.tracefile.units.counts import counted
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def record_until_stopped(options: RecordOptions) -> Recorded:
-    """Record until done; Ctrl-C and SIGTERM end it with a closed trace, however often they come."""
+    """Record until done; Ctrl-C and SIGTERM end the recording with a closed trace, however often they come."""
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
@@ -27,10 +27,10 @@ def record_until_stopped(options: RecordOptions) -> Recorded:
 
 
 def print_result(recorded: Recorded, *, as_json: bool) -> None:
-    """Print what was written.
+    """Print the result of a recording.
 
     Raises:
-        OutputError: not all of it could be.
+        OutputError: not all of the trace could be written.
     """
     trace = recorded.trace
     if as_json:
@@ -44,8 +44,8 @@ def print_result(recorded: Recorded, *, as_json: bool) -> None:
         raise trace.error
 
 
-def _result(recorded: Recorded) -> dict[str, Any]:
-    """The JSON object of `--json`."""
+def _result(recorded: Recorded) -> dict[str, object]:
+    """Return the JSON object of `--json`."""
     session, run, trace = recorded.session, recorded.run, recorded.trace
     return {
         "path": str(trace.path),

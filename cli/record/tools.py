@@ -1,4 +1,4 @@
-"""What `dds-record` does beside recording: `--recover` and `--self-test`."""
+"""The tools of `dds-record` beside recording: `--recover` and `--self-test`."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
 
 def recover_trace(path: Path) -> None:
-    """Print what was found at `path` and where the closed trace is.
+    """Make a closed trace of the one at `path`; print its path and what was recovered.
 
     Raises:
-        TraceFormatError: it is no trace of ours.
+        TraceFormatError: `path` is no trace of ours.
     """
     report = recover(path)
     if report.recovered is not None:

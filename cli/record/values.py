@@ -1,22 +1,25 @@
-"""What the options of `dds-record` mean as values, and what stands for one that is left out."""
+"""Values of the options of `dds-record`: parsed from their texts, and defaults from the environment."""
 
 from __future__ import annotations
 
 import os
-from typing import Any
+from typing import TYPE_CHECKING
 
 from dds_trace.recorder import Discovery
 from dds_trace.tracefile import OptionError
 from dds_trace.tracefile.units.durations import parse_duration
 
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
 DEFAULT_DOMAIN = 10
 
 
 def default_domain() -> int:
-    """ROS_DOMAIN_ID, else 10.
+    """Return ROS_DOMAIN_ID, or 10 if it is unset.
 
     Raises:
-        OptionError: the variable is set to no number.
+        OptionError: the variable is set to something that is no number.
     """
     text = os.environ.get("ROS_DOMAIN_ID", "").strip()
     if not text:
@@ -27,7 +30,7 @@ def default_domain() -> int:
 
 
 def default_discovery() -> Discovery:
-    """What the environment of ROS 2 says, else the subnet."""
+    """Return the discovery range of ROS 2's environment, or the subnet if it says nothing."""
     is_local = (
         os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper() == "LOCALHOST"
         or os.environ.get("ROS_LOCALHOST_ONLY") == "1"
@@ -35,15 +38,15 @@ def default_discovery() -> Discovery:
     return Discovery.LOCALHOST if is_local else Discovery.SUBNET
 
 
-def refuse_others(role: str, others: dict[str, Any]) -> None:
-    """Refuse options that the other role alone has; they would be ignored, and their user believes otherwise.
+def refuse_others(role: str, others: Mapping[str, object]) -> None:
+    """Refuse options that only the other role has, instead of ignoring them.
 
     Args:
-        role: this one.
+        role: the role that records.
         others: options of the other role by name, None for each that was not given.
 
     Raises:
-        OptionError: naming those that were.
+        OptionError: at least one was given; the message names all of them.
     """
     given = [name for name, value in others.items() if value is not None]
     if given:
@@ -51,15 +54,15 @@ def refuse_others(role: str, others: dict[str, Any]) -> None:
 
 
 def parse_durations(**texts: str | None) -> dict[str, int]:
-    """Those that were given, in ns."""
+    """Return the given durations in ns, without those that are None."""
     return {name: parse_duration(text) for name, text in texts.items() if text is not None}
 
 
 def parse_labels(texts: list[str]) -> dict[str, str]:
-    """The labels in `KEY=VALUE` texts.
+    """Return the labels in `KEY=VALUE` texts.
 
     Raises:
-        OptionError: one of them has no key or no `=`.
+        OptionError: a text has no key or no `=`.
     """
     labels = {}
     for text in texts:

@@ -1,26 +1,40 @@
-"""The words of `dds-record`: each option with its name, the kind of its value and its help, panel by panel."""
+"""The options of `dds-record`: the name, the kind of value and the help of each, panel by panel."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from dds_trace import recorder
+from dds_trace.recorder.backends import BACKEND_MODULES
+from dds_trace.recorder.bridges import BRIDGE_MODULES
+
 from .. import choices
 
-
-def _panel(title: str) -> Any:
-    def option(*names: str, help: str, **more: Any) -> Any:  # noqa: A002 - typer's word
-        return typer.Option(*names, help=help, rich_help_panel=title, show_default=False, **more)
-
-    return option
+if TYPE_CHECKING:
+    from typer.models import OptionInfo
 
 
-_role, _message, _schedule = _panel("Role and output"), _panel("Message (ping)"), _panel("Schedule (ping)")
-_middleware, _process = _panel("Middleware"), _panel("Process")
-_description = _panel("Description in the trace")
-_relay, _tools = _panel("Relay"), _panel("Instead of recording")
+@dataclass(frozen=True, slots=True)
+class _Panel:
+    """A part of the help with a title of its own; called, it makes one of its options."""
+
+    title: str
+
+    def __call__(self, name: str, *, metavar: str, help: str) -> OptionInfo:  # noqa: A002 - typer's word
+        option: OptionInfo = typer.Option(
+            name, metavar=metavar, help=help, rich_help_panel=self.title, show_default=False
+        )
+        return option
+
+
+_role, _message, _schedule = _Panel("Role and output"), _Panel("Message (ping)"), _Panel("Schedule (ping)")
+_middleware, _process = _Panel("Middleware"), _Panel("Process")
+_description = _Panel("Description in the trace")
+_relay, _tools = _Panel("Relay"), _Panel("Instead of recording")
 
 Role = Annotated[
     choices.Role | None,
@@ -99,7 +113,11 @@ Domain = Annotated[
 ]
 Bridge = Annotated[
     str | None,
-    _middleware("--bridge", metavar="NAME", help="Start this bridge to the relay's domain, say builtin."),
+    _middleware(
+        "--bridge",
+        metavar="NAME",
+        help=f"Start this bridge to the relay's domain: {', '.join(BRIDGE_MODULES)}.",
+    ),
 ]
 BridgeRunning = Annotated[
     bool, _middleware("--bridge-running", metavar="", help="That bridge is up already: start nothing.")
@@ -129,7 +147,7 @@ RelayDomain = Annotated[
     ),
 ]
 Discovery = Annotated[
-    choices.Discovery | None,
+    recorder.Discovery | None,
     _middleware(
         "--discovery",
         metavar="RANGE",
@@ -176,7 +194,7 @@ Lifespan = Annotated[
     _middleware("--lifespan", metavar="TIME", help="Older messages are not delivered: 20ms, 1.5s."),
 ]
 Serialization = Annotated[
-    choices.Serialization,
+    recorder.Serialization,
     _middleware(
         "--serialization",
         metavar="KIND",
@@ -185,7 +203,11 @@ Serialization = Annotated[
 ]
 Backend = Annotated[
     str,
-    _middleware("--backend", metavar="NAME", help="API that carries the messages. [dim]Default: ros2[/dim]"),
+    _middleware(
+        "--backend",
+        metavar="NAME",
+        help=f"API that carries the messages: {', '.join(BACKEND_MODULES)}. [dim]Default: ros2[/dim]",
+    ),
 ]
 Rmw = Annotated[
     str | None,
@@ -196,7 +218,7 @@ Rmw = Annotated[
     ),
 ]
 Transport = Annotated[
-    choices.Transport,
+    recorder.Transport,
     _middleware(
         "--transport",
         metavar="KIND",
@@ -207,7 +229,7 @@ Tuned = Annotated[
     bool, _middleware("--tuned", metavar="", help="Apply the vendor's settings for large messages.")
 ]
 Executor = Annotated[
-    choices.Executor,
+    recorder.ExecutorKind,
     _middleware(
         "--executor",
         metavar="KIND",

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from .model.finding import Finding
     from .model.source import Source
-    from .pairing.rows import RoundTripRows
+    from .pairing.rows import RowStore
     from .verdicts.answers import CaseAnswer
     from .verdicts.recommend import Recommendation
 
@@ -103,7 +103,7 @@ class Analysis:
     sources: tuple[Source, ...]
     sessions: tuple[Session, ...]
     runs: tuple[Run, ...]
-    rows: RoundTripRows
+    rows: RowStore
     summary: pl.DataFrame
     distributions: pl.DataFrame
     timeline: pl.DataFrame
@@ -118,7 +118,7 @@ class Analysis:
         Returns:
             One row per published message and relay (`docs/trace-format.md`), by group, run, relay and sequence.
         """
-        return self.rows.frame()
+        return self.rows.load()
 
     def scan_roundtrips(self) -> pl.LazyFrame:
         """Return the round trips as a lazy frame, which reads only the rows and columns that a query takes."""

@@ -12,17 +12,13 @@ from .clocks.boots import ping_boots
 from .groups.batch import Batch
 from .groups.frames import DETAIL_MAKERS
 from .groups.host_samples import host_sample_frame
-from .groups.interval_frames import (
-    INTERVAL_SCHEMA,
-    ONE_WAY_SCHEMA,
-    interval_rows,
-    one_way_rows,
-)
+from .groups.intervals import INTERVAL_SCHEMA, interval_rows
+from .groups.one_way import ONE_WAY_SCHEMA, one_way_rows
 from .model.column import schema_of
-from .model.columns import SUMMARY_COLUMNS
+from .model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
 from .pairing.one_way import fit_devices, segment_table
 from .pairing.roundtrips import pair_exchanges
-from .pairing.rows import RoundTripRows, RowsByGroup
+from .pairing.rows import RowStore
 from .verdicts.answers import find_answers
 from .verdicts.bridge_cost import find_bridge_costs
 from .verdicts.recommend import recommend_settings
@@ -37,7 +33,7 @@ if TYPE_CHECKING:
 
 
 def collect_details(
-    campaign: Campaign, frames: Frames, rows: RowsByGroup, in_parts: Sequence[int], wanted: Wanted
+    campaign: Campaign, frames: Frames, rows: RowStore, in_parts: Sequence[int], wanted: Wanted
 ) -> Details:
     """Put the details of a campaign together; without rows if they are not wanted.
 
@@ -72,10 +68,12 @@ def collect_details(
 
 def details_not_requested() -> Details:
     """Make details without rows, whose frames have the columns of all details."""
-    no_batch = Batch(pair_exchanges([], one_way=False), np.empty(0, np.uint32), all_exchanges=0)
-    frames = {name: make(no_batch) for name, make in DETAIL_MAKERS.items()}
-    no_rows = RoundTripRows.none()
-    no_groups = RowsByGroup(no_rows, pl.DataFrame(schema=schema_of(SUMMARY_COLUMNS)))
+    no_batch = Batch((), np.empty(0, np.uint32), all_exchanges=0, whole=True)
+    no_roundtrips = pair_exchanges([], {}, details=False)
+    frames = {name: make(no_batch, no_roundtrips) for name, make in DETAIL_MAKERS.items()}
+    no_rows = RowStore.of(
+        pl.DataFrame(schema=schema_of(ROUNDTRIP_COLUMNS)), pl.DataFrame(schema=schema_of(SUMMARY_COLUMNS))
+    )
     return Details(
         intervals=frames["intervals"],
         one_way=frames["one_way"],
@@ -86,13 +84,13 @@ def details_not_requested() -> Details:
         clock_knots=frames["clock_knots"],
         clock_fits=segment_table(()),
         host_samples=host_sample_frame(()),
-        bridge_costs=find_bridge_costs(no_groups),
+        bridge_costs=find_bridge_costs(no_rows),
         answers=(),
         requested=False,
     )
 
 
-def _recommendation(rows: RowsByGroup, wanted: Wanted) -> Recommendation | None:
+def _recommendation(rows: RowStore, wanted: Wanted) -> Recommendation | None:
     """Recommend settings for the job, if there is one, from the rows of its data type."""
     if wanted.job is None:
         return None
@@ -100,8 +98,8 @@ def _recommendation(rows: RowsByGroup, wanted: Wanted) -> Recommendation | None:
     return recommend_settings(rows.frame(groups), wanted.job)
 
 
-def _column_of(rows: RowsByGroup, group: int) -> Callable[[str], pl.Series]:
-    return lambda name: rows.column(group, name)
+def _column_of(rows: RowStore, group: int) -> Callable[[str], pl.Series]:
+    return lambda name: rows.frame(rows.groups[group], [name]).to_series()
 
 
 def _by_group(*frames: pl.DataFrame) -> pl.DataFrame:

@@ -10,7 +10,7 @@ from dds_trace.tracefile.units.counts import counted
 
 from .analysis import Analysis
 from .details import collect_details
-from .engines.batches import Work, plan_batches
+from .engines.batches import groups_in_parts, plan_batches
 from .engines.cluster import ClusterEngine
 from .engines.local import LocalEngine
 from .engines.merge import MergedResults
@@ -18,22 +18,25 @@ from .findings.evidence import Evidence
 from .findings.left_out import SKETCHED, earlier_rows, size_findings
 from .findings.table import find_findings
 from .groups.batch import Wanted
-from .groups.summary import group_exchanges
+from .groups.grouping import group_exchanges
+from .loading.events import total_copies
 from .loading.remote import is_remote
 from .pairing.exchanges import find_exchanges
 from .pairing.parquet import write_summary
-from .pairing.rows import RowKeeper, RowsByGroup
+from .pairing.rows import RowStore
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Iterator
+    from collections.abc import Sequence
 
     from dds_trace.tracefile import Run
 
     from .engines.local import Engine
-    from .groups.summary import Grouping
+    from .groups.batch import Batch
     from .loading.campaign import Campaign, Progress
-    from .pairing.exchanges import Exchanges
+    from .loading.events import EventIndex
+    from .model.finding import Finding
+    from .pairing.exchanges import Exchange, Exchanges
     from .verdicts.job import Job
 
 OUTPUT_FOLDER = "analysis"
@@ -98,50 +101,35 @@ def analyze(
     else:
         engine = LocalEngine(target / CACHE_FOLDER if target and cache else None)
     try:
-        wanted = Wanted(details, deadline_ns, job)
-        return _analyze(folder, target, engine, progress, wanted, sketch=sketch)
+        wanted = Wanted(rows=not sketch, details=details, deadline_ns=deadline_ns, job=job)
+        return _analyze(engine, folder, target, wanted, progress)
     finally:
         engine.close()
 
 
 def _analyze(
-    folder: Path,
-    out: Path | None,
-    engine: Engine,
-    progress: Progress | None,
-    wanted: Wanted,
-    *,
-    sketch: bool,
+    engine: Engine, folder: Path, out: Path | None, wanted: Wanted, progress: Progress | None
 ) -> Analysis:
     own = {default_output(folder)} | ({out} if out is not None else set())
+    outputs = {kind: out / f"{kind}.parquet" for kind in ("roundtrips", "summary")} if out else {}
+    sketched = _sketch(outputs) if not wanted.rows else []
+
     campaign = engine.load(folder, own, progress)
     exchanges = find_exchanges(campaign)
-    if not exchanges.held:
-        raise MissingEventsError(_nothing_to_pair(campaign, exchanges))
+    grouping = group_exchanges(_held(campaign, exchanges))
+    batches = plan_batches(grouping, wanted)
+    rows, merged = _pair_and_measure(engine, batches, campaign.events, outputs.get("roundtrips"))
+    summary = merged.summary(grouping)
+    rows.locate(summary.frame)
+    campaign = campaign.with_copies(total_copies([*exchanges.copies, *merged.copies()]))
+    details = collect_details(campaign, merged.frames(), rows, groups_in_parts(batches), wanted)
+    evidence = Evidence(campaign, exchanges, grouping, summary, details)
+    left_out = size_findings(evidence, rows, groups_in_parts(batches)) if details.requested else ()
+    findings = (*find_findings(evidence), *sketched, *left_out)
 
-    grouping = group_exchanges(exchanges.held)
-    outputs = {kind: out / f"{kind}.parquet" for kind in ("roundtrips", "summary")} if out else {}
-    remarks = [SKETCHED] if sketch else []
-    if sketch and outputs and (written := outputs.pop("roundtrips")).exists():
-        remarks.append(earlier_rows(written))
-    merged = MergedResults(sketch=sketch)
-    batches = list(_batches(grouping, wanted, with_rows=not sketch))
-    with RowKeeper(outputs.get("roundtrips")) as keeper:
-        for worked in engine.work(batches, campaign.events):
-            if worked.table is not None:
-                keeper.add(worked.table)
-            merged.add(worked)
-    paired, frames, summary = merged.paired(), merged.frames(), merged.summary(grouping)
     if out is not None:
         write_summary(summary.frame, outputs["summary"])
-    campaign = campaign.with_copies(merged.copies(campaign.events))
-    rows = keeper.finished()
-    by_group = RowsByGroup(rows, summary.frame)
-    in_parts = sorted({int(g) for batch in batches if not batch.whole for g in batch.group_of_exchange})
-    details = collect_details(campaign, frames, by_group, in_parts, wanted)
-    evidence = Evidence(campaign, exchanges, paired, grouping, summary, details)
-    if details.requested:
-        remarks += size_findings(evidence, None if sketch else by_group, in_parts)
+    timeline = merged.frames()["timeline"]
     return Analysis(
         title=folder.resolve().name,
         sources=campaign.sources,
@@ -150,20 +138,36 @@ def _analyze(
         rows=rows,
         summary=summary.frame,
         distributions=summary.distributions,
-        timeline=frames["timeline"],
-        timeline_decimated=frames["timeline"].height < merged.rows,
-        findings=(*find_findings(evidence), *remarks),
+        timeline=timeline,
+        timeline_decimated=timeline.height < merged.rows,
+        findings=findings,
         outputs=outputs,
         details=details,
     )
 
 
-def _batches(grouping: Grouping, wanted: Wanted, *, with_rows: bool) -> Iterator[Work]:
-    exchanges = grouping.exchanges
-    for plan in plan_batches(exchanges, grouping.group_of_exchange):
-        here = slice(plan.first, plan.after)
-        groups = grouping.group_of_exchange[here]
-        yield Work(exchanges[here], groups, len(exchanges), plan.whole, with_rows, wanted)
+def _held(campaign: Campaign, exchanges: Exchanges) -> tuple[Exchange, ...]:
+    if not exchanges.held:
+        raise MissingEventsError(_nothing_to_pair(campaign, exchanges))
+    return exchanges.held
+
+
+def _pair_and_measure(
+    engine: Engine, batches: Sequence[Batch], index: EventIndex, path: Path | None
+) -> tuple[RowStore, MergedResults]:
+    """Work at every batch, and take the results in their order as they come."""
+    merged = MergedResults(sketch=not batches[0].wanted.rows)
+    with RowStore(path) as rows:
+        for result in engine.work(batches, index):
+            rows.add(result.table)
+            merged.add(result)
+    return rows, merged
+
+
+def _sketch(outputs: dict[str, Path]) -> list[Finding]:
+    """Take the rows out of what is written, and return the findings that say so."""
+    written = outputs.pop("roundtrips", None)
+    return [SKETCHED, *([earlier_rows(written)] if written and written.exists() else [])]
 
 
 def _runs_by_start(campaign: Campaign, exchanges: Exchanges) -> tuple[Run, ...]:

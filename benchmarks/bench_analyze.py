@@ -35,7 +35,7 @@ from event_traces import write_event_trace
 from timing import WarmMemory, packed_chunks, seconds, unpack_job
 
 from dds_trace.analyzer import analyze
-from dds_trace.analyzer.pairing.parquet import RoundTripsWriter
+from dds_trace.analyzer.pairing.parquet import roundtrips_writer
 from dds_trace.tracefile import EVENT_DTYPE
 
 EVENTS, RUNS, REPEATS = 2_000_000, 50, 7
@@ -98,8 +98,8 @@ def time_bars(folder: Path, events: int, runs: int, repeats: int) -> list[Bar]:
     table = pq.read_table(outputs["roundtrips"], read_dictionary=texts)
 
     def write() -> None:
-        with RoundTripsWriter(folder / "again.parquet") as writer:
-            writer.write(table)
+        with roundtrips_writer(folder / "again.parquet") as write_table:
+            write_table(table)
 
     write()
     sizes = [path.stat().st_size for path in (outputs["roundtrips"], folder / "again.parquet")]

@@ -18,15 +18,16 @@ from dds_trace.tracefile import BackendUnavailableError, EventColumns, TraceForm
 from ..loading.campaign import campaign_of, skipped_source
 from ..loading.remote import find_anywhere
 from ..loading.shelf import LoadedTrace, load_trace
-from .batches import work_at
+from .work import work_at
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping, Sequence
 
+    from ..groups.batch import Batch
     from ..loading.campaign import Campaign, Progress
-    from ..loading.events import EventsByKey, Part, StageKey
+    from ..loading.events import EventIndex, EventKey, EventPart
     from ..model.source import Source
-    from .batches import Work, Worked
+    from .work import BatchResult
 
 _TIMEOUT_S = 30
 
@@ -37,7 +38,7 @@ class RemoteEvents:
 
     client: Any
     loaded: Any
-    key: StageKey
+    key: EventKey
 
     def load(self) -> EventColumns:
         """Bring them here."""
@@ -95,18 +96,18 @@ class ClusterEngine:
             self._loaded.append(load)
         return campaign_of(here, loaded, skipped)
 
-    def work(self, batches: Sequence[Work], events: EventsByKey) -> Iterator[Worked]:
+    def work(self, batches: Sequence[Batch], index: EventIndex) -> Iterator[BatchResult]:
         """All batches at once, and their results in order."""
-        pending = [self._submit(batch, events) for batch in batches]
+        pending = [self._submit(batch, index) for batch in batches]
         pending.reverse()
         while pending:
             yield pending.pop().result()
 
-    def _submit(self, batch: Work, events: EventsByKey) -> Any:
-        of_trace: dict[int, list[StageKey]] = {}
-        for stage, *key in batch.event_keys():
-            for part in events.parts(stage, (key[0], key[1])):
-                of_trace.setdefault(part.trace, []).append((stage, key[0], key[1]))
+    def _submit(self, batch: Batch, index: EventIndex) -> Any:
+        of_trace: dict[int, list[EventKey]] = {}
+        for key in batch.event_keys():
+            for part in index.get(key, ()):
+                of_trace.setdefault(part.trace, []).append(key)
         selected = [
             self._client.submit(_select, self._loaded[trace], trace, keys, pure=False)
             for trace, keys in of_trace.items()
@@ -135,19 +136,19 @@ def _describe(loaded: LoadedTrace | str) -> LoadedTrace | str:
     return replace(loaded, parts={key: replace(part, events=none) for key, part in loaded.parts.items()})
 
 
-def _select(loaded: LoadedTrace, trace: int, keys: Sequence[StageKey]) -> Mapping[StageKey, Part]:
+def _select(loaded: LoadedTrace, trace: int, keys: Sequence[EventKey]) -> Mapping[EventKey, EventPart]:
     """Run by a worker: what a batch needs of one trace, by the trace's position in the campaign."""
     return {key: replace(loaded.parts[key], trace=trace) for key in keys}
 
 
-def _events(loaded: LoadedTrace, key: StageKey) -> EventColumns:
+def _events(loaded: LoadedTrace, key: EventKey) -> EventColumns:
     """Run by a worker: the events of one key."""
     return loaded.parts[key].load()
 
 
-def _work(batch: Work, selected: Sequence[Mapping[StageKey, Part]]) -> Worked:
+def _work(batch: Batch, selected: Sequence[Mapping[EventKey, EventPart]]) -> BatchResult:
     """Run by a worker: one batch."""
-    parts: dict[StageKey, tuple[Part, ...]] = {}
+    parts: dict[EventKey, tuple[EventPart, ...]] = {}
     for of_trace in selected:
         for key, part in of_trace.items():
             parts[key] = (*parts.get(key, ()), part)

@@ -11,27 +11,28 @@ from dds_trace.tracefile.in_order import in_order
 
 from ..loading.campaign import load_campaign
 from ..loading.shelf import TraceShelf
-from .batches import work_at
+from .work import work_at
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
     from pathlib import Path
 
+    from ..groups.batch import Batch
     from ..loading.campaign import Campaign, Progress
-    from ..loading.events import EventsByKey
-    from .batches import Work, Worked
+    from ..loading.events import EventIndex
+    from .work import BatchResult
 
 _MOST_WORKERS = 2  # each holds a batch; the writing of rows takes another core
 
 
 class Engine(Protocol):
-    """Loads the traces, then works at batches; to be closed."""
+    """Those who load the traces, then work at batches; to be closed."""
 
     def load(self, path: Path, skip: Collection[Path], progress: Progress | None) -> Campaign:
         """Look at every trace at or below `path`."""
 
-    def work(self, batches: Sequence[Work], events: EventsByKey) -> Iterator[Worked]:
-        """The results of the batches in their order."""
+    def work(self, batches: Sequence[Batch], index: EventIndex) -> Iterator[BatchResult]:
+        """Yield the results of the batches in their order."""
 
     def close(self) -> None:
         """Give back what was held."""
@@ -51,11 +52,11 @@ class LocalEngine:
         """Read every trace that is not in the cache."""
         return load_campaign(path, skip=skip, progress=progress, shelf=self._shelf)
 
-    def work(self, batches: Sequence[Work], events: EventsByKey) -> Iterator[Worked]:
+    def work(self, batches: Sequence[Batch], index: EventIndex) -> Iterator[BatchResult]:
         """Yield the results of the batches, worked at on all cores; one batch waits in memory for its turn."""
         workers = min(_MOST_WORKERS, len(os.sched_getaffinity(0)))
         jobs = (
-            (1, partial(work_at, batch, {key: events.parts(key[0], key[1:]) for key in batch.event_keys()}))
+            (1, partial(work_at, batch, {key: index[key] for key in batch.event_keys() if key in index}))
             for batch in batches
         )
         with ThreadPoolExecutor(workers, thread_name_prefix="analyze") as pool:

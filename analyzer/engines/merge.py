@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from ..groups.frames import concatenate_frames
-from ..groups.summary import Statistics, summarize_groups
-from ..loading.events import merge_parts, total_copies
-from ..pairing.roundtrips import PairedExchanges
+from ..groups.measure import Statistics
+from ..groups.summary import summarize_groups
 from .oversized import ValueSpool, merge_sketches
 
 if TYPE_CHECKING:
     from ..groups.frames import Frames
-    from ..groups.summary import Grouping, Summary
-    from ..loading.events import Copies, EventsByKey, StageKey
-    from .batches import Worked
+    from ..groups.grouping import Grouping
+    from ..groups.summary import Summary
+    from ..loading.events import Copies, EventKey
+    from .work import BatchResult
 
 
 class MergedResults:
@@ -24,34 +24,35 @@ class MergedResults:
 
     Args:
         sketch: take percentiles from histograms, also of groups that were held whole.
+
+    Attributes:
+        rows: number of rows of all batches.
     """
 
     def __init__(self, *, sketch: bool) -> None:
         self._sketch = sketch
-        self._paired: list[PairedExchanges] = []
         self._frames: list[Frames] = []
-        self._of_exchange: list[pl.DataFrame] = []
+        self._counts: list[pl.DataFrame] = []
         self._statistics: list[Statistics] = []
-        self._copies: dict[StageKey, tuple[Copies, ...]] = {}
+        self._copies: dict[EventKey, tuple[Copies, ...]] = {}  # T1 of a run may be in several batches
         self._spool: tuple[int, ValueSpool] | None = None
         self.rows = 0
 
-    def add(self, worked: Worked) -> None:
+    def add(self, result: BatchResult) -> None:
         """Take the next batch."""
-        self.rows += worked.rows
-        self._paired.append(worked.paired)
-        self._frames.append(worked.frames)
-        self._of_exchange.append(worked.of_exchange)
-        self._copies |= worked.copies
-        group = int(worked.statistics.frame["group"][0])
-        if self._spool and (worked.values is None or self._spool[0] != group):
+        self.rows += result.rows
+        self._frames.append(result.frames)
+        self._counts.append(result.counts)
+        self._copies |= result.copies
+        group = int(result.statistics.frame["group"][0])
+        if self._spool and (result.values is None or self._spool[0] != group):
             self._unspool()
-        if worked.values is None:
-            self._statistics.append(worked.statistics)
+        if result.values is None:
+            self._statistics.append(result.statistics)
             return
         if self._spool is None:
             self._spool = group, ValueSpool()
-        self._spool[1].add(worked.values)
+        self._spool[1].add(result.values)
 
     def _unspool(self) -> None:
         if self._spool:
@@ -59,27 +60,18 @@ class MergedResults:
             self._statistics.append(spool.measure(group))
             self._spool = None
 
-    def paired(self) -> PairedExchanges:
-        """All exchanges."""
-        return PairedExchanges.concatenate(self._paired)
-
     def frames(self) -> Frames:
-        """All frames."""
+        """Return the frames of the campaign."""
         return concatenate_frames(self._frames)
 
-    def copies(self, events: EventsByKey) -> tuple[Copies, ...]:
-        """What was left out because another trace holds it, in rows or in what has no row."""
-        found = dict(self._copies)
-        placed = {
-            key for part in self._paired for exchange in part.exchanges for key in exchange.event_keys()
-        }
-        found |= {key: merge_parts(parts)[1] for key, parts in events.in_several() if key not in placed}
-        return total_copies(copies for of_key in found.values() for copies in of_key)
+    def copies(self) -> list[Copies]:
+        """Return what was left out because another trace holds it."""
+        return [copies for of_key in self._copies.values() for copies in of_key]
 
     def summary(self, grouping: Grouping) -> Summary:
-        """One row per group."""
+        """Return one row per group."""
         self._unspool()
         statistics = Statistics.concatenate(self._statistics)
         if self._sketch:
             statistics = merge_sketches(statistics)
-        return summarize_groups(grouping, self.paired().exchanges, pl.concat(self._of_exchange), statistics)
+        return summarize_groups(grouping, pl.concat(self._counts), statistics)

@@ -14,11 +14,10 @@ if TYPE_CHECKING:
     from dds_trace.tracefile import Session
 
     from ..analysis import Details
-    from ..groups.summary import Grouping, Summary
+    from ..groups.grouping import Grouping
+    from ..groups.summary import Summary
     from ..loading.campaign import Campaign
     from ..pairing.exchanges import Exchange, Exchanges
-    from ..pairing.pair import Published
-    from ..pairing.roundtrips import PairedExchanges
 
 _MOST_FILES = 2
 """Files that a session's name lists: those of a long sweep would fill a screen."""
@@ -30,15 +29,14 @@ class Evidence:
 
     campaign: Campaign
     exchanges: Exchanges
-    roundtrips: PairedExchanges
     grouping: Grouping
     summary: Summary
     details: Details
 
-    def published_by_run(self) -> dict[int, tuple[Exchange, Published]]:
-        """run_id -> one exchange of the run (all share run and T1) and the run's messages."""
-        held = zip(self.roundtrips.exchanges, self.roundtrips.published, strict=True)
-        return {exchange.run.run_id: (exchange, published) for exchange, published in held}
+    def counts_by_run(self) -> dict[int, tuple[Exchange, dict[str, int]]]:
+        """Return for each run_id one exchange of the run (all share run and T1) and its row of counts."""
+        counts = self.summary.of_exchange.iter_rows(named=True)
+        return {e.run.run_id: (e, row) for e, row in zip(self.grouping.exchanges, counts, strict=True)}
 
     @cached_property
     def group_names(self) -> list[str]:
@@ -46,7 +44,7 @@ class Evidence:
         return name_groups(self.grouping.parameters)
 
     def exchange_groups(self) -> list[int]:
-        """Of each exchange in `roundtrips` its group."""
+        """Of each exchange in `grouping` its group."""
         return [int(group) for group in self.grouping.group_of_exchange]
 
     def session_name(self, session: Session) -> str:

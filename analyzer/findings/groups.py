@@ -106,7 +106,7 @@ def impossible_times(evidence: Evidence) -> Iterator[Finding]:
     counts = evidence.summary.of_exchange.select("negative_rtt", "negative_intermediate", "negative_latency")
     rows = counts.iter_rows(named=True)
     for exchange, group, row in zip(
-        evidence.roundtrips.exchanges, evidence.exchange_groups(), rows, strict=True
+        evidence.grouping.exchanges, evidence.exchange_groups(), rows, strict=True
     ):
         found = [
             f"{name.removeprefix('negative_')} of {counted(n, 'message')}" for name, n in row.items() if n
@@ -128,7 +128,7 @@ def mixed_labels(evidence: Evidence) -> Iterator[Finding]:
     names = evidence.group_names
     for group, members in enumerate(evidence.grouping.members()):
         values: dict[str, set[str | None]] = defaultdict(set)
-        runs = [evidence.roundtrips.exchanges[member].run for member in members]
+        runs = [evidence.grouping.exchanges[member].run for member in members]
         for label in {label for run in runs for label in run.labels}:
             values[label] = {run.labels.get(label) for run in runs}
         mixed = {label: found for label, found in sorted(values.items()) if len(found) > 1}

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from ..pairing.rows import RowsByGroup
+    from ..pairing.rows import RowStore
     from .evidence import Evidence
 
 SKETCHED = Finding(
@@ -41,12 +41,12 @@ def earlier_rows(path: Path) -> Finding:
     )
 
 
-def size_findings(evidence: Evidence, rows: RowsByGroup | None, in_parts: Sequence[int]) -> Iterator[Finding]:
+def size_findings(evidence: Evidence, rows: RowStore, in_parts: Sequence[int]) -> Iterator[Finding]:
     """What the details leave out for want of memory.
 
     Args:
         evidence: of the campaign.
-        rows: its rows; None of a sketch, which says itself that nothing is compared.
+        rows: its rows; a sketch has none, and says itself that nothing is compared.
         in_parts: groups that no batch held whole.
     """
     names = evidence.group_names
@@ -62,7 +62,7 @@ def size_findings(evidence: Evidence, rows: RowsByGroup | None, in_parts: Sequen
             tuple(in_parts),
         )
     cases = []
-    if rows is not None:
+    if rows.has_rows:
         kinds = (CASE_COLUMNS, BRIDGE_MATCH_COLUMNS)
         cases = [case for kind in kinds for case in partition_groups(rows.groups, kind) if is_too_large(case)]
     if cases:

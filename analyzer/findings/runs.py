@@ -79,8 +79,8 @@ def unplaced_events(evidence: Evidence) -> Iterator[Finding]:
 
 def unfinished_runs(evidence: Evidence) -> Iterator[Finding]:
     """Runs that were cut short, and runs of which publications were not kept."""
-    for run_id, (exchange, published) in evidence.published_by_run().items():
-        run, kept = exchange.run, published.messages
+    for run_id, (exchange, counts) in evidence.counts_by_run().items():
+        run, kept = exchange.run, counts["with_warmup"]
         if run.state != "finished":
             yield Finding(
                 Severity.WARNING,
@@ -111,22 +111,22 @@ def unfinished_runs(evidence: Evidence) -> Iterator[Finding]:
 
 def repeated_publications(evidence: Evidence) -> Iterator[Finding]:
     """T1 events that a message has too many."""
-    for run_id, (_, published) in evidence.published_by_run().items():
-        if published.repeated:
+    for run_id, (_, counts) in evidence.counts_by_run().items():
+        if counts["repeated"]:
             yield Finding(
                 Severity.ERROR,
                 "repeated_publications",
                 evidence.run_name(run_id),
-                f"{counted(published.repeated, 'T1 event repeats', 'T1 events repeat')} the sequence number of another; the first one counts.",
+                f"{counted(counts['repeated'], 'T1 event repeats', 'T1 events repeat')} the sequence number of another; the first one counts.",
                 "Each run needs its own random run_id, and each message its own sequence number.",
             )
 
 
 def orphan_events(evidence: Evidence) -> Iterator[Finding]:
     """Events of a known run whose message was, by the trace, never published."""
-    orphans = evidence.roundtrips.orphans.tolist()
+    orphans = evidence.summary.of_exchange["orphans"].to_list()
     for exchange, group, count in zip(
-        evidence.roundtrips.exchanges, evidence.exchange_groups(), orphans, strict=True
+        evidence.grouping.exchanges, evidence.exchange_groups(), orphans, strict=True
     ):
         if count:
             yield Finding(
@@ -148,7 +148,7 @@ def missing_schedule(evidence: Evidence) -> Iterator[Finding]:
     counts = evidence.summary.of_exchange.select("published", "unscheduled").iter_rows()
     unscheduled = {
         exchange.run.run_id
-        for exchange, (published, without) in zip(evidence.roundtrips.exchanges, counts, strict=True)
+        for exchange, (published, without) in zip(evidence.grouping.exchanges, counts, strict=True)
         if published and without == published
     }
     if unscheduled:
@@ -185,7 +185,7 @@ def relays_without_trace(evidence: Evidence) -> Iterator[Finding]:
     """Runs in which no relay took part, and relays whose events or description are missing."""
     unrecorded: dict[tuple[int, bool], list[int]] = defaultdict(list)
     undescribed: dict[int, list[int]] = defaultdict(list)
-    for exchange in evidence.roundtrips.exchanges:
+    for exchange in evidence.grouping.exchanges:
         if not exchange.took_part:
             yield Finding(
                 Severity.ERROR,
@@ -224,7 +224,7 @@ def gaps_of_relays(evidence: Evidence) -> Iterator[Finding]:
     """Messages that came back through a relay whose trace does not know them: then its losses are doubtful, too."""
     counts = evidence.summary.of_exchange.select("relay_gaps", "received").iter_rows()
     for exchange, group, (gaps, received) in zip(
-        evidence.roundtrips.exchanges, evidence.exchange_groups(), counts, strict=True
+        evidence.grouping.exchanges, evidence.exchange_groups(), counts, strict=True
     ):
         if exchange.relay_recorded and gaps:
             yield Finding(
@@ -240,7 +240,7 @@ def gaps_of_relays(evidence: Evidence) -> Iterator[Finding]:
 
 def unlike_domains(evidence: Evidence) -> Iterator[Finding]:
     """Runs that were told another relay domain than the relay was in."""
-    for exchange, group in zip(evidence.roundtrips.exchanges, evidence.exchange_groups(), strict=True):
+    for exchange, group in zip(evidence.grouping.exchanges, evidence.exchange_groups(), strict=True):
         told = exchange.run.relay_domain_id
         if exchange.relay and told is not None and told != exchange.relay.domain_id:
             yield Finding(
@@ -255,9 +255,9 @@ def unlike_domains(evidence: Evidence) -> Iterator[Finding]:
 
 def unlike_payloads(evidence: Evidence) -> Iterator[Finding]:
     """Runs whose messages are not as long as the run says."""
-    for run_id, (exchange, published) in evidence.published_by_run().items():
+    for run_id, (exchange, counts) in evidence.counts_by_run().items():
         described = exchange.run.payload_bytes
-        low, high = published.payload_range_bytes
+        low, high = counts["least_payload_bytes"], counts["most_payload_bytes"]
         if (low, high) != (described, described):
             yield Finding(
                 Severity.WARNING,
@@ -272,7 +272,7 @@ def unlike_payloads(evidence: Evidence) -> Iterator[Finding]:
 def restarted_relays(evidence: Evidence) -> Iterator[Finding]:
     """Runs in which several relays of one device took part: one that was started anew, or two at once."""
     relays: dict[tuple[int, str], list[int]] = defaultdict(list)
-    for exchange in evidence.roundtrips.exchanges:
+    for exchange in evidence.grouping.exchanges:
         if exchange.took_part and exchange.relay is not None:
             relays[exchange.run.run_id, exchange.relay.device].append(exchange.relay_id)
     for (run_id, device), ids in relays.items():

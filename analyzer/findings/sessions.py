@@ -76,7 +76,7 @@ def unlike_environments(evidence: Evidence) -> Iterator[Finding]:
     Pings are compared with pings and relays with relays; versions, configuration and settings of the
     middleware only within one vendor.
     """
-    held = {id(s): s for e in evidence.roundtrips.exchanges for s in (e.ping, e.relay) if s is not None}
+    held = {id(s): s for e in evidence.grouping.exchanges for s in (e.ping, e.relay) if s is not None}
     alike: dict[str, list[Session]] = defaultdict(list)
     of_vendor: dict[str, list[Session]] = defaultdict(list)
     for session in held.values():

@@ -51,7 +51,7 @@ def unlike_sizes(evidence: Evidence) -> Iterator[Finding]:
 
 def _cause(evidence: Evidence, group: int, small: int, large: int) -> str:
     """What the fingerprints say that lies between the two sizes."""
-    exchange = evidence.roundtrips.exchanges[evidence.grouping.members()[group][0]]
+    exchange = evidence.grouping.exchanges[evidence.grouping.members()[group][0]]
     if exchange.ping.vendor == "fastdds" and small < _SEGMENT_BYTES <= large:
         on_one = exchange.relay is not None and exchange.relay.device == exchange.ping.device
         if on_one:

@@ -19,9 +19,16 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
+from dds_trace.tracefile import Stage
+
+from ..pairing.roundtrips import MIDDLEWARE_STAMPS
+from .batch import grouped_rows
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from ..pairing.roundtrips import RoundTrips
+    from .batch import Batch
 
 STAGES = (
     "waiting_ns",
@@ -33,8 +40,32 @@ STAGES = (
 )
 """The parts of a response in the order of time; each a column of `break_down`'s frame."""
 
-STAMP_COLUMNS = ("relay_source_ns", "relay_received_ns", "reply_source_ns", "reply_received_ns")
-"""`source_ns` and `received_ns` of T3 and of T2, i64, ns since 1970, null where the trace has 0."""
+STAMP_COLUMNS = (*MIDDLEWARE_STAMPS[Stage.T3], *MIDDLEWARE_STAMPS[Stage.T2])
+"""`source_ns` and `received_ns` of T3 and of T2, i64, ns since 1970, null or 0 where the trace has none."""
+
+
+def breakdown_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
+    """Summarize where the time goes: `group` u32, then the columns of `summarize_breakdown`, a row per part.
+
+    Percentiles of parts of a group do not add up, so a group that is here in part has no rows.
+    """
+    rows = grouped_rows(batch, roundtrips).with_columns(roundtrips.stamps)
+    if not batch.whole:
+        return summarize_breakdown(break_down(rows.head(0)), ["group"])
+    ping_wall = {e.run.run_id: e.ping.wall_anchor_ns - e.ping.monotonic_anchor_ns for e in batch.exchanges}
+    relay_wall = {
+        e.relay_id: e.relay.wall_anchor_ns - e.relay.monotonic_anchor_ns for e in batch.exchanges if e.relay
+    }
+    return summarize_breakdown(break_down(rows, ping_wall, relay_wall), ["group"])
+
+
+def response_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
+    """Summarize what a schedule that was not held hides: `group` u32, then those of `response_against_latency`.
+
+    A group that is here in part has no row, as in `breakdown_frame`.
+    """
+    rows = grouped_rows(batch, roundtrips)
+    return response_against_latency(rows if batch.whole else rows.head(0), ["group"])
 
 
 def break_down(

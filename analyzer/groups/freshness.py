@@ -1,149 +1,28 @@
-"""Freshness: what a control loop at the receiver feels, message by message in the order of time.
-
-Deadline misses and their longest run, how old the newest information is (S. Kaul, R. Yates, M. Gruteser,
-"Real-time status: how often should one update?", INFOCOM 2012), outages and how long recovery takes.
-"""
+"""The frames `freshness` and `outages`: what a control loop at the receiver feels, message by message in order of time."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
-from numpy.typing import NDArray
+
+from .age import age_of_information
+from .batch import grouped_rows, with_group
+from .outages import find_outages, longest_run, runs_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-Int64 = NDArray[np.int64]
-Bools = NDArray[np.bool_]
+    from numpy.typing import NDArray
 
-OUTAGE_MESSAGES = 3
-"""Lost messages in a row that make an outage: single losses are loss, not an outage."""
+    from ..pairing.roundtrips import RoundTrips
+    from .batch import Batch
 
-RECOVERED_MESSAGES = 5
-"""Messages in a row that must be in time before an outage counts as overcome."""
-
-
-@dataclass(frozen=True, slots=True)
-class AgeOfInformation:
-    """How old the newest information at a receiver was, from its first reception to the last.
-
-    Attributes:
-        mean_ns: average over time.
-        peak_mean_ns: average over the peaks, each just before newer information arrived.
-        peak_max_ns: the highest peak.
-        updates: receptions that brought newer information than any before.
-    """
-
-    mean_ns: float
-    peak_mean_ns: float
-    peak_max_ns: int
-    updates: int
-
-
-def age_of_information(generated_ns: Int64, received_ns: Int64) -> AgeOfInformation | None:
-    """Age of information from when each message was made and when it was received, on one clock.
-
-    The age rises by a second each second and falls to `received - generated` when a newer message arrives, a
-    saw-tooth: between updates k and k + 1 it goes from `r[k] - g[k]` to the peak `r[k+1] - g[k]`. An older
-    message that comes late changes nothing.
-
-    Args:
-        generated_ns: int64, of the messages that were received.
-        received_ns: int64, likewise.
-
-    Returns:
-        None with fewer than two updates: there is no time to average over.
-    """
-    order = np.lexsort((generated_ns, received_ns))
-    generated, received = generated_ns[order], received_ns[order]
-    newest_before = np.maximum.accumulate(np.concatenate([[np.iinfo(np.int64).min], generated[:-1]]))
-    newer = generated > newest_before[: len(generated)]
-    generated, received = generated[newer], received[newer]
-    # Of several updates at one instant the last counts: the others never were the newest for any time.
-    last = np.concatenate([received[1:] != received[:-1], [True]]) if len(received) else newer[:0]
-    generated, received = generated[last], received[last]
-    if len(received) < 2:
-        return None
-    fallen = (received - generated)[:-1].astype(np.float64)
-    peaks = received[1:] - generated[:-1]
-    area = (peaks.astype(np.float64) ** 2 - fallen**2) / 2
-    return AgeOfInformation(
-        mean_ns=float(area.sum() / float(received[-1] - received[0])),
-        peak_mean_ns=float(peaks.mean()),
-        peak_max_ns=int(peaks.max()),
-        updates=len(received),
-    )
-
-
-def longest_run(happened: Bools) -> int:
-    """Length of the longest run of True."""
-    return max((stop - start for start, stop in runs_of(happened)), default=0)
-
-
-def runs_of(happened: Bools) -> list[tuple[int, int]]:
-    """Start and stop (one past the end) of each run of True, in order."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], happened, [False]]).astype(np.int8)))
-    return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
-
-
-@dataclass(frozen=True, slots=True)
-class Outage:
-    """A run of lost messages.
-
-    Attributes:
-        first_sequence: first message lost.
-        messages: how many were lost in a row.
-        start_ns: when the first of them was planned (T0, else T1), ping's monotonic clock.
-        end_ns: when the next message that got through was received; None if the run ended first.
-        recovery_ns: from `end_ns` until the first of `RECOVERED_MESSAGES` messages in a row that were in time was
-            received; 0 if they were from the start, None if it never came to that.
-    """
-
-    first_sequence: int
-    messages: int
-    start_ns: int
-    end_ns: int | None
-    recovery_ns: int | None
-
-    @property
-    def duration_ns(self) -> int | None:
-        """How long the receiver had nothing new, None if the run ended first."""
-        return None if self.end_ns is None else self.end_ns - self.start_ns
-
-
-def find_outages(
-    sequence: NDArray[np.uint64],
-    planned_ns: Int64,
-    receive_ns: Int64,
-    lost: Bools,
-    in_time: Bools,
-) -> list[Outage]:
-    """The outages of one run, in order.
-
-    Args:
-        sequence: of every published message, rising.
-        planned_ns: when each was planned to be sent.
-        receive_ns: when its reply was received; anything where `lost`.
-        lost: whether no reply was received.
-        in_time: whether it was received in time, by deadline or by what the run usually needs.
-    """
-    found = []
-    good = in_time & ~lost
-    for start, stop in runs_of(lost):
-        if stop - start < OUTAGE_MESSAGES:
-            continue
-        end = int(receive_ns[stop]) if stop < len(lost) else None
-        recovery = None
-        if end is not None:
-            steady = (s for s, e in runs_of(good[stop:]) if e - s >= RECOVERED_MESSAGES)
-            first = next(steady, None)
-            recovery = None if first is None else max(0, int(receive_ns[stop + first]) - end)
-        found.append(Outage(int(sequence[start]), stop - start, int(planned_ns[start]), end, recovery))
-    return found
+    Int64 = NDArray[np.int64]
+    Bools = NDArray[np.bool_]
 
 
 FRESHNESS_SCHEMA = {
@@ -166,6 +45,19 @@ FRESHNESS_SCHEMA = {
     "outage_longest_ns": pl.Int64,
     "recovery_longest_ns": pl.Int64,
 }
+
+
+def freshness_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
+    """Summarize what a control loop felt: `group` u32, then the columns of `FRESHNESS_SCHEMA`, a row per run and relay."""
+    of_runs = summarize_freshness(grouped_rows(batch, roundtrips), batch.wanted.deadline_ns)
+    return with_group(batch, roundtrips, of_runs)
+
+
+def outage_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
+    """List the outages: `group` u32, then the columns of `outage_table`, a row per outage."""
+    return with_group(
+        batch, roundtrips, outage_table(grouped_rows(batch, roundtrips), batch.wanted.deadline_ns)
+    )
 
 
 def summarize_freshness(
@@ -287,8 +179,7 @@ def _runs(roundtrips: pl.DataFrame, metric: str) -> Iterator[_Run]:
     }
     runs = [(*frame.row(start)[:2], start, stop) for start, stop in pairwise([*starts, len(frame)])]
     for run_id, relay_id, start, stop in sorted(runs):
-        of_run: dict[str, Any] = {name: values[start:stop] for name, values in columns.items()}
-        yield _Run(run_id, relay_id, **of_run)
+        yield _Run(run_id, relay_id, **{name: values[start:stop] for name, values in columns.items()})
 
 
 def _starts(frame: pl.DataFrame) -> list[int] | None:

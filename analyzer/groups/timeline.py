@@ -13,20 +13,18 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from ..pairing.roundtrips import RoundTrips
-
+    from .batch import Batch
 
 _ALL_POINTS = 100_000
 _POINTS_OF_EXCHANGE = (200, 4_000)
-"""An exchange gets its share of all points, but at least and at most so many."""
+"""Fewest and most points of an exchange, whatever its share of all points."""
 
 _KEPT_PER_STRETCH = 4
 """Lowest, highest, first loss, and the one that a second kind of loss may add."""
 
 
-def draw_timeline(
-    roundtrips: RoundTrips, group_of_exchange: NDArray[np.uint32], all_exchanges: int
-) -> pl.DataFrame:
-    """Rows of `roundtrips` worth drawing; `all_exchanges` of the campaign share the points there are.
+def timeline_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
+    """Choose rows worth drawing; all exchanges of the campaign share the points there are.
 
     An exchange with more rows than its share of points is cut into stretches of equal length. Each keeps
     its lowest and its highest latency (round trip time, where the relay's trace is missing) and the first
@@ -37,10 +35,11 @@ def draw_timeline(
         there was no schedule, since that of the run's first counted message), `latency_ns` i64 null,
         `rtt_ns` i64 null, `outcome` str.
     """
-    kept = _worth_drawing(roundtrips, all_exchanges)
+    recorded = np.array([exchange.relay_recorded for exchange in batch.exchanges])
+    kept = _worth_drawing(roundtrips, recorded, batch.all_exchanges)
     exchange = roundtrips.exchange_of_row()[kept]
     drawn = roundtrips.measured[kept].with_columns(
-        pl.Series("group", group_of_exchange[exchange]),
+        pl.Series("group", batch.group_of_exchange[exchange]),
         *(roundtrips.described[name].gather(exchange) for name in ("run_id", "relay_id")),
         pl.Series("exchange", exchange),
     )
@@ -59,8 +58,10 @@ def draw_timeline(
     )
 
 
-def _worth_drawing(roundtrips: RoundTrips, all_exchanges: int) -> NDArray[np.int64]:
-    """Rows to keep, rising."""
+def _worth_drawing(
+    roundtrips: RoundTrips, recorded: NDArray[np.bool_], all_exchanges: int
+) -> NDArray[np.int64]:
+    """Return the rows to keep, rising; of an exchange whose relay is not `recorded` by its round trip times."""
     rows, first = np.diff(roundtrips.bounds), roundtrips.bounds[:-1]
     low, high = _POINTS_OF_EXCHANGE
     share = min(max(_ALL_POINTS // max(all_exchanges, 1), low), high)
@@ -74,7 +75,6 @@ def _worth_drawing(roundtrips: RoundTrips, all_exchanges: int) -> NDArray[np.int
     stretch = roundtrips.per_row(offset) + position * roundtrips.per_row(stretches) // roundtrips.per_row(
         rows
     )
-    recorded = np.array([exchange.relay_recorded for exchange in roundtrips.exchanges])
     numbered = roundtrips.measured.lazy().select(
         pl.int_range(pl.len(), dtype=pl.Int64).alias("row"),
         pl.lit(pl.Series(stretch)).alias("stretch"),
@@ -99,5 +99,5 @@ def _worth_drawing(roundtrips: RoundTrips, all_exchanges: int) -> NDArray[np.int
         .agg(pl.col("row").min())
         .collect()
     )
-    kept = (first[rows > 0], extremes["lowest"], extremes["highest"], losses["row"])
-    return np.unique(np.concatenate([np.asarray(found) for found in kept]))
+    drawn = (first[rows > 0], extremes["lowest"], extremes["highest"], losses["row"])
+    return np.unique(np.concatenate([np.asarray(positions) for positions in drawn]))

@@ -11,7 +11,7 @@ from dds_trace.tracefile import MissingEventsError, TraceFormatError
 from dds_trace.tracefile.units.counts import counted
 
 from ..model.source import Source
-from .events import Copies, EventsByKey, index_parts
+from .events import Copies, EventIndex, index_events
 from .remote import find_anywhere
 from .shelf import TraceShelf
 
@@ -44,7 +44,7 @@ class Campaign:
         runs: run_id -> latest description.
         session_traces: session_id -> positions of the traces that name it.
         run_traces: run_id -> positions of the traces that describe it.
-        events: the events by stage, run and relay.
+        events: the event index.
         event_counts: events in each trace.
         copies: what each trace holds that another holds as well.
     """
@@ -56,7 +56,7 @@ class Campaign:
     runs: Mapping[int, Run]
     session_traces: Mapping[int, tuple[int, ...]]
     run_traces: Mapping[int, tuple[int, ...]]
-    events: EventsByKey
+    events: EventIndex
     event_counts: tuple[int, ...]
     copies: tuple[Copies, ...] = ()
 
@@ -148,7 +148,7 @@ def campaign_of(path: Path, loaded: Sequence[LoadedTrace], skipped: Sequence[Sou
         runs=runs,
         session_traces=session_traces,
         run_traces=run_traces,
-        events=index_parts(held.parts for held in loaded),
+        events=index_events(held.parts for held in loaded),
         event_counts=tuple(held.events for held in loaded),
     )
     return campaign.with_copies(())

@@ -1,25 +1,23 @@
-"""Events of all traces by run and relay, fetched when they are wanted, each once however often its file was copied."""
+"""The event index: how many events of each stage, run and relay a trace holds, and where they are to be fetched."""
 
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from dds_trace.tracefile import EventColumns, Stage
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Sequence
 
     from dds_trace.tracefile import Trace
 
-Key = tuple[int, int]
-"""(run_id, relay_id); the relay_id of T1 is 0 whatever the trace says."""
-
-StageKey = tuple[Stage, int, int]
-"""Stage, run_id and relay_id."""
+EventKey = tuple[Stage, int, int]
+"""Stage, run_id and relay_id; the relay_id of T1 is 0 whatever the trace says."""
 
 
 class EventsElsewhere(Protocol):
@@ -30,12 +28,12 @@ class EventsElsewhere(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Part:
-    """The events of one stage, run and relay in one trace.
+class EventPart:
+    """A row of the event index: the events of one stage, run and relay in one trace.
 
     Attributes:
-        trace: position of the trace.
-        count: how many.
+        trace: position of the trace in its campaign.
+        count: number of events.
         first_ns: the earliest `monotonic_ns`.
         events: the events, or where they are.
     """
@@ -46,8 +44,12 @@ class Part:
     events: EventColumns | EventsElsewhere
 
     def load(self) -> EventColumns:
-        """The events themselves."""
+        """Return the events themselves, fetched if they are elsewhere."""
         return self.events if isinstance(self.events, EventColumns) else self.events.load()
+
+
+EventIndex = Mapping[EventKey, tuple[EventPart, ...]]
+"""The event index by key, traces in rising order; a key without events is absent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +58,7 @@ class Copies:
 
     Attributes:
         trace: position of the trace.
-        events: how many of its events were left out for that reason.
+        events: number of its events that were left out for that reason.
         others: positions of the traces that hold them.
     """
 
@@ -65,70 +67,31 @@ class Copies:
     others: tuple[int, ...]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class EventsByKey:
-    """Where the events of all traces are: `of[stage][run_id, relay_id]`; they are fetched key by key.
-
-    Two events are the same if stage, run, relay, sequence and instant agree: that holds for a copied file,
-    for its `ros2 bag convert`, for a copy taken before the recording ended, and for no two recorded events.
-    """
-
-    of: Mapping[Stage, Mapping[Key, tuple[Part, ...]]]
-
-    def parts(self, stage: Stage, key: Key) -> tuple[Part, ...]:
-        """The traces that hold events of one stage, run and relay, and how many; copies are not yet left out."""
-        return self.of[stage].get(key, ())
-
-    def count(self, stage: Stage, key: Key) -> int:
-        """Events of one stage, run and relay; copies count."""
-        return sum(part.count for part in self.parts(stage, key))
-
-    def first_ns(self, stage: Stage, key: Key) -> int:
-        """The earliest `monotonic_ns` of one stage, run and relay, of which there must be events."""
-        return min(part.first_ns for part in self.parts(stage, key))
-
-    def traces(self, stage: Stage, key: Key) -> tuple[int, ...]:
-        """Positions of the traces that hold events of one stage, run and relay."""
-        return tuple(part.trace for part in self.parts(stage, key))
-
-    def columns(self, stage: Stage, key: Key) -> EventColumns:
-        """The events of one stage, run and relay, each once; none if there are none."""
-        return merge_parts(self.parts(stage, key))[0]
-
-    def in_several(self) -> Iterator[tuple[StageKey, tuple[Part, ...]]]:
-        """What several traces, so perhaps copies, hold events of."""
-        for stage, held in self.of.items():
-            for (run_id, relay_id), parts in held.items():
-                if len(parts) > 1:
-                    yield (stage, run_id, relay_id), parts
-
-
-def gather_events(traces: Sequence[Trace]) -> EventsByKey:
-    """Sort the events of `traces`, which are in memory, by run and relay."""
-    return index_parts(split_trace(trace, position) for position, trace in enumerate(traces))
-
-
-def index_parts(of_traces: Iterable[Mapping[StageKey, Part]]) -> EventsByKey:
-    """Bring together what every trace holds of each run and relay."""
-    of: dict[Stage, dict[Key, tuple[Part, ...]]] = {stage: {} for stage in Stage}
+def index_events(of_traces: Iterable[Mapping[EventKey, EventPart]]) -> EventIndex:
+    """Return the index of a campaign from those of its traces, in their order."""
+    index: dict[EventKey, tuple[EventPart, ...]] = {}
     for parts in of_traces:
-        for (stage, run_id, relay_id), part in parts.items():
-            key = (run_id, relay_id)
-            of[stage][key] = (*of[stage].get(key, ()), part)
-    return EventsByKey(of)
+        for key, part in parts.items():
+            index[key] = (*index.get(key, ()), part)
+    return index
 
 
-def split_trace(trace: Trace, position: int) -> dict[StageKey, Part]:
-    """The events of one trace, which is in memory, by stage, run and relay."""
+def split_trace(trace: Trace, position: int) -> dict[EventKey, EventPart]:
+    """Return the index of one trace whose events are in memory."""
     return {
-        (stage, *key): Part(position, len(columns), int(columns.monotonic_ns.min()), columns)
+        (stage, *key): EventPart(position, len(columns), int(columns.monotonic_ns.min()), columns)
         for stage in Stage
         for key, columns in split_events(trace.events[stage], by_relay=stage is not Stage.T1).items()
     }
 
 
-def split_events(columns: EventColumns, *, by_relay: bool) -> dict[Key, EventColumns]:
-    """The events of each run (and relay), in file order; views where a run's events stand together in the file."""
+def split_events(columns: EventColumns, *, by_relay: bool) -> dict[tuple[int, int], EventColumns]:
+    """Split events by (run_id, relay_id), in file order; views where a run's events stand together in the file.
+
+    Args:
+        columns: events of one stage.
+        by_relay: False takes every relay_id as 0.
+    """
     if not len(columns):
         return {}
     run_id = columns.run_id
@@ -155,8 +118,12 @@ def split_events(columns: EventColumns, *, by_relay: bool) -> dict[Key, EventCol
     }
 
 
-def merge_parts(parts: Sequence[Part]) -> tuple[EventColumns, tuple[Copies, ...]]:
-    """The events of one stage, run and relay, each once, and what was left out because another trace holds it."""
+def merge_parts(parts: Sequence[EventPart]) -> tuple[EventColumns, tuple[Copies, ...]]:
+    """Return the events of one stage, run and relay, each once, and what was left out as a copy.
+
+    Two events are the same if stage, run, relay, sequence and instant agree: that holds for a copied file, for its
+    `ros2 bag convert`, for a copy taken before the recording ended, and for no two recorded events.
+    """
     if not parts:
         return EventColumns.empty(), ()
     loaded = [part.load() for part in parts]
@@ -179,16 +146,15 @@ def merge_parts(parts: Sequence[Part]) -> tuple[EventColumns, tuple[Copies, ...]
     return columns.take(np.sort(order[new])), tuple(copies)
 
 
-def total_copies(found: Iterable[Copies]) -> tuple[Copies, ...]:
-    """All copies of each trace in one."""
+def total_copies(copies: Iterable[Copies]) -> tuple[Copies, ...]:
+    """Add up the copies of each trace, by trace."""
     events: dict[int, int] = defaultdict(int)
     others: dict[int, set[int]] = defaultdict(set)
-    for copies in found:
-        events[copies.trace] += copies.events
-        others[copies.trace] |= set(copies.others)
+    for copied in copies:
+        events[copied.trace] += copied.events
+        others[copied.trace] |= set(copied.others)
     return tuple(Copies(trace, events[trace], tuple(sorted(others[trace]))) for trace in sorted(events))
 
 
 def _view(columns: EventColumns, part: slice) -> EventColumns:
-    arrays: dict[str, Any] = {f.name: getattr(columns, f.name)[part] for f in fields(columns)}
-    return EventColumns(**arrays)
+    return EventColumns(**{f.name: getattr(columns, f.name)[part] for f in fields(columns)})

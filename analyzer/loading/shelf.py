@@ -19,13 +19,13 @@ from dds_trace.tracefile import OutputError, Run, Session, Stage, Trace, TraceFo
 from dds_trace.tracefile.files import replacing
 
 from .event_store import StoredEvents, write_events
-from .events import Part, split_trace
+from .events import EventPart, split_trace
 from .remote import is_remote, local_copy, remote_key
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from .events import StageKey
+    from .events import EventKey
 
 MOST_HELD_EVENTS = 24_000_000
 """Events that stay in memory, 56 bytes each; those of further traces wait in files."""
@@ -46,7 +46,7 @@ class LoadedTrace:
     """
 
     trace: Trace
-    parts: Mapping[StageKey, Part]
+    parts: Mapping[EventKey, EventPart]
 
     @property
     def events(self) -> int:
@@ -205,7 +205,7 @@ def _from_dict(found: dict[str, Any], file: Path, path: Path, position: int) -> 
     parts = {}
     for stage, run_id, relay_id, count, first_ns, columns in found["parts"]:
         events = StoredEvents(file, count, {name: (how, value) for name, (how, value) in columns.items()})
-        parts[Stage(stage), run_id, relay_id] = Part(position, count, first_ns, events)
+        parts[Stage(stage), run_id, relay_id] = EventPart(position, count, first_ns, events)
     trace = Trace(
         path=path,
         sessions=tuple(Session.from_json(text, path) for text in found["sessions"]),

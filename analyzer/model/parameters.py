@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     ParameterValue = str | int | float | None
 
 
-class Part(Enum):
+class KeyPart(Enum):
     """The part of the key that a parameter belongs to; slices are made of parts."""
 
     MIDDLEWARE = auto()  # the software of both sides
@@ -37,7 +37,7 @@ class Part(Enum):
 class Described:
     """The row of a parameter: its part, and the dtype, meaning and unit of its column."""
 
-    part: Part
+    part: KeyPart
     dtype: type[pl.DataType]
     meaning: str
     unit: str = ""
@@ -47,48 +47,54 @@ class Described:
 class Parameters:
     """The parameters of one run and relay; those that agree in all parameters are one group."""
 
-    vendor: Annotated[str, Described(Part.MIDDLEWARE, pl.String, "middleware of the ping")]
+    vendor: Annotated[str, Described(KeyPart.MIDDLEWARE, pl.String, "middleware of the ping")]
     backend: Annotated[
-        str, Described(Part.MIDDLEWARE, pl.String, "API that carried the messages of the ping")
+        str, Described(KeyPart.MIDDLEWARE, pl.String, "API that carried the messages of the ping")
     ]
     rmw: Annotated[
         str | None,
-        Described(Part.MIDDLEWARE, pl.String, "ROS 2 middleware interface of the ping; null outside ROS 2"),
+        Described(
+            KeyPart.MIDDLEWARE, pl.String, "ROS 2 middleware interface of the ping; null outside ROS 2"
+        ),
     ]
-    bridge: Annotated[str, Described(Part.BRIDGE, pl.String, "none, or the bridge between the two domains")]
+    bridge: Annotated[
+        str, Described(KeyPart.BRIDGE, pl.String, "none, or the bridge between the two domains")
+    ]
     relay_vendor: Annotated[
         str | None,
-        Described(Part.MIDDLEWARE, pl.String, "middleware of the relay; null without its trace"),
+        Described(KeyPart.MIDDLEWARE, pl.String, "middleware of the relay; null without its trace"),
     ]
     relay_backend: Annotated[
-        str | None, Described(Part.MIDDLEWARE, pl.String, "API of the relay; null without its trace")
+        str | None, Described(KeyPart.MIDDLEWARE, pl.String, "API of the relay; null without its trace")
     ]
-    ping_domain_id: Annotated[int, Described(Part.DOMAIN_IDS, pl.Int32, "DDS domain of the ping")]
+    ping_domain_id: Annotated[int, Described(KeyPart.DOMAIN_IDS, pl.Int32, "DDS domain of the ping")]
     relay_domain_id: Annotated[
-        int | None, Described(Part.DOMAIN_IDS, pl.Int32, "DDS domain of the relay; null if nobody said")
+        int | None, Described(KeyPart.DOMAIN_IDS, pl.Int32, "DDS domain of the relay; null if nobody said")
     ]
-    domain_mode: Annotated[str, Described(Part.DOMAIN_MODE, pl.String, "same or different")]
+    domain_mode: Annotated[str, Described(KeyPart.DOMAIN_MODE, pl.String, "same or different")]
     data_type: Annotated[
-        str, Described(Part.MESSAGE, pl.String, "binary, string, imu or another payload's name")
+        str, Described(KeyPart.MESSAGE, pl.String, "binary, string, imu or another payload's name")
     ]
     payload_bytes: Annotated[
         int,
-        Described(Part.MESSAGE, pl.UInt32, "application bytes of a message, the stamp not counted", unit="B"),
+        Described(
+            KeyPart.MESSAGE, pl.UInt32, "application bytes of a message, the stamp not counted", unit="B"
+        ),
     ]
     rate_hz: Annotated[
-        float, Described(Part.MESSAGE, pl.Float64, "rate that the schedule asked for", unit="Hz")
+        float, Described(KeyPart.MESSAGE, pl.Float64, "rate that the schedule asked for", unit="Hz")
     ]
-    reliability: Annotated[str, Described(Part.SETTINGS, pl.String, "reliable or best_effort")]
-    durability: Annotated[str, Described(Part.SETTINGS, pl.String, "volatile or transient_local")]
-    history: Annotated[str, Described(Part.SETTINGS, pl.String, "keep_last or keep_all")]
-    depth: Annotated[int, Described(Part.SETTINGS, pl.Int32, "messages kept, for keep_last")]
-    serialization: Annotated[str, Described(Part.SETTINGS, pl.String, "typed or raw")]
-    ping_device: Annotated[str, Described(Part.DEVICES, pl.String, "device of the ping")]
+    reliability: Annotated[str, Described(KeyPart.SETTINGS, pl.String, "reliable or best_effort")]
+    durability: Annotated[str, Described(KeyPart.SETTINGS, pl.String, "volatile or transient_local")]
+    history: Annotated[str, Described(KeyPart.SETTINGS, pl.String, "keep_last or keep_all")]
+    depth: Annotated[int, Described(KeyPart.SETTINGS, pl.Int32, "messages kept, for keep_last")]
+    serialization: Annotated[str, Described(KeyPart.SETTINGS, pl.String, "typed or raw")]
+    ping_device: Annotated[str, Described(KeyPart.DEVICES, pl.String, "device of the ping")]
     relay_device: Annotated[
-        str | None, Described(Part.DEVICES, pl.String, "device of the relay; null without its trace")
+        str | None, Described(KeyPart.DEVICES, pl.String, "device of the relay; null without its trace")
     ]
     connectivity: Annotated[
-        str, Described(Part.LINK, pl.String, "loopback, wired, wireless ... as the ping was told")
+        str, Described(KeyPart.LINK, pl.String, "loopback, wired, wireless ... as the ping was told")
     ]
 
     def values(self) -> tuple[ParameterValue, ...]:
@@ -151,38 +157,42 @@ PARAMETER_COLUMNS = tuple(Column(name, row.dtype, row.unit, row.meaning) for nam
 PARAMETER_NAMES = tuple(field.name for field in fields(Parameters))
 
 
-def names_of(*parts: Part) -> tuple[str, ...]:
+def names_of(*parts: KeyPart) -> tuple[str, ...]:
     """Return the names of the parameters of some parts, in the order of their columns."""
     return tuple(name for name, row in _DESCRIBED.items() if row.part in parts)
 
 
-CELL_COLUMNS = names_of(Part.MESSAGE)
+CELL_COLUMNS = names_of(KeyPart.MESSAGE)
 """What was sent; a report calls it a cell."""
 
 SERIES_COLUMNS = tuple(name for name in PARAMETER_NAMES if name not in CELL_COLUMNS)
 """Who sent it to whom, through what and how."""
 
-CONTENDER_COLUMNS = names_of(Part.MIDDLEWARE, Part.BRIDGE, Part.SETTINGS)
+CONTENDER_COLUMNS = names_of(KeyPart.MIDDLEWARE, KeyPart.BRIDGE, KeyPart.SETTINGS)
 """What somebody can choose for a given kind of message."""
 
-SETTING_COLUMNS = names_of(Part.MIDDLEWARE, Part.BRIDGE, Part.SETTINGS, Part.DOMAIN_MODE, Part.LINK)
+SETTING_COLUMNS = names_of(
+    KeyPart.MIDDLEWARE, KeyPart.BRIDGE, KeyPart.SETTINGS, KeyPart.DOMAIN_MODE, KeyPart.LINK
+)
 """What a recommendation names: the choice, and the domains and link for which it holds."""
 
-CASE_COLUMNS = (*names_of(Part.LINK), *names_of(Part.DOMAIN_MODE), *CELL_COLUMNS)
+CASE_COLUMNS = (*names_of(KeyPart.LINK), *names_of(KeyPart.DOMAIN_MODE), *CELL_COLUMNS)
 """The kind of message that contenders are compared for, in the order of the answers."""
 
 MATCH_COLUMNS = names_of(
-    Part.MIDDLEWARE, Part.BRIDGE, Part.DOMAIN_MODE, Part.MESSAGE, Part.SETTINGS, Part.LINK
+    KeyPart.MIDDLEWARE, KeyPart.BRIDGE, KeyPart.DOMAIN_MODE, KeyPart.MESSAGE, KeyPart.SETTINGS, KeyPart.LINK
 )
 """What makes two groups the same experiment: every parameter but the devices' names and the domains' numbers."""
 
-BRIDGE_MATCH_COLUMNS = names_of(Part.MIDDLEWARE, Part.MESSAGE, Part.SETTINGS, Part.LINK)
+BRIDGE_MATCH_COLUMNS = names_of(KeyPart.MIDDLEWARE, KeyPart.MESSAGE, KeyPart.SETTINGS, KeyPart.LINK)
 """What makes two groups the same experiment, in one domain and through a bridge."""
 
-BRIDGED_COLUMNS = names_of(Part.MIDDLEWARE, Part.BRIDGE, Part.MESSAGE, Part.SETTINGS, Part.LINK)
+BRIDGED_COLUMNS = names_of(
+    KeyPart.MIDDLEWARE, KeyPart.BRIDGE, KeyPart.MESSAGE, KeyPart.SETTINGS, KeyPart.LINK
+)
 """What tells the rows of `Details.bridge_costs` apart: what was matched, and the bridge."""
 
-SAME_SIDES_COLUMNS = names_of(Part.MIDDLEWARE, Part.SETTINGS, Part.DEVICES, Part.LINK)
+SAME_SIDES_COLUMNS = names_of(KeyPart.MIDDLEWARE, KeyPart.SETTINGS, KeyPart.DEVICES, KeyPart.LINK)
 """What groups share that differ in nothing but their messages and the way between the domains."""
 
 SIZE_LINE_COLUMNS = tuple(name for name in PARAMETER_NAMES if name != "payload_bytes")

@@ -4,25 +4,27 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import EventColumns, Stage
+from dds_trace.tracefile import Stage
 
+from ..loading.events import merge_parts
 from ..model.parameters import Parameters, parameters_of
+from .sessions import Doubt, find_ping_session, find_relay_session
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterable, Iterator
 
     from dds_trace.tracefile import Run, Session
 
     from ..loading.campaign import Campaign
-    from ..loading.events import Key, StageKey
+    from ..loading.events import Copies, EventIndex, EventKey, EventPart
+
+    Parts = tuple[EventPart, ...]
+    """The traces that hold events of one stage, run and relay."""
 
 NO_RELAY = 0
-
-_REPLY_STAGES = (Stage.T2, Stage.T3, Stage.T4)
-_RELAY_STAGES = (Stage.T3, Stage.T4)
 
 # The ranges of the columns that hold a description's numbers.
 _INT32 = (-(2**31), 2**31 - 1)
@@ -32,20 +34,15 @@ _UINT64 = (0, 2**64 - 1)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Exchange:
-    """One run and one relay that took part in it, or no relay (`relay_id` 0 and no events).
+    """One run and one relay that took part in it, or no relay (`relay_id` 0); its events are elsewhere.
 
     Attributes:
-        run: what the ping says of the run.
+        run: the ping's description of the run.
         ping: the session that ran it.
         relay_id: the relay.
         relay: the relay's session; None without its trace.
         start_ns: the run's first T1, wall clock by the anchor of the ping.
         counts: events of T1, T2, T3 and T4 in all traces; copies count.
-        t1: the run's publications; shared by all exchanges of the run. Like the next three, empty in what goes
-            through the whole analysis: events are there only while the exchange's batch is worked at.
-        t2: replies that name run and relay.
-        t3: arrivals at the relay.
-        t4: departures from the relay.
     """
 
     run: Run
@@ -54,10 +51,6 @@ class Exchange:
     relay: Session | None
     start_ns: int
     counts: tuple[int, int, int, int]
-    t1: EventColumns = field(default_factory=EventColumns.empty)
-    t2: EventColumns = field(default_factory=EventColumns.empty)
-    t3: EventColumns = field(default_factory=EventColumns.empty)
-    t4: EventColumns = field(default_factory=EventColumns.empty)
 
     @property
     def took_part(self) -> bool:
@@ -69,8 +62,8 @@ class Exchange:
         """Whether the relay's own events are there."""
         return sum(self.counts[2:]) > 0
 
-    def event_keys(self) -> tuple[StageKey, StageKey, StageKey, StageKey]:
-        """What its events go by, T1 to T4."""
+    def event_keys(self) -> tuple[EventKey, EventKey, EventKey, EventKey]:
+        """Return the keys of its events in the event index, T1 to T4; T1 is shared by all relays of the run."""
         run_id, relay_id = self.run.run_id, self.relay_id
         return (
             (Stage.T1, run_id, NO_RELAY),
@@ -78,16 +71,6 @@ class Exchange:
             (Stage.T3, run_id, relay_id),
             (Stage.T4, run_id, relay_id),
         )
-
-    def with_events(self, events: Mapping[StageKey, EventColumns]) -> Exchange:
-        """The same with its events; `events` has all of `event_keys`."""
-        t1, t2, t3, t4 = (events[key] for key in self.event_keys())
-        return replace(self, t1=t1, t2=t2, t3=t3, t4=t4)
-
-    def without_events(self) -> Exchange:
-        """The same without its events."""
-        none = EventColumns.empty()
-        return replace(self, t1=none, t2=none, t3=none, t4=none)
 
     def parameters(self) -> Parameters:
         """Return the key of its group."""
@@ -99,10 +82,10 @@ class Unplaced:
     """Events that belong to no row.
 
     Attributes:
-        reason: a key of `findings.UNPLACED`.
+        reason: a key of the table of reasons in `findings/runs.py`.
         run_id: the run that they name.
         relay_id: the relay that they name, 0 for none.
-        events: how many.
+        events: number of events, copies left out.
         traces: positions of the traces that hold them.
         detail: what is wrong with the run's description, where that is the reason.
     """
@@ -115,145 +98,88 @@ class Unplaced:
     detail: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Doubt:
-    """More than one session could have made these events; the last one started before them was taken.
-
-    Attributes:
-        role: `ping` or `relay`.
-        run_id: the run.
-        relay_id: the relay, 0 where the ping is in doubt.
-        candidates: session_ids.
-    """
-
-    role: str
-    run_id: int
-    relay_id: int
-    candidates: tuple[int, ...]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Exchanges:
-    """All exchanges in the order of their rows (run by start, then relay), and what could not be placed."""
+    """All exchanges of a campaign, and what could not be placed.
+
+    Attributes:
+        held: the exchanges in the order of their rows: run by start, then relay.
+        unplaced: events that belong to no exchange.
+        doubts: exchanges whose sessions are not certain.
+        copies: copies among the events that belong to no exchange.
+    """
 
     held: tuple[Exchange, ...]
     unplaced: tuple[Unplaced, ...]
     doubts: tuple[Doubt, ...]
+    copies: tuple[Copies, ...]
 
 
 def find_exchanges(campaign: Campaign) -> Exchanges:
-    """Bring runs, their ping's session and the relays that took part together."""
+    """Match runs with the session of their ping and with the relays that took part."""
+    published, relayed = _by_run(campaign.events)
     held: list[Exchange] = []
     unplaced: list[Unplaced] = []
     doubts: list[Doubt] = []
-    relays = _relays_by_run(campaign)
-    published = campaign.events.of[Stage.T1]
-    for run_id in sorted({run_id for run_id, _ in published} | set(relays)):
-        key = (run_id, NO_RELAY)
+    for run_id in sorted({*published, *relayed}):
+        relays = relayed.get(run_id, {})
+        if run_id not in published:
+            unplaced += (
+                _unplaced("no_ping_trace", run_id, relay_id, stages.values())
+                for relay_id, stages in sorted(relays.items())
+            )
+            continue
+        t1 = published[run_id]
         run = campaign.runs.get(run_id)
-        if key not in published:
-            unplaced += _of_relays("no_ping_trace", campaign, run_id, relays[run_id])
+        ping = find_ping_session(campaign, run, t1, doubts) if run else None
+        if run is None or ping is None:
+            reason = "no_ping_session" if run else "no_run_description"
+            unplaced.append(_unplaced(reason, run_id, NO_RELAY, [t1]))
             continue
-        traces = campaign.events.traces(Stage.T1, key)
-        if run is None:
-            events = len(campaign.events.columns(Stage.T1, key))
-            unplaced.append(Unplaced("no_run_description", run_id, NO_RELAY, events, traces))
-            continue
-        ping = _ping_session(campaign, run, doubts)
-        if ping is None:
-            events = len(campaign.events.columns(Stage.T1, key))
-            unplaced.append(Unplaced("no_ping_session", run_id, NO_RELAY, events, traces))
-            continue
-        start_ns = ping.wall_ns(campaign.events.first_ns(Stage.T1, key))
-        for relay_id in sorted(relays.get(run_id, {NO_RELAY})):
-            of_relay = (run_id, relay_id)
-            relay = _relay_session(campaign, of_relay, doubts) if run_id in relays else None
+        for relay_id, stages in sorted(relays.items()) or [(NO_RELAY, {})]:
+            relay = find_relay_session(campaign, run_id, relay_id, stages, doubts) if relays else None
             flaw = next(_flaws(run, ping, relay), "")
             if flaw:
-                events = len(campaign.events.columns(Stage.T1, key))
-                unplaced.append(Unplaced("impossible_description", run_id, relay_id, events, traces, flaw))
+                unplaced.append(_unplaced("impossible_description", run_id, relay_id, [t1], flaw))
                 continue
-            t2, t3, t4 = (campaign.events.count(stage, of_relay) for stage in _REPLY_STAGES)
-            t1 = campaign.events.count(Stage.T1, key)
-            held.append(Exchange(run, ping, relay_id, relay, start_ns, (t1, t2, t3, t4)))
-    return Exchanges(tuple(sorted(held, key=_start)), tuple(unplaced), tuple(doubts))
+            t2, t3, t4 = (_count(stages.get(stage, ())) for stage in (Stage.T2, Stage.T3, Stage.T4))
+            start_ns = ping.wall_ns(min(part.first_ns for part in t1))
+            held.append(Exchange(run, ping, relay_id, relay, start_ns, (_count(t1), t2, t3, t4)))
+    placed = {key for exchange in held for key in exchange.event_keys()}
+    unplaced_parts = (parts for key, parts in campaign.events.items() if key not in placed)
+    copies = (copy for parts in unplaced_parts if len(parts) > 1 for copy in merge_parts(parts)[1])
+    return Exchanges(tuple(sorted(held, key=_start)), tuple(unplaced), tuple(doubts), tuple(copies))
+
+
+def _by_run(index: EventIndex) -> tuple[dict[int, Parts], dict[int, dict[int, dict[Stage, Parts]]]]:
+    """Read the index: run_id -> its T1, and run_id -> relay_id -> stage -> T2, T3 and T4 that name both."""
+    published: dict[int, Parts] = {}
+    relayed: dict[int, dict[int, dict[Stage, Parts]]] = defaultdict(lambda: defaultdict(dict))
+    for (stage, run_id, relay_id), parts in index.items():
+        if stage is Stage.T1:
+            published[run_id] = parts
+        else:
+            relayed[run_id][relay_id][stage] = parts
+    return published, relayed
+
+
+def _count(parts: Parts) -> int:
+    return sum(part.count for part in parts)
+
+
+def _unplaced(reason: str, run_id: int, relay_id: int, stages: Iterable[Parts], detail: str = "") -> Unplaced:
+    held = list(stages)
+    events = sum(len(merge_parts(parts)[0]) for parts in held)
+    traces = sorted({part.trace for parts in held for part in parts})
+    return Unplaced(reason, run_id, relay_id, events, tuple(traces), detail)
 
 
 def _start(exchange: Exchange) -> tuple[int, int, int]:
     return exchange.start_ns, exchange.run.run_id, exchange.relay_id
 
 
-def _relays_by_run(campaign: Campaign) -> dict[int, set[int]]:
-    """Relays that any T2, T3 or T4 of each run names."""
-    relays: dict[int, set[int]] = defaultdict(set)
-    for stage in _REPLY_STAGES:
-        for run_id, relay_id in campaign.events.of[stage]:
-            relays[run_id].add(relay_id)
-    return relays
-
-
-def _of_relays(reason: str, campaign: Campaign, run_id: int, relays: Iterable[int]) -> Iterator[Unplaced]:
-    for relay_id in sorted(relays):
-        key = (run_id, relay_id)
-        events = sum(len(campaign.events.columns(stage, key)) for stage in _REPLY_STAGES)
-        traces = {trace for stage in _REPLY_STAGES for trace in campaign.events.traces(stage, key)}
-        yield Unplaced(reason, run_id, relay_id, events, tuple(sorted(traces)))
-
-
-def _ping_session(campaign: Campaign, run: Run, doubts: list[Doubt]) -> Session | None:
-    """The session that the run names, else the ping session of the trace that holds it."""
-    named = campaign.sessions.get(_hex(run.extra.get("session_id")))
-    if named is not None:
-        return named
-    key = (run.run_id, NO_RELAY)
-    traces = {*campaign.run_traces[run.run_id], *campaign.events.traces(Stage.T1, key)}
-    candidates = _sessions_in(campaign, traces, "ping")
-    if len(candidates) > 1:
-        doubts.append(Doubt("ping", run.run_id, NO_RELAY, tuple(s.session_id for s in candidates)))
-    return _last_started_before(candidates, campaign.events.first_ns(Stage.T1, key))
-
-
-def _relay_session(campaign: Campaign, key: Key, doubts: list[Doubt]) -> Session | None:
-    """The session of the relay in the traces that hold its events, else any that has its relay_id."""
-    run_id, relay_id = key
-    stages = [stage for stage in _RELAY_STAGES if campaign.events.parts(stage, key)]
-    if not stages:
-        same_relay = [s for s in campaign.sessions.values() if s.role == "relay" and s.relay_id == relay_id]
-        return max(same_relay, key=lambda session: session.wall_anchor_ns, default=None)
-    traces = {trace for stage in stages for trace in campaign.events.traces(stage, key)}
-    there = _sessions_in(campaign, traces, "relay")
-    candidates = [s for s in there if s.relay_id == relay_id] or [s for s in there if s.relay_id is None]
-    if len(candidates) > 1:
-        doubts.append(Doubt("relay", run_id, relay_id, tuple(s.session_id for s in candidates)))
-    return _last_started_before(candidates, campaign.events.first_ns(stages[0], key))
-
-
-def _sessions_in(campaign: Campaign, traces: set[int], role: str) -> list[Session]:
-    """Sessions of a role in any of the traces, by start."""
-    found = [
-        session
-        for session_id, session in campaign.sessions.items()
-        if session.role == role and traces & set(campaign.session_traces[session_id])
-    ]
-    return sorted(found, key=lambda session: (session.wall_anchor_ns, session.session_id))
-
-
-def _last_started_before(candidates: list[Session], first_ns: int) -> Session | None:
-    if not candidates:
-        return None
-    before = [session for session in candidates if session.monotonic_anchor_ns <= first_ns]
-    return (before or candidates[:1])[-1]
-
-
-def _hex(text: object) -> int:
-    try:
-        return int(str(text), 16)
-    except ValueError:
-        return -1
-
-
 def _flaws(run: Run, ping: Session, relay: Session | None) -> Iterator[str]:
-    """Numbers of the descriptions that no column can hold."""
+    """Yield the numbers of the descriptions that no column can hold."""
     ranges = (
         ("payload_bytes", run.payload_bytes, _UINT32),
         ("warmup_messages", run.warmup_messages, _UINT64),

@@ -10,9 +10,9 @@ counts, and events that agree in message and instant are one event.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -55,7 +55,7 @@ class Published:
         publish_ns: int64, T1.
         scheduled_ns: int64, T0, or MISSING throughout if the run had no schedule.
         warmup_messages: messages below this sequence number are not counted.
-        messages: distinct messages with a T1, warm-up included.
+        with_warmup: distinct messages with a T1, warm-up included.
         repeated: T1 events beyond the first of their message, which a sound trace never has.
         payload_range_bytes: smallest and largest payload that a T1 event of the run names.
     """
@@ -64,20 +64,15 @@ class Published:
     publish_ns: NDArray[np.int64]
     scheduled_ns: NDArray[np.int64]
     warmup_messages: int
-    messages: int
+    with_warmup: int
     repeated: int
     payload_range_bytes: tuple[int, int]
 
     def __len__(self) -> int:
         return len(self.sequence)
 
-    def counts_only(self) -> Published:
-        """What is known of the messages as a whole, without the messages."""
-        none = np.empty(0, np.int64)
-        return replace(self, sequence=np.empty(0, np.uint64), publish_ns=none, scheduled_ns=none)
-
     def rows(self, sequence: NDArray[np.uint64]) -> NDArray[np.int64]:
-        """The row of each sequence number, -1 where no counted message has it."""
+        """Return the row of each sequence number, -1 where no counted message has it."""
         if not len(self):
             return np.full(len(sequence), -1, np.int64)
         first = self.sequence[0]
@@ -89,8 +84,8 @@ class Published:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RoundTripArrays:
-    """Rows of one exchange, one per counted message in the order of `Published`, and what has no row.
+class PairedMessages:
+    """The fate of a run's counted messages at one relay, in the order of `Published`.
 
     Attributes:
         receive_ns: int64, T2, MISSING if lost.
@@ -112,7 +107,7 @@ class RoundTripArrays:
 
 
 def published_messages(t1: EventColumns, warmup_messages: int) -> Published:
-    """The messages of a run that count, from its T1 events in any order."""
+    """Return the messages of a run that count, from its T1 events in any order."""
     sequence, publish_ns, scheduled_ns = t1.sequence, t1.monotonic_ns, t1.scheduled_ns
     # Two messages cannot both be planned for the boot of the device: a recorder without a schedule left zeros.
     if len(t1) > 1 and not scheduled_ns.any():
@@ -131,7 +126,7 @@ def published_messages(t1: EventColumns, warmup_messages: int) -> Published:
         publish_ns=publish_ns[counted],
         scheduled_ns=scheduled_ns[counted],
         warmup_messages=warmup_messages,
-        messages=len(sequence),
+        with_warmup=len(sequence),
         repeated=repeated,
         payload_range_bytes=(
             int(t1.payload_bytes.min(initial=_UINT32_MAX)),
@@ -142,8 +137,8 @@ def published_messages(t1: EventColumns, warmup_messages: int) -> Published:
 
 def pair_messages(
     published: Published, t2: EventColumns, t3: EventColumns, t4: EventColumns
-) -> RoundTripArrays:
-    """The round trip of every published message through one relay.
+) -> PairedMessages:
+    """Find the earliest T2, T3 and T4 of every published message at one relay.
 
     Args:
         published: the run's counted messages.
@@ -154,7 +149,7 @@ def pair_messages(
     receive_ns, extra, orphan_replies = _earliest(published, t2)
     relay_in_ns, _, orphan_arrivals = _earliest(published, t3)
     relay_out_ns, _, orphan_departures = _earliest(published, t4)
-    return RoundTripArrays(
+    return PairedMessages(
         receive_ns=receive_ns,
         relay_in_ns=relay_in_ns,
         relay_out_ns=relay_out_ns,
@@ -165,10 +160,35 @@ def pair_messages(
     )
 
 
+def middleware_stamps(
+    published: Published, events: EventColumns, instant_ns: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
+    """Return `source_ns` and `received_ns` of the event that each message was paired with, 0 where there is none.
+
+    Args:
+        published: the run's counted messages.
+        events: T2 or T3 of the exchange.
+        instant_ns: int64, the instant of each message's event, MISSING where it has none.
+
+    Returns:
+        None if no event has such stamps.
+    """
+    if not (events.source_ns.any() or events.received_ns.any()):
+        return None
+    source_ns, received_ns = np.zeros(len(published), np.int64), np.zeros(len(published), np.int64)
+    row = published.rows(events.sequence)
+    paired = np.flatnonzero(row >= 0)
+    paired = paired[instant_ns[row[paired]] == events.monotonic_ns[paired]]
+    paired = paired[::-1]  # of two events that are the same the first counts: it is put there last
+    source_ns[row[paired]] = events.source_ns[paired]
+    received_ns[row[paired]] = events.received_ns[paired]
+    return source_ns, received_ns
+
+
 def _earliest(
     published: Published, events: EventColumns
 ) -> tuple[NDArray[np.int64], NDArray[np.uint16], int]:
-    """For each published message its earliest event and how many others it has; and the events without one."""
+    """Return each message's earliest event, its number of further events, and the number of events without a message."""
     earliest = np.full(len(published), MISSING)
     extra = np.zeros(len(published), np.uint16)
     row, instant_ns = published.rows(events.sequence), events.monotonic_ns
@@ -196,7 +216,7 @@ def _outcomes(
     *,
     relay_recorded: bool,
 ) -> NDArray[np.uint8]:
-    """The later a message was seen, the later it was lost; a T4 without T3 (dropped by the recorder) counts."""
+    """Judge by the last place that saw a message; a T4 without T3 (dropped by the recorder) counts."""
     unseen = Outcome.LOST_OUTBOUND if relay_recorded else Outcome.LOST_UNKNOWN
     return np.select(
         [receive_ns != MISSING, relay_out_ns != MISSING, relay_in_ns != MISSING],
@@ -206,7 +226,7 @@ def _outcomes(
 
 
 def _reordered(receive_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Whether a later sequence was received before: its T2 is above the minimum of those that follow."""
+    """Tell whether a later sequence was received before: T2 is above the minimum of those that follow."""
     received = np.where(receive_ns == MISSING, _NEVER, receive_ns)
     minimum_from_here = np.minimum.accumulate(received[::-1])[::-1]
     reordered = np.zeros(len(received), np.bool_)
@@ -218,8 +238,8 @@ def _strictly_rising(values: NDArray[np.uint64]) -> bool:
     return bool((values[1:] > values[:-1]).all())
 
 
-def _is_new(values: NDArray[Any]) -> NDArray[np.bool_]:
-    """Whether each value differs from the one before it."""
+def _is_new(values: NDArray[np.generic]) -> NDArray[np.bool_]:
+    """Tell whether each value differs from the one before it."""
     new = np.ones(len(values), np.bool_)
     new[1:] = values[1:] != values[:-1]
     return new

@@ -18,9 +18,8 @@ from ..model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
 from .pair import OUTCOMES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from pathlib import Path
-    from types import TracebackType
 
     from ..model.column import Column
     from .roundtrips import RoundTrips
@@ -39,8 +38,9 @@ _ARROW_TYPES = {
 }
 
 
-class RoundTripsWriter:
-    """`roundtrips.parquet`, written batch by batch; the file takes its place once it is complete.
+@contextmanager
+def roundtrips_writer(path: Path) -> Iterator[Callable[[pa.Table], None]]:
+    """Write `roundtrips.parquet` batch by batch; the file takes its place once it is complete.
 
     A reader sees the old file or the new one, never half of it. Every field's metadata holds `meaning` and,
     where it has one, `unit`. Times rise by steps or stay within a range, which delta encoding keeps in a quarter of
@@ -49,21 +49,18 @@ class RoundTripsWriter:
     Args:
         path: the file; its folder is made.
 
+    Yields:
+        A function that writes the rows of one batch, made by `table_of`.
+
     Raises:
         OutputError: the folder or the file cannot be written.
     """
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self._stack = ExitStack()
-
-    def __enter__(self) -> RoundTripsWriter:  # noqa: PYI034 - `Self` is Python 3.11's
-        """Begin the file."""
-        with _telling(self.path), ExitStack() as stack:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            draft = stack.enter_context(replacing(self.path))
-            deltas = [c.name for c in ROUNDTRIP_COLUMNS if c.unit == "ns" or c.name == "sequence"]
-            self._writer = stack.enter_context(
+    deltas = [c.name for c in ROUNDTRIP_COLUMNS if c.unit == "ns" or c.name == "sequence"]
+    with ExitStack() as stack:
+        with _telling(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            draft = stack.enter_context(replacing(path))
+            writer = stack.enter_context(
                 pq.ParquetWriter(
                     draft,
                     _AS_WRITTEN,
@@ -74,28 +71,21 @@ class RoundTripsWriter:
                     store_schema=False,
                 )
             )
-            self._stack = stack.pop_all()
-        return self
 
-    def write(self, table: pa.Table) -> None:
-        """Write the rows of one batch, made by `table_of`."""
-        with _telling(self.path):
-            self._writer.write_table(table, row_group_size=_ROWS_PER_GROUP)
+        def write(table: pa.Table) -> None:
+            with _telling(path):
+                writer.write_table(table, row_group_size=_ROWS_PER_GROUP)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Put the file into its place, or nothing if something went wrong."""
-        if error is None:
-            # A dictionary is how a text is stored; readers are told that it is a text, and its unit and meaning.
-            serialized = base64.b64encode(ROUNDTRIPS_SCHEMA.serialize().to_pybytes()).decode()
-            self._writer.add_key_value_metadata({"ARROW:schema": serialized})
-        with _telling(self.path):
-            self._stack.__exit__(kind, error, trace)
+        yield write
+        # A dictionary is how a text is stored; readers are told that it is a text, and its unit and meaning.
+        serialized = base64.b64encode(ROUNDTRIPS_SCHEMA.serialize().to_pybytes()).decode()
+        with _telling(path):
+            writer.add_key_value_metadata({"ARROW:schema": serialized})
+            stack.close()
 
 
 def table_of(roundtrips: RoundTrips) -> pa.Table:
-    """The rows as they are written: texts, which are known by exchange, as dictionaries, so that none is looked at.
+    """Return the rows as they are written: texts, which are known by exchange, as dictionaries.
 
     Texts that are the same throughout share one array of positions in their dictionary.
     """
@@ -120,7 +110,7 @@ def table_of(roundtrips: RoundTrips) -> pa.Table:
 
 
 def write_summary(summary: pl.DataFrame, path: Path) -> None:
-    """Write `summary.parquet`, as `RoundTripsWriter` writes.
+    """Write `summary.parquet`, as `roundtrips_writer` writes.
 
     Raises:
         OutputError: the folder or the file cannot be written.
@@ -151,7 +141,7 @@ _AS_WRITTEN = pa.schema(
 
 @contextmanager
 def _telling(path: Path) -> Iterator[None]:
-    """What the system says becomes an error that says which file, and what to do."""
+    """Turn an error of the system into one that says which file, and what to do."""
     try:
         yield
     except OSError as err:

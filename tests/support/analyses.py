@@ -16,9 +16,10 @@ from dds_trace.analyzer import Analysis, Details, Finding, Severity, Source
 from dds_trace.analyzer.groups.breakdown import break_down, response_against_latency, summarize_breakdown
 from dds_trace.analyzer.groups.freshness import outage_table, summarize_freshness
 from dds_trace.analyzer.groups.host_samples import HOST_SAMPLE_SCHEMA
-from dds_trace.analyzer.groups.interval_frames import INTERVAL_SCHEMA, ONE_WAY_SCHEMA
+from dds_trace.analyzer.groups.intervals import INTERVAL_SCHEMA
+from dds_trace.analyzer.groups.one_way import ONE_WAY_SCHEMA
 from dds_trace.analyzer.pairing.one_way import KNOT_SCHEMA, SEGMENT_SCHEMA
-from dds_trace.analyzer.pairing.rows import RoundTripRows
+from dds_trace.analyzer.pairing.rows import RowStore
 from dds_trace.analyzer.statistics.intervals import percentile_interval
 from dds_trace.analyzer.verdicts.answers import find_answers
 from dds_trace.analyzer.verdicts.bridge_cost import bridge_cost
@@ -240,7 +241,7 @@ def make_analysis(
         sources=(Source("ping.mcap", "read", "", 2 * len(roundtrips)),) if ordered else (),
         sessions=_sessions(ordered),
         runs=tuple(_run(group, one) for group, one in enumerate(ordered)),
-        rows=RoundTripRows(pl.DataFrame(roundtrips, schema=ROUNDTRIPS)),
+        rows=RowStore.of(pl.DataFrame(roundtrips, schema=ROUNDTRIPS)),
         summary=pl.DataFrame(summary, schema=SUMMARY),
         distributions=pl.DataFrame(buckets, schema=DISTRIBUTIONS),
         timeline=pl.DataFrame(timeline, schema=TIMELINE),

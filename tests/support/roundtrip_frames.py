@@ -14,7 +14,7 @@ from dds_trace.analyzer.model.metrics import with_metrics
 from dds_trace.analyzer.model.parameters import PARAMETER_NAMES
 from dds_trace.analyzer.pairing.one_way import ONE_WAY_COLUMNS, fit_exchanges
 from dds_trace.analyzer.pairing.pair import MISSING
-from dds_trace.analyzer.pairing.rows import RoundTripRows, RowsByGroup
+from dds_trace.analyzer.pairing.rows import RowStore
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -116,7 +116,7 @@ def with_one_way(frame: pl.DataFrame) -> pl.DataFrame:
     return frame.drop(ONE_WAY_COLUMNS, strict=False).with_columns(one_way.columns)
 
 
-def rows_by_group(frame: pl.DataFrame) -> RowsByGroup:
+def rows_by_group(frame: pl.DataFrame) -> RowStore:
     """The rows of a frame by group, as an analysis has them."""
     keys = list(PARAMETER_NAMES)
     counts = frame.group_by(keys, maintain_order=True).agg(pl.len().alias("published"))
@@ -124,4 +124,4 @@ def rows_by_group(frame: pl.DataFrame) -> RowsByGroup:
     rows = frame.join(groups, on=keys, how="left", nulls_equal=True).sort(
         "group", "run_id", "relay_id", "sequence"
     )
-    return RowsByGroup(RoundTripRows(rows.select(frame.columns)), groups.drop("group"))
+    return RowStore.of(rows.select(frame.columns), groups.drop("group"))

@@ -9,13 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from roundtrip_frames import MS, roundtrips, steady, with_one_way
 
-from dds_trace.analyzer.groups.freshness import (
-    age_of_information,
-    longest_run,
-    outage_table,
-    runs_of,
-    summarize_freshness,
-)
+from dds_trace.analyzer.groups.age import age_of_information
+from dds_trace.analyzer.groups.freshness import outage_table, summarize_freshness
+from dds_trace.analyzer.groups.outages import longest_run, runs_of
 
 
 def times(*values):

@@ -23,7 +23,13 @@ from trace_files import (
 )
 
 from dds_trace.analyzer import analyze, default_output
-from dds_trace.analyzer.loading.events import gather_events, merge_parts, split_events, total_copies
+from dds_trace.analyzer.loading.events import (
+    index_events,
+    merge_parts,
+    split_events,
+    split_trace,
+    total_copies,
+)
 from dds_trace.tracefile import (
     EVENT_DTYPE,
     EventColumns,
@@ -283,9 +289,10 @@ def test_what_was_copied_is_counted_per_trace(tmp_path):
     write_pair(tmp_path, TIMELINE)
     write_trace(tmp_path / "part.mcap", relay_session(), (), relay_events(TIMELINE[:3]))
     traces = [read_trace(tmp_path / name) for name in ("ping.mcap", "relay.mcap", "part.mcap")]
-    events = gather_events(traces)
-    copies = total_copies(copy for _, parts in events.in_several() for copy in merge_parts(parts)[1])
+    index = index_events(split_trace(trace, position) for position, trace in enumerate(traces))
+    copies = total_copies(copy for parts in index.values() for copy in merge_parts(parts)[1])
     assert [(copy.trace, copy.events, copy.others) for copy in copies] == [(2, 6, (1,))]
-    assert len(events.columns(Stage.T3, (RUN_ID, RELAY_ID))) == 12
-    assert events.traces(Stage.T3, (RUN_ID, RELAY_ID)) == (1, 2)
-    assert len(events.columns(Stage.T3, (RUN_ID, 1))) == 0
+    arrivals = index[Stage.T3, RUN_ID, RELAY_ID]
+    assert len(merge_parts(arrivals)[0]) == 12
+    assert [part.trace for part in arrivals] == [1, 2]
+    assert (Stage.T3, RUN_ID, 1) not in index

@@ -1,0 +1,68 @@
+"""Age of information: how old the newest information at a receiver is, over time.
+
+S. Kaul, R. Yates, M. Gruteser, "Real-time status: how often should one update?", INFOCOM 2012.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True)
+class AgeOfInformation:
+    """How old the newest information at a receiver was, from its first reception to the last.
+
+    Attributes:
+        mean_ns: average over time.
+        peak_mean_ns: average over the peaks, each just before newer information arrived.
+        peak_max_ns: the highest peak.
+        updates: receptions that brought newer information than any before.
+    """
+
+    mean_ns: float
+    peak_mean_ns: float
+    peak_max_ns: int
+    updates: int
+
+
+def age_of_information(
+    generated_ns: NDArray[np.int64], received_ns: NDArray[np.int64]
+) -> AgeOfInformation | None:
+    """Age of information from when each message was made and when it was received, on one clock.
+
+    The age rises by a second each second and falls to `received - generated` when a newer message arrives, a
+    saw-tooth: between updates k and k + 1 it goes from `r[k] - g[k]` to the peak `r[k+1] - g[k]`. An older
+    message that comes late changes nothing.
+
+    Args:
+        generated_ns: int64, of the messages that were received.
+        received_ns: int64, likewise.
+
+    Returns:
+        None with fewer than two updates: there is no time to average over.
+    """
+    order = np.lexsort((generated_ns, received_ns))
+    generated, received = generated_ns[order], received_ns[order]
+    newest_before = np.maximum.accumulate(np.concatenate([[np.iinfo(np.int64).min], generated[:-1]]))
+    newer = generated > newest_before[: len(generated)]
+    generated, received = generated[newer], received[newer]
+    # Of several updates at one instant the last counts: the others never were the newest for any time.
+    last = np.concatenate([received[1:] != received[:-1], [True]]) if len(received) else newer[:0]
+    generated, received = generated[last], received[last]
+    if len(received) < 2:
+        return None
+    fallen = (received - generated)[:-1].astype(np.float64)
+    peaks = received[1:] - generated[:-1]
+    area = (peaks.astype(np.float64) ** 2 - fallen**2) / 2
+    return AgeOfInformation(
+        mean_ns=float(area.sum() / float(received[-1] - received[0])),
+        peak_mean_ns=float(peaks.mean()),
+        peak_max_ns=int(peaks.max()),
+        updates=len(received),
+    )

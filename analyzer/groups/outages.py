@@ -1,0 +1,87 @@
+"""Outages: runs of lost messages, how long they lasted, and how long recovery took."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Int64 = NDArray[np.int64]
+    Bools = NDArray[np.bool_]
+
+OUTAGE_MESSAGES = 3
+"""Lost messages in a row that make an outage: single losses are loss, not an outage."""
+
+RECOVERED_MESSAGES = 5
+"""Messages in a row that must be in time before an outage counts as overcome."""
+
+
+def longest_run(happened: Bools) -> int:
+    """Length of the longest run of True."""
+    return max((stop - start for start, stop in runs_of(happened)), default=0)
+
+
+def runs_of(happened: Bools) -> list[tuple[int, int]]:
+    """Start and stop (one past the end) of each run of True, in order."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], happened, [False]]).astype(np.int8)))
+    return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
+
+
+@dataclass(frozen=True, slots=True)
+class Outage:
+    """A run of lost messages.
+
+    Attributes:
+        first_sequence: first message lost.
+        messages: how many were lost in a row.
+        start_ns: when the first of them was planned (T0, else T1), ping's monotonic clock.
+        end_ns: when the next message that got through was received; None if the run ended first.
+        recovery_ns: from `end_ns` until the first of `RECOVERED_MESSAGES` messages in a row that were in time was
+            received; 0 if they were from the start, None if it never came to that.
+    """
+
+    first_sequence: int
+    messages: int
+    start_ns: int
+    end_ns: int | None
+    recovery_ns: int | None
+
+    @property
+    def duration_ns(self) -> int | None:
+        """How long the receiver had nothing new, None if the run ended first."""
+        return None if self.end_ns is None else self.end_ns - self.start_ns
+
+
+def find_outages(
+    sequence: NDArray[np.uint64],
+    planned_ns: Int64,
+    receive_ns: Int64,
+    lost: Bools,
+    in_time: Bools,
+) -> list[Outage]:
+    """The outages of one run, in order.
+
+    Args:
+        sequence: of every published message, rising.
+        planned_ns: when each was planned to be sent.
+        receive_ns: when its reply was received; anything where `lost`.
+        lost: whether no reply was received.
+        in_time: whether it was received in time, by deadline or by what the run usually needs.
+    """
+    found = []
+    good = in_time & ~lost
+    for start, stop in runs_of(lost):
+        if stop - start < OUTAGE_MESSAGES:
+            continue
+        end = int(receive_ns[stop]) if stop < len(lost) else None
+        recovery = None
+        if end is not None:
+            steady = (s for s, e in runs_of(good[stop:]) if e - s >= RECOVERED_MESSAGES)
+            first = next(steady, None)
+            recovery = None if first is None else max(0, int(receive_ns[stop + first]) - end)
+        found.append(Outage(int(sequence[start]), stop - start, int(planned_ns[start]), end, recovery))
+    return found

@@ -1,0 +1,86 @@
+"""What pairing counts of each exchange: messages, losses, impossible times, spans of time."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+
+from .pair import LOSSES, MISSING, OUTCOMES, Outcome
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from .pair import PairedMessages, Published
+
+COUNT_SCHEMA: dict[str, type[pl.DataType]] = {
+    "published": pl.Int64,
+    "received": pl.Int64,
+    **dict.fromkeys(LOSSES, pl.Int64),
+    "duplicates": pl.Int64,
+    "reordered": pl.Int64,
+    "relay_gaps": pl.Int64,
+    "unscheduled": pl.Int64,
+    "negative_rtt": pl.Int64,
+    "negative_intermediate": pl.Int64,
+    "negative_latency": pl.Int64,
+    "publish_span_ns": pl.Int64,
+    "relay_span_ns": pl.Int64,
+    "reply_span_ns": pl.Int64,
+    "relayed": pl.Int64,
+    "replied": pl.Int64,
+    "orphans": pl.Int64,
+    "with_warmup": pl.Int64,
+    "repeated": pl.Int64,
+    "least_payload_bytes": pl.Int64,
+    "most_payload_bytes": pl.Int64,
+}
+"""Columns of the frame `counts`, one row per exchange; all i64.
+
+`published`, `received`, `lost_*`, `duplicates`, `reordered`: as in the summary. `relay_gaps`: replies without T3 or T4.
+`unscheduled`: messages without T0. `negative_*`: times below zero. `publish_span_ns`, `relay_span_ns`, `reply_span_ns`: first
+to last T1, first T3 to last T4, first to last T2, null without both. `relayed`, `replied`: messages with T3, with T2.
+`orphans`: T2, T3 and T4 of counted messages without T1. Of the run: `with_warmup` messages with a T1, warm-up included;
+`repeated` T1 beyond the first of their message; `least_payload_bytes`, `most_payload_bytes` as its T1 name them.
+"""
+
+
+def count_messages(published: Published, paired: PairedMessages) -> dict[str, int | None]:
+    """Count the messages of one exchange: its row of `COUNT_SCHEMA`."""
+    t0, t1, t2 = published.scheduled_ns, published.publish_ns, paired.receive_ns
+    t3, t4 = paired.relay_in_ns, paired.relay_out_ns
+    replied, relayed, left = t2 != MISSING, t3 != MISSING, t4 != MISSING
+    through = relayed & left
+    rtt_ns, intermediate_ns = t2 - t1, t4 - t3
+    outcomes = dict(zip(OUTCOMES, np.bincount(paired.outcome, minlength=len(OUTCOMES)).tolist(), strict=True))
+    return {
+        "published": len(published),
+        "received": outcomes[Outcome.COMPLETED],
+        **{loss: outcomes[Outcome(loss)] for loss in LOSSES},
+        "duplicates": int(paired.duplicates.sum()),
+        "reordered": np.count_nonzero(paired.reordered),
+        "relay_gaps": np.count_nonzero(replied & ~through),
+        "unscheduled": np.count_nonzero(t0 == MISSING),
+        "negative_rtt": np.count_nonzero(replied & (rtt_ns < 0)),
+        "negative_intermediate": np.count_nonzero(through & (intermediate_ns < 0)),
+        "negative_latency": np.count_nonzero(replied & through & (rtt_ns - intermediate_ns < 0)),
+        "publish_span_ns": _span_ns(t1, t1),
+        "relay_span_ns": _span_ns(t3[relayed], t4[left]),
+        "reply_span_ns": _span_ns(t2[replied], t2[replied]),
+        "relayed": np.count_nonzero(relayed),
+        "replied": np.count_nonzero(replied),
+        "orphans": paired.orphans,
+        "with_warmup": published.with_warmup,
+        "repeated": published.repeated,
+        "least_payload_bytes": published.payload_range_bytes[0],
+        "most_payload_bytes": published.payload_range_bytes[1],
+    }
+
+
+def _span_ns(starts_ns: NDArray[np.int64], ends_ns: NDArray[np.int64]) -> int | None:
+    """Return the time from the first start to the last end, None without both."""
+    if not (len(starts_ns) and len(ends_ns)):
+        return None
+    # Of arrays and not of numbers: stamps that are damage may be too far apart for an int64, and wrap in silence.
+    return int((ends_ns.max(keepdims=True) - starts_ns.min(keepdims=True))[0])

@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING
 from dds_trace.lazy import contents_page
 
 if TYPE_CHECKING:
-    from .backends.base import Discovery, ExecutorKind, NodeOptions, Serialization, Transport
+    from .backends.node import NodeOptions
+    from .choices import Discovery, ExecutorKind, Serialization, Transport
     from .host.recorder_cost import RecorderCost, measure_recorder_cost
     from .options import DEFAULT_MESSAGES, DEFAULT_WARMUP, PingOptions, RecordOptions
     from .recording import Recorded, record

@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import OptionError, OutputExistsError, TraceDestination
 
-from .backends.base import NodeOptions, Serialization
+from .choices import Serialization
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+    from .backends.node import NodeOptions
 
 MAX_RELAY_ID = (1 << 32) - 1
 MAX_RATE_HZ = 1e6

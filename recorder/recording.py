@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import HOST_TOPIC, NoEchoError, TraceSink
 
@@ -19,40 +19,40 @@ from .host.clock import SystemClock
 from .host.privileges import apply_privileges
 from .host.sampling import HostSampler
 from .host.steady import collect_young, steady_interpreter
-from .payloads import load_payload, open_live_payload, served_data_types
+from .payloads import open_payload, served_data_types
 from .roles.echo import explain_silence, look_for_relays
 from .roles.floor import measured_cost, measured_floor
-from .roles.ping import Ping
+from .roles.ping import open_ping
 from .roles.plan import check_serialization, plan_run
 from .roles.relay import Relay
 from .roles.session import describe_session
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from contextlib import AbstractContextManager
 
     from dds_trace.tracefile import ClosedTrace, Run, Session
 
-    from .backends.base import Node
+    from .backends.node import Node
     from .bridges import RunningBridge
     from .options import PingOptions, RecordOptions
     from .payloads.base import Payload
+    from .roles.ping import AnyPing
     from .roles.progress import PingProgress, RelayProgress, Watch
 
 LOOK_S = 0.5
-"""Between two looks at a role while it runs."""
-LIVE_PREFIX = "topic:"
-"""Of `--data` for a live source."""
+"""Time between two looks at a role while it runs."""
 QUIET_LOOKS = 10
-"""A relay that had nothing to do for so many looks has time for housekeeping."""
+"""Idle looks before a relay collects garbage."""
 HOPELESS_S = 3.0
-"""Every so often without an echo, quality of service that can never match ends the wait."""
+"""Part of the wait for an echo after which quality of service that can never match ends it."""
 ALL_RELAYS_S = 3.0
-"""After a first relay has answered, how long to wait for the others in sight."""
+"""Longest wait for the other relays in sight after a first one has answered."""
 
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """What a recording left behind; `run` is None for a relay and for a ping that was stopped before its echo."""
+    """The result of a recording; `run` is None for a relay and for a ping that was stopped before its echo."""
 
     trace: ClosedTrace
     session: Session
@@ -78,7 +78,7 @@ def record(options: RecordOptions, stop: threading.Event, watch: Watch) -> Recor
 
 
 class _Recording:
-    """The two roles with what both need."""
+    """One recording in either role, with what both roles need."""
 
     def __init__(self, options: RecordOptions, stop: threading.Event, watch: Watch) -> None:
         self.options = options
@@ -87,7 +87,7 @@ class _Recording:
         self.clock = SystemClock()
         self.session_id = secrets.randbits(64)
         self.privileges = apply_privileges(options.cpu_affinity, options.realtime_priority)
-        self.costs: dict[str, Any] = {}
+        self.costs: dict[str, object] = {}
         self._told_of_disk = False
 
     def relay(self) -> Recorded:
@@ -119,11 +119,11 @@ class _Recording:
     def ping(self, asked: PingOptions) -> Recorded:
         seed = secrets.randbits(32) if asked.seed is None else asked.seed
         with ExitStack() as stack:
-            payload = self._open_payload(asked, seed, stack)
+            payload = stack.enter_context(self._open_payload(asked, seed))
             plan = plan_run(self.options, asked, payload, session_id=self.session_id, seed=seed)
             self._measure_costs()
             node = stack.enter_context(self._open_node("ping"))
-            ping = Ping(node, plan, self.clock)
+            ping = open_ping(node, plan, self.clock)
             node.start()
             bridge = open_asked_bridge(self.options, asked, payload.data_type, stack)
             self._wait_for_echo(ping, node, asked, bridge)
@@ -137,7 +137,7 @@ class _Recording:
             return Recorded(trace, session, ping.progress(), run)
 
     def _measure_costs(self) -> None:
-        """Before there is a node that could be disturbed."""
+        """Measure the costs of recording, before there is a node that could be disturbed."""
         self.costs = {**measured_cost(), **measured_floor(self.options.backend, self.options.node)}
 
     def _open_node(self, role: str) -> Node:
@@ -159,7 +159,7 @@ class _Recording:
 
     @contextmanager
     def _open_trace(self, session: Session) -> Iterator[TraceSink]:
-        """A sink that is closed whatever happens."""
+        """Open a sink that is closed whatever happens."""
         sink = TraceSink(self.options.destination, session)
         try:
             yield sink
@@ -171,16 +171,18 @@ class _Recording:
             self._told_of_disk = True
             self.watch.note(f"{sink.error}; the node goes on answering, what was written stays readable")
 
-    def _open_payload(self, asked: PingOptions, seed: int, stack: ExitStack) -> Payload:
-        """Data that is made up or read before any node is there, or a live source with a node of its own."""
-        live = asked.data.removeprefix(LIVE_PREFIX)
-        if live == asked.data:
-            return load_payload(asked.data, asked.size_bytes, seed)
-        open_source = partial(self._open_node, "source")
-        return stack.enter_context(open_live_payload(live, open_source, asked.wait_s, self.stop))
+    def _open_payload(self, asked: PingOptions, seed: int) -> AbstractContextManager[Payload]:
+        return open_payload(
+            asked.data,
+            asked.size_bytes,
+            seed,
+            open_node=partial(self._open_node, "source"),
+            wait_s=asked.wait_s,
+            stop=self.stop,
+        )
 
     def _wait_for_echo(
-        self, ping: Ping, node: Node, asked: PingOptions, bridge: RunningBridge | None
+        self, ping: AnyPing, node: Node, asked: PingOptions, bridge: RunningBridge | None
     ) -> None:
         data_type = ping.plan.payload.data_type
         self.watch.note(f"waiting for an echo of {data_type.topic} in domain {node.options.domain_id}")
@@ -206,8 +208,8 @@ class _Recording:
         if came and not ping.wait_for_echo(ALL_RELAYS_S, self.stop, relays):
             self.watch.note(f"{ping.echoing_relays} of {relays} relays in sight answer")
 
-    def _run(self, ping: Ping, node: Node, sink: TraceSink) -> Run:
-        """The run on a thread of its own; this one looks at it now and then."""
+    def _run(self, ping: AnyPing, node: Node, sink: TraceSink) -> Run:
+        """Run the ping on a thread of its own; this one looks at it now and then."""
         end_ns, enough = self._end_ns(), threading.Event()
         with ThreadPoolExecutor(1, thread_name_prefix="ping") as pool:
             future = pool.submit(ping.run, sink, enough)
@@ -247,11 +249,11 @@ class _Recording:
 
 
 def _sampled(sink: TraceSink, bridge: RunningBridge | None = None) -> HostSampler:
-    """Load of this host, of this process and of the bridge's, written once a second within the block."""
+    """Return a sampler that writes the load of this host, this process and the bridge once a second within a block."""
     return HostSampler(partial(sink.write_json, HOST_TOPIC), {} if bridge is None else bridge.processes)
 
 
 def _raise_error_of(node: Node) -> None:
-    """An error in a callback is ours, and ends the recording; the trace is closed on the way out."""
+    """Raise the error of a callback: it is ours, and ends the recording; the trace is closed on the way out."""
     if node.error is not None:
         raise node.error

@@ -7,8 +7,11 @@ from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import OptionError
 
+from .base import Backend, Meeting
+from .node import NodeOptions
+
 if TYPE_CHECKING:
-    from .base import Backend, Node, NodeOptions
+    from .node import Node
 
 BACKEND_MODULES = {
     "ros2": "dds_trace.recorder.backends.ros2",
@@ -17,11 +20,11 @@ BACKEND_MODULES = {
     "connext": "dds_trace.recorder.backends.connext",
     "socket": "dds_trace.recorder.backends.socket",
 }
-"""Name of each backend and the module that holds its `BACKEND`."""
+"""Name of each backend -> the module that holds its `BACKEND`."""
 
 
 def load_backend(name: str) -> Backend:
-    """The backend called `name`; its middleware is imported when the first node is opened.
+    """Return the backend called `name`; its middleware is imported when the first node is opened.
 
     Raises:
         OptionError: there is no such backend.
@@ -32,9 +35,28 @@ def load_backend(name: str) -> Backend:
     return backend
 
 
+def load_backends() -> tuple[Backend, ...]:
+    """Return all backends, in the order in which they are offered; no middleware is imported."""
+    return tuple(map(load_backend, BACKEND_MODULES))
+
+
 def open_node(name: str, options: NodeOptions) -> Node:
-    """A node on the backend called `name`; errors as for `load_backend` and `Backend.open_node`."""
+    """Open a node on the backend called `name`; errors as for `load_backend` and `Backend.open_node`."""
     return load_backend(name).open_node(options)
 
 
-__all__ = ["BACKEND_MODULES", "load_backend", "open_node"]
+def installed_middlewares() -> list[tuple[str, str | None]]:
+    """Return (backend, rmw) of every middleware on this machine; rmw None is the environment's own choice."""
+    return [(backend.name, rmw) for backend in load_backends() for rmw in backend.find_installed()]
+
+
+__all__ = [
+    "BACKEND_MODULES",
+    "Backend",
+    "Meeting",
+    "NodeOptions",
+    "installed_middlewares",
+    "load_backend",
+    "load_backends",
+    "open_node",
+]

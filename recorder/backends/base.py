@@ -1,230 +1,151 @@
-"""What every middleware offers a role: `Backend` opens a `Node`; publishers and subscriptions carry raw CDR.
+"""What the rest of dds-trace knows of a middleware: `Backend`, one record in each file of `recorder/backends/`.
 
-Same names in the same order in every file of `recorder/backends/`. Nothing here imports a middleware.
+Nothing here imports a middleware.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
+from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import Qos
+from dds_trace.tracefile import BackendUnavailableError, OptionError
+
+from ..choices import Discovery, ExecutorKind, Transport
+from ..host.environment import MiddlewareEnvironment
+from .domains import check_domain_id, first_port
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from types import TracebackType
+    from collections.abc import Callable, Sequence
+
+    from .node import Node, NodeOptions
 
 
-class Discovery(Enum):
-    """How far a node looks for others."""
+class Meeting(Enum):
+    """The way in which the nodes of a ping and a relay find each other."""
 
-    LOCALHOST = "localhost"
-    SUBNET = "subnet"
-
-
-class Serialization(Enum):
-    """Whether messages pass the client library as serialized bytes or as message objects."""
-
-    RAW = "raw"
-    TYPED = "typed"
+    DISCOVERY = "discovery"
+    """By themselves; an address is refused."""
+    DISCOVERY_OR_PEERS = "discovery or peers"
+    """By themselves, or at the addresses given."""
+    PEERS = "peers"
+    """The ping connects to the relay's address, the relay listens."""
 
 
-class ExecutorKind(Enum):
-    """Which executor of the client library calls the subscriptions; `AUTO` is the best that is there."""
-
-    AUTO = "auto"
-    EVENTS = "events"
-    SINGLE = "single"
-
-
-class Transport(Enum):
-    """Which transports Fast DDS may use; other vendors know `DEFAULT` alone."""
-
-    DEFAULT = "default"
-    UDP = "udp"
-    SHM = "shm"
-    LARGE_DATA = "large-data"
+DDS_MEETING = (
+    "both have the same --domain and --discovery and a --backend that speaks DDS ({dds_backends}), and the network lets "
+    "multicast through"
+)
+"""Beginning of `Backend.meeting_needs` of a backend that speaks DDS."""
 
 
-@dataclass(frozen=True, slots=True)
-class NodeOptions:
-    """All that a backend needs to know to open a node.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Backend:
+    """One API that carries messages; each module in `BACKEND_MODULES` has one, named `BACKEND`.
 
     Attributes:
-        domain_id: the DDS domain, 0..231; backends without domains keep topics of two domains apart by it.
-        name: of the node in the graph.
-        discovery: how far the node looks for others.
-        qos: of every data topic, unless an endpoint is given its own.
-        executor: which executor calls the subscriptions (`ros2` alone has a choice).
-        rmw: the ROS middleware to run on, None for what the environment says (`ros2` alone has a choice).
-        transport: which transports Fast DDS may use.
-        tuned: apply the documented settings for large messages to the vendor.
-        listens: this node waits for others to connect (a relay), where a backend has such sides.
-        peers: addresses of other nodes, where a backend does not discover them by itself.
+        name: name in `--backend` and in a session.
+        label: name for people.
+        make_node: opens a node that has joined the domain and is not started; an `ImportError` means that the package
+            is missing or broken.
+        find_installed: the ROS middlewares that a node can run on here, found without loading them; `[None]` where
+            there is no choice, empty where the backend cannot run.
+        install: instruction to install the middleware, for the end of a message.
+        meeting: the way in which ping and relay find each other.
+        meeting_needs: what must hold for that, for the end of a sentence, with `{port}` in place of the relay's port
+            and `{dds_backends}` in place of the names of all backends that speak DDS.
+        speaks_dds: whether its nodes meet those of other backends that speak DDS.
+        relay_port: number of the relay's port among the 250 of the domain, of which DDS participants use 0, 1 and
+            those from 10 on; None where the relay does not listen.
+        has_client_library: whether a message passes a client library whose floor can be measured.
+        has_ros: whether it runs on a ROS middleware with an executor, both of which can be chosen.
+        transports: transports that can be chosen.
+        environment: variables and files that change what the middleware does.
     """
 
-    domain_id: int = 10
-    name: str = "dds_trace"
-    discovery: Discovery = Discovery.SUBNET
-    qos: Qos = field(default_factory=Qos)
-    executor: ExecutorKind = ExecutorKind.AUTO
-    rmw: str | None = None
-    transport: Transport = Transport.DEFAULT
-    tuned: bool = False
-    listens: bool = False
-    peers: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class Middleware:
-    """What carries the messages, as the running middleware itself reports it.
-
-    Attributes:
-        backend: the API used: `ros2`, `cyclonedds`, `connext`, `zenoh`, `socket`.
-        vendor: `fastdds`, `cyclonedds`, `connext`, `zenoh`, `socket`, or what the backend reports.
-        rmw: identifier of the running ROS middleware, None outside ROS.
-        versions: version of each library involved, by name.
-        settings: what was really applied (executor, transport, tuned, environment), by name.
-    """
-
-    backend: str
-    vendor: str
-    rmw: str | None
-    versions: Mapping[str, str] = field(default_factory=dict)
-    settings: Mapping[str, str] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True)
-class Endpoint:
-    """One publisher or subscription that a node sees on a topic, its own included.
-
-    Attributes:
-        node_name: of the node it belongs to, empty if unknown.
-        type_name: for example `sensor_msgs/msg/Image`.
-        qos: as offered or requested, None if the middleware does not tell.
-    """
-
-    node_name: str
-    type_name: str
-    qos: Qos | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class TopicView:
-    """What a node sees on one topic at the moment.
-
-    Attributes:
-        incompatible: one line for each pair that will never match, naming the policy and both sides.
-    """
-
-    topic: str
-    publishers: tuple[Endpoint, ...] = ()
-    subscriptions: tuple[Endpoint, ...] = ()
-    incompatible: tuple[str, ...] = ()
-
-
-RawMessage: TypeAlias = "bytes | bytearray"
-"""A whole serialized message: 4 bytes of encapsulation, then CDR."""
-
-
-class Receive(Protocol):
-    """Called once for each received message, on the node's own thread; T2 and T3 are its first instruction.
-
-    The two middleware time stamps (ns since 1970) are 0 where the executor does not give them.
-    """
-
-    def __call__(self, message: Any, source_ns: int = 0, received_ns: int = 0, /) -> None:
-        """Take `message`: `bytes` of CDR, or a message object from a typed subscription."""
-
-
-class Publisher(Protocol):
-    """The sending end of a topic."""
-
-    def publish(self, message: Any, /) -> None:
-        """Hand `message` to the middleware: a `RawMessage`, or a message object if opened as typed.
-
-        The buffer may be changed again as soon as this returns. Any thread may call it, one at a time.
-        """
-
-    def close(self) -> None:
-        """Take the publisher off the topic."""
-
-
-class Subscription(Protocol):
-    """The receiving end of a topic."""
-
-    def close(self) -> None:
-        """Take the subscription off the topic; its callback is not called after the thread's current round."""
-
-
-class Node(Protocol):
-    """One participant in one domain, with a thread of its own that calls its subscriptions.
-
-    Nodes of different domains live side by side in one process. Create the endpoints, then `start`.
-    """
-
-    @property
-    def options(self) -> NodeOptions:
-        """What the node was opened with."""
-
-    @property
-    def middleware(self) -> Middleware:
-        """What carries the messages, from the running middleware."""
-
-    def create_publisher(
-        self, topic: str, type_name: str, *, qos: Qos | None = None, typed: bool = False
-    ) -> Publisher:
-        """A publisher on `topic` (ROS name without slash) of `type_name` (`sensor_msgs/msg/Image`).
-
-        Raises:
-            OptionError: typed messages are asked of a backend that has none.
-        """
-
-    def create_subscription(
-        self, topic: str, type_name: str, receive: Receive, *, qos: Qos | None = None, typed: bool = False
-    ) -> Subscription:
-        """A subscription that calls `receive` for each message once the node is started; errors as above."""
-
-    def message_from_cdr(self, type_name: str, data: RawMessage) -> Any:
-        """The message object that a typed publisher takes, made from serialized bytes; errors as above."""
-
-    def start(self) -> None:
-        """Start the thread that calls the subscriptions. An exception of theirs is kept for `error`."""
-
-    @property
-    def error(self) -> BaseException | None:
-        """What ended the thread, if something did."""
-
-    def look_at(self, topic: str) -> TopicView:
-        """What the node sees on `topic` at the moment, its own endpoints included."""
-
-    def count_participants(self) -> int | None:
-        """Participants (ROS: nodes) seen in the domain, this one included; None if the backend cannot tell."""
-
-    def close(self) -> None:
-        """Stop the thread, send what is still held, leave the domain. Closing twice is allowed."""
-
-    def __enter__(self) -> Node:  # noqa: PYI034 - `Self` is Python 3.11's; a Node is all that callers need
-        """The node itself."""
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close."""
-
-
-class Backend(Protocol):
-    """One API that carries messages; each file of `recorder/backends/` has one, named `BACKEND`."""
-
-    @property
-    def name(self) -> str:
-        """As given to `--backend` and written to the session: `ros2`, `cyclonedds` ..."""
+    name: str
+    label: str
+    make_node: Callable[[NodeOptions], Node]
+    find_installed: Callable[[], Sequence[str | None]]
+    install: str
+    meeting: Meeting
+    meeting_needs: str
+    speaks_dds: bool = False
+    relay_port: int | None = None
+    has_client_library: bool = True
+    has_ros: bool = False
+    transports: tuple[Transport, ...] = (Transport.DEFAULT,)
+    environment: MiddlewareEnvironment = field(default_factory=MiddlewareEnvironment)
 
     def open_node(self, options: NodeOptions) -> Node:
-        """A node that has joined the domain and is not started yet.
+        """Open a node that has joined the domain and is not started yet.
 
         Raises:
-            BackendUnavailableError: the middleware or its licence is not on this machine, and how to get it.
-            OptionError: the options cannot be meant (domain id, transport of another vendor).
+            BackendUnavailableError: the middleware or its licence is not on this machine; the message says how to
+                get it.
+            OptionError: an option has no meaning for this backend.
         """
+        self.check(options)
+        try:
+            return self.make_node(options)
+        except ImportError as err:
+            raise BackendUnavailableError(f"{self.label} cannot be loaded ({err}); {self.install}") from err
+
+    def check(self, options: NodeOptions) -> None:
+        """Refuse options that have no meaning here: an option that is ignored is one that its user believes in.
+
+        Raises:
+            OptionError: naming the option and what this backend knows.
+        """
+        check_domain_id(options.domain_id)
+        if options.rmw is not None and not self.has_ros:
+            raise OptionError(
+                f"--rmw {options.rmw}: the backend {self.name} has no ROS middleware; leave it out"
+            )
+        if options.executor is not ExecutorKind.AUTO and not self.has_ros:
+            raise OptionError(
+                f"--executor {options.executor.value}: the backend {self.name} has none; leave it out"
+            )
+        if options.transport not in self.transports:
+            known = ", ".join(transport.value for transport in self.transports)
+            raise OptionError(f"--transport {options.transport.value}: the backend {self.name} knows {known}")
+        if options.peers and self.meeting is Meeting.DISCOVERY:
+            raise OptionError(
+                f"--peer {options.peers[0]}: the backend {self.name} finds the others by itself; leave it out"
+            )
+
+    def port_of(self, domain_id: int) -> int:
+        """Return the port of the relay of `domain_id`, one that no DDS participant uses."""
+        assert self.relay_port is not None
+        return first_port(domain_id) + self.relay_port
+
+    def describe_meeting(self, domain_id: int, dds_backends: str) -> str:
+        """Return `meeting_needs` for a relay in `domain_id`; `dds_backends` lists the backends that speak DDS."""
+        port = "" if self.relay_port is None else self.port_of(domain_id)
+        return self.meeting_needs.format(port=port, dds_backends=dds_backends)
+
+    def peer_addresses(self, options: NodeOptions) -> tuple[tuple[str, int], ...]:
+        """Return host and port of each relay that a ping connects to.
+
+        Raises:
+            OptionError: an address cannot be read, or there is none and the relay need not be on this device.
+        """
+        port = self.port_of(options.domain_id)
+        if options.discovery is Discovery.LOCALHOST and not options.peers:
+            return (("127.0.0.1", port),)
+        if not options.peers:
+            raise OptionError(
+                f"the backend {self.name} does not look for relays on the network: give the relay's device with "
+                "--peer HOST, or --discovery localhost if it is on this one"
+            )
+        return tuple(_parse_address(text, port) for text in options.peers)
+
+
+def _parse_address(text: str, port: int) -> tuple[str, int]:
+    """Return the host and port that `HOST` or `HOST:PORT` names; `port` in the first case."""
+    host, colon, number = text.rpartition(":")
+    if not colon:
+        return text, port
+    if not host or not number.isdecimal() or not 0 < int(number) < 1 << 16:
+        raise OptionError(f"--peer {text}: write HOST or HOST:PORT")
+    return host, int(number)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING
 
-from .base import Discovery
+from ..choices import Discovery
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -10,9 +10,7 @@ take 32 ms for a megabyte. The only file that imports cyclonedds.
 from __future__ import annotations
 
 import re
-import threading
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import cache, partial
 from importlib import import_module, metadata
 from pathlib import Path
@@ -20,53 +18,26 @@ from typing import TYPE_CHECKING, Any
 
 from dds_trace.tracefile import BackendUnavailableError, OptionError, Qos
 
-from .base import Discovery, Endpoint, Middleware, TopicView
-from .checks import refuse_others_options, refuse_peers, refuse_typed
+from ..choices import Discovery
+from ..host.environment import ConfigurationVariable, MiddlewareEnvironment
+from .base import DDS_MEETING, Backend, Meeting
 from .cyclone_settings import CYCLONE_LOOPBACK, cyclone_settings
-from .dds_types import DDS_TYPES, check_known, dds_name, split_type
+from .dds_types import DDS_TYPES, check_known, dds_name, dds_topic, ros_name, split_type
+from .node import Endpoint, Middleware, TopicView
 from .qos import asked_durations, duration_extra, incompatible_pairs
+from .threaded import LAST_ACKNOWLEDGEMENT_S, ROUND_S, NodeSubscription, ThreadedNode, has_package
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from types import TracebackType
 
-    from .base import (
-        Node,
-        NodeOptions,
-        Publisher,
-        RawMessage,
-        Receive,
-        Subscription,
-    )
+    from .node import NodeOptions, Publisher, RawMessage, Receive, Subscription
 
-WAIT_NS = 100_000_000
-"""One round of the thread; how long `close` may have to wait for it."""
-LAST_ACKNOWLEDGEMENT_NS = 500_000_000
+SECOND_NS = 1_000_000_000
 FOREVER_NS = (1 << 63) - 1
 MAX_ENDPOINTS = 10_000
 
-INSTALL = "pip install 'dds-trace[cyclonedds]' (wheels for x86_64), or build the package `cyclonedds` on this device"
 
-
-class CycloneBackend:
-    """Cyclone DDS; see `Backend` for the names."""
-
-    name = "cyclonedds"
-
-    def open_node(self, options: NodeOptions) -> Node:
-        """A participant in its domain."""
-        refuse_others_options(self.name, options)
-        refuse_peers(self.name, options)
-        try:
-            return CycloneNode(options)
-        except ImportError as err:
-            raise BackendUnavailableError(f"Cyclone DDS cannot be loaded ({err}); {INSTALL}") from err
-
-
-BACKEND = CycloneBackend()
-
-
-class CycloneNode:
+class CycloneNode(ThreadedNode):
     """One participant with its readers' thread; see `Node` for the names."""
 
     def __init__(self, options: NodeOptions) -> None:
@@ -75,7 +46,7 @@ class CycloneNode:
         from cyclonedds.qos import Policy
         from cyclonedds.qos import Qos as CycloneQos
 
-        self._options = options
+        super().__init__(options)
         localhost = CYCLONE_LOOPBACK if options.discovery is Discovery.LOCALHOST else ""
         ours = cyclone_settings(options.discovery, tuned=options.tuned)
         settings = ",".join(filter(None, (localhost, ours)))
@@ -91,7 +62,7 @@ class CycloneNode:
             ) from err
         self._waitset = WaitSet(self._participant)
         self._builtin = _BuiltinReaders(self._participant)
-        self._readers: dict[int, tuple[Any, Receive]] = {}
+        self._readers: dict[int, tuple[Any, Receive[RawMessage]]] = {}
         self._writers: list[_CyclonePublisher] = []
         self._middleware = Middleware(
             "cyclonedds",
@@ -104,52 +75,39 @@ class CycloneNode:
                 **({"CYCLONEDDS_URI": settings} if settings else {}),
             },
         )
-        self._thread: threading.Thread | None = None
-        self._stopping = False
-        self._error: BaseException | None = None
-
-    @property
-    def options(self) -> NodeOptions:
-        """What the node was opened with."""
-        return self._options
-
-    @property
-    def middleware(self) -> Middleware:
-        """What carries the messages."""
-        return self._middleware
 
     def create_publisher(
-        self, topic: str, type_name: str, *, qos: Qos | None = None, typed: bool = False
-    ) -> Publisher:
-        """A writer of bytes."""
+        self, topic: str, type_name: str, *, qos: Qos | None = None
+    ) -> Publisher[RawMessage]:
+        """Create a writer of bytes."""
         from cyclonedds.pub import DataWriter
 
-        refuse_typed("cyclonedds", typed)
-        kept = _cyclone_qos(qos or self._options.qos)
-        writer = DataWriter(self._participant, self._topic(topic, type_name), qos=kept)
-        made = _CyclonePublisher(topic, writer)
-        self._writers.append(made)
-        return made
+        writer = DataWriter(
+            self._participant, self._topic(topic, type_name), qos=_cyclone_qos(qos or self._options.qos)
+        )
+        publisher = _CyclonePublisher(topic, writer)
+        self._writers.append(publisher)
+        return publisher
 
     def create_subscription(
-        self, topic: str, type_name: str, receive: Receive, *, qos: Qos | None = None, typed: bool = False
+        self, topic: str, type_name: str, receive: Receive[RawMessage], *, qos: Qos | None = None
     ) -> Subscription:
-        """A reader of bytes."""
+        """Create a reader of bytes."""
         from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState
         from cyclonedds.sub import DataReader
 
-        refuse_typed("cyclonedds", typed)
-        kept = _cyclone_qos(qos or self._options.qos)
-        reader = DataReader(self._participant, self._topic(topic, type_name), qos=kept)
+        reader = DataReader(
+            self._participant, self._topic(topic, type_name), qos=_cyclone_qos(qos or self._options.qos)
+        )
         condition = ReadCondition(reader, SampleState.Any | ViewState.Any | InstanceState.Any)
         self._waitset.attach(condition)
         self._readers = {**self._readers, reader._ref: (condition, receive)}  # noqa: SLF001 - see `_take`
-        return _CycloneSubscription(partial(self._withdraw, reader))
+        return NodeSubscription(partial(self._withdraw, reader))
 
     def _topic(self, topic: str, type_name: str) -> Any:
         from cyclonedds.topic import Topic
 
-        return Topic(self._participant, f"rt/{topic}", _type_called(type_name))
+        return Topic(self._participant, dds_topic(topic), _type_called(type_name))
 
     def _withdraw(self, reader: Any) -> None:
         readers = dict(self._readers)
@@ -160,73 +118,39 @@ class CycloneNode:
             _delete(condition)
             _delete(reader)
 
-    def message_from_cdr(self, type_name: str, data: RawMessage) -> Any:
-        """There are no message objects."""
-        del type_name, data
-        refuse_typed("cyclonedds", True)
-
-    def start(self) -> None:
-        """Start the thread that waits for data."""
-        self._thread = threading.Thread(
-            target=self._wait, name=f"cyclonedds-domain-{self._options.domain_id}"
-        )
-        self._thread.daemon = True
-        self._thread.start()
-
-    def _wait(self) -> None:
+    def _make_round(self) -> Callable[[], None]:
         # A listener would call from the thread that receives for all of Cyclone DDS, acknowledgements included: a
         # relay's write that waits for one would wait for itself.
-        take, wait = _take(), self._waitset.wait
-        try:
-            while not self._stopping:
-                wait(WAIT_NS)
-                for reader, (_, receive) in self._readers.items():
-                    while samples := take(reader):
-                        for data, info in samples:
-                            if info.valid_data:
-                                receive(data, info.source_timestamp)
-        except BaseException as error:  # noqa: BLE001 - kept for whoever looks at the node; a thread has no caller
-            self._error = error
+        take, wait, patience_ns = _take(), self._waitset.wait, round(ROUND_S * SECOND_NS)
 
-    @property
-    def error(self) -> BaseException | None:
-        """What ended the thread."""
-        return self._error
+        def receive_round() -> None:
+            wait(patience_ns)
+            for reader, (_, receive) in self._readers.items():
+                while samples := take(reader):
+                    for data, info in samples:
+                        if info.valid_data:
+                            receive(data, info.source_timestamp)
+
+        return receive_round
 
     def look_at(self, topic: str) -> TopicView:
-        """Endpoints as Cyclone DDS has discovered them; a ROS 2 node's name is not among what they tell."""
+        """Return the endpoints that Cyclone DDS has discovered; they do not carry the name of a ROS 2 node."""
         names = {key: name for key, name in self._builtin.participants().items() if name}
-        publishers = tuple(self._builtin.endpoints("publications", f"rt/{topic}", names))
-        subscriptions = tuple(self._builtin.endpoints("subscriptions", f"rt/{topic}", names))
+        publishers = tuple(self._builtin.endpoints("publications", dds_topic(topic), names))
+        subscriptions = tuple(self._builtin.endpoints("subscriptions", dds_topic(topic), names))
         named = incompatible_pairs(topic, publishers, subscriptions, self._options.name)
         return TopicView(topic, publishers, subscriptions, tuple(named))
 
     def count_participants(self) -> int | None:
-        """Participants in the domain."""
+        """Count the participants of the domain."""
         return len(self._builtin.participants())
 
-    def close(self) -> None:
-        """Stop the thread, wait for acknowledgements of the last messages, leave the domain."""
-        if self._stopping:
-            return
-        self._stopping = True
-        if self._thread is not None:
-            self._thread.join()
+    def _leave(self) -> None:
         for writer in self._writers:
             writer.wait_until_acknowledged()
         _delete(self._participant)  # and all that it made
         if self._domain is not None:
             _delete(self._domain)
-
-    def __enter__(self) -> CycloneNode:  # noqa: PYI034 - `Self` is Python 3.11's
-        """The node itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close."""
-        self.close()
 
 
 class _CyclonePublisher:
@@ -248,25 +172,17 @@ class _CyclonePublisher:
             )
 
     def wait_until_acknowledged(self) -> None:
-        """A participant that leaves at once takes its last messages with it."""
+        """Wait until the last messages have arrived, for `LAST_ACKNOWLEDGEMENT_S` at most."""
         with suppress(Exception):  # closed before: nothing to wait for
-            self._writer.wait_for_acks(LAST_ACKNOWLEDGEMENT_NS)
+            self._writer.wait_for_acks(round(LAST_ACKNOWLEDGEMENT_S * SECOND_NS))
 
     def close(self) -> None:
         self.wait_until_acknowledged()
         _delete(self._writer)
 
 
-@dataclass(frozen=True, slots=True)
-class _CycloneSubscription:
-    withdraw: Callable[[], None]
-
-    def close(self) -> None:
-        self.withdraw()
-
-
 class _BuiltinReaders:
-    """What Cyclone DDS has discovered, kept current by the readers of DDS's own topics."""
+    """The readers of DDS's own topics, which hold the participants and endpoints discovered so far."""
 
     def __init__(self, participant: Any) -> None:
         from cyclonedds import builtin
@@ -285,7 +201,7 @@ class _BuiltinReaders:
         return [sample for sample in samples if sample.sample_info.valid_data]
 
     def participants(self) -> dict[Any, str]:
-        """Name of each participant by its key, empty if it has none."""
+        """Return key -> name of each participant; the name is empty if it has none."""
         from cyclonedds.qos import Policy
 
         return {
@@ -293,17 +209,19 @@ class _BuiltinReaders:
             for found in self._read("participants")
         }
 
-    def endpoints(self, kind: str, dds_topic: str, names: dict[Any, str]) -> list[Endpoint]:
-        """Writers (`publications`) or readers (`subscriptions`) of a topic."""
+    def endpoints(self, kind: str, topic: str, names: dict[Any, str]) -> list[Endpoint]:
+        """Return the writers (`publications`) or readers (`subscriptions`) of a topic of DDS."""
         return [
-            Endpoint(names.get(found.participant_key, ""), _ros_name(found.type_name), _qos(found.qos))
-            for found in self._read(kind)
-            if found.topic_name == dds_topic
+            Endpoint(
+                names.get(endpoint.participant_key, ""), ros_name(endpoint.type_name), _qos(endpoint.qos)
+            )
+            for endpoint in self._read(kind)
+            if endpoint.topic_name == topic
         ]
 
 
 def _configured_domain(domain_id: int, settings: str) -> Any:
-    """The domain with our settings, or None if a node of this process is in it already and has set it up."""
+    """Open the domain with our settings; return None if another node of this process has set it up already."""
     from cyclonedds.core import DDSException
     from cyclonedds.domain import Domain
 
@@ -316,12 +234,12 @@ def _configured_domain(domain_id: int, settings: str) -> Any:
 
 
 def _c_layer() -> Any:
-    """The compiled part of the package, which knows messages as bytes."""
+    """Return the compiled part of the package, which takes messages as bytes."""
     return import_module("cyclonedds._clayer")
 
 
 def _take() -> Callable[[int], list[tuple[bytes, Any]]]:
-    """Takes the next message of a reader: its bytes and what DDS knows of it; nothing if there is none."""
+    """Return a function that takes a reader's next message, as its bytes and its DDS sample information, if there is one."""
     from cyclonedds.core import DDSException, InstanceState, SampleState, ViewState
 
     ddspy_take = _c_layer().ddspy_take
@@ -342,7 +260,7 @@ def _take() -> Callable[[int], list[tuple[bytes, Any]]]:
 
 @cache
 def _type_called(type_name: str) -> Any:
-    """The message type as Cyclone DDS knows it, which checks each serialized message against it.
+    """Return the message type for Cyclone DDS, which checks each serialized message against it.
 
     Raises:
         OptionError: the type is not known here.
@@ -363,12 +281,6 @@ def _member_type(text: str) -> Any:
     if length is None:
         return element
     return idl.array[element, length] if length else idl.sequence[element]
-
-
-def _ros_name(dds_type: str) -> str:
-    """`sensor_msgs/msg/Image` of `sensor_msgs::msg::dds_::Image_`; any other name as it is."""
-    found = re.fullmatch(r"(\w+)::(\w+)::dds_::(\w+)_", dds_type)
-    return dds_type if found is None else "/".join(found.groups())
 
 
 def _cyclone_qos(qos: Qos) -> Any:
@@ -397,20 +309,20 @@ def _cyclone_qos(qos: Qos) -> Any:
     return CycloneQos(*policies)
 
 
-def _qos(found: Any) -> Qos:
-    """Ours, of an endpoint that was discovered; what it does not tell is empty."""
+def _qos(policies: Any) -> Qos:
+    """Return the quality of service of a discovered endpoint; policies that it does not report are empty."""
     from cyclonedds.qos import Policy
 
     reliability, durability = (
-        re.sub(r"(?<=[a-z])(?=[A-Z])", "_", type(found[policy]).__name__.rpartition(".")[2]).lower()
-        if policy in found
+        re.sub(r"(?<=[a-z])(?=[A-Z])", "_", type(policies[policy]).__name__.rpartition(".")[2]).lower()
+        if policy in policies
         else ""
         for policy in (Policy.Reliability, Policy.Durability)
     )
     durations_ns = {
-        policy.__scope__.lower(): getattr(found[policy], policy.__scope__.lower())
+        policy.__scope__.lower(): getattr(policies[policy], policy.__scope__.lower())
         for policy in (Policy.Deadline, Policy.Lifespan)
-        if policy in found
+        if policy in policies
     }
     return Qos(reliability, durability, "", 0, duration_extra(durations_ns))
 
@@ -420,8 +332,23 @@ def _delete(entity: Any) -> None:
 
 
 def _library_version() -> dict[str, str]:
-    """Version of the library that is loaded, from its file name."""
+    """Return the version of the library that is loaded, from its file name."""
     with suppress(OSError):
-        if found := re.search(r"libddsc\S*\.so\.([\d.]+)", Path("/proc/self/maps").read_text()):
-            return {"libddsc": found[1]}
+        if version := re.search(r"libddsc\S*\.so\.([\d.]+)", Path("/proc/self/maps").read_text()):
+            return {"libddsc": version[1]}
     return {}
+
+
+BACKEND = Backend(
+    name="cyclonedds",
+    label="Cyclone DDS",
+    make_node=CycloneNode,
+    find_installed=lambda: [None] if has_package("cyclonedds") else [],
+    install=(
+        "pip install 'dds-trace[cyclonedds]' (wheels for x86_64), or build the package `cyclonedds` on this device"
+    ),
+    meeting=Meeting.DISCOVERY,
+    meeting_needs=DDS_MEETING + " (else list peers in CYCLONEDDS_URI)",
+    speaks_dds=True,
+    environment=MiddlewareEnvironment(configuration=(ConfigurationVariable("CYCLONEDDS_URI", ","),)),
+)

@@ -1,6 +1,8 @@
-"""What the ROS message types are made of, for backends and bridges that speak DDS without ROS and must be told."""
+"""The ROS message types and their names in DDS, for backends and bridges that speak DDS without ROS."""
 
 from __future__ import annotations
+
+import re
 
 from dds_trace.tracefile import OptionError
 
@@ -56,7 +58,7 @@ A type stands behind those that it is made of, and the types of a package stand 
 
 
 def split_type(text: str) -> tuple[str, int | None]:
-    """The element type and the length of an array, 0 for a sequence, None for a single value."""
+    """Return the element type and the length of an array; the length is 0 for a sequence, None for a single value."""
     element, bracket, length = text.removesuffix("]").partition("[")
     return element, int(length or 0) if bracket else None
 
@@ -73,6 +75,17 @@ def check_known(backend: str, type_name: str) -> None:
 
 
 def dds_name(type_name: str) -> tuple[str, str, str]:
-    """Package, kind and name of the type as ROS 2 calls it in DDS: `sensor_msgs`, `msg`, `Image_`."""
+    """Return package, kind and name of the type in DDS: `sensor_msgs`, `msg`, `Image_`."""
     package, kind, name = type_name.split("/")
     return package, kind, f"{name}_"
+
+
+def ros_name(dds_type: str) -> str:
+    """Return `sensor_msgs/msg/Image` for `sensor_msgs::msg::dds_::Image_`; any other name as it is."""
+    parts = re.fullmatch(r"(\w+)::(\w+)::dds_::(\w+)_", dds_type)
+    return dds_type if parts is None else "/".join(parts.groups())
+
+
+def dds_topic(topic: str) -> str:
+    """Return the name in DDS of the ROS topic `topic`."""
+    return f"rt/{topic}"

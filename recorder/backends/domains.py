@@ -1,4 +1,4 @@
-"""The guard of DDS domain ids: which ports a domain has on this machine, and who is in them already.
+"""The guard of DDS domain ids: the ports of a domain on this machine, and the participants that have taken them.
 
 Ports are 7400 + 250 * domain, then 10 + 2 * participant for discovery (DDSI-RTPS 2.5, section 9.6.2.3). The
 discovery port of participant 120 is the first port of the next domain; nothing in DDS says so.
@@ -11,15 +11,24 @@ from pathlib import Path
 from dds_trace.tracefile import OptionError
 
 LAST_DOMAIN = 231
-"""Of domain 232 even the first participant has no ports below 65536."""
-
+"""Highest domain id: of domain 232 even the first participant has no ports below 65536."""
 PARTICIPANTS_PER_DOMAIN = 120
 _PORT_BASE, _DOMAIN_GAIN, _FIRST_PARTICIPANT = 7400, 250, 10
 _PROC = Path("/proc")
 
 
+def check_domain_id(domain_id: int) -> None:
+    """Refuse a number that is no DDS domain id.
+
+    Raises:
+        OptionError: naming the range.
+    """
+    if not 0 <= domain_id <= LAST_DOMAIN:
+        raise OptionError(f"--domain {domain_id}: a DDS domain id is 0 to {LAST_DOMAIN}")
+
+
 def check_domain(domain_id: int, proc: Path = _PROC) -> list[str]:
-    """Warnings about joining `domain_id` now, counted on the running system; empty if nothing speaks against it.
+    """Return warnings about joining `domain_id` now, counted on the running system.
 
     Args:
         domain_id: the domain to join.
@@ -28,8 +37,7 @@ def check_domain(domain_id: int, proc: Path = _PROC) -> list[str]:
     Raises:
         OptionError: there is no such domain, or one more participant would use the next domain's ports.
     """
-    if not 0 <= domain_id <= LAST_DOMAIN:
-        raise OptionError(f"--domain {domain_id}: a DDS domain id is 0 to {LAST_DOMAIN}")
+    check_domain_id(domain_id)
     ports = bound_udp_ports(proc)
     if len(participants_in(domain_id, ports)) >= PARTICIPANTS_PER_DOMAIN:
         raise OptionError(
@@ -52,18 +60,18 @@ def check_domain(domain_id: int, proc: Path = _PROC) -> list[str]:
 
 
 def first_port(domain_id: int) -> int:
-    """The first of the 250 ports of a domain."""
+    """Return the first of the 250 ports of a domain."""
     return _PORT_BASE + _DOMAIN_GAIN * domain_id
 
 
 def participants_in(domain_id: int, ports: set[int]) -> list[int]:
-    """Numbers of the participants of this machine whose discovery port is among `ports`."""
+    """Return the numbers of this machine's participants whose discovery port is among `ports`."""
     first = first_port(domain_id) + _FIRST_PARTICIPANT
     return [number for number in range(PARTICIPANTS_PER_DOMAIN) if first + 2 * number in ports]
 
 
 def bound_udp_ports(proc: Path = _PROC) -> set[int]:
-    """Local ports of all UDP sockets in this network namespace."""
+    """Return the local ports of all UDP sockets in this network namespace."""
     ports: set[int] = set()
     for name in ("net/udp", "net/udp6"):
         try:
@@ -75,7 +83,7 @@ def bound_udp_ports(proc: Path = _PROC) -> set[int]:
 
 
 def first_ephemeral_port(proc: Path = _PROC) -> int | None:
-    """The lowest port that the kernel hands out by itself, None if it does not tell."""
+    """Return the lowest port that the kernel hands out by itself, None if it does not report it."""
     try:
         return int((proc / "sys/net/ipv4/ip_local_port_range").read_text().split()[0])
     except (OSError, ValueError, IndexError):

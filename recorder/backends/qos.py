@@ -1,9 +1,10 @@
-"""Which pairs of a publisher and a subscription can never match, said in words."""
+"""Quality of service: the durations it asks for, and the pairs of a publisher and a subscription that can never match."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from dds_trace.tracefile import OptionError
 from dds_trace.tracefile.units.durations import INFINITE_NS, spell_duration
 
 if TYPE_CHECKING:
@@ -11,7 +12,7 @@ if TYPE_CHECKING:
 
     from dds_trace.tracefile import Qos
 
-    from .base import Endpoint
+    from .node import Endpoint
 
 # A publisher must offer at least what a subscription requests (DDS 1.4, section 2.2.3). From weak to strong.
 RANKS = {
@@ -20,16 +21,17 @@ RANKS = {
 }
 
 DURATION_POLICIES = ("deadline", "lifespan")
+"""Policies that are durations; `Qos.extra` has them as `deadline_ns` and `lifespan_ns`."""
 
 
 def asked_durations(qos: Qos) -> dict[str, int]:
-    """The ns of those of `DURATION_POLICIES` that `qos` asks for; one that is left out is without end."""
+    """Return policy -> ns for those of `DURATION_POLICIES` that `qos` asks for; one that is left out is infinite."""
     given = {policy: qos.extra.get(f"{policy}_ns") for policy in DURATION_POLICIES}
     return {policy: duration_ns for policy, duration_ns in given.items() if duration_ns is not None}
 
 
 def duration_extra(durations_ns: Mapping[str, int]) -> dict[str, int]:
-    """`Qos.extra` of an endpoint whose middleware tells these: without what has no end, or is 0, ROS 2's word for that."""
+    """Return `Qos.extra` from reported durations in ns; infinite ones, and 0 (ROS 2's infinite), are left out."""
     return {
         f"{policy}_ns": duration_ns
         for policy, duration_ns in durations_ns.items()
@@ -37,33 +39,44 @@ def duration_extra(durations_ns: Mapping[str, int]) -> dict[str, int]:
     }
 
 
+def refuse_durations(backend: str, qos: Qos) -> None:
+    """Refuse a deadline and a lifespan, which DDS alone has.
+
+    Raises:
+        OptionError: `qos` asks for one.
+    """
+    for policy in asked_durations(qos):
+        raise OptionError(f"--{policy}: the backend {backend} has no such quality of service; leave it out")
+
+
 def mismatches(offered: Qos, requested: Qos) -> list[str]:
-    """The policies in which `offered` falls short of `requested`; a value that is unknown is no mismatch.
+    """Return a text for each policy in which `offered` falls short of `requested`; an unknown value never does.
 
     A deadline (`Qos.extra`, `deadline_ns`) falls short if it is longer than the requested one or there is none.
     """
-    found = []
+    shortfalls = []
     for policy, ranks in RANKS.items():
         offers, requests = getattr(offered, policy), getattr(requested, policy)
         if offers in ranks and requests in ranks and ranks.index(offers) < ranks.index(requests):
-            found.append(f"{policy} ({offers} offered, {requests} requested)")
+            shortfalls.append(f"{policy} ({offers} offered, {requests} requested)")
     offers_ns, requests_ns = offered.extra.get("deadline_ns"), requested.extra.get("deadline_ns")
     if requests_ns is not None and (offers_ns is None or offers_ns > requests_ns):
-        offers = "none" if offers_ns is None else spell_duration(offers_ns)
-        found.append(f"deadline ({offers} offered, {spell_duration(requests_ns)} requested)")
-    return found
+        offers = "none" if offers_ns is None else spell_duration(offers_ns, digits=6)
+        shortfalls.append(f"deadline ({offers} offered, {spell_duration(requests_ns, digits=6)} requested)")
+    return shortfalls
 
 
 def incompatible_pairs(
     topic: str, publishers: Iterable[Endpoint], subscriptions: Iterable[Endpoint], own_name: str
 ) -> Iterator[str]:
-    """One line for each pair on `topic` that will never match and of which one side is the node `own_name`."""
-    held = list(subscriptions)
+    """Yield a line for each pair on `topic` that can never match and of which one side is the node `own_name`."""
+    subscriptions = list(subscriptions)
     for publisher in publishers:
-        for subscription in held:
+        for subscription in subscriptions:
             names = publisher.node_name, subscription.node_name
             if own_name not in names or publisher.qos is None or subscription.qos is None:
                 continue
-            found = mismatches(publisher.qos, subscription.qos)
-            if found:
-                yield f"{topic}: publisher of {names[0]} and subscription of {names[1]} differ in {', '.join(found)}"
+            shortfalls = mismatches(publisher.qos, subscription.qos)
+            if shortfalls:
+                policies = ", ".join(shortfalls)
+                yield f"{topic}: publisher of {names[0]} and subscription of {names[1]} differ in {policies}"

@@ -14,66 +14,39 @@ from functools import partial
 from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.tracefile import BackendUnavailableError, OptionError, Qos
+from dds_trace.tracefile import OptionError
 
-from .base import Discovery, Endpoint, Middleware, TopicView
-from .checks import (
-    ZENOH_PORT,
-    peer_addresses,
-    port_of,
-    refuse_durations,
-    refuse_others_options,
-    refuse_typed,
-)
+from ..choices import Discovery
+from ..host.environment import ConfigurationVariable, MiddlewareEnvironment
+from .base import Backend, Meeting
+from .node import Endpoint, Middleware, TopicView
+from .qos import refuse_durations
+from .threaded import OpenNode, has_package
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from types import TracebackType
 
-    from .base import (
-        Node,
-        NodeOptions,
-        Publisher,
-        RawMessage,
-        Receive,
-        Subscription,
-    )
+    from dds_trace.tracefile import Qos
 
-INSTALL = "pip install 'dds-trace[zenoh]'"
+    from .node import NodeOptions, Publisher, RawMessage, Receive, Subscription
+
 MULTICAST = "multicast"
-"""As a peer's address: look for others by multicast."""
+"""Address of a peer that stands for: look for others by multicast."""
 KEY_PREFIX = "dds_trace"
-"""Topic `NAME` of domain 10 is the key `dds_trace/10/data/NAME`; domains stay apart by it even at one address."""
+"""First part of every key: topic `NAME` of domain 10 is `dds_trace/10/data/NAME`, so domains stay apart at one address."""
 LOOK_S = 2.0
-"""How long to wait for what others tell of their endpoints."""
+"""Longest wait for what others report of their endpoints."""
 PUBLISHER, SUBSCRIPTION = "publisher", "subscription"
 
 
-class ZenohBackend:
-    """Zenoh; see `Backend` for the names."""
-
-    name = "zenoh"
-
-    def open_node(self, options: NodeOptions) -> Node:
-        """A peer that listens (a relay) or connects (a ping)."""
-        refuse_others_options(self.name, options)
-        _check_qos(options.qos)
-        try:
-            return ZenohNode(options)
-        except ImportError as err:
-            raise BackendUnavailableError(f"zenoh cannot be loaded ({err}); {INSTALL}") from err
-
-
-BACKEND = ZenohBackend()
-
-
-class ZenohNode:
+class ZenohNode(OpenNode):
     """One zenoh session, which has a thread for each subscription; see `Node` for the names."""
 
     def __init__(self, options: NodeOptions) -> None:
         import zenoh
 
-        self._options = options
+        super().__init__(options)
+        _check_qos(options.qos)
         zenoh.init_log_from_env_or("error")
         configuration = zenoh_configuration(options)
         try:
@@ -98,27 +71,15 @@ class ZenohNode:
                 else "false",
             },
         )
-        self._waiting: list[_ZenohSubscription] = []
-        self._started = self._closed = False
-        self._error: BaseException | None = None
-
-    @property
-    def options(self) -> NodeOptions:
-        """What the node was opened with."""
-        return self._options
-
-    @property
-    def middleware(self) -> Middleware:
-        """What carries the messages."""
-        return self._middleware
+        self._subscriptions: list[_ZenohSubscription] = []
+        self._started = False
 
     def create_publisher(
-        self, topic: str, type_name: str, *, qos: Qos | None = None, typed: bool = False
-    ) -> Publisher:
-        """A publisher of bytes."""
+        self, topic: str, type_name: str, *, qos: Qos | None = None
+    ) -> Publisher[RawMessage]:
+        """Create a publisher of bytes."""
         import zenoh
 
-        refuse_typed("zenoh", typed)
         qos = qos or self._options.qos
         _check_qos(qos)
         is_reliable = qos.reliability == "reliable"
@@ -130,59 +91,48 @@ class ZenohNode:
             reliability=reliability.RELIABLE if is_reliable else reliability.BEST_EFFORT,
             express=True,  # at once, not in a batch with the next message
         )
-        return _ZenohPublisher(publisher, publisher.put, self._tell_of(PUBLISHER, topic, type_name))
+        return _ZenohPublisher(publisher, publisher.put, self._announce(PUBLISHER, topic, type_name))
 
     def create_subscription(
-        self, topic: str, type_name: str, receive: Receive, *, qos: Qos | None = None, typed: bool = False
+        self, topic: str, type_name: str, receive: Receive[RawMessage], *, qos: Qos | None = None
     ) -> Subscription:
-        """A subscription of bytes."""
-        refuse_typed("zenoh", typed)
+        """Create a subscription of bytes."""
         _check_qos(qos or self._options.qos)
         declare = partial(self._session.declare_subscriber, self._key("data", topic), self._guarded(receive))
-        made = _ZenohSubscription(declare, self._tell_of(SUBSCRIPTION, topic, type_name))
-        self._waiting.append(made)
+        subscription = _ZenohSubscription(declare, self._announce(SUBSCRIPTION, topic, type_name))
+        self._subscriptions.append(subscription)
         if self._started:
-            made.open()
-        return made
+            subscription.open()
+        return subscription
 
-    def _guarded(self, receive: Receive) -> Callable[[Any], None]:
+    def _guarded(self, receive: Receive[RawMessage]) -> Callable[[Any], None]:
         # zenoh puts each sample into a queue, from which a thread of Python's calls this. Called by zenoh's own
         # thread (`indirect=False`), a round trip of 1 MB took 4.2 ms instead of 1.7.
         def on_sample(sample: Any) -> None:
-            if self._error is None:
+            if self.error is None:
                 try:
                     receive(sample.payload.to_bytes())
                 except BaseException as error:  # noqa: BLE001 - kept for whoever looks at the node
-                    self._error = error
+                    self.error = error
 
         return on_sample
 
     def _key(self, *parts: str) -> str:
         return "/".join((KEY_PREFIX, str(self._options.domain_id), *parts))
 
-    def _tell_of(self, kind: str, topic: str, type_name: str) -> Any:
-        """A sign of an endpoint that others can ask for, and that goes with the session."""
+    def _announce(self, kind: str, topic: str, type_name: str) -> Any:
+        """Return the token of an endpoint, which others can ask for and which goes with the session."""
         key = self._key("endpoint", kind, topic, self._options.name, type_name.replace("/", "."))
         return self._session.liveliness().declare_token(key)
-
-    def message_from_cdr(self, type_name: str, data: RawMessage) -> Any:
-        """There are no message objects."""
-        del type_name, data
-        refuse_typed("zenoh", True)
 
     def start(self) -> None:
         """Open the subscriptions; zenoh has a thread for each."""
         self._started = True
-        for subscription in self._waiting:
+        for subscription in self._subscriptions:
             subscription.open()
 
-    @property
-    def error(self) -> BaseException | None:
-        """What a subscription raised."""
-        return self._error
-
     def look_at(self, topic: str) -> TopicView:
-        """The endpoints that tell of themselves; zenoh matches any pair."""
+        """Return the endpoints that announce themselves; zenoh matches any pair."""
         return TopicView(
             topic,
             tuple(self._endpoints(PUBLISHER, topic)),
@@ -196,24 +146,15 @@ class ZenohNode:
         return [Endpoint(name, type_name.replace(".", "/")) for name, type_name in parts]
 
     def count_participants(self) -> int | None:
-        """Sessions that this one is connected to, and itself."""
+        """Count the sessions that this one is connected to, and itself."""
         return 1 + len(self._session.info.peers_zid()) + len(self._session.info.routers_zid())
 
-    def close(self) -> None:
+    def _stop_receiving(self) -> None:
+        """Do nothing: zenoh's threads end with the session."""
+
+    def _leave(self) -> None:
         """Close the session, which sends what it still holds."""
-        if not self._closed:
-            self._closed = True
-            self._session.close()
-
-    def __enter__(self) -> ZenohNode:  # noqa: PYI034 - `Self` is Python 3.11's
-        """The node itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close."""
-        self.close()
+        self._session.close()
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,19 +193,18 @@ class _ZenohSubscription:
 
 
 def zenoh_configuration(options: NodeOptions) -> dict[str, Any]:
-    """`mode`, `listen`, `connect` and `scouting` of zenoh's configuration for one role.
+    """Return `mode`, `listen`, `connect` and `scouting` of zenoh's configuration for one role.
 
     Raises:
-        OptionError: the ping is not told where the relay is.
+        OptionError: the ping does not know where the relay is.
     """
-    port = port_of(options.domain_id, ZENOH_PORT)
     multicast = MULTICAST in options.peers
     listen, connect = [], []
     if options.listens:
         host = "127.0.0.1" if options.discovery is Discovery.LOCALHOST else "0.0.0.0"  # noqa: S104 - the subnet was asked for
-        listen = [f"tcp/{host}:{port}"]
+        listen = [f"tcp/{host}:{BACKEND.port_of(options.domain_id)}"]
     elif not multicast:
-        connect = [f"tcp/{host}:{number}" for host, number in peer_addresses("zenoh", options, port)]
+        connect = [f"tcp/{host}:{number}" for host, number in BACKEND.peer_addresses(options)]
     elif options.discovery is Discovery.LOCALHOST:
         raise OptionError("--peer multicast looks beyond this device; give --discovery subnet as well")
     return {
@@ -286,3 +226,26 @@ def _check_qos(qos: Qos) -> None:
         raise OptionError(
             f"--durability {qos.durability}: zenoh keeps no message for those who come later without a storage"
         )
+
+
+BACKEND = Backend(
+    name="zenoh",
+    label="Zenoh",
+    make_node=ZenohNode,
+    find_installed=lambda: [None] if has_package("zenoh") else [],
+    install="pip install 'dds-trace[zenoh]'",
+    meeting=Meeting.PEERS,
+    meeting_needs=(
+        "both have --backend zenoh and the same --domain, --peer names the relay's device, and nothing blocks its TCP "
+        "port {port}"
+    ),
+    relay_port=9,
+    environment=MiddlewareEnvironment(
+        configuration=(
+            ConfigurationVariable("ZENOH_CONFIG"),
+            ConfigurationVariable("ZENOH_SESSION_CONFIG_URI"),
+            ConfigurationVariable("ZENOH_ROUTER_CONFIG_URI"),
+            ConfigurationVariable("ZENOH_CONFIG_OVERRIDE"),
+        )
+    ),
+)

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Protocol
 
 from dds_trace.tracefile import OptionError, Qos
 
-from ..backends.base import Discovery, Transport
 from ..backends.domains import LAST_DOMAIN
+from ..choices import Discovery, Transport
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

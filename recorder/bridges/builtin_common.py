@@ -13,14 +13,15 @@ from dds_trace.tracefile import Qos, TraceError, TraceFormatError
 from dds_trace.tracefile.units.counts import counted
 
 from ..backends import open_node
-from ..backends.base import Discovery, NodeOptions, Transport
+from ..backends.node import NodeOptions
+from ..choices import Discovery, Transport
 from ..host.steady import collect_young, steady_interpreter
 from .base import BridgedTopic, BridgeOptions, Half
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from ..backends.base import Node, Receive
+    from ..backends.node import Node, RawMessage, Receive
     from .base import BridgeSide
 
 INSTALL_ROS2 = "it needs ROS 2's rclpy: pip install 'dds-trace[ros2]', or source /opt/ros/DISTRO/setup.bash"
@@ -100,7 +101,7 @@ class Traffic:
     def __init__(self) -> None:
         self._counts: list[list[int]] = []
 
-    def forward(self, hand_on: Callable[[bytes], None]) -> Receive:
+    def forward(self, hand_on: Callable[[bytes], None]) -> Receive[RawMessage]:
         """A callback that hands each serialized message on as it is."""
         count = [0]
         self._counts.append(count)

@@ -33,7 +33,7 @@ from .zenoh_link import zenoh_link
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from ..backends.base import Receive
+    from ..backends.node import RawMessage, Receive
     from .base import BridgeOptions
 
 KEY_PREFIX = "dds_trace/bridge"
@@ -110,7 +110,7 @@ def main(configuration: Path) -> None:
             subscriber.undeclare()
 
 
-def _from_zenoh(receive: Receive) -> Callable[[Any], None]:
+def _from_zenoh(receive: Receive[RawMessage]) -> Callable[[Any], None]:
     return lambda sample: receive(sample.payload.to_bytes())
 
 

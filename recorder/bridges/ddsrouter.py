@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from dds_trace.tracefile import OptionError
 
-from ..backends.base import Discovery
 from ..backends.qos import asked_durations
+from ..choices import Discovery
 from .base import Half, Halves, split_address
 from .process.programs import reported_version
 from .texts import yaml_text

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 from dds_trace.tracefile.units.durations import SECOND_NS
 
-from ..backends.base import Discovery
 from ..backends.qos import asked_durations
+from ..choices import Discovery
 from .base import Halves
 from .process.programs import reported_version
 from .ros_types import rti_types

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..backends.base import Discovery
+from ..choices import Discovery
 from .base import Halves
 from .process.programs import reported_version, ros_package_program
 from .zenoh_link import zenoh_environment, zenoh_link

@@ -1,4 +1,4 @@
-"""The device's clock as the roles use it: injected, so that tests can make time themselves."""
+"""The clock of a device as the roles use it: injected, so that tests can make time themselves."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     import threading
 
 STOP_CHECK_NS = 50_000_000
-"""While a wait is longer than this, `stop` is looked at this often."""
+"""Longest part of a wait after which `stop` is looked at."""
 
 _PR_SET_TIMERSLACK = 29  # linux/prctl.h
 
@@ -25,30 +25,30 @@ class ClockAnchor:
 
     @property
     def offset_ns(self) -> int:
-        """What to add to a monotonic time to get wall clock ns since 1970."""
+        """The difference to add to a monotonic time for wall clock ns since 1970."""
         return self.wall_ns - self.monotonic_ns
 
 
 class Clock(Protocol):
-    """What a role needs of time."""
+    """A clock and the waits on it."""
 
     def monotonic_ns(self) -> int:
-        """CLOCK_MONOTONIC in ns."""
+        """Read CLOCK_MONOTONIC, in ns."""
 
     def anchor(self) -> ClockAnchor:
-        """The same instant on the monotonic and on the wall clock."""
+        """Read the monotonic and the wall clock at one instant."""
 
     def wait_until(self, monotonic_ns: int, stop: threading.Event) -> bool:
-        """Sleep until `monotonic_ns`; False if `stop` was set before. A time that has passed returns at once."""
+        """Sleep until `monotonic_ns`, or return at once if it has passed; return whether `stop` stayed unset."""
 
 
 class SystemClock:
-    """The clock of this device."""
+    """The real clock of this device."""
 
     monotonic_ns = staticmethod(time.monotonic_ns)
 
     def anchor(self) -> ClockAnchor:
-        """The narrowest of some bracketed readings, so that one preemption does not spoil it."""
+        """Read both clocks some times and return the narrowest pair, so that one preemption does not spoil it."""
         best: tuple[int, ClockAnchor] | None = None
         for _ in range(20):
             before, wall, after = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
@@ -58,7 +58,7 @@ class SystemClock:
         return best[1]
 
     def wait_until(self, monotonic_ns: int, stop: threading.Event) -> bool:
-        """Sleeps without a final spin: a spin holds the interpreter lock, and T2 of the last message waits.
+        """Sleep without a final spin: a spin holds the interpreter lock, and T2 of the last message waits.
 
         A late send costs nothing in latency, since T1 is stamped when the message really goes.
         """

@@ -1,26 +1,25 @@
-"""The environment's fingerprint: what of this device a reader needs before comparing its numbers with others'.
+"""The fingerprint of a device: the facts that a reader needs before comparing its numbers with those of others.
 
-Nothing here identifies a person or a device: no host name, no address, no serial number, and of a
-configuration file its name and hash only. A field that this system does not tell is null or empty; a
-missing file under `/proc` or `/sys` is never an error.
+Nothing here identifies a person or a device: no host name, no address, no serial number. A field that this system
+does not report is null or empty; a missing file under `/proc` or `/sys` is never an error.
 """
 
 from __future__ import annotations
 
-import hashlib
 import os
 import platform
 import re
 import shutil
 import subprocess
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import psutil
 
+from .environment import MiddlewareEnvironment
+
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Mapping
 
 _SOCKET_BUFFER_FILES = (
     "rmem_default",
@@ -31,57 +30,17 @@ _SOCKET_BUFFER_FILES = (
     "netdev_max_backlog",
 )
 
-# Variables that change what a middleware does without being a file. Their values go into the trace whole.
-_SETTING_VARIABLES = (
-    "RMW_IMPLEMENTATION",
-    "ROS_DISTRO",
-    "ROS_AUTOMATIC_DISCOVERY_RANGE",
-    "ROS_LOCALHOST_ONLY",
-    "FASTDDS_BUILTIN_TRANSPORTS",
-    "RMW_FASTRTPS_PUBLICATION_MODE",
-    "RMW_FASTRTPS_USE_QOS_FROM_XML",
-)
-
 _WIFI_COMMAND_TIMEOUT_S = 2.0
 
 
-@dataclass(frozen=True, slots=True)
-class _ConfigurationVariable:
-    """How one middleware is told where its configuration is.
-
-    Attributes:
-        name: the environment variable.
-        separator: what stands between several entries of its value; None if it holds one only.
-    """
-
-    name: str
-    separator: str | None = None
-
-
-_CONFIGURATION_VARIABLES = (
-    _ConfigurationVariable("FASTDDS_DEFAULT_PROFILES_FILE"),
-    _ConfigurationVariable("FASTRTPS_DEFAULT_PROFILES_FILE"),
-    _ConfigurationVariable("CYCLONEDDS_URI", ","),
-    _ConfigurationVariable("NDDS_QOS_PROFILES", ";"),
-    _ConfigurationVariable("ZENOH_CONFIG"),
-    _ConfigurationVariable("ZENOH_SESSION_CONFIG_URI"),
-    _ConfigurationVariable("ZENOH_ROUTER_CONFIG_URI"),
-    _ConfigurationVariable("ZENOH_CONFIG_OVERRIDE"),
-)
-
-# Files that Fast DDS and Connext load from the working directory without being told.
-_IMPLICIT_FILES = (
-    "DEFAULT_FASTDDS_PROFILES.xml",
-    "DEFAULT_FASTRTPS_PROFILES.xml",
-    "USER_QOS_PROFILES.xml",
-)
-
-
-def host_fingerprint(versions: Mapping[str, str] | None = None) -> dict[str, Any]:
-    """The `host` object of a session.
+def host_fingerprint(
+    versions: Mapping[str, str] | None = None, environment: MiddlewareEnvironment | None = None
+) -> dict[str, object]:
+    """Return the `host` object of a session.
 
     Args:
-        versions: of the middleware and its client library, by package name, as the backend found them.
+        versions: version of the middleware and its client library, by package name, as the backend reports them.
+        environment: variables and files by which the middlewares can be configured.
 
     Returns:
         A JSON object with the fields `machine`, `board`, `cpu_model`, `cpu_cores`, `cpu_cores_physical`,
@@ -90,6 +49,7 @@ def host_fingerprint(versions: Mapping[str, str] | None = None) -> dict[str, Any
         variables), `socket_buffers` (`net.core.rmem_max` and so on, bytes), `mtu` (interface -> bytes,
         interfaces that are up), `clock_source`, `container` and `wifi` (interface -> see `wifi_links`).
     """
+    environment = environment or MiddlewareEnvironment()
     return {
         "machine": platform.machine(),
         "board": _board(),
@@ -104,8 +64,8 @@ def host_fingerprint(versions: Mapping[str, str] | None = None) -> dict[str, Any
         "memory_bytes": psutil.virtual_memory().total,
         "python": f"{platform.python_implementation()} {platform.python_version()}",
         "versions": dict(versions or {}),
-        "configuration": middleware_configuration(os.environ, Path.cwd()),
-        "settings": {name: os.environ[name] for name in _SETTING_VARIABLES if name in os.environ},
+        "configuration": environment.hash_configuration(os.environ, Path.cwd()),
+        "settings": environment.read_settings(os.environ),
         "socket_buffers": socket_buffers(),
         "mtu": interface_mtus(),
         "clock_source": read_text("/sys/devices/system/clocksource/clocksource0/current_clocksource"),
@@ -115,56 +75,15 @@ def host_fingerprint(versions: Mapping[str, str] | None = None) -> dict[str, Any
 
 
 def read_text(path: str | Path) -> str | None:
-    """The file's text without surrounding blanks and NULs, None where there is no such file to read."""
+    """Return a file's text without surrounding blanks and NULs, None where there is no such file to read."""
     try:
         return Path(path).read_text(errors="replace").strip("\0 \n")
     except OSError:
         return None
 
 
-def middleware_configuration(
-    environment: Mapping[str, str], folder: Path
-) -> dict[str, list[dict[str, str | None]]]:
-    """What each configuration source of a middleware holds, as a hash.
-
-    Args:
-        environment: the variables to look at.
-        folder: the working directory, from which some middlewares load a file without being told.
-
-    Returns:
-        Variable (or, for a file found in `folder`, `./NAME`) -> one entry for each file or inline text:
-        `name` (the file's base name or `inline`) and `sha256`, null where the file cannot be read.
-    """
-    found = {
-        variable.name: [_hashed(entry) for entry in _entries(environment[variable.name], variable.separator)]
-        for variable in _CONFIGURATION_VARIABLES
-        if environment.get(variable.name)
-    }
-    for name in _IMPLICIT_FILES:
-        if (folder / name).is_file():
-            found[f"./{name}"] = [_hashed(str(folder / name))]
-    return found
-
-
-def _entries(value: str, separator: str | None) -> Iterator[str]:
-    # Inline XML or JSON may hold the separator itself; it is hashed whole.
-    inline = value.lstrip().startswith(("<", "{", "str://"))
-    parts = [value] if inline or separator is None else value.split(separator)
-    return (part.strip() for part in parts if part.strip())
-
-
-def _hashed(entry: str) -> dict[str, str | None]:
-    path = Path(entry.removeprefix("file://"))
-    try:
-        return {"name": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
-    except OSError:
-        if entry.startswith(("<", "{", "str://")) or "=" in entry:
-            return {"name": "inline", "sha256": hashlib.sha256(entry.encode()).hexdigest()}
-        return {"name": path.name, "sha256": None}
-
-
 def socket_buffers() -> dict[str, int]:
-    """Kernel limits that bound a middleware's socket buffers: `net.core.NAME` -> bytes (or packets).
+    """Return the kernel's limits of socket buffers: `net.core.NAME` -> bytes (or packets).
 
     In a network namespace other than the first, Linux before 6.10 or so shows only some of them.
     """
@@ -182,7 +101,7 @@ def socket_buffers() -> dict[str, int]:
 
 
 def interface_mtus() -> dict[str, int]:
-    """MTU in bytes of each network interface that is up."""
+    """Return the MTU in bytes of each network interface that is up."""
     try:
         return {name: stats.mtu for name, stats in psutil.net_if_stats().items() if stats.isup}
     except OSError:
@@ -190,9 +109,9 @@ def interface_mtus() -> dict[str, int]:
 
 
 def wifi_signals() -> dict[str, dict[str, float]]:
-    """Interface -> `link_quality`, `signal_dbm`, `noise_dbm` of each wireless interface with a link.
+    """Return the signal of each wireless interface with a link: name -> `link_quality`, `signal_dbm`, `noise_dbm`.
 
-    Read from `/proc/net/wireless`, cheap enough for once a second.
+    They are read from `/proc/net/wireless`, cheap enough for once a second.
     """
     signals: dict[str, dict[str, float]] = {}
     for line in (read_text("/proc/net/wireless") or "").splitlines()[2:]:
@@ -205,7 +124,7 @@ def wifi_signals() -> dict[str, dict[str, float]]:
 
 
 def wifi_links() -> dict[str, dict[str, float]]:
-    """Interface -> its signal (`wifi_signals`) and, where `iw` is installed, `frequency_mhz` and `bitrate_mbit_s`.
+    """Return the links of `wifi_signals` and, where `iw` is installed, their `frequency_mhz` and `bitrate_mbit_s`.
 
     Names of networks and addresses of access points are left out on purpose.
     """
@@ -217,9 +136,9 @@ def wifi_links() -> dict[str, dict[str, float]]:
             ("frequency_mhz", r"freq: ([\d.]+)"),
             ("bitrate_mbit_s", r"tx bitrate: ([\d.]+) MBit/s"),
         ):
-            found = re.search(pattern, text)
-            if found:
-                link[name] = float(found[1])
+            value = re.search(pattern, text)
+            if value:
+                link[name] = float(value[1])
     return links
 
 
@@ -237,12 +156,12 @@ def _output_of(command: list[str]) -> str:
 
 
 def is_realtime_kernel() -> bool:
-    """Whether the kernel is PREEMPT_RT."""
+    """Tell whether the kernel is PREEMPT_RT."""
     return read_text("/sys/kernel/realtime") == "1" or "PREEMPT_RT" in platform.version()
 
 
 def container_name() -> str | None:
-    """Which kind of container this process is in (`docker`, `podman`, `lxc` ...), None on the bare system."""
+    """Return the kind of container of this process (`docker`, `podman`, `lxc` ...), None on the bare system."""
     for path, name in (("/.dockerenv", "docker"), ("/run/.containerenv", "podman")):
         if Path(path).exists():
             return name
@@ -254,7 +173,7 @@ def container_name() -> str | None:
 
 
 def _board() -> str | None:
-    """`Raspberry Pi 4 Model B Rev 1.4` on an Arm board, the product's name on a PC."""
+    """Return the board's model, such as `Raspberry Pi 4 Model B Rev 1.4`; on a PC the product's name."""
     return read_text("/proc/device-tree/model") or read_text("/sys/class/dmi/id/product_name")
 
 

@@ -1,7 +1,7 @@
-"""What a recorder may ask of the system for quieter numbers: fixed CPUs, a real-time priority, locked memory.
+"""Privileges for quieter numbers: fixed CPUs, a real-time priority, locked memory.
 
-Who asks and is refused gets an error that says how to be permitted: numbers recorded under other
-conditions than those asked for would be wrong without a sign of it.
+A refusal is an error that says how to be permitted: numbers recorded under other conditions than those asked for
+would be wrong without a sign of it.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import ctypes
 import os
 import re
 from pathlib import Path
-from typing import Any
 
 from dds_trace.tracefile import OptionError
 
@@ -23,8 +22,10 @@ _HOW_TO_BE_PERMITTED = (
 )
 
 
-def apply_privileges(cpu_affinity: str | None = None, realtime_priority: int | None = None) -> dict[str, Any]:
-    """Gives this process its CPUs and its real-time priority; threads started later inherit both.
+def apply_privileges(
+    cpu_affinity: str | None = None, realtime_priority: int | None = None
+) -> dict[str, object]:
+    """Give this process its CPUs and its real-time priority; threads started later inherit both.
 
     Those that write the trace and sample the host give the priority back (`tracefile.run_in_background`).
 
@@ -35,13 +36,13 @@ def apply_privileges(cpu_affinity: str | None = None, realtime_priority: int | N
         realtime_priority: 1 (lowest) to 99 for SCHED_FIFO; all memory is locked as well.
 
     Returns:
-        What holds now, for the session's extra fields: `cpu_affinity` (list of CPU numbers),
+        The privileges in effect, for the session's extra fields: `cpu_affinity` (list of CPU numbers),
         `realtime_priority`, `memory_locked`; only what was asked for.
 
     Raises:
         OptionError: a value that cannot be meant on this machine, or the system does not permit it.
     """
-    applied: dict[str, Any] = {}
+    applied: dict[str, object] = {}
     if cpu_affinity is not None:
         applied["cpu_affinity"] = pin_cpus(cpu_affinity)
     if realtime_priority is not None:
@@ -52,7 +53,7 @@ def apply_privileges(cpu_affinity: str | None = None, realtime_priority: int | N
 
 
 def parse_cpus(text: str) -> list[int]:
-    """The CPU numbers in `0,2-3`, sorted.
+    """Return the CPU numbers in `0,2-3`, sorted.
 
     Raises:
         OptionError: not a list of numbers and ranges.
@@ -71,7 +72,7 @@ def parse_cpus(text: str) -> list[int]:
 
 
 def pin_cpus(text: str) -> list[int]:
-    """Lets every thread of this process run on these CPUs only, and gives their numbers.
+    """Let every thread of this process run on these CPUs only, and return their numbers.
 
     Raises:
         OptionError: no such list, or a CPU that this process may not use.
@@ -92,7 +93,7 @@ def pin_cpus(text: str) -> list[int]:
 
 
 def set_realtime(priority: int) -> None:
-    """Runs the calling thread, and those it starts, under SCHED_FIFO.
+    """Run the calling thread, and those it starts, under SCHED_FIFO.
 
     Raises:
         OptionError: no such priority, or the system does not permit it.
@@ -109,7 +110,7 @@ def set_realtime(priority: int) -> None:
 
 
 def lock_memory() -> None:
-    """Keeps every page of this process in memory, now and later, so that no page fault delays a stamp.
+    """Keep every page of this process in memory, now and later, so that no page fault delays a stamp.
 
     Raises:
         OptionError: the system does not permit it.

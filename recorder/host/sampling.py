@@ -1,4 +1,4 @@
-"""Load of the host once a second: CPU, memory, network, Wi-Fi signal, and the share of named processes."""
+"""Samples of the host's load once a second: CPU, memory, network, Wi-Fi signal, and the share of named processes."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 import threading
 import time
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import psutil
 
@@ -27,7 +27,7 @@ _IP_COUNTERS = ("ReasmFails", "ReasmTimeout", "FragFails")
 
 @dataclass(slots=True)
 class HostSampler:
-    """Hands one sample a second to a callback, on a thread of its own, from `start` to `stop`.
+    """A thread that hands one sample a second to a callback, from `start` to `stop`.
 
     A sample is a JSON object:
         `monotonic_ns`; `host` (`cpu_percent`, `cpu_percent_each`, `cpu_mhz`, `memory_used_bytes`,
@@ -38,13 +38,13 @@ class HostSampler:
         `involuntary_switches`); `sampling_cpu_ns`, the CPU time that the sample before this one took.
 
     Attributes:
-        write: gets each sample; `functools.partial(sink.write_json, HOST_TOPIC)`, say.
+        write: callback that takes each sample, such as `functools.partial(sink.write_json, HOST_TOPIC)`.
         processes: further processes to follow, name -> pid (`{"bridge": 4711}`); this one is `self`. May be
             changed while running by replacing the mapping.
         period_s: time between two samples.
     """
 
-    write: Callable[[Mapping[str, Any]], None]
+    write: Callable[[Mapping[str, object]], None]
     processes: Mapping[str, int] = field(default_factory=dict)
     period_s: float = 1.0
     _stop: threading.Event = field(default_factory=threading.Event, init=False)
@@ -53,13 +53,13 @@ class HostSampler:
     _sampling_cpu_ns: int = field(default=0, init=False)
 
     def start(self) -> Self:
-        """Starts the thread; the first sample comes one period later, as CPU shares need an interval."""
+        """Start the thread; the first sample comes one period later, as CPU shares need an interval."""
         self._thread = threading.Thread(target=self._run, name="host-sampler", daemon=True)
         self._thread.start()
         return self
 
     def stop(self) -> None:
-        """Takes one last sample, so that a run shorter than a period has one, and ends the thread."""
+        """Take one last sample, so that a run shorter than a period has one, and end the thread."""
         self._stop.set()
         if self._thread is not None:
             self._thread.join()
@@ -83,10 +83,10 @@ class HostSampler:
             self.write(self.sample())
         self.write(self.sample())
 
-    def sample(self) -> dict[str, Any]:
-        """One sample now; shares of CPU are since the call before."""
+    def sample(self) -> dict[str, object]:
+        """Take one sample now; shares of CPU are since the call before."""
         began_ns = time.thread_time_ns()
-        sample = {
+        sample: dict[str, object] = {
             "monotonic_ns": time.monotonic_ns(),
             "host": _host_load(),
             "network": _network_totals(),
@@ -122,7 +122,7 @@ class HostSampler:
             return None
 
 
-def _host_load() -> dict[str, Any]:
+def _host_load() -> dict[str, object]:
     each = psutil.cpu_percent(percpu=True)
     memory = psutil.virtual_memory()
     return {
@@ -142,7 +142,7 @@ def _cpu_mhz() -> float | None:
 
 
 def _temperature_c() -> float | None:
-    """Of the first thermal zone: on a Raspberry Pi the SoC, which throttles at 80 degrees."""
+    """Read the first thermal zone: on a Raspberry Pi the SoC, which throttles at 80 degrees."""
     millidegrees = read_text("/sys/class/thermal/thermal_zone0/temp")
     return int(millidegrees) / 1000 if millidegrees and millidegrees.lstrip("-").isdigit() else None
 
@@ -166,7 +166,7 @@ def _network_totals() -> dict[str, dict[str, int]]:
 
 
 def _kernel_totals() -> dict[str, int]:
-    """Counters of `/proc/net/snmp`, where each protocol has a line of names and a line of values."""
+    """Read the counters of `/proc/net/snmp`, where each protocol has a line of names and a line of values."""
     lines = [line.split() for line in (read_text("/proc/net/snmp") or "").splitlines()]
     totals: dict[str, int] = {}
     for names, values in zip(lines[::2], lines[1::2], strict=False):

@@ -1,4 +1,4 @@
-"""Keeps the interpreter from getting in the way of a measurement."""
+"""A steady interpreter: no garbage collection and short switches while messages are measured."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 SWITCH_INTERVAL_S = 0.0005
-"""How long a thread that computes may keep the interpreter lock from one that received a message (5 ms by default)."""
+"""Longest time that a computing thread keeps the interpreter lock from one that received a message (5 ms by default)."""
 
 
 @contextmanager
 def steady_interpreter() -> Iterator[None]:
-    """No garbage collection while the block runs, and a received message waits less for other threads.
+    """Switch garbage collection off while the block runs, and let received messages wait less for other threads.
 
-    What a message leaves behind is freed by reference counts; `collect_young` may be called in a quiet moment.
+    Objects of a message are freed by reference counts; `collect_young` may be called in a quiet moment.
     """
     was_enabled, interval_s = gc.isenabled(), sys.getswitchinterval()
     gc.collect()
@@ -35,5 +35,5 @@ def steady_interpreter() -> Iterator[None]:
 
 
 def collect_young() -> None:
-    """Free the cycles made since the freeze: quick, as what was there before is not looked at."""
+    """Free the cycles made since the freeze: quick, as older objects are not looked at."""
     gc.collect()

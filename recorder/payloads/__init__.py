@@ -1,81 +1,111 @@
-"""What a ping can send: data of our making, files, bags; one file each, and the types that a relay serves."""
+"""The data that a ping can send: made up here, or read from files, bags and running topics; one file each."""
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import OptionError
 
-from . import bag, file
+from .bag import BAG
+from .base import DataType, Source, Surroundings
 from .binary import BINARY
-from .foreign import OWN_TYPES
+from .file import FILE
 from .header import header_data_type
 from .imu import IMU
 from .string import STRING
-from .topic import open_payload as open_live_payload
+from .topic import TOPIC
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    import threading
+    from collections.abc import Callable, Iterable
 
-    from .base import DataType, Payload
+    from ..backends.node import Node
+    from .base import Payload
 
-DATA_TYPES = {data_type.name: data_type for data_type in (BINARY, STRING, IMU)}
-"""By the name that `--data` takes and the trace keeps; a relay serves all of them at once."""
+PAYLOADS: dict[str, DataType | Source] = {
+    payload.name: payload for payload in (BINARY, STRING, IMU, FILE, BAG, TOPIC)
+}
+"""Everything that `--data` can name, by its name or by the text before the colon."""
 
-SOURCES = {"file": file.load_payload, "bag": bag.load_payload}
-"""By what stands before the colon in `--data`; each makes the payload of what stands behind it."""
+
+def data_types() -> dict[str, DataType]:
+    """Return the data types that are made up here, by name; a relay serves all of them at once."""
+    return {name: payload for name, payload in PAYLOADS.items() if isinstance(payload, DataType)}
 
 
-def data_type_called(name: str) -> DataType:
-    """The data type `name`.
+def find_data_type(name: str) -> DataType:
+    """Return the data type `name`.
 
     Raises:
         OptionError: there is none.
     """
-    if name not in DATA_TYPES:
+    made = data_types()
+    if name not in made:
+        *usages, last = (payload.usage for payload in PAYLOADS.values() if isinstance(payload, Source))
         raise OptionError(
-            f"there is no data type {name!r}; choose one of {', '.join(DATA_TYPES)}, or write file:PATH, "
-            "bag:PATH#TOPIC or topic:/NAME"
+            f"there is no data type {name!r}; choose one of {', '.join(made)}, or write {', '.join(usages)} or {last}"
         )
-    return DATA_TYPES[name]
+    return made[name]
 
 
-def load_payload(data: str, size_bytes: int | None, seed: int) -> Payload:
-    """The messages that `--data` means, made up with the seed or read from a file or bag.
+def open_payload(
+    data: str,
+    size_bytes: int | None,
+    seed: int,
+    *,
+    open_node: Callable[[], Node],
+    wait_s: float,
+    stop: threading.Event,
+) -> AbstractContextManager[Payload]:
+    """Open the payload that `--data` names, for as long as the block runs.
+
+    Args:
+        data: value of `--data`.
+        size_bytes: application bytes of a message, None for the default of its type.
+        seed: seed of random content.
+        open_node: opens a node beside that of the ping, for a live source.
+        wait_s: longest wait for a live source, in seconds.
+        stop: ends that wait.
 
     Raises:
         OptionError: there is no such data, or it has a size of its own and another was asked for.
         BackendUnavailableError: reading it takes a package that is not installed.
     """
     kind, colon, where = data.partition(":")
-    if not colon or kind not in SOURCES:
-        return data_type_called(data).make(size_bytes, seed)
+    source = PAYLOADS.get(kind)
+    if not colon or not isinstance(source, Source):
+        return nullcontext(find_data_type(data).make(size_bytes, seed))
     if size_bytes is not None:
         raise OptionError(
             f"--size {size_bytes}: the messages of {data} have sizes of their own; leave --size out"
         )
-    return SOURCES[kind](where)
+    return source.open(where, Surroundings(_own_types(), open_node, wait_s, stop))
 
 
 def served_data_types(type_names: Iterable[str] = ()) -> tuple[DataType, ...]:
-    """What a relay serves: the three of our making, and data of further message types.
+    """Return what a relay serves: the data types that are made up here, and those of further message types.
 
     Raises:
         OptionError: one of `type_names` is no name of a message type.
     """
-    further = dict.fromkeys(name for name in type_names if name not in OWN_TYPES)
-    return (*DATA_TYPES.values(), *map(header_data_type, further))
+    own_types = _own_types()
+    further = dict.fromkeys(name for name in type_names if name not in own_types)
+    return (*data_types().values(), *map(header_data_type, further))
+
+
+def _own_types() -> dict[str, DataType]:
+    return {data_type.type_name: data_type for data_type in data_types().values()}
 
 
 __all__ = [
     "BINARY",
-    "DATA_TYPES",
     "IMU",
-    "SOURCES",
+    "PAYLOADS",
     "STRING",
-    "data_type_called",
+    "data_types",
+    "find_data_type",
     "header_data_type",
-    "load_payload",
-    "open_live_payload",
+    "open_payload",
     "served_data_types",
 ]

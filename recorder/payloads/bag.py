@@ -2,28 +2,36 @@
 
 from __future__ import annotations
 
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import BackendUnavailableError, OptionError
 
-from ..backends.base import Serialization
-from .base import Message, Payload
-from .foreign import foreign_data_type, make_room
-from .limits import check_held_bytes
+from .base import DataType, Message, Payload, Source, check_held_bytes
+from .header import recognize_data_type
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
+
+    from rosbags.highlevel import AnyReader
+    from rosbags.interfaces import Connection
+    from rosbags.typesys.store import Typestore
+
+    from .base import Surroundings
 
 HEADER_TYPE = "std_msgs/msg/Header"
 NAMED_FIELD = 2
 """rosbags' mark of a field that is a message itself."""
 
 
-def load_payload(where: str) -> Payload:
-    """The messages of `PATH#TOPIC` as CDR, each with room for the stamp, and the mean rate of their recording.
+def load_payload(where: str, own_types: Mapping[str, DataType]) -> Payload:
+    """Read the messages of `PATH#TOPIC` as CDR, each with room for the stamp, and the mean rate of their recording.
+
+    Args:
+        where: path of the bag and topic in it.
+        own_types: data types that are made up here, by the name of their message type.
 
     Raises:
         OptionError: no bag, no such topic in it, a type that cannot carry the stamp, or too much data.
@@ -38,7 +46,7 @@ def load_payload(where: str) -> Payload:
     with _opened(path) as reader:
         connections = _connections_of(reader, topic, path)
         type_name = connections[0].msgtype
-        stamped = _Stamper(reader, type_name, path)
+        stamped = _Stamper(reader, type_name, path, own_types)
         messages, times_ns, held_bytes = [], [], 0
         for _, time_ns, data in reader.messages(connections):
             message = stamped(data)
@@ -59,8 +67,8 @@ def load_payload(where: str) -> Payload:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Any]:
-    """A reader of the bag; whatever a bag can do wrong within the block becomes one line."""
+def _opened(path: Path) -> Iterator[AnyReader]:
+    """Open a reader of the bag; any error of a damaged bag within the block becomes one line."""
     try:
         from rosbags.highlevel import AnyReader  # noqa: PLC0415 - only bags need it
         from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
@@ -80,40 +88,42 @@ def _opened(path: Path) -> Iterator[Any]:
         raise OptionError(f"--data bag:{path}: it cannot be read as a bag ({err})") from err
 
 
-def _connections_of(reader: Any, topic: str, path: Path) -> list[Any]:
-    found = [each for each in reader.connections if each.topic.lstrip("/") == topic.lstrip("/")]
-    if not found:
+def _connections_of(reader: AnyReader, topic: str, path: Path) -> list[Connection]:
+    connections = [each for each in reader.connections if each.topic.lstrip("/") == topic.lstrip("/")]
+    if not connections:
         there = sorted({each.topic for each in reader.connections})
         nearest = get_close_matches(topic, there, 1, 0) or ["nothing at all"]
         raise OptionError(f"{path} has no topic {topic}; the nearest of its {len(there)} is {nearest[0]}")
-    types = sorted({each.msgtype for each in found})
+    types = sorted({each.msgtype for each in connections})
     if len(types) > 1:
         raise OptionError(f"{path} has {topic} with several types ({', '.join(types)}); none can be chosen")
-    return found
+    return connections
 
 
 class _Stamper:
-    """Turns recorded messages of one type into ours: CDR, with our stamp's 46 characters in their place."""
+    """A converter of recorded messages of one type to ours: CDR, with our stamp's 46 characters in their place."""
 
-    def __init__(self, reader: Any, type_name: str, path: Path) -> None:
+    def __init__(
+        self, reader: AnyReader, type_name: str, path: Path, own_types: Mapping[str, DataType]
+    ) -> None:
         fields = reader.typestore.fielddefs[type_name][1]
         kind, detail = fields[0][1] if fields else (0, "")
         first_field_type = detail if kind == NAMED_FIELD else ""
-        self.data_type = foreign_data_type(type_name, first_field_type, str(path))
+        self.data_type = recognize_data_type(type_name, str(first_field_type), str(path), own_types)
         self._reader = reader
         self._store = reader.typestore if reader.is2 else _store_of_ros2(reader.typestore)
         self._type_name = type_name
-        self._bytes_of = self.data_type.payload_bytes_of[Serialization.RAW]
+        self._bytes_of = self.data_type.raw.payload_bytes_of
 
     def __call__(self, data: bytes) -> Message:
         message = self._reader.deserialize(data, self._type_name)
-        make_room(message, self.data_type)
+        self.data_type.object_stamp.make_room(message)
         cdr = bytearray(self._store.serialize_cdr(message, self._type_name, little_endian=True))
         return Message(cdr, self._bytes_of(cdr))
 
 
-def _store_of_ros2(ros1: Any) -> Any:
-    """The types of a ROS 1 bag as ROS 2 has them: its header has no `seq`."""
+def _store_of_ros2(ros1: Typestore) -> Typestore:
+    """Return the types of a ROS 1 bag in the layout of ROS 2, whose header has no `seq`."""
     from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - only bags need it
 
     types = dict(ros1.fielddefs)
@@ -123,3 +133,10 @@ def _store_of_ros2(ros1: Any) -> Any:
     store = get_typestore(Stores.EMPTY)
     store.register(types)
     return store
+
+
+def _open(where: str, surroundings: Surroundings) -> AbstractContextManager[Payload]:
+    return nullcontext(load_payload(where, surroundings.own_types))
+
+
+BAG = Source(name="bag", usage="bag:PATH#TOPIC", open=_open)

@@ -1,19 +1,29 @@
-"""What a ping sends: a `DataType` of the trace makes a `Payload`, a series of serialized messages."""
+"""Data that a ping sends: a `DataType` makes it up, a `Source` reads it; both give a `Payload` of serialized messages."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
+
+from dds_trace.tracefile import OptionError
+
+from .stamp import SentT
 
 if TYPE_CHECKING:
     import threading
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
+    from contextlib import AbstractContextManager
+    from pathlib import Path
 
-    from ..backends.base import Serialization
-    from .stamp import StampPlace
+    from ..backends.node import Node, RawMessage, RosMessage
+    from .stamp import HeaderStampPlace, StampPlace, StringStampPlace
+
+ReceivedT = TypeVar("ReceivedT")
 
 RELAY_SUFFIX = "_relay"
-"""Of a topic's name for the way back."""
+"""End of a topic's name on the way back."""
+MAX_HELD_BYTES = 1 << 30
+"""Most data that a payload may hold: it lies in memory while it is sent, and a small board has 2 GB."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,10 +43,10 @@ class Feed(Protocol):
     """A live source of messages, whose arrivals are the schedule."""
 
     def begin(self) -> None:
-        """Keep what arrives from now on."""
+        """Keep the messages that arrive from now on."""
 
     def take(self, stop: threading.Event) -> tuple[Message, int] | None:
-        """The next message and when it arrived (monotonic ns); waits for it, None if `stop` is set."""
+        """Wait for the next message; return it and its arrival (monotonic ns), or None if `stop` is set."""
 
     @property
     def skipped(self) -> int:
@@ -48,10 +58,10 @@ class Payload:
     """The messages of a run, sent in turn and from the start again.
 
     Attributes:
-        payload_bytes: of the messages; of the largest, if they differ.
-        rate_hz: at which the data was recorded, None if it has no rate of its own.
-        source: where the data is from, as `--data` named it; empty for random data.
-        feed: gives the messages of the run as they arrive from a live source; `messages` are for probes then.
+        payload_bytes: application bytes of a message; of the largest, if they differ.
+        rate_hz: rate at which the data was recorded, None if it has no rate of its own.
+        source: origin of the data as `--data` named it; empty for random data.
+        feed: the messages of the run as they arrive from a live source; `messages` are for probes then.
     """
 
     data_type: DataType
@@ -63,26 +73,86 @@ class Payload:
 
 
 @dataclass(frozen=True, slots=True)
-class DataType:
-    """One kind of data: its names, where its messages keep the stamp, and how a payload is made.
+class Form(Generic[SentT, ReceivedT]):
+    """One form of a data type's messages: serialized, or as message objects.
 
     Attributes:
-        name: as in the trace, `binary`, `string`, `imu`.
-        topic: of the way out; the way back has `RELAY_SUFFIX`.
+        stamp: place of the stamp in a message.
+        payload_bytes_of: returns the application bytes of a received message.
+    """
+
+    stamp: StampPlace[SentT, ReceivedT]
+    payload_bytes_of: Callable[[ReceivedT], int]
+
+
+@dataclass(frozen=True, slots=True)
+class DataType:
+    """One kind of data: its names, the place of the stamp in its messages, and how a payload is made up.
+
+    Attributes:
+        name: name in the trace and in `--data`: `binary`, `string`, `imu`.
+        topic: topic of the way out; that of the way back has `RELAY_SUFFIX`.
         type_name: ROS name of the message type.
-        stamps: where the stamp is, for each serialization.
-        make: the payload for a size in bytes (None: the type's default) and a seed of its random content.
-        payload_bytes_of: application bytes of a received message, for each serialization.
+        raw: its serialized messages.
+        objects: its message objects, None for a type that travels serialized alone.
+        object_stamp: place of the stamp in a message object, also in one that others made.
+        make: makes up the payload for a size in bytes (None: the type's default) and a seed of its random content.
     """
 
     name: str
     topic: str
     type_name: str
-    stamps: dict[Serialization, StampPlace]
+    raw: Form[bytearray, RawMessage]
+    objects: Form[RosMessage, RosMessage] | None
+    object_stamp: HeaderStampPlace | StringStampPlace
     make: Callable[[int | None, int], Payload]
-    payload_bytes_of: dict[Serialization, Callable[[Any], int]]
 
     @property
     def relay_topic(self) -> str:
         """The topic of the way back."""
         return self.topic + RELAY_SUFFIX
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """What a source may need of the recording that it belongs to.
+
+    Attributes:
+        own_types: data types that are made up here, by the name of their message type.
+        open_node: opens a node beside that of the ping, not started yet.
+        wait_s: longest wait for a live source, in seconds.
+        stop: ends that wait.
+    """
+
+    own_types: Mapping[str, DataType]
+    open_node: Callable[[], Node]
+    wait_s: float
+    stop: threading.Event
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """One kind of data that is read: files, bags, running topics.
+
+    Attributes:
+        name: text before the colon in `--data`.
+        usage: form of the whole value of `--data`, such as `file:PATH`.
+        open: opens the payload for the text behind the colon, for as long as the block lasts.
+    """
+
+    name: str
+    usage: str
+    open: Callable[[str, Surroundings], AbstractContextManager[Payload]]
+
+
+def check_held_bytes(held_bytes: int, path: Path) -> None:
+    """Refuse data that does not fit into memory beside everything else.
+
+    Raises:
+        OptionError: there are more than `MAX_HELD_BYTES`.
+    """
+    if held_bytes > MAX_HELD_BYTES:
+        raise OptionError(
+            f"{path} holds more than {MAX_HELD_BYTES >> 30} GiB of data to send; all of it is held in memory, "
+            "so give a part of it"
+        )

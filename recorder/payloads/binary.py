@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import random
 import struct
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import OptionError
 
-from ..backends.base import Serialization
-from .base import DataType, Message, Payload
+from .base import DataType, Form, Message, Payload
 from .cdr import CdrWriter
-from .stamp import RAW_HEADER_STAMP, TYPED_HEADER_STAMP, stamp_text
+from .stamp import HEADER_STAMP, RAW_HEADER_STAMP, stamp_text
 
 if TYPE_CHECKING:
-    from ..backends.base import RawMessage
+    from ..backends.node import RawMessage, RosMessage
 
 DEFAULT_BYTES = 33_000
 MAX_BYTES = (1 << 32) - 1  # width, step and the length of `data` are uint32
@@ -25,7 +24,7 @@ _ENCODING_OFFSET = (
 
 
 def make_payload(size_bytes: int | None, seed: int) -> Payload:
-    """One image of `size_bytes` random bytes (33 KB by default).
+    """Make up one image of `size_bytes` random bytes (33 KB by default).
 
     Raises:
         OptionError: an image cannot have that size.
@@ -38,7 +37,7 @@ def make_payload(size_bytes: int | None, seed: int) -> Payload:
 
 
 def image_message(data: bytes) -> Message:
-    """An image of one row that holds `data`, 1 to `MAX_BYTES` of them."""
+    """Return an image of one row that holds `data`, 1 to `MAX_BYTES` bytes."""
     size = len(data)
     writer = CdrWriter()
     writer.header(stamp_text(0, 0))
@@ -52,20 +51,20 @@ def image_message(data: bytes) -> Message:
 
 
 def payload_bytes_of(message: RawMessage) -> int:
-    """Length of `data` in a serialized image, which lies behind the encoding's name; 0 if it is no image of ours."""
+    """Return the length of `data` in a serialized image; 0 if the bytes are no image of ours."""
     try:
         (encoding_bytes,) = _UINT32.unpack_from(message, _ENCODING_OFFSET)
         step_offset = _ENCODING_OFFSET + 4 + encoding_bytes + 1  # is_bigendian is one byte
         data_offset = step_offset + -step_offset % 4 + 4
-        (found,) = _UINT32.unpack_from(message, data_offset)
+        (data_bytes,) = _UINT32.unpack_from(message, data_offset)
     except struct.error:
         return 0
-    padding = len(message) - (data_offset + 4 + found)  # some vendors fill up to four bytes
-    return int(found) if 0 <= padding < 4 else 0
+    padding = len(message) - (data_offset + 4 + data_bytes)  # some vendors fill up to four bytes
+    return int(data_bytes) if 0 <= padding < 4 else 0
 
 
-def typed_payload_bytes_of(message: Any) -> int:
-    """Length of `data` of an image object."""
+def object_bytes_of(message: RosMessage) -> int:
+    """Return the length of `data` of an image object."""
     return len(message.data)
 
 
@@ -73,7 +72,8 @@ BINARY = DataType(
     name="binary",
     topic="binary_image",
     type_name="sensor_msgs/msg/Image",
-    stamps={Serialization.RAW: RAW_HEADER_STAMP, Serialization.TYPED: TYPED_HEADER_STAMP},
+    raw=Form(RAW_HEADER_STAMP, payload_bytes_of),
+    objects=Form(HEADER_STAMP, object_bytes_of),
+    object_stamp=HEADER_STAMP,
     make=make_payload,
-    payload_bytes_of={Serialization.RAW: payload_bytes_of, Serialization.TYPED: typed_payload_bytes_of},
 )

@@ -1,4 +1,4 @@
-"""Writing the few CDR layouts that payloads need, so that a backend without ROS sends the same bytes."""
+"""A writer of the few CDR layouts that payloads need, so that a backend without ROS sends the same bytes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class CdrWriter:
-    """Little-endian XCDR1 in the order of the calls; alignment counts from behind the encapsulation."""
+    """A serialized message in little-endian XCDR1, in the order of the calls; alignment counts from behind the encapsulation."""
 
     def __init__(self) -> None:
         self._data = bytearray(CDR_HEADER)
@@ -21,35 +21,35 @@ class CdrWriter:
         self._data += bytes(-(len(self._data) - len(CDR_HEADER)) % size)
 
     def uint8(self, value: int) -> None:
-        """One byte."""
+        """Append one byte."""
         self._data.append(value)
 
     def uint32(self, value: int) -> None:
-        """Four bytes, aligned to four."""
+        """Append four bytes, aligned to four."""
         self._align(4)
         self._data += struct.pack("<I", value)
 
     def float64s(self, values: Sequence[float]) -> None:
-        """A fixed array of doubles, aligned to eight."""
+        """Append a fixed array of doubles, aligned to eight."""
         self._align(8)
         self._data += struct.pack(f"<{len(values)}d", *values)
 
     def string(self, text: bytes) -> None:
-        """Length with the terminating zero, characters, zero."""
+        """Append the length with the terminating zero, the characters, and the zero."""
         self.uint32(len(text) + 1)
         self._data += text + b"\0"
 
     def octets(self, data: bytes) -> None:
-        """A sequence of bytes: length, then the bytes."""
+        """Append a sequence of bytes: its length, then the bytes."""
         self.uint32(len(data))
         self._data += data
 
     def header(self, frame_id: bytes) -> None:
-        """A `std_msgs/Header` whose stamp is zero."""
+        """Append a `std_msgs/Header` whose stamp is zero."""
         self.uint32(0)
         self.uint32(0)
         self.string(frame_id)
 
     def message(self) -> bytearray:
-        """The whole serialized message."""
+        """Return the whole serialized message."""
         return self._data

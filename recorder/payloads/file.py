@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import OptionError
 
-from .base import Payload
+from .base import Payload, Source, check_held_bytes
 from .binary import BINARY, image_message
-from .limits import check_held_bytes
 
 if TYPE_CHECKING:
-    from .base import Message
+    from .base import Message, Surroundings
 
 
 def load_payload(where: str) -> Payload:
-    """One image for each file at `where`, in the order of their names; hidden files are left out.
+    """Return one image for each file at `where`, in the order of their names; hidden files are left out.
 
     Raises:
         OptionError: there is no file, one that is empty, or more than is held in memory.
@@ -49,3 +49,10 @@ def _message(file: Path) -> Message:
     if not data:
         raise OptionError(f"--data file:{file}: the file is empty, there is nothing to send")
     return image_message(data)
+
+
+def _open(where: str, _surroundings: Surroundings) -> AbstractContextManager[Payload]:
+    return nullcontext(load_payload(where))
+
+
+FILE = Source(name="file", usage="file:PATH", open=_open)

@@ -1,27 +1,29 @@
-"""Any other type that begins with a `std_msgs/msg/Header`: the stamp is in `header.frame_id`, the rest is data."""
+"""Messages of others: any type that begins with a `std_msgs/msg/Header` has our stamp in `header.frame_id`."""
 
 from __future__ import annotations
 
 import re
+from functools import partial
 from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import OptionError
 
-from ..backends.base import Serialization
-from .base import DataType
-from .stamp import RAW_HEADER_STAMP
+from .base import DataType, Form
+from .stamp import HEADER_STAMP, RAW_HEADER_STAMP
 
 if TYPE_CHECKING:
-    from ..backends.base import RawMessage
+    from collections.abc import Mapping
+
+    from ..backends.node import RawMessage
     from .base import Payload
 
 HEADER_BYTES = 64
-"""Encapsulation 4, time 8, length of frame_id 4, our stamp and its zero 47; rounded up to four."""
+"""Bytes before the data: encapsulation 4, time 8, length of frame_id 4, our stamp and its zero 47; rounded up to four."""
 _TYPE_NAME = re.compile(r"([a-z][a-z0-9_]*)/msg/([A-Z][A-Za-z0-9]*)")
 
 
 def header_data_type(type_name: str) -> DataType:
-    """The data type of messages of `type_name`, on the topic `data_PACKAGE_TYPE`.
+    """Return the data type of messages of `type_name`, on the topic `data_PACKAGE_TYPE`.
 
     Raises:
         OptionError: that is no name of a message type.
@@ -33,16 +35,42 @@ def header_data_type(type_name: str) -> DataType:
         name=match[2].lower(),
         topic=f"data_{match[1]}_{match[2]}",
         type_name=type_name,
-        stamps={Serialization.RAW: RAW_HEADER_STAMP},
-        make=_refuse_to_make,
-        payload_bytes_of={Serialization.RAW: payload_bytes_of},
+        raw=Form(RAW_HEADER_STAMP, payload_bytes_of),
+        objects=None,
+        object_stamp=HEADER_STAMP,
+        make=partial(_refuse_to_make, type_name),
     )
 
 
 def payload_bytes_of(message: RawMessage) -> int:
-    """Serialized bytes behind the header, rounded up to four as some vendors fill them up on the way."""
+    """Count the serialized bytes behind the header, rounded up to four as some vendors fill them up on the way."""
     return max(len(message) + -len(message) % 4 - HEADER_BYTES, 0)
 
 
-def _refuse_to_make(_size_bytes: int | None, _seed: int) -> Payload:
-    raise OptionError("only binary, string and imu can be made up; give --data bag:PATH#TOPIC or topic:/NAME")
+def _refuse_to_make(type_name: str, _size_bytes: int | None, _seed: int) -> Payload:
+    raise OptionError(
+        f"messages of {type_name} cannot be made up; give --data bag:PATH#TOPIC or topic:/NAME instead"
+    )
+
+
+def recognize_data_type(
+    type_name: str, first_field_type: str, where: str, own_types: Mapping[str, DataType]
+) -> DataType:
+    """Return the data type of messages of `type_name` that others made.
+
+    Args:
+        type_name: ROS name of the type.
+        first_field_type: type of its first field, `std_msgs/msg/Header` or `std_msgs/Header` if that is the header.
+        where: origin of the messages, for the error.
+        own_types: data types that are made up here, by the name of their message type.
+
+    Raises:
+        OptionError: there is no place for the stamp.
+    """
+    if type_name in own_types:
+        return own_types[type_name]
+    if first_field_type.replace("/msg/", "/") != "std_msgs/Header":
+        raise OptionError(
+            f"{where}: {type_name} does not begin with a std_msgs/Header, so it cannot carry the stamp"
+        )
+    return header_data_type(type_name)

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import random
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import OptionError
 
-from ..backends.base import Serialization
-from .base import DataType, Message, Payload
+from .base import DataType, Form, Message, Payload
 from .cdr import CdrWriter
-from .stamp import RAW_HEADER_STAMP, TYPED_HEADER_STAMP, stamp_text
+from .stamp import HEADER_STAMP, RAW_HEADER_STAMP, stamp_text
 
 if TYPE_CHECKING:
-    from ..backends.base import RawMessage
+    from ..backends.node import RawMessage, RosMessage
 
 # orientation, angular velocity and linear acceleration, each with its 3 x 3 covariance
 FIELDS = (4, 9, 3, 9, 3, 9)
@@ -21,7 +20,7 @@ PAYLOAD_BYTES = 8 * sum(FIELDS)
 
 
 def make_payload(size_bytes: int | None, seed: int) -> Payload:
-    """One message of random numbers; its size is 296 bytes.
+    """Make up one message of random numbers; its size is 296 bytes.
 
     Raises:
         OptionError: another size was asked for.
@@ -38,13 +37,8 @@ def make_payload(size_bytes: int | None, seed: int) -> Payload:
     return Payload(IMU, (Message(writer.message(), PAYLOAD_BYTES),), PAYLOAD_BYTES)
 
 
-def payload_bytes_of(_message: RawMessage) -> int:
-    """The same for every IMU message."""
-    return PAYLOAD_BYTES
-
-
-def typed_payload_bytes_of(_message: Any) -> int:
-    """The same for every IMU message."""
+def payload_bytes_of(_message: RawMessage | RosMessage) -> int:
+    """Return `PAYLOAD_BYTES`, the same for every IMU message."""
     return PAYLOAD_BYTES
 
 
@@ -52,7 +46,8 @@ IMU = DataType(
     name="imu",
     topic="imu_data",
     type_name="sensor_msgs/msg/Imu",
-    stamps={Serialization.RAW: RAW_HEADER_STAMP, Serialization.TYPED: TYPED_HEADER_STAMP},
+    raw=Form(RAW_HEADER_STAMP, payload_bytes_of),
+    objects=Form(HEADER_STAMP, payload_bytes_of),
+    object_stamp=HEADER_STAMP,
     make=make_payload,
-    payload_bytes_of={Serialization.RAW: payload_bytes_of, Serialization.TYPED: typed_payload_bytes_of},
 )

@@ -6,15 +6,20 @@ Always the same length, so that it is patched in place in a serialized buffer. `
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 
 if TYPE_CHECKING:
-    from ..backends.base import RawMessage
+    from ..backends.node import RawMessage, RosMessage
 
 STAMP_BYTES = 46
 STAMP_PREFIX = b"dt1:"
 PROBE_RUN_ID = 0
-"""Readiness probes carry it; relays echo them and nobody records them."""
+"""Run id of readiness probes: relays echo them and nobody records them."""
+
+SentT = TypeVar("SentT")
+"""Messages that are sent: a `bytearray`, or a message object."""
+ReceivedT_contra = TypeVar("ReceivedT_contra", contravariant=True)
+"""Messages that are received: a `RawMessage`, or a message object."""
 
 _RUN = slice(4, 20)
 _SEQUENCE = slice(21, 37)
@@ -23,7 +28,7 @@ _TIME = struct.Struct("<iI")  # builtin_interfaces/Time
 
 
 class Stamp(NamedTuple):
-    """What one stamp says."""
+    """The numbers in one stamp."""
 
     run_id: int
     sequence: int
@@ -31,12 +36,12 @@ class Stamp(NamedTuple):
 
 
 def stamp_text(run_id: int, sequence: int, relay_id: int = 0) -> bytes:
-    """The 46 characters."""
+    """Return the 46 characters of a stamp."""
     return b"dt1:%016x:%016x:%08x" % (run_id, sequence, relay_id)
 
 
 def parse_stamp(text: bytes | bytearray | str) -> Stamp | None:
-    """The numbers in the 46 characters of `text`, or None if they are not a stamp of ours."""
+    """Return the numbers in the 46 characters of `text`, or None if they are not a stamp of ours."""
     if len(text) != STAMP_BYTES or text[:4] not in (STAMP_PREFIX, "dt1:"):
         return None
     try:
@@ -45,28 +50,28 @@ def parse_stamp(text: bytes | bytearray | str) -> Stamp | None:
         return None
 
 
-class StampPlace(Protocol):
-    """Where one kind of message keeps the stamp, as serialized bytes or as a message object."""
+class StampPlace(Protocol[SentT, ReceivedT_contra]):
+    """The place of the stamp in one kind of message, serialized or an object."""
 
-    def write(self, message: Any, run_id: int, sequence: int) -> None:
-        """Put the stamp of a new message in place, relay 0."""
+    def write(self, message: SentT, run_id: int, sequence: int) -> None:
+        """Write the stamp of a new message, with relay 0."""
 
-    def write_time(self, message: Any, wall_ns: int) -> None:
-        """Put T1's wall clock (ns since 1970) into `header.stamp`, where the message has one."""
+    def write_time(self, message: SentT, wall_ns: int) -> None:
+        """Write T1 on the wall clock (ns since 1970) into `header.stamp`, where the message has one."""
 
-    def read(self, message: Any) -> Stamp | None:
-        """The stamp, or None if this is not a message of ours."""
+    def read(self, message: ReceivedT_contra) -> Stamp | None:
+        """Return the stamp, or None if this is not a message of ours."""
 
-    def reply(self, message: Any, relay_id_text: bytes) -> Any:
-        """The message as relay `relay_id_text` (8 hex digits) sends it back, or None if it is not ours."""
+    def reply(self, message: ReceivedT_contra, relay_id_text: bytes) -> SentT | None:
+        """Return the message as relay `relay_id_text` (8 hex digits) sends it back, or None if it is not ours."""
 
 
 class RawStampPlace:
     """The stamp in serialized CDR, at an offset that is the same for every message of the type.
 
     Args:
-        text_offset: of the 46 characters from the buffer's first byte (encapsulation included).
-        time_offset: of `header.stamp`, None where there is no header.
+        text_offset: offset of the 46 characters from the buffer's first byte (encapsulation included).
+        time_offset: offset of `header.stamp`, None where there is no header.
     """
 
     __slots__ = ("_end", "_relay", "_start", "_time")
@@ -78,20 +83,20 @@ class RawStampPlace:
         self._time = time_offset
 
     def write(self, message: bytearray, run_id: int, sequence: int) -> None:
-        """Put the stamp in place in the buffer."""
+        """Write the stamp into the buffer."""
         message[self._start : self._end] = stamp_text(run_id, sequence)
 
     def write_time(self, message: bytearray, wall_ns: int) -> None:
-        """Put the wall clock into the buffer's `header.stamp`."""
+        """Write the wall clock into the buffer's `header.stamp`."""
         if self._time is not None:
             _TIME.pack_into(message, self._time, wall_ns // 1_000_000_000, wall_ns % 1_000_000_000)
 
     def read(self, message: RawMessage) -> Stamp | None:
-        """The stamp, from its 46 bytes alone."""
+        """Return the stamp, from its 46 bytes alone."""
         return parse_stamp(message[self._start : self._end])
 
     def reply(self, message: RawMessage, relay_id_text: bytes) -> bytearray | None:
-        """A copy with the relay's id in place; the received buffer belongs to the middleware's binding."""
+        """Return a copy with the relay's id in place; the received buffer belongs to the middleware's binding."""
         if not message.startswith(STAMP_PREFIX, self._start):
             return None
         copy = bytearray(message)
@@ -99,57 +104,65 @@ class RawStampPlace:
         return copy
 
 
-class TypedHeaderStampPlace:
+class HeaderStampPlace:
     """The stamp in `header.frame_id` of a message object."""
 
-    def write(self, message: Any, run_id: int, sequence: int) -> None:
-        """Put the stamp into `header.frame_id`."""
+    def write(self, message: RosMessage, run_id: int, sequence: int) -> None:
+        """Write the stamp into `header.frame_id`."""
         message.header.frame_id = stamp_text(run_id, sequence).decode()
 
-    def write_time(self, message: Any, wall_ns: int) -> None:
-        """Put the wall clock into `header.stamp`."""
+    def write_time(self, message: RosMessage, wall_ns: int) -> None:
+        """Write the wall clock into `header.stamp`."""
         stamp = message.header.stamp
         stamp.sec, stamp.nanosec = divmod(wall_ns, 1_000_000_000)
 
-    def read(self, message: Any) -> Stamp | None:
-        """The stamp in `header.frame_id`."""
+    def read(self, message: RosMessage) -> Stamp | None:
+        """Return the stamp in `header.frame_id`."""
         return parse_stamp(message.header.frame_id)
 
-    def reply(self, message: Any, relay_id_text: bytes) -> Any:
-        """The same object with the relay's id in place."""
+    def reply(self, message: RosMessage, relay_id_text: bytes) -> RosMessage | None:
+        """Write the relay's id in place and return the same object."""
         text = message.header.frame_id
         if not text.startswith("dt1:"):
             return None
         message.header.frame_id = text[: _RELAY.start] + relay_id_text.decode()
         return message
 
+    def make_room(self, message: RosMessage) -> None:
+        """Write a stamp into a message of others, whose `frame_id` it replaces."""
+        self.write(message, 0, 0)
 
-class TypedStringStampPlace:
+
+class StringStampPlace:
     """The stamp in the first 46 characters of a `std_msgs/msg/String` object."""
 
-    def write(self, message: Any, run_id: int, sequence: int) -> None:
-        """Put the stamp before the payload."""
+    def write(self, message: RosMessage, run_id: int, sequence: int) -> None:
+        """Write the stamp before the payload."""
         message.data = stamp_text(run_id, sequence).decode() + message.data[STAMP_BYTES:]
 
-    def write_time(self, message: Any, wall_ns: int) -> None:
-        """A String has no time."""
+    def write_time(self, message: RosMessage, wall_ns: int) -> None:
+        """Do nothing: a String has no time."""
 
-    def read(self, message: Any) -> Stamp | None:
-        """The stamp before the payload."""
+    def read(self, message: RosMessage) -> Stamp | None:
+        """Return the stamp before the payload."""
         return parse_stamp(message.data[:STAMP_BYTES])
 
-    def reply(self, message: Any, relay_id_text: bytes) -> Any:
-        """The same object with the relay's id in place."""
+    def reply(self, message: RosMessage, relay_id_text: bytes) -> RosMessage | None:
+        """Write the relay's id in place and return the same object."""
         text = message.data
         if not text.startswith("dt1:"):
             return None
         message.data = text[: _RELAY.start] + relay_id_text.decode() + text[STAMP_BYTES:]
         return message
 
+    def make_room(self, message: RosMessage) -> None:
+        """Write a stamp before the payload of a message of others."""
+        message.data = stamp_text(0, 0).decode() + message.data
+
 
 # std_msgs/Header comes first in both types: stamp (8 bytes) after the encapsulation (4), then the length of
 # frame_id (4). A String begins with its length (4).
 RAW_HEADER_STAMP = RawStampPlace(text_offset=16, time_offset=4)
 RAW_STRING_STAMP = RawStampPlace(text_offset=8, time_offset=None)
-TYPED_HEADER_STAMP = TypedHeaderStampPlace()
-TYPED_STRING_STAMP = TypedStringStampPlace()
+HEADER_STAMP = HeaderStampPlace()
+STRING_STAMP = StringStampPlace()

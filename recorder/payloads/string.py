@@ -5,17 +5,16 @@ from __future__ import annotations
 import random
 import string
 import struct
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import OptionError
 
-from ..backends.base import Serialization
-from .base import DataType, Message, Payload
+from .base import DataType, Form, Message, Payload
 from .cdr import CdrWriter
-from .stamp import RAW_STRING_STAMP, STAMP_BYTES, TYPED_STRING_STAMP, stamp_text
+from .stamp import RAW_STRING_STAMP, STAMP_BYTES, STRING_STAMP, stamp_text
 
 if TYPE_CHECKING:
-    from ..backends.base import RawMessage
+    from ..backends.node import RawMessage, RosMessage
 
 PAPER_BYTES = (4, 91, 1405, 2675)
 DEFAULT_BYTES = PAPER_BYTES[1]
@@ -25,7 +24,7 @@ _UINT32 = struct.Struct("<I")
 
 
 def make_payload(size_bytes: int | None, seed: int) -> Payload:
-    """One string of `size_bytes` characters behind the stamp (91 by default; the paper's: 4, 91, 1405, 2675).
+    """Make up one string of `size_bytes` characters behind the stamp (91 by default; the paper's: 4, 91, 1405, 2675).
 
     Raises:
         OptionError: a string cannot have that size.
@@ -40,13 +39,13 @@ def make_payload(size_bytes: int | None, seed: int) -> Payload:
 
 
 def payload_bytes_of(message: RawMessage) -> int:
-    """Characters behind the stamp in a serialized string."""
+    """Return the number of characters behind the stamp in a serialized string."""
     (length,) = _UINT32.unpack_from(message, 4)
     return int(length) - 1 - STAMP_BYTES
 
 
-def typed_payload_bytes_of(message: Any) -> int:
-    """Characters behind the stamp of a string object."""
+def object_bytes_of(message: RosMessage) -> int:
+    """Return the number of characters behind the stamp of a string object."""
     return len(message.data) - STAMP_BYTES
 
 
@@ -54,7 +53,8 @@ STRING = DataType(
     name="string",
     topic="string_data",
     type_name="std_msgs/msg/String",
-    stamps={Serialization.RAW: RAW_STRING_STAMP, Serialization.TYPED: TYPED_STRING_STAMP},
+    raw=Form(RAW_STRING_STAMP, payload_bytes_of),
+    objects=Form(STRING_STAMP, object_bytes_of),
+    object_stamp=STRING_STAMP,
     make=make_payload,
-    payload_bytes_of={Serialization.RAW: payload_bytes_of, Serialization.TYPED: typed_payload_bytes_of},
 )

@@ -6,71 +6,59 @@ import queue
 import time
 from collections import deque
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import OptionError, Qos
 from dds_trace.tracefile.units.counts import counted
 
-from ..backends.base import Serialization
-from .base import RELAY_SUFFIX, Message, Payload
-from .foreign import OWN_TYPES, foreign_data_type, make_room
-from .stamp import STAMP_PREFIX
+from ..backends.node import ObjectNode
+from .base import RELAY_SUFFIX, Message, Payload, Source
+from .header import recognize_data_type
 
 if TYPE_CHECKING:
     import threading
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator, Mapping
 
-    from ..backends.base import Endpoint, Node
-    from .base import DataType
+    from ..backends.node import Endpoint, Node, RosMessage
+    from .base import DataType, Surroundings
 
 MAX_WAITING = 64
 """Messages that may wait for those before them to be published; more are counted and left out."""
 RATE_MESSAGES = 10
-"""From so many arrivals the topic's rate is taken,"""
+"""Number of arrivals from which the topic's rate is taken,"""
 RATE_S = 3.0
-"""or from those of so many seconds."""
+"""or the time after which those that came by then are enough."""
 LOOK_S = 0.05
-_OWN_TOPICS = {data_type.topic for data_type in OWN_TYPES.values()}
-
-
-@runtime_checkable
-class SerializingNode(Protocol):
-    """A node that can also turn a message object into CDR: what a live source needs."""
-
-    def message_to_cdr(self, message: Any) -> bytes:
-        """The serialized message."""
 
 
 @contextmanager
-def open_payload(
-    name: str, open_node: Callable[[], Node], wait_s: float, stop: threading.Event
-) -> Iterator[Payload]:
-    """The live payload of the topic `name` while the block runs, on a node of its own.
+def open_payload(name: str, surroundings: Surroundings) -> Iterator[Payload]:
+    """Open the live payload of the topic `name`, on a node of its own, for as long as the block runs.
 
-    Of its own, because the node that stamps T2 must not be busy with a camera's messages.
+    The node that stamps T2 must not be busy with a camera's messages.
 
     Args:
-        name: of the topic, with or without its first slash.
-        open_node: opens the node, which is closed with the block.
-        wait_s: how long to wait for the topic and its first messages.
-        stop: ends the wait.
+        name: name of the topic, with or without its first slash.
+        surroundings: opens the node, and bounds the wait for the topic and its first messages.
 
     Raises:
         OptionError: nobody publishes the topic, it is silent, it is ours, or its type cannot carry the stamp.
     """
     topic, where = name.strip("/"), f"--data topic:{name}"
-    if topic.startswith("data_") or topic.endswith(RELAY_SUFFIX) or topic in _OWN_TOPICS:
+    own_types, stop = surroundings.own_types, surroundings.stop
+    own_topics = {data_type.topic for data_type in own_types.values()}
+    if topic.startswith("data_") or topic.endswith(RELAY_SUFFIX) or topic in own_topics:
         raise OptionError(f"{where}: pings travel on this topic themselves; name the topic of the sensor")
-    deadline_s = time.monotonic() + wait_s
-    with open_node() as node:
-        if not isinstance(node, SerializingNode):
+    deadline_s = time.monotonic() + surroundings.wait_s
+    with surroundings.open_node() as node:
+        if not isinstance(node, ObjectNode):
             raise OptionError(f"{where}: a running topic can be sent with --backend ros2 alone")
         publisher = _find_publisher(node, topic, where, deadline_s, stop)
-        feed = LiveFeed(node, publisher.type_name, where)
+        feed = LiveFeed(node, publisher.type_name, where, own_types)
         # What a camera offers is what can be asked of it.
         offered = publisher.qos or Qos("best_effort")
         qos = Qos(offered.reliability, "volatile", "keep_last", MAX_WAITING)
-        subscription = node.create_subscription(topic, publisher.type_name, feed.receive, qos=qos, typed=True)
+        subscription = node.create_object_subscription(topic, publisher.type_name, feed.receive, qos=qos)
         node.start()
         try:
             yield feed.payload(deadline_s, stop, source=f"topic:{name}")
@@ -79,13 +67,16 @@ def open_payload(
 
 
 class LiveFeed:
-    """What arrives on the topic, serialized with room for the stamp; see `dds_trace.recorder.payloads.base.Feed`."""
+    """The messages that arrive on the topic, serialized with room for the stamp; see `Feed` for the names."""
 
-    def __init__(self, node: SerializingNode, type_name: str, where: str) -> None:
+    def __init__(
+        self, node: ObjectNode, type_name: str, where: str, own_types: Mapping[str, DataType]
+    ) -> None:
         self.skipped = 0
         self._node = node
         self._type_name = type_name
         self._where = where
+        self._own_types = own_types
         self._data_type: DataType | None = None
         self._sample: Message | None = None
         self._arrivals_ns: deque[int] = deque(maxlen=RATE_MESSAGES)
@@ -93,8 +84,8 @@ class LiveFeed:
         self._is_keeping = False
         self._error: OptionError | None = None
 
-    def receive(self, message: Any, _source_ns: int = 0, _received_ns: int = 0, /) -> None:
-        """Called for each message of the topic, on the thread of the source's node."""
+    def receive(self, message: RosMessage, _source_ns: int = 0, _received_ns: int = 0, /) -> None:
+        """Take a message of the topic, on the thread of the source's node."""
         arrival_ns = time.monotonic_ns()
         if self._sample is None:
             self._take_sample(message)
@@ -107,18 +98,18 @@ class LiveFeed:
             self._waiting.put((made, arrival_ns))
 
     def begin(self) -> None:
-        """Keep what arrives from now on."""
+        """Keep the messages that arrive from now on."""
         self._is_keeping = True
 
     def take(self, stop: threading.Event) -> tuple[Message, int] | None:
-        """The next message and when it arrived; None once `stop` is set."""
+        """Wait for the next message; return it and its arrival (monotonic ns), or None once `stop` is set."""
         while not stop.is_set():
             with suppress(queue.Empty):
                 return self._waiting.get(timeout=LOOK_S)
         return None
 
     def payload(self, deadline_s: float, stop: threading.Event, source: str) -> Payload:
-        """The payload, as soon as the topic's rate is known; its one message is for probes.
+        """Return the payload as soon as the topic's rate is known; its one message is for probes.
 
         Raises:
             OptionError: fewer than two messages came in time, or their type cannot carry the stamp.
@@ -150,24 +141,26 @@ class LiveFeed:
             feed=self,
         )
 
-    def _take_sample(self, message: Any) -> None:
+    def _take_sample(self, message: RosMessage) -> None:
         first_field_type = next(iter(message.get_fields_and_field_types().values()), "")
         try:
-            self._data_type = foreign_data_type(self._type_name, first_field_type, self._where)
-        except OptionError as error:  # told by `payload`, to those who wait
+            self._data_type = recognize_data_type(
+                self._type_name, first_field_type, self._where, self._own_types
+            )
+        except OptionError as error:  # raised by `payload`, to those who wait
             self._error = error
             return
         self._sample = self._message_of(message)
 
-    def _message_of(self, message: Any) -> Message | None:
-        """The message as we send it; None for one that is ours already and came back here."""
+    def _message_of(self, message: RosMessage) -> Message | None:
+        """Return the message as we send it; None for one that is ours already and came back here."""
         assert self._data_type is not None
-        text = message.data if self._data_type.name == "string" else message.header.frame_id
-        if text.startswith(STAMP_PREFIX.decode()):
+        place = self._data_type.object_stamp
+        if place.read(message) is not None:
             return None
-        make_room(message, self._data_type)
+        place.make_room(message)
         data = bytearray(self._node.message_to_cdr(message))
-        return Message(data, self._data_type.payload_bytes_of[Serialization.RAW](data))
+        return Message(data, self._data_type.raw.payload_bytes_of(data))
 
 
 def _find_publisher(node: Node, topic: str, where: str, deadline_s: float, stop: threading.Event) -> Endpoint:
@@ -180,3 +173,6 @@ def _find_publisher(node: Node, topic: str, where: str, deadline_s: float, stop:
         f"{where}: nobody publishes it in domain {node.options.domain_id}; start its publisher, "
         "or give a longer --wait"
     )
+
+
+TOPIC = Source(name="topic", usage="topic:/NAME", open=open_payload)

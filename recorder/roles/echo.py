@@ -1,4 +1,4 @@
-"""Why no echo came: what a ping looked for, what it sees there, and what to try."""
+"""The explanation of a missing echo: what a ping looked for, what it sees, and what to try."""
 
 from __future__ import annotations
 
@@ -7,41 +7,22 @@ from typing import TYPE_CHECKING
 
 from dds_trace.tracefile.units.counts import counted
 
-from ..backends.checks import SOCKET_PORT, ZENOH_PORT, port_of
-from ..payloads import DATA_TYPES
+from ..backends import load_backend, load_backends
+from ..payloads import data_types
 
 if TYPE_CHECKING:
-    from ..backends.base import Endpoint, Node
+    from ..backends.node import Endpoint, Node
     from ..payloads.base import DataType
-    from .ping import RunPlan
-
-_DISCOVERY = (
-    "both have the same --domain and --discovery and a --backend that speaks DDS (ros2, cyclonedds, connext), and the "
-    "network lets multicast through"
-)
-MEETING = {
-    "ros2": f"{_DISCOVERY} (else name each other's device in ROS_STATIC_PEERS, which ROS 2 Iron and later read)",
-    "cyclonedds": f"{_DISCOVERY} (else list peers in CYCLONEDDS_URI)",
-    "connext": f"{_DISCOVERY} (else name the other device with --peer)",
-    "zenoh": (
-        "both have --backend zenoh and the same --domain, --peer names the relay's device, and nothing blocks its TCP "
-        "port {zenoh_port}"
-    ),
-    "socket": (
-        "both have --backend socket and the same --domain and --transport, --peer names the relay's device, and nothing "
-        "blocks its port {socket_port}"
-    ),
-}
-"""What must hold for ping and relay to find each other, by the ping's backend."""
+    from .plan import RunPlan
 
 
 @dataclass(frozen=True, slots=True)
 class Sight:
-    """What a ping sees of relays for its data type.
+    """The endpoints of relays that a ping sees for its data type.
 
     Attributes:
-        subscriptions: of others on the topic of the way out.
-        publishers: of others on the topic of the way back.
+        subscriptions: subscriptions of others on the topic of the way out.
+        publishers: publishers of others on the topic of the way back.
         incompatible: one line for each pair, on both topics, whose quality of service can never match.
     """
 
@@ -52,12 +33,12 @@ class Sight:
     @property
     def is_hopeless(self) -> bool:
         """Whether relays are in sight and none of them can ever match."""
-        found = len(self.incompatible)
-        return found > 0 and found >= max(len(self.subscriptions), len(self.publishers))
+        hopeless = len(self.incompatible)
+        return hopeless > 0 and hopeless >= max(len(self.subscriptions), len(self.publishers))
 
 
 def look_for_relays(node: Node, data_type: DataType) -> Sight:
-    """What `node` sees of relays of `data_type` at the moment."""
+    """Return the endpoints of relays of `data_type` that `node` sees now."""
     there, back = node.look_at(data_type.topic), node.look_at(data_type.relay_topic)
     own = node.options.name
     return Sight(
@@ -68,7 +49,7 @@ def look_for_relays(node: Node, data_type: DataType) -> Sight:
 
 
 def explain_silence(node: Node, plan: RunPlan, waited_s: float) -> str:
-    """The message of a `NoEchoError`: looked for, saw, try."""
+    """Return the message of a `NoEchoError`: looked for, saw, try."""
     options, middleware, data_type = node.options, node.middleware, plan.payload.data_type
     sight = look_for_relays(node, data_type)
     through = (
@@ -108,10 +89,9 @@ def _advice(sight: Sight, node: Node, plan: RunPlan) -> str:
         )
     options, backend = node.options, node.middleware.backend
     domain_id = options.domain_id if plan.relay_domain_id is None else plan.relay_domain_id
-    further = "" if data_type.name in DATA_TYPES else f"--type {data_type.type_name} "
-    meeting = MEETING[backend].format(
-        zenoh_port=port_of(domain_id, ZENOH_PORT), socket_port=port_of(domain_id, SOCKET_PORT)
-    )
+    further = "" if data_type.name in data_types() else f"--type {data_type.type_name} "
+    dds_backends = ", ".join(each.name for each in load_backends() if each.speaks_dds)
+    meeting = load_backend(backend).describe_meeting(domain_id, dds_backends)
     crossing = (
         ""
         if plan.bridge == "none"

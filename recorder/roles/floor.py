@@ -7,41 +7,39 @@ import statistics
 import threading
 import time
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import NoEchoError, Qos, TraceError
 
-from ..backends import open_node
+from ..backends import load_backend, open_node
 from ..host.recorder_cost import measure_recorder_cost
 from ..payloads import STRING
 
 if TYPE_CHECKING:
-    from ..backends.base import NodeOptions
+    from ..backends.node import NodeOptions, RawMessage
     from ..host.recorder_cost import RecorderCost
 
 BRIEF_S = 0.15
-"""Enough for a median beside each session; `dds-record --self-test` takes its time."""
+"""Length of the measurement beside each session, enough for a median; `dds-record --self-test` takes its time."""
 FLOOR_TOPIC = "dds_trace_floor"
 FLOOR_MESSAGES = 200
 BRIEF_FLOOR_MESSAGES = 50
 """Beside each session."""
 FLOOR_PATIENCE_S = 10.0
 BRIEF_FLOOR_PATIENCE_S = 2.0
-BACKENDS_WITHOUT_CLIENT_LIBRARY = frozenset({"socket"})
-"""They are a floor themselves."""
 
 
 @dataclass(frozen=True, slots=True)
 class FloorCost:
-    """From publish to callback within one node: what the client library and its middleware take at least, in ns."""
+    """The time from publish to callback within one node, in ns: the least that client library and middleware take."""
 
     median_ns: float
     p99_ns: float
     messages: int
 
 
-def measured_cost() -> dict[str, Any]:
-    """The session's `recorder_cost` object, times in ns; empty where nothing can be written."""
+def measured_cost() -> dict[str, object]:
+    """Measure the session's `recorder_cost` object, times in ns; empty where nothing can be written."""
     try:
         cost = measure_recorder_cost(seconds=BRIEF_S)
     except TraceError:
@@ -49,12 +47,12 @@ def measured_cost() -> dict[str, Any]:
     return {"recorder_cost": _rounded(cost)}
 
 
-def measured_floor(backend: str, options: NodeOptions) -> dict[str, Any]:
-    """The session's `client_library_floor` object, times in ns; empty where there is none to measure.
+def measured_floor(backend: str, options: NodeOptions) -> dict[str, object]:
+    """Measure the session's `client_library_floor` object, times in ns; empty where there is none.
 
-    It has a node of its own, which is closed again before the role's node opens.
+    The node of the measurement is closed again before the role's node opens.
     """
-    if backend in BACKENDS_WITHOUT_CLIENT_LIBRARY:
+    if not load_backend(backend).has_client_library:  # it is the floor itself
         return {}
     try:
         floor = measure_floor(backend, options, BRIEF_FLOOR_MESSAGES, BRIEF_FLOOR_PATIENCE_S)
@@ -69,13 +67,13 @@ def measure_floor(
     messages: int = FLOOR_MESSAGES,
     patience_s: float = FLOOR_PATIENCE_S,
 ) -> FloorCost:
-    """One message of a few bytes after the other, from a node to itself; nothing of it leaves this device.
+    """Send small messages one after the other from a node to itself and time them; none leaves this device.
 
     Args:
-        backend: its name.
-        options: of the role's node; whom it would connect to and listen for is left out.
-        messages: how many round trips within the node.
-        patience_s: how long its two ends may take to find each other.
+        backend: name of the backend.
+        options: options of the role's node; its peers and its listening are left out.
+        messages: number of messages.
+        patience_s: longest time that the node's two ends may take to find each other.
 
     Raises:
         BackendUnavailableError: the middleware is not on this machine.
@@ -83,7 +81,7 @@ def measure_floor(
     """
     arrived_ns, arrived = [0], threading.Event()
 
-    def receive(_message: Any, _source_ns: int = 0, _received_ns: int = 0, /) -> None:
+    def receive(_message: RawMessage, _source_ns: int = 0, _received_ns: int = 0, /) -> None:
         arrived_ns[0] = time.monotonic_ns()
         arrived.set()
 

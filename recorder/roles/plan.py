@@ -1,26 +1,78 @@
-"""From what is asked and the data at hand to the plan of a run: rate and count follow the data where nothing is said."""
+"""The plan of a run, from the options and the data at hand: the data decides rate and count where the options do not."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import OptionError
+from dds_trace.tracefile import OptionError, Qos, Run
 
+from ..choices import Serialization
 from ..options import DEFAULT_MESSAGES, DEFAULT_RATE_HZ
-from .ping import RunPlan
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
-    from ..backends.base import Serialization
     from ..options import PingOptions, RecordOptions
     from ..payloads.base import DataType, Payload
+
+SECOND_NS = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class RunPlan:
+    """The messages of one run of a ping and their schedule.
+
+    Attributes:
+        payload: messages that are sent.
+        rate_hz: messages a second.
+        messages: messages that count.
+        warmup: messages sent before them on the same schedule, kept out of every statistic.
+        extra: further fields for the trace's description of the run.
+    """
+
+    payload: Payload
+    rate_hz: float
+    messages: int
+    warmup: int = 0
+    qos: Qos = field(default_factory=Qos)
+    serialization: Serialization = Serialization.RAW
+    bridge: str = "none"
+    relay_domain_id: int | None = None
+    labels: Mapping[str, str] = field(default_factory=dict)
+    extra: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def total(self) -> int:
+        """Messages of the schedule, warm-up included."""
+        return self.warmup + self.messages
+
+    def scheduled_ns(self, start_ns: int, sequence: int) -> int:
+        """Return T0 of message `sequence`, known before the run, whatever happens in it."""
+        return start_ns + round(sequence * SECOND_NS / self.rate_hz)
+
+    def describe(self, run_id: int) -> Run:
+        """Return the trace's description of the run at its start."""
+        return Run(
+            run_id=run_id,
+            data_type=self.payload.data_type.name,
+            payload_bytes=self.payload.payload_bytes,
+            rate_hz=self.rate_hz,
+            planned_messages=self.messages,
+            warmup_messages=self.warmup,
+            bridge=self.bridge,
+            relay_domain_id=self.relay_domain_id,
+            serialization=self.serialization.value,
+            qos=self.qos,
+            labels=self.labels,
+            extra=self.extra,
+        )
 
 
 def plan_run(
     options: RecordOptions, asked: PingOptions, payload: Payload, *, session_id: int, seed: int
 ) -> RunPlan:
-    """The run that `asked` means with this payload.
+    """Return the run that `asked` means with this payload.
 
     Raises:
         OptionError: the payload cannot be sent like this.
@@ -47,7 +99,7 @@ def plan_run(
 
 
 def count_messages(messages: int | None, duration_s: float | None, rate_hz: float, warmup: int) -> int:
-    """As many as were asked for, or as fit the duration behind the warm-up."""
+    """Return the number of messages asked for, or of those that fit the duration behind the warm-up."""
     if messages is not None:
         return messages
     if duration_s is None:
@@ -62,7 +114,7 @@ def check_serialization(data_types: Iterable[DataType], serialization: Serializa
         OptionError: naming one of `data_types`.
     """
     for data_type in data_types:
-        if serialization not in data_type.stamps:
+        if serialization is Serialization.TYPED and data_type.objects is None:
             raise OptionError(
                 f"--serialization {serialization.value}: {data_type.type_name} is sent as raw bytes alone"
             )

@@ -1,4 +1,4 @@
-"""What a role says of itself while it runs, computed for whoever asks and never for each message."""
+"""The progress of a role while it runs, computed for whoever asks and never for each message."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ if TYPE_CHECKING:
     from array import array
 
 PERCENTILE_SAMPLES = 10_000
-"""A percentile for the eye is taken from at most so many messages, evenly picked: 0.1 ms of computing."""
+"""Most messages, evenly picked, from which a percentile for the eye is taken: 0.1 ms of computing."""
 
 
 @dataclass(frozen=True, slots=True)
 class PingProgress:
-    """A ping's run so far.
+    """The progress of a ping's run.
 
     Attributes:
         planned: messages of the schedule, warm-up included.
-        sent: handed to the middleware.
+        sent: messages handed to the middleware.
         received: messages with at least one reply.
         lost: messages without one although a later message has one; at the end, all without one.
         rtt_p50_ns: median round trip so far, None before the first reply; likewise `rtt_p99_ns`.
@@ -36,7 +36,7 @@ class PingProgress:
 
 @dataclass(frozen=True, slots=True)
 class RelayProgress:
-    """What a relay has done so far.
+    """The progress of a relay.
 
     Attributes:
         relayed: messages sent back, readiness probes not counted.
@@ -50,17 +50,17 @@ class RelayProgress:
 
 
 class Watch(Protocol):
-    """Who is told while a recording goes on; called from the thread that called `record`, twice a second."""
+    """An observer of a recording; called from the thread that called `record`, twice a second."""
 
     def note(self, text: str) -> None:
-        """Something that the user should know now, one line."""
+        """Take a line that the user should read now."""
 
     def progress(self, progress: PingProgress | RelayProgress) -> None:
-        """How far the role is."""
+        """Take the role's progress."""
 
 
 def rtt_percentiles_ns(rtt_ns: array[int]) -> tuple[int | None, int | None]:
-    """p50 and p99 of the round trips in `rtt_ns`, where 0 means no reply yet."""
+    """Return p50 and p99 of the round trips in `rtt_ns`, in ns; a 0 in it means no reply yet."""
     values = np.frombuffer(rtt_ns, np.int64)
     values = values[:: len(values) // PERCENTILE_SAMPLES + 1]
     values = np.sort(values[values > 0])

@@ -2,34 +2,40 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypeVar
 
-from ..backends.base import Serialization
+from ..choices import Serialization
 from ..host.clock import SystemClock
-from ..payloads.stamp import PROBE_RUN_ID
+from ..payloads.stamp import PROBE_RUN_ID, SentT
+from .lanes import ObjectLane, RawLane
 from .progress import RelayProgress
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
     from dds_trace.tracefile import Qos, TraceSink
 
-    from ..backends.base import Node, Publisher, Receive
+    from ..backends.node import Node, Publisher, Receive
     from ..host.clock import Clock
-    from ..payloads.base import DataType
+    from ..payloads.base import DataType, Form
+    from .lanes import Lane
+
+ReceivedT = TypeVar("ReceivedT")
 
 T3, T4 = 3, 4
 
 
 class Relay:
-    """Serves `data_types` on a node from its start until `close`.
+    """The relay of `data_types` on a node, from its start until `close`.
 
     Args:
-        node: where to subscribe and publish; its thread does all the work.
-        sink: where events go.
-        relay_id: put into every reply, not 0.
-        data_types: whose topics are served, all at once.
-        qos: of both ways; must suit the pings (see `dds_trace.recorder.backends.qos`).
+        node: node that subscribes and publishes; its thread does all the work.
+        sink: trace that keeps the events.
+        relay_id: number in every reply, not 0.
+        data_types: data types whose topics are served, all at once.
+        qos: quality of service of both ways; must suit the pings (see `dds_trace.recorder.backends.qos`).
+        serialization: form in which the messages pass the client library.
+        clock: time of this device.
     """
 
     def __init__(
@@ -49,44 +55,45 @@ class Relay:
         self._clock = clock or SystemClock()
         self._runs: dict[int, int] = {}  # run -> messages relayed
         self._foreign = 0
-        self._endpoints = []
-        typed = serialization is Serialization.TYPED
+        self._closers: list[Callable[[], None]] = []
+        if serialization is Serialization.TYPED:
+            self._serve(ObjectLane(node), data_types, qos)
+        else:
+            self._serve(RawLane(node), data_types, qos)
+
+    def _serve(self, lane: Lane[SentT, ReceivedT], data_types: Iterable[DataType], qos: Qos) -> None:
         for data_type in data_types:
-            publisher = node.create_publisher(
-                data_type.relay_topic, data_type.type_name, qos=qos, typed=typed
-            )
-            receive = self._receiver(data_type, serialization, publisher)
-            subscription = node.create_subscription(
-                data_type.topic, data_type.type_name, receive, qos=qos, typed=typed
-            )
-            self._endpoints += [subscription, publisher]
+            publisher = lane.create_publisher(data_type.relay_topic, data_type.type_name, qos)
+            receive = self._receiver(lane.form_of(data_type), publisher)
+            subscription = lane.create_subscription(data_type.topic, data_type.type_name, receive, qos)
+            self._closers += [subscription.close, publisher.close]
             self.topics += [data_type.topic, data_type.relay_topic]
 
     def close(self) -> None:
         """Take the endpoints off their topics."""
-        for endpoint in self._endpoints:
-            endpoint.close()
+        for close in self._closers:
+            close()
 
-    def _receiver(self, data_type: DataType, serialization: Serialization, publisher: Publisher) -> Receive:
-        stamps, payload_bytes_of = data_type.stamps[serialization], data_type.payload_bytes_of[serialization]
+    def _receiver(self, form: Form[SentT, ReceivedT], publisher: Publisher[SentT]) -> Receive[ReceivedT]:
+        make_reply, read, payload_bytes_of = form.stamp.reply, form.stamp.read, form.payload_bytes_of
         now, publish, record = self._clock.monotonic_ns, publisher.publish, self._sink.record
         relay_id, relay_id_text, runs = self.relay_id, b"%08x" % self.relay_id, self._runs
 
         # What can wait until the reply is on its way does: T4 - T3 is taken off the latency, but it is also
         # time in which the next message waits.
-        def receive(message: Any, source_ns: int = 0, received_ns: int = 0, /) -> None:
+        def receive(message: ReceivedT, source_ns: int = 0, received_ns: int = 0, /) -> None:
             relay_in_ns = now()
-            reply = stamps.reply(message, relay_id_text)
+            reply = make_reply(message, relay_id_text)
             if reply is None:
                 self._foreign += 1
                 return
             relay_out_ns = now()
             publish(reply)
-            stamp = stamps.read(reply)
+            stamp = read(message)
             if stamp is None or stamp.run_id == PROBE_RUN_ID:
                 return
             run_id, sequence, _ = stamp
-            size = payload_bytes_of(reply)
+            size = payload_bytes_of(message)
             record(T3, run_id, sequence, relay_in_ns, 0, source_ns, received_ns, size, relay_id)
             record(T4, run_id, sequence, relay_out_ns, 0, 0, 0, size, relay_id)
             runs[run_id] = runs.get(run_id, 0) + 1
@@ -94,6 +101,6 @@ class Relay:
         return receive
 
     def progress(self) -> RelayProgress:
-        """What was done so far; may be called from any thread."""
+        """Return the work done so far; any thread may ask."""
         counts = list(self._runs.values())
         return RelayProgress(sum(counts), len(counts), self._foreign)

@@ -1,20 +1,22 @@
-"""What a recording says of itself: the `Session` of a role on a node."""
+"""The description of a recording: the `Session` of a role on a node."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import Session
 
-from ..backends.base import Discovery
+from ..backends import load_backends
+from ..choices import Discovery
+from ..host.environment import join_environments
 from ..host.fingerprint import host_fingerprint
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from ..backends.base import Node
+    from ..backends.node import Node
     from ..host.clock import ClockAnchor
 
 
@@ -27,22 +29,24 @@ def describe_session(
     device: str | None = None,
     connectivity: str | None = None,
     relay_id: int | None = None,
-    extra: Mapping[str, Any] | None = None,
+    extra: Mapping[str, object] | None = None,
 ) -> Session:
-    """The session of a role on an open node, as the running middleware and this device are.
+    """Describe the session of a role on an open node, its middleware and this device.
 
     Args:
-        node: where the role runs.
-        anchor: what ties the events' monotonic clock to the wall clock.
+        node: node of the role.
+        anchor: one instant on the events' monotonic clock and on the wall clock.
         role: `ping` or `relay`.
         session_id: 64 random bits.
-        device: the device's name, by default its host name.
-        connectivity: how it reaches the others, by default `default_connectivity`.
-        relay_id: of a relay.
+        device: name of the device, by default its host name.
+        connectivity: the device's link to the others, by default `default_connectivity`.
+        relay_id: number of a relay, None for a ping.
         extra: further fields.
     """
     middleware = node.middleware
-    host = host_fingerprint(middleware.versions)
+    # Of all backends: a ROS middleware reads the files of its vendor, and a bridge may run on another one.
+    environment = join_environments(backend.environment for backend in load_backends())
+    host = host_fingerprint(middleware.versions, environment)
     return Session(
         session_id=session_id,
         role=role,
@@ -61,7 +65,7 @@ def describe_session(
 
 
 def default_connectivity(discovery: Discovery, root: Path = Path("/")) -> str:
-    """`loopback`, or by the interface of the default route `wireless` or `wired`."""
+    """Return `loopback`, or by the interface of the default route `wireless` or `wired`."""
     if discovery is Discovery.LOCALHOST:
         return "loopback"
     try:

@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING
 from dds_trace.lazy import contents_page
 
 if TYPE_CHECKING:
+    from ..backends import installed_middlewares
     from .max_rate_report import COLUMNS, max_rate_rows, write_max_rates
     from .plan.cells import Cell
     from .plan.commands import half_arguments, relay_arguments
     from .plan.estimate import Remaining, plan_seconds
-    from .plan.installed import installed_middlewares
     from .plan.link import PRESETS, Link
     from .plan.plan import Plan
     from .plan.plan_file import parse_plan, read_plan

@@ -54,7 +54,8 @@ def watch_crossing(first, second, topics, *, until, count=5, reliability="reliab
 
 def main(*, first, second, topics, until, count, reliability):
     from dds_trace.recorder.backends import open_node
-    from dds_trace.recorder.backends.base import Discovery, NodeOptions
+    from dds_trace.recorder.backends.node import NodeOptions
+    from dds_trace.recorder.choices import Discovery
     from dds_trace.tracefile import Qos
 
     def open_one(domain_id, name):

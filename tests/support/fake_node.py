@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.backends.base import Middleware, NodeOptions, TopicView
+from dds_trace.recorder.backends.node import Middleware, NodeOptions, TopicView
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -51,16 +51,14 @@ class FakeNode:
         self.participants: int | None = 1
         self.error: BaseException | None = None
 
-    def create_publisher(
-        self, topic: str, type_name: str, *, qos: Qos | None = None, typed: bool = False
-    ) -> FakePublisher:
-        del type_name, qos, typed
+    def create_publisher(self, topic: str, type_name: str, *, qos: Qos | None = None) -> FakePublisher:
+        del type_name, qos
         return self.publishers.setdefault(topic, FakePublisher(topic))
 
     def create_subscription(
-        self, topic: str, type_name: str, receive: Any, *, qos: Qos | None = None, typed: bool = False
+        self, topic: str, type_name: str, receive: Any, *, qos: Qos | None = None
     ) -> FakeSubscription:
-        del type_name, qos, typed
+        del type_name, qos
         self.subscriptions[topic] = FakeSubscription(topic, receive)
         return self.subscriptions[topic]
 

@@ -41,7 +41,7 @@ def format_duration(value_ns: float | None, unit: str | None = None) -> str:
     return format_quantity(value_ns, _SHOWN_NS if unit is None else {unit: UNIT_NS[unit]})
 
 
-def spell_duration(duration_ns: int) -> str:
-    """Write a duration to 15 digits, as `parse_duration` reads it, in the largest unit that it fills: `20ms`."""
+def spell_duration(duration_ns: int, digits: int = 15) -> str:
+    """Write a duration to `digits` digits, as `parse_duration` reads it, in the largest unit that it fills: `20ms`."""
     unit = next((unit for unit, factor in UNIT_NS.items() if duration_ns >= factor), "ns")
-    return f"{duration_ns / UNIT_NS[unit]:.15g}{unit}"
+    return f"{duration_ns / UNIT_NS[unit]:.{digits}g}{unit}"

@@ -8,7 +8,7 @@ import subprocess
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ...backends.base import Discovery
+from ...choices import Discovery
 from .supervise import program_environment
 
 if TYPE_CHECKING:

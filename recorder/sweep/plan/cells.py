@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from dds_trace.tracefile.units.sizes import spell_size
 
-from ...backends.base import ExecutorKind, Serialization, Transport
 from ...backends.qos import RANKS
+from ...choices import ExecutorKind, Serialization, Transport
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

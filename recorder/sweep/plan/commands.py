@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from .cells import AXES, RELAY_AXES
-from .plan import BACKENDS_WITH_PEERS
+from .plan import connects_to_relay
 
 if TYPE_CHECKING:
     from .cells import Cell, RelayNeed
@@ -53,7 +53,7 @@ def ping_arguments(plan: Plan, cell: Cell, wait_s: float, relay_address: str | N
         *(("--relay-domain", str(plan.run.domain)) if cell.crosses_domains else ()),
         *_axis_arguments(cell, [axis for axis in AXES if axis not in ("relay_backend", "relay_rmw")]),
         *(("--bridge-peer", f"{relay_address}:{plan.relay.bridge_port}") if plan.runs_halves(cell) else ()),
-        *(("--peer", relay_address) if relay_address and cell.backend in BACKENDS_WITH_PEERS else ()),
+        *(("--peer", relay_address) if relay_address and connects_to_relay(cell.backend) else ()),
         *("--messages", str(plan.run.messages_at(cell.rate)), "--warmup", str(plan.run.warmup)),
         *("--wait", f"{wait_s:g}"),
         *("--label", f"sweep={plan.name}", "--label", f"cell={cell.name}"),

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Any
 
+from ...backends import BACKEND_MODULES, Meeting, load_backend
 from ...bridges import BRIDGE_MODULES, load_bridge
 from ...bridges.base import Halves
 
@@ -20,9 +21,6 @@ if TYPE_CHECKING:
 
 PERCENTILES = (50.0, 90.0, 95.0, 99.0, 99.9)
 """Percentiles in the result of a cell, and those that a search may set its deadline for."""
-
-BACKENDS_WITH_PEERS = ("socket", "zenoh")
-"""Backends whose ping connects to an address instead of looking for the relay."""
 
 
 class Order(Enum):
@@ -189,7 +187,7 @@ class Plan:
 
     def needs_address(self, cell: Cell) -> bool:
         """Whether the cell's ping has to be told where the relay's device is."""
-        return cell.backend in BACKENDS_WITH_PEERS or self.runs_halves(cell)
+        return connects_to_relay(cell.backend) or self.runs_halves(cell)
 
     def runs_halves(self, cell: Cell) -> bool:
         """Whether the cell's bridge runs one half beside the ping and one beside the relay.
@@ -213,6 +211,11 @@ class Plan:
             "connectivity": self.connectivity,
         }
         return hashlib.sha256(json.dumps(told, sort_keys=True, default=str).encode()).hexdigest()[:16]
+
+
+def connects_to_relay(backend: str) -> bool:
+    """Tell whether a backend's ping connects to the relay's address; False for a backend that we do not know."""
+    return backend in BACKEND_MODULES and load_backend(backend).meeting is Meeting.PEERS
 
 
 def has_halves(bridge: str) -> bool:

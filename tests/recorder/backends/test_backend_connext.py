@@ -9,9 +9,10 @@ from backend_pairs import all_data_types
 from processes import run
 
 from dds_trace.recorder.backends import connext, open_node
-from dds_trace.recorder.backends.base import Discovery, NodeOptions, Transport
 from dds_trace.recorder.backends.dds_types import DDS_TYPES
-from dds_trace.recorder.payloads import DATA_TYPES
+from dds_trace.recorder.backends.node import NodeOptions
+from dds_trace.recorder.choices import Discovery, Transport
+from dds_trace.recorder.payloads import data_types
 from dds_trace.tracefile import BackendUnavailableError, OptionError, Qos
 
 dds = pytest.importorskip("rti.connextdds", reason="no rti.connext here")
@@ -46,7 +47,7 @@ def test_without_a_licence_the_command_ends_with_that_line(domain_id, tmp_path, 
     assert not (tmp_path / "relay.mcap").exists()
 
 
-@pytest.mark.parametrize("data_type", DATA_TYPES.values(), ids=lambda data_type: data_type.name)
+@pytest.mark.parametrize("data_type", data_types().values(), ids=lambda data_type: data_type.name)
 def test_messages_of_ours_are_messages_to_connext(data_type):
     """DynamicData takes the serialized message, and Connext's own reading of it finds its fields."""
     message = data_type.make(None, 1).messages[0].data

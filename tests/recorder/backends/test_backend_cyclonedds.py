@@ -12,8 +12,9 @@ from backend_pairs import all_data_types
 from processes import PATIENCE_S, ping, relay
 
 from dds_trace.recorder.backends import open_node
-from dds_trace.recorder.backends.base import Discovery, ExecutorKind, NodeOptions, Transport
-from dds_trace.recorder.payloads import BINARY, DATA_TYPES, IMU
+from dds_trace.recorder.backends.node import NodeOptions, message_objects_of
+from dds_trace.recorder.choices import Discovery, ExecutorKind, Transport
+from dds_trace.recorder.payloads import BINARY, IMU, data_types
 from dds_trace.tracefile import OptionError, Qos
 
 pytest.importorskip("cyclonedds", reason="no Cyclone DDS here")
@@ -45,7 +46,7 @@ def test_tuned_is_applied_and_recorded(domain_id):
     assert "<FragmentSize>60000B</FragmentSize>" in settings["CYCLONEDDS_URI"]
 
 
-@pytest.mark.parametrize("data_type", DATA_TYPES.values(), ids=lambda data_type: data_type.name)
+@pytest.mark.parametrize("data_type", data_types().values(), ids=lambda data_type: data_type.name)
 def test_bytes_arrive_as_they_were_sent(domain_id, data_type):
     message = data_type.make(None, 1).messages[0].data
     got, some = [], threading.Event()
@@ -175,7 +176,7 @@ def test_types_and_qualities_that_it_does_not_know_are_refused(domain_id):
         with pytest.raises(OptionError, match="rather"):
             node.create_publisher("x", IMU.type_name, qos=Qos(reliability="rather"))
         with pytest.raises(OptionError, match="serialized messages alone"):
-            node.create_publisher("x", IMU.type_name, typed=True)
+            message_objects_of(node)
 
 
 def test_closing_twice_is_allowed(domain_id):
@@ -190,9 +191,9 @@ def test_closing_twice_is_allowed(domain_id):
 def test_without_cyclonedds_it_says_how_to_get_it():
     code = (
         "import sys; sys.modules['cyclonedds'] = None\n"
-        "from dds_trace.recorder.backends.base import NodeOptions\n"
+        "from dds_trace.recorder.backends.node import NodeOptions\n"
         "from dds_trace.recorder.backends import open_node\n"
-        "from tracefile import BackendUnavailableError\n"
+        "from dds_trace.tracefile import BackendUnavailableError\n"
         "try: open_node('cyclonedds', NodeOptions())\n"
         "except BackendUnavailableError as error: print(error)\n"
     )

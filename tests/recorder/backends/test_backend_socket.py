@@ -15,9 +15,10 @@ from backend_pairs import all_data_types, events
 from processes import PATIENCE_S, ping, relay, running
 
 from dds_trace.recorder.backends import open_node
-from dds_trace.recorder.backends.base import Discovery, ExecutorKind, NodeOptions, Transport
-from dds_trace.recorder.backends.checks import SOCKET_PORT, port_of
-from dds_trace.recorder.backends.socket_links import FRAGMENT_BYTES
+from dds_trace.recorder.backends.node import NodeOptions, message_objects_of
+from dds_trace.recorder.backends.socket import BACKEND
+from dds_trace.recorder.backends.socket.udp import FRAGMENT_BYTES
+from dds_trace.recorder.choices import Discovery, ExecutorKind, Transport
 from dds_trace.recorder.payloads import BINARY, IMU
 from dds_trace.tracefile import OptionError, Qos, Stage, read_trace
 
@@ -63,7 +64,7 @@ def independent_delays(domain_id, folder, delay_s):
     """RTT and the time within the relay, by the relay's own clock readings, of each message (ns)."""
     folder.mkdir()
     script = Path(__file__).parents[2] / "support" / "plain_echo.py"
-    port = port_of(domain_id, SOCKET_PORT)
+    port = BACKEND.port_of(domain_id)
     with subprocess.Popen(
         [sys.executable, script, str(port), IMU.topic, IMU.type_name, str(delay_s)],
         stdout=subprocess.PIPE,
@@ -181,7 +182,7 @@ def test_strangers_do_no_harm(domain_id):
     got = threading.Event()
     with pair(domain_id, lambda *_: got.set()) as (_, there, publisher):
         for noise in (b"GET / HTTP/1.1\r\n\r\n", b"\xff" * 4096, b"\0" * 6, b""):
-            with socket.create_connection(("127.0.0.1", port_of(domain_id, SOCKET_PORT))) as stranger:
+            with socket.create_connection(("127.0.0.1", BACKEND.port_of(domain_id))) as stranger:
                 stranger.sendall(noise)
         publisher.publish(b"x")
         assert got.wait(PATIENCE_S)
@@ -201,7 +202,7 @@ def test_strangers_on_udp_do_no_harm(domain_id):
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger,
     ):
         for noise in (b"", b"x", b"\xff" * 4096, b"\0" * 10 + b"{}", b"\0" * 6 + b"\1\0\0\0[]"):
-            stranger.sendto(noise, ("127.0.0.1", port_of(domain_id, SOCKET_PORT)))
+            stranger.sendto(noise, ("127.0.0.1", BACKEND.port_of(domain_id)))
         while not got.wait(0.1):
             publisher.publish(b"x")
         assert there.error is None
@@ -232,7 +233,7 @@ def test_message_objects_are_refused(domain_id):
         open_node("socket", options(domain_id)) as node,
         pytest.raises(OptionError, match="serialized messages alone"),
     ):
-        node.create_publisher("x", IMU.type_name, typed=True)
+        message_objects_of(node)
 
 
 @pytest.mark.middleware
@@ -261,7 +262,7 @@ def test_a_ping_is_told_where_the_relay_is(domain_id, tmp_path):
     with relay(domain_id, tmp_path / "relay.mcap", *SOCKET) as command:
         done = ping(
             *(domain_id, tmp_path / "ping.mcap", *SOCKET, "--data", "imu", "--messages", 5, "--rate", 50),
-            *("--discovery", "subnet", "--peer", f"127.0.0.1:{port_of(domain_id, SOCKET_PORT)}"),
+            *("--discovery", "subnet", "--peer", f"127.0.0.1:{BACKEND.port_of(domain_id)}"),
         )
         command.stop()
     assert done.status == 0, done.stderr

@@ -12,8 +12,9 @@ from backend_pairs import all_data_types
 from processes import PATIENCE_S, ping, relay, running
 
 from dds_trace.recorder.backends import open_node
-from dds_trace.recorder.backends.base import Discovery, ExecutorKind, NodeOptions, Transport
-from dds_trace.recorder.backends.checks import ZENOH_PORT, port_of
+from dds_trace.recorder.backends.node import NodeOptions
+from dds_trace.recorder.backends.zenoh import BACKEND
+from dds_trace.recorder.choices import Discovery, ExecutorKind, Transport
 from dds_trace.recorder.payloads import BINARY, IMU
 from dds_trace.tracefile import OptionError, Qos
 
@@ -33,7 +34,7 @@ def test_all_data_types_go_there_and_back(domain_id, tmp_path):
         assert (session.backend, session.vendor, session.rmw) == ("zenoh", "zenoh", None)
         assert session.host["versions"]["eclipse-zenoh"][0].isdigit()
         assert session.host["middleware"]["multicast"] == "false"
-    address = f"tcp/127.0.0.1:{port_of(domain_id, ZENOH_PORT)}"
+    address = f"tcp/127.0.0.1:{BACKEND.port_of(domain_id)}"
     assert there.host["middleware"]["listen"] == here.host["middleware"]["connect"] == address
     assert there.host["middleware"]["connect"] == here.host["middleware"]["listen"] == ""
 
@@ -70,7 +71,7 @@ def test_a_ping_may_be_there_first_and_a_relay_may_come_again(domain_id):
 def test_domains_stay_apart_even_at_one_address(domains):
     one, other = domains.take(), domains.take()
     got = threading.Event()
-    peers = (f"127.0.0.1:{port_of(one, ZENOH_PORT)}",)
+    peers = (f"127.0.0.1:{BACKEND.port_of(one)}",)
     with (
         open_node("zenoh", options(one, name="relay", listens=True)) as there,
         open_node("zenoh", options(other, name="stranger", peers=peers)) as stranger,
@@ -149,9 +150,10 @@ def test_nobody_answers(domain_id, tmp_path):
 def test_without_zenoh_it_says_how_to_get_it():
     code = (
         "import sys; sys.modules['zenoh'] = None\n"
-        "from dds_trace.recorder.backends.base import Discovery, NodeOptions\n"
+        "from dds_trace.recorder.backends.node import NodeOptions\n"
+        "from dds_trace.recorder.choices import Discovery\n"
         "from dds_trace.recorder.backends import open_node\n"
-        "from tracefile import BackendUnavailableError\n"
+        "from dds_trace.tracefile import BackendUnavailableError\n"
         "try: open_node('zenoh', NodeOptions(discovery=Discovery.LOCALHOST))\n"
         "except BackendUnavailableError as error: print(error)\n"
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from dds_trace.recorder.backends.base import Endpoint
+from dds_trace.recorder.backends.node import Endpoint
 from dds_trace.recorder.backends.qos import asked_durations, duration_extra, incompatible_pairs, mismatches
 from dds_trace.tracefile import Qos
 

@@ -14,9 +14,11 @@ from types import SimpleNamespace
 import pytest
 from processes import PATIENCE_S
 
-from dds_trace.recorder.backends import load_backend, open_node, ros2
-from dds_trace.recorder.backends.base import Discovery, ExecutorKind, NodeOptions, Serialization, Transport
-from dds_trace.recorder.payloads import BINARY, DATA_TYPES, IMU
+from dds_trace.recorder.backends import load_backend, open_node
+from dds_trace.recorder.backends.node import NodeOptions
+from dds_trace.recorder.backends.ros2 import node as ros2
+from dds_trace.recorder.choices import Discovery, ExecutorKind, Transport
+from dds_trace.recorder.payloads import BINARY, IMU, data_types
 from dds_trace.tracefile import BackendUnavailableError, OptionError, Qos
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
@@ -56,10 +58,10 @@ class Mailbox:
 
 
 @pytest.mark.parametrize("executor", EXECUTORS)
-@pytest.mark.parametrize("data_type", DATA_TYPES.values(), ids=lambda data_type: data_type.name)
+@pytest.mark.parametrize("data_type", data_types().values(), ids=lambda data_type: data_type.name)
 def test_bytes_arrive_as_they_were_sent(domain_id, executor, data_type):
     (message,) = data_type.make(None, 1).messages
-    data_type.stamps[Serialization.RAW].write(message.data, 3, 4)
+    data_type.raw.stamp.write(message.data, 3, 4)
     mailbox = Mailbox()
     with open_node("ros2", options(domain_id, executor=executor)) as node:
         node.create_subscription(data_type.topic, data_type.type_name, mailbox.receive)
@@ -73,10 +75,10 @@ def test_bytes_arrive_as_they_were_sent(domain_id, executor, data_type):
 
 
 def test_typed_messages_arrive_as_objects(domain_id):
-    mailbox, typed = Mailbox(), IMU.stamps[Serialization.TYPED]
+    mailbox, typed = Mailbox(), IMU.objects.stamp
     with open_node("ros2", options(domain_id)) as node:
-        node.create_subscription("imu_data", IMU.type_name, mailbox.receive, typed=True)
-        publisher = node.create_publisher("imu_data", IMU.type_name, typed=True)
+        node.create_object_subscription("imu_data", IMU.type_name, mailbox.receive)
+        publisher = node.create_object_publisher("imu_data", IMU.type_name)
         message = node.message_from_cdr(IMU.type_name, IMU.make(None, 1).messages[0].data)
         typed.write(message, 3, 4)
         node.start()
@@ -117,7 +119,8 @@ def test_transports_and_tuning_are_recorded(domain_id):
     done = python(
         f"""
         from dds_trace.recorder.backends import open_node
-        from dds_trace.recorder.backends.base import Discovery, NodeOptions, Transport
+        from dds_trace.recorder.backends.node import NodeOptions
+        from dds_trace.recorder.choices import Discovery, Transport
         options = NodeOptions({domain_id}, discovery=Discovery.LOCALHOST, transport=Transport.UDP, tuned=True)
         with open_node("ros2", options) as node:
             print(*node.middleware.settings.values())
@@ -237,7 +240,7 @@ def test_a_middleware_that_is_not_here_is_one_line_and_no_dead_process(domain_id
     done = python(
         f"""
         from dds_trace.recorder.backends import open_node
-        from dds_trace.recorder.backends.base import NodeOptions
+        from dds_trace.recorder.backends.node import NodeOptions
         from dds_trace.tracefile import BackendUnavailableError
         try:
             open_node("ros2", NodeOptions(domain_id={domain_id}, rmw={option}))
@@ -257,7 +260,7 @@ def test_without_rclpy_it_says_how_to_get_it():
         import sys
         sys.modules["rclpy"] = None  # as if it were not installed
         from dds_trace.recorder.backends import open_node
-        from dds_trace.recorder.backends.base import NodeOptions
+        from dds_trace.recorder.backends.node import NodeOptions
         from dds_trace.tracefile import BackendUnavailableError
         try:
             open_node("ros2", NodeOptions())

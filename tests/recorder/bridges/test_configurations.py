@@ -14,7 +14,6 @@ from xml.etree import ElementTree as ET
 import pytest
 from ruamel.yaml import YAML
 
-from dds_trace.recorder.backends.base import Discovery
 from dds_trace.recorder.bridges import (
     BRIDGE_MODULES,
     BRIDGED_TOPICS,
@@ -28,6 +27,7 @@ from dds_trace.recorder.bridges import (
 )
 from dds_trace.recorder.bridges.builtin_common import options_from_json
 from dds_trace.recorder.bridges.texts import element, xml_text, yaml_text
+from dds_trace.recorder.choices import Discovery
 from dds_trace.tracefile import OptionError, Qos, TraceFormatError
 
 IMAGE, STRING, IMU = (

@@ -6,8 +6,8 @@ from dataclasses import replace
 import pytest
 from crossing import watch_crossing
 
-from dds_trace.recorder.backends.base import Discovery
 from dds_trace.recorder.bridges import BRIDGED_TOPICS, BridgeOptions, Half, load_bridge, open_bridge
+from dds_trace.recorder.choices import Discovery
 from dds_trace.tracefile import Qos
 
 pytestmark = pytest.mark.middleware

@@ -1,12 +1,11 @@
 from __future__ import annotations
 
-import hashlib
 import json
 import platform
 import socket
 
 from dds_trace.recorder.host import fingerprint as host
-from dds_trace.recorder.host.fingerprint import host_fingerprint, middleware_configuration, read_text
+from dds_trace.recorder.host.fingerprint import host_fingerprint, read_text
 
 # As Linux prints it; columns are status, quality, level, noise, then discarded packets.
 WIRELESS = """\
@@ -61,40 +60,6 @@ def test_board_without_model_name_keeps_its_serial_number_to_itself(monkeypatch)
 def test_wifi_signal_of_each_interface(monkeypatch):
     monkeypatch.setattr(host, "read_text", {"/proc/net/wireless": WIRELESS.strip()}.get)
     assert host.wifi_signals() == {"wlan0": {"link_quality": 54.0, "signal_dbm": -56.0, "noise_dbm": -256.0}}
-
-
-def test_configuration_files_are_hashed_and_their_folders_left_out(tmp_path):
-    profiles = tmp_path / "profiles.xml"
-    profiles.write_text("<profiles/>")
-    found = middleware_configuration(
-        {
-            "FASTRTPS_DEFAULT_PROFILES_FILE": str(profiles),
-            "CYCLONEDDS_URI": f"file://{profiles},{tmp_path}/missing.xml",
-            "NDDS_QOS_PROFILES": "",
-        },
-        tmp_path,
-    )
-    digest = hashlib.sha256(b"<profiles/>").hexdigest()
-    assert found == {
-        "FASTRTPS_DEFAULT_PROFILES_FILE": [{"name": "profiles.xml", "sha256": digest}],
-        "CYCLONEDDS_URI": [
-            {"name": "profiles.xml", "sha256": digest},
-            {"name": "missing.xml", "sha256": None},
-        ],
-    }
-
-
-def test_inline_configuration_is_one_entry_even_with_the_separator_inside(tmp_path):
-    inline = "<CycloneDDS><Domain><General><Interfaces>a,b</Interfaces></General></Domain></CycloneDDS>"
-    found = middleware_configuration({"CYCLONEDDS_URI": inline}, tmp_path)
-    assert found == {
-        "CYCLONEDDS_URI": [{"name": "inline", "sha256": hashlib.sha256(inline.encode()).hexdigest()}],
-    }
-
-
-def test_profile_in_the_working_directory_counts_though_no_variable_names_it(tmp_path):
-    (tmp_path / "DEFAULT_FASTRTPS_PROFILES.xml").write_text("x")
-    assert list(middleware_configuration({}, tmp_path)) == ["./DEFAULT_FASTRTPS_PROFILES.xml"]
 
 
 def test_read_text_of_nothing_is_none(tmp_path):

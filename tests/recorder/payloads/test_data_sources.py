@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import struct
+import threading
 
 import pytest
 
-from dds_trace.recorder.backends.base import Serialization
-from dds_trace.recorder.payloads import BINARY, IMU, STRING, header_data_type, load_payload, served_data_types
-from dds_trace.recorder.payloads import limits as limits_module
+from dds_trace.recorder.payloads import BINARY, IMU, STRING, header_data_type, open_payload, served_data_types
+from dds_trace.recorder.payloads import base as payloads_base
 from dds_trace.recorder.payloads.stamp import RAW_HEADER_STAMP, stamp_text
 from dds_trace.tracefile import BackendUnavailableError, OptionError
 
@@ -21,7 +21,9 @@ STAMP = stamp_text(0, 0).decode()
 
 
 def load(data):
-    return load_payload(data, None, 0)
+    stop = threading.Event()
+    with open_payload(data, None, 0, open_node=lambda: pytest.fail("a node"), wait_s=0, stop=stop) as payload:
+        return payload
 
 
 def test_a_file_is_the_data_of_an_image(tmp_path):
@@ -54,7 +56,7 @@ def test_files_that_cannot_be_sent(tmp_path, monkeypatch):
     with pytest.raises(OptionError, match=r"empty: the file is empty"):
         load(f"file:{tmp_path}")
     (tmp_path / "empty").write_bytes(bytes(11))
-    monkeypatch.setattr(limits_module, "MAX_HELD_BYTES", 10)
+    monkeypatch.setattr(payloads_base, "MAX_HELD_BYTES", 10)
     with pytest.raises(OptionError, match="more than 0 GiB"):
         load(f"file:{tmp_path}")
 
@@ -72,7 +74,7 @@ def test_messages_of_a_bag_keep_all_but_their_header(tmp_path, plugin):
     assert payload.rate_hz == pytest.approx(50.0)
     assert len(payload.messages) == 3
     for count, message in zip((3, 100, 7), payload.messages, strict=True):
-        stamps = data_type.stamps[Serialization.RAW]
+        stamps = data_type.raw.stamp
         stamps.write(message.data, 0xAB, 12)
         stamps.write_time(message.data, 8_000_000_009)
         assert stamps.read(message.data) == (0xAB, 12, 0)
@@ -84,10 +86,10 @@ def test_messages_of_a_bag_keep_all_but_their_header(tmp_path, plugin):
         assert (sent.width, sent.row_step, sent.is_dense) == (count, 16 * count, True)
         # Behind the header: height, width, three fields (length, then name 4 + 2, offset, datatype, count, aligned),
         # flag, steps, the data with its length, is_dense; the exact number is what a relay finds as well.
-        assert message.payload_bytes == data_type.payload_bytes_of[Serialization.RAW](message.data)
+        assert message.payload_bytes == data_type.raw.payload_bytes_of(message.data)
         assert 16 * count < message.payload_bytes < 16 * count + 120
         filled = message.data + bytes(-len(message.data) % 4)  # by a vendor, on the way
-        assert data_type.payload_bytes_of[Serialization.RAW](filled) == message.payload_bytes
+        assert data_type.raw.payload_bytes_of(filled) == message.payload_bytes
     assert payload.payload_bytes == max(message.payload_bytes for message in payload.messages)
 
 
@@ -145,7 +147,7 @@ def test_what_cannot_be_sent_from_a_bag_is_one_line(tmp_path, monkeypatch):
         load(f"bag:{__file__}#/x")
     with pytest.raises(OptionError, match="there is no such file or folder"):
         load(f"bag:{tmp_path}/nothing#/x")
-    monkeypatch.setattr(limits_module, "MAX_HELD_BYTES", 300)
+    monkeypatch.setattr(payloads_base, "MAX_HELD_BYTES", 300)
     with pytest.raises(OptionError, match="holds more than"):
         load(f"bag:{bag}#/camera/image")
 
@@ -163,6 +165,6 @@ def test_a_relay_serves_each_type_once():
     assert [data_type.name for data_type in served] == ["binary", "string", "imu", "pointcloud2"]
 
 
-def test_nothing_of_a_further_type_can_be_made_up():
-    with pytest.raises(OptionError, match="only binary, string and imu can be made up"):
+def test_messages_of_a_further_type_cannot_be_made_up():
+    with pytest.raises(OptionError, match="messages of nav_msgs/msg/Odometry cannot be made up"):
         header_data_type("nav_msgs/msg/Odometry").make(None, 0)

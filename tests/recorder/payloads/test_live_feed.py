@@ -25,7 +25,7 @@ def message(frame_id="lidar", fields=("std_msgs/Header",)):
 @pytest.fixture
 def feed():
     node = SimpleNamespace(message_to_cdr=lambda each: bytes(16) + each.header.frame_id.encode() + bytes(38))
-    return LiveFeed(node, "sensor_msgs/msg/PointCloud2", "--data topic:/x")
+    return LiveFeed(node, "sensor_msgs/msg/PointCloud2", "--data topic:/x", {})
 
 
 def payload_of(feed, wait_s=5.0):

@@ -7,8 +7,7 @@ import zlib
 
 import pytest
 
-from dds_trace.recorder.backends.base import Serialization
-from dds_trace.recorder.payloads import BINARY, DATA_TYPES, IMU, STRING, data_type_called
+from dds_trace.recorder.payloads import BINARY, IMU, STRING, data_types, find_data_type
 from dds_trace.recorder.payloads.stamp import stamp_text
 from dds_trace.tracefile import OptionError
 
@@ -31,8 +30,8 @@ def test_bytes_equal_those_of_ros(data_type, size):
     package, _, name = data_type.type_name.split("/")
     message_class = getattr(importlib.import_module(f"{package}.msg"), name)
     ours = data_type.make(size, 3).messages[0].data
-    data_type.stamps[Serialization.RAW].write(ours, 0xAB, 12)
-    data_type.stamps[Serialization.RAW].write_time(ours, 1_700_000_000_123_456_789)
+    data_type.raw.stamp.write(ours, 0xAB, 12)
+    data_type.raw.stamp.write_time(ours, 1_700_000_000_123_456_789)
 
     message = serialization.deserialize_message(bytes(ours), message_class)
     theirs = bytearray(serialization.serialize_message(message))
@@ -40,8 +39,8 @@ def test_bytes_equal_those_of_ros(data_type, size):
         assert ours[position] == 0
         theirs[position] = 0
     assert ours == theirs
-    assert data_type.stamps[Serialization.TYPED].read(message) == (0xAB, 12, 0)
-    assert data_type.payload_bytes_of[Serialization.TYPED](message) == size
+    assert data_type.objects.stamp.read(message) == (0xAB, 12, 0)
+    assert data_type.objects.payload_bytes_of(message) == size
     if data_type is not STRING:
         assert (message.header.stamp.sec, message.header.stamp.nanosec) == (1_700_000_000, 123_456_789)
 
@@ -51,16 +50,16 @@ def test_size_counts_the_application_bytes_alone(data_type, size):
     payload = data_type.make(size, 3)
     (message,) = payload.messages
     assert payload.payload_bytes == message.payload_bytes == size
-    assert data_type.payload_bytes_of[Serialization.RAW](message.data) == size
-    assert data_type.payload_bytes_of[Serialization.RAW](bytes(message.data)) == size
+    assert data_type.raw.payload_bytes_of(message.data) == size
+    assert data_type.raw.payload_bytes_of(bytes(message.data)) == size
 
 
 @pytest.mark.parametrize("data", [b"", b"\0\1\0\0", bytes(200), bytes(72) + b"\xff" * 100])
 def test_an_image_that_is_none_has_no_size(data):
-    assert BINARY.payload_bytes_of[Serialization.RAW](data) == 0
+    assert BINARY.raw.payload_bytes_of(data) == 0
 
 
-@pytest.mark.parametrize("data_type", DATA_TYPES.values(), ids=lambda data_type: data_type.name)
+@pytest.mark.parametrize("data_type", data_types().values(), ids=lambda data_type: data_type.name)
 def test_the_seed_decides_the_content(data_type):
     first, again, other = (data_type.make(None, seed).messages[0].data for seed in (1, 1, 2))
     assert first == again
@@ -73,7 +72,7 @@ def test_binary_data_cannot_be_compressed():
 
 
 def test_defaults_are_those_of_the_command_line():
-    assert {name: each.make(None, 0).payload_bytes for name, each in DATA_TYPES.items()} == {
+    assert {name: each.make(None, 0).payload_bytes for name, each in data_types().items()} == {
         "binary": 33_000,
         "string": 91,
         "imu": 296,
@@ -95,4 +94,4 @@ def test_a_size_that_cannot_be_is_refused(data_type, size):
 
 def test_an_unknown_data_type_is_named():
     with pytest.raises(OptionError, match="'video'; choose one of binary, string, imu"):
-        data_type_called("video")
+        find_data_type("video")

@@ -9,14 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dds_trace.recorder.backends.base import Serialization
-from dds_trace.recorder.payloads import DATA_TYPES
+from dds_trace.recorder.payloads import data_types
 from dds_trace.recorder.payloads.stamp import (
+    HEADER_STAMP,
     RAW_HEADER_STAMP,
     RAW_STRING_STAMP,
     STAMP_BYTES,
-    TYPED_HEADER_STAMP,
-    TYPED_STRING_STAMP,
+    STRING_STAMP,
     Stamp,
     parse_stamp,
     stamp_text,
@@ -100,7 +99,7 @@ def test_a_string_has_the_stamp_before_its_payload():
 def test_message_objects_carry_the_same_stamp():
     header = SimpleNamespace(frame_id="", stamp=SimpleNamespace(sec=0, nanosec=0))
     image, text = SimpleNamespace(header=header), SimpleNamespace(data="." * 46 + "hello")
-    for place, message in ((TYPED_HEADER_STAMP, image), (TYPED_STRING_STAMP, text)):
+    for place, message in ((HEADER_STAMP, image), (STRING_STAMP, text)):
         place.write(message, 1, 2)
         place.write_time(message, 3_000_000_004)
         assert place.read(message) == (1, 2, 0)
@@ -108,14 +107,12 @@ def test_message_objects_carry_the_same_stamp():
         assert place.read(message) == (1, 2, 7)
     assert (header.stamp.sec, header.stamp.nanosec) == (3, 4)
     assert text.data.endswith(":00000007hello")
-    assert (
-        TYPED_HEADER_STAMP.reply(SimpleNamespace(header=SimpleNamespace(frame_id="map")), b"00000007") is None
-    )
-    assert TYPED_STRING_STAMP.reply(SimpleNamespace(data="hi"), b"00000007") is None
+    assert HEADER_STAMP.reply(SimpleNamespace(header=SimpleNamespace(frame_id="map")), b"00000007") is None
+    assert STRING_STAMP.reply(SimpleNamespace(data="hi"), b"00000007") is None
 
 
 def test_every_payload_has_room_for_the_stamp_at_its_place():
-    for data_type in DATA_TYPES.values():
+    for data_type in data_types().values():
         message = data_type.make(None, 1).messages[0].data
         assert message.find(b"dt1:") == (8 if data_type.name == "string" else 16)
-        assert data_type.stamps[Serialization.RAW].read(message) == (0, 0, 0)
+        assert data_type.raw.stamp.read(message) == (0, 0, 0)

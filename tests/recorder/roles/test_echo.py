@@ -8,11 +8,12 @@ import pytest
 from fake_node import FakeNode
 
 from dds_trace.recorder.backends import BACKEND_MODULES
-from dds_trace.recorder.backends.base import Discovery, Endpoint, Middleware, NodeOptions, TopicView
+from dds_trace.recorder.backends.node import Endpoint, Middleware, NodeOptions, TopicView
+from dds_trace.recorder.choices import Discovery
 from dds_trace.recorder.payloads import BINARY, header_data_type
 from dds_trace.recorder.payloads.base import Message, Payload
 from dds_trace.recorder.roles.echo import explain_silence, look_for_relays
-from dds_trace.recorder.roles.ping import RunPlan
+from dds_trace.recorder.roles.plan import RunPlan
 
 IMAGE = "sensor_msgs/msg/Image"
 

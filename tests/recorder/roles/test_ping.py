@@ -12,7 +12,8 @@ from fake_node import FakeNode, ListSink
 
 from dds_trace.recorder.payloads import BINARY, IMU, STRING
 from dds_trace.recorder.payloads.stamp import RAW_HEADER_STAMP, stamp_text
-from dds_trace.recorder.roles.ping import DRAIN_NS, LEAD_NS, Ping, RunPlan
+from dds_trace.recorder.roles.ping import DRAIN_NS, LEAD_NS, open_ping
+from dds_trace.recorder.roles.plan import RunPlan
 
 MS = 1_000_000
 START_NS = 1_000_000_000_000
@@ -25,7 +26,7 @@ class Link:
 
     def __init__(self, plan, *, delay_ns=lambda _: 3 * MS, publish_ns=lambda _: 0, relays=(RELAY,)):
         self.clock, self.node, self.sink = FakeClock(START_NS), FakeNode(), ListSink()
-        self.ping = Ping(self.node, plan, self.clock)
+        self.ping = open_ping(self.node, plan, self.clock)
         self.topic = plan.payload.data_type.topic
         self._delay_ns, self._publish_ns, self._relays = delay_ns, publish_ns, relays
         self.node.publishers[self.topic].on_publish = self._on_publish
@@ -255,7 +256,7 @@ def test_endpoints_are_taken_off_at_the_end():
 @pytest.mark.parametrize("size", [4, 2675])
 def test_strings_have_no_time_and_their_own_place(size):
     clock, node, sink = FakeClock(START_NS), FakeNode(), ListSink()
-    ping = Ping(node, RunPlan(STRING.make(size, 1), 10.0, 1), clock)
+    ping = open_ping(node, RunPlan(STRING.make(size, 1), 10.0, 1), clock)
     node.publishers["string_data"].on_publish = lambda message: node.deliver("string_data_relay", message)
     ping.run(sink, NEVER)
     assert [event[6] for event in sink.of_stage(2)] == [size]

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from dds_trace.recorder.backends.base import NodeOptions, Serialization
+from dds_trace.recorder.backends.node import NodeOptions
+from dds_trace.recorder.choices import Serialization
 from dds_trace.recorder.options import PingOptions, RecordOptions
 from dds_trace.recorder.payloads import IMU, header_data_type
 from dds_trace.recorder.roles.plan import plan_run

@@ -8,8 +8,7 @@ import pytest
 from fake_clock import FakeClock
 from fake_node import FakeNode, ListSink
 
-from dds_trace.recorder.backends.base import Serialization
-from dds_trace.recorder.payloads import DATA_TYPES
+from dds_trace.recorder.payloads import data_types
 from dds_trace.recorder.roles.relay import Relay
 from dds_trace.tracefile import Qos
 
@@ -24,24 +23,24 @@ class Bench:
         ticks = itertools.count(1000, 1000)
         self.clock.monotonic_ns = lambda: next(ticks)
         self.relay = Relay(
-            self.node, self.sink, RELAY, data_types=DATA_TYPES.values(), qos=Qos(), clock=self.clock
+            self.node, self.sink, RELAY, data_types=data_types().values(), qos=Qos(), clock=self.clock
         )
 
     def message(self, name, run_id, sequence, size=None):
-        data_type = DATA_TYPES[name]
+        data_type = data_types()[name]
         data = data_type.make(size, 1).messages[0].data
-        data_type.stamps[Serialization.RAW].write(data, run_id, sequence)
+        data_type.raw.stamp.write(data, run_id, sequence)
         return bytes(data)
 
 
 @pytest.mark.parametrize(("name", "size"), [("binary", 145_000), ("string", 1405), ("imu", 296)])
 def test_every_data_type_is_served_at_once(name, size):
     bench = Bench()
-    data_type = DATA_TYPES[name]
+    data_type = data_types()[name]
     message = bench.message(name, 7, 3, size)
     bench.node.deliver(data_type.topic, message, 11, 12)
     (reply,) = bench.node.publishers[data_type.relay_topic].sent
-    raw = data_type.stamps[Serialization.RAW]
+    raw = data_type.raw.stamp
     assert raw.read(reply) == (7, 3, RELAY)
     assert len(reply) == len(message)
     assert bench.sink.events == [

@@ -1,0 +1,61 @@
+"""`ros2`: nodes of the ROS 2 that is on this machine, with whatever middleware it runs on (apt or wheels).
+
+`node.py` is the only file that imports rclpy. Written for rclpy of Humble to Kilted; what older ones lack is asked
+for where it is used.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+from ...choices import Transport
+from ...host.environment import ConfigurationVariable, MiddlewareEnvironment
+from ..base import DDS_MEETING, Backend, Meeting
+from .installation import INSTALL, check_installed, find_rmws, set_discovery_range, set_transport
+from .node import Ros2Node, running_rmw
+
+if TYPE_CHECKING:
+    from ..node import Node, NodeOptions
+
+
+def _make_node(options: NodeOptions) -> Node:
+    """Open a node in a context of its own, so that several domains fit in one process."""
+    if options.rmw is not None:
+        os.environ["RMW_IMPLEMENTATION"] = options.rmw
+    check_installed()
+    set_discovery_range(options.discovery)
+    set_transport(options, running_rmw())
+    return Ros2Node(options)
+
+
+BACKEND = Backend(
+    name="ros2",
+    label="ROS 2",
+    make_node=_make_node,
+    find_installed=find_rmws,
+    install=INSTALL,
+    meeting=Meeting.DISCOVERY,
+    meeting_needs=(
+        DDS_MEETING + " (else name each other's device in ROS_STATIC_PEERS, which ROS 2 Iron and later read)"
+    ),
+    speaks_dds=True,
+    has_ros=True,
+    transports=tuple(Transport),
+    environment=MiddlewareEnvironment(
+        settings=(
+            "RMW_IMPLEMENTATION",
+            "ROS_DISTRO",
+            "ROS_AUTOMATIC_DISCOVERY_RANGE",
+            "ROS_LOCALHOST_ONLY",
+            "FASTDDS_BUILTIN_TRANSPORTS",
+            "RMW_FASTRTPS_PUBLICATION_MODE",
+            "RMW_FASTRTPS_USE_QOS_FROM_XML",
+        ),
+        configuration=(
+            ConfigurationVariable("FASTDDS_DEFAULT_PROFILES_FILE"),
+            ConfigurationVariable("FASTRTPS_DEFAULT_PROFILES_FILE"),
+        ),
+        files=("DEFAULT_FASTDDS_PROFILES.xml", "DEFAULT_FASTRTPS_PROFILES.xml"),
+    ),
+)

@@ -1,0 +1,38 @@
+"""`socket`: plain TCP or UDP, the floor that no middleware can beat on this link.
+
+The relay listens at a port that follows from the domain, the ping connects. `--transport default` is TCP without
+Nagle's delay, `udp` is UDP with fragments of 60 KB and nothing sent again. See `docs/middlewares.md`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from ..base import Backend, Meeting
+from .node import PROTOCOLS, SocketNode
+
+if TYPE_CHECKING:
+    from ..node import Node, NodeOptions
+
+
+def _make_node(options: NodeOptions) -> Node:
+    """Open a node that listens (a relay) or connects (a ping)."""
+    peers = () if options.listens else BACKEND.peer_addresses(options)
+    return SocketNode(options, BACKEND.port_of(options.domain_id), peers)
+
+
+BACKEND = Backend(
+    name="socket",
+    label="Socket",
+    make_node=_make_node,
+    find_installed=lambda: [None],
+    install="it needs nothing",
+    meeting=Meeting.PEERS,
+    meeting_needs=(
+        "both have --backend socket and the same --domain and --transport, --peer names the relay's device, and nothing "
+        "blocks its port {port}"
+    ),
+    relay_port=8,
+    has_client_library=False,
+    transports=tuple(PROTOCOLS),
+)

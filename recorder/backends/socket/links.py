@@ -1,0 +1,91 @@
+"""The connections of a node on sockets, whatever protocol carries them: `Links`, and the greeting that opens each one.
+
+A frame is a topic's name and a serialized message. The empty name is a greeting: JSON that names the node, its
+subscriptions and its publishers; nothing is sent to a peer that does not subscribe.
+"""
+
+from __future__ import annotations
+
+import json
+import socket
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Protocol, TypeAlias
+
+from dds_trace.tracefile import OptionError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from ..node import RawMessage
+
+RETRY_S = 0.2
+"""Time between two attempts to reach a peer, and the longest wait of a round."""
+
+Address: TypeAlias = tuple[str, int]
+"""Host and port."""
+Deliver: TypeAlias = "Callable[[str, bytearray], None]"
+"""Callback that takes the topic and the message of each frame."""
+
+
+@dataclass
+class Greeting:
+    """The introduction of a node: its name, and topic -> type of its subscriptions and publishers."""
+
+    name: str = ""
+    subscriptions: dict[str, str] = field(default_factory=dict)
+    publishers: dict[str, str] = field(default_factory=dict)
+
+    def to_bytes(self) -> bytes:
+        """Return the greeting as JSON."""
+        return json.dumps(vars(self)).encode()
+
+    @classmethod
+    def from_bytes(cls, data: RawMessage) -> Greeting | None:
+        """Return the greeting in `data`, None if it holds something else."""
+        try:
+            fields = json.loads(data)
+            return cls(str(fields["name"]), dict(fields["subscriptions"]), dict(fields["publishers"]))
+        except (ValueError, KeyError, TypeError):
+            return None
+
+
+class Links(Protocol):
+    """The connections of one node."""
+
+    def greetings(self) -> list[Greeting]:
+        """Return the greetings of the peers that are connected now."""
+
+    def announce(self) -> None:
+        """Send the node's own greeting, as it is now, to all peers."""
+
+    def send(self, topic: str, message: RawMessage) -> None:
+        """Send `message` to all peers that subscribe to `topic`; it is copied when this returns."""
+
+    def poll(self, timeout_s: float) -> None:
+        """Wait for at most `timeout_s`, and hand on what has arrived."""
+
+    def interrupt(self) -> None:
+        """End a wait of another thread in `send`."""
+
+    def close(self) -> None:
+        """End all connections; the thread that polls has ended."""
+
+
+def bound_socket(kind: socket.SocketKind, address: Address) -> socket.socket:
+    """Open a socket of `kind` at `address`.
+
+    Raises:
+        OptionError: the port is taken.
+    """
+    made = socket.socket(socket.AF_INET, kind)
+    try:
+        if kind is socket.SOCK_STREAM:  # connections that ended a moment ago do not hold the port
+            made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        made.bind(address)
+    except OSError as err:
+        made.close()
+        raise OptionError(
+            f"port {address[1]} cannot be opened ({err.strerror}); the backend socket has one relay for each domain "
+            "of a device: end the other one, or choose another --domain"
+        ) from err
+    return made

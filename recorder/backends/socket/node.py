@@ -1,0 +1,167 @@
+"""A node on plain TCP or UDP sockets."""
+
+from __future__ import annotations
+
+import platform
+import socket
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
+
+from dds_trace.tracefile import OptionError
+
+from ...choices import Discovery, Transport
+from ..node import Endpoint, Middleware, TopicView
+from ..qos import refuse_durations
+from ..threaded import ROUND_S, NodeSubscription, ThreadedNode
+from .links import Greeting
+from .tcp import TcpLinks
+from .udp import TUNED_BUFFER_BYTES, UdpLinks
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from dds_trace.tracefile import Qos
+
+    from ..node import NodeOptions, Publisher, RawMessage, Receive, Subscription
+    from .links import Address, Links
+
+PROTOCOLS = {Transport.DEFAULT: "tcp", Transport.UDP: "udp"}
+
+
+class SocketNode(ThreadedNode):
+    """The connections of one role with their thread; see `Node` for the names.
+
+    Args:
+        options: options of the node.
+        port: port of the relay in this domain.
+        peers: host and port of each relay that a ping connects to; empty for a node that listens.
+
+    Raises:
+        OptionError: the quality of service, the port or an address cannot be used.
+    """
+
+    def __init__(self, options: NodeOptions, port: int, peers: Sequence[Address]) -> None:
+        super().__init__(options)
+        _check_qos(options.qos, PROTOCOLS[options.transport])
+        self._receivers: dict[str, tuple[Receive[RawMessage], ...]] = {}
+        self._own = Greeting(options.name)
+        is_local = options.discovery is Discovery.LOCALHOST
+        listen = ("127.0.0.1" if is_local else "", port) if options.listens else None
+        resolved = [_resolve(address) for address in peers]
+        settings = {
+            "protocol": PROTOCOLS[options.transport],
+            "discovery": options.discovery.value,
+            "port": str(port),
+            "tuned": str(options.tuned).lower(),
+        }
+        self._links: Links
+        if options.transport is Transport.UDP:
+            buffer_bytes = TUNED_BUFFER_BYTES if options.tuned else None
+            links = UdpLinks(self._own, listen, resolved, self._deliver, buffer_bytes)
+            settings["receive_buffer_bytes"] = str(links.receive_buffer_bytes)
+            self._links = links
+        else:
+            self._links = TcpLinks(self._own, listen, resolved, self._deliver)
+            if options.tuned:
+                settings["tuned"] = "nothing to tune: the kernel sizes the buffers of TCP itself"
+        self._middleware = Middleware("socket", "socket", None, {"kernel": platform.release()}, settings)
+
+    def create_publisher(
+        self, topic: str, type_name: str, *, qos: Qos | None = None
+    ) -> Publisher[RawMessage]:
+        """Create a publisher of bytes."""
+        _check_qos(qos or self._options.qos, PROTOCOLS[self._options.transport])
+        self._own.publishers = {**self._own.publishers, topic: type_name}
+        self._links.announce()
+        return _SocketPublisher(topic, self._links.send, self._withdraw_publisher)
+
+    def create_subscription(
+        self, topic: str, type_name: str, receive: Receive[RawMessage], *, qos: Qos | None = None
+    ) -> Subscription:
+        """Create a subscription of bytes."""
+        _check_qos(qos or self._options.qos, PROTOCOLS[self._options.transport])
+        self._receivers[topic] = (*self._receivers.get(topic, ()), receive)
+        self._own.subscriptions = {**self._own.subscriptions, topic: type_name}
+        self._links.announce()
+        return NodeSubscription(partial(self._withdraw_subscription, topic, receive))
+
+    def _withdraw_publisher(self, topic: str) -> None:
+        self._own.publishers = _without(self._own.publishers, topic)
+        self._links.announce()
+
+    def _withdraw_subscription(self, topic: str, receive: Receive[RawMessage]) -> None:
+        self._receivers[topic] = tuple(each for each in self._receivers[topic] if each is not receive)
+        if not self._receivers[topic]:
+            self._own.subscriptions = _without(self._own.subscriptions, topic)
+            self._links.announce()
+
+    def _make_round(self) -> Callable[[], None]:
+        return partial(self._links.poll, ROUND_S)
+
+    def _deliver(self, topic: str, message: bytearray) -> None:
+        for receive in self._receivers.get(topic, ()):
+            receive(message)
+
+    def look_at(self, topic: str) -> TopicView:
+        """Return the node's own endpoints and those in the greetings of its peers."""
+        greetings = [self._own, *self._links.greetings()]
+        return TopicView(
+            topic,
+            tuple(
+                Endpoint(each.name, each.publishers[topic]) for each in greetings if topic in each.publishers
+            ),
+            tuple(
+                Endpoint(each.name, each.subscriptions[topic])
+                for each in greetings
+                if topic in each.subscriptions
+            ),
+        )
+
+    def count_participants(self) -> int | None:
+        """Count this node and its peers."""
+        return 1 + len(self._links.greetings())
+
+    def _wake(self) -> None:
+        self._links.interrupt()
+
+    def _leave(self) -> None:
+        """Close the sockets; the kernel still sends what it holds."""
+        self._links.close()
+
+
+@dataclass(frozen=True, slots=True)
+class _SocketPublisher:
+    """Publishes serialized messages."""
+
+    topic: str
+    send: Callable[[str, RawMessage], None]
+    withdraw: Callable[[str], None]
+
+    def publish(self, message: RawMessage, /) -> None:
+        self.send(self.topic, message)
+
+    def close(self) -> None:
+        self.withdraw(self.topic)
+
+
+def _without(mapping: dict[str, str], key: str) -> dict[str, str]:
+    return {name: value for name, value in mapping.items() if name != key}
+
+
+def _check_qos(qos: Qos, protocol: str) -> None:
+    refuse_durations("socket", qos)
+    if qos.durability != "volatile":
+        raise OptionError(f"--durability {qos.durability}: sockets keep no message for those who come later")
+    if protocol == "udp" and qos.reliability != "best_effort":
+        raise OptionError(
+            "--transport udp: plain UDP sends nothing again; give --reliability best_effort on both sides"
+        )
+
+
+def _resolve(address: tuple[str, int]) -> tuple[str, int]:
+    host, port = address
+    try:
+        return socket.gethostbyname(host), port
+    except OSError as err:
+        raise OptionError(f"--peer {host}: no IPv4 address is known for it ({err})") from err

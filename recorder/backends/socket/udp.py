@@ -1,0 +1,167 @@
+"""Frames in UDP datagrams, cut into fragments; nothing is sent again."""
+
+from __future__ import annotations
+
+import selectors
+import socket
+import struct
+import threading
+import time
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from .links import RETRY_S, Greeting, bound_socket
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from ..node import RawMessage
+    from .links import Address, Deliver
+
+TUNED_BUFFER_BYTES = 4_000_000
+"""Size of the kernel's buffers that `--tuned` asks for, in each direction."""
+FRAGMENT_BYTES = 60_000
+"""Bytes of a message in one UDP datagram (65,507 bytes with its header); Fast DDS cuts at about the same size."""
+MAX_UNFINISHED = 8
+"""Messages of one sender that wait for fragments; an older one is lost."""
+DATAGRAMS_A_ROUND = 256
+"""Datagrams taken before the thread looks at its other duties."""
+GREETING_S = 1.0
+"""Time between two greetings to peers that are known."""
+FORGET_S = 10.0
+"""Silence after which a peer is forgotten."""
+
+_HEADER = struct.Struct("<IHHH")  # message, fragment, fragments, bytes of the name; then name and fragment
+
+
+@dataclass
+class _UdpPeer:
+    """A peer that greeted: the time of its last greeting, and its messages of which fragments are missing."""
+
+    greeting: Greeting = field(default_factory=Greeting)
+    heard_s: float = 0.0
+    unfinished: dict[int, list[bytes | None]] = field(default_factory=dict)
+
+
+class UdpLinks:
+    """Datagrams to everybody who greets; a message with a lost fragment is lost. Arguments as for `TcpLinks`.
+
+    Args:
+        buffer_bytes: size of the kernel's buffers in each direction, None for its default.
+    """
+
+    def __init__(
+        self,
+        own: Greeting,
+        listen: Address | None,
+        peers: Sequence[Address],
+        deliver: Deliver,
+        buffer_bytes: int | None = None,
+    ) -> None:
+        self._own = own
+        self._deliver = deliver
+        self._socket = bound_socket(socket.SOCK_DGRAM, listen or ("", 0))
+        if buffer_bytes is not None:
+            for option in (socket.SO_SNDBUF, socket.SO_RCVBUF):
+                self._socket.setsockopt(socket.SOL_SOCKET, option, buffer_bytes)
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._socket, selectors.EVENT_READ)
+        self._buffer = memoryview(bytearray(1 << 16))
+        self._number = 0
+        self._numbering = threading.Lock()
+        self._wanted = tuple(peers)
+        self._peers: dict[Address, _UdpPeer] = {}
+        self._next_greeting_s = 0.0
+
+    @property
+    def receive_buffer_bytes(self) -> int:
+        """Size of the receive buffer as the kernel reports it: twice that asked for, its bookkeeping included (socket(7))."""
+        return self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
+
+    def greetings(self) -> list[Greeting]:
+        """Return the greetings of those who greeted not long ago."""
+        return [peer.greeting for peer in list(self._peers.values())]
+
+    def announce(self) -> None:
+        """Greet all peers, known and wanted."""
+        for address in {*self._wanted, *self._peers}:
+            self._send_to([address], b"", self._own.to_bytes())
+
+    def send(self, topic: str, message: RawMessage) -> None:
+        """Send a message in one or more datagrams to each subscriber."""
+        takers = [
+            address for address, peer in list(self._peers.items()) if topic in peer.greeting.subscriptions
+        ]
+        self._send_to(takers, topic.encode(), message)
+
+    def _send_to(self, addresses: Sequence[Address], name: bytes, message: RawMessage) -> None:
+        with self._numbering:
+            self._number = number = (self._number + 1) % (1 << 32)
+        count = max(-(-len(message) // FRAGMENT_BYTES), 1)
+        with memoryview(message) as view:
+            for index in range(count):
+                header = _HEADER.pack(number, index, count, len(name)) + name
+                part = view[index * FRAGMENT_BYTES : (index + 1) * FRAGMENT_BYTES]
+                for address in addresses:
+                    with suppress(OSError):  # no way there at the moment: lost, as on the way
+                        self._socket.sendmsg([header, part], (), 0, address)
+
+    def poll(self, timeout_s: float) -> None:
+        """Greet now and then, and take what has arrived."""
+        now_s = time.monotonic()
+        if now_s >= self._next_greeting_s:
+            met = set(self._wanted) <= set(self._peers)
+            self._next_greeting_s = now_s + (GREETING_S if met else RETRY_S)
+            for address, peer in list(self._peers.items()):
+                if now_s - peer.heard_s > FORGET_S:
+                    del self._peers[address]
+            self.announce()
+        self._selector.select(min(timeout_s, RETRY_S))
+        with suppress(BlockingIOError):
+            for _ in range(DATAGRAMS_A_ROUND):
+                size, address = self._socket.recvfrom_into(self._buffer, 0, socket.MSG_DONTWAIT)
+                self._take(self._buffer[:size], address)
+
+    def _take(self, datagram: memoryview, address: Address) -> None:
+        if len(datagram) < _HEADER.size:
+            return
+        number, index, count, name_bytes = _HEADER.unpack_from(datagram)
+        begin = _HEADER.size + name_bytes
+        if len(datagram) < begin or index >= count:
+            return
+        name, part = bytes(datagram[_HEADER.size : begin]).decode(errors="replace"), datagram[begin:]
+        peer = self._peers.get(address)
+        if not name:
+            self._greeted(Greeting.from_bytes(bytes(part)), address)
+        elif peer is None:  # a stranger
+            return
+        elif count == 1:
+            self._deliver(name, bytearray(part))
+        else:
+            parts = peer.unfinished.setdefault(number, [None] * count)
+            if len(parts) != count:
+                return
+            parts[index] = bytes(part)
+            if None not in parts:
+                del peer.unfinished[number]
+                self._deliver(name, bytearray().join(part for part in parts if part is not None))
+            elif len(peer.unfinished) > MAX_UNFINISHED:
+                del peer.unfinished[next(iter(peer.unfinished))]
+
+    def _greeted(self, greeting: Greeting | None, address: Address) -> None:
+        if greeting is None:
+            return
+        peer = self._peers.get(address)
+        if peer is None:
+            peer = self._peers[address] = _UdpPeer()
+            self._send_to([address], b"", self._own.to_bytes())
+        peer.greeting, peer.heard_s = greeting, time.monotonic()
+
+    def interrupt(self) -> None:
+        """Do nothing: a datagram socket waits for nobody."""
+
+    def close(self) -> None:
+        """Close the socket; the thread that polls has ended."""
+        self._selector.close()
+        self._socket.close()

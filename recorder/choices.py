@@ -1,0 +1,36 @@
+"""The closed sets of words that options take: light, so that `--help` shows them without loading a middleware or numpy."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+
+class Discovery(Enum):
+    """Reach of a node's search for others."""
+
+    LOCALHOST = "localhost"
+    SUBNET = "subnet"
+
+
+class Serialization(Enum):
+    """Form in which messages pass the client library: serialized bytes, or message objects."""
+
+    RAW = "raw"
+    TYPED = "typed"
+
+
+class ExecutorKind(Enum):
+    """Executor of the client library that calls the subscriptions; `AUTO` is the fastest one installed."""
+
+    AUTO = "auto"
+    EVENTS = "events"
+    SINGLE = "single"
+
+
+class Transport(Enum):
+    """Transports that Fast DDS may use, and protocol of sockets; other backends know `DEFAULT` alone."""
+
+    DEFAULT = "default"
+    UDP = "udp"
+    SHM = "shm"
+    LARGE_DATA = "large-data"

@@ -32,7 +32,7 @@ CYCLONE_TUNED = (
 def cyclone_settings(
     discovery: Discovery, *, tuned: bool, environment: Mapping[str, str] = os.environ
 ) -> str:
-    """A value of CYCLONEDDS_URI: the user's own settings, then ours, which win; empty if there are none."""
+    """Return a value of CYCLONEDDS_URI: the user's own settings, then ours, which win; empty if there are none."""
     parts = [
         environment.get("CYCLONEDDS_URI", ""),
         CYCLONE_LOCALHOST if discovery is Discovery.LOCALHOST else "",

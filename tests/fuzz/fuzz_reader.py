@@ -42,8 +42,8 @@ with atheris.instrument_imports(include=["dds_trace.tracefile"]):
         read_descriptions,
         read_trace,
     )
+    from dds_trace.tracefile.format.framing import MAGIC
     from dds_trace.tracefile.format.ring import ring_path
-    from dds_trace.tracefile.mcapfile.records import MAGIC
 
 if TYPE_CHECKING:
     from collections.abc import Callable

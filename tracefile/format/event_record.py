@@ -13,28 +13,24 @@ offset  type      field
 
 from __future__ import annotations
 
-import struct
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from mcap.opcode import Opcode
 
 from .events import EVENT_CDR_BYTES, EVENT_DTYPE
+from .framing import MESSAGE_HEADER, RECORD_HEADER
 from .string_cdr import CDR_HEADER
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 Records: TypeAlias = "NDArray[np.void]"
-
-RECORD_HEADER = struct.Struct("<BQ")
-"""Opcode and length of the content that follows, of every MCAP record."""
-
-MESSAGE_HEADER = struct.Struct("<HIQQ")
-"""Channel id, sequence, log time and publish time, of every MCAP Message."""
+"""One-dimensional array of `EVENT_RECORD_DTYPE`, or of `EVENT_DTYPE` where that is said."""
 
 _DATA_AT = RECORD_HEADER.size + MESSAGE_HEADER.size
 EVENT_RECORD_BYTES = _DATA_AT + EVENT_CDR_BYTES
+"""Length of one event in a chunk, 91 bytes."""
 
 EVENT_RECORD_DTYPE = np.dtype(
     {

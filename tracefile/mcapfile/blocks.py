@@ -1,7 +1,7 @@
-"""A MCAP file cut into blocks of about a megabyte, each a job that unpacks, checks and sorts what it holds.
+"""A MCAP file cut into blocks of about two megabytes, each a job that unpacks, checks and sorts its records.
 
-There is one way for every file: the headers of its records are walked from front to back. That takes microseconds a
-chunk, needs no index, and no index can lead it astray. The summary serves only to go on behind a damaged record.
+Every file is read in one way: the headers of its records are walked from front to back. That takes microseconds a
+chunk, needs no index, and no wrong index can lead it astray. The summary serves only to resume behind a damaged record.
 """
 
 from __future__ import annotations
@@ -13,42 +13,40 @@ from typing import TYPE_CHECKING
 
 from mcap.opcode import Opcode
 
+from ..format.framing import MAGIC
 from ..units.counts import counted
-from .event_scan import (
-    MESSAGES_AND_CHANNELS,
-    Scan,
-    scan_records,
-    split_by_channel,
-)
-from .packed_chunks import DamagedChunkError, PackedChunk, UnpackMemory
-from .records import MAGIC, MAX_RECORD_BYTES, TornRecordError, record_name
+from .chunks import DamagedChunkError, PackedChunk, UnpackMemory
+from .file import MAX_RECORD_BYTES, TornRecordError
+from .records import record_name
+from .scan import MESSAGES_AND_CHANNELS, Scan, scan_records, split_by_channel
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Iterator
 
-    from .event_scan import ChannelEvents
-    from .records import Buffer, RecordFile, RecordHeader
+    from .file import RecordFile, RecordHeader
+    from .records import Buffer
+    from .scan import ChannelEvents
     from .summary import Summary
 
 BLOCK_BYTES = 2 << 20
-"""Small chunks are handled together up to this size, so that their number costs no more than their bytes."""
+"""Size up to which small chunks are handled together, so that their number costs no more than their bytes."""
 
 _BLOCK_CHUNKS = 1000
-_KEPT_BYTES = 4 * BLOCK_BYTES  # larger memory than a block needs is not kept for the next one
+_KEPT_BYTES = 4 * BLOCK_BYTES  # memory that grew beyond this for one large chunk is not kept
 
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Records of a file taken apart: those of neighbouring chunks, or some that lie outside of chunks.
+    """Records of neighbouring chunks, or a stretch of records outside of chunks, taken apart.
 
     Attributes:
-        data: the records' bytes, gone once `memory` is used again.
-        scan: what lies where in `data`.
-        places: (position in `data`, offset in the file) of the first byte of each chunk, or of the only stretch.
-        chunked: whether `places` are those of chunks, inside of which the file has no offsets.
+        data: the records' bytes, lost when `memory` is used again.
+        scan: the places of the records in `data`.
+        places: (position in `data`, offset in the file) of the first byte of each chunk, or of the stretch.
+        chunked: whether the records were in chunks, whose unpacked bytes have no offsets in the file.
         events: the events of each channel, copied out of `data`.
-        notes: which chunks had to be left out, and why.
-        memory: that `data` may lie in.
+        notes: one line for each chunk that was left out.
+        memory: the memory that holds `data`; None if `data` has its own.
     """
 
     data: Buffer
@@ -60,19 +58,21 @@ class Block:
     memory: UnpackMemory | None = None
 
     def offset(self, position: int) -> int:
-        """Where in the file the byte at `position` of `data` lies, or else the chunk that holds it."""
+        """Return the offset in the file of the byte at `position` of `data`, or of the chunk that holds it."""
         start, offset = self.places[bisect(self.places, position, key=lambda place: place[0]) - 1]
         return offset if self.chunked else offset + position - start
 
 
 @dataclass(slots=True)
 class BlockJobs:
-    """The blocks of `file` in order, each still to be made.
+    """The blocks of a file in order, as jobs that make them.
 
     Attributes:
+        file: the file.
+        summary: its summary; None if it has none, and then nothing behind a damaged record is read.
         passed_over: offsets of chunks that need not be unpacked.
-        notes: damage met between the blocks; complete after the last one.
-        truncated: why the file ends early; known after the last block.
+        notes: one line for each damage between the blocks; complete after the last block.
+        truncated: the reason why the file ends early, or None; known after the last block.
     """
 
     file: RecordFile
@@ -87,14 +87,14 @@ class BlockJobs:
     _free: list[UnpackMemory] = field(default_factory=list)
 
     def take_back(self, block: Block) -> None:
-        """Use the memory of `block`, of which nothing is needed any more, for the next ones."""
+        """Reuse the memory of `block`, whose `data` is no longer needed, for later blocks."""
         if block.memory and block.memory.size <= _KEPT_BYTES:
             self._free.append(block.memory)
 
     def __iter__(self) -> Iterator[tuple[int, Callable[[], Block]]]:
-        """Each block's size in bytes, and the job that makes it, to be called in any thread.
+        """Yield (size in bytes, job) of each block; a job may run in any thread.
 
-        A job raises `TraceFormatError` where the file can no longer be read.
+        A job raises `TraceFormatError` if the file can no longer be read.
         """
         for header in self._headers():
             if header.opcode == Opcode.CHUNK:
@@ -105,7 +105,7 @@ class BlockJobs:
         yield from self._chunks_so_far()
 
     def _headers(self) -> Iterator[RecordHeader]:
-        """The records of the data section; `_at` may be moved on by whoever has read more than the one at hand."""
+        """Yield the headers of the data section; who reads more than the record at hand moves `_at` behind it."""
         self._at = len(MAGIC)
         data_ended = False
         while True:
@@ -121,7 +121,7 @@ class BlockJobs:
                 yield header
 
     def _next_header(self) -> RecordHeader | None:
-        """The record at `_at`, or behind damage there; None at the end of all that can be read."""
+        """Return the header at `_at`, or behind damage there; None at the end of all that can be read."""
         while True:
             try:
                 return self.file.header_at(self._at)
@@ -132,7 +132,7 @@ class BlockJobs:
             self._at = resumed_at
 
     def _outside(self, header: RecordHeader) -> Iterator[tuple[int, Callable[[], Block]]]:
-        """The record and as many as follow it outside of chunks, up to a block."""
+        """Yield the job of a block of this record and those that follow it outside of chunks."""
         if header.length > MAX_RECORD_BYTES:
             name = record_name(header.opcode)
             self.notes.append(
@@ -164,7 +164,7 @@ class BlockJobs:
             self._chunks, self._chunks_bytes = [], 0
 
     def _unpack(self, chunks: list[PackedChunk]) -> Block:
-        """The records of `chunks`, those of a damaged chunk left out."""
+        """Unpack `chunks` into one block, without the damaged ones."""
         memory = self._memory()
         data = memory.records(sum(chunk.unpacked_bytes for chunk in chunks))
         scan, places, notes, start = Scan(), [(0, 0)], list[str](), 0
@@ -175,16 +175,16 @@ class BlockJobs:
             except DamagedChunkError as err:
                 notes.append(_left_out(chunk.offset, err))
                 continue
-            found = scan_records(data, start, stop)
-            if found.end < stop:
+            of_chunk = scan_records(data, start, stop)
+            if of_chunk.end < stop:
                 notes.append(
                     _left_out(
                         chunk.offset,
-                        counted(stop - found.end, "byte in it is no record", "bytes in it are no records"),
+                        counted(stop - of_chunk.end, "byte in it is no record", "bytes in it are no records"),
                     )
                 )
                 continue
-            scan.extend(found)
+            scan.extend(of_chunk)
             places.append((start, chunk.offset))
             start = stop
         return Block(data, scan, places, True, split_by_channel(scan.events(data)), notes, memory)
@@ -196,7 +196,7 @@ class BlockJobs:
             return UnpackMemory()
 
     def _behind(self, torn: TornRecordError) -> int | None:
-        """Where to go on behind a record that is none; None if that is nowhere."""
+        """Return the offset at which reading resumes behind a damaged record; None if it cannot."""
         if self.summary is None:
             self.truncated = f"ends early, {torn}; all that was complete before is used"
             return None

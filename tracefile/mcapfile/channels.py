@@ -1,30 +1,33 @@
-"""Which topic a MCAP channel id stands for, and whether its messages can be events."""
+"""The topic of each MCAP channel id, and whether the channel's messages can be events."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from mcap.opcode import Opcode
+from mcap.records import Channel, Schema
 
 from ..errors import TraceFormatError
 from ..format.events import EVENT_SCHEMA_NAME, STAGE_OF_TOPIC
-from .records import LAYOUTS
+from .records import parse_record, record_name
 
 if TYPE_CHECKING:
     from collections.abc import ItemsView
     from pathlib import Path
 
     from ..format.events import Stage
+    from .records import Buffer
 
 
 @dataclass(frozen=True, slots=True)
-class Channel:
-    """One channel.
+class DeclaredChannel:
+    """A channel as its file declares it.
 
     Attributes:
-        stage: the stage whose events it holds; None for every other topic.
-        fault: why its messages cannot be events although its topic is a stage's; else None.
+        topic: its topic.
+        stage: the stage whose events its messages are; None on every other topic.
+        fault: the reason why its messages cannot be events although its topic is a stage's; None if they can.
     """
 
     topic: str
@@ -33,51 +36,63 @@ class Channel:
 
 
 class ChannelTable:
-    """All channels that a file has declared so far."""
+    """All channels that a file has declared so far.
+
+    Args:
+        path: the file's name in messages.
+    """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._schemas: dict[int, str] = {}
-        self._channels: dict[int, Channel] = {}
+        self._channels: dict[int, DeclaredChannel] = {}
 
-    def get(self, channel_id: int) -> Channel | None:
-        """The channel, None while it is not declared."""
+    def get(self, channel_id: int) -> DeclaredChannel | None:
+        """Return the channel; None while it is not declared."""
         return self._channels.get(channel_id)
 
-    def items(self) -> ItemsView[int, Channel]:
-        """All channels with their ids."""
+    def items(self) -> ItemsView[int, DeclaredChannel]:
+        """Return (channel id, channel) pairs of all channels."""
         return self._channels.items()
 
-    def declare(self, opcode: int, content: bytes | memoryview, offset: int) -> None:
-        """Take note of a Schema or Channel record; `offset` is where it lies in the file.
+    def declare(self, opcode: int, content: Buffer, offset: int) -> None:
+        """Add a Schema or Channel record.
+
+        Args:
+            opcode: which of the two it is.
+            content: the record's content.
+            offset: offset in the file for messages about the record.
 
         Raises:
-            TraceFormatError: it is damaged, or gives a known channel id another topic.
+            TraceFormatError: the record is damaged, or gives a known channel id another topic.
         """
         try:
-            fields = LAYOUTS[Opcode(opcode)].parse(content)
+            if opcode == Opcode.SCHEMA:
+                schema = parse_record(Schema, content)
+                self._schemas[schema.id] = schema.name
+            else:
+                self._add(parse_record(Channel, content), offset)
         except ValueError as err:
-            name = LAYOUTS[Opcode(opcode)].name
+            name = record_name(opcode)
             raise TraceFormatError(self._path, f"a {name} record is damaged ({err})", offset) from err
-        if opcode == Opcode.SCHEMA:
-            self._schemas[fields["id"]] = fields["name"]
-            return
-        channel_id, topic = fields["id"], fields["topic"]
-        known = self._channels.get(channel_id)
-        if known is not None and known.topic != topic:
+
+    def _add(self, channel: Channel, offset: int) -> None:
+        known = self._channels.get(channel.id)
+        if known is not None and known.topic != channel.topic:
             raise TraceFormatError(
                 self._path,
-                f"channel {channel_id} is {known.topic!r} and here {topic!r}; its messages cannot be told apart",
+                f"channel {channel.id} is {known.topic!r} and here {channel.topic!r}; "
+                "its messages cannot be told apart",
                 offset,
             )
-        stage = STAGE_OF_TOPIC.get(topic)
-        fault = self._fault(fields) if stage else None
-        self._channels[channel_id] = Channel(topic, stage, fault)
+        stage = STAGE_OF_TOPIC.get(channel.topic)
+        fault = self._fault(channel) if stage else None
+        self._channels[channel.id] = DeclaredChannel(channel.topic, stage, fault)
 
-    def _fault(self, fields: dict[str, Any]) -> str | None:
-        if fields["message_encoding"] != "cdr":
-            return f"its messages are encoded as {fields['message_encoding']!r}, not 'cdr'"
-        schema = self._schemas.get(fields["schema_id"], EVENT_SCHEMA_NAME)  # a lost schema is no other schema
+    def _fault(self, channel: Channel) -> str | None:
+        if channel.message_encoding != "cdr":
+            return f"its messages are encoded as {channel.message_encoding!r}, not 'cdr'"
+        schema = self._schemas.get(channel.schema_id, EVENT_SCHEMA_NAME)  # a lost schema is no other schema
         if schema != EVENT_SCHEMA_NAME:
             return f"its schema is {schema!r}, not {EVENT_SCHEMA_NAME!r}"
         return None

@@ -1,91 +1,97 @@
-"""What the end of a MCAP file says about the rest: claims, useful beforehand, and never a reason to trust a byte."""
+"""The summary at the end of a MCAP file: claims about the rest, useful beforehand, and no reason to trust a byte."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypeVar
 
 from mcap.opcode import Opcode
+from mcap.records import Channel, ChunkIndex, Footer, Statistics
 
 from ..format.crc import crc32
-from ..format.event_record import RECORD_HEADER
-from .event_scan import scan_records
-from .records import LAYOUTS, MAGIC, RecordLayout
+from ..format.framing import MAGIC, RECORD_HEADER
+from .records import OPCODES, parse_record
+from .scan import scan_records
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from .records import RecordFile
+    from .file import RecordFile
+    from .records import ParsedRecord
+
+    R = TypeVar("R", bound=ParsedRecord)
 
 _FOOTER_LENGTH = 20
-_MAX_BYTES = 32 << 20  # chunk indexes of half a million chunks
-_KINDS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.CHUNK_INDEX})
 _FOOTER_BYTES = RECORD_HEADER.size + _FOOTER_LENGTH
 _CRC_BYTES = 4
+_MAX_BYTES = 32 << 20  # chunk indexes of half a million chunks
+_KINDS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.CHUNK_INDEX})
 
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """The records between the data and the footer.
+    """The records between the data section and the footer.
 
     Attributes:
-        data_end: where the data section must have ended.
+        data_end: offset in the file at which the data section ends and `data` begins.
         data: the summary's bytes.
-        found: (opcode, byte offset of the content in `data`, its length) of each record.
+        records: (opcode, byte offset of the content in `data`, its length) of each record.
     """
 
     data_end: int
     data: bytes = b""
-    found: list[tuple[int, int, int]] = field(default_factory=list)
+    records: list[tuple[int, int, int]] = field(default_factory=list)
 
     def declarations(self) -> Iterator[tuple[int, memoryview, int]]:
-        """Opcode, content, and offset in the file of each schema and channel."""
-        for opcode, start, length in self.found:
+        """Yield opcode, content and offset in the file of each schema and channel."""
+        for opcode, start, length in self.records:
             if opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
                 yield opcode, memoryview(self.data)[start : start + length], self.data_end + start
 
-    def parsed(self, opcode: Opcode) -> Iterator[dict[str, Any]]:
-        """The fields of each record of one kind; those that are damaged are left out."""
-        layout: RecordLayout = LAYOUTS[opcode]
-        for kind, start, length in self.found:
-            if kind == opcode:
+    def parsed(self, kind: type[R]) -> Iterator[R]:
+        """Yield each record of the class `kind`, without those that are damaged."""
+        for opcode, start, length in self.records:
+            if opcode == OPCODES[kind]:
                 try:
-                    yield layout.parse(memoryview(self.data)[start : start + length])
+                    yield parse_record(kind, memoryview(self.data)[start : start + length])
                 except ValueError:
                     continue
 
     def message_counts(self) -> dict[int, int] | None:
-        """Messages of each channel as the statistics have them; None without statistics."""
-        for statistics in self.parsed(Opcode.STATISTICS):
-            counts: dict[int, int] = statistics["channel_message_counts"]
-            return counts
-        return None
+        """Return channel id -> number of messages as the statistics have it; None without statistics."""
+        statistics = next(self.parsed(Statistics), None)
+        return None if statistics is None else statistics.channel_message_counts
 
     def topics(self) -> list[str] | None:
-        """The topics of all messages, by statistics and channels; None where these do not tell."""
+        """Return the topics of all messages; None where the statistics or a channel that they name is missing."""
         counts = self.message_counts()
-        topics = {channel["id"]: channel["topic"] for channel in self.parsed(Opcode.CHANNEL)}
+        topics = {channel.id: channel.topic for channel in self.parsed(Channel)}
         if counts is None or not counts.keys() <= topics.keys():
             return None
         return list(topics.values())
 
     def chunk_channels(self) -> dict[int, frozenset[int]]:
-        """The channels that each chunk has messages of, by the chunk's offset; chunks without index are left out."""
+        """Return offset of a chunk -> ids of the channels that it has messages of, for each chunk with an index."""
         return {
-            index["chunk_start_offset"]: frozenset(index["message_index_offsets"])
-            for index in self.parsed(Opcode.CHUNK_INDEX)
+            index.chunk_start_offset: frozenset(index.message_index_offsets)
+            for index in self.parsed(ChunkIndex)
         }
 
     def chunk_offsets(self) -> list[int]:
-        """Where the chunks begin, as the chunk index has it, in order."""
-        offsets = {index["chunk_start_offset"] for index in self.parsed(Opcode.CHUNK_INDEX)}
+        """Return the offsets of the chunks that have an index, in order."""
+        offsets = {index.chunk_start_offset for index in self.parsed(ChunkIndex)}
         return sorted(offset for offset in offsets if offset < self.data_end)
 
 
 def read_summary(file: RecordFile) -> Summary | None:
-    """The summary of a file that ends as a finished file does, else None.
+    """Read the summary.
 
-    A finished file without summary section, or with one that does not match its CRC, has an empty one.
+    Returns:
+        None if the file does not end as a finished file does. A finished file without summary section, or with one
+        that does not match its CRC, has an empty summary.
+
+    Raises:
+        TraceFormatError: the file cannot be read.
     """
     footer_at = file.size - _FOOTER_BYTES - len(MAGIC)
     if footer_at < len(MAGIC):
@@ -93,11 +99,11 @@ def read_summary(file: RecordFile) -> Summary | None:
     end = file.read(footer_at, _FOOTER_BYTES + len(MAGIC))
     if end[_FOOTER_BYTES:] != MAGIC or RECORD_HEADER.unpack_from(end) != (Opcode.FOOTER, _FOOTER_LENGTH):
         return None
-    footer = LAYOUTS[Opcode.FOOTER].parse(end[RECORD_HEADER.size : _FOOTER_BYTES])
-    start, crc = footer["summary_start"], footer["summary_crc"]
+    footer = parse_record(Footer, end[RECORD_HEADER.size : _FOOTER_BYTES])
+    start = footer.summary_start
     if not len(MAGIC) <= start < footer_at or footer_at - start > _MAX_BYTES:
         return Summary(footer_at)
     data = file.read(start, footer_at - start)
-    if crc and crc32(end[: _FOOTER_BYTES - _CRC_BYTES], crc32(data)) != crc:
+    if footer.summary_crc and crc32(end[: _FOOTER_BYTES - _CRC_BYTES], crc32(data)) != footer.summary_crc:
         return Summary(footer_at)
     return Summary(start, data, scan_records(data, 0, len(data), _KINDS).others)

@@ -10,7 +10,7 @@ import zstandard
 
 from ..format.events import EVENT_CDR_BYTES, EVENT_DTYPE
 from ..format.string_cdr import CDR_HEADER
-from ..mcapfile.packed_chunks import unpack_zstd
+from ..mcapfile.chunks import unpack_zstd
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import zstandard
 
 from ..errors import TraceFormatError
-from ..mcapfile.packed_chunks import LARGEST_RATIO
+from ..mcapfile.chunks import LARGEST_RATIO
 from .mcap_source import McapSource
 from .sqlite_source import SqliteSource
 

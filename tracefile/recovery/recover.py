@@ -11,7 +11,7 @@ from ..errors import OptionError, OutputExistsError, TraceFormatError
 from ..format.descriptions import Session
 from ..format.events import SESSION_TOPIC
 from ..format.ring import read_ring, ring_path
-from ..mcapfile.records import RecordFile
+from ..mcapfile.file import RecordFile
 from ..units.counts import counted
 from ..writing.bag_metadata import write_metadata
 from ..writing.writer import TraceWriter, output_error

@@ -7,22 +7,24 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from mcap.opcode import Opcode
+from mcap.records import Header
 
 from ..errors import TraceFormatError
-from ..format.event_record import EVENT_RECORD_DTYPE, MESSAGE_HEADER
+from ..format.event_record import EVENT_RECORD_DTYPE
+from ..format.framing import MAGIC, MESSAGE_HEADER
 from ..format.ring import SLOT_DTYPE, STAGE_NUMBERS
 from ..format.string_cdr import decode_string
 from ..mcapfile.channels import ChannelTable
-from ..mcapfile.event_scan import scan_records
-from ..mcapfile.packed_chunks import DamagedChunkError, PackedChunk
-from ..mcapfile.records import MAGIC, TornRecordError
+from ..mcapfile.chunks import DamagedChunkError, PackedChunk
+from ..mcapfile.file import TornRecordError
+from ..mcapfile.scan import scan_records
 from ..writing.writer import LIBRARY
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from ..format.ring import Slots
-    from ..mcapfile.records import RecordFile, RecordHeader
+    from ..mcapfile.file import RecordFile, RecordHeader
 
 _NUMBER_OF_STAGE = {stage: number for number, stage in STAGE_NUMBERS.items()}
 _CHANNEL_IDS = 1 << 16
@@ -84,7 +86,7 @@ class Salvage:
     def _check_origin(self, header: RecordHeader) -> None:
         """Other writers' files may hold what is neither event nor text, and would lose it."""
         try:
-            library = self._file.parse(header)["library"]
+            library = self._file.parse(Header, header).library
         except TornRecordError:  # damaged: then the content has to speak for itself
             return
         if not library.startswith(LIBRARY):

@@ -34,6 +34,7 @@ from ..format.events import (
     SESSION_TOPIC,
     Stage,
 )
+from ..format.framing import MAGIC
 from ..format.string_cdr import STRING_DEFINITION, STRING_SCHEMA_NAME, encode_string
 from ..version import __version__
 from .event_chunks import Chunk, EventChunkBuilder, positions_by_channel
@@ -47,7 +48,6 @@ if TYPE_CHECKING:
     from ..format.descriptions import Session
     from ..format.ring import Slots
 
-MAGIC = b"\x89MCAP0\r\n"
 LIBRARY = "dds-trace"
 MAX_CHUNK_EVENTS = 1 << 14
 """1.5 MB before compression: long enough to compress well, short enough to read one at a time."""

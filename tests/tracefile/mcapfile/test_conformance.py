@@ -1,6 +1,7 @@
 """MCAP's own conformance suite: 416 files, each with the records that a reader must find in it.
 
-`tests/data/mcap-conformance.tar.xz` is the suite's data (MIT licence; its origin is noted inside).
+`tests/data/mcap-conformance.tar.xz` is the suite's data (MIT licence; its origin is noted inside). What the reader takes
+from a file is compared: schemas, channels and messages of the data section, and the summary's records that it uses.
 """
 
 from __future__ import annotations
@@ -8,16 +9,27 @@ from __future__ import annotations
 import json
 import tarfile
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import pytest
 from mcap.opcode import Opcode
+from mcap.records import Channel, ChunkIndex, Schema, Statistics
 
-from dds_trace.tracefile.mcapfile.record_stream import read_records
-from dds_trace.tracefile.mcapfile.records import LAYOUTS
+from dds_trace.tracefile.format.framing import MESSAGE_HEADER
+from dds_trace.tracefile.mcapfile.blocks import BlockJobs
+from dds_trace.tracefile.mcapfile.file import RecordFile
+from dds_trace.tracefile.mcapfile.records import OPCODES, parse_record
+from dds_trace.tracefile.mcapfile.summary import read_summary
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 SUITE = Path(__file__).parents[2] / "data" / "mcap-conformance.tar.xz"
-NOT_LISTED = {Opcode.MESSAGE_INDEX}  # the suite names no index of messages, nor an attachment's CRC
+KINDS = {OPCODES[kind]: kind for kind in (Schema, Channel, Statistics, ChunkIndex)}
+IN_DATA = {"Schema", "Channel", "Message"}
+IN_SUMMARY = {kind.__name__ for kind in KINDS.values()}
+
+Listed = tuple[str, dict[str, object]]
 
 
 @pytest.fixture(scope="module")
@@ -33,29 +45,58 @@ def suite(tmp_path_factory):
 def test_every_file_of_the_suite_holds_the_records_it_must(suite):
     files = sorted(suite.glob("*.mcap"))
     assert len(files) == 416
-    wrong = [file.name for file in files if found_in(file) != expected_of(file)]
+    wrong = [file.name for file in files if (in_data(file), in_summary(file)) != expected_of(file)]
     assert wrong == []
 
 
-def test_the_suite_has_every_kind_of_record_that_it_can_list(suite):
-    kinds = {kind for file in suite.glob("*.json") for kind, _ in expected_of(file)}
-    assert kinds == {LAYOUTS[opcode].name for opcode in Opcode} - {"Chunk", "MessageIndex"}
+def test_the_suite_has_every_kind_of_record_that_the_reader_uses(suite):
+    data, summary = zip(*(expected_of(file) for file in suite.glob("*.mcap")), strict=True)
+    assert {kind for listed in data for kind, _ in listed} == IN_DATA
+    assert {kind for listed in summary for kind, _ in listed} == IN_SUMMARY
 
 
-def expected_of(file: Path) -> list[tuple[str, dict[str, Any]]]:
+def expected_of(file: Path) -> tuple[list[Listed], list[Listed]]:
     records = json.loads(file.with_suffix(".json").read_text())["records"]
-    return [(record["type"], dict(record["fields"])) for record in records]
+    listed = [(record["type"], dict(record["fields"])) for record in records]
+    end = [kind for kind, _ in listed].index("DataEnd")
+    return (
+        [record for record in listed[:end] if record[0] in IN_DATA],
+        [record for record in listed[end:] if record[0] in IN_SUMMARY],
+    )
 
 
-def found_in(file: Path) -> list[tuple[str, dict[str, Any]]]:
+def in_data(path: Path) -> list[Listed]:
+    with RecordFile(path) as file:
+        jobs = BlockJobs(file, read_summary(file))
+        records = [record for _, job in jobs for record in records_of(job())]
+    assert (jobs.notes, jobs.truncated) == ([], None)
+    return records
+
+
+def records_of(block) -> Iterator[Listed]:
+    for opcode, start, length in block.scan.others:
+        content = bytes(block.data[start : start + length])
+        if opcode == Opcode.MESSAGE:
+            names = ("channel_id", "sequence", "log_time", "publish_time")
+            fields = dict(zip(names, MESSAGE_HEADER.unpack_from(content), strict=True))
+            yield "Message", as_listed({**fields, "data": content[MESSAGE_HEADER.size :]})
+        else:
+            yield KINDS[opcode].__name__, as_listed(vars(parse_record(KINDS[opcode], content)))
+
+
+def in_summary(path: Path) -> list[Listed]:
+    with RecordFile(path) as file:
+        summary = read_summary(file)
     return [
-        (LAYOUTS[opcode].name, {name: as_listed(value) for name, value in fields.items() if name != "crc"})
-        for opcode, fields in read_records(file)
-        if opcode not in NOT_LISTED
+        (
+            KINDS[opcode].__name__,
+            as_listed(vars(parse_record(KINDS[opcode], summary.data[start : start + length]))),
+        )
+        for opcode, start, length in summary.records
     ]
 
 
-def as_listed(value: Any) -> Any:
+def as_listed(value):
     """A field as the suite writes it: numbers and bytes as text, so that no JSON parser rounds them."""
     if isinstance(value, int):
         return str(value)

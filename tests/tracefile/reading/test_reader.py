@@ -348,7 +348,7 @@ class TestNoTrace:
 
     def test_a_bag_of_other_topics_is_not_unpacked_where_its_summary_says_so(self, tmp_path, monkeypatch):
         path = write_messages(tmp_path / "t.mcap", [RawMessage("/camera", b"123", kind=("x/msg/X", ""))])
-        monkeypatch.setattr("dds_trace.tracefile.mcapfile.packed_chunks.PackedChunk.unpack", None)
+        monkeypatch.setattr("dds_trace.tracefile.mcapfile.chunks.PackedChunk.unpack", None)
         with pytest.raises(TraceFormatError, match="its topics: /camera"):
             read_trace(path)
 

@@ -23,7 +23,8 @@ from trace_files import (
 )
 
 from dds_trace.tracefile import EVENT_DTYPE, Stage, TraceFormatError, read_descriptions, read_trace
-from dds_trace.tracefile.mcapfile.records import MAGIC, RecordFile
+from dds_trace.tracefile.format.framing import MAGIC
+from dds_trace.tracefile.mcapfile.file import RecordFile
 
 FIELDS = EVENT_DTYPE.names
 MESSAGES = [Message(n, t0=n * 1000, t1=n * 1000 + 7, t2=n * 1000 + 500) for n in range(12)]

@@ -21,8 +21,9 @@ from dds_trace.tracefile import (
     TraceFormatError,
     TraceSink,
 )
+from dds_trace.tracefile.format.framing import MAGIC
 from dds_trace.tracefile.format.ring import ring_path
-from dds_trace.tracefile.mcapfile.records import MAGIC, RecordFile
+from dds_trace.tracefile.mcapfile.file import RecordFile
 from dds_trace.tracefile.reading.reader import read_trace
 from dds_trace.tracefile.recovery.recover import recover
 

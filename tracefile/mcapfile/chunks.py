@@ -1,4 +1,4 @@
-"""A chunk of a MCAP file: where it lies, and its records unpacked and checked, never larger than they may be."""
+"""Chunks of a MCAP file: their place in the file, and their records unpacked and checked, within bounds of memory."""
 
 from __future__ import annotations
 
@@ -11,38 +11,41 @@ import zstandard
 
 from ..format.crc import crc32
 from ..units.counts import counted
-from .records import MAX_RECORD_BYTES, Fields
+from .file import MAX_RECORD_BYTES
+from .records import RecordContent
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from .records import RecordFile, RecordHeader
+    from .file import RecordFile, RecordHeader
 
-_HEADER_BYTES = 64  # all fields before the records, with room for the name of any compression that we know
+_HEADER_BYTES = 64  # all fields before the records, with room for the name of any known compression
 
 LARGEST_RATIO = 1000
-"""Events pack 5 to 30 times. What grows more than this may be made to keep a reader busy for hours."""
+"""Most unpacked bytes for a packed one. Events pack 5 to 30 times; a larger claim may be made to keep a reader busy."""
 
-_UNSUSPECTED_BYTES = 1 << 20  # a blank image packs better still, and costs nothing
+_UNSUSPECTED_BYTES = (
+    1 << 20
+)  # up to here any ratio is allowed: a blank image packs better still and costs nothing
 
 _of_thread = threading.local()
 
 
 class DamagedChunkError(Exception):
-    """A chunk's records cannot be had; the text says why."""
+    """A chunk whose records cannot be unpacked, or are not those that were written; the text says why."""
 
 
 @dataclass(frozen=True, slots=True)
 class PackedChunk:
-    """Where a chunk's records lie and what it says of them.
+    """A chunk as its own header describes it.
 
     Attributes:
-        offset: of the chunk record in the file.
-        data_offset: of its packed records in the file.
-        packed_bytes: their length in the file.
-        unpacked_bytes: their length once unpacked, as claimed.
+        offset: offset of the chunk record in the file.
+        data_offset: offset of its packed records in the file.
+        packed_bytes: length of the packed records.
+        unpacked_bytes: claimed length of the unpacked records.
         crc: CRC-32 of the unpacked records; 0 if the writer made none.
-        compression: `zstd`, `lz4` or empty.
+        compression: `zstd`, `lz4`, or empty for records that are not packed.
     """
 
     offset: int
@@ -54,18 +57,19 @@ class PackedChunk:
 
     @classmethod
     def at(cls, file: RecordFile, header: RecordHeader) -> PackedChunk:
-        """The chunk of which `header` is the record.
+        """Read the header of the chunk whose record is at `header`.
 
         Raises:
             DamagedChunkError: its fields are not as MCAP has them, or claim more than a chunk may hold.
         """
-        take = Fields(file.read(header.content, min(_HEADER_BYTES, header.length)))
+        content = RecordContent(file.read(header.content, min(_HEADER_BYTES, header.length)))
         try:
-            take.raw(16)  # first and last log time
-            unpacked_bytes, crc, compression, packed_bytes = take.u64(), take.u32(), take.text(), take.u64()
+            content.read(16)  # first and last log time
+            unpacked_bytes, crc = content.read8(), content.read4()
+            compression, packed_bytes = content.read_prefixed_string(), content.read8()
         except ValueError as err:
             raise DamagedChunkError(f"its header is damaged ({err})") from err
-        data_offset = header.content + take.position
+        data_offset = header.content + content.count
         if packed_bytes > header.end - data_offset:
             raise DamagedChunkError(f"it claims {packed_bytes} packed bytes, more than its record has")
         if max(unpacked_bytes, packed_bytes) > MAX_RECORD_BYTES:
@@ -80,24 +84,30 @@ class PackedChunk:
         return cls(header.offset, data_offset, packed_bytes, unpacked_bytes, crc, compression)
 
     def unpack(self, file: RecordFile, memory: UnpackMemory | None = None, at: int = 0) -> memoryview:
-        """The chunk's records; any number of threads may unpack chunks of one file, each with memory of its own.
+        """Unpack the chunk's records; threads may unpack chunks of one file at once, each into memory of its own.
 
         Args:
-            file: where the chunk is.
-            memory: to unpack into; what is returned lies in it, and is gone when it is used again.
-            at: where in `memory.records` to begin.
+            file: the file of the chunk.
+            memory: the memory to unpack into; new memory if it is left out.
+            at: position in `memory.records` of the first unpacked byte.
+
+        Returns:
+            The records, in `memory`; they are lost when `memory` is used again.
 
         Raises:
-            DamagedChunkError: they cannot be unpacked, or are not those that were written.
+            DamagedChunkError: the records cannot be unpacked, or are not those that were written.
+            TraceFormatError: the file cannot be read.
         """
         memory = memory or UnpackMemory()
         try:
             room = memory.records(at + self.unpacked_bytes)[at:]
-            found = self._unpack_into(room, file, memory)
+            unpacked_bytes = self._unpack_into(room, file, memory)
         except (ValueError, MemoryError, zstandard.ZstdError, cramjam.DecompressionError) as err:
             raise DamagedChunkError(f"it cannot be unpacked ({err})") from err
-        if found != self.unpacked_bytes:
-            raise DamagedChunkError(f"it holds {counted(found, 'byte')} and claims {self.unpacked_bytes}")
+        if unpacked_bytes != self.unpacked_bytes:
+            raise DamagedChunkError(
+                f"it holds {counted(unpacked_bytes, 'byte')} and claims {self.unpacked_bytes}"
+            )
         if self.crc and crc32(room) != self.crc:
             raise DamagedChunkError("its CRC does not match")
         return room
@@ -112,35 +122,35 @@ class PackedChunk:
 
 
 class UnpackMemory:
-    """Memory that chunks are unpacked into, one after the other: fresh memory is slow at its first touch."""
+    """Memory into which chunks are unpacked one after the other, because fresh memory is slow at its first touch."""
 
     def __init__(self) -> None:
         self._packed = bytearray()
         self._records = bytearray()
 
     def packed(self, size: int) -> memoryview:
-        """Room for the bytes of the file; what was there before is overwritten."""
+        """Return room for `size` packed bytes; what was there before is overwritten."""
         if len(self._packed) < size:
             self._packed = bytearray(size)
         return memoryview(self._packed)[:size]
 
     def records(self, size: int) -> memoryview:
-        """Room for the unpacked records; asked for more than ever before, it is new room, and empty."""
+        """Return room for `size` unpacked bytes: what is there already, or new and empty memory if that is too little."""
         if len(self._records) < size:
             self._records = bytearray(size)
         return memoryview(self._records)[:size]
 
     @property
     def size(self) -> int:
-        """Bytes held."""
+        """Number of bytes held."""
         return len(self._packed) + len(self._records)
 
 
 def unpack_zstd(packed: bytes, limit_bytes: int) -> bytes:
-    """The first `limit_bytes` bytes of what zstd frames hold; no more memory than that is taken.
+    """Unpack the first `limit_bytes` bytes of zstd frames, in no more memory than that.
 
     Raises:
-        ZstdError: no zstd frame, or a damaged one.
+        ZstdError: `packed` is no zstd frame, or a damaged one.
     """
     with _zstd().stream_reader(packed, read_across_frames=True) as stream:
         return stream.read(limit_bytes)
@@ -157,7 +167,7 @@ def _unpack_lz4_into(packed: memoryview, room: memoryview) -> int:
 
 
 def _zstd() -> zstandard.ZstdDecompressor:
-    """This thread's own: making one takes longer than unpacking a small chunk with it."""
+    """Return this thread's own unpacker; making one takes longer than unpacking a small chunk with it."""
     if not hasattr(_of_thread, "zstd"):
         _of_thread.zstd = zstandard.ZstdDecompressor()
     own: zstandard.ZstdDecompressor = _of_thread.zstd
@@ -168,4 +178,4 @@ _UNPACKERS: dict[str, Callable[[memoryview, memoryview], int]] = {
     "zstd": _unpack_zstd_into,
     "lz4": _unpack_lz4_into,
 }
-"""Each unpacks into the room that is for it, and says how many bytes it found for it."""
+"""Compression -> function that unpacks into the room it is given and returns the number of unpacked bytes."""

@@ -1,4 +1,4 @@
-"""Events found in a buffer of MCAP records and taken as arrays, without a Python step per event.
+"""Events in a buffer of MCAP records, found and taken as arrays without a Python step per event.
 
 Every event is a record of the same length (`docs/trace-format.md`), so a run of events is an array of records.
 Opcode, length and CDR header are checked at every stride; the run is cut at the first mismatch, the record there
@@ -19,10 +19,9 @@ from ..format.event_record import (
     EVENT_HEAD,
     EVENT_RECORD_BYTES,
     EVENT_RECORD_DTYPE,
-    MESSAGE_HEADER,
-    RECORD_HEADER,
 )
 from ..format.events import EVENT_DTYPE
+from ..format.framing import MESSAGE_HEADER, RECORD_HEADER
 
 if TYPE_CHECKING:
     from collections.abc import Container
@@ -31,25 +30,26 @@ if TYPE_CHECKING:
     from .records import Buffer
 
 MESSAGES_AND_CHANNELS = frozenset({Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL})
+"""Opcodes of the records that a chunk may hold."""
 
 _CHECKED = struct.Struct(f"<QB{MESSAGE_HEADER.size}xH")
 _BLOCK_DTYPE = np.dtype(f"V{EVENT_RECORD_BYTES}")
 
-_SINGLE_STEPS = 16  # so many events are looked at one by one before arrays pay
-# A short run is not paid for with a long stretch. A long stretch still fits the core's own cache, for which the
-# three comparisons wait once and not three times.
+_SINGLE_STEPS = 16  # events that are checked one by one: so few cost less than an array of them
+# The first stretch is short because a run may be. The others still fit the core's own cache, so that the three
+# comparisons wait for memory once and not three times.
 _FIRST_STRETCH = 256
 _STRETCH = 4096
-_FEW_CHANNELS = 6
+_FEW_CHANNELS = 6  # ids so close to each other are looked for one by one, which is quicker than sorting
 
 
 class ChannelEvents(NamedTuple):
-    """Events of one channel that lie near to each other.
+    """Events of one channel, copied out of the buffer that was scanned.
 
     Attributes:
-        channel_id: the channel.
-        last_number: the number in the channel (MCAP's `sequence`) of the last of them.
-        events: an unbroken array of `EVENT_DTYPE`, copied out of the buffer that was scanned.
+        channel_id: the id of the channel.
+        last_number: the number in the channel (MCAP's `sequence`) of the last event.
+        events: the events in file order, an array of `EVENT_DTYPE`.
     """
 
     channel_id: int
@@ -59,13 +59,12 @@ class ChannelEvents(NamedTuple):
 
 @dataclass(slots=True)
 class Scan:
-    """What lies in a buffer of records.
+    """Places of the records in a buffer.
 
     Attributes:
-        runs: (byte offset, count) of each unbroken run of events.
-        others: (opcode, byte offset of the content, its length) of every other record, in order; of those kinds only
-            that were asked for.
-        end: where the records end: at the end of the buffer, or where what follows is none.
+        runs: (byte offset, count) of each unbroken run of event-shaped records.
+        others: (opcode, byte offset of the content, its length) of each other record of a wanted kind, in order.
+        end: byte offset behind the last record: the end of the buffer, or the first byte that begins no record.
     """
 
     runs: list[tuple[int, int]] = field(default_factory=list)
@@ -73,7 +72,7 @@ class Scan:
     end: int = 0
 
     def extend(self, behind: Scan) -> None:
-        """Add the scan of the bytes that lie directly behind."""
+        """Append the scan of the bytes that lie directly behind."""
         joins = (
             self.runs
             and behind.runs
@@ -87,9 +86,9 @@ class Scan:
         self.end = behind.end
 
     def places(self, data: Buffer, channel_id: int) -> list[tuple[int, int]]:
-        """Byte offset and length of the contents of one channel's event-shaped records."""
+        """Return (byte offset, length) of the content of each event-shaped record of one channel."""
         length = EVENT_RECORD_BYTES - RECORD_HEADER.size
-        found: list[tuple[int, int]] = []
+        contents: list[tuple[int, int]] = []
         for offset, count in self.runs:
             records = np.frombuffer(data, EVENT_RECORD_DTYPE, count, offset)
             starts = (
@@ -97,11 +96,11 @@ class Scan:
                 + RECORD_HEADER.size
                 + np.flatnonzero(records["channel_id"] == channel_id) * EVENT_RECORD_BYTES
             )
-            found += [(start, length) for start in starts.tolist()]
-        return found
+            contents += [(start, length) for start in starts.tolist()]
+        return contents
 
     def events(self, data: Buffer) -> Records:
-        """The events of all runs as records of `EVENT_RECORD_DTYPE`; a view of `data` where they lie in one run."""
+        """Return the records of all runs, an array of `EVENT_RECORD_DTYPE`; a view of `data` if there is one run."""
         # Joined as blocks of bytes: joined as records, numpy would make a dtype of its own for them.
         parts = [np.frombuffer(data, _BLOCK_DTYPE, count, offset) for offset, count in self.runs]
         joined = parts[0] if len(parts) == 1 else np.concatenate([np.empty(0, _BLOCK_DTYPE), *parts])
@@ -116,16 +115,16 @@ def scan_records(
     *,
     only: bool = False,
 ) -> Scan:
-    """What lies in `data[start:stop]`, where `start` begins a record.
+    """Scan the records in `data[start:stop]`.
 
-    The scan ends early before a record that is cut off by `stop`, or that has opcode 0 (MCAP has none such).
+    The scan ends early before a record that is cut off by `stop`, or that has opcode 0, which MCAP forbids.
 
     Args:
-        data: records.
-        start: where the first one begins.
-        stop: where the last one has to end.
-        wanted: opcodes of the other records that are of interest.
-        only: end also before a record of any other kind.
+        data: the buffer.
+        start: offset of the first byte of a record.
+        stop: offset behind the last record.
+        wanted: opcodes of the records to list beside the events.
+        only: whether the scan also ends before a record of any other kind.
     """
     scan = Scan()
     at = start
@@ -150,7 +149,7 @@ def scan_records(
 
 
 def split_by_channel(records: Records) -> list[ChannelEvents]:
-    """The events of each channel id among `records` (of `EVENT_RECORD_DTYPE`), in order."""
+    """Return the events of each channel id among `records` (`EVENT_RECORD_DTYPE`), by channel id."""
     if not len(records):
         return []
     channels = np.ascontiguousarray(records["channel_id"])
@@ -160,36 +159,36 @@ def split_by_channel(records: Records) -> list[ChannelEvents]:
     if first == last:
         return [ChannelEvents(first, int(numbers[-1]), events.copy().view(EVENT_DTYPE))]
     if last - first < _FEW_CHANNELS:  # looking for each is quicker than sorting
-        found = [(channel, np.flatnonzero(channels == channel)) for channel in range(first, last + 1)]
+        positions = [(channel, np.flatnonzero(channels == channel)) for channel in range(first, last + 1)]
     else:
         order = np.argsort(channels, kind="stable")
         counts = np.bincount(channels)
         ids = np.flatnonzero(counts)
-        found = list(zip(ids.tolist(), np.split(order, np.cumsum(counts[ids])[:-1]), strict=True))
+        positions = list(zip(ids.tolist(), np.split(order, np.cumsum(counts[ids])[:-1]), strict=True))
     return [
         ChannelEvents(channel, int(numbers[index[-1]]), events[index].view(EVENT_DTYPE))
-        for channel, index in found
+        for channel, index in positions
         if len(index)
     ]
 
 
 def _count_events(data: Buffer, at: int, stop: int) -> int:
-    """How many events lie one after the other from `at` on, all of them before `stop`."""
+    """Count the events that lie one after the other from `at` on, all of them before `stop`."""
     left = (stop - at) // EVENT_RECORD_BYTES
-    found = 0
-    while found < min(left, _SINGLE_STEPS):
-        if _CHECKED.unpack_from(data, at + found * EVENT_RECORD_BYTES) != (EVENT_HEAD, 0, EVENT_CDR):
-            return found
-        found += 1
+    count = 0
+    while count < min(left, _SINGLE_STEPS):
+        if _CHECKED.unpack_from(data, at + count * EVENT_RECORD_BYTES) != (EVENT_HEAD, 0, EVENT_CDR):
+            return count
+        count += 1
     stretch = _FIRST_STRETCH
-    while found < left:
-        count = min(stretch, left - found)
-        records = np.frombuffer(data, EVENT_RECORD_DTYPE, count, at + found * EVENT_RECORD_BYTES)
+    while count < left:
+        size = min(stretch, left - count)
+        records = np.frombuffer(data, EVENT_RECORD_DTYPE, size, at + count * EVENT_RECORD_BYTES)
         good = records["head"] == EVENT_HEAD
         good &= records["length_top"] == 0
         good &= records["cdr"] == EVENT_CDR
         if not good.all():
-            return found + int(np.argmin(good))
-        found += count
+            return count + int(np.argmin(good))
+        count += size
         stretch = _STRETCH
-    return found
+    return count

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+import polars as pl
+from polars.exceptions import PolarsError
+
+from dds_trace.tracefile import Run, Session, TraceFormatError
+
+from .pairing.rows import RowStore
+from .saving.folder import read_folder, write_folder
+from .saving.records import Content, from_json, to_json
+
 if TYPE_CHECKING:
+    import os
     from collections.abc import Mapping
-    from pathlib import Path
-
-    import polars as pl
-
-    from dds_trace.tracefile import Run, Session
 
     from .model.finding import Finding
     from .model.source import Source
-    from .pairing.rows import RowStore
     from .verdicts.answers import CaseAnswer
     from .verdicts.recommend import Recommendation
 
@@ -123,3 +129,90 @@ class Analysis:
     def scan_roundtrips(self) -> pl.LazyFrame:
         """Return the round trips as a lazy frame, which reads only the rows and columns that a query takes."""
         return self.rows.scan()
+
+    def save(self, folder: str | os.PathLike[str]) -> None:
+        """Write the analysis into a folder of its own, from which `load_analysis` reads it.
+
+        An analysis that is there already is replaced as a whole, or stays if this one cannot be written.
+
+        Raises:
+            OutputExistsError: the folder holds something else than a saved analysis.
+            OutputError: the folder cannot be written.
+        """
+        content = Content(
+            title=self.title,
+            sources=self.sources,
+            sessions=tuple(session.to_json() for session in self.sessions),
+            runs=tuple(run.to_json() for run in self.runs),
+            timeline_decimated=self.timeline_decimated,
+            findings=self.findings,
+            outputs={kind: str(path) for kind, path in self.outputs.items()},
+            answers=self.details.answers,
+            deadline_ns=self.details.deadline_ns,
+            recommendation=self.details.recommendation,
+            requested=self.details.requested,
+        )
+        text = json.dumps(to_json(content), allow_nan=False)
+        frames = {name: getattr(self, name) for name in _FRAMES}
+        frames |= {name: getattr(self.details, name) for name in DETAIL_FRAMES}
+        write_folder(
+            Path(folder),
+            {
+                _CONTENT: lambda path: path.write_text(text, encoding="utf-8"),
+                _ROUNDTRIPS: self.scan_roundtrips().sink_parquet,
+                **{f"{name}.parquet": frame.write_parquet for name, frame in frames.items()},
+            },
+        )
+
+
+_CONTENT, _ROUNDTRIPS = "content.json", "roundtrips.parquet"
+_FRAMES = ("summary", "distributions", "timeline")
+DETAIL_FRAMES = (
+    "intervals",
+    "one_way",
+    "breakdown",
+    "responses",
+    "freshness",
+    "outages",
+    "clock_fits",
+    "clock_knots",
+    "host_samples",
+    "bridge_costs",
+)
+"""Names of the frames of `Details`."""
+
+
+def load_analysis(folder: str | os.PathLike[str]) -> Analysis:
+    """Read an analysis that `Analysis.save` wrote; its round trips stay in the folder until they are asked for.
+
+    Raises:
+        TraceFormatError: the folder holds no saved analysis, one of a later version, or a file that was changed.
+    """
+    files = read_folder(Path(folder))
+    try:
+        content = from_json(Content, json.loads(files[_CONTENT].read_bytes()))
+        frames = {name: pl.read_parquet(files[f"{name}.parquet"]) for name in (*_FRAMES, *DETAIL_FRAMES)}
+        rows = RowStore.of(files[_ROUNDTRIPS], frames["summary"])
+    except (KeyError, ValueError, OSError, PolarsError) as err:
+        raise TraceFormatError(
+            Path(folder), f"the saved analysis cannot be read ({err}); analyze again"
+        ) from err
+    where = files[_CONTENT]
+    return Analysis(
+        title=content.title,
+        sources=content.sources,
+        sessions=tuple(Session.from_json(text, where) for text in content.sessions),
+        runs=tuple(Run.from_json(text, where) for text in content.runs),
+        rows=rows,
+        **{name: frames[name] for name in _FRAMES},
+        timeline_decimated=content.timeline_decimated,
+        findings=content.findings,
+        details=Details(
+            **{name: frames[name] for name in DETAIL_FRAMES},
+            answers=content.answers,
+            deadline_ns=content.deadline_ns,
+            recommendation=content.recommendation,
+            requested=content.requested,
+        ),
+        outputs={kind: Path(path) for kind, path in content.outputs.items()},
+    )

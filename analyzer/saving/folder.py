@@ -1,0 +1,163 @@
+"""A folder of files with checksums, which is replaced as a whole or not at all.
+
+    analysis.json              the manifest: format, version, and for each file its name here, size and SHA-256
+    summary-1f2e3d4c.parquet   a file; those of one save share their eight hexadecimal digits
+
+The manifest takes its place last. So a reader finds the files of the save before or those of the new one, and
+`analysis.json` never names a file that is not there.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import secrets
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
+
+from polars.exceptions import PolarsError
+
+from dds_trace.tracefile.errors import OutputError, OutputExistsError, TraceFormatError
+from dds_trace.tracefile.files import replacing
+from dds_trace.tracefile.version import __version__
+
+from .records import from_json
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping
+    from pathlib import Path
+
+MANIFEST = "analysis.json"
+FORMAT = "dds-trace analysis"
+VERSION = 1
+"""Version 1: first version (2026). A file or a field may be added without a new version; none changes its meaning."""
+
+_FILE_NAME = re.compile(r"[a-z_]+-[0-9a-f]{8}\.(json|parquet)")
+"""Names of files beside the manifest: none leads out of the folder."""
+
+_AT_ONCE_BYTES = 1 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class SavedFile:
+    """A file of the folder.
+
+    Attributes:
+        file: its name in the folder.
+        bytes: its size.
+        sha256: hexadecimal SHA-256 of its bytes.
+    """
+
+    file: str
+    bytes: int
+    sha256: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Manifest:
+    format: str
+    version: int
+    written_by: str
+    files: Mapping[str, SavedFile]
+
+
+def write_folder(folder: Path, files: Mapping[str, Callable[[Path], object]]) -> None:
+    """Write files and then the manifest that names them; files of an earlier save are removed.
+
+    Args:
+        folder: a folder of its own: missing, empty, or with an earlier save.
+        files: name such as `summary.parquet` -> function that writes the file at a path.
+
+    Raises:
+        OutputExistsError: the folder holds something else.
+        OutputError: a file cannot be written; the earlier save stays.
+    """
+    mark = secrets.token_hex(4)
+    written: dict[str, SavedFile] = {}
+    try:
+        earlier = _earlier_files(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, write in files.items():
+            stem, ending = name.split(".")
+            path = folder / f"{stem}-{mark}.{ending}"
+            with replacing(path, fsync=True) as draft:
+                write(draft)
+            written[name] = SavedFile(path.name, path.stat().st_size, _sha256(path))
+        with replacing(folder / MANIFEST, fsync=True) as draft:
+            manifest = asdict(_Manifest(FORMAT, VERSION, __version__, written))
+            draft.write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
+    except (OSError, PolarsError) as err:
+        _remove(folder, written.values())
+        raise OutputError(f"{folder}: the analysis cannot be saved ({err}); give another folder") from err
+    _remove(folder, earlier)
+
+
+def read_folder(folder: Path) -> dict[str, Path]:
+    """Check every file of a save, and return the path of each by its name.
+
+    Raises:
+        TraceFormatError: this is no save, a save of a later version, or one of its files was changed.
+    """
+    manifest = _read_manifest(folder)
+    for saved in manifest.files.values():
+        path = folder / saved.file
+        try:
+            intact = path.stat().st_size == saved.bytes and _sha256(path) == saved.sha256
+        except OSError as err:
+            raise TraceFormatError(
+                path, f"a file of the saved analysis cannot be read ({err.strerror})"
+            ) from err
+        if not intact:
+            raise TraceFormatError(path, "the file was changed after the analysis was saved; analyze again")
+    return {name: folder / saved.file for name, saved in manifest.files.items()}
+
+
+def _read_manifest(folder: Path) -> _Manifest:
+    path = folder / MANIFEST
+    try:
+        manifest = json.loads(path.read_bytes())
+        if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
+            raise TraceFormatError(path, "not the manifest of a saved analysis")
+        if manifest.get("version") != VERSION:
+            what = f"version {manifest.get('version')!r} of a saved analysis; this program reads version {VERSION}"
+            raise TraceFormatError(path, what)
+        checked = from_json(_Manifest, manifest)
+    except OSError as err:
+        what = f"no saved analysis here ({MANIFEST}: {err.strerror}); write one with Analysis.save"
+        raise TraceFormatError(folder, what) from err
+    except ValueError as err:
+        raise TraceFormatError(path, f"the manifest of a saved analysis is damaged ({err})") from err
+    for saved in checked.files.values():
+        if not _FILE_NAME.fullmatch(saved.file):
+            raise TraceFormatError(path, f"the manifest names {saved.file!r}, which no saved analysis has")
+    return checked
+
+
+def _earlier_files(folder: Path) -> tuple[SavedFile, ...]:
+    """Return the files of the save that is in the folder; none of a missing or empty one.
+
+    Raises:
+        OutputExistsError: the folder holds something else.
+    """
+    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
+        return ()
+    try:
+        return tuple(_read_manifest(folder).files.values())
+    except TraceFormatError as err:
+        raise OutputExistsError(f"{folder}: holds something else; give a folder of its own") from err
+
+
+def _remove(folder: Path, files: Iterable[SavedFile]) -> None:
+    for saved in files:
+        with suppress(OSError):
+            (folder / saved.file).unlink()
+
+
+def _sha256(path: Path) -> str:
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while piece := file.read(_AT_ONCE_BYTES):
+            digest.update(piece)
+    return digest.hexdigest()

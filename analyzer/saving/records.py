@@ -1,0 +1,186 @@
+"""Frozen dataclasses as JSON and back: what comes back is equal to what went out, or it is refused.
+
+A float that JSON does not have is written as a text: `inf`, `-inf` or `nan`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, fields, is_dataclass
+from enum import Enum
+from types import NoneType, UnionType
+from typing import TYPE_CHECKING, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from ..model.finding import Finding
+from ..model.source import Source
+from ..statistics.intervals import Interval
+from ..verdicts.answers import CaseAnswer
+from ..verdicts.job import Job
+from ..verdicts.recommend import Recommendation
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+Record = TypeVar("Record")
+
+_NOT_FINITE = ("inf", "-inf", "nan")
+
+_NAMES = {
+    "CaseAnswer": CaseAnswer,
+    "Finding": Finding,
+    "Interval": Interval,
+    "Job": Job,
+    "Mapping": Mapping,
+    "Recommendation": Recommendation,
+    "Setting": Mapping[str, str | int | float | None],
+    "Source": Source,
+}
+"""Names in the annotations of the records that are there for type checkers only."""
+
+
+@dataclass(frozen=True, slots=True)
+class Content:
+    """Everything of an analysis that is not a frame; fields as those of `Analysis` and `Details`.
+
+    Attributes:
+        sessions: as JSON texts (`Session.to_json`).
+        runs: as JSON texts (`Run.to_json`).
+        outputs: kind -> path.
+    """
+
+    title: str
+    sources: tuple[Source, ...]
+    sessions: tuple[str, ...]
+    runs: tuple[str, ...]
+    timeline_decimated: bool
+    findings: tuple[Finding, ...]
+    outputs: Mapping[str, str]
+    answers: tuple[CaseAnswer, ...]
+    deadline_ns: int | None
+    recommendation: Recommendation | None
+    requested: bool
+
+
+def to_json(value: object) -> object:
+    """Return a record, or what is in one, as values that `json` writes."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    if isinstance(value, Enum):
+        return value.value
+    if is_dataclass(value):
+        return {field.name: to_json(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, Mapping):
+        return {name: to_json(each) for name, each in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [to_json(each) for each in value]
+    return value
+
+
+def from_json(kind: type[Record], value: object) -> Record:
+    """Return the record of which `to_json` made `value`.
+
+    Args:
+        kind: a dataclass.
+        value: as `json` reads it.
+
+    Raises:
+        ValueError: `value` is not of this kind; the message names the field.
+    """
+    record = _read(kind, value, kind.__name__)
+    assert isinstance(record, kind)
+    return record
+
+
+def _read(hint: object, value: object, where: str) -> object:
+    """Return a value of the annotated type.
+
+    Args:
+        hint: the annotation.
+        value: as `json` reads it.
+        where: name of the field, for the message.
+
+    Raises:
+        ValueError: the value is not of that type.
+    """
+    reader = _read_record if is_dataclass(hint) else _READERS.get(get_origin(hint) or _plain_type(hint))
+    if reader is None:
+        raise ValueError(f"{where} has no type that JSON holds")
+    return reader(hint, value, where)
+
+
+def _plain_type(hint: object) -> object:
+    return Enum if isinstance(hint, type) and issubclass(hint, Enum) else hint
+
+
+def _read_record(hint: object, value: object, where: str) -> object:
+    assert isinstance(hint, type)
+    held = _expect(dict, value, where)
+    hints = get_type_hints(hint, localns=_NAMES)
+    for name in hints:
+        if name not in held:
+            raise ValueError(f"{where} lacks {name}")
+    return hint(**{name: _read(of_field, held[name], f"{where}.{name}") for name, of_field in hints.items()})
+
+
+def _read_union(hint: object, value: object, where: str) -> object:
+    for each in get_args(hint):
+        with suppress(ValueError):
+            return _read(each, value, where)
+    raise ValueError(f"{where} is {value!r:.40}")
+
+
+def _read_tuple(hint: object, value: object, where: str) -> object:
+    of_each = get_args(hint)[0]
+    return tuple(_read(of_each, each, where) for each in _expect(list, value, where))
+
+
+def _read_mapping(hint: object, value: object, where: str) -> object:
+    of_value = get_args(hint)[1]
+    return {
+        name: _read(of_value, each, f"{where}.{name}") for name, each in _expect(dict, value, where).items()
+    }
+
+
+def _read_enum(hint: object, value: object, where: str) -> object:
+    assert isinstance(hint, type)
+    try:
+        return hint(value)
+    except ValueError as err:
+        raise ValueError(f"{where}: {err}") from err
+
+
+def _read_float(_: object, value: object, where: str) -> object:
+    if value in _NOT_FINITE:
+        return float(str(value))
+    # A whole number that stood for a float stays one, so that a report prints it alike.
+    return value if type(value) is int else _expect(float, value, where)
+
+
+def _read_plain(hint: object, value: object, where: str) -> object:
+    assert isinstance(hint, type)
+    return _expect(hint, value, where)
+
+
+_READERS: Mapping[object, Callable[[object, object, str], object]] = {
+    UnionType: _read_union,
+    Union: _read_union,
+    tuple: _read_tuple,
+    Mapping: _read_mapping,
+    Enum: _read_enum,
+    float: _read_float,
+    **dict.fromkeys((int, str, bool, NoneType), _read_plain),
+}
+"""Type of an annotation -> function that reads its values."""
+
+
+def _expect(kind: type[Record], value: object, where: str) -> Record:
+    """Return a value of exactly one type.
+
+    Raises:
+        ValueError: the value is of another type.
+    """
+    if type(value) is not kind:
+        raise ValueError(f"{where} is {value!r:.40}")
+    return value

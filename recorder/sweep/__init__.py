@@ -9,11 +9,10 @@ if TYPE_CHECKING:
     from .max_rate_report import COLUMNS, max_rate_rows, write_max_rates
     from .plan.cells import Cell
     from .plan.commands import half_arguments, relay_arguments
-    from .plan.estimate import Remaining, plan_seconds
     from .plan.link import PRESETS, Link
     from .plan.plan import Plan
     from .plan.plan_file import parse_plan, read_plan
-    from .plan.schedule import Group, schedule
+    from .plan.schedule import Group, Remaining, plan_seconds, schedule
     from .run.progress import SweepProgress, make_progress
     from .run.result import CellResult, read_result
     from .search import MaxRate, RateAnswer

@@ -1,40 +1,46 @@
-"""One cell of a sweep: the parameters of one ping run, its name, and what relay it needs."""
+"""One cell of a sweep: the parameters of one ping run, its name, and the relay that it needs."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypeVar
 
 from dds_trace.tracefile.units.sizes import spell_size
 
+from ...backends import BACKEND_MODULES
 from ...backends.qos import RANKS
+from ...bridges import BRIDGE_MODULES
 from ...choices import ExecutorKind, Serialization, Transport
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from enum import Enum
+    from collections.abc import Collection
+
+_T = TypeVar("_T")
 
 
-def _axis(
-    default: Any,
-    option: str,
-    *,
-    relay: bool = False,
-    kind: type = str,
-    choices: Iterable[str] | type[Enum] = (),
-) -> Any:
-    """A field that is an axis of a plan.
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """One axis of a plan.
 
-    Args:
-        default: the value where a plan says nothing; not passed on, so that `dds-record`'s own default counts.
-        option: of `dds-record`.
-        relay: the relay has to be started with it too.
-        kind: what a plan's value is.
-        choices: the values that there are, empty where anything may be given.
+    Attributes:
+        option: option of `dds-record`.
+        of_relay: whether the relay has to be started with it too.
+        kind: type of a plan's value.
+        choices: the allowed values, empty where any value of the type is allowed. The table of backends or bridges
+            itself, so that an entry that is added later is allowed.
     """
-    named = [choice.value for choice in choices] if isinstance(choices, type) else list(choices)
-    return field(default=default, metadata={"option": option, "relay": relay, "kind": kind, "choices": named})
+
+    option: str
+    of_relay: bool = False
+    kind: type[str | int | float | bool] = str
+    choices: Collection[str] = ()
+
+
+def _axis(default: _T, axis: Axis) -> _T:
+    """Return a field of `Cell` that is an axis; `default` is left to `dds-record`, whose own default is the same."""
+    value: _T = field(default=default, metadata={"axis": axis})
+    return value
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,31 +50,37 @@ class Cell:
     Attributes:
         backend: the API that carries the messages.
         rmw: the ROS middleware, None for the one that the environment chooses.
-        relay_backend: of the relay, None for the ping's.
-        relay_rmw: of the relay, None for the ping's.
-        bridge: between two domains; `none` puts ping and relay in one domain.
+        relay_backend: backend of the relay, None for the ping's.
+        relay_rmw: ROS middleware of the relay, None for the ping's.
+        bridge: the bridge between two domains; `none` puts ping and relay in one domain.
         data: `binary`, `string`, `imu`, or a source such as `file:PATH`.
         size: payload bytes, None where the data decides.
         rate: messages a second.
         repeat: 1, 2 ... when the plan asks for several.
     """
 
-    backend: str = _axis("ros2", "--backend", relay=True)
-    rmw: str | None = _axis(None, "--rmw", relay=True)
-    relay_backend: str | None = _axis(None, "--backend")
-    relay_rmw: str | None = _axis(None, "--rmw")
-    bridge: str = _axis("none", "--bridge")
-    data: str = _axis("binary", "--data")
-    size: int | None = _axis(None, "--size", kind=int)
-    rate: float = _axis(10.0, "--rate", kind=float)
-    reliability: str = _axis("reliable", "--reliability", relay=True, choices=RANKS["reliability"])
-    durability: str = _axis("volatile", "--durability", relay=True, choices=RANKS["durability"])
-    history: str = _axis("keep_last", "--history", relay=True, choices=("keep_last", "keep_all"))
-    depth: int = _axis(10, "--depth", relay=True, kind=int)
-    serialization: str = _axis("raw", "--serialization", relay=True, choices=Serialization)
-    transport: str = _axis("default", "--transport", relay=True, choices=Transport)
-    executor: str = _axis("auto", "--executor", relay=True, choices=ExecutorKind)
-    tuned: bool = _axis(False, "--tuned", relay=True, kind=bool)
+    backend: str = _axis("ros2", Axis("--backend", of_relay=True, choices=BACKEND_MODULES))
+    rmw: str | None = _axis(None, Axis("--rmw", of_relay=True))
+    relay_backend: str | None = _axis(None, Axis("--backend", choices=BACKEND_MODULES))
+    relay_rmw: str | None = _axis(None, Axis("--rmw"))
+    bridge: str = _axis("none", Axis("--bridge", choices=BRIDGE_MODULES))
+    data: str = _axis("binary", Axis("--data"))
+    size: int | None = _axis(None, Axis("--size", kind=int))
+    rate: float = _axis(10.0, Axis("--rate", kind=float))
+    reliability: str = _axis("reliable", Axis("--reliability", of_relay=True, choices=RANKS["reliability"]))
+    durability: str = _axis("volatile", Axis("--durability", of_relay=True, choices=RANKS["durability"]))
+    history: str = _axis("keep_last", Axis("--history", of_relay=True, choices=("keep_last", "keep_all")))
+    depth: int = _axis(10, Axis("--depth", of_relay=True, kind=int))
+    serialization: str = _axis(
+        "raw", Axis("--serialization", of_relay=True, choices=[kind.value for kind in Serialization])
+    )
+    transport: str = _axis(
+        "default", Axis("--transport", of_relay=True, choices=[kind.value for kind in Transport])
+    )
+    executor: str = _axis(
+        "auto", Axis("--executor", of_relay=True, choices=[kind.value for kind in ExecutorKind])
+    )
+    tuned: bool = _axis(False, Axis("--tuned", of_relay=True, kind=bool))
     repeat: int = 1
 
     @property
@@ -85,13 +97,13 @@ class Cell:
 
     @property
     def payload_bit_s(self) -> float | None:
-        """Bits of payload that one direction has to carry in a second, None where the data decides."""
+        """Bits of payload a second in one direction, None where the data decides the size."""
         return None if self.size is None else self.size * 8 * self.rate
 
     @property
     def relay(self) -> RelayNeed:
-        """What the relay of this cell has to be started with."""
-        values = {axis.name: getattr(self, axis.name) for axis in RELAY_AXES}
+        """Parameters of the relay of this cell."""
+        values = {name: getattr(self, name) for name in RELAY_AXES}
         if self.relay_backend is not None:
             values |= {"backend": self.relay_backend, "rmw": self.relay_rmw}
         elif self.relay_rmw is not None:
@@ -100,10 +112,10 @@ class Cell:
 
     @property
     def name(self) -> str:
-        """The cell's name, from which its files have theirs: `ros2-fastrtps_same_binary-33KB_10Hz`.
+        """Name of the cell and stem of its files: `ros2-fastrtps_same_binary-33KB_10Hz`.
 
         Middleware, domains, data and rate are always there, every other parameter where it is not the
-        default: a plan may grow a new axis and the cells that are there already keep their names.
+        default: when a plan gets a new axis, recorded cells keep their names.
         """
         relay = (
             ["to-" + _middleware_name(self.relay.backend, self.relay.rmw)]
@@ -112,9 +124,9 @@ class Cell:
         )
         data = self.data if self.size is None else f"{self.data}-{spell_size(self.size)}"
         others = [
-            _other_name(axis.name, getattr(self, axis.name))
-            for axis in OTHER_AXES
-            if getattr(self, axis.name) != axis.default
+            _other_name(name, getattr(self, name))
+            for name in OTHER_AXES
+            if getattr(self, name) != DEFAULTS[name]
         ]
         parts = [
             _middleware_name(self.backend, self.rmw),
@@ -130,7 +142,7 @@ class Cell:
 
 @dataclass(frozen=True, slots=True)
 class RelayNeed:
-    """What one relay process is started with; it serves every cell that needs the same.
+    """Parameters of one relay process, which serves every cell that needs the same ones.
 
     Attributes: as in `Cell`.
     """
@@ -150,20 +162,25 @@ class RelayNeed:
     def name(self) -> str:
         """The relay in words, for progress and reasons."""
         others = [
-            _other_name(axis.name, getattr(self, axis.name))
-            for axis in RELAY_AXES
-            if axis.name not in ("backend", "rmw") and getattr(self, axis.name) != axis.default
+            _other_name(name, getattr(self, name))
+            for name in RELAY_AXES
+            if name not in ("backend", "rmw") and getattr(self, name) != DEFAULTS[name]
         ]
         return " ".join([_middleware_name(self.backend, self.rmw), *others])
 
 
-AXES = {axis.name: axis for axis in fields(Cell) if axis.metadata}
+AXES: dict[str, Axis] = {f.name: f.metadata["axis"] for f in fields(Cell) if f.metadata}
 """The axes of a plan, by name."""
 
-RELAY_AXES = tuple(axis for axis in AXES.values() if axis.metadata["relay"])
+DEFAULTS = {name: getattr(Cell(), name) for name in AXES}
+"""Value of each axis where a plan says nothing."""
+
+RELAY_AXES = tuple(name for name, axis in AXES.items() if axis.of_relay)
+"""Names of the axes that a relay has to be started with."""
 
 _ALWAYS_NAMED = {"backend", "rmw", "relay_backend", "relay_rmw", "bridge", "data", "size", "rate"}
-OTHER_AXES = tuple(axis for axis in AXES.values() if axis.name not in _ALWAYS_NAMED)
+OTHER_AXES = tuple(name for name in AXES if name not in _ALWAYS_NAMED)
+"""Names of the axes that a cell's name has only where they differ from the default."""
 
 
 def _middleware_name(backend: str, rmw: str | None) -> str:

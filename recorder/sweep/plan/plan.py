@@ -1,4 +1,4 @@
-"""A sweep's plan as frozen records; `plan_file.py` reads them from TOML."""
+"""The plan of a sweep as frozen records; `plan_file.py` reads them from TOML."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import hashlib
 import json
 from dataclasses import asdict, dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from ...backends import BACKEND_MODULES, Meeting, load_backend
-from ...bridges import BRIDGE_MODULES, load_bridge
+from ...backends import Meeting, load_backend
+from ...bridges import load_bridge
 from ...bridges.base import Halves
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ PERCENTILES = (50.0, 90.0, 95.0, 99.0, 99.9)
 
 
 class Order(Enum):
-    """In which order cells run."""
+    """Order in which the cells run."""
 
     LISTED = "listed"
     SHUFFLED = "shuffled"
@@ -32,23 +32,23 @@ class Order(Enum):
 
 @dataclass(frozen=True, slots=True)
 class RunSettings:
-    """What all cells of a plan have in common: the plan's `[run]`.
+    """Settings of all cells of a plan: its table `[run]`.
 
     Attributes:
-        messages: of a run, warm-up not counted; 0 if `seconds` says it.
+        messages: number of messages of a run, warm-up not counted; 0 if `seconds` decides it.
         seconds: length of a run, warm-up not counted; the number of messages follows from the cell's rate.
-        min_messages: of a run whose length is given in seconds, however low its rate.
+        min_messages: fewest messages of a run whose length is given in seconds, however low its rate.
         warmup: messages at the start of each run that are kept out of every statistic.
-        settle_seconds: pause between two cells, for buffers to empty and CPUs to cool.
-        cutoff_seconds: how long a run may take beyond its planned time; then it is ended and says how far it got.
+        settle_seconds: pause between two cells, in which buffers empty and CPUs cool.
+        cutoff_seconds: longest time beyond the planned one; then a run is ended and its result says how far it got.
         order: `shuffled` so that a drift of the machine does not look like an effect.
-        seed: of the shuffling.
+        seed: seed of the shuffling.
         repeats: passes over all cells, each in an order of its own.
-        attempts: how often a cell that fails is tried.
+        attempts: most attempts at a cell that fails.
         discovery: `localhost`, or `subnet` to leave this machine; None for localhost on one machine and
             subnet otherwise.
-        domain: of the relay, and of the ping where both are in the same.
-        ping_domain: of the ping where a bridge joins the two.
+        domain: domain of the relay, and of the ping where no bridge is between them.
+        ping_domain: domain of the ping where a bridge joins the two.
     """
 
     messages: int = 0
@@ -66,11 +66,11 @@ class RunSettings:
     ping_domain: int = 5
 
     def messages_at(self, rate_hz: float) -> int:
-        """Messages of a run at this rate, warm-up not counted."""
+        """Return the number of messages of a run at this rate, warm-up not counted."""
         return self.messages or max(self.min_messages, round(self.seconds * rate_hz))
 
     def planned_seconds(self, rate_hz: float) -> float:
-        """Time that the schedule of a run takes, warm-up included."""
+        """Return the time that the schedule of a run takes, warm-up included."""
         return (self.messages_at(rate_hz) + self.warmup) / rate_hz
 
 
@@ -79,14 +79,14 @@ class DeviceSettings:
     """One of the two devices: `[devices.ping]` or `[devices.relay]`.
 
     Attributes:
-        name: as written to the trace; None for the system's own name.
-        ssh: `user@host` to run it there; the ping is always here.
+        name: the device's name in the trace; None for its host name.
+        ssh: `user@host` of the device; only the relay may have one.
         ssh_options: further arguments of `ssh`, such as `-p 2222`.
-        setup: shell command that runs there first, such as `. /opt/ros/jazzy/setup.sh`.
-        path: folder of `dds-record` there, where it is not found by itself: `~/dds-trace/.venv/bin`.
-        address: of the device as the other one reaches it, where that has to be told; None for that of `ssh`.
-        bridge_port: where the half of a bridge beside the relay waits for the ping's; by default Zenoh's own port.
-        options: further options of `dds-record` there, such as `--realtime`, `50`, `--cpu-affinity`, `3`.
+        setup: shell command that runs on it first, such as `. /opt/ros/jazzy/setup.sh`.
+        path: folder of `dds-record` on it, if it is not on its PATH: `~/dds-trace/.venv/bin`.
+        address: address at which the other device reaches this one; None for that of `ssh`.
+        bridge_port: port at which the half of a bridge beside the relay waits for the ping's; by default Zenoh's own.
+        options: further options of `dds-record` on it, such as `--realtime`, `50`, `--cpu-affinity`, `3`.
     """
 
     name: str | None = None
@@ -100,38 +100,38 @@ class DeviceSettings:
 
     @property
     def reached_at(self) -> str | None:
-        """Where the other device finds this one, None if the plan does not say."""
+        """Address at which the other device finds this one, None if the plan has none."""
         return self.address or (self.ssh.rpartition("@")[2] if self.ssh else None)
 
 
 @dataclass(frozen=True, slots=True)
 class Exclusion:
-    """Cells that the plan leaves out: those whose every named axis has one of the values.
+    """A rule that leaves out the cells whose every named axis has one of the values.
 
     Attributes:
-        values: axis -> values.
-        reason: why, shown by `--dry-run`.
+        values: name of an axis -> its values.
+        reason: the reason, shown by `--dry-run`.
     """
 
-    values: Mapping[str, tuple[Any, ...]]
+    values: Mapping[str, tuple[object, ...]]
     reason: str = ""
 
     def covers(self, cell: Cell) -> bool:
-        """Whether it leaves this cell out."""
+        """Return whether the rule leaves this cell out."""
         return all(getattr(cell, axis) in values for axis, values in self.values.items())
 
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """What `--max-rate` looks for: the plan's `[search]`.
+    """Conditions of a search with `--max-rate`: the plan's `[search]`.
 
     Attributes:
         min_rate: lowest rate tried.
         max_rate: highest rate tried.
-        loss_percent: most that may be lost.
-        deadline_ms: for the percentile of the response time (planned send to reply).
-        percentile: of the response time that has to keep the deadline.
-        resolution: the answer lies within this factor (1.1: within 10 %).
+        loss_percent: largest share of lost messages.
+        deadline_ms: longest response time (planned send to reply) at `percentile`.
+        percentile: percentile of the response times that has to keep the deadline.
+        resolution: factor within which the answer is exact (1.1: within 10 %).
         knee_repeats: runs at the last rate that held and at the first that did not; the majority counts.
         seconds: length of each trial run.
     """
@@ -148,16 +148,16 @@ class Search:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Everything that a sweep does.
+    """All cells of a sweep, with the settings and devices to record them.
 
     Attributes:
-        name: of the folder below `--out`; the plan file's name unless it says another.
+        name: name of the folder below `--out`; the stem of the plan file unless the plan gives one.
         cells: in the listed order, first repeat only, exclusions applied.
         excluded: cells left out, with the reason.
-        namespaces: ping and relay each in a network namespace of its own.
-        link: between the namespaces, None for a bare veth.
-        connectivity: as written to the trace; None lets each device look it up.
-        by_hand: a person starts the relay, on another device.
+        namespaces: whether ping and relay run each in a network namespace of its own.
+        link: emulated link between the namespaces, None for a bare veth.
+        connectivity: the sessions' `connectivity`; None lets each device look it up.
+        by_hand: whether a person starts the relay, on another device.
     """
 
     name: str
@@ -175,7 +175,7 @@ class Plan:
 
     @property
     def discovery(self) -> str:
-        """How far the nodes look for each other."""
+        """Range of the nodes' discovery: `localhost` or `subnet`."""
         if self.run.discovery is not None:
             return self.run.discovery
         return "subnet" if self.namespaces or self.has_two_devices else "localhost"
@@ -186,20 +186,22 @@ class Plan:
         return self.by_hand or self.relay.ssh is not None
 
     def needs_address(self, cell: Cell) -> bool:
-        """Whether the cell's ping has to be told where the relay's device is."""
+        """Return whether the cell's ping needs the address of the relay's device."""
         return connects_to_relay(cell.backend) or self.runs_halves(cell)
 
     def runs_halves(self, cell: Cell) -> bool:
-        """Whether the cell's bridge runs one half beside the ping and one beside the relay.
+        """Return whether the cell's bridge runs one half beside the ping and one beside the relay.
 
         On one machine, and where a bridge is one program, the ping's `dds-record` runs all of it.
         """
-        return self.has_two_devices and cell.crosses_domains and has_halves(cell.bridge)
+        return (
+            self.has_two_devices and cell.crosses_domains and load_bridge(cell.bridge).halves is Halves.ALWAYS
+        )
 
     @property
     def digest(self) -> str:
-        """Changes when cells of the same name would be recorded differently; new cells do not change it."""
-        told = {
+        """Digest of all settings that change how a cell of a given name is recorded; new cells leave it as it is."""
+        settings = {
             "run": {
                 name: value
                 for name, value in asdict(self.run).items()
@@ -210,14 +212,9 @@ class Plan:
             "link": asdict(self.link) if self.link else None,
             "connectivity": self.connectivity,
         }
-        return hashlib.sha256(json.dumps(told, sort_keys=True, default=str).encode()).hexdigest()[:16]
+        return hashlib.sha256(json.dumps(settings, sort_keys=True, default=str).encode()).hexdigest()[:16]
 
 
 def connects_to_relay(backend: str) -> bool:
-    """Tell whether a backend's ping connects to the relay's address; False for a backend that we do not know."""
-    return backend in BACKEND_MODULES and load_backend(backend).meeting is Meeting.PEERS
-
-
-def has_halves(bridge: str) -> bool:
-    """Whether a bridge is one process for each domain in any case; False for one that we do not know."""
-    return bridge in BRIDGE_MODULES and load_bridge(bridge).halves is Halves.ALWAYS
+    """Return whether a backend's ping connects to the relay's address instead of looking for the relay."""
+    return load_backend(backend).meeting is Meeting.PEERS

@@ -1,46 +1,41 @@
-"""A plan's TOML file read into a frozen `Plan`; whatever cannot be meant is an error naming key and remedy."""
+"""Reads a plan's TOML file into a frozen `Plan`; a wrong key or value is an error with its place and the remedy."""
 
 from __future__ import annotations
 
-import difflib
 import itertools
-import sys
-from dataclasses import dataclass, fields, replace
-from enum import Enum
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, TypeAlias
 
 from dds_trace.tracefile import OptionError
 from dds_trace.tracefile.units.sizes import parse_size
 
-from .cells import AXES, Cell
+from .cells import AXES, DEFAULTS, Cell
 from .link import LINK_KEYS, PRESETS, Link
 from .plan import PERCENTILES, DeviceSettings, Exclusion, Plan, RunSettings, Search
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from .toml_table import TomlTable, nearest
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping
     from pathlib import Path
 
     FindInstalled: TypeAlias = Callable[[], Collection[tuple[str, str | None]]]
+    AxisValue: TypeAlias = str | int | float | bool | None
+    AxisValues: TypeAlias = dict[str, list[AxisValue]]
 
 INSTALLED = "installed"
-"""As `backend`: every middleware that this machine has."""
+"""Value of `backend` that stands for every middleware of this machine."""
 
 
 def read_plan(path: Path, installed: FindInstalled = tuple, *, by_hand: bool = False) -> Plan:
-    """The plan in a TOML file.
+    """Read the plan in a TOML file.
 
     Args:
-        path: the file.
-        installed: gives (backend, rmw) of every middleware of this machine; called where the plan asks for it.
-        by_hand: a person starts the relay, on another device.
+        path: path of the file.
+        installed: returns (backend, rmw) of every middleware of this machine; called only for a plan that asks for it.
+        by_hand: whether a person starts the relay, on another device.
 
     Raises:
-        OptionError: there is no such file, it is no TOML, or something in it cannot be meant.
+        OptionError: the file cannot be read, is no TOML, or has a wrong key or value.
     """
     try:
         text = path.read_text()
@@ -59,12 +54,8 @@ def parse_plan(
     *,
     by_hand: bool = False,
 ) -> Plan:
-    """The plan in a TOML text; `where` goes into the error messages, which are those of `read_plan`."""
-    try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as err:
-        raise OptionError(f"{where}: {err}") from err
-    root = _Table(table, where, "")
+    """Return the plan in a TOML text; `where` names the text in errors, which are those of `read_plan`."""
+    root = TomlTable.parse(text, where)
     root.allow(
         "name", "description", "axes", "matrix", "exclude", "run", "devices", "network", "link", "search"
     )
@@ -87,15 +78,15 @@ def parse_plan(
     link = _link(root.table("link"))
     devices = root.table("devices")
     devices.allow("ping", "relay", "connectivity")
-    relay = _record(DeviceSettings, devices.table("relay"))
-    network = _record(_Network, root.table("network"))
+    relay = devices.table("relay").fill(DeviceSettings())
+    network = root.table("network").fill(_Network())
     plan = Plan(
         name=root.take("name", str, name),
         description=root.take("description", str, ""),
         cells=tuple(cells),
         excluded=tuple(excluded),
-        run=_record(RunSettings, root.table("run")),
-        ping=_record(DeviceSettings, devices.table("ping")),
+        run=root.table("run").fill(RunSettings()),
+        ping=devices.table("ping").fill(DeviceSettings()),
         relay=relay,
         namespaces=network.namespaces or link is not None,
         link=link,
@@ -103,7 +94,7 @@ def parse_plan(
             "connectivity", str, _connectivity(link, network.namespaces, relay, by_hand)
         ),
         by_hand=by_hand,
-        search=_record(Search, root.table("search")),
+        search=root.table("search").fill(Search()),
     )
     _check(plan, where)
     return plan
@@ -111,7 +102,7 @@ def parse_plan(
 
 @dataclass(frozen=True, slots=True)
 class _Network:
-    """The plan's `[network]`."""
+    """The plan's table `[network]`."""
 
     namespaces: bool = False
 
@@ -124,15 +115,20 @@ def _connectivity(link: Link | None, namespaces: bool, relay: DeviceSettings, by
     return "wired" if namespaces else "loopback"
 
 
-def _cells(axes: Mapping[str, list[Any]], installed: FindInstalled) -> Iterator[Cell]:
-    """Every combination of the values, the axis that is written last running fastest."""
+def _cells(axes: AxisValues, installed: FindInstalled) -> Iterator[Cell]:
+    """Yield a cell for every combination of the values; the axis that is written last changes fastest."""
     if axes.get("backend") == [INSTALLED]:
         others = {axis: values for axis, values in axes.items() if axis not in ("backend", "rmw")}
         for backend, rmw in installed():
             yield from _cells({"backend": [backend], "rmw": [rmw], **others}, installed)
         return
     for values in itertools.product(*axes.values()):
-        yield Cell(**dict(zip(axes, values, strict=True)))
+        yield _cell(dict(zip(axes, values, strict=True)))
+
+
+def _cell(values: Mapping[str, AxisValue]) -> Cell:
+    """Return the cell with these values; `_axis_value` has checked the type of each."""
+    return replace(Cell(), **values)  # type: ignore[arg-type]  # of an axis each
 
 
 def _apply(exclusions: list[Exclusion], listed: list[Cell]) -> tuple[list[Cell], list[tuple[Cell, str]]]:
@@ -156,10 +152,10 @@ def _check_names(cells: list[Cell], where: str) -> None:
 
 
 def _check(plan: Plan, where: str) -> None:
-    """Rules that concern more than one key.
+    """Check the rules that concern more than one key.
 
     Raises:
-        OptionError: one of them is broken.
+        OptionError: a rule is broken.
     """
     run = plan.run
     rules = (
@@ -195,13 +191,13 @@ def _check(plan: Plan, where: str) -> None:
             raise OptionError(f"{where}: {rule}")
 
 
-def _link(table: _Table) -> Link | None:
+def _link(table: TomlTable) -> Link | None:
     if not table.values:
         return None
     preset = table.take("preset", str, None)
     table.allow("preset", "name", *LINK_KEYS)
     if preset is not None and preset not in PRESETS:
-        raise OptionError(f"{table.where}: there is no link {preset!r}{_nearest(preset, PRESETS)}")
+        raise OptionError(f"{table.where}: there is no link {preset!r}{nearest(preset, PRESETS)}")
     values = {key: table.take(key, float, None) for key in LINK_KEYS}
     changed = {key: value for key, value in values.items() if value is not None}
     base = PRESETS[preset] if preset else Link()
@@ -220,8 +216,8 @@ def _link(table: _Table) -> Link | None:
     return link
 
 
-def _axis_values(table: _Table, ignore: Collection[str] = ()) -> dict[str, list[Any]]:
-    """Axis -> its values as `Cell` holds them, in the order in which the plan has them."""
+def _axis_values(table: TomlTable, ignore: Collection[str] = ()) -> AxisValues:
+    """Return the values of each axis of a table, in the order of the plan."""
     table.allow(*AXES, *ignore)
     return {
         axis: [
@@ -232,99 +228,17 @@ def _axis_values(table: _Table, ignore: Collection[str] = ()) -> dict[str, list[
     }
 
 
-def _axis_value(table: _Table, axis: str, value: object) -> Any:
-    if axis == "size":
+def _axis_value(table: TomlTable, name: str, value: object) -> AxisValue:
+    """Return a plan's value of an axis as `Cell` holds it; an empty text is the None of an axis that may be None."""
+    if name == "size":
         try:
             return parse_size(str(value))
         except OptionError as err:
             raise OptionError(f"{table.where}: {err}") from err
-    known = AXES[axis].metadata
-    if value == "" and AXES[axis].default is None:
+    axis, default = AXES[name], DEFAULTS[name]
+    if value == "" and default is None:
         return None
-    if known["choices"] and value not in known["choices"]:
-        raise OptionError(f"{table.where}: {axis} is {value!r}{_nearest(str(value), known['choices'])}")
-    return table.check(axis, value, known["kind"])
-
-
-_T = TypeVar("_T")
-
-
-def _record(kind: type[_T], table: _Table) -> _T:
-    """The dataclass `kind` filled from a table, its defaults where the table says nothing."""
-    defaults = kind()
-    named = [f.name for f in fields(kind)]  # type: ignore[arg-type]  # every kind here is a dataclass
-    table.allow(*named)
-    values = {
-        name: _field_value(table, name, getattr(defaults, name)) for name in named if name in table.values
-    }
-    return kind(**values)
-
-
-def _field_value(table: _Table, name: str, default: object) -> Any:
-    value = table.values[name]
-    if isinstance(default, Enum):
-        choices = {choice.value: choice for choice in type(default)}
-        if value not in choices:
-            raise OptionError(f"{table.where}: {name} is {value!r}{_nearest(str(value), choices)}")
-        return choices[value]
-    if isinstance(default, tuple):
-        items = value if isinstance(value, list) else [value]
-        return tuple(table.check(name, item, str) for item in items)
-    return table.check(name, value, str if default is None else type(default))
-
-
-@dataclass(frozen=True, slots=True)
-class _Table:
-    """One table of the TOML, with its place for the error messages."""
-
-    values: dict[str, Any]
-    path: str
-    key: str
-
-    @property
-    def where(self) -> str:
-        return f"{self.path}: [{self.key}]" if self.key else self.path
-
-    def table(self, key: str) -> _Table:
-        return _Table(self.take(key, dict, {}), self.path, f"{self.key}.{key}".lstrip("."))
-
-    def tables(self, key: str) -> list[_Table]:
-        """The tables of an array of tables; a single table counts as one."""
-        if isinstance(self.values.get(key), dict):
-            return [self.table(key)]
-        return [
-            _Table(self.check(f"{key} number {i}", table, dict), self.path, f"[{key}]")
-            for i, table in enumerate(self.take(key, list, []), 1)
-        ]
-
-    def take(self, key: str, kind: type, default: Any) -> Any:
-        return self.check(key, self.values[key], kind) if key in self.values else default
-
-    def check(self, key: str, value: Any, kind: type) -> Any:
-        if kind is float and isinstance(value, int) and not isinstance(value, bool):
-            return float(value)
-        if not isinstance(value, kind) or (kind is not bool and isinstance(value, bool)):
-            raise OptionError(f"{self.where}: {key} is {value!r}, not {_KIND_NAMES[kind]}")
-        return value
-
-    def allow(self, *keys: str) -> None:
-        for key in self.values:
-            if key not in keys:
-                raise OptionError(f"{self.where}: there is no {key!r}{_nearest(key, keys)}")
-
-
-_KIND_NAMES = {
-    str: "a text",
-    int: "a whole number",
-    float: "a number",
-    bool: "true or false",
-    dict: "a table",
-    list: "a list of tables",
-}
-
-
-def _nearest(word: str, choices: Collection[str]) -> str:
-    """What a message adds after a word that is none of `choices`."""
-    near = difflib.get_close_matches(word, choices, n=1)
-    listed = ", ".join(choices)
-    return f"; did you mean {near[0]!r}?" if near else f"; choose one of {listed}"
+    if axis.choices:
+        own = [INSTALLED] if name == "backend" else []
+        return table.choose(name, value, list(dict.fromkeys([*filter(None, [default]), *axis.choices, *own])))
+    return table.check(name, value, axis.kind)

@@ -11,7 +11,7 @@ from dds_trace.tracefile.units.counts import counted
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from ..plan.estimate import Remaining
+    from ..plan.schedule import Remaining
 
 
 class SweepProgress(Protocol):

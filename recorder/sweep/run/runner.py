@@ -19,7 +19,7 @@ from dds_trace.tracefile import BackendUnavailableError, TraceError, TraceFormat
 from dds_trace.tracefile.units.counts import counted
 
 from ..plan.commands import half_arguments, ping_arguments, relay_arguments
-from ..plan.estimate import Estimate
+from ..plan.schedule import Estimate
 from ..station.programs import Program
 from ..station.station import PARTS
 from .relay import HOPELESS_EXIT_CODES, CellFailedError, GroupRelay

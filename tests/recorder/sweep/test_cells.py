@@ -44,7 +44,7 @@ def test_every_parameter_shows_in_the_name():
 
 
 def test_relay_need_has_exactly_the_parameters_that_concern_the_relay():
-    assert [field.name for field in fields(RelayNeed)] == [axis.name for axis in RELAY_AXES]
+    assert [field.name for field in fields(RelayNeed)] == list(RELAY_AXES)
 
 
 def test_one_relay_serves_all_data_rates_and_bridges():

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from dds_trace.recorder.bridges import BRIDGE_MODULES
 from dds_trace.recorder.sweep.plan.link import PRESETS
 from dds_trace.recorder.sweep.plan.plan import Order
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan, read_plan
@@ -172,3 +173,15 @@ def test_examples_of_the_documentation_are_plans():
     assert len(parse(whole).cells) == 20
     for part in parts:
         parse(RUN + part)
+
+
+def test_bridges_and_backends_of_a_plan_are_those_of_the_tables(monkeypatch):
+    with pytest.raises(OptionError, match=r"\[axes\]: bridge is 'bultin'; did you mean 'builtin'\?"):
+        parse(RUN + '[axes]\nbridge = "bultin"\n')
+    with pytest.raises(
+        OptionError, match=r"\[axes\]: relay_backend is 'dds'; choose one of ros2, cyclonedds"
+    ):
+        parse(RUN + '[axes]\nrelay_backend = "dds"\n')
+    monkeypatch.setitem(BRIDGE_MODULES, "added-later", "no_module_is_loaded_for_this")
+    plan = parse(RUN + '[axes]\nbridge = ["none", "added-later"]\n')
+    assert [cell.bridge for cell in plan.cells] == ["none", "added-later"]

@@ -4,8 +4,8 @@ import io
 
 from rich.console import Console
 
-from dds_trace.recorder.sweep.plan.estimate import Estimate, Remaining
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan
+from dds_trace.recorder.sweep.plan.schedule import Estimate, Remaining
 from dds_trace.recorder.sweep.run.progress import PlainProgress, RichProgress, make_progress
 
 

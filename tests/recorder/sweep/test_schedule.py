@@ -3,9 +3,8 @@ from __future__ import annotations
 import pytest
 
 from dds_trace.recorder.sweep.plan.commands import half_arguments, ping_arguments
-from dds_trace.recorder.sweep.plan.estimate import Remaining, plan_seconds
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan
-from dds_trace.recorder.sweep.plan.schedule import schedule
+from dds_trace.recorder.sweep.plan.schedule import Remaining, plan_seconds, schedule
 from dds_trace.tracefile import OptionError
 
 PLAN = """

@@ -1,0 +1,152 @@
+"""Tables of a TOML file that check the type of what is taken out of them; errors name file, table and key."""
+
+from __future__ import annotations
+
+import difflib
+import sys
+from dataclasses import dataclass, fields, replace
+from enum import Enum
+from typing import TYPE_CHECKING, TypeVar
+
+from dds_trace.tracefile import OptionError
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping
+
+    from _typeshed import DataclassInstance
+
+    _Record = TypeVar("_Record", bound=DataclassInstance)
+
+_T = TypeVar("_T")
+_D = TypeVar("_D")
+
+_KIND_NAMES = {
+    str: "a text",
+    int: "a whole number",
+    float: "a number",
+    bool: "true or false",
+    dict: "a table",
+    list: "a list of tables",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class TomlTable:
+    """One table of a TOML file.
+
+    Attributes:
+        values: the table's keys and values as the TOML parser gives them.
+        path: path of the file, for errors.
+        key: dotted key of the table in the file, empty for the root.
+    """
+
+    values: Mapping[str, object]
+    path: str
+    key: str = ""
+
+    @classmethod
+    def parse(cls, text: str, path: str) -> TomlTable:
+        """Return the root table of a TOML text.
+
+        Raises:
+            OptionError: `text` is no TOML.
+        """
+        try:
+            return cls(tomllib.loads(text), path)
+        except tomllib.TOMLDecodeError as err:
+            raise OptionError(f"{path}: {err}") from err
+
+    @property
+    def where(self) -> str:
+        """File and table, as errors begin."""
+        return f"{self.path}: [{self.key}]" if self.key else self.path
+
+    def table(self, key: str) -> TomlTable:
+        """Return the table `key` of this one, empty if it is missing."""
+        return TomlTable(self.take(key, dict, {}), self.path, f"{self.key}.{key}".lstrip("."))
+
+    def tables(self, key: str) -> list[TomlTable]:
+        """Return the tables of an array of tables; a single table counts as an array of one."""
+        if isinstance(self.values.get(key), dict):
+            return [self.table(key)]
+        return [
+            TomlTable(self.check(f"{key} number {number}", table, dict), self.path, f"[{key}]")
+            for number, table in enumerate(self.take(key, list, []), 1)
+        ]
+
+    def take(self, key: str, kind: type[_T], default: _D) -> _T | _D:
+        """Return the value of a key, or `default` if it is missing.
+
+        Raises:
+            OptionError: the value is not of the type `kind`.
+        """
+        return self.check(key, self.values[key], kind) if key in self.values else default
+
+    def check(self, key: str, value: object, kind: type[_T]) -> _T:
+        """Return `value` as a `kind`; a whole number passes as a float, but a bool is no number.
+
+        Raises:
+            OptionError: it is of another type.
+        """
+        if kind is float and isinstance(value, int) and not isinstance(value, bool):
+            value = float(value)
+        if not isinstance(value, kind) or (kind is not bool and isinstance(value, bool)):
+            raise OptionError(f"{self.where}: {key} is {value!r}, not {_KIND_NAMES[kind]}")
+        return value
+
+    def choose(self, key: str, value: object, choices: Collection[str]) -> str:
+        """Return `value` if it is one of `choices`.
+
+        Raises:
+            OptionError: it is none of them; the message has the nearest one, or all.
+        """
+        if not isinstance(value, str) or value not in choices:
+            raise OptionError(f"{self.where}: {key} is {value!r}{nearest(str(value), choices)}")
+        return value
+
+    def allow(self, *keys: str) -> None:
+        """Refuse every key that is not among `keys`.
+
+        Raises:
+            OptionError: the table has such a key.
+        """
+        for key in self.values:
+            if key not in keys:
+                raise OptionError(f"{self.where}: there is no {key!r}{nearest(key, keys)}")
+
+    def fill(self, defaults: _Record) -> _Record:
+        """Return a dataclass with the table's values, and with those of `defaults` where a key is missing.
+
+        Raises:
+            OptionError: a key is no field, or its value is not of the type of the default. The values of an Enum are
+                its choices; a tuple takes one text or a list of them; a default of None stands for a text.
+        """
+        names = [field.name for field in fields(defaults)]
+        self.allow(*names)
+        return replace(
+            defaults,
+            **{name: self._like(name, getattr(defaults, name)) for name in names if name in self.values},
+        )
+
+    def _like(self, name: str, default: object) -> object:
+        """Return the value of a key, of the type of `default`."""
+        value = self.values[name]
+        if isinstance(default, Enum):
+            choices = {str(choice.value): choice for choice in type(default)}
+            return choices[self.choose(name, value, choices)]
+        if isinstance(default, tuple):
+            return tuple(
+                self.check(name, item, str) for item in (value if isinstance(value, list) else [value])
+            )
+        return self.check(name, value, str if default is None else type(default))
+
+
+def nearest(word: str, choices: Collection[str]) -> str:
+    """Return the end of an error about a word that is none of `choices`: the nearest one, or all."""
+    near = difflib.get_close_matches(word, choices, n=1)
+    return f"; did you mean {near[0]!r}?" if near else f"; choose one of {', '.join(choices)}"

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dds_trace.recorder import Discovery  # noqa: TC001 - typer reads the annotations
+from dds_trace.recorder import choices
 from dds_trace.recorder.bridges import BRIDGE_MODULES
 
-from . import choices
 from .errors import run_command
 
 if TYPE_CHECKING:
@@ -65,7 +64,7 @@ def main_command(
         _option("--peer", metavar="HOST:PORT", help="Where the other half waits; repeatable."),
     ] = None,
     discovery: Annotated[
-        Discovery | None,
+        choices.Discovery | None,
         _option(
             "--discovery",
             help="How far to look for nodes. [dim]Default: ROS_AUTOMATIC_DISCOVERY_RANGE, else subnet[/dim]",

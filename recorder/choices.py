@@ -34,3 +34,31 @@ class Transport(Enum):
     UDP = "udp"
     SHM = "shm"
     LARGE_DATA = "large-data"
+
+
+class Role(Enum):
+    """The two ends of a measurement."""
+
+    PING = "ping"
+    RELAY = "relay"
+
+
+class Reliability(Enum):
+    """QoS reliability."""
+
+    RELIABLE = "reliable"
+    BEST_EFFORT = "best_effort"
+
+
+class Durability(Enum):
+    """QoS durability."""
+
+    VOLATILE = "volatile"
+    TRANSIENT_LOCAL = "transient_local"
+
+
+class History(Enum):
+    """QoS history."""
+
+    KEEP_LAST = "keep_last"
+    KEEP_ALL = "keep_all"

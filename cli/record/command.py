@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import typer
 
-from dds_trace.recorder import ExecutorKind, Serialization, Transport
+from dds_trace.recorder import choices
 
-from .. import choices
 from ..errors import run_command
 from . import words  # noqa: TC001 - typer reads the annotations
 
@@ -45,12 +44,12 @@ def main_command(
     depth: words.Depth = 10,
     deadline: words.Deadline = None,
     lifespan: words.Lifespan = None,
-    serialization: words.Serialization = Serialization.RAW,
+    serialization: words.Serialization = choices.Serialization.RAW,
     backend: words.Backend = "ros2",
     rmw: words.Rmw = None,
-    transport: words.Transport = Transport.DEFAULT,
+    transport: words.Transport = choices.Transport.DEFAULT,
     tuned: words.Tuned = False,
-    executor: words.Executor = ExecutorKind.AUTO,
+    executor: words.Executor = choices.ExecutorKind.AUTO,
     cpu_affinity: words.CpuAffinity = None,
     realtime: words.Realtime = None,
     device: words.Device = None,

@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dds_trace import recorder
+from dds_trace.recorder import choices
 from dds_trace.recorder.backends import BACKEND_MODULES
 from dds_trace.recorder.bridges import BRIDGE_MODULES
-
-from .. import choices
 
 if TYPE_CHECKING:
     from typer.models import OptionInfo
@@ -147,7 +145,7 @@ RelayDomain = Annotated[
     ),
 ]
 Discovery = Annotated[
-    recorder.Discovery | None,
+    choices.Discovery | None,
     _middleware(
         "--discovery",
         metavar="RANGE",
@@ -194,7 +192,7 @@ Lifespan = Annotated[
     _middleware("--lifespan", metavar="TIME", help="Older messages are not delivered: 20ms, 1.5s."),
 ]
 Serialization = Annotated[
-    recorder.Serialization,
+    choices.Serialization,
     _middleware(
         "--serialization",
         metavar="KIND",
@@ -218,7 +216,7 @@ Rmw = Annotated[
     ),
 ]
 Transport = Annotated[
-    recorder.Transport,
+    choices.Transport,
     _middleware(
         "--transport",
         metavar="KIND",
@@ -229,7 +227,7 @@ Tuned = Annotated[
     bool, _middleware("--tuned", metavar="", help="Apply the vendor's settings for large messages.")
 ]
 Executor = Annotated[
-    recorder.ExecutorKind,
+    choices.ExecutorKind,
     _middleware(
         "--executor",
         metavar="KIND",

@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from dds_trace.cli import choices
 from dds_trace.cli.record import command
 from dds_trace.cli.record.run import print_result
 from dds_trace.recorder import (
@@ -22,6 +21,7 @@ from dds_trace.recorder import (
     RelayProgress,
     Serialization,
     Transport,
+    choices,
 )
 from dds_trace.recorder.backends import BACKEND_MODULES
 from dds_trace.recorder.backends.qos import RANKS

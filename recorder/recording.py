@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from contextlib import AbstractContextManager
 
-    from dds_trace.tracefile import ClosedTrace, Run, Session
+    from dds_trace.tracefile import ClosedTrace, Json, Run, Session
 
     from .backends.node import Node
     from .bridges import RunningBridge
@@ -87,7 +87,7 @@ class _Recording:
         self.clock = SystemClock()
         self.session_id = secrets.randbits(64)
         self.privileges = apply_privileges(options.cpu_affinity, options.realtime_priority)
-        self.costs: dict[str, object] = {}
+        self.costs: dict[str, Json] = {}
         self._told_of_disk = False
 
     def relay(self) -> Recorded:

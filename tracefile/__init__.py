@@ -27,6 +27,7 @@ if TYPE_CHECKING:
         pack_event,
         unpack_event,
     )
+    from .format.json_values import Json, JsonObject
     from .format.string_cdr import CDR_HEADER
     from .reading.discovery import find_traces
     from .reading.reader import (
@@ -54,6 +55,8 @@ __all__ = [
     "BridgeError",
     "ClosedTrace",
     "EventColumns",
+    "Json",
+    "JsonObject",
     "MissingEventsError",
     "NoEchoError",
     "OptionError",

@@ -27,7 +27,7 @@ DURATION_POLICIES = ("deadline", "lifespan")
 def asked_durations(qos: Qos) -> dict[str, int]:
     """Return policy -> ns for those of `DURATION_POLICIES` that `qos` asks for; one that is left out is infinite."""
     given = {policy: qos.extra.get(f"{policy}_ns") for policy in DURATION_POLICIES}
-    return {policy: duration_ns for policy, duration_ns in given.items() if duration_ns is not None}
+    return {policy: duration_ns for policy, duration_ns in given.items() if isinstance(duration_ns, int)}
 
 
 def duration_extra(durations_ns: Mapping[str, int]) -> dict[str, int]:
@@ -59,7 +59,7 @@ def mismatches(offered: Qos, requested: Qos) -> list[str]:
         offers, requests = getattr(offered, policy), getattr(requested, policy)
         if offers in ranks and requests in ranks and ranks.index(offers) < ranks.index(requests):
             shortfalls.append(f"{policy} ({offers} offered, {requests} requested)")
-    offers_ns, requests_ns = offered.extra.get("deadline_ns"), requested.extra.get("deadline_ns")
+    offers_ns, requests_ns = (asked_durations(qos).get("deadline") for qos in (offered, requested))
     if requests_ns is not None and (offers_ns is None or offers_ns > requests_ns):
         offers = "none" if offers_ns is None else spell_duration(offers_ns, digits=6)
         shortfalls.append(f"deadline ({offers} offered, {spell_duration(requests_ns, digits=6)} requested)")

@@ -21,6 +21,8 @@ from .environment import MiddlewareEnvironment
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from dds_trace.tracefile import Json
+
 _SOCKET_BUFFER_FILES = (
     "rmem_default",
     "rmem_max",
@@ -35,7 +37,7 @@ _WIFI_COMMAND_TIMEOUT_S = 2.0
 
 def host_fingerprint(
     versions: Mapping[str, str] | None = None, environment: MiddlewareEnvironment | None = None
-) -> dict[str, object]:
+) -> dict[str, Json]:
     """Return the `host` object of a session.
 
     Args:

@@ -11,8 +11,12 @@ import ctypes
 import os
 import re
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import OptionError
+
+if TYPE_CHECKING:
+    from dds_trace.tracefile import Json
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2  # <sys/mman.h>, equal on x86_64 and aarch64
 
@@ -24,7 +28,7 @@ _HOW_TO_BE_PERMITTED = (
 
 def apply_privileges(
     cpu_affinity: str | None = None, realtime_priority: int | None = None
-) -> dict[str, object]:
+) -> dict[str, Json]:
     """Give this process its CPUs and its real-time priority; threads started later inherit both.
 
     Those that write the trace and sample the host give the priority back (`tracefile.run_in_background`).
@@ -42,7 +46,7 @@ def apply_privileges(
     Raises:
         OptionError: a value that cannot be meant on this machine, or the system does not permit it.
     """
-    applied: dict[str, object] = {}
+    applied: dict[str, Json] = {}
     if cpu_affinity is not None:
         applied["cpu_affinity"] = pin_cpus(cpu_affinity)
     if realtime_priority is not None:

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
+    from dds_trace.tracefile import Json, JsonObject
+
 # Datagrams that the kernel threw away: the usual cause of loss and of slow reliable delivery of large messages.
 _UDP_COUNTERS = ("InErrors", "RcvbufErrors", "SndbufErrors")
 _IP_COUNTERS = ("ReasmFails", "ReasmTimeout", "FragFails")
@@ -44,7 +46,7 @@ class HostSampler:
         period_s: time between two samples.
     """
 
-    write: Callable[[Mapping[str, object]], None]
+    write: Callable[[JsonObject], None]
     processes: Mapping[str, int] = field(default_factory=dict)
     period_s: float = 1.0
     _stop: threading.Event = field(default_factory=threading.Event, init=False)
@@ -83,10 +85,10 @@ class HostSampler:
             self.write(self.sample())
         self.write(self.sample())
 
-    def sample(self) -> dict[str, object]:
+    def sample(self) -> dict[str, Json]:
         """Take one sample now; shares of CPU are since the call before."""
         began_ns = time.thread_time_ns()
-        sample: dict[str, object] = {
+        sample: dict[str, Json] = {
             "monotonic_ns": time.monotonic_ns(),
             "host": _host_load(),
             "network": _network_totals(),
@@ -122,7 +124,7 @@ class HostSampler:
             return None
 
 
-def _host_load() -> dict[str, object]:
+def _host_load() -> dict[str, Json]:
     each = psutil.cpu_percent(percpu=True)
     memory = psutil.virtual_memory()
     return {

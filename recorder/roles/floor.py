@@ -16,6 +16,8 @@ from ..host.recorder_cost import measure_recorder_cost
 from ..payloads import STRING
 
 if TYPE_CHECKING:
+    from dds_trace.tracefile import Json
+
     from ..backends.node import NodeOptions, RawMessage
     from ..host.recorder_cost import RecorderCost
 
@@ -38,7 +40,7 @@ class FloorCost:
     messages: int
 
 
-def measured_cost() -> dict[str, object]:
+def measured_cost() -> dict[str, Json]:
     """Measure the session's `recorder_cost` object, times in ns; empty where nothing can be written."""
     try:
         cost = measure_recorder_cost(seconds=BRIEF_S)
@@ -47,7 +49,7 @@ def measured_cost() -> dict[str, object]:
     return {"recorder_cost": _rounded(cost)}
 
 
-def measured_floor(backend: str, options: NodeOptions) -> dict[str, object]:
+def measured_floor(backend: str, options: NodeOptions) -> dict[str, Json]:
     """Measure the session's `client_library_floor` object, times in ns; empty where there is none.
 
     The node of the measurement is closed again before the role's node opens.

@@ -13,6 +13,8 @@ from ..options import DEFAULT_MESSAGES, DEFAULT_RATE_HZ
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
+    from dds_trace.tracefile import JsonObject
+
     from ..options import PingOptions, RecordOptions
     from ..payloads.base import DataType, Payload
 
@@ -40,7 +42,7 @@ class RunPlan:
     bridge: str = "none"
     relay_domain_id: int | None = None
     labels: Mapping[str, str] = field(default_factory=dict)
-    extra: Mapping[str, object] = field(default_factory=dict)
+    extra: JsonObject = field(default_factory=dict)
 
     @property
     def total(self) -> int:

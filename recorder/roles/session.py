@@ -14,7 +14,7 @@ from ..host.environment import join_environments
 from ..host.fingerprint import host_fingerprint
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from dds_trace.tracefile import JsonObject
 
     from ..backends.node import Node
     from ..host.clock import ClockAnchor
@@ -29,7 +29,7 @@ def describe_session(
     device: str | None = None,
     connectivity: str | None = None,
     relay_id: int | None = None,
-    extra: Mapping[str, object] | None = None,
+    extra: JsonObject | None = None,
 ) -> Session:
     """Describe the session of a role on an open node, its middleware and this device.
 

@@ -1,13 +1,13 @@
-"""The two JSON descriptions in a trace: `Session` (a recording process) and `Run` (one cell of a sweep).
+"""The two JSON descriptions in a trace: `Session` for a recording process, `Run` for one cell of a sweep.
 
-Unknown fields are kept and written back; a missing field that we need is an error naming file and field.
+Unknown fields are kept and written back; a missing field is an error that names the file and the field.
 """
 
 from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypeVar
 
 from ..errors import TraceFormatError
 
@@ -15,8 +15,12 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
+    from .json_values import Json, JsonObject
+
+T = TypeVar("T")
+
 FORMAT_VERSION = 1
-"""Version 1: first version (2026). The history of the format is kept here."""
+"""Version of the descriptions' JSON, written into each. Version 1: first version (2026)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,18 +31,18 @@ class Qos:
         reliability: `reliable` or `best_effort`.
         durability: `volatile` or `transient_local`.
         history: `keep_last` or `keep_all`.
-        depth: messages kept, for `keep_last`.
-        extra: further fields of the trace's JSON (deadline, lifespan), kept as they are.
+        depth: number of messages kept, for `keep_last`.
+        extra: further fields of the JSON object (`deadline_ns`, `lifespan_ns`), kept as they are.
     """
 
     reliability: str = "reliable"
     durability: str = "volatile"
     history: str = "keep_last"
     depth: int = 10
-    extra: Mapping[str, Any] = field(default_factory=dict)
+    extra: JsonObject = field(default_factory=dict)
 
-    def to_dict(self) -> dict[str, Any]:
-        """The JSON object of `docs/trace-format.md`."""
+    def to_dict(self) -> dict[str, Json]:
+        """Return the JSON object of `docs/trace-format.md`."""
         return {
             "reliability": self.reliability,
             "durability": self.durability,
@@ -50,14 +54,23 @@ class Qos:
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """What one recording process says of itself at its start and again at a clean end.
+    """Description of one recording process, written at its start and again at a clean end.
 
     Attributes:
         session_id: 64-bit random number, 16 hex digits in the JSON.
         role: `ping` or `relay`.
+        device: name of the machine, as the user gave it or as the system has it.
+        backend: the API that carried the messages.
+        vendor: the DDS implementation, or `none`.
+        rmw: the ROS middleware; None outside of ROS 2.
+        domain_id: the DDS domain.
+        relay_id: the relay's random number; None for a ping.
+        connectivity: the link between the devices, as the user named it.
         wall_anchor_ns: ns since 1970 at the instant `monotonic_anchor_ns` of CLOCK_MONOTONIC.
-        host: the environment's fingerprint.
-        dropped_events: events that the recorder could not keep.
+        monotonic_anchor_ns: CLOCK_MONOTONIC at the same instant, ns.
+        host: fingerprint of the environment.
+        dropped_events: number of events that the recorder could not keep.
+        state: `open` at the start, `closed` at a clean end.
         extra: fields that this version does not know, kept as they are.
     """
 
@@ -72,21 +85,21 @@ class Session:
     connectivity: str
     wall_anchor_ns: int
     monotonic_anchor_ns: int
-    host: Mapping[str, Any] = field(default_factory=dict)
+    host: JsonObject = field(default_factory=dict)
     dropped_events: int = 0
     state: str = "open"
-    extra: Mapping[str, Any] = field(default_factory=dict)
+    extra: JsonObject = field(default_factory=dict)
 
-    def closed(self, dropped_events: int, **extra: Any) -> Session:
-        """The same session as it is described at a clean end."""
+    def closed(self, dropped_events: int, **extra: Json) -> Session:
+        """Return the session as it is described at a clean end, with `extra` added."""
         return replace(self, state="closed", dropped_events=dropped_events, extra={**self.extra, **extra})
 
     def wall_ns(self, monotonic_ns: int) -> int:
-        """Wall clock (ns since 1970) of an instant of this device's monotonic clock, by the anchor."""
+        """Convert an instant of this device's monotonic clock to its wall clock (ns since 1970), by the anchor."""
         return self.wall_anchor_ns + (monotonic_ns - self.monotonic_anchor_ns)
 
     def to_json(self) -> str:
-        """The text stored on `/dds_trace/session`."""
+        """Return the text stored on `/dds_trace/session`."""
         return json.dumps(
             {
                 "format": FORMAT_VERSION,
@@ -110,10 +123,14 @@ class Session:
 
     @classmethod
     def from_json(cls, text: str, path: Path | str) -> Session:
-        """The session that `text` describes.
+        """Parse the description of a session.
+
+        Args:
+            text: the JSON text.
+            path: the trace, for errors.
 
         Raises:
-            TraceFormatError: no JSON object, another format version, or a needed field is missing or of
+            TraceFormatError: `text` is no JSON object, has another format version, or lacks a field or has one of
                 another type; the message names `path` and the field.
         """
         take = _Fields.parse(text, path, "session")
@@ -138,17 +155,22 @@ class Session:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """What a ping says of one cell of a sweep, at its start and at its end.
+    """Description of one run (one cell of a sweep) by its ping, written at its start and at its end.
 
     Attributes:
         run_id: 64-bit random number, 16 hex digits in the JSON.
         data_type: `binary`, `string`, `imu` or another payload's name.
-        payload_bytes: application bytes of a message, the stamp not counted.
-        planned_messages: messages to be measured, the warm-up before them not counted.
-        warmup_messages: the first messages, kept out of every statistic.
-        bridge: `none` or the bridge between the two domains.
-        relay_domain_id: the relay's domain as the ping was told, null if unknown.
-        published: messages handed to the middleware, warm-up included; final in state `finished`.
+        payload_bytes: application bytes of a message, without the stamp.
+        rate_hz: messages a second, as planned.
+        planned_messages: number of messages to be measured, without the warm-up before them.
+        warmup_messages: number of first messages that are kept out of every statistic.
+        bridge: the bridge between the two domains, or `none`.
+        relay_domain_id: the relay's domain, as the user told the ping; None if unknown.
+        serialization: `raw` or `typed`.
+        qos: quality of service of the data topics.
+        labels: the user's labels.
+        published: number of messages handed to the middleware, with the warm-up; final in state `finished`.
+        state: `started` or `finished`.
         extra: fields that this version does not know, kept as they are.
     """
 
@@ -165,14 +187,14 @@ class Run:
     labels: Mapping[str, str] = field(default_factory=dict)
     published: int = 0
     state: str = "started"
-    extra: Mapping[str, Any] = field(default_factory=dict)
+    extra: JsonObject = field(default_factory=dict)
 
-    def finished(self, published: int, **extra: Any) -> Run:
-        """The same run as it is described at its end."""
+    def finished(self, published: int, **extra: Json) -> Run:
+        """Return the run as it is described at its end, with `extra` added."""
         return replace(self, state="finished", published=published, extra={**self.extra, **extra})
 
     def to_json(self) -> str:
-        """The text stored on `/dds_trace/run`."""
+        """Return the text stored on `/dds_trace/run`."""
         return json.dumps(
             {
                 "format": FORMAT_VERSION,
@@ -195,7 +217,7 @@ class Run:
 
     @classmethod
     def from_json(cls, text: str, path: Path | str) -> Run:
-        """The run that `text` describes; errors as for `Session.from_json`."""
+        """Parse the description of a run; arguments and errors as for `Session.from_json`."""
         take = _Fields.parse(text, path, "run")
         qos = take.nested("qos")
         return cls(
@@ -223,80 +245,95 @@ class Run:
 
 
 class _Fields:
-    """A JSON object from a trace, taken field by field; what is left at the end is unknown to us."""
+    """A JSON object from a trace, taken field by field; what is left at the end is unknown to this version.
 
-    def __init__(self, found: dict[str, Any], path: Path | str, what: str) -> None:
-        self._left = found
+    Args:
+        left: the object; each field that is taken is removed from it.
+        path: the trace, for errors.
+        what: the name of the description, for errors.
+    """
+
+    def __init__(self, left: dict[str, Json], path: Path | str, what: str) -> None:
+        self._left = left
         self._path = path
         self._what = what
 
     @classmethod
     def parse(cls, text: str, path: Path | str, what: str) -> _Fields:
-        """The fields of `text`, whose format version is one that we read."""
+        """Parse a description and check that its format version is one that this version reads."""
         try:
-            found = json.loads(text)
+            described = json.loads(text)
         except ValueError as err:
             raise TraceFormatError(path, f"the {what} description is not JSON ({err})") from err
-        if not isinstance(found, dict):
+        if not isinstance(described, dict):
             raise TraceFormatError(path, f"the {what} description is not a JSON object")
-        held = cls(found, path, what)
-        version = held.integer("format")
+        fields = cls(described, path, what)
+        version = fields.integer("format")
         if version != FORMAT_VERSION:
             raise TraceFormatError(
                 path,
                 f"the {what} description has format {version}, this version reads {FORMAT_VERSION}; "
                 "update dds-trace on this machine",
             )
-        return held
+        return fields
 
     def nested(self, name: str) -> _Fields:
+        """Take a field that is an object with fields of its own."""
         return _Fields(self.mapping(name), self._path, f"{self._what}.{name}")
 
-    def _need(self, name: str, kinds: type | tuple[type, ...], kind_name: str) -> Any:
-        if name not in self._left:
-            raise TraceFormatError(self._path, f"the {self._what} description has no field {name!r}")
-        value = self._left.pop(name)
-        if not isinstance(value, kinds) or isinstance(value, bool):
-            raise TraceFormatError(
-                self._path,
-                f"field {name!r} of the {self._what} description is {value!r}, not {kind_name}",
-            )
-        return value
-
     def text(self, name: str) -> str:
-        value: str = self._need(name, str, "a string")
-        return value
+        """Take a string."""
+        return self._take(name, str, "a string")
 
     def integer(self, name: str) -> int:
-        value: int = self._need(name, int, "an integer")
-        return value
+        """Take an integer."""
+        return self._take(name, int, "an integer")
 
     def number(self, name: str) -> float:
-        return float(self._need(name, (int, float), "a number"))
+        """Take an integer or a float."""
+        value = self._pop(name)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise self._wrong(name, value, "a number")
+        return float(value)
 
-    def mapping(self, name: str) -> dict[str, Any]:
-        value: dict[str, Any] = self._need(name, dict, "an object")
-        return value
+    def mapping(self, name: str) -> dict[str, Json]:
+        """Take an object as it is."""
+        return self._take(name, dict, "an object")
 
     def hex_id(self, name: str) -> int:
+        """Take a 64-bit number written as 16 hex digits."""
         text = self.text(name)
         try:
             value = int(text, 16)
         except ValueError:
             value = -1
         if len(text) != 16 or value < 0:
-            raise TraceFormatError(
-                self._path,
-                f"field {name!r} of the {self._what} description is {text!r}, not 16 hex digits",
-            )
+            raise self._wrong(name, text, "16 hex digits")
         return value
 
-    def optional(self, name: str, kind: type) -> Any:
-        """The value, or None where the field is null."""
+    def optional(self, name: str, kind: type[T]) -> T | None:
+        """Take a value of type `kind`, or None where the field is null."""
         if name in self._left and self._left[name] is None:
             del self._left[name]
             return None
-        return self._need(name, kind, f"null or {kind.__name__}")
+        return self._take(name, kind, f"null or {kind.__name__}")
 
-    def rest(self) -> dict[str, Any]:
+    def rest(self) -> dict[str, Json]:
+        """Return the fields that were not taken."""
         return self._left
+
+    def _pop(self, name: str) -> Json:
+        if name not in self._left:
+            raise TraceFormatError(self._path, f"the {self._what} description has no field {name!r}")
+        return self._left.pop(name)
+
+    def _take(self, name: str, kind: type[T], kind_name: str) -> T:
+        value = self._pop(name)
+        if not isinstance(value, kind) or isinstance(value, bool):
+            raise self._wrong(name, value, kind_name)
+        return value
+
+    def _wrong(self, name: str, value: Json, kind_name: str) -> TraceFormatError:
+        return TraceFormatError(
+            self._path, f"field {name!r} of the {self._what} description is {value!r}, not {kind_name}"
+        )

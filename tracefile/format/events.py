@@ -8,7 +8,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass, fields
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,6 +17,8 @@ from .string_cdr import CDR_HEADER
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+
+    from numpy.typing import NDArray
 
 EVENT_SCHEMA_NAME = "dds_trace_msgs/msg/TraceEvent"
 EVENT_DEFINITION = """\
@@ -119,20 +121,20 @@ class EventColumns:
         relay_id: uint32, the relay that handled the message; 0 on T1.
     """
 
-    run_id: np.ndarray[Any, np.dtype[np.uint64]]
-    sequence: np.ndarray[Any, np.dtype[np.uint64]]
-    monotonic_ns: np.ndarray[Any, np.dtype[np.int64]]
-    scheduled_ns: np.ndarray[Any, np.dtype[np.int64]]
-    source_ns: np.ndarray[Any, np.dtype[np.int64]]
-    received_ns: np.ndarray[Any, np.dtype[np.int64]]
-    payload_bytes: np.ndarray[Any, np.dtype[np.uint32]]
-    relay_id: np.ndarray[Any, np.dtype[np.uint32]]
+    run_id: NDArray[np.uint64]
+    sequence: NDArray[np.uint64]
+    monotonic_ns: NDArray[np.int64]
+    scheduled_ns: NDArray[np.int64]
+    source_ns: NDArray[np.int64]
+    received_ns: NDArray[np.int64]
+    payload_bytes: NDArray[np.uint32]
+    relay_id: NDArray[np.uint32]
 
     def __len__(self) -> int:
         return len(self.run_id)
 
     @classmethod
-    def from_records(cls, records: np.ndarray[Any, Any]) -> EventColumns:
+    def from_records(cls, records: NDArray[np.void]) -> EventColumns:
         """Columns copied out of an array of `EVENT_DTYPE` records (or of one with the same field names)."""
         return cls(**{name: np.ascontiguousarray(records[name]) for name in EVENT_DTYPE.names or ()})
 
@@ -147,6 +149,6 @@ class EventColumns:
         held = list(parts) or [cls.empty()]
         return cls(**{f.name: np.concatenate([getattr(p, f.name) for p in held]) for f in fields(cls)})
 
-    def take(self, index: np.ndarray[Any, Any]) -> EventColumns:
+    def take(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> EventColumns:
         """The events at `index` (integer positions or a boolean mask)."""
         return EventColumns(**{f.name: getattr(self, f.name)[index] for f in fields(self)})

@@ -35,7 +35,7 @@ import os
 import struct
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -45,6 +45,8 @@ from .events import EVENT_DTYPE, Stage
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from numpy.typing import NDArray
 
 RING_SUFFIX = ".ring"
 RING_MAGIC = b"DDSRING\n"
@@ -69,7 +71,7 @@ STAGE_MARKS = (0, *(number << 56 for number in range(1, len(Stage) + 1)))
 TICKET_MASK = np.uint64((1 << 56) - 1)  # numpy 1 takes no Python int beside a single uint64
 STAGE_NUMBERS = dict(enumerate(Stage, start=1))
 
-Slots: TypeAlias = "np.ndarray[Any, Any]"
+Slots: TypeAlias = "NDArray[np.void]"
 """One-dimensional array of `SLOT_DTYPE`."""
 
 
@@ -168,7 +170,7 @@ class RingContents:
     dropped_events: int
     recording: bool
 
-    def of_stage(self, stage: Stage) -> np.ndarray[Any, Any]:
+    def of_stage(self, stage: Stage) -> NDArray[np.void]:
         """The events of one stage in order of their tickets: array of `EVENT_DTYPE`."""
         number = next(number for number, known in STAGE_NUMBERS.items() if known is stage)
         taken = self.slots["event"][self.slots["stage"] == number]

@@ -6,7 +6,7 @@ import os
 import sqlite3
 import struct
 from contextlib import ExitStack, closing
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from ..errors import TraceFormatError
@@ -130,8 +130,9 @@ class SqliteSource:
                 faults[topic_id] = f"their type is {kind!r}, not {EVENT_SCHEMA_NAME!r}"
         return faults
 
-    def _one(self, query: str) -> Any:
-        return self._database.execute(query).fetchone()[0]
+    def _one(self, query: str) -> object:
+        (value,) = self._database.execute(query).fetchone()
+        return value
 
 
 def _missing_bytes(path: Path) -> int:

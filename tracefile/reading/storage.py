@@ -6,7 +6,7 @@ import re
 import tempfile
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING
 
 import zstandard
 
@@ -104,7 +104,7 @@ def _opener_suffix(file: Path) -> str | None:
     return suffix if suffix in _OPENERS else None
 
 
-def _unpack_file(packed: Path, copy: Any) -> None:
+def _unpack_file(packed: Path, copy: IO[bytes]) -> None:
     """Unpack what can be unpacked: a file that was cut off gives a cut off file, which its reader says."""
     limit = packed.stat().st_size * LARGEST_RATIO
     with packed.open("rb") as stream, zstandard.ZstdDecompressor().stream_reader(stream) as reader:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ..errors import TraceFormatError
 from ..format.descriptions import Run, Session
@@ -12,8 +12,7 @@ from ..format.events import HOST_TOPIC, RUN_TOPIC, SESSION_TOPIC
 from ..format.string_cdr import decode_string
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
+    from ..format.json_values import JsonObject
     from .source import Text
 
 _MAX_BYTES = 4 << 20  # a session with every configuration file of its host is a few kilobytes
@@ -25,7 +24,7 @@ class TextCollector:
     def __init__(self) -> None:
         self._sessions: dict[int, Session] = {}
         self._runs: dict[int, Run] = {}
-        self._host: list[Mapping[str, Any]] = []
+        self._host: list[JsonObject] = []
         self._takers = {SESSION_TOPIC: self._session, RUN_TOPIC: self._run, HOST_TOPIC: self._host_sample}
         self.unreadable_samples = 0
 
@@ -40,7 +39,7 @@ class TextCollector:
         return tuple(self._runs.values())
 
     @property
-    def host_samples(self) -> tuple[Mapping[str, Any], ...]:
+    def host_samples(self) -> tuple[JsonObject, ...]:
         """The JSON objects of `/dds_trace/host`, each with its `log_time_ns`."""
         return tuple(self._host)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -11,6 +11,7 @@ if TYPE_CHECKING:
 
     from ..format.descriptions import Run, Session
     from ..format.events import EventColumns, Stage
+    from ..format.json_values import JsonObject
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,7 +34,7 @@ class Trace:
     sessions: tuple[Session, ...]
     runs: tuple[Run, ...]
     events: Mapping[Stage, EventColumns]
-    host_samples: tuple[Mapping[str, Any], ...] = ()
+    host_samples: tuple[JsonObject, ...] = ()
     truncated: str | None = None
     ring_events: int = 0
     unreadable_messages: int = 0

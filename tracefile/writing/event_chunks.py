@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -14,14 +14,16 @@ from ..format.ring import SLOT_DTYPE, STAGE_NUMBERS
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from numpy.typing import NDArray
+
     from ..format.events import EventColumns
     from ..format.ring import Slots
 
 MESSAGES_AT = 4096
 """Where messages start in the builder's buffer: room for the schemas and channels that come before."""
 
-Positions: TypeAlias = "np.ndarray[Any, np.dtype[np.intp]]"
-Index: TypeAlias = "np.ndarray[Any, np.dtype[np.uint64]]"
+Positions: TypeAlias = "NDArray[np.intp]"
+Index: TypeAlias = "NDArray[np.uint64]"
 """uint64 array of shape (messages, 2): log time, offset in the chunk; the body of a MessageIndex record."""
 
 

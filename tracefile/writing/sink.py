@@ -17,7 +17,7 @@ import time
 from collections import deque
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ..errors import OutputError, OutputExistsError
 from ..format.events import RUN_TOPIC, SESSION_TOPIC
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from ..format.descriptions import Run, Session
+    from ..format.json_values import Json
 
 
 BUSY_SWITCH_INTERVAL_S = 1e-4
@@ -211,7 +212,7 @@ class TraceSink:
         """Write a run's description; it is in the file, with all events before it, when this returns."""
         self._write(RUN_TOPIC, run.to_json())
 
-    def write_json(self, topic: str, value: Mapping[str, Any]) -> None:
+    def write_json(self, topic: str, value: Mapping[str, object]) -> None:
         """Write `value` as JSON in a `std_msgs/msg/String`, likewise at once."""
         self._write(topic, json.dumps(value))
 
@@ -231,7 +232,7 @@ class TraceSink:
         """Why writing failed, the first time that it did. What was written stays; the ring goes on to fill."""
         return self._error
 
-    def close(self, **session_extra: Any) -> ClosedTrace:
+    def close(self, **session_extra: Json) -> ClosedTrace:
         """Write what is pending, the closed session with `session_extra`, the summary; delete the ring.
 
         Where that fails, the ring stays beside the file, and the two together are still a whole trace. Not for

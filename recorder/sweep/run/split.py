@@ -76,9 +76,10 @@ def _write(part: CellPart, trace: Trace, slots: Slots) -> None:
     session = trace.sessions[-1]
     times_ns = slots["monotonic_ns"] + np.int64(session.wall_ns(0))
     samples: list[tuple[int, Mapping[str, object]]] = [
-        (sample["log_time_ns"], {name: value for name, value in sample.items() if name != "log_time_ns"})
+        (time_ns, {name: value for name, value in sample.items() if name != "log_time_ns"})
         for sample in trace.host_samples
-        if times_ns[0] <= sample["log_time_ns"] <= times_ns[-1] + _SAMPLE_MARGIN_NS
+        if isinstance(time_ns := sample["log_time_ns"], int)
+        and times_ns[0] <= time_ns <= times_ns[-1] + _SAMPLE_MARGIN_NS
     ]
     if part.link is not None:
         samples.append((session.wall_ns(part.link["monotonic_ns"]), part.link))

@@ -56,7 +56,7 @@ def compare_command(
         CompareOptions,
         GateOutcome,
         analyze,
-        compare_roundtrips,
+        compare,
         judge_gates,
         options_for,
         overall_outcome,
@@ -64,8 +64,8 @@ def compare_command(
     )
 
     gates = [parse_gate(text) for text in fail_if or []]  # before anything is read
-    before, after = (analyze(folder, details=False).load_roundtrips() for folder in (base, new))
-    comparison = compare_roundtrips(before, after, options_for(gates, CompareOptions()))
+    before, after = (analyze(folder, details=False) for folder in (base, new))
+    comparison = compare(before, after, options_for(gates, CompareOptions()))
     results = judge_gates(comparison, gates)
     if comparison.delivery.is_empty():
         outcome = GateOutcome.NOTHING_TO_COMPARE

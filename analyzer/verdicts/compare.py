@@ -12,7 +12,7 @@ channel) is in no interval that a single run can give: repeat runs.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import polars as pl
 
@@ -120,12 +120,30 @@ class Comparison:
     options: CompareOptions
 
 
+class RoundTripSource(Protocol):
+    """An analysis, as far as a comparison reads it."""
+
+    def load_roundtrips(self) -> pl.DataFrame:
+        """Read all round trips into memory."""
+
+
+def compare(base: RoundTripSource, new: RoundTripSource, options: CompareOptions | None = None) -> Comparison:
+    """Compare every group that two analyses measured; the round trips of both are in memory meanwhile.
+
+    Args:
+        base: an `Analysis`; `analyze(folder, details=False)` has all that is compared.
+        new: the analysis of the other side.
+        options: how to compare; None for the defaults.
+    """
+    return compare_roundtrips(base.load_roundtrips(), new.load_roundtrips(), options)
+
+
 def compare_roundtrips(
     base: pl.DataFrame,
     new: pl.DataFrame,
     options: CompareOptions | None = None,
 ) -> Comparison:
-    """Compare every group that both sides measured.
+    """Compare the groups of two frames of round trips, as `compare` does.
 
     Args:
         base: rows of `docs/trace-format.md`.

@@ -1,5 +1,126 @@
 """Recorder and analyzer for the latency of ROS 2 / DDS communication.
 
-The rooms of this package lie at the top level of the repository; the links beside this file give them their one import
-name. A wheel holds the folders themselves.
+    from dds_trace import analyze
+    a = analyze("runs/")
+
+Analyze:
+
+- `analyze`: analyze every trace in a folder.
+- `Analysis`: everything that was computed from one folder of traces.
+- `Details`: what takes a closer look than rows and summary.
+- `Finding`: a doubtful measurement, and what to do about it.
+- `Severity`: how much a finding should change a reader's trust in the numbers.
+- `Source`: one file or folder that was looked at.
+- `load_analysis`: read an analysis that `Analysis.save` wrote.
+- `write_reports`: write reports of an analysis (`html`, `md`, `json`, `terminal`).
+- `export_tables`: write rows and summary as CSV or Arrow.
+- `write_derived`: write per-message latency as an MCAP for Foxglove and PlotJuggler.
+- `analyze_topics`: analyze the topics of recordings that are not ours.
+
+Judge:
+
+- `compare`: compare every group that two analyses measured.
+- `CompareOptions`: how two sides are compared.
+- `Comparison`: the groups that two sides have in common, and those that only one side has.
+- `Gate`: a condition under which a comparison fails.
+- `parse_gate`: read a gate such as `latency_p99 > +10%`.
+- `judge_gates`: judge every matched group by every gate.
+- `GateOutcome`: the outcome of a gate, with its exit code.
+- `Job`: messages to send, and what is asked of their latency.
+- `parse_job`: read a job such as `data=binary size=502KB rate=20 deadline=50ms reliability=0.999`.
+- `Recommendation`: the settings for a job, best first.
+
+Traces:
+
+- `find_traces`: find every trace in a folder.
+- `read_trace`: read a trace, or what is left of one.
+- `iter_event_batches`: read the events of a trace in batches that fit into memory.
+- `recover`: write a whole trace from one whose recorder was killed.
+- `Trace`: the sessions, runs and events of one trace.
+- `EventColumns`: events as numpy columns.
+- `Stage`: T1 to T4, where a message was stamped.
+- `Session`: one recording process, as it describes itself.
+- `Run`: one series of messages, as its ping describes it.
+- `TraceError`: what a user can act on; the base of all errors below.
+- `TraceFormatError`: bytes on disk that do not follow the trace format.
+- `MissingEventsError`: nothing that could be analyzed.
+- `OptionError`: a value that cannot be meant.
+- `OutputError`: an output cannot be written.
+
+Every name is imported at its first use: `import dds_trace` loads neither numpy nor polars, and an analysis machine needs
+no ROS 2. The rooms of the package lie at the top level of the repository; the links beside this file give them their one
+import name. A wheel holds the folders themselves.
 """
+
+from typing import TYPE_CHECKING
+
+from dds_trace.lazy import contents_page
+
+if TYPE_CHECKING:
+    from .analyzer.analysis import Analysis, Details, load_analysis
+    from .analyzer.exports.foxglove import write_derived
+    from .analyzer.exports.tables import export_tables
+    from .analyzer.model.finding import Finding, Severity
+    from .analyzer.model.source import Source
+    from .analyzer.pipeline import analyze
+    from .analyzer.recordings.topics import analyze_topics
+    from .analyzer.verdicts.compare import CompareOptions, Comparison, compare
+    from .analyzer.verdicts.gates import Gate, GateOutcome, judge_gates, parse_gate
+    from .analyzer.verdicts.job import Job, parse_job
+    from .analyzer.verdicts.recommend import Recommendation
+    from .reports.reporters import write_reports
+    from .tracefile.errors import (
+        MissingEventsError,
+        OptionError,
+        OutputError,
+        TraceError,
+        TraceFormatError,
+    )
+    from .tracefile.format.descriptions import Run, Session
+    from .tracefile.format.events import EventColumns, Stage
+    from .tracefile.reading.discovery import find_traces
+    from .tracefile.reading.reader import iter_event_batches, read_trace
+    from .tracefile.reading.trace import Trace
+    from .tracefile.recovery.recover import recover
+    from .tracefile.version import __version__
+else:
+    __getattr__, __dir__ = contents_page(__name__)
+
+__all__ = [
+    "Analysis",
+    "CompareOptions",
+    "Comparison",
+    "Details",
+    "EventColumns",
+    "Finding",
+    "Gate",
+    "GateOutcome",
+    "Job",
+    "MissingEventsError",
+    "OptionError",
+    "OutputError",
+    "Recommendation",
+    "Run",
+    "Session",
+    "Severity",
+    "Source",
+    "Stage",
+    "Trace",
+    "TraceError",
+    "TraceFormatError",
+    "__version__",
+    "analyze",
+    "analyze_topics",
+    "compare",
+    "export_tables",
+    "find_traces",
+    "iter_event_batches",
+    "judge_gates",
+    "load_analysis",
+    "parse_gate",
+    "parse_job",
+    "read_trace",
+    "recover",
+    "write_derived",
+    "write_reports",
+]

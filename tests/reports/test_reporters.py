@@ -10,8 +10,9 @@ import pytest
 from analyses import EVERY_ANALYSIS, HOSTILE, MS, Measured, make_analysis
 from jsonschema import Draft202012Validator
 
-from dds_trace.analyzer import Details, parse_job, recommend_settings
+from dds_trace.analyzer import Details, parse_job
 from dds_trace.analyzer.details import details_not_requested
+from dds_trace.analyzer.verdicts.recommend import recommend_settings
 from dds_trace.reports import REPORT_MODULES, document, load_reporter, write_reports
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.figures import FIGURES, Figure

@@ -12,7 +12,9 @@ from campaigns import assert_same_results, write_runs
 import dds_trace.analyzer.engines.batches
 import dds_trace.analyzer.engines.cluster
 import dds_trace.analyzer.loading.shelf
-from dds_trace.analyzer import METRICS, PERCENTILES, analyze
+from dds_trace.analyzer import analyze
+from dds_trace.analyzer.model.metrics import METRICS
+from dds_trace.analyzer.statistics.percentiles import PERCENTILES
 from dds_trace.tracefile import BackendUnavailableError, read_trace
 
 pytest.importorskip("distributed", reason="the extra `cluster` is not installed")

@@ -16,7 +16,9 @@ from trace_files import (
     write_trace,
 )
 
-from dds_trace.analyzer import METRICS, PERCENTILES, analyze
+from dds_trace.analyzer import analyze
+from dds_trace.analyzer.model.metrics import METRICS
+from dds_trace.analyzer.statistics.percentiles import PERCENTILES
 from dds_trace.tracefile import Qos, Stage
 
 MS = 1_000_000

@@ -12,7 +12,9 @@ from hypothesis import strategies as st
 from plain_roundtrips import plain_roundtrips
 from trace_files import event, ping_session, relay_session, run, write_trace
 
-from dds_trace.analyzer import METRICS, PERCENTILES, analyze
+from dds_trace.analyzer import analyze
+from dds_trace.analyzer.model.metrics import METRICS
+from dds_trace.analyzer.statistics.percentiles import PERCENTILES
 from dds_trace.tracefile import Stage, pack_event
 
 MEASURED = [

@@ -9,7 +9,8 @@ import pytest
 from trace_files import Message, event, ping_events, ping_session, relay_session, run, write_pair, write_trace
 
 import dds_trace.analyzer.pairing.parquet
-from dds_trace.analyzer import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS, analyze
+from dds_trace.analyzer import analyze
+from dds_trace.analyzer.model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
 from dds_trace.tracefile import OutputError, Stage
 
 TIMELINE = [Message(s, t0=1000 * s, t1=1000 * s + 5, t3=900, t4=930, t2=1000 * s + 205) for s in range(12)]

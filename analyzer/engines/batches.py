@@ -1,19 +1,33 @@
-"""Cut a campaign into batches that fit into memory."""
+"""Split a campaign into batches that fit in memory; compute one batch, here or on a worker of a cluster."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..groups.batch import Batch
+from ..groups.frames import frames_of
+from ..groups.measure import measure_batch, metric_values
+from ..loading.events import merge_parts
+from ..model.metrics import METRICS
+from ..pairing.parquet import table_of
+from ..pairing.roundtrips import pair_exchanges
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
+
+    import polars as pl
+    import pyarrow as pa
+    from numpy.typing import NDArray
 
     from ..groups.batch import Wanted
+    from ..groups.frames import Frames
     from ..groups.grouping import Grouping
+    from ..groups.measure import Statistics
+    from ..loading.events import Copies, EventKey, EventPart
     from ..pairing.exchanges import Exchange
 
 BATCH_EVENTS = 1_000_000
@@ -69,3 +83,51 @@ def _parts_of_group(
 def groups_in_parts(batches: Sequence[Batch]) -> list[int]:
     """Return the groups that no batch holds whole, rising."""
     return sorted({int(group) for batch in batches if not batch.whole for group in batch.group_of_exchange})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BatchResult:
+    """What a batch gives.
+
+    Attributes:
+        frames: by name, see `groups/frames.py`.
+        counts: one row per exchange, columns of `counts.COUNT_SCHEMA`.
+        statistics: of its groups; of a part of a group they are those of the part.
+        copies: events that were left out because another trace holds them, by key.
+        rows: number of rows.
+        table: the rows, for `RowStore`; None if they are not wanted.
+        values: metric -> int64 values that are not null, of a part of a group; None of whole groups.
+    """
+
+    frames: Frames
+    counts: pl.DataFrame
+    statistics: Statistics
+    copies: Mapping[EventKey, tuple[Copies, ...]]
+    rows: int
+    table: pa.Table | None
+    values: Mapping[str, NDArray[np.int64]] | None
+
+
+def work_at(batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]]) -> BatchResult:
+    """Pair and measure a batch.
+
+    Args:
+        batch: the batch.
+        parts: for each of its `event_keys` the rows of the event index, traces in rising order.
+    """
+    merged = {key: merge_parts(parts.get(key, ())) for key in batch.event_keys()}
+    events = {key: columns for key, (columns, _) in merged.items()}
+    roundtrips = pair_exchanges(batch.exchanges, events, details=batch.wanted.details)
+    values = None
+    if batch.wanted.rows and not batch.whole:
+        exchanges = len(batch.exchanges)
+        values = {metric: metric_values(roundtrips, metric, 0, exchanges) for metric in METRICS}
+    return BatchResult(
+        frames=frames_of(batch, roundtrips),
+        counts=roundtrips.counts,
+        statistics=measure_batch(roundtrips, batch.group_of_exchange),
+        copies={key: copies for key, (_, copies) in merged.items() if copies},
+        rows=roundtrips.measured.height,
+        table=table_of(roundtrips) if batch.wanted.rows else None,
+        values=values,
+    )

@@ -18,7 +18,7 @@ from dds_trace.tracefile import BackendUnavailableError, EventColumns, TraceForm
 from ..loading.campaign import campaign_of, skipped_source
 from ..loading.remote import find_anywhere
 from ..loading.shelf import LoadedTrace, load_trace
-from .work import work_at
+from .batches import work_at
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from ..loading.campaign import Campaign, Progress
     from ..loading.events import EventIndex, EventKey, EventPart
     from ..model.source import Source
-    from .work import BatchResult
+    from .batches import BatchResult
 
 _TIMEOUT_S = 30
 

@@ -11,7 +11,7 @@ from dds_trace.tracefile.in_order import in_order
 
 from ..loading.campaign import load_campaign
 from ..loading.shelf import TraceShelf
-from .work import work_at
+from .batches import work_at
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ..groups.batch import Batch
     from ..loading.campaign import Campaign, Progress
     from ..loading.events import EventIndex
-    from .work import BatchResult
+    from .batches import BatchResult
 
 _MOST_WORKERS = 2  # each holds a batch; the writing of rows takes another core
 

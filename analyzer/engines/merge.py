@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from ..groups.grouping import Grouping
     from ..groups.summary import Summary
     from ..loading.events import Copies, EventKey
-    from .work import BatchResult
+    from .batches import BatchResult
 
 
 class MergedResults:

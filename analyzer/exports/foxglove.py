@@ -22,12 +22,15 @@ from dds_trace.tracefile.files import replacing
 from dds_trace.tracefile.format.string_cdr import CDR_HEADER
 from dds_trace.tracefile.version import __version__
 
+from ..model.metrics import METRICS
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
 SCHEMA_NAME = "dds_trace_msgs/msg/MessageLatency"
-TIMES = ("latency", "rtt", "response", "intermediate", "outbound", "return", "clock_bound")
+_FIRST = ("latency", "rtt", "response", "intermediate")
+TIMES = (*_FIRST, *(name for name in METRICS if name not in _FIRST), "outbound", "return", "clock_bound")
 """The columns `<name>_ns` of the round trips; the message's fields are `<name>_ms`, not a number where unknown."""
 
 SCHEMA = "".join(

@@ -28,10 +28,7 @@ MEASURED_COLUMNS = (
     Column("receive_ns", pl.Int64, "ns", f"T2: reply received, {_PING}; null if lost"),
     Column("relay_in_ns", pl.Int64, "ns", f"T3: received by the relay, {_RELAY}; null if not seen there"),
     Column("relay_out_ns", pl.Int64, "ns", f"T4: reply handed over, {_RELAY}; null if not seen there"),
-    Column("rtt_ns", pl.Int64, "ns", "T2 - T1; null where an input is missing"),
-    Column("intermediate_ns", pl.Int64, "ns", "T4 - T3; null where an input is missing"),
-    Column("latency_ns", pl.Int64, "ns", "(rtt - intermediate) // 2; null where an input is missing"),
-    Column("response_ns", pl.Int64, "ns", "T2 - T0; null where an input is missing"),
+    *(metric.column for metric in METRICS.values()),
     Column("outcome", pl.String, "", "completed, lost_outbound, lost_in_relay, lost_return or lost_unknown"),
     Column("duplicates", pl.UInt16, "", "extra T2 for the same message, at most 65535"),
     Column("reordered", pl.Boolean, "", "its T2 came after the T2 of a later sequence"),
@@ -42,7 +39,15 @@ MEASURED_COLUMNS = (
     ),
 )
 
-ROUNDTRIP_COLUMNS = KEY_COLUMNS + PARAMETER_COLUMNS + MEASURED_COLUMNS
+_FIRST_PARAMETERS = 20
+"""Parameters of the first version of the contract; later ones are appended behind all columns that were there."""
+
+ROUNDTRIP_COLUMNS = (
+    KEY_COLUMNS
+    + PARAMETER_COLUMNS[:_FIRST_PARAMETERS]
+    + MEASURED_COLUMNS
+    + PARAMETER_COLUMNS[_FIRST_PARAMETERS:]
+)
 
 COUNT_COLUMNS = (
     Column("published", pl.UInt64, "", "messages published, times the relays that took part"),
@@ -70,7 +75,7 @@ STATISTICS = ("mean", "std", "min", *(p.name for p in PERCENTILES), "max")
 """Statistics of a metric in the summary, in column order: `<metric>_<statistic>_ns`."""
 
 SUMMARY_COLUMNS = (
-    PARAMETER_COLUMNS
+    PARAMETER_COLUMNS[:_FIRST_PARAMETERS]
     + COUNT_COLUMNS
     + tuple(
         Column(
@@ -79,4 +84,5 @@ SUMMARY_COLUMNS = (
         for metric in METRICS
         for statistic in STATISTICS
     )
+    + PARAMETER_COLUMNS[_FIRST_PARAMETERS:]
 )

@@ -1,34 +1,65 @@
-"""The four metrics of a round trip, as the paper has them, from the five time stamps of `docs/trace-format.md`.
+"""The metrics of a round trip, as the paper has them, from the five time stamps of `docs/trace-format.md`.
 
-Each is a polars expression over the columns of `roundtrips`, so a missing stamp makes every metric that needs
-it null, never 0. A difference is taken on one device's clock only.
+A new metric is a row of `METRICS`: its column in `roundtrips`, its statistics in `summary`, its intervals, gates, histograms
+and places in every report follow from it.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
 import polars as pl
+
+from .column import Column
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+
+@dataclass(frozen=True, slots=True)
+class Metric:
+    """A time of every message, in ns.
+
+    Attributes:
+        name: as in columns (`<name>_ns` of each message, `<name>_<statistic>_ns` of each group) and gates.
+        label: as in reports.
+        formula: expression over the stamps, i64, null where a stamp is missing and never 0; a difference is taken on
+            one device's clock only.
+        meaning: the formula in words.
+    """
+
+    name: str
+    label: str
+    formula: pl.Expr
+    meaning: str
+
+    @property
+    def column(self) -> Column:
+        """The column of each message."""
+        return Column(f"{self.name}_ns", pl.Int64, "ns", f"{self.meaning}; null where an input is missing")
+
 
 _t0, _t1, _t2 = pl.col("scheduled_ns"), pl.col("publish_ns"), pl.col("receive_ns")
 _t3, _t4 = pl.col("relay_in_ns"), pl.col("relay_out_ns")
+_latency = ((_t2 - _t1) - (_t4 - _t3)) // 2  # rounds down, also below zero
 
-RTT_NS = _t2 - _t1
-INTERMEDIATE_NS = _t4 - _t3
-LATENCY_NS = (RTT_NS - INTERMEDIATE_NS) // 2  # rounds down, also below zero
-RESPONSE_NS = _t2 - _t0
-
-METRICS: dict[str, pl.Expr] = {
-    "rtt": RTT_NS,
-    "intermediate": INTERMEDIATE_NS,
-    "latency": LATENCY_NS,
-    "response": RESPONSE_NS,
+METRICS: Mapping[str, Metric] = {
+    metric.name: metric
+    for metric in (
+        Metric("rtt", "Round trip", _t2 - _t1, "T2 - T1"),
+        Metric("intermediate", "Time in relay", _t4 - _t3, "T4 - T3"),
+        Metric("latency", "Latency", _latency, "(rtt - intermediate) // 2"),
+        Metric("response", "Response", _t2 - _t0, "T2 - T0"),
+    )
 }
-"""Metric -> its formula, in ns (i64, null where an input is null); column `<metric>_ns` of the frames."""
+"""Name -> metric, in the order of their columns."""
 
 
 def with_metrics(stamps: pl.DataFrame) -> pl.DataFrame:
-    """`stamps` with the columns `rtt_ns`, `intermediate_ns`, `latency_ns` and `response_ns`.
+    """Append the column of every metric.
 
     Args:
         stamps: `scheduled_ns`, `publish_ns`, `receive_ns`, `relay_in_ns`, `relay_out_ns` (i64, null if missing).
     """
-    return stamps.with_columns(formula.alias(f"{metric}_ns") for metric, formula in METRICS.items())
+    return stamps.with_columns(metric.formula.alias(metric.column.name) for metric in METRICS.values())

@@ -7,24 +7,21 @@ else (vendor, domains, bridge, QoS, devices). Groups of one cell can be compared
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from dds_trace.analyzer.model.metrics import METRICS
+from dds_trace.analyzer.model.parameters import SERIES_COLUMNS
 from dds_trace.tracefile.units.rates import format_rate
 from dds_trace.tracefile.units.sizes import format_size
 from dds_trace.tracefile.visible import visible
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from dds_trace.analyzer.analysis import Analysis
 
-METRIC_LABELS = {
-    "latency": "Latency",
-    "rtt": "Round trip",
-    "intermediate": "Time in relay",
-    "response": "Response",
-}
-"""Metric -> label, in the order of the page's menu."""
+METRIC_LABELS = {name: METRICS[name].label for name in ("latency", *METRICS)}
+"""Metric -> label, in the order of the page's menu: the latency first."""
 
 STATISTIC_LABELS = {
     "p50": "median",
@@ -53,7 +50,11 @@ DATA_TYPES = {"binary": "Binary", "string": "String", "imu": "IMU"}
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """Parameters of a group without data type, size and rate."""
+    """Parameters of a group without data type, size and rate.
+
+    Attributes:
+        further: the parameters that have no field of their own, as in `name value`.
+    """
 
     vendor: str
     relay_vendor: str | None
@@ -72,6 +73,11 @@ class Series:
     ping_device: str
     relay_device: str | None
     connectivity: str
+    further: tuple[str, ...] = ()
+
+    def values(self, names: Iterable[str]) -> tuple[object, ...]:
+        """Return the values of some parameters, and all further ones."""
+        return (*(getattr(self, name) for name in names if hasattr(self, name)), self.further)
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +130,7 @@ class Groups:
 def groups_info(analysis: Analysis) -> Groups:
     """List the groups of `analysis.summary`; group i is row i."""
     rows = analysis.summary.to_dicts()
-    series_rows = [Series(**{name: row[name] for name in Series.__dataclass_fields__}) for row in rows]
+    series_rows = [_series(row) for row in rows]
     cell_rows = [Cell(**{name: row[name] for name in Cell.__dataclass_fields__}) for row in rows]
     series = tuple(sorted(set(series_rows), key=_series_order))
     cells = tuple(sorted(set(cell_rows), key=_cell_order))
@@ -135,6 +141,12 @@ def groups_info(analysis: Analysis) -> Groups:
         for i, row in enumerate(rows)
     )
     return Groups(groups, series, cells, _series_labels(series))
+
+
+def _series(row: Mapping[str, Any]) -> Series:
+    known = [name for name in SERIES_COLUMNS if name in Series.__dataclass_fields__]
+    further = tuple(f"{name} {row[name]}" for name in SERIES_COLUMNS if name not in known)
+    return Series(**{name: row[name] for name in known}, further=further)
 
 
 def group_labels(groups: Groups) -> tuple[str, ...]:
@@ -216,6 +228,7 @@ _LABEL_PARTS: tuple[Callable[[Series], str], ...] = (
     lambda s: visible(s.connectivity),
     lambda s: f"domains {s.ping_domain_id} → {s.relay_domain_id}",
     lambda s: visible(s.rmw or "no rmw"),
+    lambda s: visible(", ".join(s.further)),
 )
 
 

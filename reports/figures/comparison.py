@@ -126,4 +126,4 @@ DOMAIN_DIFFERENCE = figure_maker(domain_difference_info, domain_difference_figur
 
 
 def _apart_from_domain(series: Series) -> tuple[object, ...]:
-    return tuple(getattr(series, name) for name in SAME_SIDES_COLUMNS)
+    return series.values(SAME_SIDES_COLUMNS)

@@ -1,0 +1,89 @@
+"""A new metric and a new parameter are one row: added to a copy of the table's file alone, they reach every output."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import polars as pl
+import pyarrow.parquet as pq
+from trace_files import Message, run, write_pair
+
+ROOT = Path(__file__).resolve().parents[3]
+MS = 1_000_000
+
+
+def analyze_with(tmp_path, file, rows, runs):
+    """The outputs of `dds-analyze` in a copy of the analyzer with rows put before others in one of its files."""
+    package = tmp_path / "changed" / "dds_trace"
+    package.mkdir(parents=True)
+    for entry in (ROOT / "src" / "dds_trace").iterdir():
+        if entry.name == "analyzer":
+            shutil.copytree(entry, package / entry.name, ignore=shutil.ignore_patterns("__pycache__"))
+        elif entry.name != "__pycache__":
+            (package / entry.name).symlink_to(entry.resolve())
+    text = (package / "analyzer" / file).read_text(encoding="utf-8")
+    for before, row in rows.items():
+        assert text.count(before) == 1
+        text = text.replace(before, row + before)
+    (package / "analyzer" / file).write_text(text, encoding="utf-8")
+    (tmp_path / "traces").mkdir()
+    for number, of_run in enumerate(runs, 1):
+        messages = [
+            Message(n, t0=n * MS, t1=n * MS, t3=n * MS + 100 + n, t4=n * MS + 300, t2=n * MS + 900)
+            for n in range(40)
+        ]
+        (tmp_path / "traces" / str(number)).mkdir()
+        write_pair(tmp_path / "traces" / str(number), messages, runs=[of_run])
+    out = tmp_path / "out"
+    command = "from dds_trace.cli.analyze import main; main()"
+    reports = [option for kind in ("html", "md", "json") for option in ("--report", kind)]
+    ran = subprocess.run(
+        [sys.executable, "-c", command, str(tmp_path / "traces"), "--out", str(out), *reports],
+        env={**os.environ, "PYTHONPATH": str(package.parent), "PYTHONDONTWRITEBYTECODE": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ran.returncode == 0, ran.stderr
+    return out
+
+
+def test_a_metric_is_one_row_of_the_table_of_metrics(tmp_path):
+    row = '        Metric("hold", "Hold in relay", (_t4 - _t3) * 2, "twice T4 - T3"),\n'
+    out = analyze_with(tmp_path, "model/metrics.py", {'        Metric("response",': row}, [run()])
+
+    assert pl.read_parquet(out / "roundtrips.parquet")["hold_ns"].to_list() == [
+        2 * (200 - n) for n in range(40)
+    ]
+    field = pq.read_schema(out / "roundtrips.parquet").field("hold_ns")
+    assert field.metadata == {b"unit": b"ns", b"meaning": b"twice T4 - T3; null where an input is missing"}
+    (group,) = pl.read_parquet(out / "summary.parquet").to_dicts()
+    assert (group["hold_min_ns"], group["hold_p50_ns"], group["hold_max_ns"]) == (322, 361, 400)
+
+    report = json.loads((out / "report.json").read_text(encoding="utf-8"))
+    assert report["groups"][0]["hold_p50_ns"] == 361
+    assert [row["messages"] for row in report["intervals"] if row["metric"] == "hold"] == [40] * 5
+    assert "Hold in relay" in (out / "report.html").read_text(encoding="utf-8")
+    few_samples = "of rtt, intermediate, latency, hold, response; there are 40 samples"
+    assert few_samples in (out / "report.md").read_text(encoding="utf-8")
+
+
+def test_a_parameter_is_one_row_of_the_key_and_its_value(tmp_path):
+    rows = {
+        "\n    def values(self)": '    tuning: Annotated[str, Described(KeyPart.SETTINGS, pl.String, "label tuning")]\n',
+        "        connectivity=ping.connectivity,\n": '        tuning=run.labels.get("tuning", "none"),\n',
+    }
+    runs = [run(run_id=1, labels={"tuning": "none"}), run(run_id=2, labels={"tuning": "rmem"})]
+    out = analyze_with(tmp_path, "model/parameters.py", rows, runs)
+
+    for kind in ("roundtrips", "summary"):  # columns are appended to the contract, never put between others
+        assert pq.read_schema(out / f"{kind}.parquet").names[-1] == "tuning"
+    summary = pl.read_parquet(out / "summary.parquet")
+    assert summary["tuning"].to_list() == ["none", "rmem"]
+    assert summary["published"].to_list() == [40, 40]
+    report = json.loads((out / "report.json").read_text(encoding="utf-8"))
+    assert "mixed_labels" not in {finding["code"] for finding in report["findings"]}
+    assert "tuning rmem" in (out / "report.md").read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""What is asked of one recording, and what can be refused before anything is opened."""
+"""The options of one recording, and the refusal of wrong ones before anything is opened."""
 
 from __future__ import annotations
 
@@ -17,29 +17,30 @@ if TYPE_CHECKING:
 MAX_RELAY_ID = (1 << 32) - 1
 MAX_RATE_HZ = 1e6
 DEFAULT_MESSAGES = 400
-"""A two-sided 95 % interval for p99 takes 368 (order statistics, binomial)."""
+"""Messages of a run by default: a two-sided 95 % interval for p99 takes 368 (order statistics, binomial)."""
 DEFAULT_RATE_HZ = 10.0
 DEFAULT_WARMUP = 10
 
 
 @dataclass(frozen=True, slots=True)
 class PingOptions:
-    """What a ping sends.
+    """The options of a ping.
 
     Attributes:
-        data: `binary`, `string`, `imu`, `file:PATH`, `bag:PATH#TOPIC` or `topic:/NAME`.
+        data: name of a data type, or a source such as `file:PATH` (see `payloads.PAYLOADS`).
         size_bytes: application bytes of a message, None for the type's default.
         rate_hz: messages a second; None for the rate of the data, or 10 if it has none.
         messages: messages that count, warm-up not included; None for what fits the duration, or 400.
-        warmup: messages before them.
-        wait_s: how long to wait for an echo.
-        relays: how many relays must send one; those in sight are waited for in any case.
-        seed: of the payload's random content, drawn if None.
+        warmup: messages sent before them.
+        wait_s: longest wait for an echo, in seconds.
+        relays: number of relays that must send one; those in sight are waited for in any case.
+        seed: seed of the payload's random content, drawn if None.
         bridge: `none`, or the bridge to the relay's domain, started and ended with the recording.
-        bridge_running: the bridge runs already; nothing is started.
-        bridge_listen: `HOST:PORT` where the ping's half of the bridge waits for the relay's.
+        bridge_running: whether the bridge runs already, so that nothing is started.
+        bridge_listen: `HOST:PORT` at which the ping's half of the bridge waits for the relay's.
         bridge_peers: `HOST:PORT` of each other half that the ping's half connects to.
-        relay_domain_id: the domain of the relay, the ping's own if None.
+        relay_domain_id: domain of the relay, the ping's own if None.
+        labels: texts of the user's, kept with the run.
     """
 
     data: str = "binary"
@@ -58,7 +59,7 @@ class PingOptions:
     labels: Mapping[str, str] = field(default_factory=dict)
 
     def check(self) -> None:
-        """Refuse what cannot be meant.
+        """Refuse values that make no sense.
 
         Raises:
             OptionError: naming the option.
@@ -82,15 +83,19 @@ class PingOptions:
 
 @dataclass(frozen=True, slots=True)
 class RecordOptions:
-    """One recording. With `ping` it is a ping, without one a relay.
+    """The options of one recording: a ping's with `ping`, a relay's without.
 
     Attributes:
-        node: how to join; its `name` and `listens` are set by the role.
-        relay_id: of a relay, drawn if None.
-        types: message types that a relay serves beside those of binary, string and imu.
-        device: the device's name, by default its host name.
-        connectivity: how it reaches the others, by default looked up (`session.default_connectivity`).
-        duration_s: end after so many seconds; a relay without it goes on until stopped.
+        destination: place of the trace.
+        node: options of the node; its `name` and `listens` are set by the role.
+        ping: options of the ping, None for a relay.
+        backend: name of the backend.
+        serialization: form in which the messages pass the client library.
+        relay_id: number of a relay, drawn if None.
+        types: message types that a relay serves beside those of data that is made up.
+        device: name of the device, by default its host name.
+        connectivity: the device's link to the others, by default looked up (`session.default_connectivity`).
+        duration_s: length of the recording in seconds; a relay without it goes on until stopped.
         cpu_affinity: CPUs to run on, as `privileges.parse_cpus` reads them.
         realtime_priority: 1 to 99 for SCHED_FIFO with locked memory.
     """
@@ -109,11 +114,11 @@ class RecordOptions:
     realtime_priority: int | None = None
 
     def check(self) -> None:
-        """Refuse what cannot be meant, and an output that is there already.
+        """Refuse values that make no sense, and an output that is there already.
 
         Raises:
             OptionError: naming the option.
-            OutputExistsError: now, instead of after the wait for an echo.
+            OutputExistsError: there is a trace already; known now, and not after the wait for an echo.
         """
         destination = self.destination
         if destination.path.exists() and not destination.force:

@@ -64,7 +64,7 @@ def record(options: RecordOptions, stop: threading.Event, watch: Watch) -> Recor
     """Record as a ping or as a relay until it is done or `stop` is set.
 
     Raises:
-        OptionError: something that cannot be meant.
+        OptionError: an option makes no sense, or not on this machine.
         BackendUnavailableError: the middleware or the bridge is not on this machine.
         NoEchoError: no relay answered; nothing is written then.
         OutputExistsError: there is a trace already.

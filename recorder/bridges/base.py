@@ -14,6 +14,7 @@ from dds_trace.tracefile import OptionError, Qos
 
 from ..backends.domains import LAST_DOMAIN
 from ..choices import Discovery, Transport
+from ..payloads import data_types
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -77,11 +78,7 @@ def bridged_topic(text: str) -> BridgedTopic:
     return BridgedTopic(found[1], found[2])
 
 
-BRIDGED_TOPICS = (
-    BridgedTopic("binary_image", "sensor_msgs/msg/Image"),
-    BridgedTopic("string_data", "std_msgs/msg/String"),
-    BridgedTopic("imu_data", "sensor_msgs/msg/Imu"),
-)
+BRIDGED_TOPICS = tuple(BridgedTopic(each.topic, each.type_name) for each in data_types().values())
 """What crosses a bridge if nothing else is asked for, each with its `_relay` twin."""
 
 

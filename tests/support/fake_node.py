@@ -40,7 +40,7 @@ class FakeSubscription:
 
 
 class FakeNode:
-    """A `dds_trace.recorder.backends.base.Node` of raw messages."""
+    """A `dds_trace.recorder.backends.node.Node` of raw messages."""
 
     def __init__(self, options: NodeOptions | None = None) -> None:
         self.options = options or NodeOptions(name="me")

@@ -88,7 +88,7 @@ class _Recording:
         self.session_id = secrets.randbits(64)
         self.privileges = apply_privileges(options.cpu_affinity, options.realtime_priority)
         self.costs: dict[str, Json] = {}
-        self._told_of_disk = False
+        self._noted_disk = False
 
     def relay(self) -> Recorded:
         options = self.options
@@ -166,9 +166,9 @@ class _Recording:
         finally:
             sink.close()
 
-    def _tell_of_disk(self, sink: TraceSink) -> None:
-        if sink.error is not None and not self._told_of_disk:
-            self._told_of_disk = True
+    def _note_disk(self, sink: TraceSink) -> None:
+        if sink.error is not None and not self._noted_disk:
+            self._noted_disk = True
             self.watch.note(f"{sink.error}; the node goes on answering, what was written stays readable")
 
     def _open_payload(self, asked: PingOptions, seed: int) -> AbstractContextManager[Payload]:
@@ -218,17 +218,17 @@ class _Recording:
                 wait([future], timeout=min(LOOK_S, left_s))
                 if self.stop.is_set() or node.error is not None or self._left_s(end_ns) <= 0:
                     enough.set()
-                self._tell_of_disk(sink)
+                self._note_disk(sink)
                 self.watch.progress(ping.progress())
             run = future.result()
         _raise_error_of(node)
         return run
 
     def _watch_relay(self, relay: Relay, node: Node, sink: TraceSink) -> None:
-        end_ns, told, quiet, relayed = self._end_ns(), set[str](), 0, 0
+        end_ns, noted, quiet, relayed = self._end_ns(), set[str](), 0, 0
         while (left_s := self._left_s(end_ns)) > 0 and not self.stop.wait(min(LOOK_S, left_s)):
             _raise_error_of(node)
-            self._tell_of_disk(sink)
+            self._note_disk(sink)
             progress = relay.progress()
             self.watch.progress(progress)
             quiet = quiet + 1 if progress.relayed == relayed else 0
@@ -236,9 +236,9 @@ class _Recording:
             if quiet % QUIET_LOOKS == QUIET_LOOKS - 1:
                 collect_young()
                 lines = {line for topic in relay.topics for line in node.look_at(topic).incompatible}
-                for line in sorted(lines - told):
+                for line in sorted(lines - noted):
                     self.watch.note(f"these will never meet: {line}")
-                told |= lines
+                noted |= lines
 
     def _end_ns(self) -> int | None:
         duration_s = self.options.duration_s

@@ -1,4 +1,4 @@
-"""What the rest of dds-trace knows of a middleware: `Backend`, one record in each file of `recorder/backends/`.
+"""The record of a middleware: `Backend`, one in each file of `recorder/backends/`, with all that the rest of dds-trace knows.
 
 Nothing here imports a middleware.
 """

@@ -187,7 +187,7 @@ class ConnextNode(ThreadedNode):
 
 @dataclass(frozen=True, slots=True)
 class _ConnextPublisher:
-    """Publishes serialized messages."""
+    """A publisher of serialized messages."""
 
     writer: Any
     sample: Any

@@ -154,7 +154,7 @@ class CycloneNode(ThreadedNode):
 
 
 class _CyclonePublisher:
-    """Publishes serialized messages."""
+    """A publisher of serialized messages."""
 
     def __init__(self, topic: str, writer: Any) -> None:
         self._topic = topic

@@ -1,4 +1,4 @@
-"""What the nodes of all backends share: their thread, the error that ended it, and how they are closed."""
+"""The parts of a node that all backends share: its thread, the error that ended it, and how it is closed."""
 
 from __future__ import annotations
 

@@ -159,7 +159,7 @@ class ZenohNode(OpenNode):
 
 @dataclass(frozen=True, slots=True)
 class _ZenohPublisher:
-    """Publishes serialized messages; zenoh copies them."""
+    """A publisher of serialized messages; zenoh copies them."""
 
     publisher: Any
     publish: Callable[[RawMessage], None]

@@ -112,6 +112,16 @@ class DataType:
         """The topic of the way back."""
         return self.topic + RELAY_SUFFIX
 
+    def object_form(self) -> Form[RosMessage, RosMessage]:
+        """Return the form of its message objects.
+
+        Raises:
+            OptionError: the type travels serialized alone.
+        """
+        if self.objects is None:
+            raise OptionError(f"--serialization typed: {self.type_name} is sent as raw bytes alone")
+        return self.objects
+
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:

@@ -1,4 +1,4 @@
-"""What the recorder itself costs on this machine, and the floor of the client library below every result."""
+"""The cost of recording on this machine, and the floor of the client library below every result."""
 
 from __future__ import annotations
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
-from dds_trace.tracefile import OptionError
-
 from ..backends.node import message_objects_of
 from ..payloads.stamp import SentT
 
@@ -77,9 +75,7 @@ class ObjectLane:
 
     def form_of(self, data_type: DataType) -> Form[RosMessage, RosMessage]:
         """Return the form of message objects."""
-        if data_type.objects is None:
-            raise OptionError(f"--serialization typed: {data_type.type_name} is sent as raw bytes alone")
-        return data_type.objects
+        return data_type.object_form()
 
     def message_of(self, data_type: DataType, message: Message) -> RosMessage:
         """Return `message` as an object."""

@@ -115,8 +115,6 @@ def check_serialization(data_types: Iterable[DataType], serialization: Serializa
     Raises:
         OptionError: naming one of `data_types`.
     """
-    for data_type in data_types:
-        if serialization is Serialization.TYPED and data_type.objects is None:
-            raise OptionError(
-                f"--serialization {serialization.value}: {data_type.type_name} is sent as raw bytes alone"
-            )
+    if serialization is Serialization.TYPED:
+        for data_type in data_types:
+            data_type.object_form()

@@ -132,7 +132,7 @@ class SocketNode(ThreadedNode):
 
 @dataclass(frozen=True, slots=True)
 class _SocketPublisher:
-    """Publishes serialized messages."""
+    """A publisher of serialized messages."""
 
     topic: str
     send: Callable[[str, RawMessage], None]

@@ -15,7 +15,6 @@ from .engines.cluster import ClusterEngine
 from .engines.local import LocalEngine
 from .engines.merge import MergedResults
 from .findings.evidence import Evidence
-from .findings.left_out import SKETCHED, earlier_rows, size_findings
 from .findings.table import find_findings
 from .groups.batch import Wanted
 from .groups.grouping import group_exchanges
@@ -35,7 +34,6 @@ if TYPE_CHECKING:
     from .groups.batch import Batch
     from .loading.campaign import Campaign, Progress
     from .loading.events import EventIndex
-    from .model.finding import Finding
     from .pairing.exchanges import Exchange, Exchanges
     from .verdicts.job import Job
 
@@ -112,7 +110,7 @@ def _analyze(
 ) -> Analysis:
     own = {default_output(folder)} | ({out} if out is not None else set())
     outputs = {kind: out / f"{kind}.parquet" for kind in ("roundtrips", "summary")} if out else {}
-    sketched = _sketch(outputs) if not wanted.rows else []
+    stale_rows = outputs.pop("roundtrips", None) if not wanted.rows else None
 
     campaign = engine.load(folder, own, progress)
     exchanges = find_exchanges(campaign)
@@ -122,10 +120,19 @@ def _analyze(
     summary = merged.summary(grouping)
     rows.locate(summary.frame)
     campaign = campaign.with_copies(total_copies([*exchanges.copies, *merged.copies()]))
-    details = collect_details(campaign, merged.frames(), rows, groups_in_parts(batches), wanted)
-    evidence = Evidence(campaign, exchanges, grouping, summary, details)
-    left_out = size_findings(evidence, rows, groups_in_parts(batches)) if details.requested else ()
-    findings = (*find_findings(evidence), *sketched, *left_out)
+    in_parts = groups_in_parts(batches)
+    details = collect_details(campaign, merged.frames(), rows, in_parts, wanted)
+    evidence = Evidence(
+        campaign=campaign,
+        exchanges=exchanges,
+        grouping=grouping,
+        summary=summary,
+        details=details,
+        rows=rows,
+        in_parts=tuple(in_parts),
+        wanted=wanted,
+        stale_rows=stale_rows if stale_rows and stale_rows.exists() else None,
+    )
 
     if out is not None:
         write_summary(summary.frame, outputs["summary"])
@@ -140,7 +147,7 @@ def _analyze(
         distributions=summary.distributions,
         timeline=timeline,
         timeline_decimated=timeline.height < merged.rows,
-        findings=findings,
+        findings=find_findings(evidence),
         outputs=outputs,
         details=details,
     )
@@ -162,12 +169,6 @@ def _pair_and_measure(
             rows.add(result.table)
             merged.add(result)
     return rows, merged
-
-
-def _sketch(outputs: dict[str, Path]) -> list[Finding]:
-    """Take the rows out of what is written, and return the findings that say so."""
-    written = outputs.pop("roundtrips", None)
-    return [SKETCHED, *([earlier_rows(written)] if written and written.exists() else [])]
 
 
 def _runs_by_start(campaign: Campaign, exchanges: Exchanges) -> tuple[Run, ...]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import polars as pl
 
@@ -15,22 +16,43 @@ if TYPE_CHECKING:
     from .evidence import Evidence
 
 _DRIFT_PPB = 100_000
-"""A crystal is off by less than 100 ppm; more is a clock that is being slewed, or a fault."""
+"""Drift of a crystal at most, 100 ppm; a larger one is a clock that is slewed, or a fault."""
 
 _SHORTEST_SLEEP_NS = 1_000_000_000
-"""No device goes to sleep and wakes in less."""
+"""Shortest time in which a device goes to sleep and wakes."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """A step between the clocks of two devices.
+
+    Attributes:
+        ping_device: name of the ping's device.
+        relay_device: name of the relay's device.
+        before_ns: first message after the step, ping's monotonic clock.
+        size_ns: how far the relay's clock jumped against the ping's.
+        bound_ns: the size is wrong by at most this.
+        asleep: the device whose clock stood still; None if neither did.
+    """
+
+    ping_device: str
+    relay_device: str
+    before_ns: int
+    size_ns: int
+    bound_ns: int
+    asleep: str | None
 
 
 def suspends(evidence: Evidence) -> Iterator[Finding]:
-    """A device slept: its monotonic clock stood still while neither process was started anew."""
-    for fit, standing in _steps(evidence):
-        if standing is not None:
+    """Report devices that slept: the monotonic clock stood still while the processes went on."""
+    for step in _steps(evidence):
+        if step.asleep is not None:
             yield Finding(
                 Severity.WARNING,
                 "suspend",
-                f"{standing} ({fit['relay_device']} against {fit['ping_device']})",
-                f"Its clock stood still for {abs(fit['step_before_ns']) / 1e9:.3f} s (within "
-                f"{fit['step_bound_ns'] / 1e9:.3f} s) before {fit['start_ns'] / 1e9:.1f} s of the ping's clock, and the "
+                f"{step.asleep} ({step.relay_device} against {step.ping_device})",
+                f"Its clock stood still for {abs(step.size_ns) / 1e9:.3f} s (within {step.bound_ns / 1e9:.3f} s) before "
+                f"{step.before_ns / 1e9:.1f} s of the ping's clock, and the "
                 "relay ran on: the device, or its virtual machine, was suspended.",
                 "Repeat the runs about that time with suspending switched off: messages were lost or late for it. If "
                 "the stamps are not of CLOCK_MONOTONIC, that clock was set.",
@@ -38,22 +60,22 @@ def suspends(evidence: Evidence) -> Iterator[Finding]:
 
 
 def clock_steps(evidence: Evidence) -> Iterator[Finding]:
-    """One device's clock jumped against the other's: it was restarted, or its stamps are of another clock."""
-    for fit, standing in _steps(evidence):
-        if standing is None:
+    """Report clocks that jumped against the other device's: a restart, or stamps of another clock."""
+    for step in _steps(evidence):
+        if step.asleep is None:
             yield Finding(
                 Severity.WARNING,
                 "clock_step",
-                f"{fit['relay_device']} against {fit['ping_device']}",
-                f"The clock jumped by {fit['step_before_ns'] / 1e6:.3f} ms (within {fit['step_bound_ns'] / 1e6:.3f} ms) "
-                f"before {fit['start_ns'] / 1e9:.1f} s of the ping's clock.",
+                f"{step.relay_device} against {step.ping_device}",
+                f"The clock jumped by {step.size_ns / 1e6:.3f} ms (within {step.bound_ns / 1e6:.3f} ms) "
+                f"before {step.before_ns / 1e9:.1f} s of the ping's clock.",
                 "One-way times are fitted apart before and after; a message under way at the jump has a wrong round "
                 "trip. Do not restart devices while recording.",
             )
 
 
-def _steps(evidence: Evidence) -> Iterator[tuple[dict[str, Any], str | None]]:
-    """The rows of `clock_fits` that begin with a step, each with the device whose clock stood still, if one did.
+def _steps(evidence: Evidence) -> Iterator[_Step]:
+    """Yield the steps in `clock_fits`.
 
     A clock that runs steadily while its device is up can only stand still. So a step of a second or more over which
     one relay process went on is sleep: the relay's if its clock fell back, the ping's if it got ahead. (Each fit is
@@ -69,14 +91,22 @@ def _steps(evidence: Evidence) -> Iterator[tuple[dict[str, Any], str | None]]:
             of_boot.filter(side)
             for side in (pl.col("at_ns") < fit["start_ns"], pl.col("at_ns") >= fit["start_ns"])
         )
+        size_ns, bound_ns = fit["step_before_ns"], fit["step_bound_ns"]
         went_on = before.height and after.height and before["relay_id"][-1] == after["relay_id"][0]
-        slept = abs(fit["step_before_ns"]) - fit["step_bound_ns"] >= _SHORTEST_SLEEP_NS
-        asleep = fit["relay_device"] if fit["step_before_ns"] < 0 else fit["ping_device"]
-        yield fit, asleep if went_on and slept else None
+        slept = went_on and abs(size_ns) - bound_ns >= _SHORTEST_SLEEP_NS
+        asleep = fit["relay_device"] if size_ns < 0 else fit["ping_device"]
+        yield _Step(
+            ping_device=fit["ping_device"],
+            relay_device=fit["relay_device"],
+            before_ns=fit["start_ns"],
+            size_ns=size_ns,
+            bound_ns=bound_ns,
+            asleep=asleep if slept else None,
+        )
 
 
 def clock_drifts(evidence: Evidence) -> Iterator[Finding]:
-    """Two clocks surely part faster than crystals do."""
+    """Report pairs of clocks that surely part faster than crystals do."""
     for fit in evidence.details.clock_fits.iter_rows(named=True):
         if abs(fit["drift_ppb"]) - fit["drift_bound_ppb"] > _DRIFT_PPB:
             yield Finding(

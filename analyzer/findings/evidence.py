@@ -1,4 +1,4 @@
-"""What the checks behind the findings look at, and how they name it."""
+"""The results that the checks behind the findings look at, and the names by which findings call things."""
 
 from __future__ import annotations
 
@@ -10,14 +10,17 @@ from ..model.names import name_groups
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+    from pathlib import Path
 
     from dds_trace.tracefile import Session
 
     from ..analysis import Details
+    from ..groups.batch import Wanted
     from ..groups.grouping import Grouping
     from ..groups.summary import Summary
     from ..loading.campaign import Campaign
     from ..pairing.exchanges import Exchange, Exchanges
+    from ..pairing.rows import RowStore
 
 _MOST_FILES = 2
 """Files that a session's name lists: those of a long sweep would fill a screen."""
@@ -25,13 +28,29 @@ _MOST_FILES = 2
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """The results of every step of one analysis."""
+    """The results of every step of one analysis.
+
+    Attributes:
+        campaign: the traces, sessions and runs.
+        exchanges: who exchanged messages with whom, and the events that belong to no exchange.
+        grouping: the exchanges by group.
+        summary: counts and statistics.
+        details: the details, empty if they were not requested.
+        rows: the round trips; a sketch has none.
+        in_parts: groups that no batch held whole.
+        wanted: what was asked for.
+        stale_rows: file with the rows of an earlier analysis, which this one does not replace.
+    """
 
     campaign: Campaign
     exchanges: Exchanges
     grouping: Grouping
     summary: Summary
     details: Details
+    rows: RowStore
+    in_parts: tuple[int, ...]
+    wanted: Wanted
+    stale_rows: Path | None
 
     def counts_by_run(self) -> dict[int, tuple[Exchange, dict[str, int]]]:
         """Return for each run_id one exchange of the run (all share run and T1) and its row of counts."""
@@ -40,39 +59,39 @@ class Evidence:
 
     @cached_property
     def group_names(self) -> list[str]:
-        """For each group a short name that tells it from the others (`group_names.name_groups`)."""
+        """For each group a short name that tells it from the others (`names.name_groups`)."""
         return name_groups(self.grouping.parameters)
 
     def exchange_groups(self) -> list[int]:
-        """Of each exchange in `grouping` its group."""
+        """Return the group of each exchange in `grouping`."""
         return [int(group) for group in self.grouping.group_of_exchange]
 
     def session_name(self, session: Session) -> str:
-        """`relay on beta (relay.mcap)`."""
+        """Name a session: `relay on beta (relay.mcap)`."""
         traces = sorted(set(self.campaign.session_traces[session.session_id]))
         named = some((self.campaign.name(trace) for trace in traces), _MOST_FILES)
         return f"{session.role} on {session.device} ({named})"
 
     def run_name(self, run_id: int) -> str:
-        """`run 1122334455667788 (ping.mcap)`."""
+        """Name a run: `run 1122334455667788 (ping.mcap)`."""
         traces = self.campaign.run_traces.get(run_id, ())
         return f"run {run_id:016x}" + (f" ({self.campaign.names(traces)})" if traces else "")
 
 
 def exchange_name(exchange: Exchange) -> str:
-    """`run 1122334455667788, relay 0000beef on beta`."""
+    """Name an exchange: `run 1122334455667788, relay 0000beef on beta`."""
     device = f" on {exchange.relay.device}" if exchange.relay else ""
     return f"run {exchange.run.run_id:016x}, relay {exchange.relay_id:08x}{device}"
 
 
 def some(names: Iterable[str], at_most: int = 3) -> str:
-    """The first few names and how many more there are."""
-    held = list(names)
-    shown = "; ".join(held[:at_most])
-    return shown if len(held) <= at_most else f"{shown}; and {len(held) - at_most} more"
+    """List the first names, and how many more there are."""
+    listed = list(names)
+    shown = "; ".join(listed[:at_most])
+    return shown if len(listed) <= at_most else f"{shown}; and {len(listed) - at_most} more"
 
 
 def percent(part: float, whole: float) -> str:
-    """A share with as many digits as it takes to tell it from 0 and from 100 %."""
+    """Print a share with as many digits as it takes to tell it from 0 and from 100 %."""
     share = 100 * part / whole
     return f"{share:.3g} %" if share < 99 else f"{share:.6g} %"

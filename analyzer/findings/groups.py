@@ -29,7 +29,7 @@ _LOST = {
 
 
 def losses(evidence: Evidence) -> Iterator[Finding]:
-    """Groups that lost messages."""
+    """Report groups that lost messages."""
     rows = evidence.summary.frame.iter_rows(named=True)
     for group, (name, row) in enumerate(zip(evidence.group_names, rows, strict=True)):
         published, received = row["published"], row["received"]
@@ -57,7 +57,7 @@ def losses(evidence: Evidence) -> Iterator[Finding]:
 
 
 def unmeasured_groups(evidence: Evidence) -> Iterator[Finding]:
-    """Groups all of whose messages were warm-up."""
+    """Report groups all of whose messages were warm-up."""
     counts = evidence.summary.frame["published"]
     for group, (name, published) in enumerate(zip(evidence.group_names, counts, strict=True)):
         if not published:
@@ -72,7 +72,7 @@ def unmeasured_groups(evidence: Evidence) -> Iterator[Finding]:
 
 
 def duplicates(evidence: Evidence) -> Iterator[Finding]:
-    """Groups in which replies came more than once."""
+    """Report groups in which replies came more than once."""
     counts = evidence.summary.frame["duplicates"]
     for group, (name, count) in enumerate(zip(evidence.group_names, counts, strict=True)):
         if count:
@@ -87,7 +87,7 @@ def duplicates(evidence: Evidence) -> Iterator[Finding]:
 
 
 def reordering(evidence: Evidence) -> Iterator[Finding]:
-    """Groups in which replies overtook each other."""
+    """Report groups in which replies overtook each other."""
     columns = evidence.summary.frame.select("reordered", "received").iter_rows()
     for group, (name, (count, received)) in enumerate(zip(evidence.group_names, columns, strict=True)):
         if count:
@@ -102,7 +102,7 @@ def reordering(evidence: Evidence) -> Iterator[Finding]:
 
 
 def impossible_times(evidence: Evidence) -> Iterator[Finding]:
-    """Times below zero: a clock stepped, or stamps do not belong together."""
+    """Report negative times: a clock stepped, or stamps do not belong together."""
     counts = evidence.summary.of_exchange.select("negative_rtt", "negative_intermediate", "negative_latency")
     rows = counts.iter_rows(named=True)
     for exchange, group, row in zip(
@@ -124,7 +124,7 @@ def impossible_times(evidence: Evidence) -> Iterator[Finding]:
 
 
 def mixed_labels(evidence: Evidence) -> Iterator[Finding]:
-    """Groups that put runs with different labels together, as labels are no parameter column."""
+    """Report groups that pool runs with different labels, which are no parameter column."""
     names = evidence.group_names
     for group, members in enumerate(evidence.grouping.members()):
         values: dict[str, set[str | None]] = defaultdict(set)
@@ -147,7 +147,7 @@ def mixed_labels(evidence: Evidence) -> Iterator[Finding]:
 
 
 def few_samples(evidence: Evidence) -> Iterator[Finding]:
-    """Percentiles that are null because the sample cannot support them; groups that lack the same share a finding."""
+    """Report percentiles that are null for want of samples; groups that lack the same percentiles share a finding."""
     names, samples = evidence.group_names, evidence.summary.samples
     lacking: dict[tuple[tuple[int, ...], tuple[str, ...]], list[Percentile]] = defaultdict(list)
     for percentile in PERCENTILES:
@@ -182,7 +182,7 @@ def _shown(percentile: Percentile) -> str:
 
 
 def outages(evidence: Evidence) -> Iterator[Finding]:
-    """Groups that lost several messages in a row."""
+    """Report groups that lost several messages in a row."""
     names = evidence.group_names
     for (key,), found in evidence.details.outages.group_by(["group"], maintain_order=True):
         group = int(str(key))
@@ -201,14 +201,14 @@ def outages(evidence: Evidence) -> Iterator[Finding]:
 
 
 _DELIVERIES = {"relay_delivery_ns": "relay", "ping_delivery_ns": "ping"}
-"""Part of `Details.breakdown` that ends in a callback -> whose callback it is."""
+"""Part of `Details.breakdown` that ends in a callback -> role whose callback it is."""
 
 _TAIL_PERIODS, _TAIL_NS = 2, 20_000_000
-"""Waiting of the slowest hundredth that no busy processor explains."""
+"""Wait of the slowest hundredth, in periods and at least in ns, that no busy processor explains."""
 
 
 def waits_in_readers(evidence: Evidence) -> Iterator[Finding]:
-    """Groups whose messages lay with the middleware for periods before the callback took them.
+    """Report groups whose messages lay with the middleware for periods before the callback took them.
 
     A reader that falls behind takes each message when a later one arrives: the latency is then a multiple of the
     period, and says nothing of the link.

@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
 _SATURATED_PERCENT = 95.0
 _SATURATED_SHARE = 0.1
-"""A processor that is busy in one sample of ten delays messages that no median shows."""
+"""Share of samples with a busy processor from which on it delays messages, though no median shows it."""
 
 
 def cpu_saturation(evidence: Evidence) -> Iterator[Finding]:
-    """Devices with a processor that was busy throughout while they recorded."""
+    """Report devices with a processor that was busy in many samples."""
     busy: dict[int, list[float]] = defaultdict(list)
     samples = evidence.details.host_samples.select("session_id", "cpu_busiest_percent").drop_nulls()
     for session_id, percent in samples.iter_rows():
@@ -38,7 +38,7 @@ def cpu_saturation(evidence: Evidence) -> Iterator[Finding]:
 
 
 def kernel_drops(evidence: Evidence) -> Iterator[Finding]:
-    """Devices whose kernel threw datagrams away for want of receive buffer."""
+    """Report devices whose kernel dropped datagrams for want of receive buffer."""
     samples = evidence.details.host_samples.drop_nulls("udp_receive_errors")
     last = samples.group_by("session_id", maintain_order=True).last()
     for session_id, count in last.select("session_id", "udp_receive_errors").iter_rows():

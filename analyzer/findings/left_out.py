@@ -1,4 +1,4 @@
-"""What an analysis leaves out because of a campaign's size, or of `--sketch`, and the findings that say so."""
+"""Checks of what an analysis leaves out because of a campaign's size, or of `--sketch`."""
 
 from __future__ import annotations
 
@@ -14,43 +14,40 @@ from ..verdicts.cases import MOST_COMPARED_ROWS, is_too_large, partition_groups
 from .evidence import some
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
+    from collections.abc import Iterator
 
-    from ..pairing.rows import RowStore
     from .evidence import Evidence
 
-SKETCHED = Finding(
-    Severity.INFO,
-    "sketched",
-    "all groups",
-    f"Percentiles come from histograms and may be off by {RELATIVE_ERROR:.2%} of their value; counts, means, "
-    "standard deviations and extremes are exact. There are no rows, so no group is compared with another.",
-    "Analyze without --sketch for exact percentiles, the rows in roundtrips.parquet, and who is fastest.",
-)
+
+def sketched(evidence: Evidence) -> Iterator[Finding]:
+    """Report that percentiles come from histograms and that there are no rows."""
+    if not evidence.wanted.rows:
+        yield Finding(
+            Severity.INFO,
+            "sketched",
+            "all groups",
+            f"Percentiles come from histograms and may be off by {RELATIVE_ERROR:.2%} of their value; counts, means, "
+            "standard deviations and extremes are exact. There are no rows, so no group is compared with another.",
+            "Analyze without --sketch for exact percentiles, the rows in roundtrips.parquet, and who is fastest.",
+        )
 
 
-def earlier_rows(path: Path) -> Finding:
-    """Said where a sketch finds the rows of an earlier analysis in its folder: it replaces what it writes, and no more."""
-    return Finding(
-        Severity.INFO,
-        "earlier_rows",
-        path.name,
-        "The rows in this file are those of an earlier analysis; the summary beside it was not made from them.",
-        "Analyze without --sketch to replace them, or give a sketch a folder of its own with --out.",
-    )
+def stale_rows(evidence: Evidence) -> Iterator[Finding]:
+    """Report the rows of an earlier analysis in the folder of a sketch, which replaces only what it writes."""
+    if evidence.stale_rows is not None:
+        yield Finding(
+            Severity.INFO,
+            "earlier_rows",
+            evidence.stale_rows.name,
+            "The rows in this file are those of an earlier analysis; the summary beside it was not made from them.",
+            "Analyze without --sketch to replace them, or give a sketch a folder of its own with --out.",
+        )
 
 
-def size_findings(evidence: Evidence, rows: RowStore, in_parts: Sequence[int]) -> Iterator[Finding]:
-    """What the details leave out for want of memory.
-
-    Args:
-        evidence: of the campaign.
-        rows: its rows; a sketch has none, and says itself that nothing is compared.
-        in_parts: groups that no batch held whole.
-    """
-    names = evidence.group_names
-    if in_parts:
+def groups_in_parts(evidence: Evidence) -> Iterator[Finding]:
+    """Report groups without breakdown and responses, because no batch held them whole."""
+    names, in_parts = evidence.group_names, evidence.in_parts
+    if in_parts and evidence.details.requested:
         yield Finding(
             Severity.INFO,
             "group_in_parts",
@@ -59,13 +56,20 @@ def size_findings(evidence: Evidence, rows: RowStore, in_parts: Sequence[int]) -
             f"{'' if len(in_parts) == 1 else ' each'} and {'was' if len(in_parts) == 1 else 'were'} worked at in parts: "
             "there is no breakdown of where their time goes, and no response against round trip time.",
             "Analyze a folder with fewer of their runs to see these.",
-            tuple(in_parts),
+            in_parts,
         )
-    cases = []
-    if rows.has_rows:
-        kinds = (CASE_COLUMNS, BRIDGE_MATCH_COLUMNS)
-        cases = [case for kind in kinds for case in partition_groups(rows.groups, kind) if is_too_large(case)]
+
+
+def cases_not_compared(evidence: Evidence) -> Iterator[Finding]:
+    """Report groups that are not compared with others, because their kind of message has too many rows."""
+    if not evidence.details.requested or not evidence.rows.has_rows:  # a sketch reports that by itself
+        return
+    kinds = (CASE_COLUMNS, BRIDGE_MATCH_COLUMNS)
+    cases = [
+        case for kind in kinds for case in partition_groups(evidence.rows.groups, kind) if is_too_large(case)
+    ]
     if cases:
+        names = evidence.group_names
         groups = sorted({group for case in cases for group in case["group"].to_list()})
         yield Finding(
             Severity.INFO,

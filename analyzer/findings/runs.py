@@ -18,12 +18,12 @@ if TYPE_CHECKING:
     from .evidence import Evidence
 
 _RATE_TOLERANCE = 0.02
-"""A run that publishes more than 2 % slower than asked has measured another load."""
+"""Share by which the rate may stay below the asked one: a slower run has measured another load."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Reason:
-    """How one reason for events without a row reads."""
+    """The finding about events without a row, for one reason."""
 
     severity: Severity
     code: str
@@ -60,7 +60,7 @@ _UNPLACED = {
 
 
 def unplaced_events(evidence: Evidence) -> Iterator[Finding]:
-    """Events that belong to no row, one finding per reason, relay and file."""
+    """Report events that belong to no row: one finding per reason, relay and file."""
     alike: dict[tuple[str, int, tuple[int, ...], str], list[Unplaced]] = defaultdict(list)
     for unplaced in evidence.exchanges.unplaced:
         alike[unplaced.reason, unplaced.relay_id, unplaced.traces, unplaced.detail].append(unplaced)
@@ -78,7 +78,7 @@ def unplaced_events(evidence: Evidence) -> Iterator[Finding]:
 
 
 def unfinished_runs(evidence: Evidence) -> Iterator[Finding]:
-    """Runs that were cut short, and runs of which publications were not kept."""
+    """Report runs that were cut short, and runs whose publications are not all in the trace."""
     for run_id, (exchange, counts) in evidence.counts_by_run().items():
         run, kept = exchange.run, counts["with_warmup"]
         if run.state != "finished":
@@ -110,7 +110,7 @@ def unfinished_runs(evidence: Evidence) -> Iterator[Finding]:
 
 
 def repeated_publications(evidence: Evidence) -> Iterator[Finding]:
-    """T1 events that a message has too many."""
+    """Report messages with more than one T1."""
     for run_id, (_, counts) in evidence.counts_by_run().items():
         if counts["repeated"]:
             yield Finding(
@@ -123,7 +123,7 @@ def repeated_publications(evidence: Evidence) -> Iterator[Finding]:
 
 
 def orphan_events(evidence: Evidence) -> Iterator[Finding]:
-    """Events of a known run whose message was, by the trace, never published."""
+    """Report events of a known run whose message has no T1."""
     orphans = evidence.summary.of_exchange["orphans"].to_list()
     for exchange, group, count in zip(
         evidence.grouping.exchanges, evidence.exchange_groups(), orphans, strict=True
@@ -144,7 +144,7 @@ def orphan_events(evidence: Evidence) -> Iterator[Finding]:
 
 
 def missing_schedule(evidence: Evidence) -> Iterator[Finding]:
-    """Runs whose T1 carry no T0."""
+    """Report runs whose T1 carry no T0."""
     counts = evidence.summary.of_exchange.select("published", "unscheduled").iter_rows()
     unscheduled = {
         exchange.run.run_id
@@ -166,7 +166,7 @@ def missing_schedule(evidence: Evidence) -> Iterator[Finding]:
 
 
 def schedule_not_held(evidence: Evidence) -> Iterator[Finding]:
-    """Groups that published slower than asked."""
+    """Report groups that published slower than asked."""
     names = evidence.group_names
     columns = evidence.summary.frame.select("rate_hz", "achieved_rate_hz").iter_rows()
     for group, (name, (asked_hz, achieved_hz)) in enumerate(zip(names, columns, strict=True)):
@@ -182,7 +182,7 @@ def schedule_not_held(evidence: Evidence) -> Iterator[Finding]:
 
 
 def relays_without_trace(evidence: Evidence) -> Iterator[Finding]:
-    """Runs in which no relay took part, and relays whose events or description are missing."""
+    """Report runs in which no relay took part, and relays whose events or description are missing."""
     unrecorded: dict[tuple[int, bool], list[int]] = defaultdict(list)
     undescribed: dict[int, list[int]] = defaultdict(list)
     for exchange in evidence.grouping.exchanges:
@@ -221,7 +221,7 @@ def relays_without_trace(evidence: Evidence) -> Iterator[Finding]:
 
 
 def gaps_of_relays(evidence: Evidence) -> Iterator[Finding]:
-    """Messages that came back through a relay whose trace does not know them: then its losses are doubtful, too."""
+    """Report messages that came back through a relay whose trace lacks them, which makes its losses doubtful, too."""
     counts = evidence.summary.of_exchange.select("relay_gaps", "received").iter_rows()
     for exchange, group, (gaps, received) in zip(
         evidence.grouping.exchanges, evidence.exchange_groups(), counts, strict=True
@@ -239,7 +239,7 @@ def gaps_of_relays(evidence: Evidence) -> Iterator[Finding]:
 
 
 def unlike_domains(evidence: Evidence) -> Iterator[Finding]:
-    """Runs that were told another relay domain than the relay was in."""
+    """Report runs whose ping was told another domain than the relay was in."""
     for exchange, group in zip(evidence.grouping.exchanges, evidence.exchange_groups(), strict=True):
         told = exchange.run.relay_domain_id
         if exchange.relay and told is not None and told != exchange.relay.domain_id:
@@ -254,7 +254,7 @@ def unlike_domains(evidence: Evidence) -> Iterator[Finding]:
 
 
 def unlike_payloads(evidence: Evidence) -> Iterator[Finding]:
-    """Runs whose messages are not as long as the run says."""
+    """Report runs whose messages are not of the described size."""
     for run_id, (exchange, counts) in evidence.counts_by_run().items():
         described = exchange.run.payload_bytes
         low, high = counts["least_payload_bytes"], counts["most_payload_bytes"]
@@ -270,7 +270,7 @@ def unlike_payloads(evidence: Evidence) -> Iterator[Finding]:
 
 
 def restarted_relays(evidence: Evidence) -> Iterator[Finding]:
-    """Runs in which several relays of one device took part: one that was started anew, or two at once."""
+    """Report runs in which several relays of one device took part: one that was restarted, or two at once."""
     relays: dict[tuple[int, str], list[int]] = defaultdict(list)
     for exchange in evidence.grouping.exchanges:
         if exchange.took_part and exchange.relay is not None:

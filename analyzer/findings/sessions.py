@@ -1,10 +1,10 @@
-"""Checks of the recording processes: what they could not keep, how they ended, on what they ran."""
+"""Checks of the recording processes: events they dropped, how they ended, the environments they ran in."""
 
 from __future__ import annotations
 
 import json
 from collections import Counter, defaultdict
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from dds_trace.tracefile.units.counts import counted
 
@@ -19,16 +19,16 @@ if TYPE_CHECKING:
     from .evidence import Evidence
 
 _OF_MIDDLEWARE = ("versions", "configuration", "settings")
-"""Parts of the fingerprint that differ by nature between middlewares: compared within one vendor only."""
+"""Parts of the fingerprint that every middleware has differently; they are compared within one vendor."""
 
 _BRIDGE_FAILURES = {"died": "ended by itself", "never_ready": "never carried a message"}
 
 _FLEETING = ("wifi",)
-"""Parts that differ from one minute to the next on the same device."""
+"""Parts of the fingerprint that change from one minute to the next on the same device."""
 
 
 def recorder_drops(evidence: Evidence) -> Iterator[Finding]:
-    """Events that a recorder could not keep: then a message may seem lost, and it was not."""
+    """Report events that a recorder dropped: a message may seem lost that was not."""
     for session in evidence.campaign.sessions.values():
         if session.dropped_events:
             yield Finding(
@@ -41,7 +41,7 @@ def recorder_drops(evidence: Evidence) -> Iterator[Finding]:
 
 
 def unclosed_sessions(evidence: Evidence) -> Iterator[Finding]:
-    """Sessions without a clean end."""
+    """Report sessions without a clean end."""
     for session in evidence.campaign.sessions.values():
         if session.state != "closed":
             yield Finding(
@@ -55,7 +55,7 @@ def unclosed_sessions(evidence: Evidence) -> Iterator[Finding]:
 
 
 def doubtful_sessions(evidence: Evidence) -> Iterator[Finding]:
-    """Events that more than one session of a trace could have made."""
+    """Report events that more than one session of a trace could have recorded."""
     doubts = defaultdict(list)
     for doubt in evidence.exchanges.doubts:
         doubts[doubt.role, doubt.candidates].append(doubt)
@@ -71,7 +71,7 @@ def doubtful_sessions(evidence: Evidence) -> Iterator[Finding]:
 
 
 def unlike_environments(evidence: Evidence) -> Iterator[Finding]:
-    """Settings that differ between sessions whose numbers stand side by side in the report.
+    """Report settings that differ between sessions whose numbers stand side by side in the report.
 
     Pings are compared with pings and relays with relays; versions, configuration and settings of the
     middleware only within one vendor.
@@ -92,18 +92,18 @@ def unlike_environments(evidence: Evidence) -> Iterator[Finding]:
         yield from _differences(where, [(s, dict.fromkeys(names) | fields) for s, fields in found])
 
 
-def _machine(session: Session) -> dict[str, Any]:
+def _machine(session: Session) -> dict[str, object]:
     parts = {k: v for k, v in session.host.items() if k not in (*_OF_MIDDLEWARE, *_FLEETING)}
     return dict(_flattened(parts))
 
 
-def _middleware(session: Session) -> dict[str, Any]:
+def _middleware(session: Session) -> dict[str, object]:
     parts = {name: session.host.get(name, {}) for name in _OF_MIDDLEWARE}
     return {"rmw": session.rmw, **dict(_flattened(parts))}
 
 
-def _differences(where: str, found: list[tuple[Session, dict[str, Any]]]) -> Iterator[Finding]:
-    """One finding for each field in which the sessions that have it differ."""
+def _differences(where: str, found: list[tuple[Session, dict[str, object]]]) -> Iterator[Finding]:
+    """Report each field in which the sessions that have it differ."""
     values: dict[str, dict[str, list[Session]]] = defaultdict(lambda: defaultdict(list))
     for session, fields in found:
         for name, value in fields.items():
@@ -120,8 +120,8 @@ def _differences(where: str, found: list[tuple[Session, dict[str, Any]]]) -> Ite
             )
 
 
-def _flattened(host: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Leaves of a nested object by dotted name."""
+def _flattened(host: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, object]]:
+    """Yield the leaves of a nested object with their dotted names."""
     for key, value in host.items():
         if isinstance(value, dict):
             yield from _flattened(value, f"{prefix}{key}.")
@@ -135,7 +135,7 @@ def _on_devices(sessions: list[Session]) -> str:
 
 
 def failed_bridges(evidence: Evidence) -> Iterator[Finding]:
-    """Bridges that ended by themselves, or never carried a message."""
+    """Report bridges that ended by themselves, or never carried a message."""
     for session in evidence.campaign.sessions.values():
         bridge = session.extra.get("bridge")
         if isinstance(bridge, dict) and bridge.get("state") in _BRIDGE_FAILURES:
@@ -150,9 +150,11 @@ def failed_bridges(evidence: Evidence) -> Iterator[Finding]:
             )
 
 
-def _last_words(bridge: Mapping[str, Any]) -> str:
+def _last_words(bridge: Mapping[str, object]) -> str:
+    """Return the last line of the log of a bridge and of each of its programs."""
     programs = bridge.get("programs")
     tails = [str(bridge.get("log_tail") or "")]
-    tails += [str(p.get("log_tail") or "") for p in programs or () if isinstance(p, dict)]
+    if isinstance(programs, list):
+        tails += [str(p.get("log_tail") or "") for p in programs if isinstance(p, dict)]
     lines = [line.strip() for tail in tails for line in tail.splitlines()[-1:] if line.strip()]
     return "; ".join(line[:200].rstrip(".") for line in lines) or "none"

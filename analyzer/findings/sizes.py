@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ..model.finding import Finding, Severity
 from ..model.parameters import SIZE_LINE_COLUMNS
@@ -12,20 +12,21 @@ from ..model.parameters import SIZE_LINE_COLUMNS
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
+    from ..model.parameters import ParameterValue
     from .evidence import Evidence
 
 _SEGMENT_BYTES = 512 * 1024
 """Fast DDS's shared-memory segment: a message that does not fit goes another way (eProsima, SHM transport)."""
 
 _JUMP = 2.0
-"""Latency that grows so many times as fast as the size: cost in proportion to the size cannot do that."""
+"""Growth of latency divided by that of the size from which on a cost in proportion to the size is no explanation."""
 
 
 def unlike_sizes(evidence: Evidence) -> Iterator[Finding]:
-    """Neighbouring sizes, all else equal, whose p50 intervals say that latency surely falls, or jumps, with size."""
+    """Report neighbouring sizes, all else equal, between whose p50 intervals the latency surely falls or jumps."""
     found = evidence.details.intervals.filter(metric="latency", percentile="p50").drop_nulls("method")
     interval = {row["group"]: row for row in found.iter_rows(named=True)}
-    lines: dict[tuple[Any, ...], list[tuple[int, int]]] = defaultdict(list)
+    lines: dict[tuple[ParameterValue, ...], list[tuple[int, int]]] = defaultdict(list)
     for group, row in enumerate(evidence.grouping.parameters.iter_rows(named=True)):
         if group in interval:
             lines[tuple(row[name] for name in SIZE_LINE_COLUMNS)].append((row["payload_bytes"], group))
@@ -50,7 +51,7 @@ def unlike_sizes(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _cause(evidence: Evidence, group: int, small: int, large: int) -> str:
-    """What the fingerprints say that lies between the two sizes."""
+    """Name what lies between the two sizes by the fingerprints."""
     exchange = evidence.grouping.exchanges[evidence.grouping.members()[group][0]]
     if exchange.ping.vendor == "fastdds" and small < _SEGMENT_BYTES <= large:
         on_one = exchange.relay is not None and exchange.relay.device == exchange.ping.device
@@ -63,7 +64,7 @@ def _cause(evidence: Evidence, group: int, small: int, large: int) -> str:
     return "; the recorded environment shows no cause"
 
 
-def _receive_buffer(host: Mapping[str, Any]) -> int | None:
+def _receive_buffer(host: Mapping[str, object]) -> int | None:
     buffers = host.get("socket_buffers")
     value = (
         buffers.get("rmem_default", buffers.get("net.core.rmem_default"))

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def skipped_files(evidence: Evidence) -> Iterator[Finding]:
-    """Files that are no trace; what looks like one but is none weighs more."""
+    """Report files that are not traces; a file whose name says that it is one weighs more."""
     skipped = [source for source in evidence.campaign.sources if source.status == "skipped"]
     for source in skipped:
         if source.path.endswith(".mcap"):
@@ -39,7 +39,7 @@ def skipped_files(evidence: Evidence) -> Iterator[Finding]:
 
 
 def truncated_files(evidence: Evidence) -> Iterator[Finding]:
-    """Files that end early."""
+    """Report files that end early."""
     for position, trace in enumerate(evidence.campaign.traces):
         if trace.truncated:
             yield Finding(
@@ -52,7 +52,7 @@ def truncated_files(evidence: Evidence) -> Iterator[Finding]:
 
 
 def rescued_events(evidence: Evidence) -> Iterator[Finding]:
-    """Events that a killed recorder had not yet written into its file."""
+    """Report events from the ring of a recorder that was killed before it wrote them."""
     for position, trace in enumerate(evidence.campaign.traces):
         if trace.ring_events:
             yield Finding(
@@ -65,7 +65,7 @@ def rescued_events(evidence: Evidence) -> Iterator[Finding]:
 
 
 def unreadable_messages(evidence: Evidence) -> Iterator[Finding]:
-    """Messages on event topics that are no events."""
+    """Report messages on event topics that are not events."""
     for position, trace in enumerate(evidence.campaign.traces):
         if trace.unreadable_messages:
             yield Finding(
@@ -82,7 +82,7 @@ def unreadable_messages(evidence: Evidence) -> Iterator[Finding]:
 
 
 def reader_notes(evidence: Evidence) -> Iterator[Finding]:
-    """What else the reader noticed."""
+    """Report what else the reader noticed."""
     for position, trace in enumerate(evidence.campaign.traces):
         for note in trace.notes:
             yield Finding(
@@ -95,7 +95,7 @@ def reader_notes(evidence: Evidence) -> Iterator[Finding]:
 
 
 def copied_files(evidence: Evidence) -> Iterator[Finding]:
-    """Files that hold events of another one; each event counts once."""
+    """Report files that share events with another one; each event counts once."""
     for source in evidence.campaign.sources:
         if source.status == "duplicate":
             yield Finding(

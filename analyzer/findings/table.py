@@ -1,7 +1,7 @@
 """The findings: everything doubtful in an analysis, most severe first.
 
-One table of checks; each yields findings with severity, code, where, what, and what to do. A new check is a
-function in `analyzer/checks/` and a line here.
+A check is a function that looks at the evidence and yields findings. A new check is a function in a file of this
+folder and a row of `CHECKS`; analysis, reports and JSON follow from that.
 """
 
 from __future__ import annotations
@@ -11,8 +11,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from ..model.finding import Finding, Severity
-from . import clocks, groups, runs, sessions, sizes, sources
-from . import host_load as load
+from . import clocks, groups, host_load, left_out, runs, sessions, sizes, sources
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -49,8 +48,8 @@ CHECKS: tuple[Check, ...] = (
     clocks.suspends,
     clocks.clock_steps,
     clocks.clock_drifts,
-    load.cpu_saturation,
-    load.kernel_drops,
+    host_load.cpu_saturation,
+    host_load.kernel_drops,
     sizes.unlike_sizes,
     groups.few_samples,
     sources.skipped_files,
@@ -59,30 +58,35 @@ CHECKS: tuple[Check, ...] = (
     sources.rescued_events,
     sources.copied_files,
     sources.reader_notes,
+    left_out.sketched,
+    left_out.stale_rows,
+    left_out.groups_in_parts,
+    left_out.cases_not_compared,
 )
-"""In the order in which findings of equal severity are listed."""
+"""Every check, in the order in which findings of equal severity are listed."""
 
 _RANK = {severity: rank for rank, severity in enumerate(Severity)}
 
 _OF_A_KIND = 20
-"""Findings of one severity and code that are listed one by one; a campaign of 500 runs may well have 500."""
+"""Findings of one severity and code that are listed one by one; a campaign of 500 runs may well have 500 of a kind."""
 
 
 def find_findings(evidence: Evidence) -> tuple[Finding, ...]:
-    """The findings of every check, most severe first; of many of a kind the first ones and how many more."""
+    """Return the findings of every check, most severe first; of many of a kind the first ones and a count of the rest."""
     kinds: dict[tuple[Severity, str], list[Finding]] = defaultdict(list)
     for check in CHECKS:
         for finding in check(evidence):
             kinds[finding.severity, finding.code].append(finding)
-    listed = [finding for found in kinds.values() for finding in _first_ones(found)]
+    listed = [finding for of_kind in kinds.values() for finding in _first_ones(of_kind)]
     return tuple(sorted(listed, key=lambda finding: _RANK[finding.severity]))
 
 
-def _first_ones(found: list[Finding]) -> list[Finding]:
-    more = len(found) - _OF_A_KIND
+def _first_ones(of_kind: list[Finding]) -> list[Finding]:
+    """Return the first findings of a kind, and one that stands for all others."""
+    more = len(of_kind) - _OF_A_KIND
     if more <= 1:
-        return found
-    last, left = found[_OF_A_KIND], found[_OF_A_KIND:]
+        return of_kind
+    last, left = of_kind[_OF_A_KIND], of_kind[_OF_A_KIND:]
     rest = replace(
         last,
         where=f"{last.where}; and {more - 1} more",
@@ -90,4 +94,4 @@ def _first_ones(found: list[Finding]) -> list[Finding]:
         groups=tuple(dict.fromkeys(group for finding in left for group in finding.groups)),
         count=more,
     )
-    return [*found[:_OF_A_KIND], rest]
+    return [*of_kind[:_OF_A_KIND], rest]

@@ -20,8 +20,16 @@ from trace_files import (
 
 import dds_trace.analyzer.loading.shelf
 from dds_trace.analyzer import Severity, analyze
-from dds_trace.analyzer.findings import clocks, groups, runs, sessions, sizes, sources
-from dds_trace.analyzer.findings import host_load as load
+from dds_trace.analyzer.findings import (
+    clocks,
+    groups,
+    host_load,
+    left_out,
+    runs,
+    sessions,
+    sizes,
+    sources,
+)
 from dds_trace.analyzer.findings.table import CHECKS
 from dds_trace.tracefile import Qos, Stage, read_trace
 
@@ -59,7 +67,7 @@ def test_a_sound_recording_has_no_finding(tmp_path):
 def test_every_check_is_in_the_table():
     functions = {
         value
-        for module in (clocks, groups, load, runs, sessions, sizes, sources)
+        for module in (clocks, groups, host_load, left_out, runs, sessions, sizes, sources)
         for name, value in vars(module).items()
         if callable(value)
         and getattr(value, "__module__", "") == module.__name__

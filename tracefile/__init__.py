@@ -29,18 +29,19 @@ if TYPE_CHECKING:
     )
     from .format.json_values import Json, JsonObject
     from .format.string_cdr import CDR_HEADER
-    from .reading.discovery import find_traces
     from .reading.reader import (
         expected_events,
         iter_event_batches,
         read_descriptions,
         read_trace,
     )
+    from .reading.storage import find_traces
     from .reading.trace import Trace
     from .recovery.recover import RecoveryReport, recover
+    from .threads import run_in_background
     from .version import __version__
-    from .writing.background import run_in_background
-    from .writing.sink import ClosedTrace, TraceDestination, TraceSink
+    from .writing.destination import ClosedTrace, TraceDestination
+    from .writing.sink import TraceSink
 else:
     __getattr__, __dir__ = contents_page(__name__)
 

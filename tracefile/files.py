@@ -1,11 +1,14 @@
-"""The one way in which a file is replaced: whole, or not at all."""
+"""Files that are written: replaced whole or not at all, and what a failure means."""
 
 from __future__ import annotations
 
+import errno
 import os
 import secrets
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
+
+from .errors import OutputError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -49,3 +52,21 @@ def _flush_to_disk(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+_ADVICE = {
+    errno.ENOSPC: "the disk is full; free space or record to another disk",
+    errno.EDQUOT: "the disk quota is used up; free space or record to another disk",
+    errno.EFBIG: "the file may not grow further; raise the file size limit (ulimit -f)",
+    errno.EROFS: "the file system is read-only; choose another --out",
+    errno.EACCES: "no permission to write here; choose another --out",
+    errno.EPERM: "no permission to write here; choose another --out",
+    errno.ENOENT: "the file or its folder was deleted or moved; record to a folder that stays",
+    errno.ENOTDIR: "a part of the path is no folder; choose another --out",
+}
+
+
+def output_error(path: Path, err: OSError) -> OutputError:
+    """Return the error that tells a user what a failed write means and what to do, by the system's error number."""
+    advice = _ADVICE.get(err.errno or 0, f"{err.strerror}; check the disk")
+    return OutputError(f"{path}: cannot write the trace: {advice}")

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
-from dds_trace.tracefile.in_order import in_order
+from dds_trace.tracefile.threads import in_order
 
 from ..loading.campaign import load_campaign
 from ..loading.shelf import TraceShelf

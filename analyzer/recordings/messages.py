@@ -19,13 +19,13 @@ from rosbags.typesys import Stores, get_typestore
 from zstandard import ZstdError
 
 from dds_trace.tracefile.errors import MissingEventsError, TraceFormatError
+from dds_trace.tracefile.format.bag_metadata import METADATA_NAME
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator
 
     from rosbags.interfaces import Connection
 
-BAG_METADATA = "metadata.yaml"
 
 # What mcap, rosbags and the decompressors say of bytes that are not what they should be.
 _UNREADABLE = (
@@ -80,7 +80,7 @@ def find_recordings(path: Path, *, skip: Collection[Path] = ()) -> list[Path]:
     Raises:
         MissingEventsError: there is no such file or folder.
     """
-    if path.is_file() or (path / BAG_METADATA).is_file():
+    if path.is_file() or (path / METADATA_NAME).is_file():
         return [path]
     if not path.is_dir():
         raise MissingEventsError(f"{path}: no such file or folder")
@@ -90,7 +90,7 @@ def find_recordings(path: Path, *, skip: Collection[Path] = ()) -> list[Path]:
         here = Path(name)
         if here.resolve() in left_out:
             folders.clear()
-        elif BAG_METADATA in files:
+        elif METADATA_NAME in files:
             found.append(here)
             folders.clear()
         else:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dds_trace.tracefile import OutputError, Session, TraceDestination, TraceSink
-from dds_trace.tracefile.writing.writer import output_error
+from dds_trace.tracefile.files import output_error
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -78,8 +78,8 @@ if TYPE_CHECKING:
     )
     from .tracefile.format.descriptions import Run, Session
     from .tracefile.format.events import EventColumns, Stage
-    from .tracefile.reading.discovery import find_traces
     from .tracefile.reading.reader import iter_event_batches, read_trace
+    from .tracefile.reading.storage import find_traces
     from .tracefile.reading.trace import Trace
     from .tracefile.recovery.recover import recover
     from .tracefile.version import __version__

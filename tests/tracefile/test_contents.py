@@ -26,7 +26,7 @@ def loaded_by(statement):
         "from dds_trace.tracefile import TraceError, OptionError, Session, Qos, __version__",
         "import dds_trace.tracefile.units.sizes, dds_trace.tracefile.units.durations",
         "import dds_trace.tracefile.units.rates, dds_trace.tracefile.units.counts",
-        "import dds_trace.tracefile.visible, dds_trace.tracefile.files, dds_trace.tracefile.in_order",
+        "import dds_trace.tracefile.visible, dds_trace.tracefile.files, dds_trace.tracefile.threads",
     ],
 )
 def test_light_names_load_nothing_heavy(statement):

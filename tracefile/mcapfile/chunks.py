@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import cramjam
 import zstandard
 
-from ..format.crc import crc32
+from ..format.framing import crc32
 from ..units.counts import counted
 from .file import MAX_RECORD_BYTES
 from .records import RecordContent

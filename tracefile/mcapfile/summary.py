@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, TypeVar
 from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Footer, Statistics
 
-from ..format.crc import crc32
-from ..format.framing import MAGIC, RECORD_HEADER
+from ..format.framing import MAGIC, RECORD_HEADER, crc32
 from .records import OPCODES, parse_record
 from .scan import scan_records
 

@@ -11,12 +11,12 @@ from mcap.opcode import Opcode
 from ..format.event_record import EVENT_RECORD_BYTES
 from ..format.events import Stage
 from ..format.framing import MAGIC, MESSAGE_HEADER
-from ..in_order import in_order
 from ..mcapfile.blocks import BlockJobs
 from ..mcapfile.channels import ChannelTable
 from ..mcapfile.chunks import DamagedChunkError, PackedChunk
 from ..mcapfile.file import RecordFile, TornRecordError
 from ..mcapfile.summary import read_summary
+from ..threads import in_order
 from ..units.counts import counted
 from .source import TOPIC_PREFIX, Batch, Text, event_batch, plain
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import tempfile
 from contextlib import contextmanager
@@ -10,18 +11,18 @@ from typing import IO, TYPE_CHECKING
 
 import zstandard
 
-from ..errors import TraceFormatError
+from ..errors import MissingEventsError, TraceFormatError
+from ..format.bag_metadata import METADATA_NAME
 from ..mcapfile.chunks import LARGEST_RATIO
 from .mcap_source import McapSource
 from .sqlite_source import SqliteSource
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Collection, Iterator
     from concurrent.futures import Executor
 
     from .source import Source
 
-BAG_METADATA = "metadata.yaml"
 ZSTD_SUFFIX = ".zstd"
 _COPY_BYTES = 1 << 20
 
@@ -38,6 +39,38 @@ _OPENERS: dict[str, Callable[[Path, Path, Executor, bool], Source]] = {
     ".mcap": _open_mcap,
     ".db3": _open_sqlite,
 }
+
+
+def find_traces(folder: Path, *, skip: Collection[Path] = ()) -> list[Path]:
+    """All `.mcap` files and rosbag2 folders in `folder` and below it, sorted; a rosbag2 folder is one entry.
+
+    Files are found by name and not opened; `read_trace` says which of them are traces. A `folder` that is itself a
+    file or a rosbag2 folder is the only entry. Links to folders are not followed.
+
+    Args:
+        folder: where to look.
+        skip: files and folders to leave out, with all that is in them.
+
+    Raises:
+        MissingEventsError: there is no such folder.
+    """
+    left_out = {Path(path).resolve() for path in skip}
+    if folder.is_file() or (folder.is_dir() and is_bag(folder)):
+        return [folder]
+    if not folder.is_dir():
+        raise MissingEventsError(f"{folder}: no such file or folder")
+    found: list[Path] = []
+    for name, folders, files in os.walk(folder):
+        here = Path(name)
+        kept = [child for child in folders if (here / child).resolve() not in left_out]
+        found += [here / child for child in kept if is_bag(here / child)]
+        folders[:] = [child for child in kept if not is_bag(here / child)]
+        found += [
+            here / file
+            for file in files
+            if file.endswith(".mcap") and (here / file).resolve() not in left_out
+        ]
+    return sorted(found)
 
 
 def storage_files(path: Path) -> list[Path]:
@@ -69,7 +102,7 @@ def storage_files(path: Path) -> list[Path]:
 def is_bag(folder: Path) -> bool:
     """Whether a folder is a rosbag2 folder: `metadata.yaml` is there, and a storage file."""
     try:
-        return (folder / BAG_METADATA).is_file() and any(_opener_suffix(file) for file in folder.iterdir())
+        return (folder / METADATA_NAME).is_file() and any(_opener_suffix(file) for file in folder.iterdir())
     except OSError:  # no permission: nothing in it can be found either
         return False
 

@@ -1,17 +1,27 @@
-"""What one trace file holds once it is read: the value that passes from `tracefile` to `analyzer`."""
+"""A trace in memory, the value that passes from `tracefile` to `analyzer`, and how it is collected from batches."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from ..errors import TraceFormatError
+from ..format.events import SESSION_TOPIC
+from ..units.counts import counted
+from .source import TOPIC_PREFIX
+from .texts import TextCollector
+
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
     from ..format.descriptions import Run, Session
     from ..format.events import EventColumns, Stage
     from ..format.json_values import JsonObject
+    from .ring_events import RingBeside
+    from .source import Batch, Source
+
+_MOST_NOTES = 20  # nobody reads more lines about one trace
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -20,14 +30,14 @@ class Trace:
 
     Attributes:
         path: the file or folder it was read from.
-        sessions: the recording processes named in it, latest description of each, in order of appearance.
-        runs: the runs named in it, latest description of each, in order of appearance.
+        sessions: the latest description of each recording process, in order of appearance.
+        runs: the latest description of each run, in order of appearance.
         events: the events of every stage, in file order; a stage without events is there and empty.
-        host_samples: the JSON objects of `/dds_trace/host`, each with its `log_time_ns` (wall clock).
-        truncated: None, or why the file ends early; all that was complete before is in `events`.
-        ring_events: how many of the events came from a ring file that a killed recorder left behind.
-        unreadable_messages: messages on event topics that are not events (wrong length or encoding).
-        notes: anything else that a reader of the numbers should be told, one line each.
+        host_samples: the JSON objects of `/dds_trace/host`, each with its `log_time_ns` (wall clock, ns since 1970).
+        truncated: the reason why the file ends early, or None; all that was complete before is in `events`.
+        ring_events: number of the events that came from the ring that a killed recorder left behind.
+        unreadable_messages: number of messages on event topics that are not events (wrong length or encoding).
+        notes: one line for each other thing that a reader of the numbers should know.
     """
 
     path: Path
@@ -42,5 +52,106 @@ class Trace:
 
     @property
     def event_count(self) -> int:
-        """Events of all stages."""
+        """Number of events of all stages."""
         return sum(len(columns) for columns in self.events.values())
+
+
+@dataclass(slots=True)
+class TraceBuilder:
+    """All of a trace but its events, collected batch by batch.
+
+    Attributes:
+        path: the trace.
+        texts: its descriptions and host samples.
+        topics: its topics, ours or not.
+        unreadable: number of messages on event topics that are not events.
+        ring_events: number of events that only a ring has.
+        notes: one line for each thing that a reader of the numbers should know.
+        truncated: the reason why each of its files that ends early does.
+    """
+
+    path: Path
+    texts: TextCollector = field(default_factory=TextCollector)
+    topics: set[str] = field(default_factory=set)
+    unreadable: int = 0
+    ring_events: int = 0
+    notes: list[str] = field(default_factory=list)
+    truncated: list[str] = field(default_factory=list)
+
+    def batches_of(self, file: Path, source: Source, ring: RingBeside | None = None) -> Iterator[Batch]:
+        """Yield the batches of one file and one of the events that only its ring has; collect all but the events."""
+        for batch in source.batches():
+            self._add(batch, file)
+            yield batch
+        self.topics |= source.topics
+        if ring is not None:
+            batch = ring.batch(source.written_events)
+            self.ring_events += sum(len(events) for _, events in batch.events)
+            self._add(batch, file)
+            self.add_ring_session(ring)
+            yield batch
+
+    def add_ring_session(self, ring: RingBeside) -> None:
+        """Add the session that a ring describes."""
+        if ring.contents:
+            self.texts.add_ring_session(ring.contents.session, ring.contents.dropped_events)
+            self.topics.add(SESSION_TOPIC)
+
+    def _add(self, batch: Batch, file: Path) -> None:
+        self.unreadable += batch.unreadable
+        for text in batch.texts:
+            self.texts.add(text)
+        which = "" if file == self.path else f"{file.name}: "  # a bag may have many
+        self.notes += [which + note for note in batch.notes]
+        if batch.truncated:
+            self.truncated.append(which + batch.truncated)
+
+    def check(self) -> None:
+        """Check that this is a trace; a file that was cut off before its first topic may be one.
+
+        Raises:
+            TraceFormatError: no topic is ours.
+        """
+        ours = any(topic.startswith(TOPIC_PREFIX) for topic in self.topics)
+        if not ours and (self.topics or not self.truncated):
+            topics = ", ".join(sorted(self.topics)[:3]) or "none"
+            what = f"no trace: it has no topic {TOPIC_PREFIX}* (its topics: {topics})"
+            raise TraceFormatError(self.path, "; ".join([what, *self.notes[:1]]))
+
+    def _first_notes(self) -> list[str]:
+        more = len(self.notes) - _MOST_NOTES
+        return (
+            self.notes
+            if more <= 0
+            else [
+                *self.notes[:_MOST_NOTES],
+                f"and {counted(more, 'more note like this', 'more notes like these')}",
+            ]
+        )
+
+    def trace(self, events: Mapping[Stage, EventColumns]) -> Trace:
+        """Return the trace with these events.
+
+        Raises:
+            TraceFormatError: as for `check`.
+        """
+        self.check()
+        if self.texts.unreadable_samples:
+            self.notes.append(
+                counted(
+                    self.texts.unreadable_samples,
+                    "host sample is no JSON object; not used",
+                    "host samples are no JSON objects; not used",
+                )
+            )
+        return Trace(
+            path=self.path,
+            sessions=self.texts.sessions,
+            runs=self.texts.runs,
+            events=events,
+            host_samples=self.texts.host_samples,
+            truncated="; ".join(self.truncated) or None,
+            ring_events=self.ring_events,
+            unreadable_messages=self.unreadable,
+            notes=tuple(self._first_notes()),
+        )

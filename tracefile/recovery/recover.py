@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from ..errors import OptionError, OutputExistsError, TraceFormatError
+from ..files import output_error
+from ..format.bag_metadata import write_metadata
 from ..format.descriptions import Session
 from ..format.events import SESSION_TOPIC
 from ..format.ring import read_ring, ring_path
 from ..mcapfile.file import RecordFile
 from ..units.counts import counted
-from ..writing.bag_metadata import write_metadata
-from ..writing.writer import TraceWriter, output_error
+from ..writing.writer import TraceWriter
 from .salvage import Salvage, SalvagedText
 
 if TYPE_CHECKING:

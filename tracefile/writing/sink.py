@@ -16,78 +16,28 @@ import threading
 import time
 from collections import deque
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from ..errors import OutputError, OutputExistsError
+from ..errors import OutputError
+from ..files import output_error
+from ..format.bag_metadata import METADATA_NAME, write_metadata
 from ..format.events import RUN_TOPIC, SESSION_TOPIC
 from ..format.ring import SLOT_BYTES, SLOT_STRUCT, STAGE_MARKS, Ring, ring_path
-from .background import run_in_background
-from .bag_metadata import METADATA_NAME, write_metadata
-from .writer import MAX_CHUNK_EVENTS, TraceWriter, output_error
+from ..threads import run_in_background
+from .destination import ClosedTrace, make_room
+from .writer import MAX_CHUNK_EVENTS, TraceWriter
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
-    from pathlib import Path
 
     from ..format.descriptions import Run, Session
     from ..format.json_values import Json
+    from .destination import TraceDestination
 
 
 BUSY_SWITCH_INTERVAL_S = 1e-4
 
 _pack_into = SLOT_STRUCT.pack_into
-
-
-@dataclass(frozen=True, slots=True)
-class TraceDestination:
-    """Where and how a trace is written.
-
-    Attributes:
-        path: a `.mcap` file; any other name is a rosbag2 folder NAME with NAME/NAME_0.mcap and its metadata.
-        force: overwrite what is there.
-        fsync: each chunk is on the disk, not only in the page cache, within `chunk_seconds`.
-        chunk_seconds: the longest that an event waits in the ring.
-        ring_slots: events that the ring holds (64 bytes each) before further ones are dropped.
-    """
-
-    path: Path
-    force: bool = False
-    fsync: bool = False
-    chunk_seconds: float = 1.0
-    ring_slots: int = 1 << 16
-
-    @property
-    def is_bag(self) -> bool:
-        """Whether a rosbag2 folder is written."""
-        return self.path.suffix != ".mcap"
-
-    @property
-    def trace_path(self) -> Path:
-        """The MCAP file itself."""
-        return self.path / f"{self.path.name}_0.mcap" if self.is_bag else self.path
-
-
-@dataclass(frozen=True, slots=True)
-class ClosedTrace:
-    """What a sink leaves behind.
-
-    Attributes:
-        path: the file or rosbag2 folder.
-        events: events in the file.
-        dropped_events: events that could not be kept.
-        bytes: length of the MCAP file.
-        error: why writing failed; None if everything is in a closed file.
-        ring_events: events that stayed in the ring beside the file because of `error`; a reader of the trace
-            uses them, `recover` joins both.
-    """
-
-    path: Path
-    events: int
-    dropped_events: int
-    bytes: int
-    error: OutputError | None
-    ring_events: int = 0
 
 
 class TraceSink:
@@ -117,7 +67,7 @@ class TraceSink:
         self._closed: ClosedTrace | None = None
         self._texts: deque[tuple[str, str, int]] = deque()  # topic, JSON, log time: not yet in the file
         trace = destination.trace_path
-        _make_room(destination)
+        make_room(destination)
         self._writer = TraceWriter(trace, session, fsync=destination.fsync)
         try:
             self._writer.write_text(SESSION_TOPIC, session.to_json(), session.wall_ns(clock_ns()))
@@ -327,22 +277,3 @@ def _quick_switches(*, only_if: bool) -> Iterator[None]:
         yield
     finally:
         sys.setswitchinterval(interval)
-
-
-def _make_room(destination: TraceDestination) -> None:
-    """Make the folder that the trace goes to; refuse, or with `force` remove, what is there already."""
-    trace = destination.trace_path
-    ours = (
-        [trace, ring_path(trace), trace.with_name(METADATA_NAME)]
-        if destination.is_bag
-        else [trace, ring_path(trace)]
-    )
-    found = [path for path in (destination.path, *ours) if path.exists()]
-    if found and not destination.force:
-        raise OutputExistsError(f"{found[0]} is there already; choose another name or use --force")
-    try:
-        for path in ours:
-            path.unlink(missing_ok=True)
-        trace.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as err:
-        raise output_error(destination.path, err) from err

@@ -6,7 +6,6 @@ import errno
 import os
 import struct
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,7 +25,8 @@ from mcap.records import (
 )
 
 from ..errors import OutputError
-from ..format.crc import crc32
+from ..files import output_error
+from ..format.bag_metadata import TopicCount
 from ..format.events import (
     EVENT_DEFINITION,
     EVENT_SCHEMA_NAME,
@@ -34,7 +34,7 @@ from ..format.events import (
     SESSION_TOPIC,
     Stage,
 )
-from ..format.framing import MAGIC
+from ..format.framing import MAGIC, crc32
 from ..format.string_cdr import STRING_DEFINITION, STRING_SCHEMA_NAME, encode_string
 from ..version import __version__
 from .event_chunks import Chunk, EventChunkBuilder, positions_by_channel
@@ -69,16 +69,6 @@ TEXT_TOPICS = (SESSION_TOPIC, RUN_TOPIC)
 _CHUNK_HEADER = struct.Struct("<BQQQQI")  # opcode, length, start, end, uncompressed size, CRC of that
 _INDEX_HEADER = struct.Struct("<BQHI")  # opcode, length, channel id, bytes of entries
 _COMPRESSION = b"\x04\x00\x00\x00zstd"
-
-
-@dataclass(frozen=True, slots=True)
-class TopicCount:
-    """A topic of the file: its type, that type's hash, and how many messages it has."""
-
-    topic: str
-    schema_name: str
-    type_hash: str
-    messages: int
 
 
 class TraceWriter:
@@ -298,24 +288,6 @@ class TraceWriter:
                 os.ftruncate(self._descriptor, self._end)
             raise output_error(self.path, err) from err
         self._end = end
-
-
-_ADVICE = {
-    errno.ENOSPC: "the disk is full; free space or record to another disk",
-    errno.EDQUOT: "the disk quota is used up; free space or record to another disk",
-    errno.EFBIG: "the file may not grow further; raise the file size limit (ulimit -f)",
-    errno.EROFS: "the file system is read-only; choose another --out",
-    errno.EACCES: "no permission to write here; choose another --out",
-    errno.EPERM: "no permission to write here; choose another --out",
-    errno.ENOENT: "the file or its folder was deleted or moved; record to a folder that stays",
-    errno.ENOTDIR: "a part of the path is no folder; choose another --out",
-}
-
-
-def output_error(path: Path, err: OSError) -> OutputError:
-    """What a failed write means for the user, from the system's error number."""
-    advice = _ADVICE.get(err.errno or 0, f"{err.strerror}; check the disk")
-    return OutputError(f"{path}: cannot write the trace: {advice}")
 
 
 def _declarations(channels: Sequence[Channel]) -> bytes:

@@ -178,7 +178,7 @@ def test_metadata_that_cannot_be_written(tmp_path):
 
 
 def test_every_error_number_says_what_to_do(tmp_path):
-    from dds_trace.tracefile.writing.writer import output_error
+    from dds_trace.tracefile.files import output_error
 
     text = str(output_error(tmp_path, OSError(errno.EIO, "Input/output error")))
     assert str(tmp_path) in text

@@ -1,9 +1,11 @@
-"""Jobs on all cores with results in order: the thread that waits for the next result does other jobs meanwhile."""
+"""Threads: jobs on all cores with results in order, and work in the background that must not delay a time stamp."""
 
 from __future__ import annotations
 
+import os
 from collections import deque
 from concurrent.futures import Future
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, TypeVar
 
@@ -16,6 +18,8 @@ T = TypeVar("T")
 
 @dataclass(slots=True)
 class _Begun(Generic[T]):
+    """A job that was handed to the pool."""
+
     size: int
     job: Callable[[], T]
     result: Future[T]
@@ -66,3 +70,13 @@ def _next_result(begun: deque[_Begun[T]], *, helping: bool) -> T:
     while helping and not begun[0].result.done() and any(one.done_here() for one in begun):
         pass
     return begun.popleft().result.result()
+
+
+def run_in_background() -> None:
+    """Put the calling thread back under the ordinary scheduler.
+
+    A thread inherits SCHED_FIFO from the one that starts it (`dds-record --realtime`). Never raises: without the
+    right to change the scheduler there was no real-time priority to inherit, nor is there one outside of Linux.
+    """
+    with suppress(OSError, AttributeError):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

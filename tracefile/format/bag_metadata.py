@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ..files import replacing
@@ -11,11 +12,29 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from .writer import TopicCount
 
 METADATA_NAME = "metadata.yaml"
+"""Name of the file that makes a folder a bag."""
+
 BAG_VERSION = 9
-"""ROS 2 Jazzy's. Version 7 brought type hashes, 8 the distribution, 9 QoS profiles as YAML, not as text."""
+"""Version that ROS 2 Jazzy writes. Version 7 brought type hashes, 8 the distribution, 9 QoS profiles as YAML, not as text."""
+
+
+@dataclass(frozen=True, slots=True)
+class TopicCount:
+    """A topic of a bag.
+
+    Attributes:
+        topic: its name.
+        schema_name: the type of its messages.
+        type_hash: the type's hash (REP 2016).
+        messages: number of its messages.
+    """
+
+    topic: str
+    schema_name: str
+    type_hash: str
+    messages: int
 
 
 def write_metadata(trace: Path, topics: Sequence[TopicCount], time_range_ns: tuple[int, int]) -> None:

@@ -8,7 +8,7 @@ from functools import partial
 
 import pytest
 
-from dds_trace.tracefile.in_order import in_order
+from dds_trace.tracefile.threads import in_order
 
 
 def results(jobs, threads=2, most_jobs=4, most_size=100):

@@ -1,0 +1,91 @@
+"""Where a recording goes and what it leaves behind."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from ..errors import OutputExistsError
+from ..files import output_error
+from ..format.bag_metadata import METADATA_NAME
+from ..format.ring import ring_path
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from ..errors import OutputError
+
+
+@dataclass(frozen=True, slots=True)
+class TraceDestination:
+    """Destination of a trace, and how it is written.
+
+    Attributes:
+        path: a `.mcap` file; any other name is a rosbag2 folder NAME with NAME/NAME_0.mcap and its metadata.
+        force: whether existing files are overwritten.
+        fsync: whether each chunk is on the disk, not only in the page cache, within `chunk_seconds`.
+        chunk_seconds: the longest time that an event waits in the ring.
+        ring_slots: number of events (64 bytes each) that the ring holds before further ones are dropped.
+    """
+
+    path: Path
+    force: bool = False
+    fsync: bool = False
+    chunk_seconds: float = 1.0
+    ring_slots: int = 1 << 16
+
+    @property
+    def is_bag(self) -> bool:
+        """Whether a rosbag2 folder is written."""
+        return self.path.suffix != ".mcap"
+
+    @property
+    def trace_path(self) -> Path:
+        """The MCAP file."""
+        return self.path / f"{self.path.name}_0.mcap" if self.is_bag else self.path
+
+
+@dataclass(frozen=True, slots=True)
+class ClosedTrace:
+    """Result of a recording.
+
+    Attributes:
+        path: the file or rosbag2 folder.
+        events: number of events in the file.
+        dropped_events: number of events that could not be kept.
+        bytes: length of the MCAP file.
+        error: the reason why writing failed; None if everything is in a closed file.
+        ring_events: number of events that stayed in the ring beside the file because of `error`; a reader of the
+            trace uses them, `recover` joins both.
+    """
+
+    path: Path
+    events: int
+    dropped_events: int
+    bytes: int
+    error: OutputError | None
+    ring_events: int = 0
+
+
+def make_room(destination: TraceDestination) -> None:
+    """Make the folder of the trace; refuse existing files of the same names, or with `force` remove them.
+
+    Raises:
+        OutputExistsError: a file is there already, and `force` was not given.
+        OutputError: the folder cannot be made, or a file cannot be removed.
+    """
+    trace = destination.trace_path
+    ours = (
+        [trace, ring_path(trace), trace.with_name(METADATA_NAME)]
+        if destination.is_bag
+        else [trace, ring_path(trace)]
+    )
+    existing = [path for path in (destination.path, *ours) if path.exists()]
+    if existing and not destination.force:
+        raise OutputExistsError(f"{existing[0]} is there already; choose another name or use --force")
+    try:
+        for path in ours:
+            path.unlink(missing_ok=True)
+        trace.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as err:
+        raise output_error(destination.path, err) from err

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from .exports.foxglove import write_derived
     from .exports.tables import EXPORTERS, export_tables
     from .model.finding import Finding, Severity
+    from .model.names import group_words
     from .model.source import Source
     from .pipeline import analyze, default_output
     from .recordings.topics import TopicReport, analyze_topics
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
         Gate,
         GateOutcome,
         GateResult,
-        group_words,
         judge_gates,
         options_for,
         overall_outcome,

@@ -8,10 +8,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET  # written, never parsed
 
+from dds_trace.analyzer.model.names import group_words
 from dds_trace.analyzer.verdicts.gates import (
     Against,
     GateOutcome,
-    group_words,
     overall_outcome,
     varying_columns,
 )

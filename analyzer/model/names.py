@@ -1,53 +1,116 @@
-"""What groups are called in findings: what was sent, then no more of the settings than tells them apart."""
+"""Names that tell things apart: of groups, contenders and series, each with no more words than it takes.
+
+A name is a base and, behind it, the words of some parts. The rule of a part says which names get its word.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, TypeVar
 
-from .parameters import PARAMETER_NAMES
+from .parameters import CELL_COLUMNS, SERIES_COLUMNS
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
     import polars as pl
 
-_SENT = ("data_type", "payload_bytes", "rate_hz")
-"""Every name starts with these."""
+    from .parameters import ParameterValue
 
-_WANTED = ("vendor", "bridge")
-"""What a reader looks for first: named wherever it varies, whatever else would tell the groups apart."""
+Item = TypeVar("Item")
+
+Rule = Callable[[Sequence[str], Sequence[str]], "Iterable[int]"]
+"""Positions of the names that get a word, from the names so far and the words of a part."""
+
+
+def where_it_varies(names: Sequence[str], words: Sequence[str]) -> Iterable[int]:
+    """Choose all names if the words differ anywhere: what readers look for first."""
+    return range(len(names)) if len(set(words)) > 1 else ()
+
+
+def where_it_helps(names: Sequence[str], words: Sequence[str]) -> Iterable[int]:
+    """Choose all names if the words make more of them different; a part that only follows others is left out."""
+    return range(len(names)) if len(set(zip(names, words, strict=True))) > len(set(names)) else ()
+
+
+def where_alike(names: Sequence[str], words: Sequence[str]) -> Iterable[int]:
+    """Choose the names that are equal so far and whose words differ."""
+    of_name: dict[str, set[str]] = defaultdict(set)
+    for name, word in zip(names, words, strict=True):
+        of_name[name].add(word)
+    return [position for position, name in enumerate(names) if len(of_name[name]) > 1]
+
+
+def tell_apart(
+    items: Sequence[Item],
+    base: Callable[[Item], str],
+    parts: Iterable[tuple[Rule, Callable[[Item], str]]],
+) -> list[str]:
+    """Name items.
+
+    Args:
+        items: what is named.
+        base: the beginning of an item's name.
+        parts: rule and word of each further part, in the order of the name.
+    """
+    names = [base(item) for item in items]
+    for rule, word in parts:
+        words = [word(item) for item in items]
+        for position in rule(tuple(names), words):
+            names[position] += f", {words[position]}"
+    return names
+
+
+_FIRST = ("vendor", "bridge")
+"""What a reader looks for first in the name of a group."""
 
 _PLAIN = frozenset({"vendor", "backend", "reliability", "durability", "connectivity"})
-"""Parameters whose values speak for themselves."""
+"""Parameters whose values are named without the parameter."""
 
 
 def name_groups(parameters: pl.DataFrame) -> list[str]:
-    """The name of each group, as in `binary 33000 B at 10 Hz, fastdds, bridge builtin`.
+    """Name each group, as in `binary 33000 B at 10 Hz, fastdds, bridge builtin`.
 
     Settings that are the same everywhere are left out, and so are those that only follow others: the domains' numbers
     follow the bridge, the RMW its vendor.
 
     Args:
-        parameters: a row per group, the columns of `columns.PARAMETER_COLUMNS`.
+        parameters: a row per group, the columns of `PARAMETER_COLUMNS`.
     """
-    named = [name for name in _WANTED if parameters[name].n_unique() > 1]
-    others = [name for name in PARAMETER_NAMES if name not in (*_SENT, *_WANTED)]
-    for name in ("domain_mode", *others):
-        if _distinct(parameters, [*named, name]) > _distinct(parameters, named):
-            named.append(name)
-    return [_name(row, named) for row in parameters.iter_rows(named=True)]
+    groups = parameters.to_dicts()
+    others = dict.fromkeys(("domain_mode", *SERIES_COLUMNS))
+    parts = [
+        *((where_it_varies, partial(_word, name)) for name in _FIRST),
+        *((where_it_helps, partial(_word, name)) for name in others if name not in _FIRST),
+    ]
+    # Sizes and rates are no help: of two groups that differ in these the settings are told all the same.
+    settings = tell_apart(groups, lambda _: "", parts)
+    return [f"{_sent(group)}{setting}" for group, setting in zip(groups, settings, strict=True)]
 
 
-def _distinct(parameters: pl.DataFrame, names: list[str]) -> int:
-    return parameters.select(names).n_unique() if names else 1
+def _sent(group: Mapping[str, ParameterValue]) -> str:
+    data_type, payload_bytes, rate_hz = (group[name] for name in CELL_COLUMNS)
+    return f"{data_type} {payload_bytes} B at {rate_hz:g} Hz"
 
 
-def _name(row: dict[str, Any], named: list[str]) -> str:
-    sent = f"{row['data_type']} {row['payload_bytes']} B at {row['rate_hz']:g} Hz"
-    return ", ".join([sent, *(_word(name, row[name]) for name in named)])
-
-
-def _word(name: str, value: object) -> str:
+def _word(name: str, group: Mapping[str, ParameterValue]) -> str:
+    value = group[name]
     if name == "domain_mode":
         return f"{value} domain"
     if name == "bridge" and value == "none":
         return "no bridge"
     return str(value) if name in _PLAIN else f"{name} {value}"
+
+
+def varying_parameters(groups: pl.DataFrame, columns: Iterable[str]) -> list[str]:
+    """Return the columns in which groups differ, and always those of vendor, bridge and message."""
+    always = {*_FIRST, *CELL_COLUMNS}
+    return [name for name in columns if name in always or groups[name].n_unique() > 1]
+
+
+def group_words(group: Mapping[str, ParameterValue], columns: Iterable[str]) -> str:
+    """Write columns of a group as `vendor=fastdds payload_bytes=33000 ...`."""
+    values = ((name, group[name]) for name in columns)
+    return " ".join(f"{n}={v:g}" if isinstance(v, float) else f"{n}={v}" for n, v in values)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
+from ..model.names import tell_apart, where_alike, where_it_varies
 from ..model.parameters import CONTENDER_COLUMNS
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
     import polars as pl
 
@@ -45,8 +47,8 @@ class Contender:
 
 _TOLD_LAST: Mapping[str, tuple[str, str]] = {
     "rmw": ("{}", "no rmw"),
-    "relay_backend": ("relay by {}", "relay unknown"),
     "relay_vendor": ("relay {}", "relay unknown"),
+    "relay_backend": ("relay by {}", "relay unknown"),
 }
 """Column -> (text of a value, text of a null); named only if nothing else separates two contenders."""
 
@@ -57,32 +59,26 @@ def contender_names(parameters: pl.DataFrame) -> ContenderNames:
     Args:
         parameters: has `CONTENDER_COLUMNS`; any number of rows of each setting.
     """
-    settings = [
-        dict(zip(CONTENDER_COLUMNS, row, strict=True))
-        for row in parameters.select(CONTENDER_COLUMNS).unique(maintain_order=True).iter_rows()
-    ]
-    varying = _varying(settings)
-    short = [_short_name(setting, varying) for setting in settings]
-    names = {}
-    for setting, name in zip(settings, short, strict=True):
-        alike = [other for other, of_other in zip(settings, short, strict=True) if of_other == name]
-        apart = []
-        for column in _varying(alike):
-            known, unknown = _TOLD_LAST.get(column, (f"{column} {{}}", f"no {column}"))
-            apart.append(unknown if setting[column] is None else known.format(setting[column]))
-        names[tuple(setting.values())] = ", ".join(dict.fromkeys([name, *apart]))
-    return names
+    settings = parameters.select(CONTENDER_COLUMNS).unique(maintain_order=True).to_dicts()
+    told = {"vendor", "bridge", *_TOLD_LAST}
+    parts = [(where_it_varies, partial(_word, name)) for name in CONTENDER_COLUMNS if name not in told]
+    short = tell_apart(settings, _pair, parts)
+    words_of = [[name] for name in short]
+    for column in _TOLD_LAST:  # of settings that are alike by their short names every difference is told
+        words = [_word(column, setting) for setting in settings]
+        for position in where_alike(short, words):
+            words_of[position].append(words[position])
+    names = (", ".join(dict.fromkeys(words)) for words in words_of)
+    return {tuple(setting.values()): name for setting, name in zip(settings, names, strict=True)}
 
 
-def _varying(settings: Sequence[Setting]) -> list[str]:
-    return [column for column in CONTENDER_COLUMNS if len({setting[column] for setting in settings}) > 1]
-
-
-def _short_name(setting: Setting, varying: Sequence[str]) -> str:
+def _pair(setting: Setting) -> str:
     name = str(setting["vendor"])
     if setting["relay_vendor"] not in {None, setting["vendor"]}:
         name += f" to {setting['relay_vendor']}"
-    if setting["bridge"] != "none":
-        name += f" via {setting['bridge']}"
-    told = {"vendor", "bridge", *_TOLD_LAST}
-    return ", ".join([name, *(f"{column} {setting[column]}" for column in varying if column not in told)])
+    return name if setting["bridge"] == "none" else f"{name} via {setting['bridge']}"
+
+
+def _word(column: str, setting: Setting) -> str:
+    known, unknown = _TOLD_LAST.get(column, (f"{column} {{}}", f"{column} None"))
+    return unknown if setting[column] is None else known.format(setting[column])

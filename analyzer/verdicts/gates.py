@@ -27,14 +27,14 @@ from dds_trace.tracefile.units.durations import UNIT_NS
 from dds_trace.tracefile.units.quantities import split_quantity
 
 from ..model.metrics import METRICS
+from ..model.names import group_words, varying_parameters
 from .compare import COMPARED_STATISTICS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     import polars as pl
 
-    from ..model.parameters import ParameterValue
     from .compare import CompareOptions, Comparison
 
 RECEIVED_RATIO = "received_ratio"
@@ -207,16 +207,7 @@ def overall_outcome(results: Sequence[GateResult]) -> GateOutcome:
 
 def varying_columns(comparison: Comparison) -> list[str]:
     """Return the match columns that differ between the compared groups, and always those of vendor, bridge and message."""
-    always = {"vendor", "bridge", "data_type", "payload_bytes", "rate_hz"}
-    groups = comparison.delivery
-    return [n for n in comparison.options.match if n in always or groups[n].n_unique() > 1]
-
-
-def group_words(row: Mapping[str, ParameterValue], names: Sequence[str]) -> str:
-    """Describe a group in words: `vendor=fastdds payload_bytes=33000 ...`."""
-    return " ".join(
-        f"{name}={row[name]:g}" if isinstance(row[name], float) else f"{name}={row[name]}" for name in names
-    )
+    return varying_parameters(comparison.delivery, comparison.options.match)
 
 
 def _judge_time(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator[GateResult]:

@@ -10,15 +10,17 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.analyzer.model.metrics import METRICS
+from dds_trace.analyzer.model.names import tell_apart, where_it_helps, where_it_varies
 from dds_trace.analyzer.model.parameters import SERIES_COLUMNS
 from dds_trace.tracefile.units.rates import format_rate
 from dds_trace.tracefile.units.sizes import format_size
 from dds_trace.tracefile.visible import visible
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping
 
     from dds_trace.analyzer.analysis import Analysis
+    from dds_trace.analyzer.model.names import Rule
 
 METRIC_LABELS = {name: METRICS[name].label for name in ("latency", *METRICS)}
 """Metric -> label, in the order of the page's menu: the latency first."""
@@ -140,7 +142,7 @@ def groups_info(analysis: Analysis) -> Groups:
         Group(i, series_index[series_rows[i]], cell_index[cell_rows[i]], row["published"], row["received"])
         for i, row in enumerate(rows)
     )
-    return Groups(groups, series, cells, _series_labels(series))
+    return Groups(groups, series, cells, tuple(tell_apart(series, vendor_pair_label, _LABEL_PARTS)))
 
 
 def _series(row: Mapping[str, Any]) -> Series:
@@ -216,37 +218,20 @@ def _backend_label(series: Series) -> str:
     return f"{visible(series.backend)} → {visible(series.relay_backend)}"
 
 
-# Parts of a series label behind the vendor; a part is named only if the series differ in it.
-_LABEL_PARTS: tuple[Callable[[Series], str], ...] = (
-    domain_label,
-    _backend_label,
-    lambda s: visible(s.reliability),
-    lambda s: visible(s.durability),
-    _history_label,
-    lambda s: visible(s.serialization),
-    device_label,
-    lambda s: visible(s.connectivity),
-    lambda s: f"domains {s.ping_domain_id} → {s.relay_domain_id}",
-    lambda s: visible(s.rmw or "no rmw"),
-    lambda s: visible(", ".join(s.further)),
+_LABEL_PARTS: tuple[tuple[Rule, Callable[[Series], str]], ...] = (
+    (where_it_varies, domain_label),  # readers look for it first
+    (where_it_helps, _backend_label),
+    (where_it_helps, lambda s: visible(s.reliability)),
+    (where_it_helps, lambda s: visible(s.durability)),
+    (where_it_helps, _history_label),
+    (where_it_helps, lambda s: visible(s.serialization)),
+    (where_it_helps, device_label),
+    (where_it_helps, lambda s: visible(s.connectivity)),
+    (where_it_helps, lambda s: f"domains {s.ping_domain_id} → {s.relay_domain_id}"),
+    (where_it_helps, lambda s: visible(s.rmw or "no rmw")),
+    (where_it_helps, lambda s: visible(", ".join(s.further))),
 )
-
-
-def _series_labels(series: Sequence[Series]) -> tuple[str, ...]:
-    """Build the shortest labels that differ between all series: the vendor, then parts as long as labels are equal.
-
-    A domain that varies is always named, because readers look for it first.
-    """
-    labels = [vendor_pair_label(one) for one in series]
-    for part in _LABEL_PARTS:
-        words = [part(one) for one in series]
-        if part is domain_label:
-            needed = len(set(words)) > 1
-        else:
-            needed = len(set(zip(labels, words, strict=True))) > len(set(labels))
-        if needed:
-            labels = [f"{label}, {word}" for label, word in zip(labels, words, strict=True)]
-    return tuple(labels)
+"""Parts of a series label behind the vendor."""
 
 
 def known_first(values: Iterable[str], known: Iterable[str]) -> list[str]:

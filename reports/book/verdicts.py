@@ -5,11 +5,12 @@ The analyzer has judged which intervals overlap; nothing is judged here.
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING
 
 from dds_trace.analyzer import find_headlines
+from dds_trace.analyzer.model.names import tell_apart, where_alike
 from dds_trace.tracefile.units.counts import counted
 from dds_trace.tracefile.visible import visible
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from dds_trace.analyzer import CaseAnswer, Headline
+    from dds_trace.analyzer.model.parameters import ParameterValue
 
 CLEARLY = (
     "A cell is one data type, size and rate. One is called clearly fastest only where the 95 % confidence interval of its p99 "
@@ -116,17 +118,8 @@ def contender_labels(answers: Sequence[CaseAnswer]) -> dict[str, str]:
         Name in the answers -> label.
     """
     settings = {one.name: one.setting for answer in answers for one in answer.contenders}
-    labels = {name: _label(setting) for name, setting in settings.items()}
-    for column in _FURTHER:
-        twice = {label for label, count in Counter(labels.values()).items() if count > 1}
-        differing = {
-            label for label in twice if len({settings[n][column] for n in labels if labels[n] == label}) > 1
-        }
-        labels = {
-            name: f"{label}, {_value(settings[name], column)}" if label in differing else label
-            for name, label in labels.items()
-        }
-    return labels
+    parts = [(where_alike, partial(_value, column)) for column in _FURTHER]
+    return dict(zip(settings, tell_apart(list(settings.values()), _label, parts), strict=True))
 
 
 def cells_label(count: int) -> str:
@@ -134,12 +127,13 @@ def cells_label(count: int) -> str:
     return counted(count, "cell")
 
 
-def _label(setting: Mapping[str, Any]) -> str:
-    pair = pair_label(setting["vendor"], setting["relay_vendor"])
+def _label(setting: Mapping[str, ParameterValue]) -> str:
+    relay_vendor = setting["relay_vendor"]
+    pair = pair_label(str(setting["vendor"]), None if relay_vendor is None else str(relay_vendor))
     return pair if setting["bridge"] == "none" else f"{pair} via {visible(setting['bridge'])}"
 
 
-def _value(setting: Mapping[str, Any], column: str) -> str:
+def _value(column: str, setting: Mapping[str, ParameterValue]) -> str:
     value = setting[column]
     return visible(f"depth {value}" if column == "depth" else value)
 

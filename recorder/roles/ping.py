@@ -238,11 +238,6 @@ class Ping(Generic[SentT, ReceivedT]):
         lost = max(expected - received, 0)
         return PingProgress(self.plan.total, self._published, received, lost, p50_ns, p99_ns)
 
-    @property
-    def relay_ids(self) -> tuple[int, ...]:
-        """Relays that have answered a message of the run."""
-        return self._replies.relay_ids
-
 
 def _discard(*_event: int) -> None:
     """Drop an event: before the run there is no trace, and no message of the run either."""

@@ -72,8 +72,3 @@ class Replies:
     def percentiles_ns(self) -> tuple[int | None, int | None]:
         """Return p50 and p99 of the round trips so far, in ns; None before the first reply."""
         return rtt_percentiles_ns(self._rtt_ns)
-
-    @property
-    def relay_ids(self) -> tuple[int, ...]:
-        """Relays that have answered a message of the run."""
-        return tuple(self._counts)

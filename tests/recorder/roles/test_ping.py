@@ -147,7 +147,6 @@ def test_two_relays_answer_each_for_itself():
     link = Link(plan(messages=3), relays=(1, 2))
     link.run()
     assert sorted(event[-1] for event in link.sink.of_stage(2)) == [1, 1, 1, 2, 2, 2]
-    assert link.ping.relay_ids == (1, 2)
     assert link.ping.progress().received == 3
 
 

@@ -5,18 +5,9 @@ from typing import TYPE_CHECKING
 from dds_trace.lazy import contents_page
 
 if TYPE_CHECKING:
-    from .base import (
-        BRIDGED_TOPICS,
-        Bridge,
-        BridgedTopic,
-        BridgeOptions,
-        Half,
-        Halves,
-        bridged_topic,
-        split_halves,
-    )
+    from .base import BRIDGE_MODULES, Bridge, Halves, load_bridge, split_halves
+    from .options import BRIDGED_TOPICS, BridgedTopic, BridgeOptions, Half, bridged_topic
     from .process.running import BridgeState, RunningBridge, find_program, open_bridge
-    from .registry import BRIDGE_MODULES, load_bridge
 else:
     __getattr__, __dir__ = contents_page(__name__)
 

@@ -1,4 +1,4 @@
-"""The bridge that a ping asks for: started around its recording, for the topics of its data."""
+"""The bridge of a ping's options: started around its recording, for the topics of its data."""
 
 from __future__ import annotations
 
@@ -15,10 +15,13 @@ if TYPE_CHECKING:
 def open_asked_bridge(
     options: RecordOptions, asked: PingOptions, data_type: DataType, stack: ExitStack
 ) -> RunningBridge | None:
-    """The bridge, which ends with `stack`; None if none is asked for or it runs already.
+    """Open the bridge that the ping's options name; it ends with `stack`.
+
+    Returns:
+        The bridge, or None if the options name none or say that it runs already.
 
     Raises:
-        OptionError: there is no such bridge, or it cannot do what is asked.
+        OptionError: there is no such bridge, or it does not support the options.
         BackendUnavailableError: its program is not on this machine.
         BridgeError: it did not come up.
     """

@@ -29,7 +29,7 @@ from .builtin_common import (
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from .base import BridgeOptions
+    from .options import BridgeOptions
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,25 +43,25 @@ class BuiltinBridge:
     up_pattern: str | None = f"^{UP_LINE}"
 
     def configuration(self, options: BridgeOptions) -> str:
-        """The options as JSON; the program needs nothing else."""
+        """Return the options as JSON; the program needs nothing else."""
         return options_to_json(options)
 
     def find(self) -> Path | None:
-        """This Python, if it has rclpy."""
+        """Return this Python if it has rclpy."""
         return Path(sys.executable) if find_spec("rclpy") else None
 
     def version(self, program: Path) -> str:
-        """Ours."""
+        """Return our version."""
         del program
         return __version__
 
     def command(self, program: Path, configuration: Path, options: BridgeOptions) -> Sequence[str]:
-        """This module."""
+        """Return the command that runs this module."""
         del options
         return (str(program), "-m", __name__, str(configuration))
 
     def environment(self, program: Path, options: BridgeOptions) -> Mapping[str, str]:
-        """Nothing; the nodes set their discovery range themselves."""
+        """Return no variables: the nodes set their discovery range themselves."""
         del program, options
         return {}
 
@@ -70,7 +70,7 @@ BRIDGE = BuiltinBridge()
 
 
 def main(configuration: Path) -> None:
-    """Serve what the file `configuration` says."""
+    """Serve the two domains that the file `configuration` names."""
     options = options_from_json(configuration)
     sides = options.sides()
     with ExitStack() as stack:

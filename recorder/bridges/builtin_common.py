@@ -1,4 +1,4 @@
-"""What our own two bridge programs share: their configuration file, their ROS 2 nodes, how they serve."""
+"""The parts that our own two bridge programs share: configuration file, ROS 2 nodes, and serving until a signal."""
 
 from __future__ import annotations
 
@@ -16,21 +16,23 @@ from ..backends import open_node
 from ..backends.node import NodeOptions
 from ..choices import Discovery, Transport
 from ..host.steady import collect_young, steady_interpreter
-from .base import BridgedTopic, BridgeOptions, Half
+from .options import BridgedTopic, BridgeOptions, Half
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from ..backends.node import Node, RawMessage, Receive
-    from .base import BridgeSide
+    from .options import BridgeSide
 
 INSTALL_ROS2 = "it needs ROS 2's rclpy: pip install 'dds-trace[ros2]', or source /opt/ros/DISTRO/setup.bash"
 UP_LINE = "bridging"
+"""First word of the line that says the program serves."""
+
 LOOK_S = 0.5
 
 
 def options_to_json(options: BridgeOptions) -> str:
-    """The part of `options` that our own bridge programs read, as indented JSON."""
+    """Return the part of `options` that our own bridge programs read, as indented JSON."""
     return (
         json.dumps(
             {
@@ -52,36 +54,37 @@ def options_to_json(options: BridgeOptions) -> str:
 
 
 def options_from_json(path: Path) -> BridgeOptions:
-    """The options that `options_to_json` wrote to `path`.
+    """Return the options that `options_to_json` wrote to `path`.
 
     Raises:
         TraceFormatError: the file holds something else.
     """
     try:
-        found: dict[str, Any] = json.loads(path.read_text())
+        values = json.loads(path.read_text())
         return BridgeOptions(
-            ping_domain_id=found["ping_domain_id"],
-            relay_domain_id=found["relay_domain_id"],
-            topics=tuple(BridgedTopic(name, type_name) for name, type_name in found["topics"].items()),
-            qos=_qos_from_dict(found["qos"]),
-            discovery=Discovery(found["discovery"]),
-            transport=Transport(found["transport"]),
-            tuned=found["tuned"],
-            half=Half(found["half"]),
-            listen=found["listen"],
-            peers=tuple(found["peers"]),
+            ping_domain_id=values["ping_domain_id"],
+            relay_domain_id=values["relay_domain_id"],
+            topics=tuple(BridgedTopic(name, type_name) for name, type_name in values["topics"].items()),
+            qos=_qos_from_dict(values["qos"]),
+            discovery=Discovery(values["discovery"]),
+            transport=Transport(values["transport"]),
+            tuned=values["tuned"],
+            half=Half(values["half"]),
+            listen=values["listen"],
+            peers=tuple(values["peers"]),
         )
     except (OSError, ValueError, KeyError, TypeError) as err:
         raise TraceFormatError(path, f"is no configuration of a bridge of ours ({err})") from err
 
 
-def _qos_from_dict(found: dict[str, Any]) -> Qos:
-    named = {name: found.pop(name) for name in ("reliability", "durability", "history", "depth")}
-    return Qos(**named, extra=found)
+def _qos_from_dict(values: Mapping[str, Any]) -> Qos:
+    named = ("reliability", "durability", "history", "depth")
+    extra = {name: value for name, value in values.items() if name not in named}
+    return Qos(**{name: values[name] for name in named}, extra=extra)
 
 
 def open_side(side: BridgeSide, options: BridgeOptions) -> Node:
-    """A ROS 2 node in the domain of `side`, not started yet."""
+    """Open a ROS 2 node in the domain of `side`, without starting it."""
     return open_node(
         "ros2",
         NodeOptions(
@@ -96,13 +99,13 @@ def open_side(side: BridgeSide, options: BridgeOptions) -> Node:
 
 
 class Traffic:
-    """The messages that a bridge hands on, counted route by route, as each route may have a thread of its own."""
+    """The messages that a bridge forwards, counted per route, as each route may have a thread of its own."""
 
     def __init__(self) -> None:
         self._counts: list[list[int]] = []
 
     def forward(self, hand_on: Callable[[bytes], None]) -> Receive[RawMessage]:
-        """A callback that hands each serialized message on as it is."""
+        """Return a callback that forwards each serialized message as it is."""
         count = [0]
         self._counts.append(count)
 
@@ -115,15 +118,15 @@ class Traffic:
 
     @property
     def messages(self) -> int:
-        """How many were handed on so far."""
+        """Number of messages forwarded so far."""
         return sum(count[0] for count in self._counts)
 
 
 def serve(nodes: Sequence[Node], traffic: Traffic, what: str) -> None:
-    """Start the nodes, say so, wait for SIGINT or SIGTERM, and say how many messages went through.
+    """Start the nodes, print `UP_LINE`, wait for SIGINT or SIGTERM, and print the number of forwarded messages.
 
     Raises:
-        BaseException: whatever ended a node's thread.
+        BaseException: the exception that ended a node's thread.
     """
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):

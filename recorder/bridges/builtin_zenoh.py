@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from ..backends.node import RawMessage, Receive
-    from .base import BridgeOptions
+    from .options import BridgeOptions
 
 KEY_PREFIX = "dds_trace/bridge"
 """A topic travels between the halves as the zenoh key `dds_trace/bridge/TOPIC`."""
@@ -51,25 +51,25 @@ class BuiltinZenohBridge:
     up_pattern: str | None = f"^{UP_LINE}"
 
     def configuration(self, options: BridgeOptions) -> str:
-        """The options as JSON; the program needs nothing else."""
+        """Return the options as JSON; the program needs nothing else."""
         return options_to_json(options)
 
     def find(self) -> Path | None:
-        """This Python, if it has rclpy and zenoh."""
+        """Return this Python if it has rclpy and zenoh."""
         return Path(sys.executable) if find_spec("rclpy") and find_spec("zenoh") else None
 
     def version(self, program: Path) -> str:
-        """Ours and zenoh's."""
+        """Return our version and zenoh's."""
         del program
         return f"{__version__} (eclipse-zenoh {metadata.version('eclipse-zenoh')})"
 
     def command(self, program: Path, configuration: Path, options: BridgeOptions) -> Sequence[str]:
-        """This module."""
+        """Return the command that runs this module."""
         del options
         return (str(program), "-m", __name__, str(configuration))
 
     def environment(self, program: Path, options: BridgeOptions) -> Mapping[str, str]:
-        """Nothing; the node sets its discovery range itself."""
+        """Return no variables: the node sets its discovery range itself."""
         del program, options
         return {}
 
@@ -78,7 +78,7 @@ BRIDGE = BuiltinZenohBridge()
 
 
 def main(configuration: Path) -> None:
-    """Serve the half that the file `configuration` says."""
+    """Serve the half that the file `configuration` names."""
     zenoh: Any = importlib.import_module("zenoh")
     zenoh.init_log_from_env_or("error")
     options = options_from_json(configuration)

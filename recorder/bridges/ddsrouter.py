@@ -6,13 +6,14 @@ import ipaddress
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import OptionError
 
 from ..backends.qos import asked_durations
 from ..choices import Discovery
-from .base import Half, Halves, split_address
+from .base import Halves
+from .options import Half, split_address
 from .process.programs import reported_version
 from .texts import yaml_text
 
@@ -21,11 +22,11 @@ if TYPE_CHECKING:
 
     from dds_trace.tracefile import Qos
 
-    from .base import BridgeOptions
+    from .options import BridgeOptions
 
 PROGRAM = "ddsrouter"
 CONFIGURATION_VERSION = "v5.0"
-"""The format of DDS Router 3; version 2, which read v4.0, has reached its end of life."""
+"""Configuration format of DDS Router 3; version 2, which read v4.0, has reached its end of life."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,11 +40,11 @@ class DdsRouter:
     up_pattern: str | None = "DDS Router running"
 
     def configuration(self, options: BridgeOptions) -> str:
-        """YAML: the allowed topics with their quality of service, a participant for each domain, and the link."""
+        """Return YAML: the allowed topics with their quality of service, a participant for each domain, and the link."""
         sides = options.sides()
         names = [name for topic in options.topics for name in (topic.name, topic.reply_name)]
         topics = [
-            {"name": f"rt/{name}", "type": _dds_type(options, name), "qos": _qos(options.qos)}
+            {"name": f"rt/{name}", "type": options.topic_of(name).dds_type_name, "qos": _qos(options.qos)}
             for name in names
         ]
         participants = [_local_participant(side.domain_id, options) for side in sides]
@@ -59,21 +60,21 @@ class DdsRouter:
         )
 
     def find(self) -> Path | None:
-        """On the PATH."""
-        found = shutil.which(PROGRAM)
-        return Path(found) if found else None
+        """Return the program on the PATH."""
+        path = shutil.which(PROGRAM)
+        return Path(path) if path else None
 
     def version(self, program: Path) -> str:
-        """As `--version` says it."""
+        """Return the line of `--version`."""
         return reported_version(program, "--version")
 
     def command(self, program: Path, configuration: Path, options: BridgeOptions) -> Sequence[str]:
-        """The program with its file."""
+        """Return the program with its file."""
         del options
         return (str(program), "--config-path", str(configuration))
 
     def environment(self, program: Path, options: BridgeOptions) -> Mapping[str, str]:
-        """Nothing; it is no ROS 2 program."""
+        """Return no variables: it is no ROS 2 program."""
         del program, options
         return {}
 
@@ -81,11 +82,7 @@ class DdsRouter:
 BRIDGE = DdsRouter()
 
 
-def _dds_type(options: BridgeOptions, name: str) -> str:
-    return next(topic.dds_type_name for topic in options.topics if name in (topic.name, topic.reply_name))
-
-
-def _qos(qos: Qos) -> dict[str, Any]:
+def _qos(qos: Qos) -> dict[str, object]:
     for policy in asked_durations(qos):
         raise OptionError(
             f"--{policy}: the topics of {PROGRAM} know none, so it would not match; leave it out or take another bridge"
@@ -97,15 +94,15 @@ def _qos(qos: Qos) -> dict[str, Any]:
     }
 
 
-def _local_participant(domain_id: int, options: BridgeOptions) -> dict[str, Any]:
-    local: dict[str, Any] = {"name": f"domain_{domain_id}", "kind": "local", "domain": domain_id}
+def _local_participant(domain_id: int, options: BridgeOptions) -> dict[str, object]:
+    local: dict[str, object] = {"name": f"domain_{domain_id}", "kind": "local", "domain": domain_id}
     if options.discovery is Discovery.LOCALHOST:
         local["whitelist-interfaces"] = ["127.0.0.1"]
     return local
 
 
-def _wan_participant(options: BridgeOptions) -> dict[str, Any]:
-    wan: dict[str, Any] = {"name": "link", "kind": "wan"}
+def _wan_participant(options: BridgeOptions) -> dict[str, object]:
+    wan: dict[str, object] = {"name": "link", "kind": "wan"}
     if options.listen:
         wan["listening-addresses"] = [_address(options.listen)]
     if options.peers:
@@ -113,7 +110,7 @@ def _wan_participant(options: BridgeOptions) -> dict[str, Any]:
     return wan
 
 
-def _address(text: str) -> dict[str, Any]:
+def _address(text: str) -> dict[str, object]:
     host, port = split_address(text)
     try:
         ipaddress.ip_address(host)

@@ -1,9 +1,9 @@
-"""`domain_bridge`: ROS 2's own package for bridging domains."""
+"""`domain_bridge`: ROS 2's own package that bridges domains."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ..backends.qos import asked_durations
 from .base import Halves
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from .base import BridgeOptions
+    from .options import BridgeOptions
 
 PACKAGE = "domain_bridge"
 
@@ -34,9 +34,9 @@ class DomainBridge:
     up_pattern: str | None = None
 
     def configuration(self, options: BridgeOptions) -> str:
-        """YAML: each topic with its type, its direction and the quality of service of its two ends."""
+        """Return YAML: each topic with its type, its direction and the quality of service of its two ends."""
         ping, relay = options.sides()
-        topics: dict[str, Any] = {}
+        topics: dict[str, object] = {}
         for here, there in ((ping, relay), (relay, ping)):
             for name in here.takes:
                 topics[name] = {
@@ -54,20 +54,20 @@ class DomainBridge:
         return yaml_text({"name": "dds_trace_bridge", "topics": topics})
 
     def find(self) -> Path | None:
-        """In a sourced ROS 2 installation."""
+        """Return the program of the sourced ROS 2 installation."""
         return ros_package_program(PACKAGE, PACKAGE)
 
     def version(self, program: Path) -> str:
-        """From the package's manifest."""
+        """Return the version in the package's manifest."""
         return ros_package_version(program, PACKAGE)
 
     def command(self, program: Path, configuration: Path, options: BridgeOptions) -> Sequence[str]:
-        """The program with its file, which must be the last argument."""
+        """Return the program with its file, which must be the last argument."""
         del options
         return (str(program), str(configuration))
 
     def environment(self, program: Path, options: BridgeOptions) -> Mapping[str, str]:
-        """The discovery range of the ROS 2 inside."""
+        """Return the discovery range of the ROS 2 inside."""
         del program
         return discovery_environment(options)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from dds_trace.tracefile.units.durations import SECOND_NS
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from dds_trace.tracefile import Qos
 
-    from .base import BridgeOptions
+    from .options import BridgeOptions
 
 PROGRAM = "integration-service"
 
@@ -38,10 +38,10 @@ class IntegrationService:
     up_pattern: str | None = None
 
     def configuration(self, options: BridgeOptions) -> str:
-        """YAML: a ROS 2 system for each domain, a route each way, each topic on its route."""
+        """Return YAML: a ROS 2 system for each domain, a route each way, each topic on its route."""
         ping, relay = options.sides()
         systems = {side.domain_id: f"domain_{side.domain_id}" for side in (ping, relay)}
-        topics: dict[str, Any] = {}
+        topics: dict[str, object] = {}
         for side, route in ((ping, "ping_to_relay"), (relay, "relay_to_ping")):
             for name in side.takes:
                 topics[name] = {
@@ -69,22 +69,22 @@ class IntegrationService:
         )
 
     def find(self) -> Path | None:
-        """On the PATH."""
-        found = shutil.which(PROGRAM)
-        return Path(found) if found else None
+        """Return the program on the PATH."""
+        path = shutil.which(PROGRAM)
+        return Path(path) if path else None
 
     def version(self, program: Path) -> str:
-        """It reports none."""
+        """Return an empty text: the program reports no version."""
         del program
         return ""
 
     def command(self, program: Path, configuration: Path, options: BridgeOptions) -> Sequence[str]:
-        """The program with its file."""
+        """Return the program with its file."""
         del options
         return (str(program), str(configuration))
 
     def environment(self, program: Path, options: BridgeOptions) -> Mapping[str, str]:
-        """The discovery range of the ROS 2 inside."""
+        """Return the discovery range of the ROS 2 inside."""
         del program
         return discovery_environment(options)
 
@@ -93,12 +93,12 @@ BRIDGE = IntegrationService()
 
 
 def _type_name(type_name: str) -> str:
-    """`sensor_msgs/msg/Image` as the ROS 2 system handle names it: `sensor_msgs/Image`."""
+    """Return a type's name for the ROS 2 system handle: `sensor_msgs/Image` for `sensor_msgs/msg/Image`."""
     package, _, name = type_name.split("/")
     return f"{package}/{name}"
 
 
-def _qos(qos: Qos) -> dict[str, Any]:
+def _qos(qos: Qos) -> dict[str, object]:
     return {
         "reliability": qos.reliability.upper(),
         "durability": qos.durability.upper(),

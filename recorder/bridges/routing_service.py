@@ -5,16 +5,17 @@ from __future__ import annotations
 import os
 import shutil
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.tracefile.units.durations import SECOND_NS
 
+from ..backends.dds_types import DDS_TYPES, dds_name, split_type
 from ..backends.qos import asked_durations
 from ..choices import Discovery
 from .base import Halves
 from .process.programs import reported_version
-from .ros_types import rti_types
 from .texts import element, xml_text
 
 if TYPE_CHECKING:
@@ -23,12 +24,15 @@ if TYPE_CHECKING:
 
     from dds_trace.tracefile import Qos
 
-    from .base import BridgeOptions, BridgeSide
+    from .options import BridgeOptions, BridgeSide
 
 PROGRAM = "rtiroutingservice"
 CONFIGURATION_NAME = "dds_trace"
 POOL_BUFFER_BYTES = 4096
-"""Unbounded samples up to this size come from the pool, larger ones from the heap, as RTI asks for such types."""
+"""Largest unbounded sample that comes from the pool; larger ones come from the heap, as RTI asks for such types."""
+
+RTI_NAMES = {"uint8": "byte", "bool": "boolean"}
+"""Plain type of ROS -> its name in RTI's XML, where the two differ."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,12 +49,12 @@ class RoutingService:
     up_pattern: str | None = "RTI Routing Service .*executing"
 
     def configuration(self, options: BridgeOptions) -> str:
-        """XML: the types, and a domain route with a session each way and a topic route for each topic."""
+        """Return XML: the types, and a domain route with a session each way and a topic route for each topic."""
         ping, relay = options.sides()
         types = sorted({topic.type_name for topic in options.topics})
         document = element(
             "dds",
-            *rti_types(types),
+            *_types(types),
             element(
                 "routing_service",
                 element(
@@ -66,23 +70,23 @@ class RoutingService:
         return xml_text(document)
 
     def find(self) -> Path | None:
-        """Below NDDSHOME, else on the PATH."""
+        """Return the program below NDDSHOME, else on the PATH."""
         home = os.environ.get("NDDSHOME")
-        found = shutil.which(PROGRAM, path=str(Path(home) / "bin")) if home else None
-        found = found or shutil.which(PROGRAM)
-        return Path(found) if found else None
+        path = shutil.which(PROGRAM, path=str(Path(home) / "bin")) if home else None
+        path = path or shutil.which(PROGRAM)
+        return Path(path) if path else None
 
     def version(self, program: Path) -> str:
-        """As `-version` says it."""
+        """Return the line of `-version`."""
         return reported_version(program, "-version")
 
     def command(self, program: Path, configuration: Path, options: BridgeOptions) -> Sequence[str]:
-        """The program with its file and the name of the configuration in it."""
+        """Return the program with its file and the name of the configuration in it."""
         del options
         return (str(program), "-cfgFile", str(configuration), "-cfgName", CONFIGURATION_NAME)
 
     def environment(self, program: Path, options: BridgeOptions) -> Mapping[str, str]:
-        """Nothing; it is no ROS 2 program."""
+        """Return no variables: it is no ROS 2 program."""
         del program, options
         return {}
 
@@ -103,7 +107,7 @@ def _participant(side: BridgeSide, options: BridgeOptions) -> Element:
 
 
 def _localhost_qos() -> tuple[Element, ...]:
-    """UDP over the loopback interface alone, looking for others there."""
+    """Return quality of service that uses UDP over the loopback interface alone and looks for others there."""
     return (
         element(
             "participant_qos",
@@ -119,7 +123,7 @@ def _session(name: str, here: BridgeSide, there: BridgeSide, options: BridgeOpti
 
 
 def _topic_route(name: str, here: BridgeSide, there: BridgeSide, options: BridgeOptions) -> Element:
-    type_name = next(t.dds_type_name for t in options.topics if name in (t.name, t.reply_name))
+    type_name = options.topic_of(name).dds_type_name
     stream = (
         element("registered_type_name", type_name),
         element("topic_name", f"rt/{name}"),
@@ -162,7 +166,7 @@ def _common_qos(qos: Qos) -> tuple[Element, ...]:
 
 
 def _duration(qos: Qos, policy: str, name: str) -> tuple[Element, ...]:
-    """The element of `policy`, nothing if `qos` does not ask for one."""
+    """Return the element of `policy`, none if `qos` does not ask for that policy."""
     durations_ns = asked_durations(qos)
     if policy not in durations_ns:
         return ()
@@ -177,3 +181,46 @@ def _properties(values: Mapping[str, str]) -> Element:
         element("element", element("name", name), element("value", value)) for name, value in values.items()
     )
     return element("property", element("value", *entries))
+
+
+def _types(type_names: list[str]) -> tuple[Element, ...]:
+    """Return a `types` element that defines `type_names` and all types in them; none if `DDS_TYPES` has none of them.
+
+    The program learns any other type from the nodes that it discovers.
+    """
+    needed: set[str] = set()
+    for name in type_names:
+        _collect(name, needed)
+    packages = groupby(filter(needed.__contains__, DDS_TYPES), key=lambda name: name.split("/")[0])
+    modules = [_package(package, list(names)) for package, names in packages]
+    return (element("types", *modules),) if modules else ()
+
+
+def _collect(name: str, needed: set[str]) -> None:
+    if name in DDS_TYPES:
+        needed.add(name)
+        for text in DDS_TYPES[name].values():
+            _collect(split_type(text)[0], needed)
+
+
+def _package(package: str, names: list[str]) -> Element:
+    inner = element("module", *map(_struct, names), name="dds_")
+    return element("module", element("module", inner, name="msg"), name=package)
+
+
+def _struct(name: str) -> Element:
+    members = (_member(member, text) for member, text in DDS_TYPES[name].items())
+    return element("struct", *members, name=dds_name(name)[2])
+
+
+def _member(name: str, text: str) -> Element:
+    kind, length = split_type(text)
+    attributes = {"name": name, "type": RTI_NAMES.get(kind, kind)}
+    if kind in DDS_TYPES:
+        package, _, plain = dds_name(kind)
+        attributes |= {"type": "nonBasic", "nonBasicTypeName": f"{package}::msg::dds_::{plain}"}
+    if kind == "string":
+        attributes["stringMaxLength"] = "-1"
+    if length is not None:
+        attributes |= {"arrayDimensions": str(length)} if length else {"sequenceMaxLength": "-1"}
+    return element("member", **attributes)

@@ -21,7 +21,7 @@ from .zenoh_link import zenoh_environment, zenoh_link
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from .base import BridgeOptions
+    from .options import BridgeOptions
 
 PLUGIN = "libzenoh_plugin_dds.so"
 
@@ -40,7 +40,7 @@ class ZenohBridgeDds:
     up_pattern: str | None = None
 
     def configuration(self, options: BridgeOptions) -> str:
-        """JSON, which is JSON5: the domain, the allowed topics, and where the halves meet."""
+        """Return JSON, which is JSON5: the domain, the allowed topics, and the addresses at which the halves meet."""
         (side,) = options.sides()
         names = sorted((*side.takes, *side.puts))
         dds = {
@@ -53,24 +53,24 @@ class ZenohBridgeDds:
         return json.dumps({"plugins": {"dds": dds}, **zenoh_link(options, mode="router")}, indent=2) + "\n"
 
     def find(self) -> Path | None:
-        """`zenoh-bridge-dds` on the PATH, else `zenohd` with the plugin where our recipe puts them."""
-        if found := shutil.which("zenoh-bridge-dds"):
-            return Path(found)
+        """Return `zenoh-bridge-dds` on the PATH, else `zenohd` with the plugin in the folder of our recipe."""
+        if path := shutil.which("zenoh-bridge-dds"):
+            return Path(path)
         router = installed_folder() / "zenohd"
         return router if router.is_file() and router.with_name(PLUGIN).is_file() else None
 
     def version(self, program: Path) -> str:
-        """As `--version` says it."""
+        """Return the line of `--version`."""
         return reported_version(program, "--version")
 
     def command(self, program: Path, configuration: Path, options: BridgeOptions) -> Sequence[str]:
-        """The program, or the router with the plugin that must load."""
+        """Return the program, or the router with the plugin that must load."""
         del options
         plugin = ("-P", f"dds:{program.with_name(PLUGIN)}") if program.name == "zenohd" else ()
         return (str(program), *plugin, "-c", str(configuration))
 
     def environment(self, program: Path, options: BridgeOptions) -> Mapping[str, str]:
-        """Settings of the Cyclone DDS inside."""
+        """Return the settings of the Cyclone DDS inside."""
         del program
         return zenoh_environment(options)
 
@@ -79,6 +79,6 @@ BRIDGE = ZenohBridgeDds()
 
 
 def installed_folder() -> Path:
-    """Where `just install-zenoh-bridge` puts its two files."""
+    """Return the folder of the two files that `just install-zenoh-bridge` builds."""
     data = os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share"
     return Path(data) / "dds-trace" / "zenoh-bridge-dds"

@@ -1,7 +1,7 @@
 """`zenoh-bridge-ros2dds`: Eclipse zenoh's bridge for ROS 2, successor of `zenoh-bridge-dds`; one half for each domain.
 
 Its maintainers recommend it for ROS 2. Unlike its predecessor it knows ROS names and directions, so the configuration
-says for each side what may leave and what may come in.
+lists for each side the topics that may leave and those that may come in.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from .zenoh_link import zenoh_environment, zenoh_link
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from .base import BridgeOptions
+    from .options import BridgeOptions
 
 PROGRAM = "zenoh-bridge-ros2dds"
 
@@ -38,7 +38,7 @@ class ZenohBridgeRos2dds:
     up_pattern: str | None = None
 
     def configuration(self, options: BridgeOptions) -> str:
-        """JSON, which is JSON5: the domain, what may leave and come in, and where the halves meet."""
+        """Return JSON, which is JSON5: the domain, the topics of each direction, and the addresses of the halves."""
         (side,) = options.sides()
         ros2dds = {
             "nodename": f"dds_trace_bridge_{side.domain_id}",
@@ -57,21 +57,21 @@ class ZenohBridgeRos2dds:
         )
 
     def find(self) -> Path | None:
-        """On the PATH, else in a sourced ROS 2 installation."""
-        found = shutil.which(PROGRAM)
-        return Path(found) if found else ros_package_program("zenoh_bridge_ros2dds", "zenoh_bridge_ros2dds")
+        """Return the program on the PATH, else that of the sourced ROS 2 installation."""
+        path = shutil.which(PROGRAM)
+        return Path(path) if path else ros_package_program("zenoh_bridge_ros2dds", "zenoh_bridge_ros2dds")
 
     def version(self, program: Path) -> str:
-        """As `--version` says it."""
+        """Return the line of `--version`."""
         return reported_version(program, "--version")
 
     def command(self, program: Path, configuration: Path, options: BridgeOptions) -> Sequence[str]:
-        """The program with its file."""
+        """Return the program with its file."""
         del options
         return (str(program), "-c", str(configuration))
 
     def environment(self, program: Path, options: BridgeOptions) -> Mapping[str, str]:
-        """Settings of the Cyclone DDS inside."""
+        """Return the settings of the Cyclone DDS inside."""
         del program
         return zenoh_environment(options)
 

@@ -1,21 +1,21 @@
-"""How two zenoh programs of a bridge meet: the part of a zenoh configuration that all our zenoh bridges share."""
+"""The link between two zenoh programs of a bridge: the part of a zenoh configuration that all our zenoh bridges share."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ..backends.cyclone_settings import cyclone_settings
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from .base import BridgeOptions
+    from .options import BridgeOptions
 
 
-def zenoh_link(options: BridgeOptions, mode: str) -> dict[str, Any]:
-    """`mode`, `listen`, `connect` and `scouting` of a zenoh configuration.
+def zenoh_link(options: BridgeOptions, mode: str) -> dict[str, object]:
+    """Return `mode`, `listen`, `connect` and `scouting` of a zenoh configuration.
 
-    The addresses are all that is used to meet: multicast and gossip stay off, so that no other zenoh program of
+    The halves meet at the given addresses alone: multicast and gossip stay off, so that no other zenoh program of
     the network joins in. A half that only connects does not listen at all.
     """
     return {
@@ -30,7 +30,7 @@ def zenoh_link(options: BridgeOptions, mode: str) -> dict[str, Any]:
 
 
 def zenoh_environment(options: BridgeOptions) -> Mapping[str, str]:
-    """What the Cyclone DDS inside a zenoh bridge needs to meet ROS 2 nodes, and the log as we read it."""
+    """Return the settings that let the Cyclone DDS in a zenoh bridge meet ROS 2 nodes, and those of the log."""
     log = {"RUST_LOG": "z=info", "NO_COLOR": "1"}
     settings = cyclone_settings(options.discovery, tuned=options.tuned)
     return {**log, "CYCLONEDDS_URI": settings} if settings else log

@@ -1,7 +1,7 @@
-"""Runs one bridge program and outlives it: bounds its log, stops it, and leaves no process behind.
+"""The guard of one bridge program: bounds its log, stops it, and leaves no process behind.
 
-A process of its own, started as a file so that it imports nothing of ours; `supervise.py` has the other end. It ends
-the program when its standard input closes, which the kernel does for it even when the recorder is killed.
+A process of its own, started as a file so that it imports no module of ours; `supervise.py` has the other end. It ends
+the program when its standard input closes; when the recorder is killed, the kernel closes it.
 
     guard.py FOLDER UP_PATTERN PATIENCE_S PROGRAM ARGUMENTS...
 
@@ -25,12 +25,14 @@ import time
 from pathlib import Path
 
 LOG_LIMIT_BYTES = 128 * 1024
-"""Two files of at most this size hold the log's tail."""
+"""Largest size of each of the two files that hold the log's tail."""
 
 READ_BYTES = 64 * 1024
 LAST_READS = 64
+"""Most reads of the output after the program's end; a child that it left may go on writing for ever."""
+
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
-"""What the program is sent, one after the other, with our patience between them."""
+"""Signals to the program, one after the other, with the patience between them."""
 
 PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36  # <linux/prctl.h>
 CANNOT_START = 127
@@ -39,7 +41,7 @@ CANNOT_START = 127
 class BoundedLog:
     """The tail of a log in `FOLDER/log` and `FOLDER/log.1`, however much is written.
 
-    Looks for `up_pattern` itself, as its line may have left the tail before the recorder looks.
+    It looks for `up_pattern` itself, as the matching line may have left the tail before the recorder looks.
     """
 
     def __init__(self, folder: Path, up_pattern: str) -> None:
@@ -51,7 +53,7 @@ class BoundedLog:
         self.total_bytes = 0
 
     def write(self, data: bytes) -> None:
-        """Append; the older half goes when the newer is full."""
+        """Append `data`; when the newer file is full, the older one is dropped."""
         self.total_bytes += len(data)
         with contextlib.suppress(OSError):  # a full disk costs the log, not the bridge
             self._look_for_up(data)
@@ -71,7 +73,7 @@ class BoundedLog:
 
 
 def descendants() -> list[int]:
-    """Pids of all processes below this one that still run, whoever their group's leader is."""
+    """Return the pids of all processes below this one that still run, whoever leads their group."""
     children: dict[int, list[int]] = {}
     for stat in Path("/proc").glob("[0-9]*/stat"):
         with contextlib.suppress(OSError):  # it ended meanwhile
@@ -79,16 +81,16 @@ def descendants() -> list[int]:
             state, parent = stat.read_text(errors="replace").rpartition(") ")[2].split()[:2]
             if state != "Z":
                 children.setdefault(int(parent), []).append(int(stat.parent.name))
-    found: list[int] = []
+    pids: list[int] = []
     level = [os.getpid()]
     while level:
         level = [pid for parent in level for pid in children.get(parent, [])]
-        found += level
-    return found
+        pids += level
+    return pids
 
 
 def end_all(program: subprocess.Popen[bytes], drain: Drain, patience_s: float) -> int:
-    """End the program and whatever it started; answers how many outlived the program itself."""
+    """End the program and its children; return how many of these outlived the program."""
     for number in STOP_SIGNALS:
         if program.poll() is not None:
             break
@@ -107,7 +109,7 @@ def end_all(program: subprocess.Popen[bytes], drain: Drain, patience_s: float) -
 
 
 class Drain:
-    """Reads the program's output and waits for its end or for the word to stop."""
+    """The reader of the program's output, which waits for its end or for the word to stop."""
 
     def __init__(self, program: subprocess.Popen[bytes], log: BoundedLog) -> None:
         assert program.stdout is not None
@@ -125,19 +127,19 @@ class Drain:
             self._selector.register(source, selectors.EVENT_READ)
 
     def until(self, deadline: float | None, program: subprocess.Popen[bytes]) -> None:
-        """Return when the program has ended, the deadline has passed or, without one, `stopping` is said."""
+        """Read output until the program has ended, the deadline has passed or, without a deadline, `stopping` is set."""
         while program.poll() is None and not (deadline is None and self.stopping):
             left_s = None if deadline is None else deadline - time.monotonic()
             if left_s is not None and left_s <= 0:
                 return
             self._take(left_s)
         if program.poll() is not None:
-            for _ in range(LAST_READS):  # what it said last; a child that it left may go on for ever
+            for _ in range(LAST_READS):
                 if not self._take(0.0):
                     return
 
     def _take(self, timeout_s: float | None) -> bool:
-        """Handle what is there; answers whether there was output."""
+        """Handle input, signals and output that wait; return whether there was output."""
         ready = {key.fd for key, _ in self._selector.select(timeout_s)}
         if sys.stdin.fileno() in ready:
             word = os.read(sys.stdin.fileno(), 64)
@@ -157,20 +159,20 @@ class Drain:
 
 
 def die_with_guard() -> None:
-    """In the program, before it runs: even a guard that is killed takes it along."""
+    """Ask the kernel, in the program before it runs, to kill it when the guard dies."""
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 def say(line: str) -> None:
-    """Tell the recorder, if it is still there."""
+    """Print a line for the recorder, if it still runs."""
     with contextlib.suppress(BrokenPipeError):
         print(line, flush=True)
 
 
 def main() -> int:
-    """Run the program to its end; its exit code, or 128 + signal."""
+    """Run the program to its end; return its exit code, or 128 + signal."""
     folder, up_pattern, patience_s, command = Path(sys.argv[1]), sys.argv[2], float(sys.argv[3]), sys.argv[4:]
-    ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1)  # what the program leaves behind comes to us
+    ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1)  # orphans of the program become our children
     log = BoundedLog(folder, up_pattern)
     try:
         program = subprocess.Popen(

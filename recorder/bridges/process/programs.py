@@ -1,4 +1,4 @@
-"""Finding other people's programs and asking them for their version."""
+"""Programs of other projects: where they are installed, their version and their environment."""
 
 from __future__ import annotations
 
@@ -14,15 +14,16 @@ from .supervise import program_environment
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from ..base import BridgeOptions
+    from ..options import BridgeOptions
 
 VERSION_TIMEOUT_S = 10.0
 
 
 def reported_version(program: Path, *arguments: str) -> str:
-    """The first line with something like a version in what the program prints.
+    """Return the first printed line of a program that holds a version.
 
-    Empty if it prints none, fails to start, or does not end in time: the version is worth having, not worth failing.
+    Empty if there is no such line, or if the program fails to start or to end in time: a missing version must not end
+    a recording.
     """
     try:
         ran = subprocess.run(
@@ -42,26 +43,26 @@ def reported_version(program: Path, *arguments: str) -> str:
 
 
 def ros_package_program(package: str, program: str) -> Path | None:
-    """`lib/PACKAGE/PROGRAM` of the sourced ROS 2 installations, None if none has it."""
+    """Return `lib/PACKAGE/PROGRAM` of the sourced ROS 2 installations, None if no installation has it."""
     for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
-        found = Path(prefix) / "lib" / package / program
-        if prefix and os.access(found, os.X_OK) and found.is_file():
-            return found
+        path = Path(prefix) / "lib" / package / program
+        if prefix and os.access(path, os.X_OK) and path.is_file():
+            return path
     return None
 
 
 def ros_package_version(program: Path, package: str) -> str:
-    """Version of the package that `program` (`PREFIX/lib/PACKAGE/PROGRAM`) belongs to, empty if it is not told."""
+    """Return the version of the package of `program` (`PREFIX/lib/PACKAGE/PROGRAM`), empty if its manifest has none."""
     manifest = program.parents[2] / "share" / package / "package.xml"
     try:
-        found = re.search(r"<version>\s*([^<\s]+)", manifest.read_text())
+        match = re.search(r"<version>\s*([^<\s]+)", manifest.read_text())
     except OSError:
         return ""
-    return found[1] if found else ""
+    return match[1] if match else ""
 
 
 def discovery_environment(options: BridgeOptions) -> Mapping[str, str]:
-    """Tells a program with a ROS 2 inside how far to look for nodes: the variables of Jazzy and of Humble."""
+    """Return the discovery range for a program with a ROS 2 inside: the variables of Jazzy and of Humble."""
     localhost = options.discovery is Discovery.LOCALHOST
     return {
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST" if localhost else "SUBNET",

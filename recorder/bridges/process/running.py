@@ -1,4 +1,4 @@
-"""A bridge around a run: `open_bridge` starts what belongs on this machine and ends it again, whatever happens."""
+"""A bridge that runs: `open_bridge` starts its programs on this machine and ends them again, whatever happens."""
 
 from __future__ import annotations
 
@@ -11,25 +11,26 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import BackendUnavailableError, BridgeError
 
-from ..base import BridgeOptions, Half, split_halves
-from ..registry import load_bridge
+from ..base import load_bridge, split_halves
+from ..options import Half
 from .supervise import SupervisedProgram, program_environment
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from ..base import Bridge
+    from ..options import BridgeOptions
 
 UP_TIMEOUT_S = 20.0
-"""How long a program may take until it says that it serves; ROS 2 on a small board needs seconds to start."""
+"""Longest time until a program's log says that it serves; ROS 2 on a small board needs seconds to start."""
 
 
 class BridgeState(Enum):
-    """How far a bridge got."""
+    """Progress of a bridge."""
 
     STARTING = "starting"
     READY = "ready"  # an echo has come back through it
@@ -40,7 +41,7 @@ class BridgeState(Enum):
 
 @dataclass(frozen=True, slots=True)
 class _RunningHalf:
-    """One of a bridge's programs with what it was started with."""
+    """One of a bridge's programs with the options, configuration and environment of its start."""
 
     options: BridgeOptions
     version: str
@@ -58,7 +59,7 @@ class _RunningHalf:
 
 
 class RunningBridge:
-    """A bridge whose programs run. It counts as ready when the caller has seen an echo and says so."""
+    """A bridge whose programs run; it is ready once its caller has seen an echo and calls `mark_ready`."""
 
     def __init__(self, bridge: Bridge, options: BridgeOptions, halves: tuple[_RunningHalf, ...]) -> None:
         self.name = bridge.name
@@ -68,12 +69,12 @@ class RunningBridge:
         self._stopped = False
 
     def mark_ready(self) -> None:
-        """An echo has come back through the bridge."""
+        """Note that an echo has come back through the bridge."""
         self._ready = True
 
     @property
     def state(self) -> BridgeState:
-        """How far it got."""
+        """Progress of the bridge."""
         if self.failure is not None:
             return BridgeState.DIED
         if self._stopped:
@@ -82,7 +83,7 @@ class RunningBridge:
 
     @property
     def failure(self) -> str | None:
-        """One line naming the program that ended by itself and what it said last; None while all is well."""
+        """One line with the program that ended by itself and the last line of its log; None while all run."""
         failed = self._failed_half()
         if failed is None or failed.program.report is None:
             return None
@@ -90,17 +91,17 @@ class RunningBridge:
         return f"the bridge {self.name} ended with status {code}: {last}"
 
     def check(self) -> None:
-        """Say so if a program has ended; cheap enough to call between two messages.
+        """Raise if a program has ended by itself; cheap enough to call between two messages.
 
         Raises:
-            BridgeError: it has.
+            BridgeError: a program has ended.
         """
         if (failure := self.failure) is not None:
             raise BridgeError(f"{failure}; `dds-bridge {self.name}` runs it alone and shows its log")
 
     @property
     def parts(self) -> tuple[BridgeOptions, ...]:
-        """What each program was started with, in the order of `processes`."""
+        """Options of each program, in the order of `processes`."""
         return tuple(half.options for half in self._halves)
 
     @property
@@ -108,8 +109,8 @@ class RunningBridge:
         """Pid of each program by the name it has in host samples (`bridge`, or `bridge_ping`, `bridge_relay`)."""
         return {half.label: half.program.pid for half in self._halves}
 
-    def describe(self) -> dict[str, Any]:
-        """What runs, with what configuration, and how it ended, as a JSON object for the trace.
+    def describe(self) -> dict[str, object]:
+        """Return programs, configurations and ends as a JSON object for the trace.
 
         `bridge`, `state` (see `BridgeState`), `ping_domain_id`, `relay_domain_id`, `failure` (a line or null) and
         `programs`: for each `half`, `version`, `command`, `configuration`, `environment` (what was added to it),
@@ -139,8 +140,8 @@ class RunningBridge:
             ],
         }
 
-    def sample(self) -> dict[str, Any]:
-        """CPU and memory of each program and its children now, as a JSON object for the trace.
+    def sample(self) -> dict[str, object]:
+        """Return the present CPU and memory of each program and its children, as a JSON object for the trace.
 
         `monotonic_ns`, `bridge` and `programs`: label -> `cpu_percent` of one core since the sample before,
         `memory_bytes` resident, `processes`.
@@ -152,12 +153,12 @@ class RunningBridge:
         }
 
     def log_tail(self, half: Half | None = None) -> str:
-        """The last lines of a program's log: of the one that failed, else of the first, unless said."""
-        chosen = self._failed_half() or self._halves[0]
-        return next((each for each in self._halves if each.half is half), chosen).program.log_tail()
+        """Return the last lines of a program's log: that of `half`, or of the one that failed, or of the first."""
+        default = self._failed_half() or self._halves[0]
+        return next((each for each in self._halves if each.half is half), default).program.log_tail()
 
     def wait_until_up(self, timeout_s: float) -> None:
-        """Wait until each program's log says that it serves, where it says such a thing.
+        """Wait until the log of each program that has an `up_pattern` says that it serves.
 
         Raises:
             BridgeError: a program ended or did not get that far in time.
@@ -174,7 +175,7 @@ class RunningBridge:
         self.check()
 
     def stop(self) -> None:
-        """End all programs. May be repeated."""
+        """End all programs; a second call does nothing."""
         for half in self._halves:
             half.program.stop()
         self._stopped = True
@@ -191,13 +192,13 @@ class RunningBridge:
 def open_bridge(
     name: str, options: BridgeOptions, *, up_timeout_s: float = UP_TIMEOUT_S
 ) -> Iterator[RunningBridge]:
-    """Run the bridge called `name` while the block runs; all its processes are gone after it.
+    """Run the bridge called `name` while the block runs; all its processes are gone after the block.
 
-    The yielded bridge's programs run, but nothing has come through yet: wait for an echo, then `mark_ready`.
+    The programs of the yielded bridge run, but no message has crossed yet: wait for an echo, then call `mark_ready`.
 
     Raises:
-        OptionError: there is no such bridge, or it cannot do what the options ask.
-        BackendUnavailableError: its program is not on this machine, and how to install it.
+        OptionError: there is no such bridge, or it does not support the options.
+        BackendUnavailableError: its program is not on this machine; the message says how to install it.
         BridgeError: a program ended at once or did not come up within `up_timeout_s`.
     """
     bridge = load_bridge(name)
@@ -221,10 +222,10 @@ def open_bridge(
 
 
 def find_program(bridge: Bridge) -> Path:
-    """The bridge's program.
+    """Return the path of the bridge's program.
 
     Raises:
-        BackendUnavailableError: it is not on this machine; the message says how to install it.
+        BackendUnavailableError: the program is not on this machine; the message says how to install it.
     """
     program = bridge.find()
     if program is None:
@@ -247,7 +248,7 @@ def _start_half(
 
 
 def _free_local_link() -> str:
-    """An address of this machine that nobody listens on, so that two bridges can run side by side."""
+    """Return a free address of this machine, so that two bridges can run side by side."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return f"127.0.0.1:{probe.getsockname()[1]}"

@@ -1,7 +1,7 @@
-"""A bridge's program as a supervised child: started, watched, sampled, ended, never orphaned.
+"""A bridge's program as a supervised child process: started, watched, sampled, ended, never orphaned.
 
-`guard.py` stands between this process and the program; closing the pipe to it is how the program is stopped, and the
-kernel closes it when this process dies, however it dies.
+`guard.py` stands between this process and the program. Closing the pipe to it stops the program, and the kernel closes
+it when this process dies, however it dies.
 """
 
 from __future__ import annotations
@@ -23,26 +23,26 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
 STOP_PATIENCE_S = 4.0
-"""How long a program has to act on SIGINT, then on SIGTERM, before it is killed."""
+"""Time for a program to end after SIGINT, then after SIGTERM, before it is killed."""
 
 LAST_LINES = 40
-"""Lines of the log's tail that go into messages and traces."""
+"""Most lines of the log's tail in messages and traces."""
 
 LAST_LINES_BYTES = 8 * 1024
-"""Most that those lines may take together."""
+"""Most bytes of those lines together."""
 
 _WHEELS_GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 
 
 @dataclass(frozen=True, slots=True)
 class GuardReport:
-    """How a program ended.
+    """The end of a program.
 
     Attributes:
-        asked: it was still running when it was told to stop.
+        asked: whether it still ran when it was told to stop.
         exit_code: its exit code, or 128 + signal.
-        left_behind: processes of its that outlived it and had to be ended.
-        log_bytes: all that it wrote, kept or not.
+        left_behind: number of its children that outlived it and had to be ended.
+        log_bytes: bytes that it wrote to its log, kept or not.
     """
 
     asked: bool
@@ -52,13 +52,13 @@ class GuardReport:
 
 
 @dataclass(frozen=True, slots=True)
-class Load:
-    """What a program and its children use at the moment.
+class ProgramLoad:
+    """The present load of a program and its children.
 
     Attributes:
-        cpu_percent: of one core, since the sample before; 0 in the first one.
-        memory_bytes: resident.
-        processes: how many there are.
+        cpu_percent: CPU time since the sample before, in percent of one core; 0 in the first sample.
+        memory_bytes: resident memory.
+        processes: number of processes.
     """
 
     cpu_percent: float
@@ -72,8 +72,8 @@ class SupervisedProgram:
     Args:
         command: program and arguments.
         folder: holds its log, `log` and `log.1`; removed by the guard if this process dies.
-        environment: all variables of the program.
-        up_pattern: regular expression of the line that says it serves, None if it says nothing of the kind.
+        environment: all environment variables of the program.
+        up_pattern: regular expression of the log line that says it serves, None if its log has no such line.
 
     Raises:
         BridgeError: the program cannot be started.
@@ -116,44 +116,44 @@ class SupervisedProgram:
 
     @property
     def report(self) -> GuardReport | None:
-        """How it ended, None while it runs."""
+        """The end of the program, None while it runs."""
         if self._guard.poll() is None:
             return None
         return self._keep_report()
 
     @property
     def is_up(self) -> bool:
-        """Whether it has said that it serves; without a pattern, that it runs has to do."""
+        """Whether the log matched `up_pattern`; always true without a pattern."""
         return self._up_pattern is None or (self._folder / "up").exists()
 
     def log_tail(self) -> str:
-        """The last lines of all that the program wrote, at most 8 KiB; kept when it is stopped."""
+        """Return the last lines of the program's log, at most 8 KiB; they are kept when it is stopped."""
         if self._last_log is not None:
             return self._last_log
-        held = b""
+        content = b""
         for name in ("log.1", "log"):
             with contextlib.suppress(FileNotFoundError):  # it never wrote that much, or they are just swapped
-                held += (self._folder / name).read_bytes()
-        text = held[-LAST_LINES_BYTES:].decode(errors="replace")
+                content += (self._folder / name).read_bytes()
+        text = content[-LAST_LINES_BYTES:].decode(errors="replace")
         return "\n".join(text.splitlines()[-LAST_LINES:])
 
     def last_line(self) -> str:
-        """The last line of its log that is not empty."""
+        """Return the last line of the log that is not empty."""
         return next(
             (line for line in reversed(self.log_tail().splitlines()) if line.strip()), "it said nothing"
         )
 
-    def load(self) -> Load:
-        """What the program and its children use now."""
+    def load(self) -> ProgramLoad:
+        """Return the present load of the program and its children."""
         loads = []
         for pid in self._pids():
             with contextlib.suppress(psutil.Error):  # it ended meanwhile
                 process = self._followed.setdefault(pid, psutil.Process(pid))
                 loads.append((process.cpu_percent(), process.memory_info().rss))
-        return Load(sum(cpu for cpu, _ in loads), sum(memory for _, memory in loads), len(loads))
+        return ProgramLoad(sum(cpu for cpu, _ in loads), sum(memory for _, memory in loads), len(loads))
 
     def stop(self) -> None:
-        """End the program, its children and the guard. May be repeated."""
+        """End the program, its children and the guard; a second call does nothing."""
         assert self._guard.stdin is not None
         self._stopping = True
         with contextlib.suppress(BrokenPipeError):  # it has ended by itself
@@ -175,7 +175,7 @@ class SupervisedProgram:
             return []
 
     def _keep_report(self) -> GuardReport:
-        """What the guard said last, read once; it has ended."""
+        """Return the report that the ended guard has printed; it is read once."""
         if self._report is None:
             assert self._guard.stdout is not None
             line = self._guard.stdout.read()
@@ -190,12 +190,12 @@ class SupervisedProgram:
 
 
 def program_environment(extra: Mapping[str, str], *, foreign: bool) -> dict[str, str]:
-    """The variables that a bridge's program starts with.
+    """Return the environment variables of a bridge's program.
 
     Args:
-        extra: what it needs beyond those of this process.
-        foreign: the program brings libraries of its own, so the search path that the ROS 2 wheels made for
-            themselves (see `docs/bridges.md`) must not reach it.
+        extra: variables that the program needs beyond those of this process.
+        foreign: whether the program brings libraries of its own; then the search path that the ROS 2 wheels made
+            for themselves (see `docs/bridges.md`) must not reach it.
     """
     variables = {**os.environ, **extra}
     if foreign and variables.pop(_WHEELS_GUARD, ""):

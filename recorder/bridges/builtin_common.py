@@ -7,7 +7,7 @@ import signal
 import sys
 import threading
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import Qos, TraceError, TraceFormatError
 from dds_trace.tracefile.units.counts import counted
@@ -19,7 +19,7 @@ from ..host.steady import collect_young, steady_interpreter
 from .options import BridgedTopic, BridgeOptions, Half
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Sequence
 
     from ..backends.node import Node, RawMessage, Receive
     from .options import BridgeSide
@@ -61,11 +61,13 @@ def options_from_json(path: Path) -> BridgeOptions:
     """
     try:
         values = json.loads(path.read_text())
+        qos = values["qos"]
+        named = {name: qos.pop(name) for name in ("reliability", "durability", "history", "depth")}
         return BridgeOptions(
             ping_domain_id=values["ping_domain_id"],
             relay_domain_id=values["relay_domain_id"],
             topics=tuple(BridgedTopic(name, type_name) for name, type_name in values["topics"].items()),
-            qos=_qos_from_dict(values["qos"]),
+            qos=Qos(**named, extra=qos),
             discovery=Discovery(values["discovery"]),
             transport=Transport(values["transport"]),
             tuned=values["tuned"],
@@ -75,12 +77,6 @@ def options_from_json(path: Path) -> BridgeOptions:
         )
     except (OSError, ValueError, KeyError, TypeError) as err:
         raise TraceFormatError(path, f"is no configuration of a bridge of ours ({err})") from err
-
-
-def _qos_from_dict(values: Mapping[str, Any]) -> Qos:
-    named = ("reliability", "durability", "history", "depth")
-    extra = {name: value for name, value in values.items() if name not in named}
-    return Qos(**{name: values[name] for name in named}, extra=extra)
 
 
 def open_side(side: BridgeSide, options: BridgeOptions) -> Node:
@@ -104,12 +100,12 @@ class Traffic:
     def __init__(self) -> None:
         self._counts: list[list[int]] = []
 
-    def forward(self, hand_on: Callable[[bytes], None]) -> Receive[RawMessage]:
+    def forward(self, hand_on: Callable[[RawMessage], None]) -> Receive[RawMessage]:
         """Return a callback that forwards each serialized message as it is."""
         count = [0]
         self._counts.append(count)
 
-        def receive(message: Any, source_ns: int = 0, received_ns: int = 0, /) -> None:
+        def receive(message: RawMessage, source_ns: int = 0, received_ns: int = 0, /) -> None:
             del source_ns, received_ns
             hand_on(message)
             count[0] += 1

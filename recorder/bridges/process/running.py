@@ -22,6 +22,8 @@ from .supervise import SupervisedProgram, program_environment
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
+    from dds_trace.tracefile import Json
+
     from ..base import Bridge
     from ..options import BridgeOptions
 
@@ -109,7 +111,7 @@ class RunningBridge:
         """Pid of each program by the name it has in host samples (`bridge`, or `bridge_ping`, `bridge_relay`)."""
         return {half.label: half.program.pid for half in self._halves}
 
-    def describe(self) -> dict[str, object]:
+    def describe(self) -> dict[str, Json]:
         """Return programs, configurations and ends as a JSON object for the trace.
 
         `bridge`, `state` (see `BridgeState`), `ping_domain_id`, `relay_domain_id`, `failure` (a line or null) and
@@ -140,7 +142,7 @@ class RunningBridge:
             ],
         }
 
-    def sample(self) -> dict[str, object]:
+    def sample(self) -> dict[str, Json]:
         """Return the present CPU and memory of each program and its children, as a JSON object for the trace.
 
         `monotonic_ns`, `bridge` and `programs`: label -> `cpu_percent` of one core since the sample before,

@@ -31,11 +31,11 @@ class Details:
     """What takes a closer look than rows and summary. `group` is the row number in `summary`; times in ns.
 
     Attributes:
-        intervals: every percentile with its confidence interval (`group_frames.interval_frame`): `group` u32,
+        intervals: every percentile with its confidence interval (`intervals.interval_frame`): `group` u32,
             `metric` str (`rtt`, `intermediate`, `latency`, `response`, `outbound`, `return`), `percentile` str
             (`p50` ... `p99_9`), `quantile` f64, `estimate_ns`, `low_ns`, `high_ns` f64 null where the sample does
             not support them, `method` str null, `confidence` f64, `messages` u64, `independent` u64.
-        one_way: way out and way back (`group_frames.one_way_frame`): `group` u32, `metric` str (`outbound`,
+        one_way: way out and way back (`one_way.one_way_frame`): `group` u32, `metric` str (`outbound`,
             `return`), `messages` u64, `mean_ns`, `min_ns`, `p50_ns` ... `p99_9_ns`, `max_ns` f64, `bound_p50_ns`,
             `bound_max_ns` f64: asymmetry of the link inside the bound cannot be seen.
         breakdown: where the time goes (`breakdown.summarize_breakdown`), a row per part in the order of time:
@@ -55,10 +55,10 @@ class Details:
             `relay_id` u32, `ping_device`, `relay_device` str, `messages` u64, `at_ns`, `offset_ns`, `bound_ns` i64.
         host_samples: load of the devices over time (`host_samples.host_sample_frame`), columns of
             `host_samples.HOST_SAMPLE_SCHEMA`.
-        bridge_costs: different domains against the same domain for equal parameters (`compare.bridge_cost`), p50 and
-            p99 of the latency. Read from the rows' file kind by kind; a kind of message with more than
-            `cases.MOST_COMPARED_ROWS` rows has none, and a finding says so.
-        answers: who is fastest for each kind of message, likewise.
+        bridge_costs: different domains against the same domain for equal parameters (`bridge_cost.bridge_cost`),
+            every percentile of the latency. A kind of message with more than `cases.MOST_COMPARED_ROWS` rows has
+            none, and a finding says so.
+        answers: the fastest contenders for each kind of message; rows as for `bridge_costs`.
         deadline_ns: the deadline that `freshness` judges; None for none.
         recommendation: settings for the `job` of the analysis; None without a job.
         requested: False if the analysis was made with `details=False`: every frame is then empty.

@@ -14,7 +14,7 @@ _SAME_BOOT_S = 2
 
 
 def ping_boots(sessions: Iterable[Session], runs: Iterable[Run]) -> dict[int, int]:
-    """Number the boot of the ping's device in which each run took place.
+    """Return the boot of the ping's device in which each run took place, as a number.
 
     A device's monotonic clock starts again at every boot, so stamps of two boots must not be mixed. Sessions of one
     device whose monotonic zero lies at the same wall clock time, within two seconds, are of one boot.

@@ -1,7 +1,7 @@
 """One device's clock seen from another's: offset and drift over time from T1..T4, each with its bound.
 
-With `theta` the relay's clock minus the ping's clock at one instant, a message that was not received before
-it was sent says, on its way out and on its way back,
+Let `theta` be the relay's clock minus the ping's clock at one instant. No message is received before it is sent, so its
+way out and its way back bound theta:
 
     T4 - T2  <=  theta  <=  T3 - T1
 
@@ -9,7 +9,7 @@ The interval is `rtt - intermediate` wide whatever the network does, so its midd
 of that (RFC 5905, section 8: offset and delay). Where in the interval theta lies cannot be seen from stamps:
 a link that is slower one way than the other looks like a clock that is off by half the difference.
 
-Two assumptions make the interval of a slow message as good as its fast neighbours':
+Two assumptions give a slow message the interval of its fast neighbours:
 - clocks part by at most `DRIFT_LIMIT_PPB`. A message whose interval cannot be reached from the earlier ones at
   that rate shows a step (clock set, suspend, reboot) and splits the fit;
 - within a window of `WINDOW_NS` theta is a straight line. All lines that respect every message of the window
@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from .lines import DRIFT, Intervals, Lines, find_stretches, find_windows
+from .lines import DRIFT, Lines, OffsetIntervals, find_stretches, find_windows
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -38,7 +38,7 @@ Float64 = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class ClockKnot:
-    """The clock at the instant of a window where it is known best.
+    """The offset at the instant of a window at which its bound is smallest.
 
     Attributes:
         at_ns: the instant, ping's monotonic clock.
@@ -58,13 +58,13 @@ class ClockSegment:
     Attributes:
         start_ns: first message, ping's monotonic clock.
         end_ns: last message.
-        messages: messages that the fit used.
-        at_ns: the instant of `offset_ns`, where it is known best.
+        messages: number of messages in the fit.
+        at_ns: the instant of `offset_ns`, at which its bound is smallest, ping's monotonic clock.
         offset_ns: relay's clock minus ping's clock.
         bound_ns: the offset is wrong by at most this.
         drift_ppb: mean rate at which the relay's clock gains on the ping's, parts per billion (ns per s).
         drift_bound_ppb: the drift is wrong by at most this.
-        residual_ns: farthest that a knot lies from the straight line through the first and the last knot.
+        residual_ns: largest distance of a knot from the straight line through the first and the last knot.
         knots: one for each window, in order of time.
     """
 
@@ -85,9 +85,9 @@ class ClockStep:
     """A jump of one clock against the other: a clock that was set, a suspend, a reboot.
 
     Attributes:
-        after_ns: last message that is surely from before the step, ping's monotonic clock.
-        before_ns: first message that is surely from after it.
-        size_ns: how far the relay's clock jumped against the ping's (negative: it fell back).
+        after_ns: last message that is surely older than the step, ping's monotonic clock.
+        before_ns: first message that is surely younger than the step.
+        size_ns: jump of the relay's clock against the ping's; negative if it fell back.
         bound_ns: the size is wrong by at most this.
     """
 
@@ -102,10 +102,13 @@ class ClockFit:
     """The relay's clock against the ping's, for one pair of devices.
 
     Attributes:
-        same_clock: the devices have one name and an offset of zero agrees with every message: one machine,
+        ping_device: name of the device of T1 and T2.
+        relay_device: name of the device of T3 and T4.
+        boot: number of the boot of the ping's device (`boots.ping_boots`).
+        same_clock: whether the devices have one name and an offset of zero agrees with every message: one machine,
             one clock. The segments are then a check of the method, and one-way times are exact.
-        segments: between steps, in order of time; empty without a message that has all four stamps.
-        steps: between the segments, so one fewer.
+        segments: stretches between steps, in order of time; empty without a message that has all four stamps.
+        steps: jumps between the segments, one fewer than these.
     """
 
     ping_device: str
@@ -122,7 +125,7 @@ class ClockOffsets:
 
     Attributes:
         offset_ns: int64, relay's clock minus ping's clock halfway between T1 and T2.
-        bound_ns: int64, the offset is wrong by at most this.
+        bound_ns: int64, largest error of the offset.
     """
 
     offset_ns: Int64
@@ -131,7 +134,16 @@ class ClockOffsets:
 
 @dataclass(frozen=True, slots=True)
 class _Best:
-    """Where the lines of a window are closest together, and what they say at its last and first message."""
+    """The instant of a window at which its lines are closest together.
+
+    Attributes:
+        time: the instant.
+        offset: middle of the lines at that instant.
+        bound: half of their distance at that instant.
+        slope: smallest and largest slope of the lines.
+        first: middle and half distance at the first message.
+        last: middle and half distance at the last message.
+    """
 
     time: float
     offset: float
@@ -141,7 +153,7 @@ class _Best:
     last: tuple[float, float]
 
     @classmethod
-    def of(cls, window: Intervals, lines: Lines) -> _Best:
+    def of(cls, window: OffsetIntervals, lines: Lines) -> _Best:
         time = np.linspace(window.time[0], window.time[-1], 17)
         low, high = lines.range_at(time)
         middle, half = (low + high) / 2, (high - low) / 2
@@ -166,16 +178,19 @@ def fit_clock(
     relay_device: str = "relay",
     boot: int = 0,
 ) -> tuple[ClockFit, ClockOffsets]:
-    """The relay's clock against the ping's, and the offset at each message.
+    """Fit the relay's clock against the ping's, and return the fit with the offset at each message.
 
     Args:
         publish_ns: T1 of each message, int64.
         relay_in_ns: T3.
         relay_out_ns: T4.
-        receive_ns: T2. All arrays of one length, in any order; every message with `rtt >= intermediate`.
+        receive_ns: T2. All arrays have one length and any order.
         ping_device: name of the device of T1 and T2.
         relay_device: name of the device of T3 and T4.
-        boot: which boot of the ping's device (`ping_boots`).
+        boot: number of the boot of the ping's device (`boots.ping_boots`).
+
+    Raises:
+        ValueError: a message has `rtt < intermediate`.
     """
     if not len(publish_ns):
         nothing = np.empty(0, np.int64)
@@ -191,7 +206,7 @@ def fit_clock(
     time_origin_ns, offset_origin_ns = int(half_way_ns[order[0]]), int(out_ns[order[0]])
     # T1 and T2 stand for the instant halfway between them: the clocks part a little on the way there.
     slack = (DRIFT / 2 * rtt_ns)[order]
-    points = Intervals(
+    points = OffsetIntervals(
         (half_way_ns - time_origin_ns)[order].astype(np.float64),
         (back_ns - offset_origin_ns)[order] - slack,
         (out_ns - offset_origin_ns)[order] + slack,
@@ -209,13 +224,13 @@ def fit_clock(
             low[start + begin : start + end] = np.maximum(lowest, window.lower)
             high[start + begin : start + end] = np.minimum(highest, window.upper)
             best.append(_Best.of(window, lines))
-        if not best:  # its messages speak for themselves, each within its own bound
+        if not best:  # no line at all: each of its messages keeps its own bound
             continue
         if segments:
             steps.append(_step(points.time[[before - 1, start]], edge, best[0].first, time_origin_ns))
         segments.append(_segment(stretch, best, time_origin_ns, offset_origin_ns))
         before, edge = stop, best[-1].last
-    # Only the tightest messages shaped the lines; a message that none of them reaches speaks for itself.
+    # Only the tightest messages shaped the lines; a message that no line reaches keeps its own bound.
     alone = low > high
     low[alone], high[alone] = points.lower[alone], points.upper[alone]
 
@@ -230,11 +245,12 @@ def fit_clock(
 
 
 def _segment(
-    points: Intervals,
+    points: OffsetIntervals,
     windows: Sequence[_Best],
     time_origin_ns: int,
     offset_origin_ns: int,
 ) -> ClockSegment:
+    """Return a segment from the best instants of its windows, with the origins added again."""
     time = np.array([w.time for w in windows])
     offset = np.array([w.offset for w in windows])
     if len(windows) > 1:
@@ -272,7 +288,7 @@ def _step(
     new: tuple[float, float],
     time_origin_ns: int,
 ) -> ClockStep:
-    """The jump between two instants from offset and bound at each."""
+    """Return the jump between two instants from offset and bound at each."""
     drifted = DRIFT * (time[1] - time[0])
     return ClockStep(
         after_ns=time_origin_ns + int(time[0]),

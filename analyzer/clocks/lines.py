@@ -1,6 +1,6 @@
-"""Which clocks agree with messages: stretches without a step, and all straight lines through a window.
+"""Straight lines that agree with messages: stretches without a step, and all lines through a window.
 
-The geometry of `analyzer/clocks/fit.py`, in plain floats whose origin was subtracted in int64.
+The geometry of `analyzer/clocks/fit.py`, in floats whose origin was subtracted in int64.
 """
 
 from __future__ import annotations
@@ -18,32 +18,38 @@ if TYPE_CHECKING:
 Float64 = NDArray[np.float64]
 
 DRIFT_LIMIT_PPB = 500_000
-"""Linux slews a clock by at most 500 ppm (adjtimex(2)); quartz is off by less than 100 ppm."""
+"""Largest drift: Linux slews a clock by at most 500 ppm (adjtimex(2)); quartz is off by less than 100 ppm."""
 
 WINDOW_NS = 10_000_000_000
-"""Ten seconds: crystals wander by well under 0.1 ppm in that time, and 10 Hz gives 100 messages to choose from."""
+"""Length of a window: crystals wander by well under 0.1 ppm in ten seconds, and 10 Hz gives 100 messages to choose from."""
 
 CANDIDATES = 32
-"""Messages of a window that are kept per direction. Fewer constraints can only widen the bound."""
+"""Messages of a window that constrain its lines, per direction. Fewer constraints can only widen the bound."""
 
 DRIFT = DRIFT_LIMIT_PPB / 1e9
-"""The same as ns per ns."""
+"""Largest drift in ns per ns."""
+
 _BLOCK = 4096
+"""Messages that are searched for a step at once."""
+
+_MESSAGES_AFTER_STEP = 64
+"""Messages after a step that tell which messages before it they cannot explain."""
+
 _ROUNDING_NS = 1e-3
-"""Float slack when lines are checked against points; far below the nanosecond that is reported."""
+"""Tolerance of the check of lines against points, far below the nanosecond that is reported."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Intervals:
-    """What each message says alone: theta in [lower, upper] at time t; origins subtracted, so floats are exact."""
+class OffsetIntervals:
+    """Bounds on theta by each message alone: between `lower` and `upper` at `time`; without origins, so floats are exact."""
 
     time: Float64
     lower: Float64
     upper: Float64
 
-    def part(self, start: int, stop: int) -> Intervals:
-        """The messages from `start` to `stop` (not included)."""
-        return Intervals(self.time[start:stop], self.lower[start:stop], self.upper[start:stop])
+    def part(self, start: int, stop: int) -> OffsetIntervals:
+        """Return the messages from `start` to `stop` (not included)."""
+        return OffsetIntervals(self.time[start:stop], self.lower[start:stop], self.upper[start:stop])
 
     def __len__(self) -> int:
         return len(self.time)
@@ -51,9 +57,9 @@ class Intervals:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lines:
-    """All lines that respect the messages of one window, by the corners of their set.
+    """All lines that agree with the messages of one window, by the corners of their set.
 
-    A line is its slope and its height at `centre`. For corner i the heights from `low[i]` to `high[i]` are possible.
+    A line is its slope and its height at `centre`. A line of `slope[i]` has a height from `low[i]` to `high[i]`.
     """
 
     centre: float
@@ -62,8 +68,8 @@ class Lines:
     high: Float64
 
     @classmethod
-    def through(cls, points: Intervals) -> Lines | None:
-        """The lines below every upper and above every lower end, no steeper than the drift limit; None if none is."""
+    def through(cls, points: OffsetIntervals) -> Lines | None:
+        """Return the lines below every upper and above every lower end, no steeper than `DRIFT`; None if there is no line."""
         above, below = _tightest(points, points.upper), _tightest(points, -points.lower)
         centre = float(points.time[len(points) // 2])
         x, upper = points.time[above] - centre, points.upper[above]
@@ -89,7 +95,7 @@ class Lines:
         return cls(centre, slope[corner], low[corner], high[corner])
 
     def range_at(self, time: Float64) -> tuple[Float64, Float64]:
-        """Lowest and highest that any of the lines is at each time."""
+        """Return the lowest and the highest height of any line at each time."""
         x = time - self.centre
         low = np.full(len(time), np.inf)
         high = np.full(len(time), -np.inf)
@@ -99,10 +105,10 @@ class Lines:
         return low, high
 
 
-def _tightest(points: Intervals, height: Float64) -> list[int]:
-    """Index of the points that a line must pass below: the lower convex hull of the lowest of each part.
+def _tightest(points: OffsetIntervals, height: Float64) -> list[int]:
+    """Return the indices of the points that a line must pass below: the lower convex hull of the window.
 
-    The lowest point of each of `CANDIDATES` equal parts of the window is looked at; the hull is built from left
+    Only the lowest point of each of `CANDIDATES` equal parts of the window counts; the hull is built from left
     to right (A. Andrew's monotone chain, 1979).
     """
     edges = np.linspace(0, len(points), min(CANDIDATES, len(points)) + 1).astype(np.intp).tolist()
@@ -120,8 +126,8 @@ def _tightest(points: Intervals, height: Float64) -> list[int]:
     return hull
 
 
-def find_stretches(points: Intervals) -> Iterator[tuple[int, int]]:
-    """Start and stop of each stretch without a step.
+def find_stretches(points: OffsetIntervals) -> Iterator[tuple[int, int]]:
+    """Yield start and stop of each stretch without a step.
 
     Messages around a step that agree with the clock before it and after it belong to no stretch.
     """
@@ -132,8 +138,8 @@ def find_stretches(points: Intervals) -> Iterator[tuple[int, int]]:
         start = step
 
 
-def _first_out_of_reach(points: Intervals, start: int) -> int:
-    """Index of the first message that no drift within the limit reaches from the ones since `start`."""
+def _first_out_of_reach(points: OffsetIntervals, start: int) -> int:
+    """Return the index of the first message that no drift up to `DRIFT` reaches from those since `start`."""
     lowest_top, highest_bottom = np.inf, -np.inf
     for begin in range(start, len(points), _BLOCK):
         part = points.part(begin, begin + _BLOCK)
@@ -147,19 +153,19 @@ def _first_out_of_reach(points: Intervals, start: int) -> int:
     return len(points)
 
 
-def _last_surely_before(points: Intervals, start: int, step: int) -> int:
-    """Index after the last message before `step` that the clock of the messages after it cannot explain."""
+def _last_surely_before(points: OffsetIntervals, start: int, step: int) -> int:
+    """Return the index after the last message before `step` that the clock after the step cannot explain."""
     if step == len(points):
         return step
-    after, before = points.part(step, step + 64), points.part(start, step)
+    after, before = points.part(step, step + _MESSAGES_AFTER_STEP), points.part(start, step)
     top = (after.upper + DRIFT * after.time).min() - DRIFT * before.time
     bottom = (after.lower - DRIFT * after.time).max() + DRIFT * before.time
     foreign = np.flatnonzero((before.lower > top) | (before.upper < bottom))
     return start + int(foreign[-1]) + 1 if len(foreign) else step
 
 
-def find_windows(points: Intervals, start: int, stop: int) -> Iterator[tuple[int, int, Lines]]:
-    """Start, stop and lines of each window; at most `WINDOW_NS` long, and short enough that a line fits."""
+def find_windows(points: OffsetIntervals, start: int, stop: int) -> Iterator[tuple[int, int, Lines]]:
+    """Yield start, stop and lines of each window: at most `WINDOW_NS` long, and halved until a line agrees with it."""
     part = points.part(start, stop)
     duration = part.time[-1] - part.time[0]
     if duration > WINDOW_NS:
@@ -174,9 +180,7 @@ def find_windows(points: Intervals, start: int, stop: int) -> Iterator[tuple[int
         yield start, stop, lines
         return
     middle = (start + stop) // 2
-    if (
-        middle == start
-    ):  # even one message has no line: its stamps contradict each other beyond what floats hold
+    if middle == start:  # one message without a line: its stamps contradict each other by more than rounding
         return
     yield from find_windows(points, start, middle)
     yield from find_windows(points, middle, stop)

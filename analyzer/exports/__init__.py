@@ -1,1 +1,1 @@
-"""Round trips for other programs: CSV, Arrow, MCAP for Foxglove."""
+"""Round trips for other programs: CSV, Arrow, and MCAP for Foxglove."""

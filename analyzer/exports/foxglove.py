@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
@@ -28,10 +28,12 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    from ..model.parameters import ParameterValue
+
 SCHEMA_NAME = "dds_trace_msgs/msg/MessageLatency"
 _FIRST = ("latency", "rtt", "response", "intermediate")
 TIMES = (*_FIRST, *(name for name in METRICS if name not in _FIRST), "outbound", "return", "clock_bound")
-"""The columns `<name>_ns` of the round trips; the message's fields are `<name>_ms`, not a number where unknown."""
+"""Columns `<name>_ns` of the round trips; the fields of the message are `<name>_ms`, NaN where unknown."""
 
 SCHEMA = "".join(
     [
@@ -51,22 +53,22 @@ _RECORD = np.dtype(
         ("lost", "u1"),
     ],
 )
-"""The message as it is serialized: fields in the schema's order need no padding."""
+"""The serialized message: fields in the order of the schema need no padding."""
 
 PLOTTED_TOPICS = 12
-"""Series of a plot in the layout; more cannot be told apart. The other topics are in the file all the same."""
+"""Series of a plot in the layout; more cannot be told apart. The file has all topics."""
 
 
 @dataclass(frozen=True, slots=True)
 class DerivedTrace:
-    """What was written.
+    """The files that were written, and what is in them.
 
     Attributes:
         path: the MCAP file.
         layout: the Foxglove layout (in Foxglove: Layouts, Import from file).
         topics: the channels, in the order of their first message.
         messages: messages of all channels.
-        without_wall_clock: runs whose ping gave no clock anchor; their times count from the device's boot.
+        without_wall_clock: runs whose ping has no clock anchor; their times count from the device's boot.
     """
 
     path: Path
@@ -83,7 +85,7 @@ def write_derived(
     *,
     force: bool = False,
 ) -> DerivedTrace:
-    """The file `path` and beside it `NAME.foxglove.json`.
+    """Write per-message latency to `path`, and beside it the layout `NAME.foxglove.json`.
 
     Args:
         roundtrips: frame of `docs/trace-format.md`; with `outbound_ns`, `return_ns`, `clock_bound_ns` where known.
@@ -116,7 +118,7 @@ def write_derived(
 
 
 def _in_order(roundtrips: pl.DataFrame, ping_wall: Mapping[int, int]) -> pl.DataFrame:
-    """The messages in the order of log time with their topic; `log_ns` is i64 and never below 0."""
+    """Return the messages in the order of log time, with the columns `topic` and `log_ns` (i64, never below 0)."""
     runs = pl.Series(list(ping_wall), dtype=pl.UInt64)
     offsets = pl.Series(list(ping_wall.values()), dtype=pl.Int64)
     offset = pl.col("run_id").replace_strict(runs, offsets, default=0) if ping_wall else pl.lit(0, pl.Int64)
@@ -136,8 +138,8 @@ def _in_order(roundtrips: pl.DataFrame, ping_wall: Mapping[int, int]) -> pl.Data
     )
 
 
-def topic_name(row: Mapping[str, Any]) -> str:
-    """The channel of a run and relay: `/latency/fastdds/builtin/binary_33000B_10Hz/run_RRRRRRRR/relay_PPPPPPPP`.
+def topic_name(row: Mapping[str, ParameterValue]) -> str:
+    """Name the channel of a run and relay: `/latency/fastdds/builtin/binary_33000B_10Hz/run_RRRRRRRR/relay_PPPPPPPP`.
 
     Only letters, digits and underscores between the slashes, so that every tool takes it as a topic.
     """
@@ -166,8 +168,8 @@ def _write_messages(writer: Writer, rows: pl.DataFrame, topics: Sequence[str]) -
     writer.finish()  # type: ignore[no-untyped-call]  # mcap leaves this one untyped
 
 
-def foxglove_layout(topics: Sequence[str]) -> dict[str, Any]:
-    """A layout with four plots of the first `PLOTTED_TOPICS` topics: latency, response, one way each, losses."""
+def foxglove_layout(topics: Sequence[str]) -> dict[str, object]:
+    """Lay out four plots of the first `PLOTTED_TOPICS` topics: latency, response, one way each, losses."""
     plots = {
         "Plot!latency": ("Latency (ms)", ("latency_ms",)),
         "Plot!response": ("Response: planned sending to reply (ms)", ("response_ms",)),

@@ -20,19 +20,22 @@ EXPORTERS: Mapping[str, Callable[[pl.LazyFrame, Path], object]] = {
     "csv": lambda rows, path: rows.sink_csv(path),
     "arrow": lambda rows, path: rows.sink_ipc(path),
 }
-"""Kind, which is also the ending of the files -> how rows are written, without holding all of them."""
+"""Kind, which is also the ending of the files -> function that writes rows without holding all of them."""
 
 
 def export_tables(analysis: Analysis, kind: str, folder: Path) -> list[Path]:
     """Write `roundtrips` and `summary` as `kind` into a folder; earlier ones are replaced.
 
     Args:
-        analysis: what was analyzed.
+        analysis: the analysis.
         kind: a key of `EXPORTERS`. CSV has no place for units: they are in the names of the columns.
-        folder: is made where it is missing.
+        folder: folder of the files; it is made if it is missing.
+
+    Returns:
+        The two files.
 
     Raises:
-        OutputError: they cannot be written.
+        OutputError: a file cannot be written.
     """
     written = []
     for name, rows in (("roundtrips", analysis.scan_roundtrips()), ("summary", analysis.summary.lazy())):

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
 
-# What mcap, rosbags and the decompressors say of bytes that are not what they should be.
 _UNREADABLE = (
     AnyReaderError,
     EOFError,
@@ -40,6 +39,7 @@ _UNREADABLE = (
     ZstdError,
     struct.error,
 )
+"""Exceptions of mcap, rosbags and the decompressors for damaged bytes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +47,10 @@ class Topic:
     """A topic of a recording.
 
     Attributes:
+        name: its name.
+        message_type: such as `sensor_msgs/msg/Image`; empty if the recording does not say.
         encoding: `cdr`, `ros1`, `json`, `protobuf` ...
-        has_stamp: whether its messages begin with a header or a time that `stamp_ns` can be read from.
+        has_stamp: whether its messages begin with a header or a time, which is then their stamp.
     """
 
     name: str
@@ -59,12 +61,14 @@ class Topic:
 
 @dataclass(frozen=True, slots=True)
 class RecordedMessage:
-    """One message; times in ns since 1970 (or since boot, as the recording has them).
+    """One message; times in ns since 1970, or since boot if the recording has such times.
 
     Attributes:
-        log_ns: when it was recorded.
-        publish_ns: when it was published as the recorder was told; None where the format has no such time.
-        stamp_ns: the stamp of its header; None if it has none or the stamp is zero.
+        topic: its topic.
+        log_ns: time of its recording.
+        publish_ns: time of its publication as the recorder was told; None where the format has no such time.
+        stamp_ns: stamp of its header; None without a header, or if the stamp is zero.
+        payload_bytes: size as serialized.
     """
 
     topic: Topic
@@ -75,7 +79,7 @@ class RecordedMessage:
 
 
 def find_recordings(path: Path, *, skip: Collection[Path] = ()) -> list[Path]:
-    """All `.mcap` and `.bag` files and rosbag2 folders in a folder and below it, sorted; or the path itself.
+    """Find all `.mcap`, `.bag` and `.db3` files and rosbag2 folders in a folder and below it, sorted; or the path itself.
 
     Raises:
         MissingEventsError: there is no such file or folder.
@@ -85,24 +89,24 @@ def find_recordings(path: Path, *, skip: Collection[Path] = ()) -> list[Path]:
     if not path.is_dir():
         raise MissingEventsError(f"{path}: no such file or folder")
     left_out = {other.resolve() for other in skip}
-    found: list[Path] = []
+    recordings: list[Path] = []
     for name, folders, files in os.walk(path):
         here = Path(name)
         if here.resolve() in left_out:
             folders.clear()
         elif METADATA_NAME in files:
-            found.append(here)
+            recordings.append(here)
             folders.clear()
         else:
-            found += [here / file for file in files if Path(file).suffix in {".mcap", ".bag", ".db3"}]
-    return sorted(found)
+            recordings += [here / file for file in files if Path(file).suffix in {".mcap", ".bag", ".db3"}]
+    return sorted(recordings)
 
 
 def iter_messages(path: Path) -> Iterator[RecordedMessage]:
-    """The messages of one recording in the order they are stored.
+    """Yield the messages of one recording in the order of the file.
 
     Raises:
-        TraceFormatError: it is no recording, or it ends early; what was complete before has been given.
+        TraceFormatError: the path is not a recording, or ends early; complete messages before that were yielded.
     """
     if path.is_dir():
         files = sorted(path.glob("*.mcap"))
@@ -124,7 +128,7 @@ def _mcap_messages(path: Path) -> Iterator[RecordedMessage]:
 
 
 def _mcap_stream(file: BinaryIO) -> Iterator[RecordedMessage]:
-    """`StreamReader` and not the indexed reader: it gets to the end of what a truncated file holds."""
+    """Yield the messages with `StreamReader`, which reads a truncated file up to its end, unlike the indexed reader."""
     schemas: dict[int, Schema] = {}
     topics: dict[int, tuple[Topic, Callable[[bytes], int | None]]] = {}
     for record in StreamReader(file).records:
@@ -154,7 +158,7 @@ def _mcap_stream(file: BinaryIO) -> Iterator[RecordedMessage]:
 
 
 def _bag_messages(path: Path) -> Iterator[RecordedMessage]:
-    """Through rosbags, which knows the storages and compressions of rosbag1 and rosbag2; it gives the log time only."""
+    """Yield the messages through rosbags, which reads all storages and compressions but only the log time."""
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
             encoding = "cdr" if reader.is2 else "ros1"
@@ -178,7 +182,7 @@ def _connection_has_stamp(connection: Connection) -> bool:
 
 @cache
 def _stamped_types() -> frozenset[str]:
-    """Stock ROS 2 types whose first field is a header, for bags that do not hold their definitions."""
+    """Return the stock ROS 2 types whose first field is a header, for bags without definitions."""
     stamped = set()
     for name, (_, fields) in get_typestore(Stores.LATEST).fielddefs.items():
         if fields and fields[0][1][1] == "std_msgs/msg/Header":
@@ -191,7 +195,11 @@ _STAMPED = re.compile(r"\s*((std_msgs/(msg/)?)?Header\s+\w+|builtin_interfaces/(
 
 
 def begins_with_stamp(definition: str) -> bool:
-    """Whether a type's first field, by its `.msg` text, is a `std_msgs/Header` or a time."""
+    """Tell whether the first field of a type is a `std_msgs/Header` or a time.
+
+    Args:
+        definition: the text of its `.msg` file.
+    """
     for line in definition.splitlines():
         if line.startswith("==="):
             return False
@@ -223,3 +231,4 @@ def _no_stamp(_: bytes) -> None:
 
 
 _STAMP_READERS: dict[str, Callable[[bytes], int | None]] = {"cdr": _cdr_stamp, "ros1": _ros1_stamp}
+"""Encoding -> function that reads the stamp from the first bytes of a message."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from array import array
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
@@ -21,14 +21,21 @@ if TYPE_CHECKING:
 
     from .messages import RecordedMessage, Topic
 
+    Row = dict[str, str | int | float | None]
+    """Column of `TOPIC_SCHEMA` -> value; a column that is missing is null."""
+
 Int64 = NDArray[np.int64]
 
 GAP_PERIODS = 2.0
-"""An interval longer than so many median ones is a gap: at least one message is missing."""
+"""Length of a gap in median intervals: at least one message is missing."""
+
+_FEWEST_FOR_P99 = 100
+"""Messages below which p99 is null."""
 
 _NONE = -(2**63)
+"""Stands for a time that a message does not have."""
 
-TOPIC_SCHEMA = {
+TOPIC_SCHEMA: dict[str, type[pl.DataType]] = {
     "recording": pl.String,
     "topic": pl.String,
     "message_type": pl.String,
@@ -59,7 +66,7 @@ TOPIC_SCHEMA = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TopicReport:
-    """What is in some recordings.
+    """The topics of some recordings.
 
     Attributes:
         topics: one row per recording and topic with messages, sorted. `recording` (path), `topic`, `message_type`,
@@ -71,7 +78,7 @@ class TopicReport:
             before their stamp: the clocks disagree; p99 of fewer than 100 messages is null;
             `stamps_backwards` header stamps older than the one logged before. An age is measured with two clocks
             if another machine stamped, and is then wrong by what they differ.
-        sources: the recordings looked at, with what was wrong.
+        sources: the recordings that were looked at, and what was wrong with them.
     """
 
     topics: pl.DataFrame
@@ -84,17 +91,17 @@ def analyze_topics(
     skip: Collection[Path] = (),
     progress: Callable[[Path], None] | None = None,
 ) -> TopicReport:
-    """The topics of every recording in a folder and below it, or of one recording.
+    """Analyze the topics of every recording in a folder and below it, or of one recording.
 
     Args:
         path: a folder, a `.mcap`, `.bag` or `.db3` file, or a rosbag2 folder.
         skip: files and folders to leave out.
-        progress: told each recording before it is read.
+        progress: called with each recording before it is read.
 
     Raises:
         MissingEventsError: there is no recording, or none of them can be read at all.
     """
-    rows: list[dict[str, Any]] = []
+    rows: list[Row] = []
     sources: list[Source] = []
     for recording in find_recordings(path, skip=skip):
         if progress is not None:
@@ -130,13 +137,14 @@ class _Columns:
     payload_bytes: array[int] = field(default_factory=lambda: array("q"))
 
     def add(self, message: RecordedMessage) -> None:
+        """Take the next message."""
         self.log_ns.append(message.log_ns)
         self.publish_ns.append(_NONE if message.publish_ns is None else message.publish_ns)
         self.stamp_ns.append(_NONE if message.stamp_ns is None else message.stamp_ns)
         self.payload_bytes.append(message.payload_bytes)
 
 
-def _describe(topic: Topic, held: _Columns) -> dict[str, Any]:
+def _describe(topic: Topic, held: _Columns) -> Row:
     log_ns, publish_ns, stamp_ns, payload_bytes = (
         np.frombuffer(column, np.int64)
         for column in (held.log_ns, held.publish_ns, held.stamp_ns, held.payload_bytes)
@@ -154,24 +162,26 @@ def _describe(topic: Topic, held: _Columns) -> dict[str, Any]:
     }
 
 
-def _timing(log_ns: Int64) -> dict[str, Any]:
+def _timing(log_ns: Int64) -> Row:
     duration_ns = int(log_ns[-1] - log_ns[0])
-    found: dict[str, Any] = {"start_ns": int(log_ns[0]), "duration_ns": duration_ns}
+    row: Row = {"start_ns": int(log_ns[0]), "duration_ns": duration_ns}
     if duration_ns:
         period_ns = np.diff(log_ns)
         median = float(np.median(period_ns))
-        found |= {
+        row |= {
             "rate_hz": len(period_ns) / (duration_ns / 1e9),
             "period_p50_ns": median,
-            "period_p99_ns": float(np.quantile(period_ns, 0.99)) if len(period_ns) >= 100 else None,
+            "period_p99_ns": float(np.quantile(period_ns, 0.99))
+            if len(period_ns) >= _FEWEST_FOR_P99
+            else None,
             "jitter_ns": float(period_ns.std(ddof=1)) if len(period_ns) > 1 else None,
             "gaps": int((period_ns > GAP_PERIODS * median).sum()),
             "gap_max_ns": int(period_ns.max()),
         }
-    return found
+    return row
 
 
-def _sizes(payload_bytes: Int64, duration_ns: int) -> dict[str, Any]:
+def _sizes(payload_bytes: Int64, duration_ns: int) -> Row:
     total = int(payload_bytes.sum())
     return {
         "payload_mean_bytes": total / len(payload_bytes),
@@ -181,7 +191,7 @@ def _sizes(payload_bytes: Int64, duration_ns: int) -> dict[str, Any]:
     }
 
 
-def _ages(log_ns: Int64, publish_ns: Int64, stamp_ns: Int64) -> dict[str, Any]:
+def _ages(log_ns: Int64, publish_ns: Int64, stamp_ns: Int64) -> Row:
     stamped = stamp_ns != _NONE
     published = publish_ns != _NONE
     if stamped.any():
@@ -196,7 +206,7 @@ def _ages(log_ns: Int64, publish_ns: Int64, stamp_ns: Int64) -> dict[str, Any]:
         "age_negative": int((age_ns < 0).sum()),
         "age_min_ns": int(age_ns.min()),
         "age_p50_ns": float(np.median(age_ns)),
-        "age_p99_ns": float(np.quantile(age_ns, 0.99)) if len(age_ns) >= 100 else None,
+        "age_p99_ns": float(np.quantile(age_ns, 0.99)) if len(age_ns) >= _FEWEST_FOR_P99 else None,
         "age_max_ns": int(age_ns.max()),
         "stamps_backwards": int((np.diff(stamp_ns[stamped]) < 0).sum()) if age_from == "header" else None,
     }

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from roundtrip_frames import MS, S
 
 from dds_trace.analyzer.clocks.fit import fit_clock
-from dds_trace.analyzer.clocks.lines import DRIFT, Intervals, Lines
+from dds_trace.analyzer.clocks.lines import DRIFT, Lines, OffsetIntervals
 
 START_NS = (
     40 * 24 * 3600 * S
@@ -217,7 +217,7 @@ def test_the_corners_of_the_lines_reach_as_far_as_all_lines(messages, drift, see
     generator = np.random.default_rng(seed)
     time = np.sort(generator.integers(0, 10 * S, messages)).astype(np.float64)
     lower = drift * time - generator.exponential(MS, messages).round()
-    points = Intervals(time, lower, lower + generator.exponential(MS, messages).round() + MS)
+    points = OffsetIntervals(time, lower, lower + generator.exponential(MS, messages).round() + MS)
     lines = Lines.through(points)
     if lines is None:  # the drift is at its limit, and no line is as steep
         return

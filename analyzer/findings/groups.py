@@ -108,15 +108,15 @@ def impossible_times(evidence: Evidence) -> Iterator[Finding]:
     for exchange, group, row in zip(
         evidence.grouping.exchanges, evidence.exchange_groups(), rows, strict=True
     ):
-        found = [
+        below_zero = [
             f"{name.removeprefix('negative_')} of {counted(n, 'message')}" for name, n in row.items() if n
         ]
-        if found:
+        if below_zero:
             yield Finding(
                 Severity.ERROR,
                 "negative_times",
                 exchange_name(exchange),
-                f"Below zero: {', '.join(found)}. They are in the statistics as computed.",
+                f"Below zero: {', '.join(below_zero)}. They are in the statistics as computed.",
                 "Do not use these numbers: check that stamps are CLOCK_MONOTONIC of one device each, and that no "
                 "two relays share a relay_id.",
                 (group,),
@@ -131,10 +131,10 @@ def mixed_labels(evidence: Evidence) -> Iterator[Finding]:
         runs = [evidence.grouping.exchanges[member].run for member in members]
         for label in {label for run in runs for label in run.labels}:
             values[label] = {run.labels.get(label) for run in runs}
-        mixed = {label: found for label, found in sorted(values.items()) if len(found) > 1}
+        mixed = {label: different for label, different in sorted(values.items()) if len(different) > 1}
         if mixed:
             listed = "; ".join(
-                f"{label}: {some(sorted(map(str, found)), 5)}" for label, found in mixed.items()
+                f"{label}: {some(sorted(map(str, different)), 5)}" for label, different in mixed.items()
             )
             yield Finding(
                 Severity.WARNING,
@@ -184,16 +184,16 @@ def _shown(percentile: Percentile) -> str:
 def outages(evidence: Evidence) -> Iterator[Finding]:
     """Report groups that lost several messages in a row."""
     names = evidence.group_names
-    for (key,), found in evidence.details.outages.group_by(["group"], maintain_order=True):
+    for (key,), of_group in evidence.details.outages.group_by(["group"], maintain_order=True):
         group = int(str(key))
-        durations_ns = found["duration_ns"].drop_nulls().to_list()
+        durations_ns = of_group["duration_ns"].drop_nulls().to_list()
         longest = f"; the longest lasted {max(durations_ns) / 1e6:.3f} ms" if durations_ns else ""
-        endless = len(found) - len(durations_ns)
+        endless = len(of_group) - len(durations_ns)
         yield Finding(
             Severity.WARNING,
             "outage",
             names[group],
-            f"{counted(len(found), 'time')} several messages in a row were lost, {found['messages'].sum()} in all{longest}"
+            f"{counted(len(of_group), 'time')} several messages in a row were lost, {of_group['messages'].sum()} in all{longest}"
             + (f"; {endless} lasted to the end of the run." if endless else "."),
             "Look at the timeline: a link that drops out, a bridge or relay that restarts, a full buffer.",
             (group,),

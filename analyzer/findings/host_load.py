@@ -25,14 +25,14 @@ def cpu_saturation(evidence: Evidence) -> Iterator[Finding]:
     samples = evidence.details.host_samples.select("session_id", "cpu_busiest_percent").drop_nulls()
     for session_id, percent in samples.iter_rows():
         busy[session_id].append(percent)
-    for session_id, found in busy.items():
-        full = sum(percent >= _SATURATED_PERCENT for percent in found)
-        if full > _SATURATED_SHARE * len(found):
+    for session_id, percents in busy.items():
+        full = sum(percent >= _SATURATED_PERCENT for percent in percents)
+        if full > _SATURATED_SHARE * len(percents):
             yield Finding(
                 Severity.WARNING,
                 "cpu_saturated",
                 evidence.session_name(evidence.campaign.sessions[session_id]),
-                f"In {full} of {counted(len(found), 'second')} a processor was busy to at least {_SATURATED_PERCENT:g} %.",
+                f"In {full} of {counted(len(percents), 'second')} a processor was busy to at least {_SATURATED_PERCENT:g} %.",
                 "Latencies here hold time spent waiting for the processor: lower rate or size, or free the device.",
             )
 

@@ -86,10 +86,10 @@ def unlike_environments(evidence: Evidence) -> Iterator[Finding]:
     for where, sessions in sorted(alike.items()):
         yield from _differences(where, [(s, _machine(s)) for s in sessions])
     for where, sessions in sorted(of_vendor.items()):
-        found = [(s, _middleware(s)) for s in sessions]
-        names = {name for _, fields in found for name in fields}
+        described = [(s, _middleware(s)) for s in sessions]
+        names = {name for _, fields in described for name in fields}
         # A setting made on one device only is a difference, too; an interface that only one device has is none.
-        yield from _differences(where, [(s, dict.fromkeys(names) | fields) for s, fields in found])
+        yield from _differences(where, [(s, dict.fromkeys(names) | fields) for s, fields in described])
 
 
 def _machine(session: Session) -> dict[str, object]:
@@ -102,10 +102,10 @@ def _middleware(session: Session) -> dict[str, object]:
     return {"rmw": session.rmw, **dict(_flattened(parts))}
 
 
-def _differences(where: str, found: list[tuple[Session, dict[str, object]]]) -> Iterator[Finding]:
+def _differences(where: str, described: list[tuple[Session, dict[str, object]]]) -> Iterator[Finding]:
     """Report each field in which the sessions that have it differ."""
     values: dict[str, dict[str, list[Session]]] = defaultdict(lambda: defaultdict(list))
-    for session, fields in found:
+    for session, fields in described:
         for name, value in fields.items():
             values[name][json.dumps(value, sort_keys=True)].append(session)
     for name, by_value in sorted(values.items()):

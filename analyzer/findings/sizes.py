@@ -24,8 +24,8 @@ _JUMP = 2.0
 
 def unlike_sizes(evidence: Evidence) -> Iterator[Finding]:
     """Report neighbouring sizes, all else equal, between whose p50 intervals the latency surely falls or jumps."""
-    found = evidence.details.intervals.filter(metric="latency", percentile="p50").drop_nulls("method")
-    interval = {row["group"]: row for row in found.iter_rows(named=True)}
+    medians = evidence.details.intervals.filter(metric="latency", percentile="p50").drop_nulls("method")
+    interval = {row["group"]: row for row in medians.iter_rows(named=True)}
     lines: dict[tuple[ParameterValue, ...], list[tuple[int, int]]] = defaultdict(list)
     for group, row in enumerate(evidence.grouping.parameters.iter_rows(named=True)):
         if group in interval:

@@ -29,7 +29,8 @@ from dds_trace.recorder.host.recorder_cost import (
     worst_stall_ns,
 )
 from dds_trace.tracefile.format.events import EVENT_DEFINITION, EVENT_SCHEMA_NAME, Stage, pack_event
-from dds_trace.tracefile.writing.sink import TraceDestination, TraceSink
+from dds_trace.tracefile.writing.destination import TraceDestination
+from dds_trace.tracefile.writing.sink import TraceSink
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

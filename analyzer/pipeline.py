@@ -38,14 +38,14 @@ if TYPE_CHECKING:
     from .verdicts.job import Job
 
 OUTPUT_FOLDER = "analysis"
-"""Where results go by default, below the analyzed folder."""
+"""Folder of the results by default, below the analyzed folder."""
 
 CACHE_FOLDER = "cache"
-"""Where events are kept for the next analysis, below the folder for the results."""
+"""Folder of the events kept for the next analysis, below the folder of the results."""
 
 
 def default_output(path: Path) -> Path:
-    """The folder for the results of `path`: `analysis/` in it, beside it if it is itself a trace, here if it is remote."""
+    """Return the folder for the results of `path`: `analysis/` in it, beside it if it is a trace, here if it is remote."""
     if is_remote(path):
         return Path(OUTPUT_FOLDER)
     is_trace = path.is_file() or (path / "metadata.yaml").is_file()
@@ -172,7 +172,7 @@ def _pair_and_measure(
 
 
 def _runs_by_start(campaign: Campaign, exchanges: Exchanges) -> tuple[Run, ...]:
-    """Runs with messages in the order of their rows, then those without."""
+    """Order the runs: those with messages as their rows, then those without."""
     started = {exchange.run.run_id: exchange.run for exchange in exchanges.held}
     return (*started.values(), *(run for run_id, run in campaign.runs.items() if run_id not in started))
 

@@ -11,7 +11,7 @@ import os
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from dds_trace.tracefile import BackendUnavailableError, EventColumns, TraceFormatError
 
@@ -21,7 +21,7 @@ from ..loading.shelf import LoadedTrace, load_trace
 from .batches import work_at
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 
     from ..groups.batch import Batch
     from ..loading.campaign import Campaign, Progress
@@ -31,19 +31,38 @@ if TYPE_CHECKING:
 
 _TIMEOUT_S = 30
 
+Result_co = TypeVar("Result_co", covariant=True)
+Result = TypeVar("Result")
+
+
+class _Future(Protocol[Result_co]):
+    """The part of `distributed.Future` that is used here."""
+
+    def result(self) -> Result_co:
+        """Wait for the result, and fetch it."""
+
+
+class _Client(Protocol):
+    """The part of `distributed.Client` that is used here."""
+
+    def submit(self, work: Callable[..., Result], *arguments: object, pure: bool) -> _Future[Result]:
+        """Call a function on a worker; futures among the arguments are taken for their results."""
+
+    def close(self) -> None:
+        """Leave the scheduler."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RemoteEvents:
-    """Events of one key that a worker holds."""
+    """Events of one key of the event index, held by a worker."""
 
-    client: Any
-    loaded: Any
+    client: _Client
+    loaded: _Future[LoadedTrace | str]
     key: EventKey
 
     def load(self) -> EventColumns:
-        """Bring them here."""
-        found: EventColumns = self.client.submit(_events, self.loaded, self.key, pure=False).result()
-        return found
+        """Fetch the events from the worker."""
+        return self.client.submit(_events, self.loaded, self.key, pure=False).result()
 
 
 class ClusterEngine:
@@ -58,21 +77,21 @@ class ClusterEngine:
 
     def __init__(self, address: str) -> None:
         try:
-            distributed: Any = import_module("distributed")  # an extra: only --cluster needs it
+            distributed = import_module("distributed")  # an extra: only --cluster needs it
         except ImportError as err:
             raise BackendUnavailableError(
                 "--cluster needs Dask: install the extra with `pip install 'dds-trace[cluster]'`"
             ) from err
         try:
-            self._client: Any = distributed.Client(address, timeout=_TIMEOUT_S, set_as_default=False)
+            self._client: _Client = distributed.Client(address, timeout=_TIMEOUT_S, set_as_default=False)
         except (OSError, ValueError) as err:
             raise BackendUnavailableError(
                 f"no Dask scheduler answers at {address} ({err}); start one with `dask scheduler`"
             ) from err
-        self._loaded: list[Any] = []
+        self._loaded: list[_Future[LoadedTrace | str]] = []
 
     def load(self, path: Path, skip: Collection[Path], progress: Progress | None) -> Campaign:
-        """Every trace at or below `path`, each read by a worker; here come only the descriptions."""
+        """Read every trace at or below `path`, each on a worker; only the descriptions come here."""
         here = path if ":" in os.fspath(path) else path.resolve()
         candidates = find_anywhere(here, [folder.resolve() for folder in skip])
         loads = [self._client.submit(_load, os.fspath(c), pure=False) for c in candidates]
@@ -82,28 +101,28 @@ class ClusterEngine:
         for number, (candidate, load, description) in enumerate(zip(candidates, loads, said, strict=True)):
             if progress is not None:
                 progress(number, len(candidates), candidate)
-            found = description.result()
-            if isinstance(found, str):
+            described = description.result()
+            if isinstance(described, str):
                 if candidates == [here]:
-                    raise TraceFormatError(candidate, found)
-                skipped.append(skipped_source(candidate, here, found))
+                    raise TraceFormatError(candidate, described)
+                skipped.append(skipped_source(candidate, here, described))
                 continue
             parts = {
                 key: replace(part, trace=len(loaded), events=RemoteEvents(self._client, load, key))
-                for key, part in found.parts.items()
+                for key, part in described.parts.items()
             }
-            loaded.append(LoadedTrace(found.trace, parts))
+            loaded.append(LoadedTrace(described.trace, parts))
             self._loaded.append(load)
         return campaign_of(here, loaded, skipped)
 
     def work(self, batches: Sequence[Batch], index: EventIndex) -> Iterator[BatchResult]:
-        """All batches at once, and their results in order."""
+        """Submit all batches at once, and yield their results in order."""
         pending = [self._submit(batch, index) for batch in batches]
         pending.reverse()
         while pending:
             yield pending.pop().result()
 
-    def _submit(self, batch: Batch, index: EventIndex) -> Any:
+    def _submit(self, batch: Batch, index: EventIndex) -> _Future[BatchResult]:
         of_trace: dict[int, list[EventKey]] = {}
         for key in batch.event_keys():
             for part in index.get(key, ()):
@@ -115,13 +134,17 @@ class ClusterEngine:
         return self._client.submit(_work, batch, selected, pure=False)
 
     def close(self) -> None:
-        """Let the workers forget everything."""
+        """Release the events that workers hold."""
         self._loaded.clear()
         self._client.close()
 
 
 def _load(path: str) -> LoadedTrace | str:
-    """Run by a worker: one trace, or why it is none."""
+    """Read one trace, on a worker.
+
+    Returns:
+        The trace, or why the file is no trace.
+    """
     try:
         return load_trace(Path(path), 0)
     except TraceFormatError as err:
@@ -129,7 +152,7 @@ def _load(path: str) -> LoadedTrace | str:
 
 
 def _describe(loaded: LoadedTrace | str) -> LoadedTrace | str:
-    """Run by a worker: the same without events."""
+    """Return a trace without its events, on a worker."""
     if isinstance(loaded, str):
         return loaded
     none = EventColumns.empty()
@@ -137,17 +160,17 @@ def _describe(loaded: LoadedTrace | str) -> LoadedTrace | str:
 
 
 def _select(loaded: LoadedTrace, trace: int, keys: Sequence[EventKey]) -> Mapping[EventKey, EventPart]:
-    """Run by a worker: what a batch needs of one trace, by the trace's position in the campaign."""
+    """Return the events of one trace that a batch needs, on a worker; `trace` is its position in the campaign."""
     return {key: replace(loaded.parts[key], trace=trace) for key in keys}
 
 
 def _events(loaded: LoadedTrace, key: EventKey) -> EventColumns:
-    """Run by a worker: the events of one key."""
+    """Return the events of one key, on a worker."""
     return loaded.parts[key].load()
 
 
 def _work(batch: Batch, selected: Sequence[Mapping[EventKey, EventPart]]) -> BatchResult:
-    """Run by a worker: one batch."""
+    """Work at one batch, on a worker."""
     parts: dict[EventKey, tuple[EventPart, ...]] = {}
     for of_trace in selected:
         for key, part in of_trace.items():

@@ -1,4 +1,4 @@
-"""Who does the work of an analysis: the cores of this machine, or (`analyzer/engines/cluster.py`) those of a cluster."""
+"""Engines do the work of an analysis: here the cores of this machine, in `engines/cluster.py` those of a cluster."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ _MOST_WORKERS = 2  # each holds a batch; the writing of rows takes another core
 
 
 class Engine(Protocol):
-    """Those who load the traces, then work at batches; to be closed."""
+    """Loads traces, then works at batches; it is closed at the end."""
 
     def load(self, path: Path, skip: Collection[Path], progress: Progress | None) -> Campaign:
-        """Look at every trace at or below `path`."""
+        """Load every trace at or below `path`; see `load_campaign`."""
 
     def work(self, batches: Sequence[Batch], index: EventIndex) -> Iterator[BatchResult]:
         """Yield the results of the batches in their order."""
 
     def close(self) -> None:
-        """Give back what was held."""
+        """Release memory, files and connections."""
 
 
 class LocalEngine:

@@ -1,4 +1,4 @@
-"""The results of all batches put together: exact where values came along, by histograms where they did not."""
+"""Merge the results of batches: exact where they brought values, by histograms where they did not."""
 
 from __future__ import annotations
 

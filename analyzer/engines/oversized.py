@@ -1,4 +1,4 @@
-"""Statistics of groups whose rows are not all in one place: exact from their values, or near from their histograms.
+"""Statistics of groups whose rows are not all in memory: exact from their values, or approximate from histograms.
 
 The histograms are integer log-linear ones (`analyzer/statistics/histogram.py`): counts of equal buckets add up, so merging
 loses nothing, and a percentile is off by half a bucket at most, `RELATIVE_ERROR` of its value. Counts, mean, standard
@@ -32,13 +32,13 @@ class ValueSpool:
         self._folder = tempfile.TemporaryDirectory(prefix="dds-analyze-")
 
     def add(self, values: Mapping[str, NDArray[np.int64]]) -> None:
-        """The values of one part, by metric."""
+        """Append the values of one part of the group, by metric."""
         for metric, of_part in values.items():
             with self._file(metric).open("ab") as stream:
                 stream.write(np.ascontiguousarray(of_part).data)
 
     def measure(self, group: int) -> Statistics:
-        """Exact statistics of all parts; the spool is used up."""
+        """Return exact statistics of all parts, and remove the files."""
         with self._folder:
             return measure_groups((group, metric, self._values(metric)) for metric in METRICS)
 
@@ -52,7 +52,7 @@ class ValueSpool:
 
 
 def merge_sketches(parts: Statistics) -> Statistics:
-    """Statistics of every group from those of its parts: percentiles by histogram, all else as if it were whole.
+    """Merge statistics of parts of groups: percentiles by histogram, all else as if the groups were whole.
 
     Args:
         parts: rows and histograms of any number of parts of each group, in any order.
@@ -89,7 +89,7 @@ def merge_sketches(parts: Statistics) -> Statistics:
 
 
 def merge_moments(parts: pl.DataFrame) -> dict[str, float | None]:
-    """Samples, mean, standard deviation, least and largest value of all parts of one group and metric."""
+    """Merge samples, mean, standard deviation, least and largest value of the parts of one group and metric."""
     samples, mean, squares = 0, 0.0, 0.0
     for n, of_part, std in parts.filter(pl.col("samples") > 0).select("samples", "mean", "std").iter_rows():
         apart = of_part - mean
@@ -106,7 +106,7 @@ def merge_moments(parts: pl.DataFrame) -> dict[str, float | None]:
 
 
 def histogram_percentile(value_ns: NDArray[np.float64], count: NDArray[np.uint64], quantile: float) -> float:
-    """A percentile of the values that were counted, each taken to be its bucket's centre; interpolated linearly.
+    """Interpolate a percentile of the counted values, each taken to be the centre of its bucket.
 
     Args:
         value_ns: centres of the buckets, rising.
@@ -124,7 +124,7 @@ def histogram_percentile(value_ns: NDArray[np.float64], count: NDArray[np.uint64
 
 
 def _within(value_ns: float, row: Mapping[str, float | str | int | None]) -> float:
-    """A bucket's centre may lie beyond the least or the largest value in it, which are known."""
+    """Limit a percentile to the range of the values: the centre of a bucket may lie beyond it."""
     low, high = row["min"], row["max"]
     assert isinstance(low, float)
     assert isinstance(high, float)

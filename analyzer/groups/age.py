@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class AgeOfInformation:
-    """How old the newest information at a receiver was, from its first reception to the last.
+    """Age of the newest information at a receiver, from the first reception to the last.
 
     Attributes:
         mean_ns: average over time.
@@ -34,7 +34,7 @@ class AgeOfInformation:
 def age_of_information(
     generated_ns: NDArray[np.int64], received_ns: NDArray[np.int64]
 ) -> AgeOfInformation | None:
-    """Age of information from when each message was made and when it was received, on one clock.
+    """Compute the age of information from the times at which messages were made and received, on one clock.
 
     The age rises by a second each second and falls to `received - generated` when a newer message arrives, a
     saw-tooth: between updates k and k + 1 it goes from `r[k] - g[k]` to the peak `r[k+1] - g[k]`. An older

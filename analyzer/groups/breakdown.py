@@ -73,7 +73,7 @@ def break_down(
     ping_wall: Mapping[int, int] | None = None,
     relay_wall: Mapping[int, int] | None = None,
 ) -> pl.DataFrame:
-    """The parts of every message's response.
+    """Split every message's response into its parts.
 
     Args:
         roundtrips: frame of `docs/trace-format.md`, with the columns `STAMP_COLUMNS` where the trace has such stamps.
@@ -129,17 +129,17 @@ def _shortest(column: str) -> pl.Expr:
 
 
 def _if_sound(delivery: str, write: str) -> pl.Expr:
-    """Deliveries of the runs whose stamps agree with the anchor: nothing arrives or leaves before its time."""
+    """Keep deliveries of the runs whose stamps agree with the anchor: nothing arrives or leaves before its time."""
     return pl.when((_shortest(delivery) >= 0) & (_shortest(write).fill_null(0) >= 0)).then(pl.col(delivery))
 
 
 def _anchor_bound(delivery: str, write: str) -> pl.Expr:
-    """An anchor that is too late by more than the shortest delivery would make it negative, and likewise early."""
+    """Bound the error of an anchor: if it were later than the shortest delivery, that would be negative; likewise early."""
     return _larger(_shortest(delivery), _shortest(write))
 
 
 def _larger(one: pl.Expr, other: pl.Expr) -> pl.Expr:
-    """The larger of two, null if either is."""
+    """Return the larger of two, null if either is null."""
     return pl.when(one.is_not_null() & other.is_not_null()).then(pl.max_horizontal(one, other))
 
 
@@ -151,7 +151,7 @@ def _offset(key: str, dtype: type[pl.DataType], offsets: Mapping[int, int] | Non
 
 
 def summarize_breakdown(parts: pl.DataFrame, group_columns: Sequence[str]) -> pl.DataFrame:
-    """One row per group and part, for a stacked figure.
+    """Summarize the parts: one row per group and part, for a stacked figure.
 
     Args:
         parts: frame of `break_down`.
@@ -195,7 +195,7 @@ def summarize_breakdown(parts: pl.DataFrame, group_columns: Sequence[str]) -> pl
 
 
 def response_against_latency(roundtrips: pl.DataFrame, group_columns: Sequence[str]) -> pl.DataFrame:
-    """What a user with a fixed schedule sees beside what the stamps of sent messages show.
+    """Compare the response times of a user with a fixed schedule with the round trips that stamps show.
 
     A sender that waits for itself (a blocked publish, a slow loop) sends late and then fast: its round trips look
     good and its users wait ("coordinated omission", G. Tene, "How not to measure latency", 2013). The schedule is

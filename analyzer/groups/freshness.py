@@ -63,7 +63,7 @@ def outage_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
 def summarize_freshness(
     roundtrips: pl.DataFrame, deadline_ns: int | None = None, metric: str = "latency_ns"
 ) -> pl.DataFrame:
-    """One row per run and relay: deadline misses, age of information, outages.
+    """Summarize deadline misses, age of information and outages: one row per run and relay.
 
     Args:
         roundtrips: frame of `docs/trace-format.md`; with `outbound_ns` and `clock_bound_ns` the age at
@@ -103,7 +103,7 @@ def outage_table(
     deadline_ns: int | None = None,
     metric: str = "latency_ns",
 ) -> pl.DataFrame:
-    """One row per outage, for drawing: `run_id`, `relay_id` and the fields of `Outage`, times in ns (i64, null)."""
+    """List outages for drawing: `run_id`, `relay_id` and the fields of `Outage`, times in ns (i64, null)."""
     schema = {
         "run_id": pl.UInt64,
         "relay_id": pl.UInt32,
@@ -183,7 +183,7 @@ def _runs(roundtrips: pl.DataFrame, metric: str) -> Iterator[_Run]:
 
 
 def _starts(frame: pl.DataFrame) -> list[int] | None:
-    """Where the rows of each run and relay begin, None unless they stand together by rising sequence number."""
+    """Return the first row of each run and relay, None unless their rows stand together by rising sequence number."""
     run_id, relay_id, sequence = (frame[name].to_numpy() for name in ("run_id", "relay_id", "sequence"))
     new = np.ones(len(frame), np.bool_)
     new[1:] = (run_id[1:] != run_id[:-1]) | (relay_id[1:] != relay_id[:-1])
@@ -194,7 +194,7 @@ def _starts(frame: pl.DataFrame) -> list[int] | None:
 
 
 def _in_time(run: _Run, deadline_ns: int | None) -> Bools:
-    """Received within the deadline; without one, no later than nine of ten messages of the run usually are."""
+    """Tell which messages came within the deadline; without one, within the time that 90 % of the run's messages took."""
     if deadline_ns is not None:
         return run.known & (run.value_ns <= deadline_ns)
     usual = run.receive_ns - run.planned_ns
@@ -222,10 +222,10 @@ def _deadline(run: _Run, deadline_ns: int | None) -> dict[str, object]:
 
 
 def _ages(run: _Run) -> dict[str, object]:
-    found: dict[str, object] = {}
+    ages: dict[str, object] = {}
     back = age_of_information(run.planned_ns[~run.lost], run.receive_ns[~run.lost])
     if back is not None:
-        found |= {
+        ages |= {
             "age_mean_ns": back.mean_ns,
             "age_peak_mean_ns": back.peak_mean_ns,
             "age_peak_max_ns": back.peak_max_ns,
@@ -233,9 +233,9 @@ def _ages(run: _Run) -> dict[str, object]:
     seen = run.aligned
     there = age_of_information(run.planned_ns[seen], (run.publish_ns + run.outbound_ns)[seen])
     if there is not None:
-        found |= {
+        ages |= {
             "relay_age_mean_ns": there.mean_ns,
             "relay_age_peak_max_ns": there.peak_max_ns,
             "clock_bound_ns": int(run.bound_ns[seen].max()),
         }
-    return found
+    return ages

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import polars as pl
 
@@ -37,7 +37,7 @@ HOST_SAMPLE_SCHEMA: dict[str, type[pl.DataType]] = {
 
 
 def host_sample_frame(traces: Sequence[Trace]) -> pl.DataFrame:
-    """One row per sample, by session, then by time.
+    """Return one row per sample, by session, then by time.
 
     Returns:
         Columns of `HOST_SAMPLE_SCHEMA`, null where a device does not say. `wall_ns` ns since 1970; `monotonic_ns` of
@@ -46,7 +46,7 @@ def host_sample_frame(traces: Sequence[Trace]) -> pl.DataFrame:
         `wifi_signal_dbm` the weakest interface; `udp_receive_errors` datagrams that the kernel threw away for want
         of buffer since the session's first sample; `sampling_cpu_ns` what taking the sample before this one cost.
     """
-    rows: dict[tuple[int, int], dict[str, Any]] = {}
+    rows: dict[tuple[int, float], dict[str, object]] = {}
     for trace in traces:
         for sample in trace.host_samples:
             session = _session_at(trace.sessions, _number(sample.get("log_time_ns")))
@@ -85,14 +85,14 @@ def host_sample_frame(traces: Sequence[Trace]) -> pl.DataFrame:
 
 
 def _session_at(sessions: Sequence[Session], wall_ns: float | None) -> Session | None:
-    """The last session of a trace that had begun."""
+    """Return the last session of a trace that had begun."""
     if wall_ns is None:
         return None
     begun = [session for session in sessions if session.wall_anchor_ns <= wall_ns] or list(sessions)[:1]
     return max(begun, key=lambda session: session.wall_anchor_ns, default=None)
 
 
-def _row(sample: Mapping[str, Any]) -> dict[str, Any]:
+def _row(sample: Mapping[str, object]) -> dict[str, float | None]:
     host, processes = _object(sample.get("host")), _object(sample.get("processes"))
     node = _object(processes.get("self"))
     each = host.get("cpu_percent_each")
@@ -124,8 +124,8 @@ def _row(sample: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _object(value: object) -> Mapping[str, Any]:
-    """A JSON object, empty for anything else: a trace may hold what it likes on this topic."""
+def _object(value: object) -> Mapping[str, object]:
+    """Return a JSON object, empty for anything else: a trace may hold any JSON on this topic."""
     return value if isinstance(value, dict) else {}
 
 

@@ -21,12 +21,12 @@ RECOVERED_MESSAGES = 5
 
 
 def longest_run(happened: Bools) -> int:
-    """Length of the longest run of True."""
+    """Return the length of the longest run of True."""
     return max((stop - start for start, stop in runs_of(happened)), default=0)
 
 
 def runs_of(happened: Bools) -> list[tuple[int, int]]:
-    """Start and stop (one past the end) of each run of True, in order."""
+    """Return start and stop (one past the end) of each run of True, in order."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], happened, [False]]).astype(np.int8)))
     return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
 
@@ -41,7 +41,7 @@ class Outage:
         start_ns: when the first of them was planned (T0, else T1), ping's monotonic clock.
         end_ns: when the next message that got through was received; None if the run ended first.
         recovery_ns: from `end_ns` until the first of `RECOVERED_MESSAGES` messages in a row that were in time was
-            received; 0 if they were from the start, None if it never came to that.
+            received; 0 if the first messages were, None if no messages were.
     """
 
     first_sequence: int
@@ -52,7 +52,7 @@ class Outage:
 
     @property
     def duration_ns(self) -> int | None:
-        """How long the receiver had nothing new, None if the run ended first."""
+        """Time without a new message at the receiver; None if the run ended first."""
         return None if self.end_ns is None else self.end_ns - self.start_ns
 
 
@@ -63,7 +63,7 @@ def find_outages(
     lost: Bools,
     in_time: Bools,
 ) -> list[Outage]:
-    """The outages of one run, in order.
+    """Find the outages of one run, in order.
 
     Args:
         sequence: of every published message, rising.
@@ -72,7 +72,7 @@ def find_outages(
         lost: whether no reply was received.
         in_time: whether it was received in time, by deadline or by what the run usually needs.
     """
-    found = []
+    outages = []
     good = in_time & ~lost
     for start, stop in runs_of(lost):
         if stop - start < OUTAGE_MESSAGES:
@@ -83,5 +83,5 @@ def find_outages(
             steady = (s for s, e in runs_of(good[stop:]) if e - s >= RECOVERED_MESSAGES)
             first = next(steady, None)
             recovery = None if first is None else max(0, int(receive_ns[stop + first]) - end)
-        found.append(Outage(int(sequence[start]), stop - start, int(planned_ns[start]), end, recovery))
-    return found
+        outages.append(Outage(int(sequence[start]), stop - start, int(planned_ns[start]), end, recovery))
+    return outages

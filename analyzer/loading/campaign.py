@@ -1,4 +1,4 @@
-"""A folder of traces becomes one `Campaign`: what was looked at, who recorded, and where every event is."""
+"""A campaign: the traces of a folder, their sessions and runs, and the index of their events."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from .shelf import LoadedTrace
 
     Progress = Callable[[int, int, Path], None]
-    """Told before each trace is read: how many are done, how many there are, and which comes next."""
+    """Called before each trace is read with the number done, the number of all, and its path."""
 
 _FILES_OF_A_SWEEP = frozenset({"state.json", "max_rate.json", "max_rate.csv", "max_rate.svg"})
-"""What `dds-sweep` writes beside its traces: no reader wonders why it is no trace."""
+"""Files that `dds-sweep` writes beside its traces; they are not listed as skipped."""
 
 _NAMED_AT_MOST = 5
 """Files that an error message names."""
@@ -34,19 +34,19 @@ _NAMED_AT_MOST = 5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Campaign:
-    """Everything that the traces of a folder hold.
+    """The content of the traces of a folder, events by their index.
 
     Attributes:
         folder: the folder, or the one file, that was looked at.
-        sources: every file that was looked at; before `with_copies`, as if none held events of another.
+        sources: every file that was looked at; before `with_copies` without the copies of events.
         traces: the traces read, without their events; positions are those of `events`.
         sessions: session_id -> latest description.
         runs: run_id -> latest description.
         session_traces: session_id -> positions of the traces that name it.
         run_traces: run_id -> positions of the traces that describe it.
         events: the event index.
-        event_counts: events in each trace.
-        copies: what each trace holds that another holds as well.
+        event_counts: number of events in each trace.
+        copies: the events of each trace that another trace holds as well.
     """
 
     folder: Path
@@ -61,17 +61,17 @@ class Campaign:
     copies: tuple[Copies, ...] = ()
 
     def with_copies(self, copies: tuple[Copies, ...]) -> Campaign:
-        """The same, once it is known which events were there more than once."""
+        """Return the campaign with its copies, and with sources that tell them."""
         skipped = [source for source in self.sources if source.status == "skipped"]
         sources = [*_read_sources(self.folder, self.traces, self.event_counts, copies), *skipped]
         return replace(self, copies=copies, sources=tuple(sorted(sources, key=lambda source: source.path)))
 
     def name(self, trace: int) -> str:
-        """What the trace at this position is called in findings."""
+        """Return the name of the trace at this position, as findings tell it."""
         return _relative(self.traces[trace].path, self.folder)
 
     def names(self, traces: Iterable[int]) -> str:
-        """Names of several traces, in one string."""
+        """Join the names of several traces."""
         return ", ".join(self.name(trace) for trace in sorted(set(traces)))
 
 
@@ -87,8 +87,8 @@ def load_campaign(
     Args:
         path: a folder, a trace file, or a rosbag2 folder.
         skip: folders that are not looked into (where results are written).
-        progress: told of each trace before it is read.
-        shelf: reads, and keeps the events; by default all in memory or temporary files.
+        progress: called before each trace is read.
+        shelf: reads the traces and keeps their events; by default in memory and in temporary files.
 
     Raises:
         MissingEventsError: there is nothing at `path`, or no trace among it.
@@ -116,15 +116,20 @@ def load_campaign(
 
 
 def skipped_source(candidate: Path, folder: Path, why: str) -> Source:
-    """A file that is no trace."""
+    """Return the source of a file that is no trace."""
     return Source(_relative(candidate, folder), "skipped", why, 0)
 
 
 def campaign_of(path: Path, loaded: Sequence[LoadedTrace], skipped: Sequence[Source]) -> Campaign:
-    """What the traces found at `path` say together; positions in the parts of `loaded` are those in it.
+    """Put the traces found at `path` together.
+
+    Args:
+        path: the folder, or the one file, that was looked at.
+        loaded: the traces; the position of each is that in its index.
+        skipped: files that are no trace.
 
     Raises:
-        MissingEventsError: there are none.
+        MissingEventsError: `loaded` is empty.
     """
     if not loaded:
         raise MissingEventsError(_nothing_found(path, skipped))
@@ -155,7 +160,7 @@ def campaign_of(path: Path, loaded: Sequence[LoadedTrace], skipped: Sequence[Sou
 
 
 def _session_age(session: Session) -> tuple[bool, int]:
-    """Of two descriptions of one session the closed one is the later."""
+    """Return a key that is greater of the later of two descriptions of one session: closed is later."""
     return session.state == "closed", session.dropped_events
 
 
@@ -180,7 +185,7 @@ def _read_sources(
 
 
 def _other_files(folder: Path, traces: Collection[Path], skip: Collection[Path]) -> Iterator[Path]:
-    """Files that nobody took for a trace; what belongs to a trace or a sweep, or is hidden, is left out."""
+    """Yield files that are no trace; files that belong to a trace or a sweep, and hidden ones, are left out."""
     closed = {entry.resolve() for entry in (*traces, *skip)}
     stems = tuple(os.fspath(entry) for entry in traces)
     for where, folders, files in os.walk(folder):
@@ -197,7 +202,7 @@ def _other_files(folder: Path, traces: Collection[Path], skip: Collection[Path])
 
 
 def _relative(path: Path, folder: Path) -> str:
-    """The path below `folder`, so that a report does not depend on where the folder is."""
+    """Return the path below `folder`, so that a report does not depend on where the folder is."""
     return (
         path.relative_to(folder).as_posix() if path != folder and path.is_relative_to(folder) else path.name
     )

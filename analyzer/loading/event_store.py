@@ -1,4 +1,4 @@
-"""Events in a file of our own: the columns of each stage, run and relay, to be read back alone and at once.
+"""Events in a file of our own: the columns of each stage, run and relay, read back one part at a time.
 
 A column that is one value throughout (run, relay, payload size), or that counts upwards by one (sequence numbers of
 a whole run), is kept as that; the others as they are in memory. That is a third of the bytes of the events.
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from pathlib import Path
     from typing import BinaryIO, TypeVar
 
+    from numpy.typing import NDArray
+
     Label = TypeVar("Label")
     Column = tuple[str, int]
     """How a column is kept (`constant`, `counting`, `array`), and its value, first value, or offset in the file."""
@@ -28,11 +30,11 @@ _FIELDS = EVENT_DTYPE.names or ()
 
 @dataclass(frozen=True, slots=True)
 class StoredEvents:
-    """Where some events of one stage, run and relay are.
+    """The place in a file of the events of one stage, run and relay.
 
     Attributes:
         file: the file.
-        count: how many there are.
+        count: number of events.
         columns: field of the event -> how and where it is kept.
     """
 
@@ -41,20 +43,21 @@ class StoredEvents:
     columns: Mapping[str, Column]
 
     def load(self) -> EventColumns:
-        """Read them."""
+        """Read the events."""
         with self.file.open("rb") as stream:
-            arrays: dict[str, Any] = {
-                name: _read_column(stream, EVENT_DTYPE[name], self.count, *self.columns[name])
-                for name in _FIELDS
-            }
-        return EventColumns(**arrays)
+            return EventColumns(
+                **{
+                    name: _read_column(stream, EVENT_DTYPE[name], self.count, *self.columns[name])
+                    for name in _FIELDS
+                }
+            )
 
 
 def write_events(path: Path, parts: Mapping[Label, EventColumns]) -> dict[Label, StoredEvents]:
-    """Write the events of `parts` into one file, which takes the place of `path` once it is complete.
+    """Write the events of `parts` into one file, which replaces `path` once it is complete.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: the file cannot be written.
     """
     with replacing(path) as draft, draft.open("wb") as stream:
         return {
@@ -65,7 +68,7 @@ def write_events(path: Path, parts: Mapping[Label, EventColumns]) -> dict[Label,
         }
 
 
-def _write_column(stream: BinaryIO, values: np.ndarray[Any, Any]) -> Column:
+def _write_column(stream: BinaryIO, values: NDArray[np.integer]) -> Column:
     first = int(values[0])
     if (values == values[0]).all():
         return "constant", first
@@ -77,15 +80,14 @@ def _write_column(stream: BinaryIO, values: np.ndarray[Any, Any]) -> Column:
 
 
 def _read_column(
-    stream: BinaryIO, dtype: np.dtype[Any], count: int, how: str, value: int
-) -> np.ndarray[Any, Any]:
+    stream: BinaryIO, dtype: np.dtype[np.integer], count: int, how: str, value: int
+) -> NDArray[Any]:
     if how == "constant":
         return np.full(count, value, dtype)
     if how == "counting":
-        counting: np.ndarray[Any, Any] = np.arange(count, dtype=dtype) + np.array(value, dtype)
-        return counting
+        return np.arange(count, dtype=dtype) + np.array(value, dtype)
     stream.seek(value)
-    found: np.ndarray[Any, Any] = np.fromfile(stream, dtype, count)
-    if len(found) < count:
+    values = np.fromfile(stream, dtype, count)
+    if len(values) < count:
         raise OSError(5, f"{stream.name} is shorter than it was written")
-    return found
+    return values

@@ -24,7 +24,7 @@ class EventsElsewhere(Protocol):
     """Events that are in a file, or on another machine."""
 
     def load(self) -> EventColumns:
-        """Fetch them."""
+        """Fetch the events."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,7 +11,7 @@ import tempfile
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Protocol
 
 from dds_trace.tracefile import BackendUnavailableError, MissingEventsError, TraceFormatError, find_traces
 
@@ -21,13 +21,32 @@ if TYPE_CHECKING:
 _SCHEME = re.compile(r"^([a-z][a-z0-9+.-]+):/+")
 
 
+class _Storage(Protocol):
+    """The part of `fsspec.AbstractFileSystem` that is used here; names are texts without the scheme."""
+
+    def isdir(self, path: str) -> bool:
+        """Tell whether the name is a folder."""
+
+    def find(self, path: str) -> list[str]:
+        """List the files below a folder, or the one file."""
+
+    def ls(self, path: str, *, detail: bool) -> list[str]:
+        """List the names in a folder."""
+
+    def get_file(self, remote: str, local: str) -> None:
+        """Copy a file to this machine."""
+
+    def ukey(self, path: str) -> str:
+        """Return a tag that changes with the file's content."""
+
+
 def is_remote(path: Path) -> bool:
-    """Whether the path names a scheme, as `s3://` does."""
+    """Tell whether the path names a scheme, as `s3://` does."""
     return _SCHEME.match(os.fspath(path)) is not None
 
 
 def find_anywhere(path: Path, skip: Collection[Path]) -> list[Path]:
-    """`tracefile.find_traces`, also in object storage.
+    """Find every trace at or below `path`, here or in object storage.
 
     Raises:
         MissingEventsError: there is nothing at `path`.
@@ -47,7 +66,7 @@ def find_anywhere(path: Path, skip: Collection[Path]) -> list[Path]:
 
 @contextmanager
 def local_copy(path: Path) -> Iterator[Path]:
-    """The trace as a path of this machine: itself, or a copy that goes away again.
+    """Yield the trace as a path of this machine: itself, or a temporary copy.
 
     Raises:
         TraceFormatError: it cannot be read.
@@ -67,13 +86,13 @@ def local_copy(path: Path) -> Iterator[Path]:
 
 
 def remote_key(path: Path) -> str:
-    """What changes when the trace's content does: the storage's own tags of its files."""
+    """Return the storage's own tags of the trace's files, which change with their content."""
     with _storage(path) as (files, root):
         return "\0".join(f"{remote[len(root) :]}\0{files.ukey(remote)}" for remote in _files_of(files, root))
 
 
-def _files_of(files: Any, root: str) -> list[str]:
-    """A trace's files: all in a folder, or the one and those beside it that begin with its name (a ring)."""
+def _files_of(files: _Storage, root: str) -> list[str]:
+    """List a trace's files: all in a folder, or the one and those beside it that begin with its name (a ring)."""
     if files.isdir(root):
         return sorted(files.find(root))
     beside = files.ls(os.fspath(PurePosixPath(root).parent), detail=False)
@@ -81,10 +100,10 @@ def _files_of(files: Any, root: str) -> list[str]:
 
 
 @contextmanager
-def _storage(path: Path) -> Iterator[tuple[Any, str]]:
-    """The storage and the name in it; its errors told as ours."""
+def _storage(path: Path) -> Iterator[tuple[_Storage, str]]:
+    """Yield the storage and the name in it; translate its errors into ours."""
     try:
-        fsspec: Any = import_module("fsspec")  # an extra: only who names a scheme needs it
+        fsspec = import_module("fsspec")  # an extra: only who names a scheme needs it
         files, root = fsspec.core.url_to_fs(_url(path))
         files.invalidate_cache()
         yield files, root.rstrip("/")

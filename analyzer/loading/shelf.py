@@ -1,4 +1,4 @@
-"""Where the events of traces wait until their batch is worked at: in memory, or in files of our own.
+"""Events of traces, kept until their batch is worked at: in memory, or in files of our own.
 
 Read traces are put into the cache folder of an analysis by what is in them, so that the next analysis reads only
 new ones. An entry is two files: `KEY.json`, all that the trace says but its events, and `KEY.events` (see
@@ -13,7 +13,7 @@ import os
 import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypedDict
 
 from dds_trace.tracefile import OutputError, Run, Session, Stage, Trace, TraceFormatError, read_trace
 from dds_trace.tracefile.files import replacing
@@ -25,24 +25,26 @@ from .remote import is_remote, local_copy, remote_key
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from dds_trace.tracefile.format.json_values import JsonObject
+
     from .events import EventKey
 
 MOST_HELD_EVENTS = 24_000_000
 """Events that stay in memory, 56 bytes each; those of further traces wait in files."""
 
 _FORMAT = 1
-"""Of an entry; one of another number is not used. 1: the first."""
+"""Version of an entry; an entry of another version is not used. 1: the first."""
 
 _BLOCK_BYTES = 1 << 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadedTrace:
-    """One trace, its events by stage, run and relay.
+    """One trace, with the index of its events.
 
     Attributes:
-        trace: all but the events.
-        parts: the events, or where they are.
+        trace: the trace without its events.
+        parts: the event index of the trace.
     """
 
     trace: Trace
@@ -50,15 +52,15 @@ class LoadedTrace:
 
     @property
     def events(self) -> int:
-        """How many events it holds."""
+        """Number of its events."""
         return sum(part.count for part in self.parts.values())
 
 
 def load_trace(path: Path, position: int) -> LoadedTrace:
-    """Read one trace, events in memory; a file in which nothing was ever written is none.
+    """Read one trace, events in memory.
 
     Raises:
-        TraceFormatError: it is no trace, or cannot be read.
+        TraceFormatError: it is no trace, cannot be read, or nothing was ever written into it.
     """
     with local_copy(path) as local:
         try:
@@ -76,11 +78,11 @@ class TraceShelf:
     """Reads traces and keeps their events.
 
     Args:
-        cache: folder for events that the next analysis may want too; None keeps nothing for it.
-        most_held_events: events that stay in memory.
+        cache: folder that keeps events for the next analysis; None keeps nothing.
+        most_held_events: events that stay in memory; None for `MOST_HELD_EVENTS`.
 
     Attributes:
-        read: the traces that were read; the others were in the cache.
+        read: traces that were read; the others were in the cache.
     """
 
     def __init__(self, cache: Path | None = None, *, most_held_events: int | None = None) -> None:
@@ -91,7 +93,7 @@ class TraceShelf:
         self.read: list[Path] = []
 
     def load(self, path: Path, position: int) -> LoadedTrace:
-        """One trace, from the cache if it was there.
+        """Load one trace, from the cache if it is there.
 
         Raises:
             TraceFormatError: it is no trace.
@@ -123,7 +125,7 @@ class TraceShelf:
         return loaded
 
     def close(self) -> None:
-        """Remove temporary files, and what the cache holds of traces that are no longer there."""
+        """Remove temporary files, and entries of the cache for traces that are no longer there."""
         if self._spill is not None:
             self._spill.cleanup()
         if self._cache and self._cache.is_dir():
@@ -144,7 +146,7 @@ class TraceShelf:
 
 
 def content_key(path: Path) -> str:
-    """SHA-1 of a trace's content: of the file and what lies beside it under its name (a ring), or of a folder's files.
+    """Hash a trace's content: the file and those beside it under its name (a ring), or the files of a folder.
 
     Raises:
         TraceFormatError: it cannot be read.
@@ -170,18 +172,33 @@ def content_key(path: Path) -> str:
     return digest.hexdigest()
 
 
+class _Entry(TypedDict):
+    """The JSON of an entry: all that a trace says but its events, and where these are."""
+
+    format: int
+    bytes: int
+    sessions: list[str]
+    runs: list[str]
+    host_samples: list[JsonObject]
+    truncated: str | None
+    ring_events: int
+    unreadable_messages: int
+    notes: list[str]
+    parts: list[tuple[str, int, int, int, int, dict[str, tuple[str, int]]]]
+
+
 def _known(folder: Path, key: str, path: Path, position: int) -> LoadedTrace | None:
-    """The entry of this content, None if there is none that can be used."""
+    """Return the entry of this content; None if the cache has none that can be used."""
     try:
-        found = json.loads((folder / f"{key}.json").read_text())
-        if found["format"] != _FORMAT or (folder / f"{key}.events").stat().st_size != found["bytes"]:
+        entry: _Entry = json.loads((folder / f"{key}.json").read_text())
+        if entry["format"] != _FORMAT or (folder / f"{key}.events").stat().st_size != entry["bytes"]:
             return None
-        return _from_dict(found, folder / f"{key}.events", path, position)
+        return _from_dict(entry, folder / f"{key}.events", path, position)
     except (OSError, ValueError, KeyError, TypeError, TraceFormatError):
         return None
 
 
-def _to_dict(loaded: LoadedTrace) -> dict[str, Any]:
+def _to_dict(loaded: LoadedTrace) -> _Entry:
     trace = loaded.trace
     stored = [part.events for part in loaded.parts.values() if isinstance(part.events, StoredEvents)]
     return {
@@ -195,26 +212,26 @@ def _to_dict(loaded: LoadedTrace) -> dict[str, Any]:
         "unreadable_messages": trace.unreadable_messages,
         "notes": list(trace.notes),
         "parts": [
-            [label[0].value, *label[1:], part.count, part.first_ns, dict(events.columns)]
-            for (label, part), events in zip(loaded.parts.items(), stored, strict=True)
+            (stage.value, run_id, relay_id, part.count, part.first_ns, dict(events.columns))
+            for ((stage, run_id, relay_id), part), events in zip(loaded.parts.items(), stored, strict=True)
         ],
     }
 
 
-def _from_dict(found: dict[str, Any], file: Path, path: Path, position: int) -> LoadedTrace:
+def _from_dict(entry: _Entry, file: Path, path: Path, position: int) -> LoadedTrace:
     parts = {}
-    for stage, run_id, relay_id, count, first_ns, columns in found["parts"]:
+    for stage, run_id, relay_id, count, first_ns, columns in entry["parts"]:
         events = StoredEvents(file, count, {name: (how, value) for name, (how, value) in columns.items()})
         parts[Stage(stage), run_id, relay_id] = EventPart(position, count, first_ns, events)
     trace = Trace(
         path=path,
-        sessions=tuple(Session.from_json(text, path) for text in found["sessions"]),
-        runs=tuple(Run.from_json(text, path) for text in found["runs"]),
+        sessions=tuple(Session.from_json(text, path) for text in entry["sessions"]),
+        runs=tuple(Run.from_json(text, path) for text in entry["runs"]),
         events={},
-        host_samples=tuple(found["host_samples"]),
-        truncated=found["truncated"],
-        ring_events=found["ring_events"],
-        unreadable_messages=found["unreadable_messages"],
-        notes=tuple(found["notes"]),
+        host_samples=tuple(entry["host_samples"]),
+        truncated=entry["truncated"],
+        ring_events=entry["ring_events"],
+        unreadable_messages=entry["unreadable_messages"],
+        notes=tuple(entry["notes"]),
     )
     return LoadedTrace(trace, parts)

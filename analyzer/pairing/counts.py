@@ -1,4 +1,4 @@
-"""What pairing counts of each exchange: messages, losses, impossible times, spans of time."""
+"""Counts of each exchange, made while it is paired: messages, losses, impossible times, spans of time."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ fit of two devices rests on the knots of all their runs, and finds a step betwee
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
@@ -30,7 +30,7 @@ _SANE_NS = 1 << 60
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OneWay:
-    """One-way times of the rows of some exchanges.
+    """The one-way times of the rows of some exchanges.
 
     Attributes:
         columns: `ONE_WAY_COLUMNS`, i64, null unless all four stamps are there and agree.
@@ -42,7 +42,7 @@ class OneWay:
 
     @classmethod
     def unknown(cls, rows: int, exchanges: int) -> OneWay:
-        """Nothing was fitted."""
+        """Return one-way times that are all null: nothing was fitted."""
         return cls(
             tuple(pl.Series(name, [None], pl.Int64).new_from_index(0, rows) for name in ONE_WAY_COLUMNS),
             (None,) * exchanges,
@@ -61,7 +61,7 @@ def fit_exchanges(
         exchanges: in the order of their rows.
         bounds: exchange i has the rows `bounds[i]` to `bounds[i + 1]` (not included).
         stamps: `publish_ns`, `relay_in_ns`, `relay_out_ns`, `receive_ns` of each row.
-        missing: what stands for a stamp that is not there.
+        missing: value of a stamp that is missing.
     """
     rows = int(bounds[-1])
     values = {name: np.zeros(rows, np.int64) for name in ONE_WAY_COLUMNS}
@@ -120,8 +120,8 @@ KNOT_SCHEMA: dict[str, type[pl.DataType]] = {
 def knots_of(
     exchanges: Sequence[Exchange], groups: Sequence[int], fits: Sequence[ClockFit | None]
 ) -> pl.DataFrame:
-    """What the runs know best of the clocks: the frame `clock_knots`, columns of `KNOT_SCHEMA`."""
-    rows: list[dict[str, Any]] = [
+    """List the knots of every run: the frame `clock_knots`, columns of `KNOT_SCHEMA`."""
+    rows: list[dict[str, object]] = [
         {
             "group": group,
             "run_id": exchange.run.run_id,
@@ -142,7 +142,7 @@ def knots_of(
 
 
 def fit_devices(knots: pl.DataFrame, boots: Mapping[int, int]) -> tuple[ClockFit, ...]:
-    """The clock of each pair of devices and boot over the whole campaign, from the knots of all its runs.
+    """Fit the clock of each pair of devices and boot over the whole campaign, from the knots of all its runs.
 
     Args:
         knots: frame of `knots_of`.
@@ -191,7 +191,7 @@ SEGMENT_SCHEMA: dict[str, type[pl.DataType]] = {
 
 
 def segment_table(fits: Sequence[ClockFit]) -> pl.DataFrame:
-    """The frame `clock_fits`: one row per pair of devices, boot and stretch of time without a step.
+    """List the segments: the frame `clock_fits`, one row per pair of devices, boot and stretch of time without a step.
 
     Columns of `SEGMENT_SCHEMA`: times on the ping's monotonic clock; `offset_ns` relay's clock minus ping's, wrong by
     at most `bound_ns` at `at_ns`; `drift_ppb` at which the relay's clock gains, wrong by at most `drift_bound_ppb`;

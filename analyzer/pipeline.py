@@ -66,7 +66,7 @@ def analyze(
 ) -> Analysis:
     """Analyze every trace in a folder.
 
-        from . import analyze
+        from dds_trace import analyze
         a = analyze("runs/")
         a.summary.select("vendor", "payload_bytes", "latency_p50_ns", "latency_p99_ns")
 

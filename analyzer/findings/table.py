@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from ..model.finding import Finding, Severity
-from . import clocks, groups, host_load, left_out, runs, sessions, sizes, sources
+from . import devices, groups, left_out, runs, sessions, sizes, sources
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -45,11 +45,11 @@ CHECKS: tuple[Check, ...] = (
     sessions.unlike_environments,
     sessions.unclosed_sessions,
     sessions.doubtful_sessions,
-    clocks.suspends,
-    clocks.clock_steps,
-    clocks.clock_drifts,
-    host_load.cpu_saturation,
-    host_load.kernel_drops,
+    devices.suspends,
+    devices.clock_steps,
+    devices.clock_drifts,
+    devices.cpu_saturation,
+    devices.kernel_drops,
     sizes.unlike_sizes,
     groups.few_samples,
     sources.skipped_files,

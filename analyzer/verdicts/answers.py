@@ -18,14 +18,12 @@ import polars as pl
 
 from ..model.parameters import CASE_COLUMNS, CONTENDER_COLUMNS
 from ..statistics.intervals import percentile_interval, ranges_overlap, ratio_interval
-from .cases import delivered_latencies, is_too_large, partition_groups
-from .contenders import Contender, contender_names
+from .cases import Contender, contender_names, delivered_latencies, is_too_large, partition_groups
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from .cases import GroupRows
-    from .contenders import ContenderNames
+    from .cases import ContenderNames, GroupRows
 
 _ROW_COLUMNS = ("run_id", "relay_id", "publish_ns", "latency_ns", "rtt_ns", "outcome")
 """Columns of the round trips that an answer rests on."""

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import polars as pl
 import pytest
+from analyses import EVERY_ANALYSIS
 
 from dds_trace.analyzer import analyze, parse_job
 from dds_trace.analyzer.analysis import DETAIL_FRAMES, Details, load_analysis
@@ -51,6 +52,15 @@ def test_every_report_of_a_loaded_analysis_equals_that_of_the_fresh_one(tmp_path
         fresh.details.recommendation,
     )
     assert loaded.outputs == fresh.outputs
+
+
+@pytest.mark.parametrize("name", [name for name in EVERY_ANALYSIS if name != "500 groups"])
+def test_every_report_of_a_drawn_analysis_comes_back(tmp_path, name):
+    fresh = EVERY_ANALYSIS[name]()
+    fresh.save(tmp_path / "saved")
+    loaded = load_analysis(tmp_path / "saved")
+    for kind in REPORT_MODULES:
+        assert render_report(loaded, kind) == render_report(fresh, kind), kind
 
 
 def test_every_frame_of_the_details_is_saved():

@@ -1,11 +1,14 @@
-"""Checks of the clocks of two devices: steps, suspends, drift beyond what a crystal does."""
+"""Checks of the devices: clocks that jump, stop or drift, processors and kernels that are overloaded."""
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import polars as pl
+
+from dds_trace.tracefile.units.counts import counted
 
 from ..clocks.boots import ping_boots
 from ..model.finding import Finding, Severity
@@ -20,6 +23,10 @@ _DRIFT_PPB = 100_000
 
 _SHORTEST_SLEEP_NS = 1_000_000_000
 """Shortest time in which a device goes to sleep and wakes."""
+
+_SATURATED_PERCENT = 95.0
+_SATURATED_SHARE = 0.1
+"""Share of samples with a busy processor from which on it delays messages, though no median shows it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,4 +123,37 @@ def clock_drifts(evidence: Evidence) -> Iterator[Finding]:
                 f"The clocks part by {fit['drift_ppb'] / 1000:.1f} ppm (within {fit['drift_bound_ppb'] / 1000:.1f}), "
                 "more than crystals do.",
                 "Let NTP settle before recording; durations of one of the devices are wrong by that share.",
+            )
+
+
+def cpu_saturation(evidence: Evidence) -> Iterator[Finding]:
+    """Report devices with a processor that was busy in many samples."""
+    busy: dict[int, list[float]] = defaultdict(list)
+    samples = evidence.details.host_samples.select("session_id", "cpu_busiest_percent").drop_nulls()
+    for session_id, percent in samples.iter_rows():
+        busy[session_id].append(percent)
+    for session_id, percents in busy.items():
+        full = sum(percent >= _SATURATED_PERCENT for percent in percents)
+        if full > _SATURATED_SHARE * len(percents):
+            yield Finding(
+                Severity.WARNING,
+                "cpu_saturated",
+                evidence.session_name(evidence.campaign.sessions[session_id]),
+                f"In {full} of {counted(len(percents), 'second')} a processor was busy to at least {_SATURATED_PERCENT:g} %.",
+                "Latencies here hold time spent waiting for the processor: lower rate or size, or free the device.",
+            )
+
+
+def kernel_drops(evidence: Evidence) -> Iterator[Finding]:
+    """Report devices whose kernel dropped datagrams for want of receive buffer."""
+    samples = evidence.details.host_samples.drop_nulls("udp_receive_errors")
+    last = samples.group_by("session_id", maintain_order=True).last()
+    for session_id, count in last.select("session_id", "udp_receive_errors").iter_rows():
+        if count > 0:
+            yield Finding(
+                Severity.WARNING,
+                "udp_buffer_overflow",
+                evidence.session_name(evidence.campaign.sessions[session_id]),
+                f"The kernel threw away {counted(round(count), 'datagram')} for want of receive buffer while this was recorded.",
+                "Losses and late large messages are to be expected: raise net.core.rmem_max and net.core.rmem_default.",
             )

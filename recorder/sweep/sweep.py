@@ -1,4 +1,4 @@
-"""`run_sweep` and `run_search`: a plan and a folder in, traces and what is still missing out."""
+"""`run_sweep` and `run_search`: from a plan to the traces of its cells below a folder."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ if TYPE_CHECKING:
     from .search import MaxRate
 
 INCOMPLETE_EXIT_CODE = 10
-"""Of `dds-sweep`: some cells have no complete recording. Complete is 0; 1 to 9 are errors of the `TraceError` tree."""
+"""Exit code of `dds-sweep` if some cells have no complete recording; 1 to 9 are those of the `TraceError` tree."""
 
 
 @dataclass(frozen=True, slots=True)
 class SweepOutcome:
-    """What a sweep left behind.
+    """Result of a sweep.
 
     Attributes:
-        folder: with the traces and `state.json`.
-        cells: of the plan, repeats included.
-        missing: name of each cell without a complete recording -> why.
+        folder: folder with the traces and `state.json`.
+        cells: number of cells of the plan, repeats included.
+        missing: name of each cell without a complete recording -> the reason.
     """
 
     folder: Path
@@ -45,16 +45,16 @@ def run_sweep(
     *,
     command: Sequence[str] | None = None,
 ) -> SweepOutcome:
-    """Records every cell of the plan that is not complete below `out`.
+    """Record every cell of the plan that is not complete below `out`.
 
     Args:
-        plan: what to record.
-        out: the plan's folder is made in it.
-        progress: hears what happens.
-        command: as for `open_station`.
+        plan: the plan to record.
+        out: folder in which the plan's folder is made.
+        progress: receiver of every step.
+        command: `dds-record` on this machine; the installed one if left out.
 
     Raises:
-        TraceError: nothing can be recorded at all; what failed in single cells is in the outcome.
+        TraceError: no cell can be recorded at all; failures of single cells are in the outcome.
     """
     folder = out / plan.name
     groups = schedule(plan)
@@ -77,7 +77,7 @@ def run_search(
     *,
     command: Sequence[str] | None = None,
 ) -> tuple[Path, list[MaxRate]]:
-    """The folder of the trials, and the highest rate of each cell of the plan, its rates apart.
+    """Search the highest rate of each cell of the plan, whatever its rates; return the folder of the trials and the answers.
 
     Raises:
         TraceError: as `run_sweep`.

@@ -8,7 +8,7 @@ from functools import cache
 
 import pytest
 
-from dds_trace.recorder.sweep.station.namespaces import ip
+from dds_trace.recorder.sweep.station.emulation import ip
 from dds_trace.tracefile import BackendUnavailableError
 
 

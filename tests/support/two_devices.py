@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 from namespaces import needs_namespaces
 from processes import RunningCommand
 
-from dds_trace.recorder.sweep.station.namespaces import INTERFACE, NamespacePair, Side, ip
+from dds_trace.recorder.sweep.station.emulation import INTERFACE, ip
+from dds_trace.recorder.sweep.station.namespaces import NamespacePair, Side
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""A link between two network namespaces: its presets, and which part of the system applies what of it."""
+"""A link between two network namespaces: its values, its presets, and the report of its work."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ class Link:
     """One emulated link, equal in both directions; a field left at its default is not applied.
 
     Attributes:
-        name: of the preset, or `custom`; the trace's `connectivity` is `emulated-NAME`.
-        rate_mbit_s: line rate of each direction, 0 for as fast as the machine is.
-        delay_ms: one way.
+        name: name of the preset, or `custom`; the trace's `connectivity` is `emulated-NAME`.
+        rate_mbit_s: line rate of each direction, 0 for the rate of the machine.
+        delay_ms: delay of one direction.
         jitter_ms: standard deviation of the delay (normal, never below zero); packets keep their order.
-        loss_percent: of IP fragments, each by itself, before the receiver reassembles.
-        outage_every_s: a link that goes away regularly: time from the start of one outage to the next.
-        outage_ms: how long each lasts; everything sent meanwhile is lost.
-        queue_ms: what waits longer than this before a full line is dropped (tail drop).
+        loss_percent: share of lost IP fragments, each lost by itself, before the receiver reassembles.
+        outage_every_s: time from the start of one outage to the next.
+        outage_ms: length of each outage, in which every frame is lost.
+        queue_ms: longest time that a frame waits before a full line; later ones are dropped (tail drop).
     """
 
     name: str = "custom"
@@ -35,12 +35,12 @@ class Link:
 
     @property
     def connectivity(self) -> str:
-        """The session's `connectivity`: it says that the link is emulated."""
+        """The sessions' `connectivity`, which says that the link is emulated."""
         return f"emulated-{self.name}"
 
     @property
     def needs_only_rate(self) -> bool:
-        """Whether a queue discipline for the rate is all there is to apply."""
+        """Whether a queue discipline for the rate emulates the whole link."""
         return not (self.delay_ms or self.jitter_ms or self.loss_percent or self.outage_ms)
 
     def to_dict(self) -> dict[str, str | float]:
@@ -112,6 +112,6 @@ PRESETS: Mapping[str, Link] = {
         Link("5g", rate_mbit_s=100, delay_ms=10, jitter_ms=3, loss_percent=0.01),
     )
 }
-"""Typical links by name; a plan's `[link]` may change single values of one. They are examples, not standards."""
+"""Typical links by name, examples and no standards; a plan's `[link]` may change single values."""
 
 LINK_KEYS = tuple(f.name for f in fields(Link) if f.name != "name")

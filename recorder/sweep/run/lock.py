@@ -1,4 +1,4 @@
-"""One sweep at a time in a folder, the programs of a killed one included."""
+"""The lock of a sweep's folder: one sweep at a time, the programs of a killed one included."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 LOCK_PATIENCE_S = 30.0
-"""A recorder that was told to end by its sweep's death has closed its trace by then."""
+"""Time for the recorders of a killed sweep to close their traces."""
 
 POLL_S = 0.2
 
 
 @contextlib.contextmanager
 def holding_folder(folder: Path, waiting: Callable[[str], None]) -> Iterator[int]:
-    """Keeps a second sweep out of the folder.
+    """Keep a second sweep out of the folder while the block runs.
 
-    The programs of a sweep hold the lock as well, so that one which was killed is not resumed before the last of
-    its programs has closed its trace.
+    The programs of a sweep hold the lock as well: a killed sweep is not resumed before the last of its programs has
+    closed its trace.
 
     Args:
-        folder: made if it is not there.
-        waiting: told once if the lock is not free at once.
+        folder: folder of the sweep, made if it is missing.
+        waiting: called once with a line of text if the lock is not free at once.
 
     Yields:
-        The lock's file descriptor, to be handed to the programs.
+        File descriptor of the lock, for the programs to inherit.
 
     Raises:
-        OutputError: it cannot be made.
+        OutputError: the folder cannot be made.
         OptionError: another sweep is at work in it.
     """
     try:

@@ -1,4 +1,4 @@
-"""How far a sweep is, for a person (rich, on a terminal) or a log (plain lines)."""
+"""The progress of a sweep, for a person (rich, on a terminal) or a log (plain lines)."""
 
 from __future__ import annotations
 
@@ -15,63 +15,63 @@ if TYPE_CHECKING:
 
 
 class SweepProgress(Protocol):
-    """Hears what a sweep does."""
+    """Receiver of the steps of a sweep."""
 
     def begin(self, cells: int, done: int) -> None:
-        """The sweep has this many cells, of which some were done before; 0 cells if nobody knows how many."""
+        """Take the number of cells, 0 if it is not known, and of those that were complete before."""
 
     def relay(self, name: str) -> None:
-        """A relay is being started."""
+        """Take the name of a relay that starts."""
 
     def cell(self, name: str, remaining: Remaining) -> None:
-        """A cell begins."""
+        """Take the name of a cell that begins, and the time that is left."""
 
     def ended(self, name: str, outcome: str, *, complete: bool) -> None:
-        """A cell is through: its result in words, or why it failed."""
+        """Take the end of a cell: its result in words, or the reason of its failure."""
 
     def note(self, text: str) -> None:
-        """Something that a person should read."""
+        """Take a line for a person to read."""
 
     def end(self) -> None:
-        """The sweep is over."""
+        """Take the end of the sweep."""
 
 
 class PlainProgress:
-    """A line for each cell."""
+    """Progress as a line for each cell."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
         self._cells = self._done = 0
 
     def begin(self, cells: int, done: int) -> None:
-        """Remembers the numbers."""
+        """Keep the numbers; print a line if some cells are complete."""
         self._cells, self._done = cells, done
         if done:
             self.note(f"{done} of {counted(cells, 'cell is', 'cells are')} there already")
 
     def relay(self, name: str) -> None:
-        """One line."""
+        """Print the name of the relay."""
         self.note(f"relay: {name}")
 
     def cell(self, name: str, remaining: Remaining) -> None:
-        """Says nothing: the line comes with the outcome."""
+        """Print nothing: the line comes with the outcome."""
 
     def ended(self, name: str, outcome: str, *, complete: bool) -> None:
-        """One line."""
+        """Print the outcome with the cell's number."""
         self._done += complete
         of = f"/{self._cells}" if self._cells else ""
         self.note(f"[{self._done}{of}] {name}: {outcome}")
 
     def note(self, text: str) -> None:
-        """One line; never markup, as it may hold what a program said."""
+        """Print a line, not as markup, since it may hold output of a program."""
         self._console.print(text, markup=False, highlight=False, soft_wrap=True)
 
     def end(self) -> None:
-        """Nothing is open."""
+        """Close nothing."""
 
 
 class RichProgress(PlainProgress):
-    """The same lines above a bar with the cell that runs, the time left and the last percentiles."""
+    """The same lines above a bar with the running cell, the time left and the last percentiles."""
 
     def __init__(self, console: Console) -> None:
         super().__init__(console)
@@ -88,25 +88,25 @@ class RichProgress(PlainProgress):
         self._task = self._progress.add_task("sweep", cell="", left="", last="")
 
     def begin(self, cells: int, done: int) -> None:
-        """Shows the bar."""
+        """Show the bar."""
         super().begin(cells, done)
         self._progress.update(self._task, total=cells or None, completed=done)
         self._progress.start()
 
     def cell(self, name: str, remaining: Remaining) -> None:
-        """Shows the cell and the time left."""
+        """Show the cell and the time left."""
         self._progress.update(self._task, cell=name, left=f"{remaining} left")
 
     def ended(self, name: str, outcome: str, *, complete: bool) -> None:
-        """The line, and the bar moves."""
+        """Print the line and move the bar."""
         super().ended(name, outcome, complete=complete)
         self._progress.update(self._task, completed=self._done, last=outcome.split(",", maxsplit=1)[0])
 
     def end(self) -> None:
-        """The bar goes."""
+        """Remove the bar."""
         self._progress.stop()
 
 
 def make_progress(console: Console) -> SweepProgress:
-    """Whichever suits where the text goes."""
+    """Return a bar for a terminal, and plain lines for anything else."""
     return RichProgress(console) if console.is_terminal else PlainProgress(console)

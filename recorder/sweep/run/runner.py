@@ -3,8 +3,8 @@
 The relay of a group of cells is started once and writes one trace, a *segment*, under `.parts/`. Each cell's ping
 writes its trace there too; when it is whole it moves to its final name, so that a file with a cell's name is
 always a complete recording. When the relay is stopped its segment is taken apart into the cells' relay files.
-What is in `.parts/` when a sweep begins was left by one that was interrupted: segments are taken apart, pings'
-traces thrown away.
+Files in `.parts/` at the start of a sweep were left by an interrupted one: segments are taken apart, traces of
+pings deleted.
 """
 
 from __future__ import annotations

@@ -1,17 +1,13 @@
-"""Two network namespaces on this machine that stand for two devices, joined by a link; nothing of them outlives the sweep."""
+"""Two network namespaces on this machine in place of two devices, joined by a link; none of them outlives the sweep."""
 
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import itertools
 import json
 import os
 import re
 import shutil
-import struct
-import subprocess
-import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,30 +16,28 @@ from typing import TYPE_CHECKING
 from dds_trace.tracefile import BackendUnavailableError, OptionError
 
 from ..plan.link import EndCounters
+from .emulation import (
+    INTERFACE,
+    SYSTEM_PATH,
+    count_traffic,
+    ip,
+    open_tap,
+    queue_disciplines,
+    start_forwarder,
+    tc,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    import subprocess
     from types import TracebackType
 
     from typing_extensions import Self
 
     from ..plan.link import ForwarderReport, Link, LinkReport
 
-INTERFACE = "link0"
-"""The link's device in either namespace."""
-
 _NAME = re.compile(r"ddstrace-(\d+)-\d+-(?:ping|relay)")
 _ROLES = ("ping", "relay")
-_PATH = os.environ.get("PATH", "") + ":/usr/sbin:/sbin"  # where Debian has `ip` and `tc`
 _counter = itertools.count()
-
-# <linux/if_tun.h>
-_TUNSETIFF = 0x400454CA
-_IFF_TAP, _IFF_NO_PI = 0x0002, 0x1000
-
-_TBF_BURST_FRAMES_BYTES = 2 * 1514
-_TBF_BURST_S = 0.0002
-"""How much of the rate a token bucket may save up: as little as the kernel's timers allow, and two frames at least."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,14 +54,14 @@ class Side:
 
     @property
     def prefix(self) -> list[str]:
-        """What stands before a command that is to run in this namespace, with shared memory of its own.
+        """Words before a command that make it run in this namespace, with shared memory of its own.
 
         `ip netns exec` gives the command its own view of mounts, so the mount is for it alone. With one `/dev/shm` for
         both sides a middleware that finds the other one there would send its messages past the link (Zenoh does).
         """
         own_memory = 'mount -t tmpfs -o mode=1777 tmpfs /dev/shm && exec "$@"'
         return [
-            shutil.which("ip", path=_PATH) or "ip",
+            shutil.which("ip", path=SYSTEM_PATH) or "ip",
             "netns",
             "exec",
             self.namespace,
@@ -82,10 +76,11 @@ class NamespacePair:
     """The namespaces `ping` and `relay` and the link between them, from `__enter__` to `__exit__`.
 
     Args:
-        link: what to emulate; None for a bare veth, which is as fast as the machine.
+        link: the link to emulate; None for a bare veth, which is as fast as the machine.
 
     Raises:
-        BackendUnavailableError: not root, or `ip` and `tc` are not installed, or the kernel refuses.
+        OptionError: this user is not root.
+        BackendUnavailableError: `ip` and `tc` are not installed, or the kernel refuses.
     """
 
     def __init__(self, link: Link | None) -> None:
@@ -137,7 +132,7 @@ class NamespacePair:
 
     def _traffic_since(self, side: Side) -> EndCounters:
         """Return the traffic of one end of the link since the call before."""
-        now = _counters(side)
+        now = count_traffic(side.namespace)
         before = self._counted.get(side, EndCounters(sent_bytes=0, sent_packets=0, dropped_packets=0))
         self._counted[side] = now
         return {
@@ -156,7 +151,7 @@ class NamespacePair:
             needs_forwarder = False
         if needs_forwarder:
             self._taps = [
-                open_tap(f"ddt{os.getpid()}.{self._number}{role[0]}", side)
+                open_tap(f"ddt{os.getpid()}.{self._number}{role[0]}", side.namespace)
                 for role, side in zip(_ROLES, sides, strict=True)
             ]
         else:
@@ -212,106 +207,24 @@ class NamespacePair:
                 ip("netns", "delete", side.namespace)
 
 
-def _counters(side: Side) -> EndCounters:
-    """Return the traffic of one end of the link since it was made."""
-    shown = json.loads(ip("-n", side.namespace, "-s", "-j", "link", "show", "dev", INTERFACE))
-    sent = shown[0]["stats64"]["tx"]
-    disciplines = json.loads(tc("-n", side.namespace, "-s", "-j", "qdisc", "show", "dev", INTERFACE) or "[]")
-    return {
-        "sent_bytes": sent["bytes"],
-        "sent_packets": sent["packets"],
-        "dropped_packets": sent["dropped"] + sum(discipline.get("drops", 0) for discipline in disciplines),
-    }
-
-
-def queue_disciplines(link: Link, *, kernel_does_all: bool) -> list[list[str]]:
-    """What follows `tc qdisc add dev DEVICE` for a link: the token bucket, and netem below it if the kernel does it."""
-    disciplines: list[list[str]] = []
-    parent = ["root"]
-    if link.rate_mbit_s:
-        burst_bytes = max(_TBF_BURST_FRAMES_BYTES, round(link.rate_mbit_s * 1e6 / 8 * _TBF_BURST_S))
-        disciplines.append(
-            [*parent, "handle", "1:", "tbf", "rate", f"{link.rate_mbit_s:g}mbit", "burst", f"{burst_bytes}b",
-             "latency", f"{link.queue_ms:g}ms"],
-        )  # fmt: skip
-        parent = ["parent", "1:1"]
-    if kernel_does_all and not link.needs_only_rate:
-        # netem's limit counts packets and holds those in flight; its default of 1000 would drop at 12 MB/s and 1 s.
-        disciplines.append(
-            [*parent, "handle", "10:", "netem", "delay", f"{link.delay_ms:g}ms", f"{link.jitter_ms:g}ms",
-             "distribution", "normal", "loss", f"{link.loss_percent:g}%", "limit", "50000"],
-        )  # fmt: skip
-    return disciplines
-
-
-def open_tap(name: str, side: Side) -> int:
-    """A TAP device in the namespace, under the name of the link; its open file descriptor, non-blocking."""
-    try:
-        descriptor = os.open("/dev/net/tun", os.O_RDWR | os.O_NONBLOCK)
-        fcntl.ioctl(descriptor, _TUNSETIFF, struct.pack("16sH14x", name.encode(), _IFF_TAP | _IFF_NO_PI))
-    except OSError as err:
-        raise BackendUnavailableError(
-            f"/dev/net/tun: {err.strerror}; this kernel has no netem, and without TAP devices (modprobe tun) "
-            "a link can only have a rate",
-        ) from err
-    ip("link", "set", name, "netns", side.namespace, "name", INTERFACE)
-    return descriptor
-
-
-def start_forwarder(taps: Sequence[int], link: Link) -> subprocess.Popen[str]:
-    """The process that carries frames between the two TAP devices."""
-    program = Path(__file__).with_name("tap_forwarder.py")
-    # -I -S: it needs the standard library alone, and starts at once.
-    return subprocess.Popen(
-        [sys.executable, "-I", "-S", str(program), *map(str, taps), json.dumps(link.to_dict())],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-        pass_fds=taps,
-        start_new_session=True,  # Ctrl-C is for the sweep, which still needs the link to end a run cleanly
-    )
-
-
 def remove_stale() -> list[str]:
-    """Removes namespaces that a killed sweep left behind, and gives the names of those it removed."""
+    """Remove the namespaces that a killed sweep left behind, and return their names."""
     removed = []
-    for found in map(_NAME.match, ip("netns", "list").splitlines()):
-        if found and not Path("/proc", found[1]).exists():
+    for match in map(_NAME.match, ip("netns", "list").splitlines()):
+        if match and not Path("/proc", match[1]).exists():
             with contextlib.suppress(BackendUnavailableError):  # another sweep that starts now was quicker
-                ip("netns", "delete", found[0])
-                removed.append(found[0])
+                ip("netns", "delete", match[0])
+                removed.append(match[0])
     return removed
 
 
 def require_root() -> None:
-    """Lets only a user pass who may make network namespaces.
+    """Raise unless this user may make network namespaces.
 
     Raises:
-        OptionError: this one may not.
+        OptionError: the user is not root.
     """
     if os.geteuid() != 0:
         raise OptionError(
             "[network] and [link] need root to make network namespaces; run dds-sweep with sudo"
         )
-
-
-def ip(*arguments: str) -> str:
-    """Output of the system's `ip`; errors as for `NamespacePair`."""
-    return _system("ip", *arguments)
-
-
-def tc(*arguments: str) -> str:
-    """Output of the system's `tc`; errors as for `NamespacePair`."""
-    return _system("tc", *arguments)
-
-
-def _system(program: str, *arguments: str) -> str:
-    found = shutil.which(program, path=_PATH)
-    if found is None:
-        raise BackendUnavailableError(f"{program} is not installed; apt install iproute2")
-    try:
-        return subprocess.run([found, *arguments], capture_output=True, text=True, check=True).stdout
-    except subprocess.CalledProcessError as err:
-        raise BackendUnavailableError(
-            f"{program} {' '.join(arguments)}: {err.stderr.strip() or err.returncode}",
-        ) from err

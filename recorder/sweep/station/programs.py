@@ -1,4 +1,4 @@
-"""A `dds-record` process of a sweep: started, waited for, stopped; it goes with the sweep even when that is killed."""
+"""A `dds-record` process of a sweep: started, waited for, stopped; it ends with the sweep even when that is killed."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 STOP_PATIENCE_S = 60.0
-"""A recorder waits for late replies, closes its trace and stops its bridge before it ends."""
+"""Time for a recorder to wait for late replies, close its trace and stop its bridge."""
 
 LAST_WORDS_BYTES = 4096
 _REASON = re.compile(r"dds-\w+: ")
 
 
 def local_program(name: str) -> list[str]:
-    """The command `name` of this installation, wherever it was started from."""
+    """Return the path of the command `name` of this installation."""
     beside = Path(sys.executable).with_name(name)
     return [str(beside if beside.exists() else shutil.which(name) or name)]
 
@@ -35,9 +35,9 @@ class Program:
 
     Args:
         command: program and arguments.
-        log: file for all that it says; its folder exists.
-        held: file descriptor of a lock that is not to be free before the program has ended.
-        stops_by_input: it ends when its standard input closes (a program on another device), else by SIGTERM.
+        log: file for its output; the folder exists.
+        stops_by_input: whether it ends when its standard input closes (a program on another device) and not by SIGTERM.
+        held: file descriptor of a lock that must not be free before the program has ended.
 
     Raises:
         BackendUnavailableError: there is no such program.
@@ -55,7 +55,7 @@ class Program:
         self.log = log
         self._stops_by_input = stops_by_input
         if shutil.which(command[0]) is None:
-            raise BackendUnavailableError(f"{command[0]} is not installed")
+            raise BackendUnavailableError(f"{command[0]} is not installed or not on the PATH")
         with log.open("wb") as output:
             self._process = subprocess.Popen(
                 [*_dying_with_us(), *command],
@@ -68,17 +68,22 @@ class Program:
 
     @property
     def exit_code(self) -> int | None:
-        """Its exit code (negative for a signal), None while it runs."""
+        """Exit code (negative for a signal), None while it runs."""
         return self._process.poll()
 
+    @property
+    def failure(self) -> str | None:
+        """Reason of its end that it printed, None while it runs."""
+        return None if self.exit_code is None else self.last_words()
+
     def wait(self, timeout_s: float) -> int | None:
-        """Its exit code, None if it still runs after `timeout_s`."""
+        """Return the exit code, or None if it still runs after `timeout_s`."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             return self._process.wait(timeout_s)
         return None
 
     def stop(self, patience_s: float = STOP_PATIENCE_S) -> int:
-        """Asks it to end, then makes it; its exit code. May be repeated."""
+        """End the program, by force if `patience_s` is over, and return its exit code; a second call does nothing."""
         if self._process.stdin is not None:
             with contextlib.suppress(BrokenPipeError):
                 self._process.stdin.close()
@@ -90,17 +95,20 @@ class Program:
         return self._process.wait()
 
     def last_words(self) -> str:
-        """Why it failed: what our programs say last is their name, a colon and the reason, over one line or more."""
+        """Return the reason of its end: our programs print last their name, a colon and the reason, over one line or more."""
         with self.log.open("rb") as file:
             file.seek(max(0, self.log.stat().st_size - LAST_WORDS_BYTES))
-            said = file.read().decode(errors="replace").replace("\r", "\n")
-        lines = [line.strip() for line in said.splitlines() if line.strip()]
+            text = file.read().decode(errors="replace").replace("\r", "\n")
+        lines = [line.strip() for line in text.splitlines() if line.strip()]
         begins = [number for number, line in enumerate(lines) if _REASON.match(line)]
         reason = lines[begins[-1] :] if begins else lines[-1:]
         return _REASON.sub("", "; ".join(reason)) or "it said nothing"
 
 
 def _dying_with_us() -> list[str]:
-    """Lets the kernel end a program when the sweep is killed, so that it does not go on into the next one's cells."""
+    """Return the words before a command that let the kernel end it when the sweep is killed.
+
+    Otherwise it would go on into the cells of the next sweep.
+    """
     setpriv = shutil.which("setpriv")  # util-linux, on every Debian and its relatives
     return [setpriv, "--pdeathsig", "TERM", "--"] if setpriv else []

@@ -6,9 +6,10 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from .devices import LocalDevice, PrintedDevice, SshDevice
+from .devices import LocalDevice, PrintedDevice
 from .namespaces import NamespacePair
 from .programs import local_program
+from .ssh import SshDevice
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

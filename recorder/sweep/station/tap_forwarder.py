@@ -1,4 +1,4 @@
-"""The wire of an emulated link: carries frames between two TAP devices with delay, jitter, loss and outages.
+"""The user-space wire of an emulated link: it carries frames between two TAP devices with delay, jitter, loss and outages.
 
 For kernels without netem. A process of its own, started as a file, so that the sweep's Python never delays
 a frame:
@@ -6,11 +6,11 @@ a frame:
     tap_forwarder.py FD FD JSON
 
 takes the two TAP devices as open file descriptors and a `Link` as JSON. Every line on standard input is
-answered by a line of JSON on standard output: what was carried since the one before (`Wire.report`). It ends
-when standard input closes, which the kernel does for it even when the sweep is killed.
+answered by a line of JSON on standard output: the report of each direction since the line before (`Wire.report`). It
+ends when standard input closes; when the sweep is killed, the kernel closes it.
 
 The link's rate is not applied here but by the kernel's token bucket on the TAP devices: there a full line
-holds the sender back as a network card does, which a program behind it cannot.
+holds the sender back as a network card does; a program behind it cannot.
 """
 
 from __future__ import annotations
@@ -27,22 +27,23 @@ from collections import Counter, deque
 
 FRAME_BYTES = 65536
 HELD_FRAMES = 50_000
-"""Frames that may be on the wire at once; a delay of 0.5 s at 1 Gbit/s has 42,000."""
+"""Most frames on the wire at once; a delay of 0.5 s at 1 Gbit/s has 42,000."""
 
 IP_FRAMES = (b"\x08\x00", b"\x86\xdd")
-"""Ethertypes that may be lost: an address resolution that is lost would cost a second and measure nothing."""
+"""Ethertypes of frames that may be lost: a lost address resolution would cost a second and measure nothing."""
 
 PR_SET_TIMERSLACK = 29  # <linux/prctl.h>
 WIRE_PRIORITY = 10
 
 
 class Wire:
-    """One direction.
+    """One direction of the link.
 
     Args:
         source: TAP device to read from, non-blocking.
         sink: TAP device to write to.
-        link: the fields of a `Link`.
+        link: fields of a `Link`.
+        started_ns: start of the link on the monotonic clock, from which outages are counted.
     """
 
     def __init__(self, source: int, sink: int, link: dict[str, float], started_ns: int) -> None:
@@ -61,7 +62,7 @@ class Wire:
         self._counts: Counter[str] = Counter()
 
     def take(self) -> None:
-        """Reads what is there and decides on each frame: lost, or due at some time."""
+        """Read the waiting frames and decide the fate of each: lost, or due at some time."""
         with contextlib.suppress(BlockingIOError):
             while True:
                 frame = os.read(self.source, FRAME_BYTES)
@@ -85,7 +86,7 @@ class Wire:
         return (now_ns - self._started_ns) % self._outage_every_ns >= self._outage_every_ns - self._outage_ns
 
     def release(self) -> None:
-        """Hands on every frame that is due."""
+        """Write every frame that is due to the other side."""
         while self._held and self._held[0][0] <= time.monotonic_ns():
             due_ns, frame = self._held.popleft()
             try:
@@ -96,11 +97,11 @@ class Wire:
 
     @property
     def due_ns(self) -> int | None:
-        """When the next frame is due, None if the wire is empty."""
+        """Time at which the next frame is due, None if the wire is empty."""
         return self._held[0][0] if self._held else None
 
     def report(self) -> dict[str, float | None]:
-        """Frames by fate and how late the carried ones were handed on, since the report before."""
+        """Return the frames by fate and the lateness of the carried ones, since the report before."""
         report: dict[str, float | None] = {
             **{fate: self._counts[fate] for fate in ("carried", "lost", "in_outage", "overflow", "refused")},
             "lateness_p50_us": quantile(self._lateness_us, 0.50),
@@ -113,7 +114,7 @@ class Wire:
 
 
 def quantile(counts: Counter[int], share: float) -> int | None:
-    """The smallest value that at least this share of the counted values does not exceed, None without any."""
+    """Return the smallest value that at least this share of the counted values does not exceed, None without values."""
     wanted = share * counts.total()
     reached = 0
     for value in sorted(counts):
@@ -124,9 +125,9 @@ def quantile(counts: Counter[int], share: float) -> int | None:
 
 
 def run_ahead_of_others() -> None:
-    """Real-time priority and no timer slack, where permitted: a wire does not wait for the CPU.
+    """Take real-time priority and no timer slack, where permitted: a wire does not wait for the CPU.
 
-    What is not permitted shows in the reported lateness.
+    Without the permission, the reported lateness grows.
     """
     ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, 1)
     with contextlib.suppress(OSError):
@@ -134,7 +135,7 @@ def run_ahead_of_others() -> None:
 
 
 def main() -> None:
-    """Carries frames until standard input closes."""
+    """Carry frames until standard input closes."""
     first, second = int(sys.argv[1]), int(sys.argv[2])
     link = json.loads(sys.argv[3])
     run_ahead_of_others()

@@ -9,8 +9,9 @@ import loopback_sshd
 import pytest
 
 from dds_trace.recorder.sweep.plan.plan import DeviceSettings
-from dds_trace.recorder.sweep.station.devices import LocalDevice, PrintedDevice, SshDevice
+from dds_trace.recorder.sweep.station.devices import LocalDevice, PrintedDevice
 from dds_trace.recorder.sweep.station.programs import Program
+from dds_trace.recorder.sweep.station.ssh import SshDevice
 from dds_trace.tracefile import BackendUnavailableError, OptionError, __version__
 
 PATIENCE_S = 60.0

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from dds_trace.recorder.sweep.plan.link import PRESETS, Link
-from dds_trace.recorder.sweep.station.namespaces import queue_disciplines
+from dds_trace.recorder.sweep.station.emulation import queue_disciplines
 
 
 def test_presets_are_those_that_are_documented():

@@ -13,7 +13,8 @@ import pytest
 from namespaces import needs_namespaces
 
 from dds_trace.recorder.sweep.plan.link import PRESETS, Link
-from dds_trace.recorder.sweep.station.namespaces import NamespacePair, ip, remove_stale, require_root
+from dds_trace.recorder.sweep.station.emulation import ip
+from dds_trace.recorder.sweep.station.namespaces import NamespacePair, remove_stale, require_root
 from dds_trace.tracefile import BackendUnavailableError, OptionError
 
 UDP_ECHO = Path(__file__).parents[2] / "support" / "udp_echo.py"

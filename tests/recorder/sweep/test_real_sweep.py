@@ -17,7 +17,7 @@ import loopback_sshd
 import psutil
 import pytest
 
-from dds_trace.recorder.sweep.station.namespaces import ip
+from dds_trace.recorder.sweep.station.emulation import ip
 from dds_trace.tracefile import BackendUnavailableError, Stage, read_trace
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")

@@ -1,0 +1,128 @@
+"""The parts of an emulated link: the system's `ip` and `tc`, queue disciplines, TAP devices and the user-space wire."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import shutil
+import struct
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from dds_trace.tracefile import BackendUnavailableError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from ..plan.link import EndCounters, Link
+
+INTERFACE = "link0"
+"""Name of the link's device in either namespace."""
+
+SYSTEM_PATH = os.environ.get("PATH", "") + ":/usr/sbin:/sbin"  # where Debian has `ip` and `tc`
+
+# <linux/if_tun.h>
+_TUNSETIFF = 0x400454CA
+_IFF_TAP, _IFF_NO_PI = 0x0002, 0x1000
+
+_TBF_BURST_FRAMES_BYTES = 2 * 1514
+_TBF_BURST_S = 0.0002
+"""Time at the full rate that a token bucket may save up: as little as the kernel's timers allow; at least two frames."""
+
+
+def ip(*arguments: str) -> str:
+    """Run the system's `ip` and return its output.
+
+    Raises:
+        BackendUnavailableError: it is not installed, or the kernel refuses.
+    """
+    return _system("ip", *arguments)
+
+
+def tc(*arguments: str) -> str:
+    """Run the system's `tc` and return its output; errors as for `ip`."""
+    return _system("tc", *arguments)
+
+
+def _system(program: str, *arguments: str) -> str:
+    path = shutil.which(program, path=SYSTEM_PATH)
+    if path is None:
+        raise BackendUnavailableError(f"{program} is not installed; apt install iproute2")
+    try:
+        return subprocess.run([path, *arguments], capture_output=True, text=True, check=True).stdout
+    except subprocess.CalledProcessError as err:
+        raise BackendUnavailableError(
+            f"{program} {' '.join(arguments)}: {err.stderr.strip() or err.returncode}",
+        ) from err
+
+
+def count_traffic(namespace: str) -> EndCounters:
+    """Return the traffic of one end of the link since it was made."""
+    shown = json.loads(ip("-n", namespace, "-s", "-j", "link", "show", "dev", INTERFACE))
+    sent = shown[0]["stats64"]["tx"]
+    disciplines = json.loads(tc("-n", namespace, "-s", "-j", "qdisc", "show", "dev", INTERFACE) or "[]")
+    return {
+        "sent_bytes": sent["bytes"],
+        "sent_packets": sent["packets"],
+        "dropped_packets": sent["dropped"] + sum(discipline.get("drops", 0) for discipline in disciplines),
+    }
+
+
+def queue_disciplines(link: Link, *, kernel_does_all: bool) -> list[list[str]]:
+    """Return the words after `tc qdisc add dev DEVICE` for a link: a token bucket, and netem below it.
+
+    Args:
+        link: the link to emulate.
+        kernel_does_all: whether netem applies what is no rate; if False, the user-space wire does.
+    """
+    disciplines: list[list[str]] = []
+    parent = ["root"]
+    if link.rate_mbit_s:
+        burst_bytes = max(_TBF_BURST_FRAMES_BYTES, round(link.rate_mbit_s * 1e6 / 8 * _TBF_BURST_S))
+        disciplines.append(
+            [*parent, "handle", "1:", "tbf", "rate", f"{link.rate_mbit_s:g}mbit", "burst", f"{burst_bytes}b",
+             "latency", f"{link.queue_ms:g}ms"],
+        )  # fmt: skip
+        parent = ["parent", "1:1"]
+    if kernel_does_all and not link.needs_only_rate:
+        # netem's limit counts packets and holds those in flight; its default of 1000 would drop at 12 MB/s and 1 s.
+        disciplines.append(
+            [*parent, "handle", "10:", "netem", "delay", f"{link.delay_ms:g}ms", f"{link.jitter_ms:g}ms",
+             "distribution", "normal", "loss", f"{link.loss_percent:g}%", "limit", "50000"],
+        )  # fmt: skip
+    return disciplines
+
+
+def open_tap(name: str, namespace: str) -> int:
+    """Open a TAP device, move it into a namespace under the link's name, and return its non-blocking descriptor.
+
+    Raises:
+        BackendUnavailableError: this kernel has no TAP devices.
+    """
+    try:
+        descriptor = os.open("/dev/net/tun", os.O_RDWR | os.O_NONBLOCK)
+        fcntl.ioctl(descriptor, _TUNSETIFF, struct.pack("16sH14x", name.encode(), _IFF_TAP | _IFF_NO_PI))
+    except OSError as err:
+        raise BackendUnavailableError(
+            f"/dev/net/tun: {err.strerror}; this kernel has no netem, and without TAP devices (modprobe tun) "
+            "a link can only have a rate",
+        ) from err
+    ip("link", "set", name, "netns", namespace, "name", INTERFACE)
+    return descriptor
+
+
+def start_forwarder(taps: Sequence[int], link: Link) -> subprocess.Popen[str]:
+    """Start the process that carries frames between the two TAP devices."""
+    program = Path(__file__).with_name("tap_forwarder.py")
+    # -I -S: it needs the standard library alone, and starts at once.
+    return subprocess.Popen(
+        [sys.executable, "-I", "-S", str(program), *map(str, taps), json.dumps(link.to_dict())],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        pass_fds=taps,
+        start_new_session=True,  # Ctrl-C is for the sweep, which still needs the link to end a run cleanly
+    )

@@ -157,7 +157,7 @@ Peer = Annotated[
     _middleware(
         "--peer",
         metavar="HOST",
-        help="Device of a relay, or HOST:PORT, where a backend does not look for it (socket, zenoh); repeatable.",
+        help="Device of a relay, or HOST:PORT, where the backend does not look for it; repeatable.",
     ),
 ]
 Reliability = Annotated[

@@ -70,7 +70,7 @@ def test_an_option_without_a_meaning_is_refused_and_named(name, more, is_known, 
             backend.check(options)
 
 
-def test_a_relays_address_is_this_device_or_is_told():
+def test_the_relays_address_is_this_device_unless_given():
     backend = load_backend("socket")
     port = 7400 + 250 * 3 + 8
     assert backend.peer_addresses(NodeOptions(**LOCAL)) == (("127.0.0.1", port),)

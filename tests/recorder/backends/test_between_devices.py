@@ -1,4 +1,4 @@
-"""How each backend's two sides meet on a network, tried between two namespaces joined by a veth."""
+"""The two sides of each backend find each other on a network: two namespaces joined by a veth."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_dds_looks_on_the_network(meet, ping, relay):
 
 
 @pytest.mark.parametrize(("backend", "reliability"), [("zenoh", "reliable"), ("socket", "best_effort")])
-def test_zenoh_and_sockets_look_at_the_address_they_are_told(meet, backend, reliability):
+def test_zenoh_and_sockets_connect_to_the_address_given(meet, backend, reliability):
     same = ("--reliability", reliability, *(("--transport", "udp") if reliability == "best_effort" else ()))
     meet((backend, "--peer", RELAY, *same), (backend, *same))
 

@@ -1,4 +1,4 @@
-"""The `connext` backend: what can be tried without a licence, and the rest where one is."""
+"""The `connext` backend: everything that runs without a licence, and the rest where there is one."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_deadline_and_lifespan_are_ours_and_are_read_back():
     assert connext._qos(without).extra == {}  # Connext's word for no end is 2^31 - 1 s and as many ns
 
 
-def test_what_cannot_be_meant_is_refused():
+def test_options_without_a_meaning_are_refused():
     with pytest.raises(OptionError, match="knows default"):
         open_node("connext", NodeOptions(transport=Transport.SHM))
     with pytest.raises(OptionError, match="rather"):

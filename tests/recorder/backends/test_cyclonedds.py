@@ -90,7 +90,7 @@ def test_quality_of_service_that_never_matches_is_seen(domain_id):
         assert one.count_participants() == 2
 
 
-def test_a_process_that_never_matches_is_told(domain_id, tmp_path):
+def test_a_ping_that_can_never_match_says_so(domain_id, tmp_path):
     with relay(domain_id, tmp_path / "relay.mcap", *CYCLONE) as command:
         done = ping(
             domain_id, tmp_path / "ping.mcap", *CYCLONE, "--reliability", "best_effort", "--wait", PATIENCE_S
@@ -164,7 +164,7 @@ def test_an_error_in_a_callback_is_kept(domain_id):
         ({"executor": ExecutorKind.SINGLE}, "--executor"),
     ],
 )
-def test_what_cannot_be_meant_is_refused(domain_id, more, line):
+def test_options_without_a_meaning_are_refused(domain_id, more, line):
     with pytest.raises(OptionError, match=line):
         open_node("cyclonedds", options(domain_id, **more))
 

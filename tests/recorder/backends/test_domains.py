@@ -30,13 +30,13 @@ def discovery_ports(domain_id, count):
 
 
 @pytest.mark.parametrize("domain_id", [-1, 232, 1000])
-def test_ids_that_do_not_exist_are_refused(proc, domain_id):
+def test_domain_ids_out_of_range_are_refused(proc, domain_id):
     with pytest.raises(OptionError, match=f"--domain {domain_id}: a DDS domain id is 0 to 231"):
         check_domain(domain_id, proc())
 
 
 @pytest.mark.parametrize("domain_id", [0, 10, 100])
-def test_an_empty_domain_is_fine(proc, domain_id):
+def test_an_empty_domain_gives_no_warning(proc, domain_id):
     assert check_domain(domain_id, proc()) == []
 
 
@@ -46,7 +46,7 @@ def test_the_119th_neighbour_still_fits_and_the_120th_does_not(proc):
         check_domain(5, proc(*discovery_ports(5, 120)))
 
 
-def test_a_full_neighbour_domain_is_told(proc):
+def test_a_full_neighbour_domain_gives_a_warning(proc):
     (warning,) = check_domain(6, proc(*discovery_ports(5, 120)))
     assert warning == "domain 5 is full on this machine: its next participants use ports of domain 6"
 
@@ -57,12 +57,12 @@ def test_other_ports_are_no_participants(proc):
     assert participants_in(5, found) == [2]
 
 
-def test_ports_among_the_ephemeral_ones_are_told(proc):
+def test_ports_among_the_ephemeral_ones_give_a_warning(proc):
     assert check_domain(100, proc()) == []  # 32400 to 32649
     (warning,) = check_domain(101, proc())  # 32650 to 32899: its last ports only
     assert "(32650 to 32899)" in warning
     assert "from 32768" in warning
 
 
-def test_a_system_that_tells_nothing_is_not_in_the_way(tmp_path):
+def test_a_system_without_proc_gives_no_warning(tmp_path):
     assert check_domain(150, tmp_path) == []

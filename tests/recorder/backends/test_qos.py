@@ -1,4 +1,4 @@
-"""Which pairs of a publisher and a subscription never match."""
+"""Pairs of a publisher and a subscription that can never match."""
 
 from __future__ import annotations
 

@@ -236,7 +236,7 @@ def python(code, **environment):
     ("option", "environment"),
     [("None", {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}), ("'rmw_cyclonedds_cpp'", {})],
 )
-def test_a_middleware_that_is_not_here_is_one_line_and_no_dead_process(domain_id, option, environment):
+def test_a_missing_middleware_is_one_line_and_no_dead_process(domain_id, option, environment):
     done = python(
         f"""
         from dds_trace.recorder.backends import open_node

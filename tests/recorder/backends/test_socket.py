@@ -223,7 +223,7 @@ def test_strangers_on_udp_do_no_harm(domain_id):
         ({"domain_id": 232}, "0 to 231"),
     ],
 )
-def test_what_cannot_be_meant_is_refused(domain_id, more, line):
+def test_options_without_a_meaning_are_refused(domain_id, more, line):
     with pytest.raises(OptionError, match=line):
         open_node("socket", options(**{"domain_id": domain_id, **more}))
 
@@ -258,7 +258,7 @@ def test_nobody_answers(domain_id, tmp_path):
 
 
 @pytest.mark.middleware
-def test_a_ping_is_told_where_the_relay_is(domain_id, tmp_path):
+def test_a_ping_takes_the_relays_address(domain_id, tmp_path):
     with relay(domain_id, tmp_path / "relay.mcap", *SOCKET) as command:
         done = ping(
             *(domain_id, tmp_path / "ping.mcap", *SOCKET, "--data", "imu", "--messages", 5, "--rate", 50),

@@ -124,7 +124,7 @@ def test_an_error_in_a_callback_is_kept(domain_id):
         ({"executor": ExecutorKind.SINGLE}, "--executor"),
     ],
 )
-def test_what_cannot_be_meant_is_refused(domain_id, more, line):
+def test_options_without_a_meaning_are_refused(domain_id, more, line):
     with pytest.raises(OptionError, match=line):
         open_node("zenoh", options(domain_id, **more))
 

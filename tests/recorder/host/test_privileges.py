@@ -55,7 +55,7 @@ def run(script, *arguments):
     )
 
 
-def test_nothing_asked_for_changes_nothing():
+def test_without_options_nothing_changes():
     assert apply_privileges() == {}
 
 
@@ -68,12 +68,12 @@ def test_cpu_lists(text, cpus):
 
 
 @pytest.mark.parametrize("text", ["", "a", "-1", "3-1", "1,,2", "1;2"])
-def test_no_cpu_list_is_one_clear_error(text):
+def test_text_that_is_no_cpu_list_is_refused(text):
     with pytest.raises(OptionError, match="--cpu-affinity"):
         parse_cpus(text)
 
 
-def test_cpu_that_is_not_there_is_named():
+def test_a_missing_cpu_is_named():
     with pytest.raises(OptionError, match="CPU 9999 is not among"):
         apply_privileges(cpu_affinity="9999")
 

@@ -129,7 +129,7 @@ def test_a_bag_of_ros_1_becomes_cdr(tmp_path):
     assert load(f"bag:{bag}#/camera").payload_bytes == 60
 
 
-def test_what_cannot_be_sent_from_a_bag_is_one_line(tmp_path, monkeypatch):
+def test_a_bag_that_cannot_be_sent_is_refused_in_one_line(tmp_path, monkeypatch):
     vector = ROS2.types["geometry_msgs/msg/Vector3"](1.0, 2.0, 3.0)
     bag = write_bag2(tmp_path / "bag", {"/camera/image": [image(4)] * 3, "/vector": [vector]})
     with pytest.raises(

@@ -55,7 +55,7 @@ def test_size_counts_the_application_bytes_alone(data_type, size):
 
 
 @pytest.mark.parametrize("data", [b"", b"\0\1\0\0", bytes(200), bytes(72) + b"\xff" * 100])
-def test_an_image_that_is_none_has_no_size(data):
+def test_bytes_that_are_no_image_of_ours_have_size_0(data):
     assert BINARY.raw.payload_bytes_of(data) == 0
 
 

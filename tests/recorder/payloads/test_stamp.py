@@ -55,7 +55,7 @@ def test_every_stamp_is_46_characters_and_reads_back(run_id, sequence, relay_id)
         TEXT.replace(b":0000", b":zzzz"),
     ],
 )
-def test_other_text_is_no_stamp(text):
+def test_text_of_others_is_no_stamp(text):
     assert parse_stamp(text) is None
 
 

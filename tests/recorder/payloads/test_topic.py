@@ -60,7 +60,7 @@ def test_messages_of_ours_do_not_echo(feed):
     assert feed.skipped == 0
 
 
-def test_what_cannot_wait_is_counted(feed):
+def test_messages_beyond_the_queue_are_counted_and_left_out(feed):
     feed.receive(message())
     feed.begin()
     for _ in range(MAX_WAITING + 3):
@@ -69,7 +69,7 @@ def test_what_cannot_wait_is_counted(feed):
     assert feed._waiting.qsize() == MAX_WAITING
 
 
-def test_a_silent_topic_and_a_type_without_header_are_told(feed):
+def test_a_silent_topic_and_a_type_without_header_are_refused(feed):
     with pytest.raises(OptionError, match="--data topic:/x: 0 messages came"):
         payload_of(feed, wait_s=0.1)
     feed.receive(message(fields=("double",)))

@@ -89,7 +89,7 @@ def test_quality_of_service_that_never_matches_is_named_and_hopeless(node, plan)
     assert "--reliability" in text
 
 
-def test_one_relay_that_suits_is_hope(node):
+def test_one_suitable_relay_makes_the_wait_worthwhile(node):
     two = [Endpoint("relay_1", IMAGE), Endpoint("relay_2", IMAGE)]
     see(node, listening=two, incompatible=["relay_1 differs"])
     assert not look_for_relays(node, BINARY).is_hopeless
@@ -107,7 +107,7 @@ def test_a_backend_that_cannot_count(node, plan):
     assert "an unknown number of other nodes" in explain_silence(node, plan, 3)
 
 
-def test_the_type_that_a_relay_must_be_told_is_named(node):
+def test_a_type_that_the_relay_needs_as_an_option_is_named(node):
     payload = Payload(header_data_type("sensor_msgs/msg/PointCloud2"), (Message(bytearray(200), 136),), 136)
     text = explain_silence(node, RunPlan(payload, 10.0, 5, relay_domain_id=5), 20)
     assert "--discovery localhost --type sensor_msgs/msg/PointCloud2 --out relay.mcap`" in text

@@ -157,7 +157,7 @@ def test_a_duplicate_is_recorded_and_counted_once():
     assert link.ping.progress().received == 2
 
 
-def test_what_is_not_of_this_run_is_left_alone():
+def test_messages_of_other_runs_are_left_alone():
     link = Link(plan(messages=1))
     run = link.run()
     before = len(link.sink.events)
@@ -179,7 +179,7 @@ def test_a_stop_ends_the_sending_and_still_collects_replies():
     assert len(link.sink.of_stage(2)) == 4
 
 
-def test_readiness_is_an_echo_and_no_event():
+def test_readiness_takes_an_echo_and_records_no_event():
     link = Link(plan())
     assert link.ping.wait_for_echo(5, NEVER)
     assert link.sink.events == []
@@ -205,7 +205,7 @@ def test_probes_are_repeated_with_new_numbers_and_slow_down():
     assert link.clock.now_ns - START_NS < 4200 * MS
 
 
-def test_somebody_elses_probe_is_no_echo():
+def test_a_probe_of_another_ping_is_no_echo():
     link = Link(plan(), delay_ns=lambda _: None)
     message = bytearray(plan().payload.messages[0].data)
     RAW_HEADER_STAMP.write(message, 0, 12345)
@@ -222,7 +222,7 @@ def test_a_late_echo_of_a_probe_does_not_disturb_the_run():
     assert len(link.sink.of_stage(2)) == 2
 
 
-def test_while_it_runs_only_what_a_later_reply_has_overtaken_is_lost():
+def test_during_the_run_a_message_is_lost_once_a_later_one_is_answered():
     link, seen = Link(plan(messages=4), delay_ns=lambda n: None if n in (1, 3) else 2 * MS), []
     link.clock.at(START_NS + LEAD_NS + 35 * MS, lambda: seen.append(link.ping.progress()))
     link.run()

@@ -48,7 +48,7 @@ def test_the_trace_says_where_the_data_is_from():
     assert planned(bridge="builtin", bridge_running=True).extra["bridge_running"] is True
 
 
-def test_what_cannot_be_sent_is_refused():
+def test_data_that_cannot_be_sent_is_refused():
     live = dataclasses.replace(RECORDED, feed=object())
     with pytest.raises(OptionError, match="--rate cannot be given with topic:/NAME"):
         planned(live, rate_hz=5.0)

@@ -37,3 +37,23 @@ def test_constant_short_and_alternating_series_are_taken_as_independent():
 def test_a_series_of_bursts_is_worth_fewer_messages():
     bursts = np.repeat(np.random.default_rng(3).random(200) < 0.1, 20)
     assert dependence_of(bursts).inflation > 8
+
+
+@pytest.mark.parametrize(
+    ("correlation", "messages", "seed", "block"),
+    [
+        (0.3, 20_000, 1, 22.485),
+        (0.3, 20_000, 2, 24.183),
+        (0.5, 2_000, 1, 15.876),
+        (0.5, 20_000, 2, 38.954),
+        (0.8, 200, 1, 19.953),
+        (0.8, 2_000, 2, 30.738),
+        (0.8, 20_000, 1, 79.541),
+        (0.95, 2_000, 1, 85.925),
+        (0.95, 20_000, 2, 270.203),
+    ],
+)
+def test_block_lengths_are_those_of_arch(correlation, messages, seed, block):
+    # `arch.bootstrap.optimal_block_length(series)["circular"]` of arch 8.0.0, which searches the lags a little otherwise.
+    found = dependence_of(autoregressive(messages, correlation, seed)).block_messages
+    assert found == pytest.approx(block, rel=0.1)

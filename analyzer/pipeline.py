@@ -1,19 +1,17 @@
-"""From a folder of traces to one `Analysis`, step by step."""
+"""From a folder of traces to one `Analysis`: load, find exchanges, group, pair and measure batches, merge, judge, find."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-from dds_trace.tracefile import MissingEventsError
-from dds_trace.tracefile.units.counts import counted
 
 from .analysis import Analysis
 from .details import collect_details
 from .engines.batches import groups_in_parts, plan_batches
 from .engines.cluster import ClusterEngine
 from .engines.local import LocalEngine
-from .engines.merge import MergedResults
+from .engines.merge import merge_results
 from .findings.evidence import Evidence
 from .findings.table import find_findings
 from .groups.batch import Wanted
@@ -26,15 +24,14 @@ from .pairing.rows import RowStore
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Iterator
 
     from dds_trace.tracefile import Run
 
+    from .engines.batches import BatchResult
     from .engines.local import Engine
-    from .groups.batch import Batch
     from .loading.campaign import Campaign, Progress
-    from .loading.events import EventIndex
-    from .pairing.exchanges import Exchange, Exchanges
+    from .pairing.exchanges import Exchanges
     from .verdicts.job import Job
 
 OUTPUT_FOLDER = "analysis"
@@ -110,80 +107,57 @@ def _analyze(
 ) -> Analysis:
     own = {default_output(folder)} | ({out} if out is not None else set())
     outputs = {kind: out / f"{kind}.parquet" for kind in ("roundtrips", "summary")} if out else {}
-    stale_rows = outputs.pop("roundtrips", None) if not wanted.rows else None
+    stale_rows = None if wanted.rows else outputs.pop("roundtrips", None)
 
     campaign = engine.load(folder, own, progress)
     exchanges = find_exchanges(campaign)
-    grouping = group_exchanges(_held(campaign, exchanges))
+    grouping = group_exchanges(exchanges.held)
     batches = plan_batches(grouping, wanted)
-    rows, merged = _pair_and_measure(engine, batches, campaign.events, outputs.get("roundtrips"))
-    summary = merged.summary(grouping)
-    rows.locate(summary.frame)
-    campaign = campaign.with_copies(total_copies([*exchanges.copies, *merged.copies()]))
+    with RowStore(outputs.get("roundtrips")) as rows:
+        results = _keep_rows(engine.work(batches, campaign.events), rows)
+        merged = merge_results(results, grouping, sketch=not wanted.rows)
+    rows.locate(merged.summary.frame)
+    campaign = campaign.with_copies(total_copies([*exchanges.copies, *merged.copies]))
     in_parts = groups_in_parts(batches)
-    details = collect_details(campaign, merged.frames(), rows, in_parts, wanted)
+    details = collect_details(campaign, merged.frames, rows, in_parts, wanted)
     evidence = Evidence(
         campaign=campaign,
         exchanges=exchanges,
         grouping=grouping,
-        summary=summary,
+        summary=merged.summary,
         details=details,
         rows=rows,
         in_parts=tuple(in_parts),
         wanted=wanted,
         stale_rows=stale_rows if stale_rows and stale_rows.exists() else None,
     )
-
     if out is not None:
-        write_summary(summary.frame, outputs["summary"])
-    timeline = merged.frames()["timeline"]
+        write_summary(merged.summary.frame, outputs["summary"])
+    timeline = merged.frames["timeline"]
     return Analysis(
         title=folder.resolve().name,
         sources=campaign.sources,
         sessions=tuple(sorted(campaign.sessions.values(), key=lambda s: (s.wall_anchor_ns, s.session_id))),
         runs=_runs_by_start(campaign, exchanges),
         rows=rows,
-        summary=summary.frame,
-        distributions=summary.distributions,
+        summary=merged.summary.frame,
+        distributions=merged.summary.distributions,
         timeline=timeline,
-        timeline_decimated=timeline.height < merged.rows,
+        timeline_decimated=timeline.height < merged.summary.frame["published"].sum(),
         findings=find_findings(evidence),
         outputs=outputs,
         details=details,
     )
 
 
-def _held(campaign: Campaign, exchanges: Exchanges) -> tuple[Exchange, ...]:
-    if not exchanges.held:
-        raise MissingEventsError(_nothing_to_pair(campaign, exchanges))
-    return exchanges.held
-
-
-def _pair_and_measure(
-    engine: Engine, batches: Sequence[Batch], index: EventIndex, path: Path | None
-) -> tuple[RowStore, MergedResults]:
-    """Work at every batch, and take the results in their order as they come."""
-    merged = MergedResults(sketch=not batches[0].wanted.rows)
-    with RowStore(path) as rows:
-        for result in engine.work(batches, index):
-            rows.add(result.table)
-            merged.add(result)
-    return rows, merged
+def _keep_rows(results: Iterable[BatchResult], rows: RowStore) -> Iterator[BatchResult]:
+    """Put the rows of every batch into the store while its result passes by."""
+    for result in results:
+        rows.add(result.table)
+        yield replace(result, table=None)
 
 
 def _runs_by_start(campaign: Campaign, exchanges: Exchanges) -> tuple[Run, ...]:
     """Order the runs: those with messages as their rows, then those without."""
     started = {exchange.run.run_id: exchange.run for exchange in exchanges.held}
     return (*started.values(), *(run for run_id, run in campaign.runs.items() if run_id not in started))
-
-
-def _nothing_to_pair(campaign: Campaign, exchanges: Exchanges) -> str:
-    reasons = {
-        f"{counted(unplaced.events, 'event')} of run {unplaced.run_id:016x} in {campaign.names(unplaced.traces)}"
-        for unplaced in exchanges.unplaced
-    }
-    found = f": {'; '.join(sorted(reasons))}" if reasons else ""
-    return (
-        f"{campaign.folder}: {counted(len(campaign.traces), 'trace')}, but no published message (T1) with its run and session "
-        f"description{found}; add the trace of the ping"
-    )

@@ -94,7 +94,6 @@ class BatchResult:
         counts: one row per exchange, columns of `counts.COUNT_SCHEMA`.
         statistics: of its groups; of a part of a group they are those of the part.
         copies: events that were left out because another trace holds them, by key.
-        rows: number of rows.
         table: the rows, for `RowStore`; None if they are not wanted.
         values: metric -> int64 values that are not null, of a part of a group; None of whole groups.
     """
@@ -103,7 +102,6 @@ class BatchResult:
     counts: pl.DataFrame
     statistics: Statistics
     copies: Mapping[EventKey, tuple[Copies, ...]]
-    rows: int
     table: pa.Table | None
     values: Mapping[str, NDArray[np.int64]] | None
 
@@ -127,7 +125,6 @@ def work_at(batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]]) -> Batc
         counts=roundtrips.counts,
         statistics=measure_batch(roundtrips, batch.group_of_exchange),
         copies={key: copies for key, (_, copies) in merged.items() if copies},
-        rows=roundtrips.measured.height,
         table=table_of(roundtrips) if batch.wanted.rows else None,
         values=values,
     )

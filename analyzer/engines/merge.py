@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import polars as pl
@@ -12,6 +13,8 @@ from ..groups.summary import summarize_groups
 from .oversized import ValueSpool, merge_sketches
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from ..groups.frames import Frames
     from ..groups.grouping import Grouping
     from ..groups.summary import Summary
@@ -19,59 +22,72 @@ if TYPE_CHECKING:
     from .batches import BatchResult
 
 
-class MergedResults:
-    """Takes the results of batches in the order of groups.
-
-    Args:
-        sketch: take percentiles from histograms, also of groups that were held whole.
+@dataclass(frozen=True, slots=True, eq=False)
+class Merged:
+    """The results of all batches of a campaign.
 
     Attributes:
-        rows: number of rows of all batches.
+        summary: counts and statistics.
+        frames: by name, see `groups/frames.py`.
+        copies: events that were left out because another trace holds them.
     """
 
-    def __init__(self, *, sketch: bool) -> None:
-        self._sketch = sketch
-        self._frames: list[Frames] = []
-        self._counts: list[pl.DataFrame] = []
-        self._statistics: list[Statistics] = []
-        self._copies: dict[EventKey, tuple[Copies, ...]] = {}  # T1 of a run may be in several batches
+    summary: Summary
+    frames: Frames
+    copies: tuple[Copies, ...]
+
+
+def merge_results(results: Iterable[BatchResult], grouping: Grouping, *, sketch: bool) -> Merged:
+    """Merge the results of batches as they come.
+
+    Args:
+        results: in the order of groups; of a part of a group with its values, unless it is a sketch.
+        grouping: the groups of the campaign.
+        sketch: take percentiles from histograms, also of groups that were held whole.
+    """
+    frames: list[Frames] = []
+    counts: list[pl.DataFrame] = []
+    copies: dict[EventKey, tuple[Copies, ...]] = {}  # by key: T1 of a run may be in several batches
+    statistics = _StatisticsInOrder()
+    for result in results:
+        frames.append(result.frames)
+        counts.append(result.counts)
+        copies |= result.copies
+        statistics.add(result)
+    merged = Statistics.concatenate(statistics.finish())
+    return Merged(
+        summary=summarize_groups(grouping, pl.concat(counts), merge_sketches(merged) if sketch else merged),
+        frames=concatenate_frames(frames),
+        copies=tuple(copied for of_key in copies.values() for copied in of_key),
+    )
+
+
+class _StatisticsInOrder:
+    """Statistics of batches in the order of groups; values of a group that comes in parts are spooled."""
+
+    def __init__(self) -> None:
+        self._done: list[Statistics] = []
         self._spool: tuple[int, ValueSpool] | None = None
-        self.rows = 0
 
     def add(self, result: BatchResult) -> None:
-        """Take the next batch."""
-        self.rows += result.rows
-        self._frames.append(result.frames)
-        self._counts.append(result.counts)
-        self._copies |= result.copies
+        """Take the statistics, or the values, of the next batch."""
         group = int(result.statistics.frame["group"][0])
         if self._spool and (result.values is None or self._spool[0] != group):
             self._unspool()
         if result.values is None:
-            self._statistics.append(result.statistics)
+            self._done.append(result.statistics)
             return
         if self._spool is None:
             self._spool = group, ValueSpool()
         self._spool[1].add(result.values)
 
+    def finish(self) -> list[Statistics]:
+        """Return the statistics of all groups."""
+        self._unspool()
+        return self._done
+
     def _unspool(self) -> None:
         if self._spool:
             group, spool = self._spool
-            self._statistics.append(spool.measure(group))
+            self._done.append(spool.measure(group))
             self._spool = None
-
-    def frames(self) -> Frames:
-        """Return the frames of the campaign."""
-        return concatenate_frames(self._frames)
-
-    def copies(self) -> list[Copies]:
-        """Return what was left out because another trace holds it."""
-        return [copies for of_key in self._copies.values() for copies in of_key]
-
-    def summary(self, grouping: Grouping) -> Summary:
-        """Return one row per group."""
-        self._unspool()
-        statistics = Statistics.concatenate(self._statistics)
-        if self._sketch:
-            statistics = merge_sketches(statistics)
-        return summarize_groups(grouping, pl.concat(self._counts), statistics)

@@ -7,7 +7,8 @@ from collections import defaultdict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import Stage
+from dds_trace.tracefile import MissingEventsError, Stage
+from dds_trace.tracefile.units.counts import counted
 
 from ..loading.events import merge_parts
 from ..model.parameters import Parameters, parameters_of
@@ -116,7 +117,11 @@ class Exchanges:
 
 
 def find_exchanges(campaign: Campaign) -> Exchanges:
-    """Match runs with the session of their ping and with the relays that took part."""
+    """Match runs with the session of their ping and with the relays that took part.
+
+    Raises:
+        MissingEventsError: no published message can be placed.
+    """
     published, relayed = _by_run(campaign.events)
     held: list[Exchange] = []
     unplaced: list[Unplaced] = []
@@ -145,6 +150,8 @@ def find_exchanges(campaign: Campaign) -> Exchanges:
             t2, t3, t4 = (_count(stages.get(stage, ())) for stage in (Stage.T2, Stage.T3, Stage.T4))
             start_ns = ping.wall_ns(min(part.first_ns for part in t1))
             held.append(Exchange(run, ping, relay_id, relay, start_ns, (_count(t1), t2, t3, t4)))
+    if not held:
+        raise MissingEventsError(_nothing_to_pair(campaign, unplaced))
     placed = {key for exchange in held for key in exchange.event_keys()}
     unplaced_parts = (parts for key, parts in campaign.events.items() if key not in placed)
     copies = (copy for parts in unplaced_parts if len(parts) > 1 for copy in merge_parts(parts)[1])
@@ -193,3 +200,15 @@ def _flaws(run: Run, ping: Session, relay: Session | None) -> Iterator[str]:
             yield f"{name} is {value}"
     if not (math.isfinite(run.rate_hz) and run.rate_hz >= 0):
         yield f"rate_hz is {run.rate_hz}"
+
+
+def _nothing_to_pair(campaign: Campaign, unplaced: Iterable[Unplaced]) -> str:
+    reasons = {
+        f"{counted(events.events, 'event')} of run {events.run_id:016x} in {campaign.names(events.traces)}"
+        for events in unplaced
+    }
+    reason = f": {'; '.join(sorted(reasons))}" if reasons else ""
+    return (
+        f"{campaign.folder}: {counted(len(campaign.traces), 'trace')}, but no published message (T1) with its run and session "
+        f"description{reason}; add the trace of the ping"
+    )

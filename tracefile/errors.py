@@ -1,4 +1,4 @@
-"""One tree of errors. Every message says what, where (path, offset, topic), and what to do next.
+"""The tree of errors. Every message says what is wrong, where (path, offset, topic), and what to do next.
 
 `cli` turns a `TraceError` into one line on stderr and the class's `exit_code`.
 """
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class TraceError(Exception):
-    """What a user can act on; its text is one clear line."""
+    """Error that a user can act on; its text is one line."""
 
     exit_code: ClassVar[int] = 1
 
@@ -22,8 +22,8 @@ class TraceFormatError(TraceError):
 
     Args:
         path: the file.
-        what: what is wrong with it, and what to do next where that is known.
-        offset: byte offset in the file, if one is to blame.
+        what: the fault, and what to do next where that is known.
+        offset: byte offset of the fault in the file; None if it has no place.
     """
 
     exit_code = 3
@@ -37,42 +37,42 @@ class TraceFormatError(TraceError):
 
 
 class MissingEventsError(TraceError):
-    """A folder or a file holds no event that could be analyzed."""
+    """Folder or file without an event to analyze."""
 
     exit_code = 4
 
 
 class OutputExistsError(TraceError):
-    """An output is there already; nothing recorded is overwritten without `--force`."""
+    """Output that exists already; nothing recorded is overwritten without `--force`."""
 
     exit_code = 5
 
 
 class OutputError(TraceError):
-    """An output cannot be written (disk full, read-only, folder gone)."""
+    """Output that cannot be written (disk full, read-only, folder gone)."""
 
     exit_code = 6
 
 
 class OptionError(TraceError):
-    """A value on the command line or in a plan that cannot be meant."""
+    """Value on the command line or in a plan that is wrong or impossible."""
 
     exit_code = 2
 
 
 class BackendUnavailableError(TraceError):
-    """A middleware, bridge program or licence that is not on this machine."""
+    """Middleware, bridge program or licence that is not on this machine."""
 
     exit_code = 7
 
 
 class NoEchoError(TraceError):
-    """No relay answered in time."""
+    """Ping that no relay answered in time."""
 
     exit_code = 8
 
 
 class BridgeError(TraceError):
-    """A bridge's program failed: it ended, never came up, or cannot be started; the text holds its last line."""
+    """Bridge whose program ended, never came up, or cannot be started; the text holds the program's last line."""
 
     exit_code = 9

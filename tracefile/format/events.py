@@ -1,4 +1,4 @@
-"""The event: eight integers that one time stamp T1..T4 leaves in a trace, as record, bytes and columns.
+"""The event: the eight integers that a time stamp T1..T4 leaves in a trace, as bytes, record and columns.
 
 The layout is `docs/trace-format.md`; other programs depend on every name here.
 """
@@ -51,7 +51,7 @@ EVENT_STRUCT = struct.Struct("<QQqqqqII")
 
 
 class Stage(Enum):
-    """Which of the four time stamps an event is, by the paper's names."""
+    """One of the four time stamps of a message: T1 sent and T2 received by the ping, T3 received and T4 sent by the relay."""
 
     T1 = "t1"
     T2 = "t2"
@@ -60,7 +60,7 @@ class Stage(Enum):
 
     @property
     def topic(self) -> str:
-        """The MCAP topic that holds the events of this stage."""
+        """MCAP topic of the events of this stage."""
         return f"/dds_trace/{self.value}"
 
 
@@ -80,7 +80,7 @@ def pack_event(
     payload_bytes: int = 0,
     relay_id: int = 0,
 ) -> bytes:
-    """One event as little-endian CDR, 60 bytes."""
+    """Pack one event as little-endian CDR, 60 bytes."""
     return CDR_HEADER + EVENT_STRUCT.pack(
         run_id,
         sequence,
@@ -94,7 +94,7 @@ def pack_event(
 
 
 def unpack_event(data: bytes | memoryview) -> tuple[int, ...]:
-    """The eight fields of one serialized event, in the order of `EVENT_DTYPE`.
+    """Return the eight fields of a serialized event, in the order of `EVENT_DTYPE`.
 
     Raises:
         ValueError: `data` is not 60 bytes of little-endian CDR.
@@ -108,10 +108,10 @@ def unpack_event(data: bytes | memoryview) -> tuple[int, ...]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EventColumns:
-    """The events of one stage as columns, in file order; all arrays are one-dimensional of equal length.
+    """Events of one stage as columns, in file order; all arrays are one-dimensional and equally long.
 
     Attributes:
-        run_id: uint64, the run (one cell of a sweep) as drawn by its ping.
+        run_id: uint64, the random number of the run (one cell of a sweep).
         sequence: uint64, the message's number within the run.
         monotonic_ns: int64, CLOCK_MONOTONIC of the recording device.
         scheduled_ns: int64, T0 on the same clock (T1 only, else 0).
@@ -135,20 +135,20 @@ class EventColumns:
 
     @classmethod
     def from_records(cls, records: NDArray[np.void]) -> EventColumns:
-        """Columns copied out of an array of `EVENT_DTYPE` records (or of one with the same field names)."""
+        """Copy columns out of an array of `EVENT_DTYPE`, or of a dtype with the same field names."""
         return cls(**{name: np.ascontiguousarray(records[name]) for name in EVENT_DTYPE.names or ()})
 
     @classmethod
     def empty(cls) -> EventColumns:
-        """No event at all."""
+        """Return columns without an event."""
         return cls.from_records(np.empty(0, EVENT_DTYPE))
 
     @classmethod
     def concatenate(cls, parts: Iterable[EventColumns]) -> EventColumns:
-        """The events of `parts`, one after the other."""
+        """Join the events of `parts`, one after the other."""
         held = list(parts) or [cls.empty()]
         return cls(**{f.name: np.concatenate([getattr(p, f.name) for p in held]) for f in fields(cls)})
 
     def take(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> EventColumns:
-        """The events at `index` (integer positions or a boolean mask)."""
+        """Return the events at `index` (integer positions or a boolean mask)."""
         return EventColumns(**{f.name: getattr(self, f.name)[index] for f in fields(self)})

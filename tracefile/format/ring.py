@@ -1,7 +1,7 @@
-r"""The ring file: what was stamped and is not yet in the trace, in memory that outlives the process.
+r"""The ring file: events that are not yet in the trace, in memory that outlives the process.
 
 `NAME.mcap.ring` lies beside `NAME.mcap` while it is recorded and is deleted at a clean close. The mapping is
-shared with the page cache, so that a killed process loses nothing that it packed. All numbers little-endian:
+shared with the page cache, so that a killed process loses no event that it packed. All numbers are little-endian:
 
     offset  type      field
     0       8 bytes   magic b"DDSRING\n", written last: a ring without it holds no event yet
@@ -51,12 +51,16 @@ if TYPE_CHECKING:
 RING_SUFFIX = ".ring"
 RING_MAGIC = b"DDSRING\n"
 RING_VERSION = 1
-"""Version 1: first version (2026)."""
+"""Version of the layout. Version 1: first version (2026)."""
 
 RING_HEADER = struct.Struct("<8sIIQQQQ")
 DROPPED_AT = 32
+"""Offset of the number of dropped events in the header."""
+
 SLOT_BYTES = 64
 SLOT_STRUCT = struct.Struct("<QQqqqqIIQ")
+"""A slot as it is packed: the event's eight fields, then the mark."""
+
 SLOT_DTYPE = np.dtype(
     {
         "names": ["event", "monotonic_ns", "mark", "stage"],
@@ -65,25 +69,42 @@ SLOT_DTYPE = np.dtype(
         "itemsize": SLOT_BYTES,
     },
 )
-"""Views of one slot: the event's bytes, its monotonic time (part of them), its mark, the mark's stage byte."""
+"""A slot as it is read: the event's bytes, its monotonic time (part of them), the mark, the mark's stage byte."""
 
 STAGE_MARKS = (0, *(number << 56 for number in range(1, len(Stage) + 1)))
+"""Stage's number -> what a slot's mark adds to the ticket."""
+
 TICKET_MASK = np.uint64((1 << 56) - 1)  # numpy 1 takes no Python int beside a single uint64
 STAGE_NUMBERS = dict(enumerate(Stage, start=1))
+"""Number of a stage in slots, and of its channel in our files -> stage."""
 
 Slots: TypeAlias = "NDArray[np.void]"
 """One-dimensional array of `SLOT_DTYPE`."""
 
 
 def ring_path(trace: Path) -> Path:
-    """Where the ring of a trace lies."""
+    """Return the path of a trace's ring."""
     return trace.with_name(trace.name + RING_SUFFIX)
 
 
+def events_by_stage(slots: Slots) -> list[tuple[Stage, NDArray[np.void]]]:
+    """Return the events of each stage that has some, in the order of `slots`: arrays of `EVENT_DTYPE`."""
+    of_stage = [(stage, slots["event"][slots["stage"] == number]) for number, stage in STAGE_NUMBERS.items()]
+    return [
+        (stage, np.frombuffer(events.tobytes(), EVENT_DTYPE)) for stage, events in of_stage if len(events)
+    ]
+
+
 class Ring:
-    """A ring that this process writes.
+    """Ring that this process writes.
+
+    Args:
+        path: the file, which must not exist.
+        slot_count: the number of slots.
+        session: the recording process, described in the header.
 
     Attributes:
+        path: the file.
         memory: the mapped file, to pack into (packing into a memoryview of it costs 0.1 us more).
         slots_at: offset of the first slot.
         slots: the slots as an array of `SLOT_DTYPE`.
@@ -106,7 +127,9 @@ class Ring:
         slots_at = -(-(RING_HEADER.size + len(text)) // mmap.PAGESIZE) * mmap.PAGESIZE
         self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
         try:
-            with suppress(OSError):  # a file system without locks: recovery then cannot see that we live
+            with suppress(
+                OSError
+            ):  # a file system without locks: recovery cannot see there that this process lives
                 fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             _fill(self._descriptor, slots_at + slot_count * SLOT_BYTES)
             self.memory = mmap.mmap(self._descriptor, 0)
@@ -122,16 +145,20 @@ class Ring:
         self.slots: Slots = np.frombuffer(self.memory, SLOT_DTYPE, slot_count, slots_at)
 
     def pending(self, first: int, end: int) -> Slots:
-        """The slots of tickets `first` up to `end`, or fewer where the ring's end comes between; no copy."""
+        """Return the slots of tickets `first` up to `end`, or fewer if the ring wraps around; no copy."""
         start = first % len(self.slots)
         return self.slots[start : min(start + end - first, len(self.slots))]
 
     def note_dropped(self, dropped: int) -> None:
-        """Leave the number of dropped events where recovery finds it."""
+        """Write the number of dropped events into the header, where recovery finds it."""
         struct.pack_into("<Q", self.memory, DROPPED_AT, dropped)
 
     def close(self, *, delete: bool) -> None:
-        """Unmap the ring; nothing may be packed any more. `delete` once every event is in the trace."""
+        """Unmap the ring, into which nothing may be packed any more.
+
+        Args:
+            delete: whether to delete the file, because every event is in the trace.
+        """
         self.slots = self.slots[:0].copy()
         with suppress(BufferError):  # the traceback of a failed write may still hold an array of slots
             self.memory.close()
@@ -141,10 +168,10 @@ class Ring:
 
 
 def _fill(descriptor: int, size: int) -> None:
-    """Write `size` zeros.
+    """Write `size` zeros, so that every page has its block on disk.
 
-    A mapped page without a block on disk kills the process (SIGBUS) when the disk is full, so every block is
-    taken now. Written rather than only allocated: the first store to a page then changes no extent on disk.
+    A mapped page without one kills the process (SIGBUS) when the disk is full. The zeros are written, not only
+    allocated, because then the first store to a page changes no extent on disk.
     """
     zeros = bytes(1 << 20)
     while size > 0:
@@ -153,15 +180,15 @@ def _fill(descriptor: int, size: int) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RingContents:
-    """What a ring file holds beyond the trace beside it.
+    """Content of a ring file that the trace beside it does not have.
 
     Attributes:
         session: the recording process, as it described itself at its start.
-        slots: the events whose ticket is not in the trace, ordered by ticket; array of `SLOT_DTYPE`.
-        missing_events: tickets between the trace's last event and the ring's last that are in neither. None
-            is missing after a killed process; a power failure may lose pages of either file.
-        dropped_events: events that found no free slot.
-        recording: the recording process is still alive.
+        slots: the events whose tickets are not in the trace, ordered by ticket; array of `SLOT_DTYPE`.
+        missing_events: number of tickets between the trace's last event and the ring's last that are in neither;
+            0 after a killed process, but a power failure may lose pages of either file.
+        dropped_events: number of events that found no free slot.
+        recording: whether the recording process is still alive.
     """
 
     session: Session
@@ -170,27 +197,20 @@ class RingContents:
     dropped_events: int
     recording: bool
 
-    def of_stage(self, stage: Stage) -> NDArray[np.void]:
-        """The events of one stage in order of their tickets: array of `EVENT_DTYPE`."""
-        number = next(number for number, known in STAGE_NUMBERS.items() if known is stage)
-        taken = self.slots["event"][self.slots["stage"] == number]
-        return np.frombuffer(taken.tobytes(), EVENT_DTYPE)
-
 
 def read_ring(path: Path, events_in_trace: int) -> RingContents | None:
-    """What the ring at `path` adds to a trace whose complete chunks hold `events_in_trace` events.
+    """Read the events that a ring has and the trace beside it has not.
 
     Args:
         path: the ring file, `ring_path(trace)`.
-        events_in_trace: messages on the four event topics in the complete chunks of the trace, together.
-            Where a chunk in the middle may be damaged, the sum over the topics of the highest MCAP sequence
-            plus one says the same and does not depend on it.
+        events_in_trace: number of messages on the four event topics in the complete chunks of the trace: the sum
+            over the topics of the highest MCAP sequence plus one, which a damaged chunk in the middle does not change.
 
     Returns:
-        None if the recorder was killed before the ring was complete: it then holds no event.
+        None if the recorder was killed before the ring was complete; it then holds no event.
 
     Raises:
-        TraceFormatError: this is no ring, or one of another version.
+        TraceFormatError: the file is no ring, or one of another version.
         OSError: the file cannot be read.
     """
     with path.open("rb") as stream:
@@ -233,7 +253,7 @@ def _session(text: bytes, path: Path) -> Session:
 
 
 def _is_locked(descriptor: int) -> bool:
-    """Whether a living recorder holds the ring."""
+    """Return whether a living recorder holds the ring."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:

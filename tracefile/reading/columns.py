@@ -1,4 +1,4 @@
-"""Columns that grow in place and end up holding exactly the events that came."""
+"""Columns of events that grow in place, so that reading copies each event once."""
 
 from __future__ import annotations
 
@@ -22,37 +22,39 @@ _SMALLEST_GROWTH = 1 << 14
 
 
 class ColumnsBuilder:
-    """The events of all stages, each batch copied into its place.
+    """Events of all stages, each batch copied into its place.
 
     Args:
-        expected: events that each stage may come to hold. Memory is reserved for them, and taken when they come.
+        expected: number of events expected of each stage; memory is reserved for them, and taken when they come.
     """
 
     def __init__(self, expected: Mapping[Stage, int]) -> None:
         self._columns = {stage: _StageColumns(expected.get(stage, 0)) for stage in Stage}
 
     def append(self, stage: Stage, records: Records) -> None:
-        """Put `records`, an unbroken array of `EVENT_DTYPE`, behind the events of the stage."""
+        """Append `records`, a contiguous array of `EVENT_DTYPE`, to the events of the stage."""
         self._columns[stage].append(records)
 
     def finish(self) -> dict[Stage, EventColumns]:
-        """All events; the builder is used up."""
+        """Return all events; the builder may not be used again."""
         return {stage: columns.finish() for stage, columns in self._columns.items()}
 
 
 class _StageColumns:
-    """The events of one stage.
+    """Events of one stage.
 
-    All columns lie in one piece of memory: numpy asks for large pages for it as a whole, and touching fresh memory,
-    half of the time of filling it page by page, costs next to nothing. What is never filled is never taken from the
-    system.
+    All columns lie in one piece of memory. numpy asks for large pages for it as a whole, so that touching fresh
+    memory, half of the time of filling it page by page, costs next to nothing. Memory that is never filled is never
+    taken from the system.
     """
 
     def __init__(self, expected: int) -> None:
         self._filled = 0
         try:
             self._reserve(expected)
-        except MemoryError:  # whoever claims so many events may be wrong; those that come are made room for
+        except (
+            MemoryError
+        ):  # the number is a claim of the file and may be wrong; the columns grow as events come
             self._reserve(0)
 
     def append(self, records: Records) -> None:
@@ -67,7 +69,7 @@ class _StageColumns:
         self._filled = end
 
     def finish(self) -> EventColumns:
-        """Views of what was filled, so nothing is copied; a stage without events holds no memory back."""
+        """Return views of the filled part, so that nothing is copied; a stage without events keeps no memory."""
         if not self._filled:
             return EventColumns.empty()
         rows = zip(_NAMES, [*self._wide, *self._narrow], strict=True)

@@ -1,4 +1,4 @@
-"""The messages of one MCAP file as batches: blocks made on all cores, put in order, channels turned into topics."""
+"""Messages of one MCAP file as batches: blocks are made on all cores and put in order, channels become topics."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ..mcapfile.file import RecordFile, TornRecordError
 from ..mcapfile.summary import read_summary
 from ..threads import in_order
 from ..units.counts import counted
-from .source import TOPIC_PREFIX, Batch, Text, event_batch, plain
+from .source import TOPIC_PREFIX, Batch, Text, event_batch, unpack_message
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -27,21 +27,21 @@ if TYPE_CHECKING:
 
     from ..mcapfile.blocks import Block
 
-_BLOCKS_AHEAD = 8
-_BYTES_AHEAD = 32 << 20  # chunks larger than usual are unpacked one after the other
+_BLOCKS_AHEAD = 8  # blocks that are made before they are asked for
+_BYTES_AHEAD = 32 << 20  # their bytes together: much larger chunks are unpacked one after the other
 
 
 class McapSource:
-    """One MCAP file as a `Source`.
+    """MCAP file as a `Source`.
 
     Args:
         path: the file.
-        pool: unpacks and checks.
+        pool: the threads that unpack and check chunks.
         shown_as: its name in messages, where `path` is an unpacked copy.
-        texts_only: pass over the chunks that hold nothing but events, where the chunk index says so.
+        texts_only: whether to pass over chunks that hold nothing but events by the chunk index.
 
     Raises:
-        TraceFormatError: no MCAP file, or it cannot be read.
+        TraceFormatError: `path` is no MCAP file, or cannot be read.
     """
 
     def __init__(
@@ -65,27 +65,27 @@ class McapSource:
         self._jobs = BlockJobs(
             self._file, self._summary, self._chunks_without_texts() if texts_only else frozenset()
         )
-        self._messages = Counter[int]()  # by channel id
-        self._numbered: dict[int, int] = {}  # by channel id: one more than the number of its last event
+        self._messages = Counter[int]()  # channel id -> number of its messages
+        self._numbered: dict[int, int] = {}  # channel id -> 1 + number of its last event
 
     def close(self) -> None:
-        """Give the file back."""
+        """Close the file."""
         self._file.close()
 
     @property
     def topics(self) -> frozenset[str]:
-        """All topics declared so far, ours or not."""
+        """Topics declared so far, ours or not."""
         return frozenset(channel.topic for _, channel in self._channels.items())
 
     @property
     def written_events(self) -> int:
-        """Events that the recorder had put into the file, also those in damaged chunks before the last whole one."""
+        """Number of events that the recorder had written, those in damaged chunks before the last whole one included."""
         return sum(self._numbered.values())
 
     def expected_events(self) -> dict[Stage, int]:
-        """How many events the statistics claim for each stage, or else as many as the chunks have room for."""
+        """Return the number of events of each stage by the statistics, or else the number that the chunks have room for."""
         counts = self._summary.message_counts() if self._summary else None
-        most = self._file.size  # a larger claim than one event per packed byte is not believed beforehand
+        most = self._file.size  # no claim of more than one event for each packed byte is believed
         if counts is None:
             return dict.fromkeys(Stage, min(most, self._room_for_events()))
         expected = Counter[Stage]()
@@ -95,7 +95,7 @@ class McapSource:
         return {stage: min(most, count) for stage, count in expected.items()}
 
     def batches(self) -> Iterator[Batch]:
-        """All messages in file order; the last batch tells how the file ended.
+        """Yield all messages in file order; the last batch tells how the file ended.
 
         Raises:
             TraceFormatError: the device fails, or the file contradicts itself.
@@ -119,9 +119,8 @@ class McapSource:
         for channel_id, last_number, events in block.events:
             channel = self._channels.get(channel_id)
             if channel and not channel.stage and channel.topic.startswith(TOPIC_PREFIX):
-                singles += block.scan.places(
-                    block.data, channel_id
-                )  # texts that happen to be as long as an event
+                # Texts that are as long as an event by chance.
+                singles += block.scan.places(block.data, channel_id)
                 continue
             self._messages[channel_id] += len(events)
             if channel and channel.fault:
@@ -144,7 +143,7 @@ class McapSource:
         batch: Batch,
         packed: list[tuple[Stage, bytes]],
     ) -> None:
-        """One message that is not taken as an array: a text, an event that was packed on its own, or neither."""
+        """Add a message that is not part of an array: a text, an event that was packed by itself, or one of others."""
         if len(content) < MESSAGE_HEADER.size:
             return
         channel_id, _, log_time_ns, _ = MESSAGE_HEADER.unpack_from(content)
@@ -156,9 +155,9 @@ class McapSource:
         if channel.fault:
             batch.unreadable += 1
         elif channel.stage:
-            packed.append((channel.stage, plain(data)))
+            packed.append((channel.stage, unpack_message(data)))
         else:
-            batch.texts.append(Text(channel.topic, log_time_ns, plain(data), self._path, offset))
+            batch.texts.append(Text(channel.topic, log_time_ns, unpack_message(data), self._path, offset))
 
     def _closing_notes(self) -> list[str]:
         notes = list(self._jobs.notes)
@@ -186,12 +185,12 @@ class McapSource:
         return notes
 
     def _is_of_others(self) -> bool:
-        """Whether the summary says that no message is ours: a large bag of camera images need not be unpacked."""
+        """Return whether no message is ours by the summary: a large bag of camera images need not be unpacked."""
         topics = self._summary.topics() if self._summary else None
         return bool(topics) and not any(topic.startswith(TOPIC_PREFIX) for topic in topics or ())
 
     def _room_for_events(self) -> int:
-        """Events that the file's chunks, or its bytes outside of chunks, have room for."""
+        """Return the number of events that the file's chunks, or its bytes outside of chunks, have room for."""
         room, at = 0, len(MAGIC)
         while True:
             try:

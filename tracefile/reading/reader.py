@@ -1,6 +1,6 @@
 """A trace read back: all of it, or batch by batch, or only its descriptions.
 
-Whatever the file is (ours, another tool's, unindexed, cut off, damaged, a rosbag2 folder), the same events come out.
+The same events come out of every kind of file: ours, another tool's, unindexed, cut off, damaged, a rosbag2 folder.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ if TYPE_CHECKING:
 
     from .trace import Trace
 
-_MOST_WORKERS = 4  # beyond that, memory is what is waited for
+_MOST_WORKERS = 4  # more threads wait for memory, not for each other
 
 
 def read_trace(path: Path) -> Trace:
-    """Everything that a trace holds.
+    """Read a whole trace.
 
     Args:
         path: a `.mcap` file (with the ring beside it, if a killed recorder left one) or a rosbag2 folder.
 
     Raises:
-        TraceFormatError: it is no trace, or a description in it cannot be read. A file that ends early or is
+        TraceFormatError: `path` is no trace, or a description in it cannot be read. A file that ends early or is
             damaged is no error: see `Trace.truncated` and `Trace.notes`.
     """
     builder = TraceBuilder(path)
@@ -53,12 +53,13 @@ def read_trace(path: Path) -> Trace:
 
 
 def iter_event_batches(path: Path) -> Iterator[tuple[Stage, EventColumns]]:
-    """The events of a trace about a megabyte at a time, each stage's in file order; memory follows the chunk.
+    """Yield the events of a trace about a megabyte at a time, those of each stage in file order.
 
-    Descriptions, notes and counts of what could not be used come from `read_descriptions` or `read_trace`.
+    Memory follows the size of a chunk, not of the file. Descriptions, notes and the number of unreadable messages come
+    from `read_descriptions` or `read_trace`.
 
     Raises:
-        TraceFormatError: as `read_trace`, as soon as it is met.
+        TraceFormatError: as for `read_trace`, as soon as the fault is met.
     """
     builder = TraceBuilder(path)
     for file in storage_files(path):
@@ -71,12 +72,12 @@ def iter_event_batches(path: Path) -> Iterator[tuple[Stage, EventColumns]]:
 
 
 def read_descriptions(path: Path) -> Trace:
-    """The trace without its events: every stage is empty; sessions, runs, host samples are there.
+    """Read a trace without its events: every stage is empty; sessions, runs and host samples are there.
 
-    Chunks that hold only events are not unpacked where an index tells so.
+    Chunks that hold nothing but events, by the chunk index, are not unpacked.
 
     Raises:
-        TraceFormatError: as `read_trace`.
+        TraceFormatError: as for `read_trace`.
     """
     builder = TraceBuilder(path)
     for file in storage_files(path):
@@ -90,12 +91,13 @@ def read_descriptions(path: Path) -> Trace:
 
 
 def expected_events(path: Path) -> dict[Stage, int]:
-    """About how many events of each stage a trace holds, by its statistics and without unpacking anything.
+    """Estimate the number of events of each stage by the statistics of a trace, without unpacking anything.
 
-    For planning, not for results: without statistics it is as many as there is room for, and for every stage.
+    For planning, not for results: without statistics the estimate of every stage is the number of events that the
+    file has room for.
 
     Raises:
-        TraceFormatError: as `read_trace`.
+        TraceFormatError: as for `read_trace`.
     """
     expected = Counter[Stage]()
     for file in storage_files(path):
@@ -105,6 +107,6 @@ def expected_events(path: Path) -> dict[Stage, int]:
 
 
 def _workers() -> ThreadPoolExecutor:
-    """Threads that unpack and check chunks beside the caller's: the libraries let each other run."""
+    """Return the threads that unpack and check chunks beside the caller's; the libraries release the GIL."""
     others = len(os.sched_getaffinity(0)) - 1
     return ThreadPoolExecutor(max(1, min(_MOST_WORKERS, others)), thread_name_prefix="read_trace")

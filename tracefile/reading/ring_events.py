@@ -1,15 +1,12 @@
-"""The events that a killed recorder left in the ring beside its trace, as a batch behind those of the file."""
+"""Events that a killed recorder left in the ring beside its trace, as a batch behind those of the file."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from ..errors import TraceFormatError
-from ..format.events import EVENT_DTYPE
-from ..format.ring import STAGE_NUMBERS, TICKET_MASK, read_ring, ring_path
+from ..format.ring import TICKET_MASK, events_by_stage, read_ring, ring_path
 from ..units.counts import counted
 from .source import Batch
 
@@ -21,27 +18,23 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class RingBeside:
-    """The ring beside one file of a trace.
+    """Ring beside one file of a trace.
 
     Attributes:
-        contents: all that is in it; None if it cannot be read.
-        fault: why it cannot be read.
+        contents: the whole content of the ring; None if it cannot be read.
+        fault: the reason why it cannot be read, or None.
     """
 
     contents: RingContents | None
     fault: str | None = None
 
     def batch(self, events_in_file: int) -> Batch:
-        """The events that the file does not have, of which the recorder had written `events_in_file` to it."""
+        """Return the events that the file lacks, given the number of events that the recorder had written to it."""
         if self.contents is None:
             return Batch(notes=[self.fault] if self.fault else [])
         slots = self.contents.slots
         slots = slots[(slots["mark"] & TICKET_MASK) >= events_in_file]
-        batch = Batch()
-        for number, stage in STAGE_NUMBERS.items():
-            events = slots["event"][slots["stage"] == number]
-            if len(events):
-                batch.events.append((stage, np.frombuffer(events.tobytes(), EVENT_DTYPE)))
+        batch = Batch(events_by_stage(slots))
         if len(slots):
             last = int(slots["mark"][-1] & TICKET_MASK)
             missing = last + 1 - events_in_file - len(slots)
@@ -55,10 +48,13 @@ class RingBeside:
 
 
 def ring_beside(file: Path) -> RingBeside | None:
-    """The ring of a storage file, None if there is none. To be called before the file is opened.
+    """Read the ring of a storage file; call this before the file is opened.
 
-    In this order nothing is missed where the recorder still lives: an event that has left the ring when it is read
-    is in the file when that is read. The other way round it could be in neither.
+    In this order no event is missed while the recorder still lives: an event that has left the ring when the ring is
+    read is in the file when the file is read. The other way round it could be in neither.
+
+    Returns:
+        None if there is no ring, or none with an event.
     """
     path = ring_path(file)
     try:

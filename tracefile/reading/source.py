@@ -1,4 +1,4 @@
-"""What every source of messages hands to the reader: batches of events as arrays, and the few other messages."""
+"""Sources of messages, whatever they are stored in: batches of events as arrays, and the few other messages."""
 
 from __future__ import annotations
 
@@ -20,20 +20,22 @@ if TYPE_CHECKING:
     from ..format.events import Stage
 
 TOPIC_PREFIX = "/dds_trace/"
+"""Beginning of the topics that are ours."""
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-_MESSAGE_BYTES = 16 << 20
+_MESSAGE_BYTES = 16 << 20  # no message of ours is longer; more is not unpacked
 
 
 @dataclass(frozen=True, slots=True)
 class Text:
-    """One message that is not an event: a description or a host sample, still serialized.
+    """Message that is not an event: a description or a host sample, still serialized.
 
     Attributes:
+        topic: its topic.
         log_time_ns: wall clock, ns since 1970.
-        data: the message as it was recorded.
-        path: the file it came from.
-        offset: the byte of the file that it, or the chunk around it, begins at; None in a database.
+        data: the serialized message.
+        path: the file of the message.
+        offset: offset in the file of the message or of the chunk around it; None in a database.
     """
 
     topic: str
@@ -45,14 +47,14 @@ class Text:
 
 @dataclass(slots=True)
 class Batch:
-    """Some consecutive messages of a trace.
+    """Consecutive messages of a trace.
 
     Attributes:
-        events: the events of each stage, an unbroken array of `EVENT_DTYPE`, in file order.
+        events: (stage, contiguous array of `EVENT_DTYPE`) pairs, those of a stage in file order.
         texts: the messages of our other topics, in file order.
-        unreadable: messages on event topics that are not events.
-        notes: what a reader of the numbers should be told, one line each.
-        truncated: why the source ends early, in its last batch.
+        unreadable: number of messages on event topics that are not events.
+        notes: one line for each thing that a reader of the numbers should know.
+        truncated: the reason why the source ends early, in its last batch; else None.
     """
 
     events: list[tuple[Stage, Records]] = field(default_factory=list)
@@ -63,28 +65,28 @@ class Batch:
 
 
 class Source(Protocol):
-    """One file of messages."""
+    """File of messages."""
 
     @property
     def topics(self) -> frozenset[str]:
-        """All topics seen so far, ours or not."""
+        """Topics seen so far, ours or not."""
 
     @property
     def written_events(self) -> int:
-        """Events that our recorder had put into the file, by their numbers; those in damaged chunks count too."""
+        """Number of events that our recorder had written to the file, those in damaged chunks included."""
 
     def expected_events(self) -> Mapping[Stage, int]:
-        """How many events the file says it holds; a claim, never to be relied on."""
+        """Return the number of events of each stage that the file claims; it may be wrong."""
 
     def batches(self) -> Iterator[Batch]:
-        """All messages in file order."""
+        """Yield all messages in file order."""
 
     def close(self) -> None:
-        """Give the file back."""
+        """Close the file."""
 
 
 def event_batch(messages: Sequence[tuple[Stage, bytes]]) -> Batch:
-    """A batch of single messages of event topics; those that are no events are counted as unreadable."""
+    """Return a batch of single messages on event topics; those that are no events are counted as unreadable."""
     events: dict[Stage, list[bytes]] = {}
     unreadable = 0
     for stage, data in messages:
@@ -97,10 +99,10 @@ def event_batch(messages: Sequence[tuple[Stage, bytes]]) -> Batch:
     return Batch(arrays, unreadable=unreadable)
 
 
-def plain(data: bytes) -> bytes:
-    """The message, unpacked where rosbag2 has compressed it on its own; unchanged where that fails.
+def unpack_message(data: bytes) -> bytes:
+    """Unpack a message that rosbag2 has compressed by itself; return it unchanged if it is not, or is damaged.
 
-    Serialized CDR begins with a zero byte, so a zstd frame cannot be taken for it.
+    Serialized CDR begins with a zero byte, so it cannot be taken for a zstd frame.
     """
     if data[:4] != ZSTD_MAGIC:
         return data

@@ -1,4 +1,4 @@
-"""The messages of one rosbag2 SQLite file (`.db3`) as batches."""
+"""Messages of one rosbag2 SQLite file (`.db3`) as batches."""
 
 from __future__ import annotations
 
@@ -12,21 +12,19 @@ from urllib.parse import quote
 from ..errors import TraceFormatError
 from ..format.events import EVENT_SCHEMA_NAME, STAGE_OF_TOPIC, Stage
 from ..units.counts import counted
-from .source import TOPIC_PREFIX, Batch, Text, event_batch, plain
+from .source import TOPIC_PREFIX, Batch, Text, event_batch, unpack_message
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
 _HEADER = struct.Struct(">16xH10xI")  # page size, pages
-_SQLITE_ERRORS = (
-    sqlite3.Error,
-    MemoryError,
-)  # it also says that memory is short where a size in the file is absurd
+# SQLite also reports that memory is short where a size in the file is absurd.
+_SQLITE_ERRORS = (sqlite3.Error, MemoryError)
 _BATCH_ROWS = 8192
 _BATCH_BYTES = 4 << 20
 
-# These four columns are there in every version of rosbag2's schema. A view in place of a table is not read.
+# Every version of rosbag2's schema has these columns. A view in place of a table is not read.
 _TABLES = "SELECT count(*) FROM sqlite_master WHERE type = 'table' AND name IN ('topics', 'messages')"
 _TOPICS = "SELECT id, name, type, serialization_format FROM topics"
 _LAST_ROW = "SELECT max(id) FROM messages"
@@ -37,15 +35,15 @@ _MESSAGES = (
 
 
 class SqliteSource:
-    """One `.db3` file as a `Source`.
+    """`.db3` file as a `Source`.
 
     Args:
         path: the database.
         shown_as: its name in messages, where `path` is an unpacked copy.
-        texts_only: pass over the events.
+        texts_only: whether to pass over the events.
 
     Raises:
-        TraceFormatError: no database of rosbag2, or it cannot be read.
+        TraceFormatError: `path` is no database of rosbag2, or cannot be read.
     """
 
     def __init__(self, path: Path, shown_as: Path | None = None, *, texts_only: bool = False) -> None:
@@ -67,32 +65,32 @@ class SqliteSource:
             except (*_SQLITE_ERRORS, OSError, ValueError) as err:
                 raise TraceFormatError(self._shown_as, f"no rosbag2 database ({err!r})") from err
             undo.pop_all()
-        # SQLite keeps columns to no type: a damaged page may hold anything.
+        # A column of SQLite has no fixed type: a damaged page may hold anything.
         self._topics: list[tuple[int, str, str, str]] = [
             row for row in topics if isinstance(row[0], int) and isinstance(row[1], str)
         ]
 
     def close(self) -> None:
-        """Give the file back."""
+        """Close the file."""
         self._database.close()
 
     @property
     def topics(self) -> frozenset[str]:
-        """All topics, ours or not."""
+        """Topics of the database, ours or not."""
         return frozenset(name for _, name, *_ in self._topics)
 
     @property
     def written_events(self) -> int:
-        """None: our recorder writes MCAP, and no ring lies beside a database."""
+        """Always 0: our recorder writes MCAP, and no ring lies beside a database."""
         return 0
 
     def expected_events(self) -> dict[Stage, int]:
-        """As many events for every stage as the table can have rows."""
+        """Return for every stage the number of rows that the table can have."""
         last_row = self._last_row if isinstance(self._last_row, int) else 0
         return dict.fromkeys(Stage, max(0, min(self._size, last_row)))
 
     def batches(self) -> Iterator[Batch]:
-        """All messages in the order in which they were stored; a damaged page ends them."""
+        """Yield all messages in the order in which they were stored, up to the first damaged page."""
         names = {topic_id: name for topic_id, name, *_ in self._topics}
         ours = {topic_id: name for topic_id, name in names.items() if name.startswith(TOPIC_PREFIX)}
         faults = self._faults()
@@ -121,7 +119,7 @@ class SqliteSource:
         yield last
 
     def _faults(self) -> dict[int, str]:
-        """Why the messages of some event topics cannot be events, by topic id."""
+        """Return topic id -> reason why the messages of this event topic cannot be events."""
         faults = {}
         for topic_id, name, kind, encoding in self._topics:
             if name in STAGE_OF_TOPIC and encoding != "cdr":
@@ -136,12 +134,12 @@ class SqliteSource:
 
 
 def _missing_bytes(path: Path) -> int:
-    """How much shorter the file is than its header says (https://www.sqlite.org/fileformat.html, 1.3)."""
+    """Return the number of bytes that the file lacks by its header (https://www.sqlite.org/fileformat.html, 1.3)."""
     with path.open("rb") as stream:
         header = stream.read(_HEADER.size)
         size = stream.seek(0, os.SEEK_END)
     if len(header) < _HEADER.size:
-        return 0  # SQLite will say what it thinks of this file
+        return 0  # SQLite will report what is wrong with this file
     page_bytes: int
     pages: int
     page_bytes, pages = _HEADER.unpack(header)
@@ -149,7 +147,7 @@ def _missing_bytes(path: Path) -> int:
 
 
 class _Rows:
-    """Rows that will be a batch."""
+    """Rows that become a batch."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -159,16 +157,16 @@ class _Rows:
         self._bytes = 0
 
     def add(self, topic: str, timestamp: object, data: object, *, faulty: bool) -> None:
-        """One row; what a database may hold but rosbag2 never writes is unreadable."""
+        """Add a row; values that rosbag2 never writes are unreadable."""
         stage = STAGE_OF_TOPIC.get(topic)
         if not isinstance(data, bytes) or not isinstance(timestamp, int) or faulty:
             self._unreadable += stage is not None
             return
         self._bytes += len(data)
         if stage:
-            self._events.append((stage, plain(data)))
+            self._events.append((stage, unpack_message(data)))
         else:
-            self._texts.append(Text(topic, timestamp, plain(data), self._path, None))
+            self._texts.append(Text(topic, timestamp, unpack_message(data), self._path, None))
 
     @property
     def full(self) -> bool:

@@ -1,4 +1,4 @@
-"""Which files a trace consists of, and how each is opened: a `.mcap` file, or those of a rosbag2 folder."""
+"""Files of a trace, and how each is opened: a `.mcap` file, or the files of a rosbag2 folder."""
 
 from __future__ import annotations
 
@@ -42,53 +42,53 @@ _OPENERS: dict[str, Callable[[Path, Path, Executor, bool], Source]] = {
 
 
 def find_traces(folder: Path, *, skip: Collection[Path] = ()) -> list[Path]:
-    """All `.mcap` files and rosbag2 folders in `folder` and below it, sorted; a rosbag2 folder is one entry.
+    """Find the traces in `folder` and below it: `.mcap` files and rosbag2 folders, sorted.
 
-    Files are found by name and not opened; `read_trace` says which of them are traces. A `folder` that is itself a
-    file or a rosbag2 folder is the only entry. Links to folders are not followed.
+    Files are found by name and not opened; `read_trace` tells which of them are traces. A `folder` that is itself a
+    file or a rosbag2 folder is the only trace. Links to folders are not followed.
 
     Args:
-        folder: where to look.
-        skip: files and folders to leave out, with all that is in them.
+        folder: the folder to search.
+        skip: files, and folders with their content, to leave out.
 
     Raises:
-        MissingEventsError: there is no such folder.
+        MissingEventsError: `folder` does not exist.
     """
     left_out = {Path(path).resolve() for path in skip}
     if folder.is_file() or (folder.is_dir() and is_bag(folder)):
         return [folder]
     if not folder.is_dir():
         raise MissingEventsError(f"{folder}: no such file or folder")
-    found: list[Path] = []
+    traces: list[Path] = []
     for name, folders, files in os.walk(folder):
         here = Path(name)
         kept = [child for child in folders if (here / child).resolve() not in left_out]
-        found += [here / child for child in kept if is_bag(here / child)]
+        traces += [here / child for child in kept if is_bag(here / child)]
         folders[:] = [child for child in kept if not is_bag(here / child)]
-        found += [
+        traces += [
             here / file
             for file in files
             if file.endswith(".mcap") and (here / file).resolve() not in left_out
         ]
-    return sorted(found)
+    return sorted(traces)
 
 
 def storage_files(path: Path) -> list[Path]:
-    """The files that hold the messages of a trace, in the order in which they were recorded.
+    """Return the files with the messages of a trace, in the order in which they were recorded.
 
     rosbag2 numbers the parts of a split bag; `bag_10.mcap` comes after `bag_9.mcap`. A file that was packed as a
-    whole has `.zstd` behind its name, and may have been unpacked beside it by a player: then it counts once.
+    whole has `.zstd` behind its name; if a player has unpacked it into the same folder it counts once.
 
     Raises:
-        TraceFormatError: `path` is a folder without such files, or nothing at all.
+        TraceFormatError: `path` is a folder that cannot be read or has no such file.
     """
     if not path.is_dir():
         return [path]
     try:
-        found = [file for file in path.iterdir() if _opener_suffix(file) and file.is_file()]
+        stored = [file for file in path.iterdir() if _opener_suffix(file) and file.is_file()]
     except OSError as err:
         raise TraceFormatError(path, f"cannot be read ({err.strerror})") from err
-    files = [file for file in found if file.suffix != ZSTD_SUFFIX or file.with_suffix("") not in found]
+    files = [file for file in stored if file.suffix != ZSTD_SUFFIX or file.with_suffix("") not in stored]
     if not files:
         raise TraceFormatError(path, "no rosbag2 folder: no .mcap or .db3 file is in it")
     return sorted(
@@ -100,7 +100,7 @@ def storage_files(path: Path) -> list[Path]:
 
 
 def is_bag(folder: Path) -> bool:
-    """Whether a folder is a rosbag2 folder: `metadata.yaml` is there, and a storage file."""
+    """Return whether a folder is a rosbag2 folder: it has a `metadata.yaml` and a storage file."""
     try:
         return (folder / METADATA_NAME).is_file() and any(_opener_suffix(file) for file in folder.iterdir())
     except OSError:  # no permission: nothing in it can be found either
@@ -109,10 +109,10 @@ def is_bag(folder: Path) -> bool:
 
 @contextmanager
 def open_source(file: Path, pool: Executor, *, texts_only: bool = False) -> Iterator[Source]:
-    """One storage file, open as long as the context lasts.
+    """Open a storage file for as long as the context lasts.
 
     Raises:
-        TraceFormatError: it is not what its name says, or cannot be read.
+        TraceFormatError: the file is not of the kind that its name says, or cannot be read.
     """
     opener = _OPENERS.get(_opener_suffix(file) or ".mcap", _open_mcap)
     if file.suffix == ZSTD_SUFFIX:
@@ -132,13 +132,13 @@ def open_source(file: Path, pool: Executor, *, texts_only: bool = False) -> Iter
 
 
 def _opener_suffix(file: Path) -> str | None:
-    """The suffix that says how a file is stored; None if it is no storage file."""
+    """Return the suffix that tells how a file is stored; None if it is no storage file."""
     suffix = file.with_suffix("").suffix if file.suffix == ZSTD_SUFFIX else file.suffix
     return suffix if suffix in _OPENERS else None
 
 
 def _unpack_file(packed: Path, copy: IO[bytes]) -> None:
-    """Unpack what can be unpacked: a file that was cut off gives a cut off file, which its reader says."""
+    """Unpack a file as far as possible: of a file that was cut off, the copy is cut off, and its reader says so."""
     limit = packed.stat().st_size * LARGEST_RATIO
     with packed.open("rb") as stream, zstandard.ZstdDecompressor().stream_reader(stream) as reader:
         written = 0

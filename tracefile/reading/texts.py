@@ -19,7 +19,11 @@ _MAX_BYTES = 4 << 20  # a session with every configuration file of its host is a
 
 
 class TextCollector:
-    """The latest description of each session and run, in order of first appearance, and all host samples."""
+    """Latest description of each session and run, in order of first appearance, and all host samples.
+
+    Attributes:
+        unreadable_samples: number of host samples that are no JSON objects.
+    """
 
     def __init__(self) -> None:
         self._sessions: dict[int, Session] = {}
@@ -30,24 +34,24 @@ class TextCollector:
 
     @property
     def sessions(self) -> tuple[Session, ...]:
-        """What the recording processes say of themselves."""
+        """Descriptions of the recording processes."""
         return tuple(self._sessions.values())
 
     @property
     def runs(self) -> tuple[Run, ...]:
-        """What pings say of their runs."""
+        """Descriptions of the runs."""
         return tuple(self._runs.values())
 
     @property
     def host_samples(self) -> tuple[JsonObject, ...]:
-        """The JSON objects of `/dds_trace/host`, each with its `log_time_ns`."""
+        """JSON objects of `/dds_trace/host`, each with its `log_time_ns`."""
         return tuple(self._host)
 
     def add(self, text: Text) -> None:
-        """Take one message; topics that this version does not know are ignored.
+        """Add one message; a topic that this version does not know is ignored.
 
         Raises:
-            TraceFormatError: a description cannot be read; the error names file, place and field.
+            TraceFormatError: a description cannot be read; the error names file, offset and field.
         """
         take = self._takers.get(text.topic)
         if take is None:
@@ -57,11 +61,11 @@ class TextCollector:
         except TraceFormatError as err:
             raise TraceFormatError(err.path, err.what, text.offset) from err
         except RecursionError as err:
-            what = f"the JSON of a message of {text.topic} is nested deeper than can be meant"
+            what = f"the JSON of a message of {text.topic} is nested deeper than in any description"
             raise TraceFormatError(text.path, what, text.offset) from err
 
     def add_ring_session(self, described: Session, dropped_events: int) -> None:
-        """Take the session that a ring names, unless the trace itself has it, and the drops that the ring counts."""
+        """Add the session that a ring describes, unless the trace has it, and the number of drops in the ring's header."""
         session = self._sessions.get(described.session_id, described)
         dropped_events = max(session.dropped_events, dropped_events)
         self._sessions[session.session_id] = replace(session, dropped_events=dropped_events)
@@ -94,7 +98,7 @@ def _string(text: Text) -> str:
     data = text.data
     if len(data) > _MAX_BYTES:
         raise TraceFormatError(
-            text.path, f"a message of {text.topic} has {len(data)} bytes, more than can be meant"
+            text.path, f"a message of {text.topic} has {len(data)} bytes, more than any description"
         )
     try:
         return decode_string(data)

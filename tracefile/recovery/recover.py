@@ -1,4 +1,4 @@
-"""A closed trace made of what a killed recorder left: its file, cut off anywhere, and the ring beside it."""
+"""Recovery: a closed trace is made of what a killed recorder left, its file, cut off anywhere, and the ring beside it."""
 
 from __future__ import annotations
 
@@ -24,23 +24,26 @@ if TYPE_CHECKING:
     from ..format.ring import RingContents
 
 KILLED_SUFFIX = ".killed"
+"""Added to the name of a trace that was recovered."""
+
 UNFINISHED_SUFFIX = ".recovering"
+"""Added to the name of the new trace until it is complete."""
 
 
 @dataclass(frozen=True, slots=True)
 class RecoveryReport:
-    """What was found, and where it is now.
+    """Result of a recovery.
 
     Attributes:
-        path: the trace that was looked at.
+        path: the trace that was to be recovered.
         recovered: the closed trace that was written; None if `path` was closed and whole.
-        originals: where the cut off file and its ring are now.
-        file_events: events in the complete chunks of the file.
-        ring_events: events that only the ring had.
-        missing_events: events that were in neither (only a power failure or a bad disk does that).
-        dropped_events: events that the recorder could not keep while it ran.
-        torn_bytes: bytes at the file's end that were no complete record.
-        damaged_chunks: chunks left out because their content is not what was written.
+        originals: the cut off file and its ring, by their names now.
+        file_events: number of events in the complete chunks of the file.
+        ring_events: number of events that only the ring had.
+        missing_events: number of events in neither, which only a power failure or a bad disk causes.
+        dropped_events: number of events that the recorder could not keep while it ran.
+        torn_bytes: number of bytes at the file's end that were no complete record.
+        damaged_chunks: number of chunks left out because their content is not what was written.
     """
 
     path: Path
@@ -54,7 +57,7 @@ class RecoveryReport:
     damaged_chunks: int = 0
 
     def lines(self) -> list[str]:
-        """The report for a terminal."""
+        """Return the report as lines for a terminal."""
         if self.recovered is None:
             return [
                 f"{self.path} is closed and whole ({counted(self.file_events, 'event')}); nothing to recover"
@@ -69,44 +72,44 @@ class RecoveryReport:
 
 
 def recover(path: Path, destination: Path | None = None) -> RecoveryReport:
-    """Make a closed trace of a cut off one and its ring; not a byte of the originals is changed.
+    """Make a closed trace of a cut off one and its ring, without changing a byte of either.
 
     Args:
         path: a `.mcap` file, or a rosbag2 folder of ours, that was not closed.
         destination: the new `.mcap` file. Without it the new file takes the old one's name, so that a folder of
             traces can be analyzed as it is, and the old one is kept as `NAME.mcap.killed`, its ring as
-            `NAME.mcap.killed.ring`. A kill at any moment of this leaves a readable trace.
+            `NAME.mcap.killed.ring`. A kill at any moment of the recovery leaves a readable trace.
 
     Raises:
-        TraceFormatError: no trace of ours, or neither file nor ring names a session.
+        TraceFormatError: `path` is no trace of ours, or neither file nor ring describes a session.
         OptionError: the trace is still being recorded.
-        OutputExistsError: `destination` is there already.
+        OutputExistsError: `destination` exists already.
         OutputError: the new file cannot be written.
     """
     trace = path / f"{path.name}_0.mcap" if path.is_dir() else path
     if destination is not None and destination.exists():
         raise OutputExistsError(f"{destination} is there already; choose another name")
-    found = _look_at(trace)
-    if found.is_whole:
+    killed = _inspect(trace)
+    if killed.is_whole:
         # Killed between the footer and the deletion of the ring: every event is in the file.
         ring_path(trace).unlink(missing_ok=True)
-        return RecoveryReport(path, None, file_events=found.file.events)
-    ring = found.ring
+        return RecoveryReport(path, None, file_events=killed.file.events)
+    ring = killed.ring
     report = RecoveryReport(
         path=path,
         recovered=destination or path,
         originals=(trace,) if ring is None else (trace, ring_path(trace)),
-        file_events=found.file.events,
+        file_events=killed.file.events,
         ring_events=len(ring.slots) if ring else 0,
-        missing_events=found.file.tickets - found.file.events + (ring.missing_events if ring else 0),
-        dropped_events=max(found.session.dropped_events, ring.dropped_events if ring else 0),
-        torn_bytes=found.file.torn_bytes,
-        damaged_chunks=found.file.damaged_chunks,
+        missing_events=killed.file.tickets - killed.file.events + (ring.missing_events if ring else 0),
+        dropped_events=max(killed.session.dropped_events, ring.dropped_events if ring else 0),
+        torn_bytes=killed.file.torn_bytes,
+        damaged_chunks=killed.file.damaged_chunks,
     )
     unfinished = destination or trace.with_name(trace.name + UNFINISHED_SUFFIX)
     try:
         unfinished.unlink(missing_ok=True)
-        writer = _write(unfinished, found, report)
+        writer = _write(unfinished, killed, report)
         if destination is not None:
             return report
         originals = _take_place(trace, unfinished)
@@ -118,8 +121,8 @@ def recover(path: Path, destination: Path | None = None) -> RecoveryReport:
 
 
 @dataclass(frozen=True, slots=True)
-class _Found:
-    """A trace looked through once: the figures of its file, its session, its ring."""
+class _KilledTrace:
+    """Trace read once: the counts of its file, its session, its ring."""
 
     trace: Path
     file: Salvage
@@ -131,7 +134,13 @@ class _Found:
         return self.file.closed and (self.ring is None or not len(self.ring.slots))
 
 
-def _look_at(trace: Path) -> _Found:
+def _inspect(trace: Path) -> _KilledTrace:
+    """Read a trace and its ring once.
+
+    Raises:
+        TraceFormatError: as for `recover`.
+        OptionError: as for `recover`.
+    """
     with closing(RecordFile(trace)) as file:
         salvage = Salvage(file)
         sessions = [
@@ -151,10 +160,10 @@ def _look_at(trace: Path) -> _Found:
         raise TraceFormatError(
             trace, "ends before its session description and has no ring: it holds no event"
         )
-    return _Found(trace, salvage, sessions[-1] if sessions or ring is None else ring.session, ring)
+    return _KilledTrace(trace, salvage, sessions[-1] if sessions or ring is None else ring.session, ring)
 
 
-def _write(unfinished: Path, found: _Found, report: RecoveryReport) -> TraceWriter:
+def _write(unfinished: Path, killed: _KilledTrace, report: RecoveryReport) -> TraceWriter:
     """Write the closed trace: the file's content, the ring's, and the session as it was, with the report's counts."""
     counts = {
         "file_events": report.file_events,
@@ -162,27 +171,30 @@ def _write(unfinished: Path, found: _Found, report: RecoveryReport) -> TraceWrit
         "missing_events": report.missing_events,
     }
     session = replace(
-        found.session,
+        killed.session,
         dropped_events=report.dropped_events,
-        extra={**found.session.extra, "recovered": counts},
+        extra={**killed.session.extra, "recovered": counts},
     )
-    with TraceWriter(unfinished, found.session) as writer, closing(RecordFile(found.trace)) as file:
+    with TraceWriter(unfinished, killed.session) as writer, closing(RecordFile(killed.trace)) as file:
         for item in Salvage(file):
             if isinstance(item, SalvagedText):
                 writer.write_text(item.topic, item.text, item.log_time_ns)
             else:
                 writer.write_events(item)
-        if found.ring is not None:
-            writer.write_events(found.ring.slots)
+        if killed.ring is not None:
+            writer.write_events(killed.ring.slots)
         writer.write_text(SESSION_TOPIC, session.to_json(), writer.time_range_ns[1])
         writer.finish()
     return writer
 
 
 def _take_place(trace: Path, unfinished: Path) -> tuple[Path, ...]:
-    """Give the new file the old one's name; the old one stays under another, and there is always one.
+    """Give the new file the old one's name, and the old one another, so that there is a trace at every moment.
 
-    The ring goes last: beside the new file it adds nothing, since its events are all in there.
+    The ring is renamed last: beside the new file it adds nothing, because that has all its events.
+
+    Returns:
+        The old file and its ring, by their new names.
     """
     with unfinished.open("rb") as stream:
         os.fsync(stream.fileno())

@@ -1,4 +1,4 @@
-"""What of a cut off trace is complete: its events and texts in file order, chunk by chunk."""
+"""Events and texts in the complete chunks of a cut off trace, in file order."""
 
 from __future__ import annotations
 
@@ -27,13 +27,12 @@ if TYPE_CHECKING:
     from ..mcapfile.file import RecordFile, RecordHeader
 
 _NUMBER_OF_STAGE = {stage: number for number, stage in STAGE_NUMBERS.items()}
-_CHANNEL_IDS = 1 << 16
-_KINDS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE})
+_CHANNEL_IDS = 1 << 16  # a channel id has 16 bits
 
 
 @dataclass(frozen=True, slots=True)
 class SalvagedText:
-    """One `std_msgs/msg/String` of the file."""
+    """`std_msgs/msg/String` of the file; `log_time_ns` is ns since 1970."""
 
     topic: str
     text: str
@@ -41,22 +40,27 @@ class SalvagedText:
 
 
 class Salvage:
-    """Iterates once over what is complete in `file`, as arrays of `SLOT_DTYPE` (marks without tickets) and texts.
+    """Iterable, to be used once, of the events and texts in the complete chunks of a file.
+
+    Events come as arrays of `SLOT_DTYPE`, whose marks have no tickets. The attributes are final after the last item.
+
+    Args:
+        file: the file.
+
+    Attributes:
+        closed: whether the file has its footer.
+        events: number of events yielded.
+        torn_bytes: number of bytes at the end that are no complete record.
+        damaged_chunks: number of chunks left out because their content is not what was written.
 
     Raises:
-        TraceFormatError: while iterating: another program wrote the file, or it contradicts itself.
-
-    Attributes (final after the last item):
-        closed: the file has its footer.
-        events: events handed out.
-        torn_bytes: bytes at the end that are no complete record.
-        damaged_chunks: chunks left out because their content is not what was written.
+        TraceFormatError: by the iteration: another program wrote the file, or it contradicts itself.
     """
 
     def __init__(self, file: RecordFile) -> None:
         self._file = file
         self._channels = ChannelTable(file.path)
-        self._stages = np.zeros(_CHANNEL_IDS, np.uint8)  # by channel id
+        self._stages = np.zeros(_CHANNEL_IDS, np.uint8)  # channel id -> number of its stage, or 0
         self._next_number: dict[int, int] = {}
         self.closed = False
         self.events = 0
@@ -65,7 +69,7 @@ class Salvage:
 
     @property
     def tickets(self) -> int:
-        """Events that the recorder had put into the file, those of damaged chunks included."""
+        """Number of events that the recorder had written, those of damaged chunks included."""
         return sum(self._next_number.values())  # MCAP sequences count the messages of a channel
 
     def __iter__(self) -> Iterator[Slots | SalvagedText]:
@@ -84,10 +88,10 @@ class Salvage:
             at = header.end
 
     def _check_origin(self, header: RecordHeader) -> None:
-        """Other writers' files may hold what is neither event nor text, and would lose it."""
+        """Refuse files of other writers: they may hold what is neither event nor text, and would lose it."""
         try:
             library = self._file.parse(Header, header).library
-        except TornRecordError:  # damaged: then the content has to speak for itself
+        except TornRecordError:  # a damaged header says nothing; the content decides
             return
         if not library.startswith(LIBRARY):
             raise TraceFormatError(
@@ -101,7 +105,7 @@ class Salvage:
         except DamagedChunkError:
             self.damaged_chunks += 1
             return
-        scan = scan_records(data, 0, len(data), _KINDS)
+        scan = scan_records(data, 0, len(data))
         others = {content: (opcode, length) for opcode, content, length in scan.others}
         runs = dict(scan.runs)
         for at in sorted([*others, *runs]):

@@ -7,6 +7,8 @@ from .quantities import format_quantity, split_quantity
 
 SECOND_NS = 1_000_000_000
 UNIT_NS = {"s": SECOND_NS, "ms": 1_000_000, "us": 1_000, "ns": 1}
+"""Unit as the command line takes it -> its ns."""
+
 INFINITE_NS = (2**31 - 1) * SECOND_NS
 """Shortest duration that DDS takes as infinite: its seconds are a signed 32-bit integer (RTPS 2.5, section 9.3.2)."""
 

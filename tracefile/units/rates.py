@@ -6,6 +6,7 @@ from ..errors import OptionError
 from .quantities import format_quantity, split_quantity
 
 UNIT_HZ = {"": 1, "hz": 1, "khz": 1000}
+"""Unit in lower case -> its Hz."""
 
 
 def parse_rate(text: str, what: str = "rate") -> float:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from ..errors import OptionError
-from .quantities import MISSING, format_quantity, split_quantity
+from .quantities import split_quantity
 
 _DECIMAL_BYTES = {"GB": 10**9, "MB": 10**6, "KB": 10**3, "B": 1}
 _BINARY_BYTES = {"GiB": 2**30, "MiB": 2**20, "KiB": 2**10}
 UNIT_BYTES = {"": 1} | {unit.lower(): size for unit, size in (_DECIMAL_BYTES | _BINARY_BYTES).items()}
+"""Unit in lower case -> its bytes; a number without unit is bytes."""
 
 
 def parse_size(text: str, what: str = "size") -> int:
@@ -47,14 +48,3 @@ def spell_size(size_bytes: int) -> str:
     filled = (unit for unit, size in _DECIMAL_BYTES.items() if size_bytes >= size and size_bytes % size == 0)
     unit = next(filled, "B")
     return f"{size_bytes // _DECIMAL_BYTES[unit]}{unit}"
-
-
-def format_bytes(value_bytes: float | None) -> str:
-    """Write an amount of data to three digits: `1.65 MB`; `MISSING` for None, an infinite one and NaN."""
-    return format_quantity(value_bytes, _DECIMAL_BYTES)
-
-
-def format_bytes_per_s(value: float | None) -> str:
-    """Write a transfer rate in bytes/s to three digits: `1.65 MB/s`; `MISSING` as for `format_bytes`."""
-    shown = format_bytes(value)
-    return shown if shown == MISSING else f"{shown}/s"

@@ -1,4 +1,4 @@
-"""MCAP chunks built whole with numpy: ring slots in, records and their index out, no Python per event."""
+"""MCAP chunks built with numpy: slots of the ring in, records and their index out, no Python step per event."""
 
 from __future__ import annotations
 
@@ -20,22 +20,24 @@ if TYPE_CHECKING:
     from ..format.ring import Slots
 
 MESSAGES_AT = 4096
-"""Where messages start in the builder's buffer: room for the schemas and channels that come before."""
+"""Offset of the messages in the builder's buffer: room for the schemas and channels before them."""
 
 Positions: TypeAlias = "NDArray[np.intp]"
+"""Indices of slots."""
+
 Index: TypeAlias = "NDArray[np.uint64]"
 """uint64 array of shape (messages, 2): log time, offset in the chunk; the body of a MessageIndex record."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chunk:
-    """The uncompressed content of one chunk.
+    """Uncompressed content of a chunk.
 
     Attributes:
         content: schema, channel and message records.
-        start_ns: earliest log time.
+        start_ns: earliest log time, ns since 1970.
         end_ns: latest log time.
-        index: of each channel in it, by channel id.
+        index: channel id -> index of its messages.
     """
 
     content: memoryview
@@ -45,10 +47,10 @@ class Chunk:
 
 
 def positions_by_channel(slots: Slots) -> dict[int, Positions]:
-    """Where in `slots` the events of each channel are; the channel ids are the numbers of the stages."""
+    """Return channel id -> positions of its events in `slots`; the ids are the numbers of the stages."""
     stages = slots["stage"].copy()
-    found = {number: np.flatnonzero(stages == number) for number in range(1, len(Stage) + 1)}
-    return {number: positions for number, positions in found.items() if len(positions)}
+    by_channel = {number: np.flatnonzero(stages == number) for number in range(1, len(Stage) + 1)}
+    return {number: positions for number, positions in by_channel.items() if len(positions)}
 
 
 def slots_in_time(events: Mapping[Stage, EventColumns]) -> Slots:
@@ -67,11 +69,11 @@ def slots_in_time(events: Mapping[Stage, EventColumns]) -> Slots:
 
 
 class EventChunkBuilder:
-    """Builds chunks of events in one buffer that is used again (fresh memory is slow at its first touch).
+    """Builder of chunks of events in one buffer that is reused, because fresh memory is slow at its first touch.
 
     Args:
         wall_offset_ns: wall clock minus monotonic clock, by the session's anchor.
-        max_events: the most that one chunk takes.
+        max_events: largest number of events of a chunk.
     """
 
     def __init__(self, wall_offset_ns: int, max_events: int) -> None:
@@ -88,7 +90,7 @@ class EventChunkBuilder:
         written: Mapping[int, int],
         not_before_ns: int,
     ) -> Chunk:
-        """The chunk of `slots` in their order; valid until the next call.
+        """Build the chunk of `slots` in their order.
 
         Threads may stamp in one order and get their slots in another, a few microseconds apart. The file
         keeps the order of the slots; a log time that would run backwards repeats the one before it (the
@@ -97,9 +99,12 @@ class EventChunkBuilder:
         Args:
             slots: one to `max_events` events.
             by_channel: their positions, from `positions_by_channel`.
-            declarations: schema and channel records that the chunk starts with, at most `MESSAGES_AT` bytes.
-            written: messages that the file already has, by channel id.
+            declarations: schema and channel records at the beginning of the chunk, at most `MESSAGES_AT` bytes.
+            written: channel id -> number of messages that the file already has.
             not_before_ns: log time of the file's last message.
+
+        Returns:
+            The chunk, whose content lies in the buffer and is lost at the next call.
         """
         count = len(slots)
         messages = self._messages[:count]

@@ -1,4 +1,4 @@
-"""Where a recording node puts its events: `TraceSink`.
+"""`TraceSink`, which keeps the events of a recording node.
 
 The hot path packs an event into a ring file (`dds_trace.tracefile.format.ring`) and returns. A thread of the sink's own moves
 what is in the ring to the trace, a chunk every `chunk_seconds` or whenever a quarter of the ring is used. A
@@ -36,20 +36,21 @@ if TYPE_CHECKING:
 
 
 BUSY_SWITCH_INTERVAL_S = 1e-4
+"""Longest time that a thread keeps the GIL while another fills the ring (see `_quick_switches`)."""
 
 _pack_into = SLOT_STRUCT.pack_into
 
 
 class TraceSink:
-    """One trace while it is recorded.
+    """Trace while it is recorded.
 
     Args:
-        destination: where to.
-        session: the recording process, in state `open`; written before this returns.
-        clock_ns: the monotonic clock that the events are stamped with.
+        destination: the file or folder, and how it is written.
+        session: the recording process, in state `open`; its description is in the file when this returns.
+        clock_ns: the monotonic clock of the events' time stamps.
 
     Raises:
-        OutputExistsError: something is there already and `force` was not given.
+        OutputExistsError: the destination exists already and `force` was not given.
         OutputError: the file cannot be made.
     """
 
@@ -112,9 +113,9 @@ class TraceSink:
 
         Args:
             stage: 1 to 4, for T1 to T4.
-            run_id: the run, drawn by its ping.
+            run_id: the random number of the run.
             sequence: the message's number in the run.
-            monotonic_ns: when, on this device's monotonic clock.
+            monotonic_ns: the time stamp, on this device's monotonic clock.
             scheduled_ns: T0 on the same clock (T1 only).
             source_ns: the middleware's source time stamp, ns since 1970; 0 if unknown.
             received_ns: the middleware's reception time stamp, ns since 1970; 0 if unknown.
@@ -145,7 +146,7 @@ class TraceSink:
                 self._head = head + 1
 
     def _has_room(self, head: int) -> bool:
-        """Wake the draining thread; whether there is a free slot. Called with the record lock."""
+        """Wake the draining thread and return whether there is a free slot; the caller holds the record lock."""
         if head >= self._limit:
             self._drop()
             return False
@@ -159,11 +160,11 @@ class TraceSink:
             self._ring.note_dropped(self._dropped)
 
     def write_run(self, run: Run) -> None:
-        """Write a run's description; it is in the file, with all events before it, when this returns."""
+        """Write a run's description; when this returns it is in the file, after all events before it."""
         self._write(RUN_TOPIC, run.to_json())
 
     def write_json(self, topic: str, value: Mapping[str, object]) -> None:
-        """Write `value` as JSON in a `std_msgs/msg/String`, likewise at once."""
+        """Write `value` as JSON in a `std_msgs/msg/String`, at once as `write_run` does."""
         self._write(topic, json.dumps(value))
 
     def _write(self, topic: str, text: str) -> None:
@@ -174,19 +175,19 @@ class TraceSink:
 
     @property
     def dropped_events(self) -> int:
-        """Events that could not be kept so far."""
+        """Number of events that could not be kept so far."""
         return self._dropped
 
     @property
     def error(self) -> OutputError | None:
-        """Why writing failed, the first time that it did. What was written stays; the ring goes on to fill."""
+        """First failure of writing, or None. What was written before stays; the ring continues to fill."""
         return self._error
 
     def close(self, **session_extra: Json) -> ClosedTrace:
-        """Write what is pending, the closed session with `session_extra`, the summary; delete the ring.
+        """Write what is pending, the closed session with `session_extra` and the summary; delete the ring.
 
-        Where that fails, the ring stays beside the file, and the two together are still a whole trace. Not for
-        a signal handler: the thread that it interrupts may be recording.
+        If that fails, the ring stays beside the file, and the two together are still a whole trace. Do not call this
+        in a signal handler: the thread that it interrupts may be recording.
         """
         self._wake.put(False)
         self._thread.join()
@@ -215,7 +216,7 @@ class TraceSink:
         return self._closed
 
     def _finish(self) -> None:
-        """Close the file: with its summary if everything is in it."""
+        """Close the file, with its summary if everything is in it."""
         if self._head > self._drained or self._texts:
             self._writer.abandon()
             return
@@ -230,7 +231,7 @@ class TraceSink:
             self._error = self._error or output_error(self._writer.path.with_name(METADATA_NAME), err)
 
     def _drain(self) -> None:
-        """The draining thread: a chunk every `chunk_seconds`, or when a quarter of the ring is used."""
+        """Write a chunk every `chunk_seconds`, or when a quarter of the ring is used; the draining thread runs this."""
         run_in_background()
         going_on = True
         while going_on:
@@ -240,7 +241,7 @@ class TraceSink:
                 self._flush()
 
     def _flush(self) -> None:
-        """Move what is in the ring, then the texts, to the file. Called with the write lock."""
+        """Move the ring's events, then the texts, to the file; the caller holds the write lock."""
         head = self._head
         try:
             with _quick_switches(only_if=head - self._drained >= self._quarter):
@@ -262,11 +263,14 @@ class TraceSink:
 
 @contextmanager
 def _quick_switches(*, only_if: bool) -> Iterator[None]:
-    """Let this thread have the GIL soon while a busy one fills the ring.
+    """Shorten the interpreter's switch interval, so that this thread gets the GIL soon while a busy one fills the ring.
 
     A thread that computes without pause gives the GIL up only every switch interval (5 ms), and a chunk takes
     it some twenty times between its array operations: 100 ms, in which 65536 slots fill. With 0.1 ms it is
-    10 ms. A recorder that is not hammered never comes here and keeps its interval.
+    10 ms. A recorder under ordinary load never shortens its interval.
+
+    Args:
+        only_if: whether to do so at all.
     """
     if not only_if:
         yield

@@ -1,4 +1,4 @@
-"""The MCAP file of a trace: grows by whole chunks, readable after each, closed with summary and statistics."""
+"""The MCAP file of a trace: it grows by whole chunks, is readable after each, and ends with summary and statistics."""
 
 from __future__ import annotations
 
@@ -49,8 +49,10 @@ if TYPE_CHECKING:
     from ..format.ring import Slots
 
 LIBRARY = "dds-trace"
+"""Beginning of the library field of our files' Header."""
+
 MAX_CHUNK_EVENTS = 1 << 14
-"""1.5 MB before compression: long enough to compress well, short enough to read one at a time."""
+"""Most events of a chunk. Its 1.5 MB before compression pack well and are still read one at a time."""
 
 ZSTD_LEVEL = -1  # level 1 makes a tenth smaller files in twice the time, level 3 no smaller ones
 
@@ -60,10 +62,10 @@ TYPE_HASHES = {
     EVENT_SCHEMA_NAME: "RIHS01_bda991ead4fe8ce479c129efc17c1affed4da47fbc0d1731d7bad959cf922db2",
     STRING_SCHEMA_NAME: "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18",
 }
-"""What ROS 2 calls the type description hash (REP 2016); computed once by rosbags from the definitions."""
+"""Message type -> type description hash of ROS 2 (REP 2016), computed once by rosbags from the definitions."""
 
 EVENT_TOPICS = tuple(stage.topic for stage in Stage)
-"""Channel ids 1..4: the stage's number in the ring."""
+"""Topics of channels 1 to 4; a channel's id is the stage's number in the ring."""
 TEXT_TOPICS = (SESSION_TOPIC, RUN_TOPIC)
 
 _CHUNK_HEADER = struct.Struct("<BQQQQI")  # opcode, length, start, end, uncompressed size, CRC of that
@@ -91,7 +93,7 @@ class TraceWriter:
         self._compressor = zstandard.ZstdCompressor(level=ZSTD_LEVEL)
         self._builder = EventChunkBuilder(session.wall_ns(0), MAX_CHUNK_EVENTS)
         self._channels: dict[str, Channel] = {}
-        self._counts: dict[int, int] = {}  # messages in the file, by channel id
+        self._counts: dict[int, int] = {}  # channel id -> number of messages in the file
         self._chunks: list[ChunkIndex] = []
         self._last_ns = 0
         self._end = 0
@@ -113,17 +115,17 @@ class TraceWriter:
 
     @property
     def bytes_written(self) -> int:
-        """Length of the file."""
+        """Length of the file in bytes."""
         return self._end
 
     @property
     def events(self) -> int:
-        """Events in the file."""
+        """Number of events in the file."""
         return sum(self._counts.get(self._channels[topic].id, 0) for topic in EVENT_TOPICS)
 
     @property
     def topics(self) -> list[TopicCount]:
-        """The topics that have messages."""
+        """Topics that have messages."""
         return [
             TopicCount(c.topic, _schema_of(c).name, c.metadata["topic_type_hash"], self._counts[c.id])
             for c in self._used_channels()
@@ -131,7 +133,7 @@ class TraceWriter:
 
     @property
     def time_range_ns(self) -> tuple[int, int]:
-        """Earliest and latest log time."""
+        """Earliest and latest log time, ns since 1970."""
         return min((chunk.message_start_time for chunk in self._chunks), default=0), self._last_ns
 
     def write_events(self, slots: Slots) -> None:
@@ -147,12 +149,12 @@ class TraceWriter:
             self._write_chunk(built)
 
     def write_text(self, topic: str, text: str, time_ns: int) -> None:
-        """Append a chunk with one `std_msgs/msg/String`, so that it is not lost with what comes later.
+        """Append one `std_msgs/msg/String` in a chunk of its own, so that no later damage loses it.
 
         Args:
-            topic: a topic that is no event's.
-            text: the string's data.
-            time_ns: its log time, moved up to that of the file's last message if it is earlier.
+            topic: a topic that holds no events.
+            text: the text of the message.
+            time_ns: its log time; the log time of the file's last message if that is later.
         """
         channel = self._channel(topic, STRING_SCHEMA)
         log_time = max(time_ns, self._last_ns)
@@ -230,7 +232,7 @@ class TraceWriter:
         return [channel for channel in self._channels.values() if channel.id in self._counts]
 
     def _write_chunk(self, chunk: Chunk) -> None:
-        """Append the chunk and its message indexes; only then is it part of what `self` knows of the file."""
+        """Append a chunk and its message indexes, then count it as part of the file."""
         compressed = self._compressor.compress(chunk.content)
         size = len(chunk.content)
         body = _CHUNK_HEADER.size - 9 + len(_COMPRESSION) + 8 + len(compressed)
@@ -269,7 +271,7 @@ class TraceWriter:
         self._last_ns = chunk.end_ns
 
     def _append(self, parts: Sequence[bytes | memoryview]) -> None:
-        """Write `parts` at the end, all or nothing: what fits only in part is cut off again."""
+        """Write `parts` at the end, all or nothing: bytes of an incomplete write are cut off again."""
         end = self._end
         try:
             if os.fstat(self._descriptor).st_nlink == 0:
@@ -291,9 +293,9 @@ class TraceWriter:
 
 
 def _declarations(channels: Sequence[Channel]) -> bytes:
-    """Schemas and channels that a chunk starts with.
+    """Return the schema and channel records at the beginning of a chunk.
 
-    Every chunk has its own, so that a damaged one takes nothing but its own messages with it.
+    Every chunk has its own, so that a damaged chunk loses no messages but its own.
     """
     schemas = {channel.schema_id: _schema_of(channel) for channel in channels}
     return b"".join(map(_record, [*schemas.values(), *channels]))

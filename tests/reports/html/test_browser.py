@@ -1,6 +1,7 @@
 """The page as a reader meets it: Debian's Chromium, headless, driven by Playwright."""
 
 import shutil
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -13,11 +14,13 @@ from dds_trace.reports.book.book import Book
 from dds_trace.reports.html.live import Watcher, WatchOptions
 from dds_trace.reports.text import format_ratio
 from dds_trace.tracefile.units.durations import format_duration
+from dds_trace.tracefile.units.quantities import format_quantity
 from dds_trace.tracefile.units.rates import format_rate
-from dds_trace.tracefile.units.sizes import format_bytes_per_s
 from dds_trace.tracefile.visible import visible
 
 pytestmark = pytest.mark.browser
+
+BYTES_PER_S = {"GB/s": 1e9, "MB/s": 1e6, "KB/s": 1e3, "B/s": 1}
 
 FLAGS = (
     "--headless",
@@ -286,7 +289,7 @@ def test_page_and_python_write_numbers_alike(reader, pages):
     for name, function in (
         ("formatNs", format_duration),
         ("formatHz", format_rate),
-        ("formatBytesPerS", format_bytes_per_s),
+        ("formatBytesPerS", partial(format_quantity, units=BYTES_PER_S)),
     ):
         assert tab.evaluate(f"values => values.map({name})", values) == [function(value) for value in values]
     ratios = [0, 1, 0.5, 0.99999, 0.00001, 0.9967, 0.123456]

@@ -8,8 +8,6 @@ from hypothesis import strategies as st
 
 from dds_trace.tracefile.errors import OptionError
 from dds_trace.tracefile.units.sizes import (
-    format_bytes,
-    format_bytes_per_s,
     format_size,
     parse_size,
     spell_size,
@@ -67,9 +65,3 @@ def test_what_is_written_reads_back(size_bytes):
 def test_sizes_are_exact(payload_bytes, shown, spelled):
     assert format_size(payload_bytes) == shown
     assert spell_size(payload_bytes) == spelled
-
-
-def test_amounts_have_three_digits():
-    assert format_bytes(1_654_321) == "1.65 MB"
-    assert format_bytes_per_s(330_000.0) == "330 KB/s"
-    assert format_bytes_per_s(None) == "-"

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class ExportKind(str, Enum):
-    """What `--export` takes; the keys of `analyzer.EXPORTERS`."""
+    """Kinds of export; the keys of `analyzer.EXPORTERS`."""
 
     CSV = "csv"
     ARROW = "arrow"
@@ -195,11 +195,11 @@ def _write_derived(analysis: "Analysis", target: Path) -> list[Path]:
 
 
 COMMANDS: Mapping[str, typer.Typer] = {"compare": compare.app, "watch": watch.app}
-"""Name -> command, beside the one without a name."""
+"""Name -> command; anything else as first argument belongs to the command without a name."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """The entry point of `dds-analyze`; `arguments` default to those of the process."""
+    """Run `dds-analyze` with these arguments, or with those of the process."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     if given and given[0] in COMMANDS:
         run_command(partial(COMMANDS[given[0]], given[1:], prog_name=f"dds-analyze {given[0]}"))
@@ -209,7 +209,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 @contextmanager
 def _reading_bar() -> Iterator[Callable[[int, int, Path], None] | None]:
-    """A bar on stderr that shows which trace is read; None where stderr is no terminal."""
+    """Show a bar on stderr while the block runs; yield its update, or None where stderr is no terminal."""
     if not sys.stderr.isatty():
         yield None
         return

@@ -1,4 +1,4 @@
-"""What `dds-analyze` prints beside the reports: a recommendation, and topics of recordings that are not ours."""
+"""Tables that `dds-analyze` prints beside the reports: a recommendation, and the topics of foreign recordings."""
 
 from typing import TYPE_CHECKING
 
@@ -18,33 +18,33 @@ def _ms(value_ns: float | None) -> str:
     return "lost" if value_ns == float("inf") else f"{value_ns / 1e6:.3f}"
 
 
-def print_recommendation(found: "Recommendation") -> None:
-    """The ranking; `inconclusive` where these traces do not tell."""
-    job = found.job
+def print_recommendation(recommendation: "Recommendation") -> None:
+    """Print the ranking of settings for a job, and whether it is conclusive."""
+    job = recommendation.job
     table = Table("setting", "does it", "latency ms", "interval ms", "margin ms", "remark")
-    for one in found.candidates:
-        words = " ".join(f"{name}={value}" for name, value in one.setting.items() if value is not None)
+    for candidate in recommendation.candidates:
+        words = " ".join(f"{name}={value}" for name, value in candidate.setting.items() if value is not None)
         cells = (
             words,
-            one.fit.value,
-            _ms(one.latency_ns),
-            f"{_ms(one.lower_ns)} to {_ms(one.upper_ns)}",
-            _ms(one.margin_ns),
-            one.reason,
+            candidate.fit.value,
+            _ms(candidate.latency_ns),
+            f"{_ms(candidate.lower_ns)} to {_ms(candidate.upper_ns)}",
+            _ms(candidate.margin_ns),
+            candidate.reason,
         )
         table.add_row(*(Text(visible(cell)) for cell in cells))
     console = Console(width=160)
     what = f"{job.data_type} {job.payload_bytes} B at {job.rate_hz:g} Hz within {job.deadline_ns / 1e6:g} ms"
     console.print(Text(f"{visible(what)}, {job.reliability:.4%} of messages"))
     console.print(table)
-    if not found.candidates:
+    if not recommendation.candidates:
         console.print("The traces say nothing of such messages.")
-    elif not found.is_conclusive:
+    elif not recommendation.is_conclusive:
         console.print("Inconclusive: these traces do not tell one best setting.")
 
 
 def print_topics(report: "TopicReport") -> None:
-    """A row per recording and topic."""
+    """Print a row per recording and topic."""
     table = Table(
         "recording", "topic", "messages", "rate Hz", "gaps", "jitter ms", "mean B", "age p50 ms", "age from"
     )

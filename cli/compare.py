@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class ComparisonReport(str, Enum):
-    """What `--report` takes."""
+    """Kinds of report of a comparison."""
 
     TERMINAL = "terminal"
     MD = "md"
@@ -74,8 +74,8 @@ def compare_command(
     if report is ComparisonReport.TERMINAL and out is None:
         _print_table(comparison, results)
     else:
-        _hand_out(_text(report, comparison, results), out)
-    _say(outcome, gated=bool(gates))
+        _print_or_write(_text(report, comparison, results), out)
+    _print_outcome(outcome, gated=bool(gates))
     raise typer.Exit(outcome.exit_code)
 
 
@@ -87,7 +87,12 @@ def _text(report: ComparisonReport, comparison: "Comparison", results: "list[Gat
     return comparison_markdown(comparison, results)
 
 
-def _hand_out(text: str, out: Path | None) -> None:
+def _print_or_write(text: str, out: Path | None) -> None:
+    """Print a report, or write it to `out`.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
     from dds_trace.tracefile import OutputError
 
     if out is None:
@@ -141,7 +146,8 @@ def _percent(ratio: float | None) -> str:
     return "" if ratio is None else f"{ratio - 1:+.1%}"
 
 
-def _say(outcome: "GateOutcome", *, gated: bool) -> None:
+def _print_outcome(outcome: "GateOutcome", *, gated: bool) -> None:
+    """Print the outcome to stderr; without a gate, only that there is nothing to compare."""
     from dds_trace.analyzer import GateOutcome
 
     if gated or outcome is GateOutcome.NOTHING_TO_COMPARE:

@@ -11,10 +11,10 @@ if TYPE_CHECKING:
 
 
 def run_command(command: Callable[[], object]) -> None:
-    """Call a command's app; an error that a user can act on ends the process with one clear message.
+    """Call a command's app; end the process with one clear message at an error that a user can act on.
 
     Args:
-        command: takes its arguments from the command line, as a `typer.Typer` does when called.
+        command: reads its arguments from the command line, as a `typer.Typer` does when called.
     """
     try:
         command()

@@ -21,16 +21,16 @@ if TYPE_CHECKING:
     from dds_trace.recorder.sweep import Cell, Plan
 
 INTERRUPTED_EXIT_CODE = 130
-"""As a shell reports Ctrl-C."""
+"""Exit code after Ctrl-C, as shells report it."""
 
 LOOPBACK_MBIT_S = 10_000
-"""What hardly any machine carries through a middleware in one direction."""
+"""Rate that hardly any machine carries through a middleware in one direction."""
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich")
 
 
 class Printed(str, Enum):
-    """Whose commands `--print` shows."""
+    """Role whose commands `--print` shows."""
 
     RELAY = "relay"
 
@@ -79,7 +79,9 @@ def main_command(
 
     asked = read_plan(plan, installed_middlewares, by_hand=printed is not None)
     if max_rate and printed:
-        raise OptionError("--max-rate starts its relays itself; leave --print out")
+        raise OptionError(
+            "--max-rate starts its relays itself and cannot wait for a person; leave --print out"
+        )
     if dry_run:
         _show(asked, as_json)
         return
@@ -141,11 +143,11 @@ def _search(plan: Plan, out: Path, as_json: bool) -> int:
         Console(width=None if sys.stdout.isatty() else 200).print(table)
         for path in written:
             print(f"Wrote {path}")
-    return INCOMPLETE_EXIT_CODE if any(found.answer is RateAnswer.FAILED for found in answers) else 0
+    return INCOMPLETE_EXIT_CODE if any(highest.answer is RateAnswer.FAILED for highest in answers) else 0
 
 
 def _show(plan: Plan, as_json: bool) -> None:
-    """Prints the cells in the order in which they run."""
+    """Print the cells in the order in which they run."""
     from dds_trace.recorder.sweep import plan_seconds, schedule
 
     groups = schedule(plan)
@@ -173,7 +175,7 @@ def _show(plan: Plan, as_json: bool) -> None:
 
 
 def _doubt(plan: Plan, cell: Cell) -> str:
-    """What a cell's line adds if its rate cannot be carried."""
+    """Return the end of a cell's line if its rate cannot be carried, else an empty text."""
     limit_mbit_s = (plan.link.rate_mbit_s if plan.link else 0) or LOOPBACK_MBIT_S
     asked_mbit_s = (cell.payload_bit_s or 0) / 1e6
     if asked_mbit_s <= limit_mbit_s:
@@ -185,7 +187,7 @@ def _doubt(plan: Plan, cell: Cell) -> str:
 
 
 def _relay_commands(plan: Plan) -> list[str]:
-    """What a person starts on the other device, in order."""
+    """Return the commands for a person to start on the other device, in order."""
     from dds_trace.recorder.sweep import half_arguments, printed_command, relay_arguments, schedule
 
     lines = []
@@ -199,7 +201,7 @@ def _relay_commands(plan: Plan) -> list[str]:
 
 
 def main() -> None:
-    """The entry point of `dds-sweep`."""
+    """Run `dds-sweep`."""
     run_command(app)
 
 

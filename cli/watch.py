@@ -56,9 +56,9 @@ def watch_command(
 
 
 class _CtrlC:
-    """Ctrl-C ends a wait at once, and an analysis after its end, or at once where it is pressed twice.
+    """A handler of Ctrl-C that ends a wait at once, and an analysis after its end, or at once if it is pressed twice.
 
-    Raised in the middle of an analysis it might meet an import or a callback that makes something else of it.
+    Raised in the middle of an analysis, KeyboardInterrupt might meet an import or a callback that swallows it.
     """
 
     def __init__(self) -> None:

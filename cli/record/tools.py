@@ -27,15 +27,16 @@ def recover_trace(path: Path) -> None:
 
 
 def report_own_cost(out: Path | None, backend: str, options: NodeOptions) -> None:
-    """Print the recorder's own cost, and the client library's floor if its middleware is here.
+    """Print the recorder's own cost, and the client library's floor if its middleware is installed.
 
     Args:
-        out: beside which the measured trace lies for a moment, since its disk may have a part in it.
-        backend: whose floor is measured.
-        options: of the node that sends to itself.
+        out: path whose folder holds the measured trace for a moment, since its disk may matter; None for the
+            temporary folder.
+        backend: backend whose floor is measured.
+        options: options of the node that sends to itself.
 
     Raises:
-        OutputError: nothing can be written there.
+        OutputError: no trace can be written there.
     """
     # A folder that recording would make lies on the disk of the one that will hold it.
     folder = None if out is None else next(each for each in out.absolute().parents if each.is_dir())

@@ -294,7 +294,7 @@ def test_help_names_every_bridge_backend_and_default():
 
 
 def test_progress_in_words():
-    from dds_trace.cli.progress import describe_progress
+    from dds_trace.cli.record.run import describe_progress
 
     line = describe_progress(PingProgress(410, 300, 298, 1, 815_000, 1_430_000))
     assert line == "sent 300/410, received 298, lost 1, RTT p50 0.815 ms, p99 1.43 ms"

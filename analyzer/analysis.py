@@ -193,7 +193,7 @@ def load_analysis(folder: str | os.PathLike[str]) -> Analysis:
         content = from_json(Content, json.loads(files[_CONTENT].read_bytes()))
         frames = {name: pl.read_parquet(files[f"{name}.parquet"]) for name in (*_FRAMES, *DETAIL_FRAMES)}
         rows = RowStore.of(files[_ROUNDTRIPS], frames["summary"])
-    except (KeyError, ValueError, OSError, PolarsError) as err:
+    except (KeyError, ValueError, RecursionError, OSError, PolarsError) as err:
         raise TraceFormatError(
             Path(folder), f"the saved analysis cannot be read ({err}); analyze again"
         ) from err

@@ -13,7 +13,7 @@ import hashlib
 import json
 import re
 import secrets
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
@@ -26,7 +26,7 @@ from dds_trace.tracefile.version import __version__
 from .records import from_json
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Mapping
     from pathlib import Path
 
 MANIFEST = "analysis.json"
@@ -56,7 +56,16 @@ class SavedFile:
 
 
 @dataclass(frozen=True, slots=True)
-class _Manifest:
+class Manifest:
+    """What `analysis.json` holds.
+
+    Attributes:
+        format: `FORMAT`.
+        version: `VERSION`.
+        written_by: version of the program.
+        files: name such as `summary.parquet` -> file.
+    """
+
     format: str
     version: int
     written_by: str
@@ -74,24 +83,35 @@ def write_folder(folder: Path, files: Mapping[str, Callable[[Path], object]]) ->
         OutputExistsError: the folder holds something else.
         OutputError: a file cannot be written; the earlier save stays.
     """
-    mark = secrets.token_hex(4)
-    written: dict[str, SavedFile] = {}
     try:
         earlier = _earlier_files(folder)
         folder.mkdir(parents=True, exist_ok=True)
-        for name, write in files.items():
-            stem, ending = name.split(".")
-            path = folder / f"{stem}-{mark}.{ending}"
-            with replacing(path, fsync=True) as draft:
-                write(draft)
-            written[name] = SavedFile(path.name, path.stat().st_size, _sha256(path))
-        with replacing(folder / MANIFEST, fsync=True) as draft:
-            manifest = asdict(_Manifest(FORMAT, VERSION, __version__, written))
-            draft.write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
+        with ExitStack() as after_failure:
+            written = _write_files(folder, files, after_failure)
+            with replacing(folder / MANIFEST, fsync=True) as draft:
+                manifest = asdict(Manifest(FORMAT, VERSION, __version__, written))
+                draft.write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
+            after_failure.pop_all()
     except (OSError, PolarsError) as err:
-        _remove(folder, written.values())
         raise OutputError(f"{folder}: the analysis cannot be saved ({err}); give another folder") from err
-    _remove(folder, earlier)
+    for saved in earlier:
+        _remove(folder / saved.file)
+
+
+def _write_files(
+    folder: Path, files: Mapping[str, Callable[[Path], object]], after_failure: ExitStack
+) -> dict[str, SavedFile]:
+    """Write the files of one save; `after_failure` gets what removes them."""
+    mark = secrets.token_hex(4)
+    written = {}
+    for name, write in files.items():
+        stem, ending = name.split(".")
+        path = folder / f"{stem}-{mark}.{ending}"
+        after_failure.callback(_remove, path)
+        with replacing(path, fsync=True) as draft:
+            write(draft)
+        written[name] = SavedFile(path.name, path.stat().st_size, _sha256(path))
+    return written
 
 
 def read_folder(folder: Path) -> dict[str, Path]:
@@ -114,7 +134,7 @@ def read_folder(folder: Path) -> dict[str, Path]:
     return {name: folder / saved.file for name, saved in manifest.files.items()}
 
 
-def _read_manifest(folder: Path) -> _Manifest:
+def _read_manifest(folder: Path) -> Manifest:
     path = folder / MANIFEST
     try:
         manifest = json.loads(path.read_bytes())
@@ -123,11 +143,11 @@ def _read_manifest(folder: Path) -> _Manifest:
         if manifest.get("version") != VERSION:
             what = f"version {manifest.get('version')!r} of a saved analysis; this program reads version {VERSION}"
             raise TraceFormatError(path, what)
-        checked = from_json(_Manifest, manifest)
+        checked = from_json(Manifest, manifest)
     except OSError as err:
         what = f"no saved analysis here ({MANIFEST}: {err.strerror}); write one with Analysis.save"
         raise TraceFormatError(folder, what) from err
-    except ValueError as err:
+    except (ValueError, RecursionError) as err:
         raise TraceFormatError(path, f"the manifest of a saved analysis is damaged ({err})") from err
     for saved in checked.files.values():
         if not _FILE_NAME.fullmatch(saved.file):
@@ -149,10 +169,9 @@ def _earlier_files(folder: Path) -> tuple[SavedFile, ...]:
         raise OutputExistsError(f"{folder}: holds something else; give a folder of its own") from err
 
 
-def _remove(folder: Path, files: Iterable[SavedFile]) -> None:
-    for saved in files:
-        with suppress(OSError):
-            (folder / saved.file).unlink()
+def _remove(path: Path) -> None:
+    with suppress(OSError):
+        path.unlink()
 
 
 def _sha256(path: Path) -> str:

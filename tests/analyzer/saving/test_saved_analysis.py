@@ -98,13 +98,17 @@ def test_a_second_save_replaces_the_first_and_leaves_no_file_of_it(saved, analys
     assert load_analysis(saved).summary.equals(analysis.summary)
 
 
-def test_a_save_that_fails_keeps_the_earlier_one(saved, analysis, monkeypatch):
-    def full(*_: object, **__: object) -> None:
-        raise OSError(28, "No space left on device")
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [(OSError(28, "No space left on device"), OutputError), (KeyboardInterrupt(), KeyboardInterrupt)],
+)
+def test_a_save_that_fails_keeps_the_earlier_one(saved, analysis, monkeypatch, error, told):
+    def fail(*_: object, **__: object) -> None:
+        raise error
 
     before = sorted(saved.iterdir())
-    monkeypatch.setattr(pl.DataFrame, "write_parquet", full)
-    with pytest.raises(OutputError, match="No space left on device"):
+    monkeypatch.setattr(pl.DataFrame, "write_parquet", fail)
+    with pytest.raises(told):
         analysis.save(saved)
     assert sorted(saved.iterdir()) == before
     assert load_analysis(saved).summary.equals(analysis.summary)
@@ -169,9 +173,9 @@ def test_a_zero_anywhere_in_the_manifest_is_refused(saved):
         ),
         (
             {"files": {"content.json": {"file": 7, "bytes": 0, "sha256": ""}}},
-            "_Manifest.files.content.json.file is 7",
+            "Manifest.files.content.json.file is 7",
         ),
-        ({"files": None}, "_Manifest.files is None"),
+        ({"files": None}, "Manifest.files is None"),
     ],
 )
 def test_a_foreign_manifest_is_refused(saved, change, words):
@@ -182,7 +186,7 @@ def test_a_foreign_manifest_is_refused(saved, change, words):
     one_line(error)
 
 
-@pytest.mark.parametrize("text", ["[]", "7", "null", "{", ""])
+@pytest.mark.parametrize("text", ["[]", "7", "null", "{", "", "[" * 100_000, "\ufeff{}"])
 def test_a_manifest_that_is_no_object_is_refused(saved, text):
     (saved / MANIFEST).write_text(text)
     with pytest.raises(TraceFormatError):

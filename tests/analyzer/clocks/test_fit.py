@@ -62,7 +62,7 @@ def draw(truth: Truth, *, messages=600, rate_hz=20, floor_ns=100_000, slow_retur
     return Drawn(t1, t3, t4, t2, outbound, truth.theta_ns((t1 + t2) // 2))
 
 
-def test_one_message_says_its_middle_and_half_of_what_it_was_under_way():
+def test_one_message_gives_the_middle_of_its_interval_and_half_its_width():
     # ping's clock:  T1=0 ........................ T2=300      under way 200 of 300
     # relay's clock:      T3=1100 ... T4=1200
     # theta is between T4-T2 = 900 and T3-T1 = 1100.

@@ -63,12 +63,12 @@ def test_a_suspended_relay_is_named_as_such(tmp_path):
     assert "suspend" not in findings(tmp_path, details=False)
 
 
-def test_a_suspended_ping_is_one_whose_clock_the_relay_got_ahead_of(tmp_path):
+def test_a_suspended_ping_shows_as_a_relay_clock_that_gets_ahead(tmp_path):
     write_pair(tmp_path, drawn(count=100) + drawn(count=100, first=100, ahead=5_000 * MS))
     assert findings(tmp_path)["suspend"].where == "alpha (beta against alpha)"
 
 
-def test_a_relay_that_was_started_anew_is_no_suspend(tmp_path):
+def test_a_restarted_relay_is_not_a_suspend(tmp_path):
     first, second = drawn(count=100), drawn(count=100, first=100, ahead=-20_000 * MS)
     ping = ping_events(first)
     for stage, events in ping_events(second, relay_id=2).items():

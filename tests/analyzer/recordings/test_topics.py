@@ -108,7 +108,7 @@ def test_one_timeline_in_every_format(tmp_path, kind):
     assert (source.status, source.events) == ("read", 5)
 
 
-def test_mcap_of_another_world_has_an_age_from_its_publish_time(tmp_path):
+def test_without_a_header_the_age_comes_from_the_publish_time(tmp_path):
     messages = [("/a", t * 10, t * 10 - 3, json.dumps({"t": t}).encode()) for t in range(1, 5)]
     messages += [("/b", 50, 50, b"{}")]
     write_mcap(tmp_path / "x.mcap", messages, compression=CompressionType.ZSTD)

@@ -10,7 +10,7 @@ from roundtrip_frames import MS, steady
 from dds_trace.analyzer.verdicts.cases import delivered_latencies
 
 
-def test_lost_is_infinitely_late_and_a_reply_without_relay_stamps_took_half_of_its_round_trip_at_most():
+def test_lost_messages_are_infinitely_late_and_replies_without_stamps_take_half_their_round_trip():
     frame = pl.concat(
         [steady([5 * MS, None]), steady([7 * MS]).with_columns(latency_ns=pl.lit(None, pl.Int64))]
     )

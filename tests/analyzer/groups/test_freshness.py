@@ -2,63 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
 import polars as pl
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from roundtrip_frames import MS, roundtrips, steady, with_one_way
 
-from dds_trace.analyzer.groups.age import age_of_information
 from dds_trace.analyzer.groups.freshness import outage_table, summarize_freshness
-from dds_trace.analyzer.groups.outages import longest_run, runs_of
-
-
-def times(*values):
-    return np.array(values, np.int64)
-
-
-def test_age_is_a_saw_tooth():
-    #  made      0    10        30
-    #  received     4    12          38
-    #  age at reception 4, 2, 8; just before the next one 12 and 28.
-    #  time average over 4..38: (4+12)/2*8 + (2+28)/2*26 = 64 + 390 = 454, over 34.
-    age = age_of_information(times(0, 10, 30), times(4, 12, 38))
-    assert age.mean_ns == pytest.approx(454 / 34)
-    assert age.peak_mean_ns == 20.0
-    assert (age.peak_max_ns, age.updates) == (28, 3)
-
-
-def test_a_late_older_message_is_no_news():
-    in_order = age_of_information(times(0, 10, 30), times(4, 12, 38))
-    assert age_of_information(times(0, 10, 5, 30), times(4, 12, 20, 38)) == in_order
-
-
-def test_two_at_one_instant_are_one_update():
-    assert age_of_information(times(0, 5, 10), times(4, 12, 12)) == age_of_information(
-        times(0, 10), times(4, 12)
-    )
-
-
-def test_one_update_has_no_age_over_time():
-    assert age_of_information(times(1), times(2)) is None
-    assert age_of_information(times(), times()) is None
-
-
-@given(gaps=st.lists(st.integers(1, 1000), min_size=2, max_size=30), delay=st.integers(0, 5000))
-@settings(deadline=None)
-def test_a_constant_delay_adds_to_the_mean_age(gaps, delay):
-    made = np.cumsum(np.array(gaps, np.int64))
-    without, delayed = age_of_information(made, made), age_of_information(made, made + delay)
-    assert delayed.mean_ns == pytest.approx(without.mean_ns + delay)
-    assert delayed.peak_max_ns == max(gaps[1:]) + delay
-
-
-def test_runs():
-    happened = np.array([1, 1, 0, 1, 1, 1, 0, 1], np.bool_)
-    assert runs_of(happened) == [(0, 2), (3, 6), (7, 8)]
-    assert longest_run(happened) == 3
-    assert longest_run(np.zeros(4, np.bool_)) == longest_run(np.empty(0, np.bool_)) == 0
 
 
 def test_deadline_misses_by_hand():

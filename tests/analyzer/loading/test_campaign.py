@@ -1,18 +1,14 @@
 """A folder of anything: copies count once, parts of one recording are put together, the rest is named."""
 
 import os
-import random
 import shutil
 
-import numpy as np
 import pytest
 from mcap.reader import make_reader
 from rosbags.rosbag2 import StoragePlugin, Writer
 from trace_files import (
-    RELAY_ID,
     RUN_ID,
     Message,
-    event,
     ping_events,
     ping_session,
     relay_events,
@@ -23,20 +19,9 @@ from trace_files import (
 )
 
 from dds_trace.analyzer import analyze, default_output
-from dds_trace.analyzer.loading.events import (
-    index_events,
-    merge_parts,
-    split_events,
-    split_trace,
-    total_copies,
-)
 from dds_trace.tracefile import (
-    EVENT_DTYPE,
-    EventColumns,
     MissingEventsError,
-    Stage,
     TraceFormatError,
-    read_trace,
 )
 
 TIMELINE = [
@@ -272,27 +257,3 @@ def test_a_truncated_trace_is_used_to_its_end(tmp_path):
     latencies = analysis.load_roundtrips()["latency_ns"]
     assert latencies.null_count() > 0
     assert set(latencies.drop_nulls()) == {85}
-
-
-def test_events_of_runs_that_take_turns_are_told_apart():
-    fields = [event(s, s, run_id=1 + s % 3, relay_id=s % 2) for s in range(30)]
-    random.Random(1).shuffle(fields)
-    split = split_events(EventColumns.from_records(np.array(fields, EVENT_DTYPE)), by_relay=True)
-    assert {key: columns.sequence.tolist() for key, columns in split.items()} == {
-        (run_id, relay_id): [f[1] for f in fields if (f[0], f[7]) == (run_id, relay_id)]
-        for run_id in (1, 2, 3)
-        for relay_id in (0, 1)
-    }
-
-
-def test_what_was_copied_is_counted_per_trace(tmp_path):
-    write_pair(tmp_path, TIMELINE)
-    write_trace(tmp_path / "part.mcap", relay_session(), (), relay_events(TIMELINE[:3]))
-    traces = [read_trace(tmp_path / name) for name in ("ping.mcap", "relay.mcap", "part.mcap")]
-    index = index_events(split_trace(trace, position) for position, trace in enumerate(traces))
-    copies = total_copies(copy for parts in index.values() for copy in merge_parts(parts)[1])
-    assert [(copy.trace, copy.events, copy.others) for copy in copies] == [(2, 6, (1,))]
-    arrivals = index[Stage.T3, RUN_ID, RELAY_ID]
-    assert len(merge_parts(arrivals)[0]) == 12
-    assert [part.trace for part in arrivals] == [1, 2]
-    assert (Stage.T3, RUN_ID, 1) not in index

@@ -1,0 +1,85 @@
+"""Counts of an exchange, drawn by hand."""
+
+import numpy as np
+import pytest
+from trace_files import event
+
+from dds_trace.analyzer.pairing.counts import COUNT_SCHEMA, count_messages
+from dds_trace.analyzer.pairing.pair import pair_messages, published_messages
+from dds_trace.tracefile import EVENT_DTYPE, EventColumns
+
+
+def columns(*events):
+    return EventColumns.from_records(np.array(list(events), EVENT_DTYPE))
+
+
+def count(t1, t2=(), t3=(), t4=(), *, warmup=0, scheduled=True):
+    """Counts of events given as (sequence, ns) pairs; T0 is T1 less 1."""
+    published = published_messages(
+        columns(*(event(s, t, scheduled_ns=t - 1 if scheduled else 0) for s, t in t1)), warmup
+    )
+    others = (columns(*(event(s, t) for s, t in of_stage)) for of_stage in (t2, t3, t4))
+    return count_messages(published, pair_messages(published, *others))
+
+
+def test_every_kind_of_message_is_counted_once():
+    counts = count(
+        t1=[(s, 1000 + s) for s in range(7)],  # message 0 is warm-up
+        t3=[(1, 50), (2, 60), (3, 70), (5, 80)],
+        t4=[(1, 55), (2, 68), (5, 80)],
+        t2=[(1, 1011), (5, 1205), (5, 1300), (6, 1100), (99, 1), (0, 1)],
+        warmup=1,
+    )
+    assert counts == {
+        "published": 6,
+        "received": 3,  # 1, 5, 6
+        "lost_outbound": 1,  # 4
+        "lost_in_relay": 1,  # 3
+        "lost_return": 1,  # 2
+        "lost_unknown": 0,
+        "duplicates": 1,
+        "reordered": 1,  # 5 came after 6
+        "relay_gaps": 1,  # 6 came back, but the relay never saw it
+        "unscheduled": 0,
+        "negative_rtt": 0,
+        "negative_intermediate": 0,
+        "negative_latency": 0,
+        "publish_span_ns": 5,
+        "relay_span_ns": 30,  # first T3 50, last T4 80
+        "reply_span_ns": 194,  # 1011 to 1205
+        "relayed": 4,
+        "replied": 3,
+        "orphans": 1,  # 99
+        "with_warmup": 7,
+        "repeated": 0,
+        "least_payload_bytes": 33_000,
+        "most_payload_bytes": 33_000,
+    }
+    assert list(counts) == list(COUNT_SCHEMA)
+
+
+def test_times_below_zero():
+    # rtt 90 - 100 = -10; intermediate 40 - 50 = -10; latency (200 - 100 - (350 - 50)) // 2 = -100.
+    assert count([(0, 100)], [(0, 90)])["negative_rtt"] == 1
+    assert count([(0, 100)], [(0, 190)], [(0, 50)], [(0, 40)])["negative_intermediate"] == 1
+    assert count([(0, 100)], [(0, 200)], [(0, 50)], [(0, 350)])["negative_latency"] == 1
+    fine = count([(0, 100)], [(0, 200)], [(0, 50)], [(0, 150)])  # latency 0
+    assert [fine[f"negative_{metric}"] for metric in ("rtt", "intermediate", "latency")] == [0, 0, 0]
+
+
+def test_a_run_that_is_all_warmup_has_zeros_and_no_spans():
+    counts = count([(0, 100), (1, 200)], [(1, 300)], warmup=2)
+    spans = [name for name in counts if name.endswith("_span_ns")]
+    assert [counts[name] for name in spans] == [None] * 3
+    assert {counts[name] for name in ("published", "received", "relay_gaps", "unscheduled")} == {0}
+    assert counts["with_warmup"] == 2
+
+
+@pytest.mark.filterwarnings("error")
+def test_stamps_that_are_damage_wrap_in_silence():
+    far = 2**63 - 1
+    assert count([(0, -far), (1, far)])["publish_span_ns"] == -2  # 2 * far, modulo 2 ** 64
+
+
+def test_without_a_schedule_every_message_is_unscheduled():
+    assert count([(0, 100), (1, 200)], scheduled=False)["unscheduled"] == 2

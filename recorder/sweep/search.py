@@ -164,7 +164,10 @@ def why_not_held(search: Search, asked_hz: float, result: CellResult) -> str:
             result.cut_off,
             f"cut off after {result.published} of {counted(result.planned, 'message')}",
         ),
-        (achieved_hz < HELD_SHARE * asked_hz, f"{achieved_hz:.0f} of {asked_hz:g} messages a second sent"),
+        (
+            achieved_hz < HELD_SHARE * asked_hz,
+            f"{achieved_hz:.0f} of {counted(asked_hz, 'message', text=f'{asked_hz:g}')} a second sent",
+        ),
         (result.loss_percent > search.loss_percent, f"{result.loss_percent:.3g} % lost"),
         (response_ms > search.deadline_ms, f"response {percentile} {response_ms:.3g} ms"),
     )

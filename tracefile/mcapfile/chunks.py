@@ -71,7 +71,9 @@ class PackedChunk:
             raise DamagedChunkError(f"its header is damaged ({err})") from err
         data_offset = header.content + content.count
         if packed_bytes > header.end - data_offset:
-            raise DamagedChunkError(f"it claims {packed_bytes} packed bytes, more than its record has")
+            raise DamagedChunkError(
+                f"it claims {counted(packed_bytes, 'packed byte')}, more than its record has"
+            )
         if max(unpacked_bytes, packed_bytes) > MAX_RECORD_BYTES:
             raise DamagedChunkError(
                 f"it claims {unpacked_bytes} bytes; at most {MAX_RECORD_BYTES} are read at once "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 
-def counted(count: int, one: str, many: str = "", *, text: str = "") -> str:
+def counted(count: float, one: str, many: str = "", *, text: str = "") -> str:
     """Return a count with its noun in the right number.
 
     Args:

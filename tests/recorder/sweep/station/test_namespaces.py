@@ -17,7 +17,7 @@ from dds_trace.recorder.sweep.station.emulation import ip
 from dds_trace.recorder.sweep.station.namespaces import NamespacePair, remove_stale, require_root
 from dds_trace.tracefile import BackendUnavailableError, OptionError
 
-UDP_ECHO = Path(__file__).parents[2] / "support" / "udp_echo.py"
+UDP_ECHO = Path(__file__).parents[3] / "support" / "udp_echo.py"
 
 
 skipped = needs_namespaces("tc", "iproute2")

@@ -6,17 +6,6 @@ from dds_trace.recorder.sweep.plan.link import PRESETS, Link
 from dds_trace.recorder.sweep.station.emulation import queue_disciplines
 
 
-def test_presets_are_those_that_are_documented():
-    assert set(PRESETS) == {"ethernet-1g", "ethernet-100m", "wifi-54", "wifi-poor", "5g"}
-
-
-def test_link_in_words():
-    assert str(PRESETS["wifi-poor"]) == (
-        "wifi-poor (12 Mbit/s, delay 5 ms, jitter 5 ms, loss 2 %, outage 300 ms every 10 s)"
-    )
-    assert str(Link()) == "custom (nothing shaped)"
-
-
 def test_token_bucket_saves_up_as_little_as_timers_allow():
     slow, fast = Link(rate_mbit_s=54), Link(rate_mbit_s=1000, queue_ms=20)
     assert queue_disciplines(slow, kernel_does_all=True) == [

@@ -4,8 +4,7 @@ import io
 
 from rich.console import Console
 
-from dds_trace.recorder.sweep.plan.plan_file import parse_plan
-from dds_trace.recorder.sweep.plan.schedule import Estimate, Remaining
+from dds_trace.recorder.sweep.plan.schedule import Remaining
 from dds_trace.recorder.sweep.run.progress import PlainProgress, RichProgress, make_progress
 
 
@@ -52,17 +51,3 @@ def test_number_of_cells_may_be_unknown():
     progress.begin(0, 0)
     progress.ended("a", "held", complete=True)
     assert there.file.getvalue() == "[1] a: held\n"
-
-
-def test_estimate_learns_what_a_run_costs_beside_its_schedule():
-    plan = parse_plan(
-        "[run]\nmessages = 90\nwarmup = 10\nsettle_seconds = 1\n[axes]\nrate = [10, 100]\n", "p", "p"
-    )
-    estimate = Estimate(plan)
-    slow, fast = plan.cells
-    assert estimate.cell_seconds(slow) == 10 + 3.5 + 1
-    estimate.measured(slow, 12.0)
-    estimate.measured(fast, 5.0)
-    # overheads of 2 and 4 s
-    assert estimate.cell_seconds(fast) == 1 + 3 + 1
-    assert estimate.remaining([slow, fast]).seconds == 14 + 5

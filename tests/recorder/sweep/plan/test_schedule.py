@@ -4,7 +4,7 @@ import pytest
 
 from dds_trace.recorder.sweep.plan.commands import half_arguments, ping_arguments
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan
-from dds_trace.recorder.sweep.plan.schedule import Remaining, plan_seconds, schedule
+from dds_trace.recorder.sweep.plan.schedule import Estimate, Remaining, plan_seconds, schedule
 from dds_trace.tracefile import OptionError
 
 PLAN = """
@@ -109,3 +109,17 @@ def test_remaining_time_in_words():
         "59 min 59 s",
         "2 h 01 min",
     ]
+
+
+def test_estimate_learns_what_a_run_costs_beside_its_schedule():
+    plan = parse_plan(
+        "[run]\nmessages = 90\nwarmup = 10\nsettle_seconds = 1\n[axes]\nrate = [10, 100]\n", "p", "p"
+    )
+    estimate = Estimate(plan)
+    slow, fast = plan.cells
+    assert estimate.cell_seconds(slow) == 10 + 3.5 + 1
+    estimate.measured(slow, 12.0)
+    estimate.measured(fast, 5.0)
+    # overheads of 2 and 4 s
+    assert estimate.cell_seconds(fast) == 1 + 3 + 1
+    assert estimate.remaining([slow, fast]).seconds == 14 + 5

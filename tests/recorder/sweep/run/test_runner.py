@@ -25,7 +25,7 @@ from dds_trace.recorder.sweep.station.station import open_station
 from dds_trace.recorder.sweep.sweep import run_search, run_sweep
 from dds_trace.tracefile import OptionError, Stage, read_trace
 
-STAND_IN = Path(__file__).parents[2] / "support" / "stand_in_recorder.py"
+STAND_IN = Path(__file__).parents[3] / "support" / "stand_in_recorder.py"
 COMMAND = [sys.executable, "-I", "-S", str(STAND_IN)]
 
 PLAN = """

@@ -87,7 +87,7 @@ def test_files_and_bags_go_there_and_back(domain_id, tmp_path):
 @contextmanager
 def lidar(domain_id, topic, rate_hz):
     """A node of another program that publishes on a topic."""
-    script = Path(__file__).parents[1] / "support" / "topic_publisher.py"
+    script = Path(__file__).parents[2] / "support" / "topic_publisher.py"
     process = subprocess.Popen(
         [sys.executable, "-W", "ignore", script, topic, str(rate_hz), "1000"],
         env={**os.environ, "ROS_DOMAIN_ID": str(domain_id)},

@@ -11,19 +11,17 @@ from typing import TYPE_CHECKING
 from dds_trace.lazy import contents_page
 
 if TYPE_CHECKING:
-    from .analysis import DETAIL_FRAMES, Analysis, Details, load_analysis
+    from .analysis import DETAIL_FRAMES, Analysis
     from .clocks.boots import ping_wall_offsets
     from .exports.foxglove import write_derived
-    from .exports.tables import EXPORTERS, export_tables
+    from .exports.tables import export_tables
     from .model.finding import Finding, Severity
     from .model.names import group_words
-    from .model.source import Source
     from .pipeline import analyze, default_output
     from .recordings.topics import TopicReport, analyze_topics
     from .verdicts.answers import CaseAnswer, Headline, find_headlines
     from .verdicts.compare import CompareOptions, Comparison, compare
     from .verdicts.gates import (
-        Gate,
         GateOutcome,
         GateResult,
         judge_gates,
@@ -32,28 +30,23 @@ if TYPE_CHECKING:
         parse_gate,
         varying_columns,
     )
-    from .verdicts.job import Job, parse_job
+    from .verdicts.job import parse_job
     from .verdicts.recommend import Recommendation
 else:
     __getattr__, __dir__ = contents_page(__name__)
 
 __all__ = [
     "DETAIL_FRAMES",
-    "EXPORTERS",
     "Analysis",
     "CaseAnswer",
     "CompareOptions",
     "Comparison",
-    "Details",
     "Finding",
-    "Gate",
     "GateOutcome",
     "GateResult",
     "Headline",
-    "Job",
     "Recommendation",
     "Severity",
-    "Source",
     "TopicReport",
     "analyze",
     "analyze_topics",
@@ -63,7 +56,6 @@ __all__ = [
     "find_headlines",
     "group_words",
     "judge_gates",
-    "load_analysis",
     "options_for",
     "overall_outcome",
     "parse_gate",

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class ExportKind(str, Enum):
-    """Kinds of export; the keys of `analyzer.EXPORTERS`."""
+    """Kinds of export; the keys of `EXPORTERS` in analyzer/exports/tables.py."""
 
     CSV = "csv"
     ARROW = "arrow"

@@ -10,6 +10,7 @@ from enum import Enum
 from importlib.resources import files
 from typing import TYPE_CHECKING
 
+from dds_trace.analyzer import DETAIL_FRAMES
 from dds_trace.tracefile.files import replacing
 
 if TYPE_CHECKING:
@@ -22,20 +23,6 @@ if TYPE_CHECKING:
 FILE_NAME = "report.json"
 FORMAT_VERSION = 1
 """Version 1: first version (2026). A field may be added without a new version; none changes its meaning."""
-
-FRAMES = (
-    "intervals",
-    "one_way",
-    "breakdown",
-    "responses",
-    "freshness",
-    "outages",
-    "clock_fits",
-    "clock_knots",
-    "host_samples",
-    "bridge_costs",
-)
-"""Frames of `analyzer.Details` that the report holds under the same names, one object per row."""
 
 _IDENTIFIERS = ("run_id", "session_id")
 """Columns written as hex digits, as in `sessions` and `runs`: a JSON number does not hold 64 bits."""
@@ -77,7 +64,7 @@ def _document(book: Book) -> dict[str, object]:
         "sessions": [json.loads(session.to_json()) for session in analysis.sessions],
         "runs": [json.loads(run.to_json()) for run in analysis.runs],
         "groups": analysis.summary.to_dicts(),
-        **{name: _rows(getattr(details, name)) if details.requested else None for name in FRAMES},
+        **{name: _rows(getattr(details, name)) if details.requested else None for name in DETAIL_FRAMES},
         "answers": details.answers if details.requested else None,
         "deadline_ns": details.deadline_ns,
         "recommendation": details.recommendation,

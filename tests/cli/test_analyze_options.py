@@ -4,7 +4,7 @@ import polars as pl
 import pytest
 from trace_files import Message, write_pair
 
-from dds_trace.analyzer import EXPORTERS
+from dds_trace.analyzer.exports.tables import EXPORTERS
 from dds_trace.cli.analyze import ExportKind, main
 from dds_trace.tracefile import read_trace
 

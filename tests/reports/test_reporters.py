@@ -10,7 +10,8 @@ import pytest
 from analyses import EVERY_ANALYSIS, HOSTILE, MS, Measured, make_analysis
 from jsonschema import Draft202012Validator
 
-from dds_trace.analyzer import Details, parse_job
+from dds_trace import Details, parse_job
+from dds_trace.analyzer import DETAIL_FRAMES
 from dds_trace.analyzer.details import details_not_requested
 from dds_trace.analyzer.verdicts.recommend import recommend_settings
 from dds_trace.reports import REPORT_MODULES, document, load_reporter, write_reports
@@ -106,7 +107,7 @@ def test_the_json_report_of_an_analysis_without_details_has_null_for_them():
     report = json.loads(
         document.render(Book(replace(EVERY_ANALYSIS["one message"](), details=details_not_requested())))
     )
-    assert all(report[name] is None for name in (*document.FRAMES, "answers", "recommendation"))
+    assert all(report[name] is None for name in (*DETAIL_FRAMES, "answers", "recommendation"))
     Draft202012Validator(document.schema()).validate(report)
 
 

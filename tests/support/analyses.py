@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import polars as pl
 from roundtrip_frames import rows_by_group
 
-from dds_trace.analyzer import Analysis, Details, Finding, Severity, Source
+from dds_trace import Analysis, Details, Finding, Severity, Source
 from dds_trace.analyzer.groups.breakdown import break_down, response_against_latency, summarize_breakdown
 from dds_trace.analyzer.groups.freshness import outage_table, summarize_freshness
 from dds_trace.analyzer.groups.host_samples import HOST_SAMPLE_SCHEMA

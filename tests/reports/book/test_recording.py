@@ -3,7 +3,7 @@ from dataclasses import replace
 import pytest
 from analyses import MS, Measured, make_analysis
 
-from dds_trace.analyzer import Source
+from dds_trace import Source
 from dds_trace.reports.book.recording import MOST_ROWS, record_tables
 
 

@@ -61,6 +61,7 @@ class Middleware:
         rmw: identifier of the running ROS middleware, None outside ROS.
         versions: version of each library involved, by name.
         settings: settings in effect (executor, transport, tuned, environment), by name.
+        vendor_label: name of the vendor for people, empty where the backend's label is it.
     """
 
     backend: str
@@ -68,6 +69,7 @@ class Middleware:
     rmw: str | None
     versions: Mapping[str, str] = field(default_factory=dict)
     settings: Mapping[str, str] = field(default_factory=dict)
+    vendor_label: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import Session
 
-from ..backends import load_backends
+from ..backends import load_backend, load_backends
 from ..choices import Discovery
 from ..host.environment import join_environments
 from ..host.fingerprint import host_fingerprint
@@ -47,6 +47,7 @@ def describe_session(
     # Of all backends: a ROS middleware reads the files of its vendor, and a bridge may run on another one.
     environment = join_environments(backend.environment for backend in load_backends())
     host = host_fingerprint(middleware.versions, environment)
+    vendor_label = middleware.vendor_label or load_backend(middleware.backend).label
     return Session(
         session_id=session_id,
         role=role,
@@ -60,7 +61,7 @@ def describe_session(
         wall_anchor_ns=anchor.wall_ns,
         monotonic_anchor_ns=anchor.monotonic_ns,
         host={**host, "middleware": dict(middleware.settings)},
-        extra=extra or {},
+        extra={"vendor_label": vendor_label, **(extra or {})},
     )
 
 

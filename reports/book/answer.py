@@ -18,8 +18,6 @@ from .groups import (
     data_type_label,
     domain_label,
     group_labels,
-    pair_label,
-    vendor_pair_label,
 )
 from .verdicts import (
     CLEARLY,
@@ -35,7 +33,7 @@ if TYPE_CHECKING:
 
     from dds_trace.analyzer import Analysis, CaseAnswer
 
-    from .groups import Groups
+    from .groups import Groups, VendorLabels
     from .numbers import Values
 
 
@@ -70,8 +68,8 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values) -> Conclusio
     # Answers compare latencies, which need the relay's trace.
     known = analysis.details if metric == "latency" else None
     answers = known.answers if known else ()
-    verdicts = verdicts_info(answers)
-    bridges = _bridge_remarks(known.bridge_costs) if known else []
+    verdicts = verdicts_info(answers, groups.vendors)
+    bridges = _bridge_remarks(known.bridge_costs, groups.vendors) if known else []
     remarks = (*_unknown_remarks(metric), *_level_remarks(groups, values, metric), *bridges, _losses(values))
     return Conclusion(
         _headline(verdicts, groups, values, answers), metric, verdicts, remarks, CLEARLY if verdicts else ""
@@ -81,13 +79,13 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values) -> Conclusio
 def _headline(
     verdicts: tuple[DataVerdict, ...], groups: Groups, values: Values, answers: Sequence[CaseAnswer]
 ) -> str:
-    vendors = sorted({vendor_pair_label(series) for series in groups.series})
+    vendors = sorted({series.vendor_label for series in groups.series})
     if not verdicts:
         if len(vendors) == 1:
             return f"{_ways(vendors[0], groups, values)} No other middleware was measured."
         if not answers:
             return f"{_and(vendors)} were not compared: that takes the rows of all messages."
-        names = sorted(set(contender_labels(answers).values()))
+        names = sorted(set(contender_labels(answers, groups.vendors).values()))
         return f"{_and(names)} were not measured under equal conditions, so no choice can be made from this."
     if not any(verdict.wins for verdict in verdicts):
         cells = sum(verdict.cells for verdict in verdicts)
@@ -169,12 +167,12 @@ def _place(groups: Groups, index: int, labels: Sequence[str]) -> str:
     return labels[index].removeprefix(data_type).strip()
 
 
-def _bridge_remarks(costs: pl.DataFrame) -> list[str]:
+def _bridge_remarks(costs: pl.DataFrame, vendors: VendorLabels) -> list[str]:
     """State what each vendor and bridge adds to the median latency when messages cross to another domain."""
     ways: dict[str, list[dict[str, Any]]] = {}
     known = (pl.col("statistic") == "p50") & (pl.col("metric") == "latency")
     for row in costs.filter(known & pl.col("difference_ns").is_not_null()).iter_rows(named=True):
-        ways.setdefault(way_label(row), []).append(row)
+        ways.setdefault(way_label(row, vendors), []).append(row)
     return [_bridge_remark(way, rows) for way, rows in ways.items()]
 
 
@@ -216,10 +214,10 @@ def _added_words(rows: list[dict[str, Any]]) -> str:
     return f"median {ends} against the same domain; {', '.join(counts)}."
 
 
-def way_label(row: Mapping[str, Any]) -> str:
+def way_label(row: Mapping[str, Any], vendors: VendorLabels) -> str:
     """Name the vendor and bridge of a row of `bridge_costs`, as in `Fast DDS, via builtin`."""
     way = "different domains" if row["bridge"] == "none" else f"via {visible(row['bridge'])}"
-    return f"{pair_label(row['vendor'], row['relay_vendor'])}, {way}"
+    return f"{vendors.of_pair(row['vendor'], row['relay_vendor'])}, {way}"
 
 
 def _unknown_remarks(metric: str) -> list[str]:

@@ -44,10 +44,31 @@ VENDORS = {
     "zenoh": "Zenoh",
     "socket": "Socket",
 }
-"""Vendor in a trace -> label; other vendors are shown as they stand in the trace."""
+"""Vendor in a trace -> label, in the order of a report; sessions name the label of any other vendor."""
 
 DATA_TYPES = {"binary": "Binary", "string": "String", "imu": "IMU"}
 """Data type in a trace -> label, in the order of the paper."""
+
+
+@dataclass(frozen=True, slots=True)
+class VendorLabels:
+    """Labels of the vendors of an analysis.
+
+    Attributes:
+        labels: label of each vendor that has one; any other is shown as it stands in the trace.
+    """
+
+    labels: Mapping[str, str]
+
+    def of(self, vendor: str) -> str:
+        """Return the label of a vendor."""
+        return self.labels.get(vendor, visible(vendor))
+
+    def of_pair(self, vendor: str, relay_vendor: str | None) -> str:
+        """Return the label of the vendors of ping and relay; the relay's is None without its trace."""
+        if relay_vendor is None or relay_vendor == vendor:
+            return self.of(vendor)
+        return f"{self.of(vendor)} → {self.of(relay_vendor)}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +77,7 @@ class Series:
 
     Attributes:
         further: the parameters that have no field of their own, as in `name value`.
+        vendor_label: label of the vendor, or of both vendors if ping and relay differ.
     """
 
     vendor: str
@@ -76,6 +98,7 @@ class Series:
     relay_device: str | None
     connectivity: str
     further: tuple[str, ...] = ()
+    vendor_label: str = ""
 
     def values(self, names: Iterable[str]) -> tuple[object, ...]:
         """Return the values of some parameters, and all further ones."""
@@ -113,12 +136,14 @@ class Groups:
 
     Attributes:
         labels: label of each series, made of the parameters in which the series differ.
+        vendors: labels of the vendors, also of those that no group has.
     """
 
     groups: tuple[Group, ...]
     series: tuple[Series, ...]
     cells: tuple[Cell, ...]
     labels: tuple[str, ...]
+    vendors: VendorLabels
 
     def cell_of(self, group: Group) -> Cell:
         """Return the cell of a group."""
@@ -132,7 +157,8 @@ class Groups:
 def groups_info(analysis: Analysis) -> Groups:
     """List the groups of `analysis.summary`; group i is row i."""
     rows = analysis.summary.to_dicts()
-    series_rows = [_series(row) for row in rows]
+    vendors = vendor_labels(analysis)
+    series_rows = [_series(row, vendors) for row in rows]
     cell_rows = [Cell(**{name: row[name] for name in Cell.__dataclass_fields__}) for row in rows]
     series = tuple(sorted(set(series_rows), key=_series_order))
     cells = tuple(sorted(set(cell_rows), key=_cell_order))
@@ -142,13 +168,23 @@ def groups_info(analysis: Analysis) -> Groups:
         Group(i, series_index[series_rows[i]], cell_index[cell_rows[i]], row["published"], row["received"])
         for i, row in enumerate(rows)
     )
-    return Groups(groups, series, cells, tuple(tell_apart(series, vendor_pair_label, _LABEL_PARTS)))
+    return Groups(
+        groups, series, cells, tuple(tell_apart(series, lambda one: one.vendor_label, _LABEL_PARTS)), vendors
+    )
 
 
-def _series(row: Mapping[str, Any]) -> Series:
+def vendor_labels(analysis: Analysis) -> VendorLabels:
+    """Collect the labels of the vendors: those of `VENDORS`, and those that the sessions name."""
+    named = {session.vendor: session.extra.get("vendor_label") for session in analysis.sessions}
+    told = {vendor: visible(label) for vendor, label in named.items() if isinstance(label, str) and label}
+    return VendorLabels({**told, **VENDORS})
+
+
+def _series(row: Mapping[str, Any], vendors: VendorLabels) -> Series:
     known = [name for name in SERIES_COLUMNS if name in Series.__dataclass_fields__]
     further = tuple(f"{name} {row[name]}" for name in SERIES_COLUMNS if name not in known)
-    return Series(**{name: row[name] for name in known}, further=further)
+    label = vendors.of_pair(row["vendor"], row["relay_vendor"])
+    return Series(**{name: row[name] for name in known}, further=further, vendor_label=label)
 
 
 def group_labels(groups: Groups) -> tuple[str, ...]:
@@ -161,31 +197,14 @@ def group_labels(groups: Groups) -> tuple[str, ...]:
 
 
 def _short_labels(groups: Groups) -> list[str]:
-    vendors = {vendor_pair_label(series) for series in groups.series}
+    vendors = {series.vendor_label for series in groups.series}
     shared = vendors.pop() if len(vendors) == 1 else ""
     return [label.removeprefix(shared).removeprefix(", ") for label in groups.labels]
-
-
-def vendor_label(vendor: str) -> str:
-    """Return the label of a vendor."""
-    return VENDORS.get(vendor, visible(vendor))
 
 
 def data_type_label(data_type: str) -> str:
     """Return the label of a data type."""
     return DATA_TYPES.get(data_type, visible(data_type))
-
-
-def vendor_pair_label(series: Series) -> str:
-    """Return the label of a series' vendor, or of both vendors if ping and relay differ."""
-    return pair_label(series.vendor, series.relay_vendor)
-
-
-def pair_label(vendor: str, relay_vendor: str | None) -> str:
-    """Return the label of the vendors of ping and relay; the relay's is None without its trace."""
-    if relay_vendor is None or relay_vendor == vendor:
-        return vendor_label(vendor)
-    return f"{vendor_label(vendor)} → {vendor_label(relay_vendor)}"
 
 
 def domain_label(series: Series) -> str:

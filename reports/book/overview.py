@@ -18,8 +18,6 @@ from .groups import (
     device_label,
     domain_label,
     known_first,
-    vendor_label,
-    vendor_pair_label,
 )
 from .recording import floor_words, recorder_words
 
@@ -81,8 +79,8 @@ def overview_info(
         Fact("Rates", _rates(groups)),
         Fact("When", _when(analysis, times)),
         Fact("Traces", _traces(analysis)),
-        Fact("Recorder", recorder_words(costs)),
-        Fact("Library", floor_words(costs)),
+        Fact("Recorder", recorder_words(costs, groups.vendors)),
+        Fact("Library", floor_words(costs, groups.vendors)),
     )
     return Overview(visible(analysis.title), tuple(fact for fact in facts if fact.value))
 
@@ -102,8 +100,8 @@ def _devices(analysis: Analysis, groups: Groups) -> str:
 
 def _vendors(analysis: Analysis, groups: Groups) -> list[str]:
     if groups.series:
-        return list(dict.fromkeys(vendor_pair_label(one) for one in groups.series))
-    return [vendor_label(one) for one in known_first({one.vendor for one in analysis.sessions}, VENDORS)]
+        return list(dict.fromkeys(one.vendor_label for one in groups.series))
+    return [groups.vendors.of(one) for one in known_first({one.vendor for one in analysis.sessions}, VENDORS)]
 
 
 def _messages(analysis: Analysis) -> str:

@@ -11,13 +11,15 @@ from dds_trace.tracefile.units.durations import format_duration
 from dds_trace.tracefile.visible import visible
 
 from ..text import format_count
-from .groups import VENDORS, known_first, vendor_label
+from .groups import VENDORS, known_first, vendor_labels
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from dds_trace.analyzer.analysis import Analysis
     from dds_trace.tracefile import Session
+
+    from .groups import VendorLabels
 
 
 MOST_ROWS = 200
@@ -51,6 +53,7 @@ def record_tables(analysis: Analysis) -> tuple[RecordTable, ...]:
 def _sessions(analysis: Analysis) -> RecordTable:
     """Tabulate the sessions; those that were alike share a row, because a sweep starts one process per cell."""
     alike: dict[tuple[str, ...], list[Session]] = {}
+    vendors = vendor_labels(analysis)
     for one in analysis.sessions:
         surroundings = (
             f"{visible(name)} {visible(value)}" for name, value in one.host.items() if name != _FLEETING
@@ -58,7 +61,7 @@ def _sessions(analysis: Analysis) -> RecordTable:
         key = (
             visible(one.device),
             visible(one.role),
-            vendor_label(one.vendor),
+            vendors.of(one.vendor),
             visible(one.backend),
             visible(one.rmw or "-"),
             str(one.domain_id),
@@ -144,19 +147,19 @@ def own_costs(analysis: Analysis) -> tuple[OwnCost, ...]:
     return tuple(costs)
 
 
-def recorder_words(costs: Sequence[OwnCost]) -> str:
+def recorder_words(costs: Sequence[OwnCost], vendors: VendorLabels) -> str:
     """Describe the recorder's cost, by vendor if there are several: `keeping an event took 2.1 us (p99 4 us)`."""
     said = [(cost, _span(cost.record_median_ns, cost.record_p99_ns)) for cost in costs]
-    return _words("keeping an event took", said)
+    return _words("keeping an event took", said, vendors)
 
 
-def floor_words(costs: Sequence[OwnCost]) -> str:
+def floor_words(costs: Sequence[OwnCost], vendors: VendorLabels) -> str:
     """Describe the client library's floor: `a message from a node to itself took 400 us (p99 1.2 ms)`."""
     said = [(cost, _span(cost.floor_median_ns, cost.floor_p99_ns)) for cost in costs]
-    return _words("a message from a node to itself took", said)
+    return _words("a message from a node to itself took", said, vendors)
 
 
-def _words(what: str, said: Sequence[tuple[OwnCost, str]]) -> str:
+def _words(what: str, said: Sequence[tuple[OwnCost, str]], vendors: VendorLabels) -> str:
     known = [(cost, span) for cost, span in said if span]
     if not known:
         return ""
@@ -164,7 +167,7 @@ def _words(what: str, said: Sequence[tuple[OwnCost, str]]) -> str:
         return f"{what} {known[0][1]}"
     backends = Counter(cost.vendor for cost, _ in said)
     names = [
-        vendor_label(cost.vendor) + (f" ({visible(cost.backend)})" if backends[cost.vendor] > 1 else "")
+        vendors.of(cost.vendor) + (f" ({visible(cost.backend)})" if backends[cost.vendor] > 1 else "")
         for cost, _ in known
     ]
     return f"{what}: " + "; ".join(f"{name} {span}" for name, (_, span) in zip(names, known, strict=True))

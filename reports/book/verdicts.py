@@ -14,13 +14,15 @@ from dds_trace.analyzer.model.names import tell_apart, where_alike
 from dds_trace.tracefile.units.counts import counted
 from dds_trace.tracefile.visible import visible
 
-from .groups import DATA_TYPES, data_type_label, pair_label
+from .groups import DATA_TYPES, data_type_label
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from dds_trace.analyzer import CaseAnswer, Headline
     from dds_trace.analyzer.model.parameters import ParameterValue
+
+    from .groups import VendorLabels
 
 CLEARLY = (
     "A cell is one data type, size and rate. One is called clearly fastest only where the 95 % confidence interval of its p99 "
@@ -85,10 +87,10 @@ class DataVerdict:
         return "; ".join(parts) + "."
 
 
-def verdicts_info(answers: Sequence[CaseAnswer]) -> tuple[DataVerdict, ...]:
+def verdicts_info(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> tuple[DataVerdict, ...]:
     """Give one verdict per kind of data with two contenders, in the usual order of data types and domain modes."""
     contenders = {one.name: one for answer in answers for one in answer.contenders}
-    labels = contender_labels(answers)
+    labels = contender_labels(answers, vendors)
     several_links = len({answer.connectivity for answer in answers}) > 1
     verdicts = []
     for headline in sorted(find_headlines(answers), key=_order):
@@ -111,7 +113,7 @@ def verdicts_info(answers: Sequence[CaseAnswer]) -> tuple[DataVerdict, ...]:
     return tuple(verdicts)
 
 
-def contender_labels(answers: Sequence[CaseAnswer]) -> dict[str, str]:
+def contender_labels(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> dict[str, str]:
     """Label each contender by vendor and bridge, and by more columns where labels would be equal.
 
     Returns:
@@ -119,7 +121,9 @@ def contender_labels(answers: Sequence[CaseAnswer]) -> dict[str, str]:
     """
     settings = {one.name: one.setting for answer in answers for one in answer.contenders}
     parts = [(where_alike, partial(_value, column)) for column in _FURTHER]
-    return dict(zip(settings, tell_apart(list(settings.values()), _label, parts), strict=True))
+    return dict(
+        zip(settings, tell_apart(list(settings.values()), partial(_label, vendors), parts), strict=True)
+    )
 
 
 def cells_label(count: int) -> str:
@@ -127,9 +131,9 @@ def cells_label(count: int) -> str:
     return counted(count, "cell")
 
 
-def _label(setting: Mapping[str, ParameterValue]) -> str:
+def _label(vendors: VendorLabels, setting: Mapping[str, ParameterValue]) -> str:
     relay_vendor = setting["relay_vendor"]
-    pair = pair_label(str(setting["vendor"]), None if relay_vendor is None else str(relay_vendor))
+    pair = vendors.of_pair(str(setting["vendor"]), None if relay_vendor is None else str(relay_vendor))
     return pair if setting["bridge"] == "none" else f"{pair} via {visible(setting['bridge'])}"
 
 

@@ -9,7 +9,7 @@ from dds_trace.tracefile.units.rates import format_rate
 from dds_trace.tracefile.units.sizes import format_size
 from dds_trace.tracefile.visible import visible
 
-from ..book.groups import data_type_label, device_label, qos_label, vendor_pair_label
+from ..book.groups import data_type_label, device_label, qos_label
 from ..book.verdicts import MODES
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def _same(text: str) -> Option:
 
 # Key, label, and the option of a group. Options come in the order of cells and series.
 _FILTERS: tuple[tuple[str, str, Callable[[Cell, Series], Option]], ...] = (
-    ("vendor", "Vendor", lambda _, s: _same(vendor_pair_label(s))),
+    ("vendor", "Vendor", lambda _, s: _same(s.vendor_label)),
     (
         "domain",
         "Domains",

@@ -18,6 +18,7 @@ from dds_trace.recorder.payloads.base import DataType, Form, Message, Payload, S
 from dds_trace.recorder.payloads.cdr import CdrWriter
 from dds_trace.recorder.payloads.header import payload_bytes_of
 from dds_trace.recorder.payloads.stamp import HEADER_STAMP, RAW_HEADER_STAMP, stamp_text
+from dds_trace.reports.book.book import Book
 from dds_trace.tracefile import NoEchoError, TraceDestination, read_trace
 
 MESSAGES, WARMUP = 8, 2
@@ -77,6 +78,7 @@ def test_a_toy_backend_carries_a_ping_and_a_relay_to_a_closed_trace_that_analyze
     (group,) = analysis.summary.to_dicts()
     assert (group["backend"], group["relay_backend"]) == ("toy", "toy")
     assert (group["published"], group["received"]) == (MESSAGES, MESSAGES)
+    assert Book(analysis).groups.labels == ("Toy Bus",)
 
 
 def test_a_toy_backend_is_offered_and_explains_itself(toy_backend, tmp_path):

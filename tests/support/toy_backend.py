@@ -75,7 +75,7 @@ class ToyNode(ThreadedNode):
 
 BACKEND = Backend(
     name="toy",
-    label="Toy",
+    label="Toy Bus",
     make_node=ToyNode,
     find_installed=lambda: [None],
     install="it is a test's own",

@@ -35,18 +35,21 @@ INSTALL = (
 
 @dataclass(frozen=True, slots=True)
 class Vendor:
-    """The vendor behind a ROS middleware, and the ROS packages whose versions describe it."""
+    """The vendor behind a ROS middleware, its name for people, and the ROS packages whose versions describe it."""
 
     name: str
+    label: str
     packages: tuple[str, ...]
 
 
 VENDORS = {
-    "rmw_fastrtps_cpp": Vendor("fastdds", ("fastrtps", "fastdds", "rmw_fastrtps_cpp")),
-    "rmw_fastrtps_dynamic_cpp": Vendor("fastdds", ("fastrtps", "fastdds", "rmw_fastrtps_dynamic_cpp")),
-    "rmw_cyclonedds_cpp": Vendor("cyclonedds", ("cyclonedds", "rmw_cyclonedds_cpp")),
-    "rmw_connextdds": Vendor("connext", ("rti_connext_dds_cmake_module", "rmw_connextdds")),
-    "rmw_zenoh_cpp": Vendor("zenoh", ("zenoh_cpp_vendor", "rmw_zenoh_cpp")),
+    "rmw_fastrtps_cpp": Vendor("fastdds", "Fast DDS", ("fastrtps", "fastdds", "rmw_fastrtps_cpp")),
+    "rmw_fastrtps_dynamic_cpp": Vendor(
+        "fastdds", "Fast DDS", ("fastrtps", "fastdds", "rmw_fastrtps_dynamic_cpp")
+    ),
+    "rmw_cyclonedds_cpp": Vendor("cyclonedds", "Cyclone DDS", ("cyclonedds", "rmw_cyclonedds_cpp")),
+    "rmw_connextdds": Vendor("connext", "RTI Connext", ("rti_connext_dds_cmake_module", "rmw_connextdds")),
+    "rmw_zenoh_cpp": Vendor("zenoh", "Zenoh", ("zenoh_cpp_vendor", "rmw_zenoh_cpp")),
 }
 
 FASTDDS_TRANSPORTS = {
@@ -71,7 +74,8 @@ def find_rmws() -> Sequence[str | None]:
 
 def vendor_of(rmw: str) -> Vendor:
     """Return the vendor of the ROS middleware `rmw`; that of an unknown one has its name."""
-    return VENDORS.get(rmw, Vendor(rmw.removeprefix("rmw_").removesuffix("_cpp"), (rmw,)))
+    name = rmw.removeprefix("rmw_").removesuffix("_cpp")
+    return VENDORS.get(rmw, Vendor(name, name, (rmw,)))
 
 
 def check_installed() -> None:

@@ -361,4 +361,5 @@ def _describe_middleware(options: NodeOptions, executor: str) -> Middleware:
         rmw,
         {name: version for name, version in versions.items() if version},
         {name: value for name, value in settings.items() if value},
+        vendor.label,
     )

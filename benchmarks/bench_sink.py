@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 import statistics
+import struct
 import sys
 import tempfile
 import time
@@ -28,7 +29,8 @@ from dds_trace.recorder.host.recorder_cost import (
     time_paced_events,
     worst_stall_ns,
 )
-from dds_trace.tracefile.format.events import EVENT_DEFINITION, EVENT_SCHEMA_NAME, Stage, pack_event
+from dds_trace.tracefile.format.events import EVENT_DEFINITION, EVENT_SCHEMA_NAME, Stage
+from dds_trace.tracefile.format.string_cdr import CDR_HEADER
 from dds_trace.tracefile.writing.destination import TraceDestination
 from dds_trace.tracefile.writing.sink import TraceSink
 
@@ -61,10 +63,10 @@ def inline(path: Path) -> Iterator[Record]:
         writer.start(profile="ros2", library="benchmark")
         schema_id = writer.register_schema(EVENT_SCHEMA_NAME, "ros2msg", EVENT_DEFINITION.encode())
         channels = [0, *(writer.register_channel(stage.topic, "cdr", schema_id) for stage in Stage)]
-        add_message = writer.add_message
+        add_message, pack = writer.add_message, struct.Struct("<QQqqqqII").pack
 
         def record(stage: int, run_id: int, sequence: int, monotonic_ns: int) -> None:
-            data = pack_event(run_id, sequence, monotonic_ns)
+            data = CDR_HEADER + pack(run_id, sequence, monotonic_ns, 0, 0, 0, 0, 0)
             add_message(channels[stage], monotonic_ns, data, monotonic_ns, sequence)
 
         yield record

@@ -24,17 +24,10 @@ if TYPE_CHECKING:
         SESSION_TOPIC,
         EventColumns,
         Stage,
-        pack_event,
-        unpack_event,
     )
     from .format.json_values import Json, JsonObject
     from .format.string_cdr import CDR_HEADER
-    from .reading.reader import (
-        expected_events,
-        iter_event_batches,
-        read_descriptions,
-        read_trace,
-    )
+    from .reading.reader import iter_event_batches, read_trace
     from .reading.storage import find_traces
     from .reading.trace import Trace
     from .recovery.recover import RecoveryReport, recover
@@ -74,13 +67,9 @@ __all__ = [
     "TraceFormatError",
     "TraceSink",
     "__version__",
-    "expected_events",
     "find_traces",
     "iter_event_batches",
-    "pack_event",
-    "read_descriptions",
     "read_trace",
     "recover",
     "run_in_background",
-    "unpack_event",
 ]

@@ -5,9 +5,8 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Any
 
+from event_cdr import unpack_event
 from mcap.reader import make_reader
-
-from dds_trace.tracefile import unpack_event
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -14,6 +14,7 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from event_cdr import pack_event
 from mcap.writer import CompressionType, IndexType, Writer
 
 from dds_trace.tracefile.format.descriptions import Run, Session
@@ -24,7 +25,6 @@ from dds_trace.tracefile.format.events import (
     RUN_TOPIC,
     SESSION_TOPIC,
     Stage,
-    pack_event,
 )
 from dds_trace.tracefile.format.string_cdr import STRING_DEFINITION, STRING_SCHEMA_NAME
 

@@ -5,14 +5,12 @@ The layout is `docs/trace-format.md`; other programs depend on every name here.
 
 from __future__ import annotations
 
-import struct
 from dataclasses import dataclass, fields
 from enum import Enum
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..units.counts import counted
 from .string_cdr import CDR_HEADER
 
 if TYPE_CHECKING:
@@ -47,7 +45,7 @@ EVENT_DTYPE = np.dtype(
 """One event without its CDR header: 56 bytes, no padding."""
 
 EVENT_CDR_BYTES = len(CDR_HEADER) + EVENT_DTYPE.itemsize
-EVENT_STRUCT = struct.Struct("<QQqqqqII")
+"""Length of a serialized event, 60 bytes."""
 
 
 class Stage(Enum):
@@ -68,42 +66,6 @@ STAGE_OF_TOPIC = {stage.topic: stage for stage in Stage}
 SESSION_TOPIC = "/dds_trace/session"
 RUN_TOPIC = "/dds_trace/run"
 HOST_TOPIC = "/dds_trace/host"
-
-
-def pack_event(
-    run_id: int,
-    sequence: int,
-    monotonic_ns: int,
-    scheduled_ns: int = 0,
-    source_ns: int = 0,
-    received_ns: int = 0,
-    payload_bytes: int = 0,
-    relay_id: int = 0,
-) -> bytes:
-    """Pack one event as little-endian CDR, 60 bytes."""
-    return CDR_HEADER + EVENT_STRUCT.pack(
-        run_id,
-        sequence,
-        monotonic_ns,
-        scheduled_ns,
-        source_ns,
-        received_ns,
-        payload_bytes,
-        relay_id,
-    )
-
-
-def unpack_event(data: bytes | memoryview) -> tuple[int, ...]:
-    """Return the eight fields of a serialized event, in the order of `EVENT_DTYPE`.
-
-    Raises:
-        ValueError: `data` is not 60 bytes of little-endian CDR.
-    """
-    if len(data) != EVENT_CDR_BYTES or bytes(data[:2]) != CDR_HEADER[:2]:
-        raise ValueError(
-            f"an event is {EVENT_CDR_BYTES} bytes of little-endian CDR, this is {counted(len(data), 'byte')}"
-        )
-    return EVENT_STRUCT.unpack_from(data, len(CDR_HEADER))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,7 +21,7 @@ from .records import record_name
 from .scan import MESSAGES_AND_CHANNELS, Scan, scan_records, split_by_channel
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Container, Iterator
+    from collections.abc import Callable, Iterator
 
     from .file import RecordFile, RecordHeader
     from .records import Buffer
@@ -70,14 +70,12 @@ class BlockJobs:
     Attributes:
         file: the file.
         summary: its summary; None if it has none, and then nothing behind a damaged record is read.
-        passed_over: offsets of chunks that need not be unpacked.
         notes: one line for each damage between the blocks; complete after the last block.
         truncated: the reason why the file ends early, or None; known after the last block.
     """
 
     file: RecordFile
     summary: Summary | None
-    passed_over: Container[int] = frozenset()
     notes: list[str] = field(default_factory=list)
     truncated: str | None = None
     _chunks: list[PackedChunk] = field(default_factory=list)
@@ -146,8 +144,6 @@ class BlockJobs:
         yield len(data), partial(_outside_block, data, scan, header.offset)
 
     def _add_chunk(self, header: RecordHeader) -> Iterator[tuple[int, Callable[[], Block]]]:
-        if header.offset in self.passed_over:
-            return
         try:
             chunk = PackedChunk.at(self.file, header)
         except DamagedChunkError as err:

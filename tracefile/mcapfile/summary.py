@@ -69,13 +69,6 @@ class Summary:
             return None
         return list(topics.values())
 
-    def chunk_channels(self) -> dict[int, frozenset[int]]:
-        """Return offset of a chunk -> ids of the channels that it has messages of, for each chunk with an index."""
-        return {
-            index.chunk_start_offset: frozenset(index.message_index_offsets)
-            for index in self.parsed(ChunkIndex)
-        }
-
     def chunk_offsets(self) -> list[int]:
         """Return the offsets of the chunks that have an index, in order."""
         offsets = {index.chunk_start_offset for index in self.parsed(ChunkIndex)}

@@ -38,7 +38,6 @@ class McapSource:
         path: the file.
         pool: the threads that unpack and check chunks.
         shown_as: its name in messages, where `path` is an unpacked copy.
-        texts_only: whether to pass over chunks that hold nothing but events by the chunk index.
 
     Raises:
         TraceFormatError: `path` is no MCAP file, or cannot be read.
@@ -48,9 +47,7 @@ class McapSource:
         self,
         path: Path,
         pool: Executor,
-        *,
         shown_as: Path | None = None,
-        texts_only: bool = False,
     ) -> None:
         self._path = shown_as or path
         self._pool = pool
@@ -62,9 +59,7 @@ class McapSource:
             for declaration in self._summary.declarations() if self._summary else ():
                 self._channels.declare(*declaration)
             undo.pop_all()
-        self._jobs = BlockJobs(
-            self._file, self._summary, self._chunks_without_texts() if texts_only else frozenset()
-        )
+        self._jobs = BlockJobs(self._file, self._summary)
         self._messages = Counter[int]()  # channel id -> number of its messages
         self._numbered: dict[int, int] = {}  # channel id -> 1 + number of its last event
 
@@ -172,7 +167,7 @@ class McapSource:
                 notes.append(
                     f"{counted(count, 'message')} of {channel.topic} {'is' if count == 1 else 'are'} not used: {channel.fault}"
                 )
-        if self._summary is None or self._jobs.passed_over:
+        if self._summary is None:
             return notes
         for channel_id, claimed in (self._summary.message_counts() or {}).items():
             channel = self._channels.get(channel_id)
@@ -204,15 +199,3 @@ class McapSource:
             if header.opcode == Opcode.MESSAGE:
                 return (room + self._file.size - at) // EVENT_RECORD_BYTES
             at = header.end
-
-    def _chunks_without_texts(self) -> frozenset[int]:
-        if self._summary is None:
-            return frozenset()
-        texts = {
-            channel_id
-            for channel_id, channel in self._channels.items()
-            if channel.topic.startswith(TOPIC_PREFIX) and not channel.stage
-        }
-        # An empty index says nothing: it is what a writer without message indexes leaves.
-        chunks = self._summary.chunk_channels().items()
-        return frozenset(offset for offset, channels in chunks if channels and not channels & texts)

@@ -1,4 +1,4 @@
-"""A trace read back: all of it, or batch by batch, or only its descriptions.
+"""A trace read back, all of it or batch by batch.
 
 The same events come out of every kind of file: ours, another tool's, unindexed, cut off, damaged, a rosbag2 folder.
 """
@@ -56,7 +56,7 @@ def iter_event_batches(path: Path) -> Iterator[tuple[Stage, EventColumns]]:
     """Yield the events of a trace about a megabyte at a time, those of each stage in file order.
 
     Memory follows the size of a chunk, not of the file. Descriptions, notes and the number of unreadable messages come
-    from `read_descriptions` or `read_trace`.
+    from `read_trace`.
 
     Raises:
         TraceFormatError: as for `read_trace`, as soon as the fault is met.
@@ -69,41 +69,6 @@ def iter_event_batches(path: Path) -> Iterator[tuple[Stage, EventColumns]]:
                 for stage, events in batch.events:
                     yield stage, EventColumns.from_records(events)
     builder.check()
-
-
-def read_descriptions(path: Path) -> Trace:
-    """Read a trace without its events: every stage is empty; sessions, runs and host samples are there.
-
-    Chunks that hold nothing but events, by the chunk index, are not unpacked.
-
-    Raises:
-        TraceFormatError: as for `read_trace`.
-    """
-    builder = TraceBuilder(path)
-    for file in storage_files(path):
-        ring = ring_beside(file)
-        with _workers() as pool, open_source(file, pool, texts_only=True) as source:
-            for _ in builder.batches_of(file, source):
-                pass
-        if ring is not None:
-            builder.add_ring_session(ring)
-    return builder.trace({stage: EventColumns.empty() for stage in Stage})
-
-
-def expected_events(path: Path) -> dict[Stage, int]:
-    """Estimate the number of events of each stage by the statistics of a trace, without unpacking anything.
-
-    For planning, not for results: without statistics the estimate of every stage is the number of events that the
-    file has room for.
-
-    Raises:
-        TraceFormatError: as for `read_trace`.
-    """
-    expected = Counter[Stage]()
-    for file in storage_files(path):
-        with _workers() as pool, open_source(file, pool) as source:
-            expected.update(source.expected_events())
-    return {stage: expected[stage] for stage in Stage}
 
 
 def _workers() -> ThreadPoolExecutor:

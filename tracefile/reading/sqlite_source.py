@@ -40,15 +40,13 @@ class SqliteSource:
     Args:
         path: the database.
         shown_as: its name in messages, where `path` is an unpacked copy.
-        texts_only: whether to pass over the events.
 
     Raises:
         TraceFormatError: `path` is no database of rosbag2, or cannot be read.
     """
 
-    def __init__(self, path: Path, shown_as: Path | None = None, *, texts_only: bool = False) -> None:
+    def __init__(self, path: Path, shown_as: Path | None = None) -> None:
         self._shown_as = shown_as or path
-        self._texts_only = texts_only
         with ExitStack() as undo:
             try:
                 self._size = path.stat().st_size
@@ -94,8 +92,6 @@ class SqliteSource:
         names = {topic_id: name for topic_id, name, *_ in self._topics}
         ours = {topic_id: name for topic_id, name in names.items() if name.startswith(TOPIC_PREFIX)}
         faults = self._faults()
-        if self._texts_only:
-            ours = {topic_id: name for topic_id, name in ours.items() if name not in STAGE_OF_TOPIC}
         wanted = ",".join(map(str, ours))
         last = Batch(
             notes=[f"messages of {names[topic_id]} are not used: {why}" for topic_id, why in faults.items()]

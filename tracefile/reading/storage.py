@@ -27,16 +27,12 @@ ZSTD_SUFFIX = ".zstd"
 _COPY_BYTES = 1 << 20
 
 
-def _open_mcap(path: Path, shown_as: Path, pool: Executor, texts_only: bool) -> Source:
-    return McapSource(path, pool, shown_as=shown_as, texts_only=texts_only)
+def _open_sqlite(path: Path, _pool: Executor, shown_as: Path) -> Source:
+    return SqliteSource(path, shown_as)
 
 
-def _open_sqlite(path: Path, shown_as: Path, _pool: Executor, texts_only: bool) -> Source:
-    return SqliteSource(path, shown_as=shown_as, texts_only=texts_only)
-
-
-_OPENERS: dict[str, Callable[[Path, Path, Executor, bool], Source]] = {
-    ".mcap": _open_mcap,
+_OPENERS: dict[str, Callable[[Path, Executor, Path], Source]] = {
+    ".mcap": McapSource,
     ".db3": _open_sqlite,
 }
 
@@ -108,23 +104,23 @@ def is_bag(folder: Path) -> bool:
 
 
 @contextmanager
-def open_source(file: Path, pool: Executor, *, texts_only: bool = False) -> Iterator[Source]:
+def open_source(file: Path, pool: Executor) -> Iterator[Source]:
     """Open a storage file for as long as the context lasts.
 
     Raises:
         TraceFormatError: the file is not of the kind that its name says, or cannot be read.
     """
-    opener = _OPENERS.get(_opener_suffix(file) or ".mcap", _open_mcap)
+    opener = _OPENERS[_opener_suffix(file) or ".mcap"]
     if file.suffix == ZSTD_SUFFIX:
         with tempfile.NamedTemporaryFile(prefix="dds-trace-") as copy:
             _unpack_file(file, copy)
-            source = opener(Path(copy.name), file, pool, texts_only)
+            source = opener(Path(copy.name), pool, file)
             try:
                 yield source
             finally:
                 source.close()
         return
-    source = opener(file, file, pool, texts_only)
+    source = opener(file, pool, file)
     try:
         yield source
     finally:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import polars as pl
 import pytest
+from event_cdr import pack_event
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from plain_roundtrips import plain_roundtrips
@@ -15,7 +16,7 @@ from trace_files import event, ping_session, relay_session, run, write_trace
 from dds_trace.analyzer import analyze
 from dds_trace.analyzer.model.metrics import METRICS
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
-from dds_trace.tracefile import Stage, pack_event
+from dds_trace.tracefile import Stage
 
 MEASURED = [
     "scheduled_ns",

@@ -13,10 +13,9 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import pytest
+from event_cdr import unpack_event
 from mcap.reader import make_reader
 from processes import PATIENCE_S, ping, relay, run, running
-
-from dds_trace.tracefile import unpack_event
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 pytestmark = pytest.mark.middleware

@@ -22,7 +22,7 @@ from trace_files import (
     write_trace,
 )
 
-from dds_trace.tracefile import EVENT_DTYPE, Stage, TraceFormatError, read_descriptions, read_trace
+from dds_trace.tracefile import EVENT_DTYPE, Stage, TraceFormatError, read_trace
 from dds_trace.tracefile.format.framing import MAGIC
 from dds_trace.tracefile.mcapfile.file import RecordFile
 
@@ -377,4 +377,4 @@ class TestClaims:
         data = bytearray(path.read_bytes())
         data[chunks[-1] - 20] ^= 1
         path.write_bytes(data)
-        assert read_descriptions(path).sessions == (ping_session(),)
+        assert read_trace(path).sessions == (ping_session(),)

@@ -13,7 +13,6 @@ from dds_trace.tracefile import (
     TraceDestination,
     TraceSink,
     iter_event_batches,
-    read_descriptions,
     read_trace,
 )
 from dds_trace.tracefile.format.ring import ring_path
@@ -95,10 +94,9 @@ def test_a_file_cut_off_further_loses_nothing_that_the_ring_still_has(killed):
         assert trace.sessions[0].session_id == ping_session().session_id
 
 
-def test_batches_and_descriptions_know_the_ring_too(killed):
+def test_batches_know_the_ring_too(killed):
     path = killed(part(0, 120), part(120, 300))
     assert sum(len(columns) for _, columns in iter_event_batches(path)) == 600
-    assert read_descriptions(path).sessions == (ping_session(state="open"),)
 
 
 def test_a_ring_that_cannot_be_read_is_noted_and_the_file_is_used(killed):

@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from event_cdr import unpack_event
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.exceptions import EndOfFile
@@ -30,7 +31,6 @@ from dds_trace.tracefile import (
     TraceDestination,
     TraceSink,
     __version__,
-    unpack_event,
 )
 from dds_trace.tracefile.format.ring import ring_path
 

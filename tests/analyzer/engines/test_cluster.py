@@ -121,6 +121,8 @@ def test_a_cluster_finds_what_one_machine_finds(cluster, runs, tmp_path):
     together = analyze(runs, out=tmp_path / "together", cluster=address)
     assert_same_results(together, alone)
     assert pl.read_parquet(together.outputs["roundtrips"]).equals(alone.load_roundtrips())
+    for kind, path in alone.outputs.items():
+        assert together.outputs[kind].read_bytes() == path.read_bytes()
 
 
 def test_parts_of_a_group_from_several_workers_are_exact(cluster, runs, monkeypatch):

@@ -6,6 +6,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from dds_trace.tracefile.units.durations import format_ms
 from dds_trace.tracefile.visible import visible
 
 if TYPE_CHECKING:
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 def _ms(value_ns: float | None) -> str:
     if value_ns is None:
         return "unknown"
-    return "lost" if value_ns == float("inf") else f"{value_ns / 1e6:.3f}"
+    return "lost" if value_ns == float("inf") else format_ms(value_ns)
 
 
 def print_recommendation(recommendation: "Recommendation") -> None:

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from dds_trace.tracefile.units.durations import format_ms
+
 if TYPE_CHECKING:
     from dds_trace.analyzer import Comparison, GateOutcome, GateResult
 
@@ -139,7 +141,7 @@ def _print_table(comparison: "Comparison", results: "list[GateResult]") -> None:
 
 
 def _ms(value_ns: float | None) -> str:
-    return "" if value_ns is None else f"{value_ns / 1e6:.3f}"
+    return "" if value_ns is None else format_ms(value_ns)
 
 
 def _percent(ratio: float | None) -> str:

@@ -15,6 +15,7 @@ from dds_trace.analyzer.verdicts.gates import (
     overall_outcome,
     varying_columns,
 )
+from dds_trace.tracefile.units.durations import format_ms
 from dds_trace.tracefile.visible import MAX_FINDING_CHARACTERS, visible
 
 from .text import markdown
@@ -113,7 +114,7 @@ def _measured(result: GateResult, value: float | None) -> str:
 
 
 def _ms(value_ns: float | None) -> str:
-    return "" if value_ns is None else f"{value_ns / 1e6:.3f} ms"
+    return "" if value_ns is None else f"{format_ms(value_ns)} ms"
 
 
 def _percent(share: float | None) -> str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from dds_trace.tracefile.units.counts import counted
+from dds_trace.tracefile.units.durations import format_ms
 
 from ..clocks.boots import ping_boots
 from ..model.finding import Finding, Severity
@@ -74,7 +75,7 @@ def clock_steps(evidence: Evidence) -> Iterator[Finding]:
                 Severity.WARNING,
                 "clock_step",
                 f"{step.relay_device} against {step.ping_device}",
-                f"The clock jumped by {step.size_ns / 1e6:.3f} ms (within {step.bound_ns / 1e6:.3f} ms) "
+                f"The clock jumped by {format_ms(step.size_ns)} ms (within {format_ms(step.bound_ns)} ms) "
                 f"before {step.before_ns / 1e9:.1f} s of the ping's clock.",
                 "One-way times are fitted apart before and after; a message under way at the jump has a wrong round "
                 "trip. Do not restart devices while recording.",

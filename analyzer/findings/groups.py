@@ -6,6 +6,7 @@ from collections import defaultdict
 from typing import TYPE_CHECKING
 
 from dds_trace.tracefile.units.counts import counted
+from dds_trace.tracefile.units.durations import format_ms
 
 from ..model.finding import Finding, Severity
 from ..model.metrics import METRICS
@@ -187,7 +188,7 @@ def outages(evidence: Evidence) -> Iterator[Finding]:
     for (key,), of_group in evidence.details.outages.group_by(["group"], maintain_order=True):
         group = int(str(key))
         durations_ns = of_group["duration_ns"].drop_nulls().to_list()
-        longest = f"; the longest lasted {max(durations_ns) / 1e6:.3f} ms" if durations_ns else ""
+        longest = f"; the longest lasted {format_ms(max(durations_ns))} ms" if durations_ns else ""
         endless = len(of_group) - len(durations_ns)
         yield Finding(
             Severity.WARNING,
@@ -229,7 +230,7 @@ def waits_in_readers(evidence: Evidence) -> Iterator[Finding]:
             Severity.WARNING,
             "waits_in_reader",
             names[group],
-            f"{share} waited {waited_ns / 1e6:.3f} ms or longer between the middleware of the {role} and its "
+            f"{share} waited {format_ms(waited_ns)} ms or longer between the middleware of the {role} and its "
             f"callback, {waited_ns * rate_hz / 1e9:.1f} periods.",
             f"This is the {role}'s program, not the link: look at its CPU and at --executor, and record anew with a "
             "fresh process.",

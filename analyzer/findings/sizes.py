@@ -6,6 +6,8 @@ from collections import defaultdict
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
+from dds_trace.tracefile.units.durations import format_ms
+
 from ..model.finding import Finding, Severity
 from ..model.parameters import SIZE_LINE_COLUMNS
 
@@ -42,8 +44,8 @@ def unlike_sizes(evidence: Evidence) -> Iterator[Finding]:
                     Severity.INFO,
                     "latency_falls_with_size" if falls else "latency_jumps_with_size",
                     names[after],
-                    f"p50 latency {'falls' if falls else 'jumps'} from {one['estimate_ns'] / 1e6:.3f} ms at {small} B to "
-                    f"{other['estimate_ns'] / 1e6:.3f} ms at {large} B{cause}.",
+                    f"p50 latency {'falls' if falls else 'jumps'} from {format_ms(one['estimate_ns'])} ms at {small} B to "
+                    f"{format_ms(other['estimate_ns'])} ms at {large} B{cause}.",
                     "Measure sizes between the two, and compare the transports and buffers of both devices, before "
                     "you rely on either.",
                     (after,),

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.tracefile import BackendUnavailableError, OptionError, Qos
+from dds_trace.tracefile.units.durations import SECOND_NS
 
 from ..choices import Discovery
 from ..host.environment import ConfigurationVariable, MiddlewareEnvironment
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
 
     from .node import NodeOptions, Publisher, RawMessage, Receive, Subscription
 
-SECOND_NS = 1_000_000_000
 FOREVER_NS = (1 << 63) - 1
 MAX_ENDPOINTS = 10_000
 

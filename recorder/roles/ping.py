@@ -6,12 +6,13 @@ import secrets
 import threading
 from typing import TYPE_CHECKING, Generic, Protocol, TypeAlias, TypeVar
 
+from dds_trace.tracefile.units.durations import SECOND_NS
+
 from ..choices import Serialization
 from ..host.clock import SystemClock, sharpen_sleep
 from ..host.steady import steady_interpreter
 from ..payloads.stamp import PROBE_RUN_ID, SentT
 from .lanes import ObjectLane, RawLane
-from .plan import SECOND_NS
 from .progress import PingProgress
 from .replies import Replies
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import OptionError, Qos, Run
+from dds_trace.tracefile.units.durations import SECOND_NS
 
 from ..choices import Serialization
 from ..options import DEFAULT_MESSAGES, DEFAULT_RATE_HZ
@@ -17,8 +18,6 @@ if TYPE_CHECKING:
 
     from ..options import PingOptions, RecordOptions
     from ..payloads.base import DataType, Payload
-
-SECOND_NS = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)

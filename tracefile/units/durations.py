@@ -43,6 +43,11 @@ def format_duration(value_ns: float | None, unit: str | None = None) -> str:
     return format_quantity(value_ns, _SHOWN_NS if unit is None else {unit: UNIT_NS[unit]})
 
 
+def format_ms(value_ns: float) -> str:
+    """Write a duration in ms with three decimals and without the unit, for tables and texts that keep to ms: `1.250`."""
+    return f"{value_ns / 1e6:.3f}"
+
+
 def spell_duration(duration_ns: int, digits: int = 15) -> str:
     """Write a duration to `digits` digits, as `parse_duration` reads it, in the largest unit that it fills: `20ms`."""
     unit = next((unit for unit, factor in UNIT_NS.items() if duration_ns >= factor), "ns")

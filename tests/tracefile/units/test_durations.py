@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dds_trace.tracefile.errors import OptionError
-from dds_trace.tracefile.units.durations import format_duration, parse_duration, spell_duration
+from dds_trace.tracefile.units.durations import format_duration, format_ms, parse_duration, spell_duration
 
 
 @pytest.mark.parametrize(
@@ -70,3 +70,7 @@ def test_durations_have_three_digits_and_a_unit(value_ns, shown):
 )
 def test_a_column_may_keep_to_one_unit(value_ns, unit, shown):
     assert format_duration(value_ns, unit) == shown
+
+
+def test_milliseconds_have_three_decimals():
+    assert [format_ms(ns) for ns in (1_250_000, 0, -499, 1.5e9)] == ["1.250", "0.000", "-0.000", "1500.000"]

@@ -12,8 +12,7 @@ from .clocks.boots import ping_boots
 from .groups.batch import Batch
 from .groups.frames import DETAIL_MAKERS
 from .groups.host_samples import host_sample_frame
-from .groups.intervals import INTERVAL_SCHEMA, interval_rows
-from .groups.one_way import ONE_WAY_SCHEMA, one_way_rows
+from .groups.intervals import INTERVAL_SCHEMA, ONE_WAY_SCHEMA, interval_rows, one_way_rows
 from .model.column import schema_of
 from .model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
 from .pairing.one_way import fit_devices, segment_table

@@ -14,8 +14,7 @@ from .engines.local import LocalEngine
 from .engines.merge import merge_results
 from .findings.evidence import Evidence
 from .findings.table import find_findings
-from .groups.batch import Wanted
-from .groups.grouping import group_exchanges
+from .groups.batch import Wanted, group_exchanges
 from .loading.events import total_copies
 from .loading.remote import is_remote
 from .pairing.exchanges import find_exchanges

@@ -23,9 +23,8 @@ if TYPE_CHECKING:
     import pyarrow as pa
     from numpy.typing import NDArray
 
-    from ..groups.batch import Wanted
+    from ..groups.batch import Grouping, Wanted
     from ..groups.frames import Frames
-    from ..groups.grouping import Grouping
     from ..groups.measure import Statistics
     from ..loading.events import Copies, EventKey, EventPart
     from ..pairing.exchanges import Exchange

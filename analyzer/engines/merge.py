@@ -15,8 +15,8 @@ from .oversized import ValueSpool, merge_sketches
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from ..groups.batch import Grouping
     from ..groups.frames import Frames
-    from ..groups.grouping import Grouping
     from ..groups.summary import Summary
     from ..loading.events import Copies, EventKey
     from .batches import BatchResult

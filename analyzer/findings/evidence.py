@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from dds_trace.tracefile import Session
 
     from ..analysis import Details
-    from ..groups.batch import Wanted
-    from ..groups.grouping import Grouping
+    from ..groups.batch import Grouping, Wanted
     from ..groups.summary import Summary
     from ..loading.campaign import Campaign
     from ..pairing.exchanges import Exchange, Exchanges

@@ -15,8 +15,7 @@ import polars as pl
 
 from .breakdown import breakdown_frame, response_frame
 from .freshness import freshness_frame, outage_frame
-from .intervals import interval_frame
-from .one_way import knot_frame, one_way_frame
+from .intervals import interval_frame, knot_frame, one_way_frame
 from .timeline import timeline_frame
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from .grouping import Grouping
+    from .batch import Grouping
     from .measure import Statistics
 
 _NS_PER_S = 1_000_000_000

@@ -16,8 +16,7 @@ from dds_trace import Analysis, Details, Finding, Severity, Source
 from dds_trace.analyzer.groups.breakdown import break_down, response_against_latency, summarize_breakdown
 from dds_trace.analyzer.groups.freshness import outage_table, summarize_freshness
 from dds_trace.analyzer.groups.host_samples import HOST_SAMPLE_SCHEMA
-from dds_trace.analyzer.groups.intervals import INTERVAL_SCHEMA
-from dds_trace.analyzer.groups.one_way import ONE_WAY_SCHEMA
+from dds_trace.analyzer.groups.intervals import INTERVAL_SCHEMA, ONE_WAY_SCHEMA
 from dds_trace.analyzer.pairing.one_way import KNOT_SCHEMA, SEGMENT_SCHEMA
 from dds_trace.analyzer.pairing.rows import RowStore
 from dds_trace.analyzer.statistics.intervals import percentile_interval

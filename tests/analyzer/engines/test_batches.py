@@ -8,8 +8,7 @@ import pytest
 
 import dds_trace.analyzer.engines.batches
 from dds_trace.analyzer.engines.batches import groups_in_parts, plan_batches
-from dds_trace.analyzer.groups.batch import Wanted
-from dds_trace.analyzer.groups.grouping import Grouping
+from dds_trace.analyzer.groups.batch import Grouping, Wanted
 
 
 @pytest.fixture(autouse=True)

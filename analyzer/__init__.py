@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from .model.names import group_words
     from .pipeline import analyze, default_output
     from .recordings.topics import TopicReport, analyze_topics
+    from .saving.records import to_json
     from .verdicts.answers import CaseAnswer, Headline, find_headlines
     from .verdicts.compare import CompareOptions, Comparison, compare
     from .verdicts.gates import (
@@ -61,6 +62,7 @@ __all__ = [
     "parse_gate",
     "parse_job",
     "ping_wall_offsets",
+    "to_json",
     "varying_columns",
     "write_derived",
 ]

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
-from enum import Enum
 from importlib.resources import files
 from typing import TYPE_CHECKING
 
-from dds_trace.analyzer import DETAIL_FRAMES
+from dds_trace.analyzer import DETAIL_FRAMES, to_json
 from dds_trace.tracefile.files import replacing
 
 if TYPE_CHECKING:
@@ -80,22 +76,8 @@ def _rows(frame: pl.DataFrame) -> list[dict[str, object]]:
 
 
 def _lines(value: object) -> str:
-    plain = _plain(value)
+    """Write a value as JSON, a list with one element per line; NaN and infinity become null."""
+    plain = to_json(value, not_finite=lambda _: None)
     if isinstance(plain, list) and plain:
         return "[\n" + ",\n".join(json.dumps(each, allow_nan=False) for each in plain) + "\n]"
     return json.dumps(plain, allow_nan=False)
-
-
-def _plain(value: object) -> object:
-    """Convert a value to plain JSON: records become objects, NaN and infinity null."""
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Enum):
-        return value.value
-    if is_dataclass(value):
-        return {each.name: _plain(getattr(value, each.name)) for each in fields(value)}
-    if isinstance(value, Mapping):
-        return {name: _plain(each) for name, each in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(each) for each in value]
-    return value

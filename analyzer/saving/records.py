@@ -63,18 +63,23 @@ class Content:
     requested: bool
 
 
-def to_json(value: object) -> object:
-    """Return a record, or what is in one, as values that `json` writes."""
-    if isinstance(value, float) and not math.isfinite(value):
-        return str(value)
+def to_json(value: object, not_finite: Callable[[float], object] = str) -> object:
+    """Return a record, or what is in one, as values that `json` writes.
+
+    Args:
+        value: a dataclass, an Enum, or what JSON holds; mappings and sequences of these.
+        not_finite: what stands for a float that JSON does not have; `from_json` reads what `str` gives.
+    """
+    if isinstance(value, float):
+        return value if math.isfinite(value) else not_finite(value)
     if isinstance(value, Enum):
         return value.value
     if is_dataclass(value):
-        return {field.name: to_json(getattr(value, field.name)) for field in fields(value)}
+        return {field.name: to_json(getattr(value, field.name), not_finite) for field in fields(value)}
     if isinstance(value, Mapping):
-        return {name: to_json(each) for name, each in value.items()}
+        return {name: to_json(each, not_finite) for name, each in value.items()}
     if isinstance(value, (list, tuple)):
-        return [to_json(each) for each in value]
+        return [to_json(each, not_finite) for each in value]
     return value
 
 

@@ -89,7 +89,7 @@ def read_with_make_reader(path: Path) -> int:
 
 
 def read_with_stream_reader(path: Path) -> int:
-    """Records that python mcap's StreamReader hands out."""
+    """Count the records that python mcap's StreamReader yields."""
     with path.open("rb") as stream:
         return sum(1 for _ in StreamReader(stream).records)
 

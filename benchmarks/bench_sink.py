@@ -91,7 +91,7 @@ def hot_path_ns(recorder: Recorder, path: Path) -> float:
 
 
 def stall_ns(recorder: Recorder, path: Path) -> float:
-    """The worst ten consecutive events at 1 kHz, the time stamps themselves left out."""
+    """Return the cost of the worst ten consecutive events at 1 kHz, without that of the time stamps."""
     now = time.monotonic_ns
     with recorder(path) as record:
         for sequence in range(BEFORE_PACED_EVENTS):

@@ -59,7 +59,7 @@ def write_event_trace(
     first_run: int = 0,
     groups: int = 1,
 ) -> Path:
-    """A closed, indexed ping trace of `events` events, half T1 and half T2, spread evenly over `runs` runs.
+    """Write a closed, indexed ping trace of `events` events, half T1 and half T2, spread evenly over `runs` runs.
 
     Args:
         path: the file, overwritten.

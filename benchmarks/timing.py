@@ -53,7 +53,7 @@ def _touched(size: int) -> np.ndarray[Any, np.dtype[np.uint8]]:
 
 
 def packed_chunks(path: Path) -> list[tuple[bytes, int]]:
-    """The chunks' packed records and their unpacked sizes."""
+    """Return the packed records of the chunks and their unpacked sizes."""
     with path.open("rb") as stream:
         records = StreamReader(stream, emit_chunks=True).records
         return [(record.data, record.uncompressed_size) for record in records if isinstance(record, Chunk)]

@@ -24,17 +24,17 @@ STAND_IN_PATTERN = re.compile(
 
 
 def script() -> str:
-    """The element that holds plotly.js in a page."""
+    """Return the element that holds plotly.js in a page."""
     return f"<script>{get_plotlyjs()}</script>"
 
 
 def policy_hash() -> str:
-    """What a page's security policy calls the installed plotly.js."""
+    """Return the name of the installed plotly.js in a page's security policy."""
     return "sha256-" + base64.b64encode(hashlib.sha256(get_plotlyjs().encode()).digest()).decode()
 
 
 def keep(page: str) -> str:
-    """The page with a sentence in the place of plotly.js.
+    """Return the page with a sentence in the place of plotly.js.
 
     Raises:
         ValueError: the page does not hold the installed plotly.js once.
@@ -45,7 +45,7 @@ def keep(page: str) -> str:
 
 
 def put_back(stored: str) -> str:
-    """The page with the installed plotly.js in its place and in its security policy.
+    """Return the page with the installed plotly.js in its place and in its security policy.
 
     Raises:
         ValueError: no stored page.
@@ -58,7 +58,7 @@ def put_back(stored: str) -> str:
 
 
 def main() -> int:
-    """The command."""
+    """Run the command."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     actions = parser.add_subparsers(dest="action", required=True)
     keeping = actions.add_parser("keep", help="a report without plotly.js")

@@ -60,7 +60,7 @@ def group_exchanges(exchanges: Sequence[Exchange]) -> Grouping:
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """What is asked for beside the summary.
+    """The outputs asked for beside the summary.
 
     Attributes:
         rows: the rows of `roundtrips`; without, groups have histograms only.
@@ -77,15 +77,15 @@ class Wanted:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Batch:
-    """What it takes to work at some groups, on whatever machine; the events are fetched by `event_keys`.
+    """Some groups, to be worked at on any machine; their events are fetched by `event_keys`.
 
     Attributes:
         exchanges: by group, then by start of the run, then by relay.
         group_of_exchange: uint32, rising: the group of each exchange, numbered throughout the campaign as the
             rows of `summary` are.
-        all_exchanges: exchanges of the whole campaign, for what must share something (points to draw).
+        all_exchanges: number of exchanges of the whole campaign, which share the points of a drawing.
         whole: False for a part of the one group that is larger than memory: it comes in several batches, each
-            with whole runs. What cannot be told from a part of a group gives no rows then.
+            with whole runs. Frames that need a whole group have no rows then.
         wanted: what is asked for.
     """
 

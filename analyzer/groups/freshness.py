@@ -1,4 +1,4 @@
-"""The frames `freshness` and `outages`: what a control loop at the receiver feels, message by message in order of time."""
+"""The frames `freshness` and `outages`: deadlines, age of information and outages as a receiver sees them in time."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ FRESHNESS_SCHEMA = {
 
 
 def freshness_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
-    """Summarize what a control loop felt: `group` u32, then the columns of `FRESHNESS_SCHEMA`, a row per run and relay."""
+    """Summarize freshness: `group` u32, then the columns of `FRESHNESS_SCHEMA`, a row per run and relay."""
     of_runs = summarize_freshness(grouped_rows(batch, roundtrips), batch.wanted.deadline_ns)
     return with_group(batch, roundtrips, of_runs)
 
@@ -77,7 +77,7 @@ def summarize_freshness(
         `longest_missed` in a row and `longest_missed_ns` from the first one's planned time to the next in
         time; `age_*`: information that went to the relay and back, at the ping, exact on one clock; `relay_age_*`:
         at the relay, on the ping's clock, wrong by at most `clock_bound_ns`; `outages` of at least
-        `OUTAGE_MESSAGES` losses, the longest one and the longest recovery. Null where there is nothing to say.
+        `OUTAGE_MESSAGES` losses, the longest one and the longest recovery. Null where there is no value.
     """
     rows = []
     for run in _runs(roundtrips, metric):

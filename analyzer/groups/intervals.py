@@ -55,7 +55,7 @@ def interval_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
         Columns of `INTERVAL_SCHEMA`, five rows per group and metric that has a value (`METRICS`, `outbound`,
         `return`). `estimate_ns` is the summary's percentile; `low_ns`, `high_ns` are null where the sample does not
         support that end, all three where it does not support the percentile. `method` is `order_statistics`, null
-        without both ends. `independent`: how many independent messages the sample is worth.
+        without both ends. `independent`: number of independent messages that the sample is worth.
     """
     rows = [
         row
@@ -117,5 +117,5 @@ def one_way_rows(group: int, column: Callable[[str], pl.Series]) -> Iterator[dic
 
 
 def knot_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
-    """Return what the runs know best of the clocks: columns of `one_way.KNOT_SCHEMA`, a row per run, relay and window."""
+    """List the knots of the clock fits: columns of `one_way.KNOT_SCHEMA`, a row per run, relay and window."""
     return knots_of(batch.exchanges, batch.group_of_exchange.tolist(), roundtrips.clock_fits)

@@ -37,9 +37,9 @@ class Outage:
 
     Attributes:
         first_sequence: first message lost.
-        messages: how many were lost in a row.
-        start_ns: when the first of them was planned (T0, else T1), ping's monotonic clock.
-        end_ns: when the next message that got through was received; None if the run ended first.
+        messages: number of messages lost in a row.
+        start_ns: planned time of the first of them (T0, else T1), ping's monotonic clock.
+        end_ns: reception of the next message that got through; None if the run ended first.
         recovery_ns: from `end_ns` until the first of `RECOVERED_MESSAGES` messages in a row that were in time was
             received; 0 if the first messages were, None if no messages were.
     """
@@ -67,10 +67,10 @@ def find_outages(
 
     Args:
         sequence: of every published message, rising.
-        planned_ns: when each was planned to be sent.
-        receive_ns: when its reply was received; anything where `lost`.
+        planned_ns: planned time of each.
+        receive_ns: reception of its reply; any value where `lost`.
         lost: whether no reply was received.
-        in_time: whether it was received in time, by deadline or by what the run usually needs.
+        in_time: whether it was received in time, by deadline or by the usual time of the run.
     """
     outages = []
     good = in_time & ~lost

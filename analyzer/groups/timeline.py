@@ -20,7 +20,7 @@ _POINTS_OF_EXCHANGE = (200, 4_000)
 """Fewest and most points of an exchange, whatever its share of all points."""
 
 _KEPT_PER_STRETCH = 4
-"""Lowest, highest, first loss, and the one that a second kind of loss may add."""
+"""Rows of a stretch at most, as a rule: lowest, highest, the first loss, and one of another kind of loss."""
 
 
 def timeline_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:

@@ -1,7 +1,7 @@
 """Events of traces, kept until their batch is worked at: in memory, or in files of our own.
 
 Read traces are put into the cache folder of an analysis by what is in them, so that the next analysis reads only
-new ones. An entry is two files: `KEY.json`, all that the trace says but its events, and `KEY.events` (see
+new ones. An entry is two files: `KEY.json`, the trace without its events, and `KEY.events` (see
 `analyzer/loading/event_store.py`). KEY is the SHA-1 of the trace's files, those beside it that belong to it included.
 """
 
@@ -79,18 +79,13 @@ class TraceShelf:
 
     Args:
         cache: folder that keeps events for the next analysis; None keeps nothing.
-        most_held_events: events that stay in memory; None for `MOST_HELD_EVENTS`.
-
-    Attributes:
-        read: traces that were read; the others were in the cache.
     """
 
-    def __init__(self, cache: Path | None = None, *, most_held_events: int | None = None) -> None:
+    def __init__(self, cache: Path | None = None) -> None:
         self._cache = cache
-        self._left = MOST_HELD_EVENTS if most_held_events is None else most_held_events
+        self._left = MOST_HELD_EVENTS
         self._spill: tempfile.TemporaryDirectory[str] | None = None
         self._used: set[str] = set()
-        self.read: list[Path] = []
 
     def load(self, path: Path, position: int) -> LoadedTrace:
         """Load one trace, from the cache if it is there.
@@ -104,7 +99,6 @@ class TraceShelf:
             self._used.add(key)
             return known
         loaded = load_trace(path, position)
-        self.read.append(path)
         held = loaded.events <= self._left
         try:
             if self._cache:
@@ -173,7 +167,7 @@ def content_key(path: Path) -> str:
 
 
 class _Entry(TypedDict):
-    """The JSON of an entry: all that a trace says but its events, and where these are."""
+    """The JSON of an entry: a trace without its events, and the places of these in the file of events."""
 
     format: int
     bytes: int

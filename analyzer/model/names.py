@@ -64,7 +64,7 @@ def tell_apart(
 
 
 _FIRST = ("vendor", "bridge")
-"""What a reader looks for first in the name of a group."""
+"""Parameters that readers look for first in the name of a group."""
 
 _PLAIN = frozenset({"vendor", "backend", "reliability", "durability", "connectivity"})
 """Parameters whose values are named without the parameter."""

@@ -1,4 +1,4 @@
-"""The key of a group: what was asked for and what was sent, and the slices of it by which groups are matched.
+"""The key of a group: all parameters of an exchange, and the slices of them by which groups are matched.
 
 A new parameter is a field of `Parameters` and its value in `parameters_of`; grouping, frames, Parquet files, matching and
 names follow from the field's row.
@@ -163,37 +163,37 @@ def names_of(*parts: KeyPart) -> tuple[str, ...]:
 
 
 CELL_COLUMNS = names_of(KeyPart.MESSAGE)
-"""What was sent; a report calls it a cell."""
+"""Parameters of the message: a cell of a report."""
 
 SERIES_COLUMNS = tuple(name for name in PARAMETER_NAMES if name not in CELL_COLUMNS)
-"""Who sent it to whom, through what and how."""
+"""All other parameters: a series of a report."""
 
 CONTENDER_COLUMNS = names_of(KeyPart.MIDDLEWARE, KeyPart.BRIDGE, KeyPart.SETTINGS)
-"""What somebody can choose for a given kind of message."""
+"""Parameters that a user can choose for a given kind of message."""
 
 SETTING_COLUMNS = names_of(
     KeyPart.MIDDLEWARE, KeyPart.BRIDGE, KeyPart.SETTINGS, KeyPart.DOMAIN_MODE, KeyPart.LINK
 )
-"""What a recommendation names: the choice, and the domains and link for which it holds."""
+"""Parameters of a recommendation: the choice, and the domains and link for which it holds."""
 
 CASE_COLUMNS = (*names_of(KeyPart.LINK), *names_of(KeyPart.DOMAIN_MODE), *CELL_COLUMNS)
-"""The kind of message that contenders are compared for, in the order of the answers."""
+"""Parameters of a kind of message, for which contenders are compared, in the order by which answers are sorted."""
 
 MATCH_COLUMNS = names_of(
     KeyPart.MIDDLEWARE, KeyPart.BRIDGE, KeyPart.DOMAIN_MODE, KeyPart.MESSAGE, KeyPart.SETTINGS, KeyPart.LINK
 )
-"""What makes two groups the same experiment: every parameter but the devices' names and the domains' numbers."""
+"""Parameters in which two groups agree that are compared: all but the devices' names and the domains' numbers."""
 
 BRIDGE_MATCH_COLUMNS = names_of(KeyPart.MIDDLEWARE, KeyPart.MESSAGE, KeyPart.SETTINGS, KeyPart.LINK)
-"""What makes two groups the same experiment, in one domain and through a bridge."""
+"""Parameters in which a group in one domain and a group through a bridge agree that are compared."""
 
 BRIDGED_COLUMNS = names_of(
     KeyPart.MIDDLEWARE, KeyPart.BRIDGE, KeyPart.MESSAGE, KeyPart.SETTINGS, KeyPart.LINK
 )
-"""What tells the rows of `Details.bridge_costs` apart: what was matched, and the bridge."""
+"""Parameters of a row of `Details.bridge_costs`: those that were matched, and the bridge."""
 
 SAME_SIDES_COLUMNS = names_of(KeyPart.MIDDLEWARE, KeyPart.SETTINGS, KeyPart.DEVICES, KeyPart.LINK)
-"""What groups share that differ in nothing but their messages and the way between the domains."""
+"""Parameters in which groups agree that differ in the domains and the bridge only, cell by cell."""
 
 SIZE_LINE_COLUMNS = tuple(name for name in PARAMETER_NAMES if name != "payload_bytes")
-"""What groups share that differ in nothing but the size of their messages."""
+"""Parameters in which groups agree that differ in the size of their messages only."""

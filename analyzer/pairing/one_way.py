@@ -1,8 +1,8 @@
 """One-way times of each run and relay on their own, and the clock of each pair of devices over the whole campaign.
 
 A run is fitted alone (`analyzer/clocks/fit.py`), so that its one-way times are the same whatever else is analyzed with
-it. What a fit knows best, its knots, are offsets with a bound: intervals just as messages give them. So the campaign's
-fit of two devices rests on the knots of all their runs, and finds a step between two runs as one within.
+it. The knots of a fit are offsets with a bound, intervals just as messages give them. So the campaign's fit of two
+devices rests on the knots of all their runs, and a step between two runs is found like one within a run.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 import polars as pl
 
 from ..clocks.fit import ClockFit, fit_clock
+from .pair import MISSING
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -53,15 +54,13 @@ def fit_exchanges(
     exchanges: Sequence[Exchange],
     bounds: NDArray[np.int64],
     stamps: Mapping[str, NDArray[np.int64]],
-    missing: int,
 ) -> OneWay:
     """Fit the clocks of every exchange by its own messages.
 
     Args:
         exchanges: in the order of their rows.
         bounds: exchange i has the rows `bounds[i]` to `bounds[i + 1]` (not included).
-        stamps: `publish_ns`, `relay_in_ns`, `relay_out_ns`, `receive_ns` of each row.
-        missing: value of a stamp that is missing.
+        stamps: `publish_ns`, `relay_in_ns`, `relay_out_ns`, `receive_ns` of each row, `pair.MISSING` where there is none.
     """
     rows = int(bounds[-1])
     values = {name: np.zeros(rows, np.int64) for name in ONE_WAY_COLUMNS}
@@ -73,7 +72,7 @@ def fit_exchanges(
         )
         usable = np.flatnonzero(
             np.logical_and.reduce(
-                [(t != missing) & (np.abs(t // 2) < _SANE_NS // 2) for t in (t1, t3, t4, t2)]
+                [(t != MISSING) & (np.abs(t // 2) < _SANE_NS // 2) for t in (t1, t3, t4, t2)]
             )
         )
         usable = usable[(t2[usable] - t1[usable]) >= (t4[usable] - t3[usable])]
@@ -156,7 +155,7 @@ def fit_devices(knots: pl.DataFrame, boots: Mapping[int, int]) -> tuple[ClockFit
     for part in knots.with_columns(boot=boot).sort(*keys, "at_ns").partition_by(keys, maintain_order=True):
         ping_device, relay_device, of_boot = part.select(keys).row(0)
         at_ns, offset_ns, bound_ns = (part[n].to_numpy() for n in ("at_ns", "offset_ns", "bound_ns"))
-        # A message without duration at the instant of the knot, that says just what the knot says.
+        # A knot is given as a message without duration, whose interval is that of the knot.
         fits.append(
             fit_clock(
                 at_ns,

@@ -23,14 +23,14 @@ if TYPE_CHECKING:
 
 
 MISSING = np.iinfo(np.int64).min
-"""Stands for null in an int64 column until the frame is made; no clock reads it."""
+"""Value of a missing stamp in int64 arrays, null in frames; no clock reads it."""
 
 _NEVER = np.iinfo(np.int64).max
 _UINT32_MAX = np.iinfo(np.uint32).max
 
 
 class Outcome(Enum):
-    """What became of a published message on its way to one relay and back."""
+    """Fate of a published message on its way to one relay and back."""
 
     COMPLETED = "completed"
     LOST_OUTBOUND = "lost_outbound"
@@ -107,7 +107,12 @@ class PairedMessages:
 
 
 def published_messages(t1: EventColumns, warmup_messages: int) -> Published:
-    """Return the messages of a run that count, from its T1 events in any order."""
+    """Select the counted messages of a run: distinct, sorted, warm-up left out.
+
+    Args:
+        t1: the run's T1 events, in any order.
+        warmup_messages: messages below this sequence number are not counted.
+    """
     sequence, publish_ns, scheduled_ns = t1.sequence, t1.monotonic_ns, t1.scheduled_ns
     # Two messages cannot both be planned for the boot of the device: a recorder without a schedule left zeros.
     if len(t1) > 1 and not scheduled_ns.any():

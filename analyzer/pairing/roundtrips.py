@@ -41,7 +41,7 @@ MIDDLEWARE_STAMPS = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RoundTrips:
-    """The rows of some exchanges, and what pairing knows beside them.
+    """The rows of some exchanges, their counts and clock fits.
 
     Attributes:
         measured: `sequence` and the columns of `columns.MEASURED_COLUMNS`; rows by exchange, then by sequence.
@@ -151,7 +151,7 @@ def pair_exchanges(
                 if stamps is not None:
                     rows.fill_middleware(here, MIDDLEWARE_STAMPS[stage], stamps)
     one_way = (
-        fit_exchanges(exchanges, bounds, rows.stamps, MISSING)
+        fit_exchanges(exchanges, bounds, rows.stamps)
         if details
         else OneWay.unknown(int(bounds[-1]), len(exchanges))
     )

@@ -112,7 +112,7 @@ def with_one_way(frame: pl.DataFrame) -> pl.DataFrame:
     bounds = np.cumsum([0, *(len(rows) for rows in of_exchange)])
     names = ("publish_ns", "relay_in_ns", "relay_out_ns", "receive_ns")
     stamps = {name: frame[name].fill_null(MISSING).to_numpy() for name in names}
-    one_way = fit_exchanges(devices, bounds, stamps, MISSING)
+    one_way = fit_exchanges(devices, bounds, stamps)
     return frame.drop(ONE_WAY_COLUMNS, strict=False).with_columns(one_way.columns)
 
 

@@ -50,7 +50,9 @@ def refuse_others(role: str, others: Mapping[str, object]) -> None:
     """
     given = [name for name, value in others.items() if value is not None]
     if given:
-        raise OptionError(f"{', '.join(given)} cannot be given to a {role}, only to the other role")
+        raise OptionError(
+            f"{', '.join(given)} cannot be given to a {role}, only to the other role; leave {'it' if len(given) == 1 else 'them'} out"
+        )
 
 
 def parse_durations(**texts: str | None) -> dict[str, int]:
@@ -68,6 +70,6 @@ def parse_labels(texts: list[str]) -> dict[str, str]:
     for text in texts:
         key, equals, value = text.partition("=")
         if not key or not equals:
-            raise OptionError(f"--label {text!r}: write KEY=VALUE")
+            raise OptionError(f"--label {text!r}: write KEY=VALUE, for example site=lab")
         labels[key] = value
     return labels

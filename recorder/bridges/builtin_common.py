@@ -76,7 +76,10 @@ def options_from_json(path: Path) -> BridgeOptions:
             peers=tuple(values["peers"]),
         )
     except (OSError, ValueError, KeyError, TypeError) as err:
-        raise TraceFormatError(path, f"is no configuration of a bridge of ours ({err})") from err
+        raise TraceFormatError(
+            path,
+            f"is no configuration of a bridge of ours ({err}); `dds-bridge NAME --print-config` prints one",
+        ) from err
 
 
 def open_side(side: BridgeSide, options: BridgeOptions) -> Node:

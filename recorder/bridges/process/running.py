@@ -171,7 +171,8 @@ class RunningBridge:
                 self.check()
                 if time.monotonic() > deadline:
                     raise BridgeError(
-                        f"the bridge {self.name} did not come up within {timeout_s:g} s: {half.program.last_line()}",
+                        f"the bridge {self.name} did not come up within {timeout_s:g} s: {half.program.last_line()}; "
+                        f"`dds-bridge {self.name}` runs it alone and shows its log",
                     )
                 time.sleep(0.02)
         self.check()

@@ -112,7 +112,7 @@ class SupervisedProgram:
         self.pid = int(self._guard.stdout.readline() or 0)
         if not self.pid:
             self.stop()
-            raise BridgeError(f"cannot start {self.command[0]}: {self.last_line()}")
+            raise BridgeError(f"cannot start {self.command[0]}: {self.last_line()}; try it by hand")
 
     @property
     def report(self) -> GuardReport | None:

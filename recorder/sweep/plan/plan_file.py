@@ -147,7 +147,9 @@ def _check_names(cells: list[Cell], where: str) -> None:
     seen: set[str] = set()
     for cell in cells:
         if cell.name in seen:
-            raise OptionError(f"{where}: the cell {cell.name} is there twice; two [[matrix]] overlap")
+            raise OptionError(
+                f"{where}: the cell {cell.name} is there twice; two [[matrix]] overlap, so leave it out of one"
+            )
         seen.add(cell.name)
 
 
@@ -161,19 +163,25 @@ def _check(plan: Plan, where: str) -> None:
     rules = (
         (
             (run.messages > 0) == (run.seconds > 0),
-            "[run] takes either messages or seconds, and it is above zero",
+            "[run] takes either messages or seconds, and it is above zero; give one of them",
         ),
         (
             run.warmup < 0 or run.repeats < 1 or run.attempts < 1,
-            "[run] counts messages, repeats and attempts",
+            "[run] counts messages, repeats and attempts; give at least warmup 0, repeats 1 and attempts 1",
         ),
-        (any(cell.rate <= 0 for cell in plan.cells), "a rate is above zero"),
-        (run.discovery not in (None, "localhost", "subnet"), "[run] discovery is localhost or subnet"),
+        (any(cell.rate <= 0 for cell in plan.cells), "a rate is above zero; give messages a second"),
+        (
+            run.discovery not in (None, "localhost", "subnet"),
+            "[run] discovery is localhost or subnet; give one of them",
+        ),
         (
             any(cell.crosses_domains for cell in plan.cells) and run.domain == run.ping_domain,
-            "[run] domain and ping_domain are the same, and a bridge joins two",
+            "[run] domain and ping_domain are the same, and a bridge joins two; give two different ones",
         ),
-        (plan.has_two_devices and plan.namespaces, "[link] and [network] need both devices on this machine"),
+        (
+            plan.has_two_devices and plan.namespaces,
+            "[link] and [network] need both devices on this machine; leave them or the other device out",
+        ),
         (
             plan.has_two_devices and not plan.relay.reached_at and any(map(plan.needs_address, plan.cells)),
             "the ping has to be told where the relay is; give [devices.relay] its address",
@@ -183,8 +191,14 @@ def _check(plan: Plan, where: str) -> None:
             plan.search.percentile not in PERCENTILES,
             f"[search] percentile is one of {', '.join(f'{percentile:g}' for percentile in PERCENTILES)}",
         ),
-        (plan.search.resolution <= 1, "[search] resolution is a factor above 1"),
-        (not 0 < plan.search.min_rate < plan.search.max_rate, "[search] min_rate is below max_rate"),
+        (
+            plan.search.resolution <= 1,
+            "[search] resolution is a factor above 1; give 1.1 for an answer within 10 %",
+        ),
+        (
+            not 0 < plan.search.min_rate < plan.search.max_rate,
+            "[search] min_rate is below max_rate; give rates above 0 in that order",
+        ),
     )
     for broken, rule in rules:
         if broken:

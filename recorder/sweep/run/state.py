@@ -115,7 +115,8 @@ class SweepState:
             ) from err
         if version != STATE_VERSION:
             raise TraceFormatError(
-                self.path, f"state of format {version}; this version reads {STATE_VERSION}"
+                self.path,
+                f"state of format {version}; this version reads {STATE_VERSION}; move the folder away to begin anew",
             )
         if digest != self._digest:
             raise OptionError(

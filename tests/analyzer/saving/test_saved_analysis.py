@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shutil
+import textwrap
 from dataclasses import fields
 from pathlib import Path
 
@@ -197,3 +199,12 @@ def test_a_folder_without_a_saved_analysis_says_how_to_write_one(tmp_path):
     for path in (tmp_path, tmp_path / "nowhere", SAMPLES / "losses"):
         with pytest.raises(TraceFormatError, match=r"write one with Analysis\.save"):
             load_analysis(path)
+
+
+def test_the_example_of_the_documentation_runs(tmp_path, monkeypatch):
+    text = (SAMPLES.parent / "docs" / "analysis.md").read_text(encoding="utf-8")
+    example = text.partition("### Save and load\n")[2].partition("\n\nA second report")[0]
+    shutil.copytree(SAMPLES / "losses", tmp_path / "runs")
+    monkeypatch.chdir(tmp_path)
+    exec(textwrap.dedent(example), {})
+    assert {path.name for path in Path("runs/analysis").iterdir()} == {"saved", "report.html", "report.md"}

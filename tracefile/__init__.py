@@ -16,7 +16,7 @@ if TYPE_CHECKING:
         TraceError,
         TraceFormatError,
     )
-    from .format.descriptions import FORMAT_VERSION, Qos, Run, Session
+    from .format.descriptions import Qos, Run, Session
     from .format.events import (
         EVENT_DTYPE,
         HOST_TOPIC,
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
         EventColumns,
         Stage,
     )
-    from .format.json_values import Json, JsonObject
+    from .format.json_fields import FORMAT_VERSION, Json, JsonObject
     from .format.string_cdr import CDR_HEADER
     from .reading.reader import iter_event_batches, read_trace
     from .reading.storage import find_traces

@@ -25,7 +25,7 @@ from .remote import is_remote, local_copy, remote_key
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from dds_trace.tracefile.format.json_values import JsonObject
+    from dds_trace.tracefile.format.json_fields import JsonObject
 
     from .events import EventKey
 

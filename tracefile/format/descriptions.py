@@ -7,20 +7,15 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
-from ..errors import TraceFormatError
+from .json_fields import FORMAT_VERSION, DescriptionFields
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from .json_values import Json, JsonObject
-
-T = TypeVar("T")
-
-FORMAT_VERSION = 1
-"""Version of the descriptions' JSON, written into each. Version 1: first version (2026)."""
+    from .json_fields import Json, JsonObject
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +128,7 @@ class Session:
             TraceFormatError: `text` is no JSON object, has another format version, or lacks a field or has one of
                 another type; the message names `path` and the field.
         """
-        take = _Fields.parse(text, path, "session")
+        take = DescriptionFields.parse(text, path, "session")
         return cls(
             session_id=take.hex_id("session_id"),
             role=take.text("role"),
@@ -218,7 +213,7 @@ class Run:
     @classmethod
     def from_json(cls, text: str, path: Path | str) -> Run:
         """Parse the description of a run; arguments and errors as for `Session.from_json`."""
-        take = _Fields.parse(text, path, "run")
+        take = DescriptionFields.parse(text, path, "run")
         qos = take.nested("qos")
         return cls(
             run_id=take.hex_id("run_id"),
@@ -241,99 +236,4 @@ class Run:
             published=take.integer("published"),
             state=take.text("state"),
             extra=take.rest(),
-        )
-
-
-class _Fields:
-    """A JSON object from a trace, taken field by field; what is left at the end is unknown to this version.
-
-    Args:
-        left: the object; each field that is taken is removed from it.
-        path: the trace, for errors.
-        what: the name of the description, for errors.
-    """
-
-    def __init__(self, left: dict[str, Json], path: Path | str, what: str) -> None:
-        self._left = left
-        self._path = path
-        self._what = what
-
-    @classmethod
-    def parse(cls, text: str, path: Path | str, what: str) -> _Fields:
-        """Parse a description and check that its format version is one that this version reads."""
-        try:
-            described = json.loads(text)
-        except ValueError as err:
-            raise TraceFormatError(path, f"the {what} description is not JSON ({err})") from err
-        if not isinstance(described, dict):
-            raise TraceFormatError(path, f"the {what} description is not a JSON object")
-        fields = cls(described, path, what)
-        version = fields.integer("format")
-        if version != FORMAT_VERSION:
-            raise TraceFormatError(
-                path,
-                f"the {what} description has format {version}, this version reads {FORMAT_VERSION}; "
-                "update dds-trace on this machine",
-            )
-        return fields
-
-    def nested(self, name: str) -> _Fields:
-        """Take a field that is an object with fields of its own."""
-        return _Fields(self.mapping(name), self._path, f"{self._what}.{name}")
-
-    def text(self, name: str) -> str:
-        """Take a string."""
-        return self._take(name, str, "a string")
-
-    def integer(self, name: str) -> int:
-        """Take an integer."""
-        return self._take(name, int, "an integer")
-
-    def number(self, name: str) -> float:
-        """Take an integer or a float."""
-        value = self._pop(name)
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise self._wrong(name, value, "a number")
-        return float(value)
-
-    def mapping(self, name: str) -> dict[str, Json]:
-        """Take an object as it is."""
-        return self._take(name, dict, "an object")
-
-    def hex_id(self, name: str) -> int:
-        """Take a 64-bit number written as 16 hex digits."""
-        text = self.text(name)
-        try:
-            value = int(text, 16)
-        except ValueError:
-            value = -1
-        if len(text) != 16 or value < 0:
-            raise self._wrong(name, text, "16 hex digits")
-        return value
-
-    def optional(self, name: str, kind: type[T]) -> T | None:
-        """Take a value of type `kind`, or None where the field is null."""
-        if name in self._left and self._left[name] is None:
-            del self._left[name]
-            return None
-        return self._take(name, kind, f"null or {kind.__name__}")
-
-    def rest(self) -> dict[str, Json]:
-        """Return the fields that were not taken."""
-        return self._left
-
-    def _pop(self, name: str) -> Json:
-        if name not in self._left:
-            raise TraceFormatError(self._path, f"the {self._what} description has no field {name!r}")
-        return self._left.pop(name)
-
-    def _take(self, name: str, kind: type[T], kind_name: str) -> T:
-        value = self._pop(name)
-        if not isinstance(value, kind) or isinstance(value, bool):
-            raise self._wrong(name, value, kind_name)
-        return value
-
-    def _wrong(self, name: str, value: Json, kind_name: str) -> TraceFormatError:
-        return TraceFormatError(
-            self._path, f"field {name!r} of the {self._what} description is {value!r}, not {kind_name}"
         )

@@ -12,7 +12,7 @@ from ..format.events import HOST_TOPIC, RUN_TOPIC, SESSION_TOPIC
 from ..format.string_cdr import decode_string
 
 if TYPE_CHECKING:
-    from ..format.json_values import JsonObject
+    from ..format.json_fields import JsonObject
     from .source import Text
 
 _MAX_BYTES = 4 << 20  # a session with every configuration file of its host is a few kilobytes

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from ..format.descriptions import Run, Session
     from ..format.events import EventColumns, Stage
-    from ..format.json_values import JsonObject
+    from ..format.json_fields import JsonObject
     from .ring_events import RingBeside
     from .source import Batch, Source
 

@@ -18,7 +18,7 @@ from ..mcapfile.channels import ChannelTable
 from ..mcapfile.chunks import DamagedChunkError, PackedChunk
 from ..mcapfile.file import TornRecordError
 from ..mcapfile.scan import scan_records
-from ..writing.writer import LIBRARY
+from ..writing.declarations import LIBRARY
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

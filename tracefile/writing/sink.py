@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
     from ..format.descriptions import Run, Session
-    from ..format.json_values import Json
+    from ..format.json_fields import Json
     from .destination import TraceDestination
 
 

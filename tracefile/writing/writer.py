@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import zstandard
-from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
     Channel,
@@ -27,16 +26,20 @@ from mcap.records import (
 from ..errors import OutputError
 from ..files import output_error
 from ..format.bag_metadata import TopicCount
-from ..format.events import (
-    EVENT_DEFINITION,
-    EVENT_SCHEMA_NAME,
-    RUN_TOPIC,
-    SESSION_TOPIC,
-    Stage,
-)
 from ..format.framing import MAGIC, crc32
-from ..format.string_cdr import STRING_DEFINITION, STRING_SCHEMA_NAME, encode_string
+from ..format.string_cdr import encode_string
 from ..version import __version__
+from .declarations import (
+    EVENT_SCHEMA,
+    EVENT_TOPICS,
+    LIBRARY,
+    STRING_SCHEMA,
+    TEXT_TOPICS,
+    TYPE_HASHES,
+    declarations_of,
+    encode_record,
+    schema_of,
+)
 from .event_chunks import Chunk, EventChunkBuilder, positions_by_channel
 
 if TYPE_CHECKING:
@@ -48,25 +51,10 @@ if TYPE_CHECKING:
     from ..format.descriptions import Session
     from ..format.ring import Slots
 
-LIBRARY = "dds-trace"
-"""Beginning of the library field of our files' Header."""
-
 MAX_CHUNK_EVENTS = 1 << 14
 """Most events of a chunk. Its 1.5 MB before compression pack well and are still read one at a time."""
 
 ZSTD_LEVEL = -1  # level 1 makes a tenth smaller files in twice the time, level 3 no smaller ones
-
-EVENT_SCHEMA = Schema(id=1, name=EVENT_SCHEMA_NAME, encoding="ros2msg", data=EVENT_DEFINITION.encode())
-STRING_SCHEMA = Schema(id=2, name=STRING_SCHEMA_NAME, encoding="ros2msg", data=STRING_DEFINITION.encode())
-TYPE_HASHES = {
-    EVENT_SCHEMA_NAME: "RIHS01_bda991ead4fe8ce479c129efc17c1affed4da47fbc0d1731d7bad959cf922db2",
-    STRING_SCHEMA_NAME: "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18",
-}
-"""Message type -> type description hash of ROS 2 (REP 2016), computed once by rosbags from the definitions."""
-
-EVENT_TOPICS = tuple(stage.topic for stage in Stage)
-"""Topics of channels 1 to 4; a channel's id is the stage's number in the ring."""
-TEXT_TOPICS = (SESSION_TOPIC, RUN_TOPIC)
 
 _CHUNK_HEADER = struct.Struct("<BQQQQI")  # opcode, length, start, end, uncompressed size, CRC of that
 _INDEX_HEADER = struct.Struct("<BQHI")  # opcode, length, channel id, bytes of entries
@@ -107,7 +95,7 @@ class TraceWriter:
             raise output_error(path, err) from err
         self._is_open = True
         try:
-            self._append([MAGIC, _record(Header(profile="ros2", library=f"{LIBRARY} {__version__}"))])
+            self._append([MAGIC, encode_record(Header(profile="ros2", library=f"{LIBRARY} {__version__}"))])
         except OutputError:
             self.abandon()
             path.unlink(missing_ok=True)
@@ -127,7 +115,7 @@ class TraceWriter:
     def topics(self) -> list[TopicCount]:
         """Topics that have messages."""
         return [
-            TopicCount(c.topic, _schema_of(c).name, c.metadata["topic_type_hash"], self._counts[c.id])
+            TopicCount(c.topic, schema_of(c).name, c.metadata["topic_type_hash"], self._counts[c.id])
             for c in self._used_channels()
         ]
 
@@ -144,7 +132,9 @@ class TraceWriter:
         for first in range(0, len(slots), MAX_CHUNK_EVENTS):
             chunk = slots[first : first + MAX_CHUNK_EVENTS]
             by_channel = positions_by_channel(chunk)
-            declarations = _declarations([self._channels[EVENT_TOPICS[number - 1]] for number in by_channel])
+            declarations = declarations_of(
+                [self._channels[EVENT_TOPICS[number - 1]] for number in by_channel]
+            )
             built = self._builder.build(chunk, by_channel, declarations, self._counts, self._last_ns)
             self._write_chunk(built)
 
@@ -165,16 +155,16 @@ class TraceWriter:
             sequence=self._counts.get(channel.id, 0),
             data=encode_string(text),
         )
-        declarations = _declarations([channel])
-        content = memoryview(declarations + _record(message))
+        declarations = declarations_of([channel])
+        content = memoryview(declarations + encode_record(message))
         index = np.array([[log_time, len(declarations)]], np.uint64)
         self._write_chunk(Chunk(content, log_time, log_time, {channel.id: index}))
 
     def finish(self) -> None:
         """Close the data section, write summary and footer, close the file."""
-        summary_start = self._end + len(_record(DataEnd(0)))
+        summary_start = self._end + len(encode_record(DataEnd(0)))
         channels = self._used_channels()
-        schemas = {channel.schema_id: _schema_of(channel) for channel in channels}
+        schemas = {channel.schema_id: schema_of(channel) for channel in channels}
         start_ns, end_ns = self.time_range_ns
         statistics = Statistics(
             message_count=sum(self._counts.values()),
@@ -195,14 +185,14 @@ class TraceWriter:
         ]
         summary = offsets = b""
         for opcode, records in groups:
-            group = b"".join(map(_record, records))
+            group = b"".join(map(encode_record, records))
             if group:
-                offsets += _record(SummaryOffset(opcode, summary_start + len(summary), len(group)))
+                offsets += encode_record(SummaryOffset(opcode, summary_start + len(summary), len(group)))
             summary += group
         offsets_start = summary_start + len(summary)
-        footer = _record(Footer(summary_start, offsets_start, 0))[:-4]  # its CRC covers all but itself
+        footer = encode_record(Footer(summary_start, offsets_start, 0))[:-4]  # its CRC covers all but itself
         summary += offsets + footer
-        self._append([_record(DataEnd(0)), summary, struct.pack("<I", crc32(summary)), MAGIC])
+        self._append([encode_record(DataEnd(0)), summary, struct.pack("<I", crc32(summary)), MAGIC])
         self.abandon()
 
     def abandon(self) -> None:
@@ -290,23 +280,3 @@ class TraceWriter:
                 os.ftruncate(self._descriptor, self._end)
             raise output_error(self.path, err) from err
         self._end = end
-
-
-def _declarations(channels: Sequence[Channel]) -> bytes:
-    """Return the schema and channel records at the beginning of a chunk.
-
-    Every chunk has its own, so that a damaged chunk loses no messages but its own.
-    """
-    schemas = {channel.schema_id: _schema_of(channel) for channel in channels}
-    return b"".join(map(_record, [*schemas.values(), *channels]))
-
-
-def _record(record: McapRecord) -> bytes:
-    builder = RecordBuilder()
-    record.write(builder)
-    data: bytes = builder.end()  # type: ignore[no-untyped-call]  # mcap leaves it open
-    return data
-
-
-def _schema_of(channel: Channel) -> Schema:
-    return EVENT_SCHEMA if channel.schema_id == EVENT_SCHEMA.id else STRING_SCHEMA

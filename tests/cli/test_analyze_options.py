@@ -72,7 +72,7 @@ def test_topics_of_any_recording(runs, capsys):
         ("--recommend", "data=binary", "missing"),
     ],
 )
-def test_values_that_cannot_be_meant_are_one_line(runs, capsys, option, value, said):
+def test_wrong_values_are_one_line(runs, capsys, option, value, said):
     assert run_main(runs, option, value) == 2
     shown = capsys.readouterr().err
     assert said in shown

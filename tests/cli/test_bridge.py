@@ -27,7 +27,7 @@ def run(*arguments, **environment):
     )
 
 
-def test_list_says_what_is_there_and_how_to_get_the_others():
+def test_list_shows_the_installed_bridges_and_how_to_get_the_others():
     lines = run("--list").stdout.splitlines()
     assert [line.split()[0] for line in lines] == list(BRIDGE_MODULES)
     missing = {line.split()[0]: line for line in lines if " not installed " in line}
@@ -70,7 +70,7 @@ def test_an_unknown_bridge_names_the_known_ones():
         (("builtin-zenoh", "--peer", "pi1"), "write HOST:PORT"),
     ],
 )
-def test_what_cannot_be_meant_is_one_line(arguments, said):
+def test_wrong_value_is_one_line(arguments, said):
     ran = run(*arguments)
     assert ran.returncode == 2
     assert said in ran.stderr
@@ -129,7 +129,7 @@ def test_help_reads_well_in_80_columns():
 
 @pytest.mark.middleware
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_runs_until_it_is_told_to_stop_and_leaves_nothing(number, domains, tmp_path):
+def test_bridge_runs_until_a_signal_and_leaves_no_process(number, domains, tmp_path):
     import psutil
 
     arguments = [
@@ -180,7 +180,7 @@ def test_a_bridge_that_dies_ends_the_command_with_the_tail_of_its_log(domains):
 
 
 @pytest.mark.middleware
-def test_a_bridge_that_dies_in_mid_run_is_told_in_a_trace_that_is_kept(domains, tmp_path):
+def test_a_bridge_that_dies_in_mid_run_is_described_in_the_trace_that_is_kept(domains, tmp_path):
     import psutil
     from mcap.reader import make_reader
 

@@ -75,7 +75,7 @@ def test_markdown_on_stdout(folders, capsys):
     assert capsys.readouterr().out.startswith("# Comparison of latency\n")
 
 
-def test_a_gate_that_is_none_is_one_line_before_anything_is_read(tmp_path, capsys):
+def test_a_text_that_is_no_gate_is_one_line_before_anything_is_read(tmp_path, capsys):
     assert run_main("compare", tmp_path / "no", tmp_path / "such", "--fail-if", "latncy_p99 > +10%") == 2
     shown = capsys.readouterr().err
     assert "did you mean 'latency_p99'" in shown

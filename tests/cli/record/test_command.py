@@ -163,7 +163,7 @@ def test_a_half_of_a_bridge(parsed):
         (["--rate", "5", "--size", "1"], "relay", "--size, --rate cannot be given to a relay"),
     ],
 )
-def test_what_cannot_be_meant_is_refused(parsed, arguments, role, message):
+def test_wrong_value_is_refused(parsed, arguments, role, message):
     with pytest.raises(OptionError, match=message):
         parsed(*arguments, role=role)
 

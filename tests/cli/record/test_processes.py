@@ -289,7 +289,7 @@ def test_quality_of_service_that_never_matches_ends_the_wait_and_is_named(domain
     assert not (tmp_path / "ping.mcap").exists()
 
 
-def test_nobody_answers(domain_id, tmp_path):
+def test_a_ping_without_a_relay_names_what_it_looked_for(domain_id, tmp_path):
     done = ping(domain_id, tmp_path / "ping.mcap", "--wait", 1)
     assert done.status == 8
     assert done.stdout == ""
@@ -341,7 +341,7 @@ def test_a_bridge_joins_two_domains(domains, tmp_path):
         (("--bridge", "wormhole"), 2, "wormhole"),
     ],
 )
-def test_what_cannot_be_meant_is_one_line(tmp_path, arguments, status, line):
+def test_wrong_value_is_one_line(tmp_path, arguments, status, line):
     done = run("dds-record", "--role", "ping", "--out", tmp_path / "x.mcap", *arguments)
     assert done.status == status, done.stderr
     assert line in done.stderr.splitlines()[-1]

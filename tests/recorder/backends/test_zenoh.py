@@ -141,7 +141,7 @@ def test_a_second_relay_of_the_domain_is_one_line(domain_id, tmp_path):
     assert "one relay for each domain of a device" in done.stderr
 
 
-def test_nobody_answers(domain_id, tmp_path):
+def test_a_ping_without_a_relay_names_what_it_looked_for(domain_id, tmp_path):
     done = ping(domain_id, tmp_path / "ping.mcap", *ZENOH, "--wait", 1)
     assert done.status == 8
     assert "saw: 0 other nodes" in done.stderr

@@ -56,7 +56,7 @@ def test_configuration_depends_on_the_options_alone(name):
 
 
 @pytest.mark.parametrize("name", BRIDGE_MODULES)
-def test_every_bridge_is_called_by_its_name_and_says_how_to_get_it(name):
+def test_name_of_every_bridge_is_that_of_its_row_and_its_install_text_one_line(name):
     bridge = load_bridge(name)
     assert bridge.name == name
     assert bridge.install
@@ -72,7 +72,7 @@ def test_every_topic_and_its_twin_is_named_and_no_other(name):
 
 
 @pytest.mark.parametrize("name", BRIDGE_MODULES)
-def test_nothing_of_the_localhost_settings_is_left_for_the_subnet(name):
+def test_localhost_settings_are_not_in_a_configuration_for_the_subnet(name):
     here, there = "".join(texts(name, discovery=Discovery.LOCALHOST)), "".join(texts(name))
     named = {"zenoh-bridge-dds", "zenoh-bridge-ros2dds", "ddsrouter", "routing-service"}
     if name in named or name.startswith("builtin"):
@@ -90,7 +90,7 @@ def test_builtin_reads_back_what_it_wrote(tmp_path):
     assert options_from_json(path) == asked
 
 
-def test_a_configuration_that_is_none_of_ours_is_named(tmp_path):
+def test_a_file_that_is_no_configuration_of_ours_is_named(tmp_path):
     path = tmp_path / "configuration.json"
     path.write_text('{"ping_domain_id": 5}')
     with pytest.raises(
@@ -321,7 +321,7 @@ def test_deadline_and_lifespan_in_each_product_that_has_them():
 
 
 @pytest.mark.parametrize("name", BRIDGE_MODULES)
-def test_nothing_is_said_of_durations_that_were_not_asked_for(name):
+def test_durations_that_were_not_asked_for_are_in_no_configuration(name):
     assert not re.search("deadline|lifespan", "".join(texts(name)))
 
 
@@ -397,7 +397,7 @@ def test_an_address_alone_means_the_pings_half():
 
 
 @pytest.mark.parametrize("address", ["pi1", "pi1:", ":7447", "pi1:http", "pi1:0", "pi1:70000"])
-def test_what_is_no_address_is_refused(address):
+def test_a_wrong_address_is_refused(address):
     with pytest.raises(OptionError, match="write HOST:PORT"):
         BridgeOptions(peers=(address,))
 
@@ -408,7 +408,7 @@ def test_domains_that_cannot_be_joined_are_refused(ping, relay):
         BridgeOptions(ping, relay)
 
 
-def test_nothing_that_leaves_a_domain_comes_back_in_under_the_same_name():
+def test_no_topic_leaves_a_domain_and_comes_back_under_the_same_name():
     for half in Half:
         for side in BridgeOptions(half=half, listen="a:1").sides():
             assert not set(side.takes) & set(side.puts)

@@ -74,7 +74,7 @@ def test_best_effort_nodes_are_bridged_best_effort(pair):
         watch_crossing(*pair, topics, until={"echoed": ["string_data"]}, reliability="best_effort")
 
 
-def test_the_configuration_and_the_load_of_a_real_bridge_are_told(pair):
+def test_configuration_and_load_of_a_real_bridge_are_in_its_description(pair):
     with open_bridge("builtin", BridgeOptions(*pair, discovery=Discovery.LOCALHOST)) as bridge:
         load = bridge.sample()["programs"]["bridge"]
     (program,) = bridge.describe()["programs"]

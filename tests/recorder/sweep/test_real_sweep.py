@@ -120,7 +120,7 @@ def test_killed_in_the_middle_and_resumed_each_cell_is_there_once(sweep):
     assert small.cells == after
 
 
-def test_link_between_two_namespaces_is_found_in_the_latencies(sweep):
+def test_latencies_show_the_link_between_two_namespaces(sweep):
     if os.geteuid() != 0:
         pytest.skip("network namespaces need root")
     try:

@@ -159,7 +159,7 @@ def test_table_and_figure_are_written(tmp_path):
     assert bars[1] > bars[0] > bars[2]
 
 
-def test_figure_escapes_what_it_is_given_and_is_drawn_of_nothing():
+def test_figure_escapes_its_texts_and_takes_an_empty_list():
     assert "<b>" not in max_rate_svg(ANSWERS, SEARCH)
     assert "&lt;b&gt;" in max_rate_svg(ANSWERS, SEARCH)
     ET.fromstring(max_rate_svg([], replace(SEARCH, min_rate=3, max_rate=7)))

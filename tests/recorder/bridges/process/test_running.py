@@ -47,7 +47,7 @@ def gone(pids):
     return not any(psutil.pid_exists(pid) and psutil.Process(pid).status() != "zombie" for pid in pids)
 
 
-def test_serves_until_it_is_told_to_stop(stand_in):
+def test_program_serves_until_it_gets_sigint(stand_in):
     with stand_in("serves") as bridge:
         bridge.check()
         assert bridge.state is BridgeState.STARTING
@@ -90,24 +90,24 @@ def test_no_echo_before_the_end_means_never_ready(stand_in):
     assert bridge.state is BridgeState.NEVER_READY
 
 
-def test_one_that_dies_at_once_is_one_clear_line(stand_in):
+def test_program_that_dies_at_once_is_one_clear_line(stand_in):
     with pytest.raises(BridgeError, match=r"stand-in ended with status 3: stand-in has no configuration"):
         stand_in("dies_at_once").__enter__()
 
 
-def test_one_that_cannot_be_started_is_one_clear_line(stand_in, tmp_path):
+def test_program_that_cannot_be_started_is_one_clear_line(stand_in, tmp_path):
     broken = tmp_path / "ddsrouter"
     broken.write_text("no program at all")
     with pytest.raises(BridgeError, match=r"cannot start .*/ddsrouter: .*Permission denied"):
         stand_in("serves", program=str(broken)).__enter__()
 
 
-def test_one_that_never_comes_up_is_ended(stand_in):
+def test_program_that_never_comes_up_is_ended(stand_in):
     with pytest.raises(BridgeError, match=r"the bridge stand-in did not come up within 0.5 s: "):
         stand_in("never_up").__enter__()
 
 
-def test_one_that_dies_mid_run_keeps_its_last_words(stand_in):
+def test_program_that_dies_mid_run_keeps_its_last_words(stand_in):
     with stand_in("dies_when_told") as bridge:
         bridge.mark_ready()
         os.kill(bridge.processes["bridge"], signal.SIGUSR1)
@@ -119,14 +119,14 @@ def test_one_that_dies_mid_run_keeps_its_last_words(stand_in):
     assert described["programs"][0]["log_tail"].endswith("stand-in lost its way")
 
 
-def test_one_that_is_killed_says_the_signal(stand_in):
+def test_program_that_is_killed_says_the_signal(stand_in):
     with stand_in("serves") as bridge:
         os.kill(bridge.processes["bridge"], signal.SIGKILL)
         wait_until(lambda: bridge.failure is not None)
         assert "status 137" in bridge.failure
 
 
-def test_a_flood_is_bounded_on_disk_and_in_the_trace(stand_in):
+def test_log_of_a_flooding_program_is_bounded_on_disk_and_in_the_trace(stand_in):
     with stand_in("floods") as bridge:
         folder = next(Path(part).parent for part in bridge._halves[0].program.command if "/both/" in part)
         wait_until((folder / "log.1").exists)
@@ -138,7 +138,7 @@ def test_a_flood_is_bounded_on_disk_and_in_the_trace(stand_in):
     assert not folder.exists()
 
 
-def test_one_that_ignores_signals_is_killed(stand_in, monkeypatch):
+def test_program_that_ignores_signals_is_killed(stand_in, monkeypatch):
     monkeypatch.setattr("dds_trace.recorder.bridges.process.supervise.STOP_PATIENCE_S", 0.2)
     with stand_in("stubborn") as bridge:
         pid = bridge.processes["bridge"]
@@ -156,7 +156,7 @@ def test_children_left_behind_are_ended_and_counted(stand_in, monkeypatch):
     assert bridge.describe()["programs"][0]["left_behind"] == 2
 
 
-def test_children_of_one_that_died_are_ended_too(stand_in, monkeypatch):
+def test_children_of_a_killed_program_are_ended_too(stand_in, monkeypatch):
     monkeypatch.setattr("dds_trace.recorder.bridges.process.supervise.STOP_PATIENCE_S", 0.2)
     with stand_in("leaves_children") as bridge:
         pids = family_of(bridge.processes["bridge"])
@@ -181,7 +181,7 @@ with open_bridge("stand-in", BridgeOptions()) as bridge:
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
-def test_no_orphan_when_the_recorder_is_killed(number):
+def test_no_process_is_left_when_the_recorder_is_killed(number):
     script = RECORDER.format(path=[str(Path(stand_in_bridge.__file__).parent)])
     with subprocess.Popen(
         [sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
@@ -194,7 +194,7 @@ def test_no_orphan_when_the_recorder_is_killed(number):
     wait_until(lambda: not folder.parent.exists())
 
 
-def test_no_orphan_when_the_guard_is_killed(stand_in):
+def test_no_process_is_left_when_the_guard_is_killed(stand_in):
     with stand_in("serves") as bridge:
         pid = bridge.processes["bridge"]
         psutil.Process(pid).parent().kill()
@@ -220,7 +220,7 @@ def test_an_unknown_bridge_names_the_known_ones():
         open_bridge("buildin", BridgeOptions()).__enter__()
 
 
-def test_nothing_of_a_bridge_stays_in_the_temporary_folder(stand_in, tmp_path, monkeypatch):
+def test_no_file_of_a_bridge_stays_in_the_temporary_folder(stand_in, tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     with stand_in("serves"):
         assert list(tmp_path.iterdir())

@@ -147,7 +147,7 @@ def test_installed_middlewares_are_asked_for_when_the_plan_does():
         ("matrix = [1]\n", "matrix number 1 is 1, not a table"),
     ],
 )
-def test_what_cannot_be_meant_is_named_with_the_nearest_remedy(text, message):
+def test_wrong_key_or_value_is_named_with_the_nearest_remedy(text, message):
     with pytest.raises(OptionError, match=message) as raised:
         parse(text)
     assert str(raised.value).startswith("plan.toml")
@@ -158,7 +158,7 @@ def test_missing_file_is_a_clear_error(tmp_path):
         read_plan(tmp_path / "none.toml")
 
 
-def test_digest_tells_unlike_recordings_from_more_cells():
+def test_digest_changes_with_the_settings_and_not_with_more_cells():
     plan = parse(RUN)
     assert parse(RUN + "[axes]\nrate = [1, 2]\n").digest == plan.digest
     assert parse("[run]\nmessages = 10\nattempts = 5\n").digest == plan.digest

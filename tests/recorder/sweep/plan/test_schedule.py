@@ -80,7 +80,7 @@ def test_half_beside_the_relay_waits_and_the_pings_half_goes_there():
 
 
 @pytest.mark.parametrize(("backend", "told"), [("ros2", False), ("zenoh", True), ("socket", True)])
-def test_ping_is_told_the_relays_address_where_its_backend_does_not_look_for_it(backend, told):
+def test_ping_gets_the_relays_address_if_its_backend_does_not_look_for_it(backend, told):
     plan = parse_plan(f'[run]\nmessages = 1\n[axes]\nbackend = "{backend}"\n', "p", "p.toml")
     (cell,) = plan.cells
     assert ("--peer" in ping_arguments(plan, cell, 20, "10.213.0.2")) is told

@@ -382,7 +382,7 @@ def link(monkeypatch):
     return measured
 
 
-def test_what_the_link_did_is_in_the_cells_file(desk, link):
+def test_report_of_the_link_is_in_the_cells_file(desk, link):
     desk.sweep()
     relay = read_trace(desk.folder / "runs/plan" / f"{FIRST}.relay.mcap")
     assert [sample["link"] for sample in relay.host_samples if "link" in sample] == [link["link"]]

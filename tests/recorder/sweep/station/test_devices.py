@@ -46,7 +46,7 @@ def server(tmp_path_factory):
 
 @pytest.fixture
 def remote(server, tmp_path):
-    """Makes an `SshDevice` whose home there is a folder of the test's own."""
+    """Makes an `SshDevice` whose remote home is a folder of the test."""
     (tmp_path / "home").mkdir()
     (tmp_path / "bin").mkdir()
     (tmp_path / "parts").mkdir()
@@ -82,7 +82,7 @@ def there(tmp_path):
     return tmp_path / "home/.cache/dds-trace/my sweep"
 
 
-def test_relay_is_started_there_stopped_and_its_trace_fetched(remote, tmp_path):
+def test_relay_is_started_and_stopped_over_ssh_and_its_trace_fetched(remote, tmp_path):
     device = remote()
     device.prepare()
     relay = device.start(["--role", "relay", "--label", "two words"], "1-1.mcap")
@@ -96,7 +96,7 @@ def test_relay_is_started_there_stopped_and_its_trace_fetched(remote, tmp_path):
     assert list((tmp_path / "parts").iterdir()) == []
 
 
-def test_half_of_a_bridge_runs_beside_the_relay_there(remote, tmp_path):
+def test_half_of_a_bridge_runs_beside_the_relay_of_the_other_device(remote, tmp_path):
     device = remote()
     device.prepare()
     relay = device.start([], "1-1.mcap")
@@ -121,7 +121,7 @@ def test_relay_ends_when_this_side_is_killed_and_is_fetched_whole_later(remote, 
     assert device.collect("1-1.mcap").read_text() == "open\nclosed\n"
 
 
-def test_ring_of_a_killed_relay_comes_along(remote, tmp_path):
+def test_ring_of_a_killed_relay_is_fetched_with_its_trace(remote, tmp_path):
     device = remote()
     device.prepare()
     for name in ("1-1.mcap", "1-1.mcap.ring"):
@@ -130,7 +130,7 @@ def test_ring_of_a_killed_relay_comes_along(remote, tmp_path):
     assert (tmp_path / "parts/1-1.mcap.ring").read_text() == "1-1.mcap.ring"
 
 
-def test_relay_that_fails_there_says_why(remote):
+def test_relay_that_fails_on_the_other_device_gives_its_reason(remote):
     device = remote(record=BROKEN_RECORD)
     device.prepare()
     relay = device.start([], "1-1.mcap")
@@ -140,7 +140,7 @@ def test_relay_that_fails_there_says_why(remote):
     assert device.collect("1-1.mcap") is None
 
 
-def test_other_version_there_is_refused(remote):
+def test_other_version_on_the_other_device_is_refused(remote):
     with pytest.raises(OptionError, match=r"has dds-trace 0\.0\.9, this machine"):
         remote(version="0.0.9").prepare()
 
@@ -150,7 +150,7 @@ def test_device_that_does_not_answer_is_named(remote):
         remote(destination="nobody@127.0.0.1").prepare()
 
 
-def test_missing_program_there_is_a_clear_error(remote, tmp_path):
+def test_missing_program_on_the_other_device_is_a_clear_error(remote, tmp_path):
     device = remote()
     (tmp_path / "bin/dds-sweep").unlink()
     device._setup = device._setup.replace("$PATH", "/bin:/usr/bin")
@@ -201,7 +201,7 @@ def test_last_words_of_a_crash_are_its_last_line(tmp_path):
     assert running.last_words() == "ValueError: x"
 
 
-def test_program_that_ignores_the_word_to_stop_is_made_to(tmp_path):
+def test_program_that_ignores_sigterm_is_killed(tmp_path):
     running = program(
         tmp_path,
         "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); print('deaf', flush=True); time.sleep(600)",
@@ -210,6 +210,6 @@ def test_program_that_ignores_the_word_to_stop_is_made_to(tmp_path):
     assert running.stop(patience_s=0.1) == -9
 
 
-def test_program_that_is_not_there(tmp_path):
+def test_missing_program_is_a_clear_error(tmp_path):
     with pytest.raises(BackendUnavailableError, match="dds-nothing is not installed"):
         Program(["dds-nothing"], tmp_path / "log")

@@ -59,7 +59,7 @@ def ask(pair, size_bytes, count, timeout_s=20):
 
 
 @skipped
-def test_rate_is_found_in_the_time_that_bytes_take():
+def test_bytes_take_the_time_that_the_rate_says():
     with NamespacePair(Link(rate_mbit_s=10)) as pair, echo(pair):
         assert pair.applied_by == "veth+tbf"
         small, large = ask(pair, 100, 10), ask(pair, 25_000, 10)
@@ -73,7 +73,7 @@ def test_rate_is_found_in_the_time_that_bytes_take():
 
 @skipped
 @needs_tap
-def test_delay_is_found_in_every_round_trip_and_its_lateness_is_told():
+def test_every_round_trip_has_the_delay_and_its_lateness_is_reported():
     with NamespacePair(Link(delay_ms=20)) as pair, echo(pair):
         times = ask(pair, 100, 20)
         measured = pair.report()
@@ -86,7 +86,7 @@ def test_delay_is_found_in_every_round_trip_and_its_lateness_is_told():
 
 @skipped
 @needs_tap
-def test_loss_is_of_fragments_so_large_datagrams_suffer_more():
+def test_fragments_are_lost_so_large_datagrams_suffer_more():
     with NamespacePair(Link(loss_percent=30)) as pair, echo(pair):
         # 33,000 bytes are 23 fragments each way: 0.7 ** 46 come back, 1 in 13 million
         assert ask(pair, 33_000, 3, timeout_s=0.2) == []

@@ -121,7 +121,7 @@ def test_outage_is_at_the_end_of_each_period(ends, clock):
     assert line.report()["in_outage"] == 6
 
 
-def test_wire_that_is_full_drops_and_counts(ends, clock):
+def test_frames_on_a_full_wire_are_dropped_and_counted(ends, clock):
     line = wire(ends, clock, delay_ms=1000)
     line._held.extend((clock.now_ns + 1, FRAME) for _ in range(HELD_FRAMES))
     ends[0].send(FRAME)
@@ -129,7 +129,7 @@ def test_wire_that_is_full_drops_and_counts(ends, clock):
     assert line.report()["overflow"] == 1
 
 
-def test_side_that_is_down_refuses(ends, clock):
+def test_frames_for_a_side_that_is_down_are_counted_as_refused(ends, clock):
     line = wire(ends, clock)
     ends[0].send(FRAME)
     line.take()

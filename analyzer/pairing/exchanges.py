@@ -136,20 +136,25 @@ def find_exchanges(campaign: Campaign) -> Exchanges:
             continue
         t1 = published[run_id]
         run = campaign.runs.get(run_id)
-        ping = find_ping_session(campaign, run, t1, doubts) if run else None
+        ping = find_ping_session(campaign, run, _traces(t1), _first_ns(t1), doubts) if run else None
         if run is None or ping is None:
             reason = "no_ping_session" if run else "no_run_description"
             unplaced.append(_unplaced(reason, run_id, NO_RELAY, [t1]))
             continue
         for relay_id, stages in sorted(relays.items()) or [(NO_RELAY, {})]:
-            relay = find_relay_session(campaign, run_id, relay_id, stages, doubts) if relays else None
+            t2, t3, t4 = (stages.get(stage, ()) for stage in (Stage.T2, Stage.T3, Stage.T4))
+            first_ns = _first_ns(t3 or t4)
+            relay = (
+                find_relay_session(campaign, run_id, relay_id, _traces((*t3, *t4)), first_ns, doubts)
+                if relays
+                else None
+            )
             flaw = next(_flaws(run, ping, relay), "")
             if flaw:
                 unplaced.append(_unplaced("impossible_description", run_id, relay_id, [t1], flaw))
                 continue
-            t2, t3, t4 = (_count(stages.get(stage, ())) for stage in (Stage.T2, Stage.T3, Stage.T4))
-            start_ns = ping.wall_ns(min(part.first_ns for part in t1))
-            held.append(Exchange(run, ping, relay_id, relay, start_ns, (_count(t1), t2, t3, t4)))
+            counts = (_count(t1), _count(t2), _count(t3), _count(t4))
+            held.append(Exchange(run, ping, relay_id, relay, ping.wall_ns(_first_ns(t1)), counts))
     if not held:
         raise MissingEventsError(_nothing_to_pair(campaign, unplaced))
     placed = {key for exchange in held for key in exchange.event_keys()}
@@ -172,6 +177,15 @@ def _by_run(index: EventIndex) -> tuple[dict[int, Parts], dict[int, dict[int, di
 
 def _count(parts: Parts) -> int:
     return sum(part.count for part in parts)
+
+
+def _first_ns(parts: Parts) -> int:
+    """Return the earliest instant of some events, 0 without any."""
+    return min((part.first_ns for part in parts), default=0)
+
+
+def _traces(parts: Parts) -> set[int]:
+    return {part.trace for part in parts}
 
 
 def _unplaced(reason: str, run_id: int, relay_id: int, stages: Iterable[Parts], detail: str = "") -> Unplaced:

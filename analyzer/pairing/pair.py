@@ -167,7 +167,7 @@ def pair_messages(
 
 def middleware_stamps(
     published: Published, events: EventColumns, instant_ns: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
+) -> tuple[NDArray[np.int64], ...]:
     """Return `source_ns` and `received_ns` of the event that each message was paired with, 0 where there is none.
 
     Args:
@@ -176,10 +176,10 @@ def middleware_stamps(
         instant_ns: int64, the instant of each message's event, MISSING where it has none.
 
     Returns:
-        None if no event has such stamps.
+        Nothing if no event has such stamps.
     """
     if not (events.source_ns.any() or events.received_ns.any()):
-        return None
+        return ()
     source_ns, received_ns = np.zeros(len(published), np.int64), np.zeros(len(published), np.int64)
     row = published.rows(events.sequence)
     paired = np.flatnonzero(row >= 0)

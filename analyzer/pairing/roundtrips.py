@@ -28,9 +28,10 @@ if TYPE_CHECKING:
     from ..clocks.fit import ClockFit
     from ..loading.events import EventKey
     from .exchanges import Exchange
-    from .pair import PairedMessages, Published
 
 Scalar = TypeVar("Scalar", bound=np.generic)
+
+_STAMPS = ("scheduled_ns", "publish_ns", "receive_ns", "relay_in_ns", "relay_out_ns")
 
 MIDDLEWARE_STAMPS = {
     Stage.T3: ("relay_source_ns", "relay_received_ns"),
@@ -70,52 +71,6 @@ class RoundTrips:
         return self.per_row(np.arange(len(self.described), dtype=np.uint32))
 
 
-class _Rows:
-    """Columns of rows that are filled exchange by exchange: the frame's memory once, whatever the number of runs."""
-
-    def __init__(self, rows: int) -> None:
-        self.sequence = np.empty(rows, np.uint64)
-        self.stamps = {
-            name: np.empty(rows, np.int64)
-            for name in ("scheduled_ns", "publish_ns", "receive_ns", "relay_in_ns", "relay_out_ns")
-        }
-        self.outcome = np.empty(rows, np.uint8)
-        self.duplicates = np.empty(rows, np.uint16)
-        self.reordered = np.empty(rows, np.bool_)
-        self.of_middleware: dict[str, NDArray[np.int64]] = {}
-
-    def fill(self, here: slice, published: Published, paired: PairedMessages) -> None:
-        """Put the messages of an exchange into its rows."""
-        self.sequence[here] = published.sequence
-        self.stamps["scheduled_ns"][here] = published.scheduled_ns
-        self.stamps["publish_ns"][here] = published.publish_ns
-        self.stamps["receive_ns"][here] = paired.receive_ns
-        self.stamps["relay_in_ns"][here] = paired.relay_in_ns
-        self.stamps["relay_out_ns"][here] = paired.relay_out_ns
-        self.outcome[here] = paired.outcome
-        self.duplicates[here] = paired.duplicates
-        self.reordered[here] = paired.reordered
-
-    def fill_middleware(self, here: slice, names: Sequence[str], stamps: Sequence[NDArray[np.int64]]) -> None:
-        """Put the middleware's stamps of an exchange into its rows."""
-        for name, values in zip(names, stamps, strict=True):
-            if name not in self.of_middleware:
-                self.of_middleware[name] = np.zeros(len(self.sequence), np.int64)
-            self.of_middleware[name][here] = values
-
-    def measured(self, one_way: OneWay) -> pl.DataFrame:
-        """Return the columns of `columns.MEASURED_COLUMNS`."""
-        return with_metrics(
-            pl.DataFrame({"sequence": self.sequence}).with_columns(
-                *(_null_where_missing(name, values) for name, values in self.stamps.items()),
-                _outcome_names(self.outcome),
-                pl.Series("duplicates", self.duplicates),
-                pl.Series("reordered", self.reordered),
-                *one_way.columns,
-            )
-        )
-
-
 def pair_exchanges(
     exchanges: Sequence[Exchange], events: Mapping[EventKey, EventColumns], *, details: bool = True
 ) -> RoundTrips:
@@ -127,41 +82,56 @@ def pair_exchanges(
         details: fit clocks and keep the middleware's stamps; without, the columns of one-way times are null.
     """
     # A run's messages are the same for each of its relays.
-    of_run = {e.run.run_id: e for e in exchanges}
     published = {
         run_id: published_messages(events[exchange.event_keys()[0]], exchange.run.warmup_messages)
-        for run_id, exchange in of_run.items()
+        for run_id, exchange in {exchange.run.run_id: exchange for exchange in exchanges}.items()
     }
-    lengths = [len(published[exchange.run.run_id]) for exchange in exchanges]
-    bounds = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
-    rows = _Rows(int(bounds[-1]))
+    of_run = [published[exchange.run.run_id] for exchange in exchanges]
+    bounds = np.concatenate([[0], np.cumsum([len(messages) for messages in of_run])]).astype(np.int64)
+    rows = int(bounds[-1])
+
+    # Filled exchange by exchange: the frame's memory once, whatever the number of runs.
+    sequence, outcome = np.empty(rows, np.uint64), np.empty(rows, np.uint8)
+    duplicates, reordered = np.empty(rows, np.uint16), np.empty(rows, np.bool_)
+    stamps = {name: np.empty(rows, np.int64) for name in _STAMPS}
+    of_middleware: dict[str, NDArray[np.int64]] = {}
     counts = []
-    for position, exchange in enumerate(exchanges):
-        here, messages = slice(*bounds[position : position + 2].tolist()), published[exchange.run.run_id]
-        _, t2, t3, t4 = (events[key] for key in exchange.event_keys())
-        paired = pair_messages(messages, t2, t3, t4)
-        rows.fill(here, messages, paired)
+    for exchange, messages, first in zip(exchanges, of_run, bounds[:-1].tolist(), strict=True):
+        here = slice(first, first + len(messages))
+        of_stage = {key[0]: events[key] for key in exchange.event_keys()}
+        paired = pair_messages(messages, of_stage[Stage.T2], of_stage[Stage.T3], of_stage[Stage.T4])
+        sequence[here], outcome[here] = messages.sequence, paired.outcome
+        duplicates[here], reordered[here] = paired.duplicates, paired.reordered
+        stamps["scheduled_ns"][here] = messages.scheduled_ns
+        stamps["publish_ns"][here] = messages.publish_ns
+        for name in ("receive_ns", "relay_in_ns", "relay_out_ns"):
+            stamps[name][here] = getattr(paired, name)
+        for stage, names in MIDDLEWARE_STAMPS.items() if details else ():
+            instant_ns = stamps["relay_in_ns" if stage is Stage.T3 else "receive_ns"][here]
+            of_events = middleware_stamps(messages, of_stage[stage], instant_ns)
+            for name, values in zip(names, of_events, strict=False):  # none where no event has any
+                if name not in of_middleware:
+                    of_middleware[name] = np.zeros(rows, np.int64)
+                of_middleware[name][here] = values
         counts.append(count_messages(messages, paired))
-        if details:
-            for stage, of_stage, instant_ns in (
-                (Stage.T3, t3, paired.relay_in_ns),
-                (Stage.T2, t2, paired.receive_ns),
-            ):
-                stamps = middleware_stamps(messages, of_stage, instant_ns)
-                if stamps is not None:
-                    rows.fill_middleware(here, MIDDLEWARE_STAMPS[stage], stamps)
-    one_way = (
-        fit_exchanges(exchanges, bounds, rows.stamps)
-        if details
-        else OneWay.unknown(int(bounds[-1]), len(exchanges))
+
+    one_way = fit_exchanges(exchanges, bounds, stamps) if details else OneWay.unknown(rows, len(exchanges))
+    measured = with_metrics(
+        pl.DataFrame({"sequence": sequence}).with_columns(
+            *(_null_where_missing(name, values) for name, values in stamps.items()),
+            _outcome_names(outcome),
+            pl.Series("duplicates", duplicates),
+            pl.Series("reordered", reordered),
+            *one_way.columns,
+        )
     )
     return RoundTrips(
-        measured=rows.measured(one_way),
+        measured=measured,
         described=_described(exchanges),
-        outcome=rows.outcome,
+        outcome=outcome,
         bounds=bounds,
         counts=pl.DataFrame(counts, schema=COUNT_SCHEMA),
-        stamps=tuple(pl.Series(name, values) for name, values in rows.of_middleware.items()),
+        stamps=tuple(pl.Series(name, values) for name, values in of_middleware.items()),
         clock_fits=one_way.fits,
     )
 

@@ -5,17 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import Stage
-
 from ..clocks.boots import session_of_run
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from dds_trace.tracefile import Run, Session
 
     from ..loading.campaign import Campaign
-    from ..loading.events import EventPart
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,32 +31,28 @@ class Doubt:
 
 
 def find_ping_session(
-    campaign: Campaign, run: Run, t1: Sequence[EventPart], doubts: list[Doubt]
+    campaign: Campaign, run: Run, traces: set[int], first_ns: int, doubts: list[Doubt]
 ) -> Session | None:
     """Return the session that the run names, else the ping session of the traces that hold the run.
 
     Args:
         campaign: the sessions and where they are described.
         run: the run.
-        t1: its publications in the event index.
+        traces: positions of the traces with its publications.
+        first_ns: its first publication.
         doubts: takes a `Doubt` if several sessions qualify.
     """
     named = campaign.sessions.get(session_of_run(run))
     if named is not None:
         return named
-    traces = {*campaign.run_traces[run.run_id], *(part.trace for part in t1)}
-    candidates = _sessions_in(campaign, traces, "ping")
+    candidates = _sessions_in(campaign, traces.union(campaign.run_traces[run.run_id]), "ping")
     if len(candidates) > 1:
         doubts.append(Doubt("ping", run.run_id, 0, tuple(s.session_id for s in candidates)))
-    return _last_started_before(candidates, min(part.first_ns for part in t1))
+    return _last_started_before(candidates, first_ns)
 
 
 def find_relay_session(
-    campaign: Campaign,
-    run_id: int,
-    relay_id: int,
-    stages: Mapping[Stage, Sequence[EventPart]],
-    doubts: list[Doubt],
+    campaign: Campaign, run_id: int, relay_id: int, traces: set[int], first_ns: int, doubts: list[Doubt]
 ) -> Session | None:
     """Return the session of the relay in the traces that hold its events, else any that has its relay_id.
 
@@ -69,18 +60,18 @@ def find_relay_session(
         campaign: the sessions and where they are described.
         run_id: the run.
         relay_id: the relay.
-        stages: T2, T3 and T4 of run and relay in the event index, those that have events.
+        traces: positions of the traces with T3 or T4 of run and relay; empty without the relay's trace.
+        first_ns: the first T3, else the first T4.
         doubts: takes a `Doubt` if several sessions qualify.
     """
-    recorded = [stages[stage] for stage in (Stage.T3, Stage.T4) if stage in stages]
-    if not recorded:
+    if not traces:
         same_relay = [s for s in campaign.sessions.values() if s.role == "relay" and s.relay_id == relay_id]
         return max(same_relay, key=lambda session: session.wall_anchor_ns, default=None)
-    there = _sessions_in(campaign, {part.trace for parts in recorded for part in parts}, "relay")
+    there = _sessions_in(campaign, traces, "relay")
     candidates = [s for s in there if s.relay_id == relay_id] or [s for s in there if s.relay_id is None]
     if len(candidates) > 1:
         doubts.append(Doubt("relay", run_id, relay_id, tuple(s.session_id for s in candidates)))
-    return _last_started_before(candidates, min(part.first_ns for part in recorded[0]))
+    return _last_started_before(candidates, first_ns)
 
 
 def _sessions_in(campaign: Campaign, traces: set[int], role: str) -> list[Session]:

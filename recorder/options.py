@@ -98,6 +98,7 @@ class RecordOptions:
         duration_s: length of the recording in seconds; a relay without it goes on until stopped.
         cpu_affinity: CPUs to run on, as `privileges.parse_cpus` reads them.
         realtime_priority: 1 to 99 for SCHED_FIFO with locked memory.
+        strict: whether a setting that the middleware does not use ends the recording.
     """
 
     destination: TraceDestination
@@ -112,6 +113,7 @@ class RecordOptions:
     duration_s: float | None = None
     cpu_affinity: str | None = None
     realtime_priority: int | None = None
+    strict: bool = False
 
     def check(self) -> None:
         """Refuse values that make no sense, and an output that is there already.

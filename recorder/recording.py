@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import secrets
 import threading
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -10,7 +11,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import HOST_TOPIC, NoEchoError, TraceSink
+from dds_trace.tracefile import HOST_TOPIC, NoEchoError, NotAppliedError, TraceSink
+from dds_trace.tracefile.writing.destination import discard
 
 from .backends import open_node
 from .backends.domains import check_domain
@@ -24,6 +26,7 @@ from .roles.echo import explain_silence, look_for_relays
 from .roles.floor import measured_cost, measured_floor
 from .roles.ping import open_ping
 from .roles.plan import check_serialization, plan_run
+from .roles.read_back import ReadBack
 from .roles.relay import Relay
 from .roles.session import describe_session
 
@@ -31,7 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from contextlib import AbstractContextManager
 
-    from dds_trace.tracefile import ClosedTrace, Json, Run, Session
+    from dds_trace.tracefile import ClosedTrace, Json, JsonObject, Run, Session
 
     from .backends.node import Node
     from .bridges import RunningBridge
@@ -67,6 +70,8 @@ def record(options: RecordOptions, stop: threading.Event, watch: Watch) -> Recor
         OptionError: an option makes no sense, or not on this machine.
         BackendUnavailableError: the middleware or the bridge is not on this machine.
         NoEchoError: no relay answered; nothing is written then.
+        NotAppliedError: the middleware does not use what was asked for and `options.strict` is set; a trace is left only
+            if it shows at the end.
         OutputExistsError: there is a trace already.
         OutputError: the trace cannot be written.
     """
@@ -88,6 +93,7 @@ class _Recording:
         self.session_id = secrets.randbits(64)
         self.privileges = apply_privileges(options.cpu_affinity, options.realtime_priority)
         self.costs: dict[str, Json] = {}
+        self.environment = dict(os.environ)  # before a node adds what it needs
         self._noted_disk = False
 
     def relay(self) -> Recorded:
@@ -97,7 +103,8 @@ class _Recording:
         check_serialization(data_types, options.serialization)
         self._measure_costs()
         with self._open_node("relay") as node, steady_interpreter():
-            session = self._describe("relay", node, relay_id)
+            read_back = self._read_back(node)
+            session = self._describe("relay", node, read_back, relay_id)
             with self._open_trace(session) as sink:
                 relay = Relay(
                     node,
@@ -106,15 +113,19 @@ class _Recording:
                     data_types=data_types,
                     qos=options.node.qos,
                     serialization=options.serialization,
+                    on_probe=read_back.read_begin,
                 )
                 node.start()
                 self.watch.note(
                     f"relay {relay_id:08x} serves domain {options.node.domain_id} until it is stopped"
                 )
                 with _sampled(sink):
-                    self._watch_relay(relay, node, sink)
+                    self._watch_relay(relay, node, sink, read_back)
+                read_back.read_end(relay.traffic)
                 relay.close()
-                return Recorded(sink.close(), session, relay.progress())
+                trace = sink.close(**read_back.fields())
+                read_back.tell()
+                return Recorded(trace, session, relay.progress())
 
     def ping(self, asked: PingOptions) -> Recorded:
         seed = secrets.randbits(32) if asked.seed is None else asked.seed
@@ -126,14 +137,20 @@ class _Recording:
             ping = open_ping(node, plan, self.clock)
             node.start()
             bridge = open_asked_bridge(self.options, asked, payload.data_type, stack)
-            self._wait_for_echo(ping, node, asked, bridge)
-            session = self._describe("ping", node)
+            read_back = self._read_back(node)
+            self._wait_for_echo(ping, node, asked, bridge, read_back)
+            read_back.read_begin()
+            read_back.tell()
+            session = self._describe("ping", node, read_back)
             sink = stack.enter_context(self._open_trace(session))
             with _sampled(sink, bridge):
                 run = None if self.stop.is_set() else self._run(ping, node, sink)
+            read_back.read_end(ping.traffic)
             if bridge is not None:
                 bridge.stop()  # so that its description says how it ended
-            trace = sink.close(**({} if bridge is None else {"bridge": bridge.describe()}))
+            described: JsonObject = {} if bridge is None else {"bridge": bridge.describe()}
+            trace = sink.close(**described, **read_back.fields())
+            read_back.tell()
             return Recorded(trace, session, ping.progress(), run)
 
     def _measure_costs(self) -> None:
@@ -145,7 +162,10 @@ class _Recording:
         name = f"dds_trace_{role}_{self.session_id:016x}"
         return open_node(self.options.backend, replace(self.options.node, name=name, listens=role == "relay"))
 
-    def _describe(self, role: str, node: Node, relay_id: int | None = None) -> Session:
+    def _read_back(self, node: Node) -> ReadBack:
+        return ReadBack(node, self.environment, strict=self.options.strict, note=self.watch.note)
+
+    def _describe(self, role: str, node: Node, read_back: ReadBack, relay_id: int | None = None) -> Session:
         return describe_session(
             node,
             self.clock.anchor(),
@@ -154,7 +174,7 @@ class _Recording:
             device=self.options.device,
             connectivity=self.options.connectivity,
             relay_id=relay_id,
-            extra={**self.privileges, **self.costs},
+            extra={**self.privileges, **self.costs, **read_back.fields()},
         )
 
     @contextmanager
@@ -182,7 +202,12 @@ class _Recording:
         )
 
     def _wait_for_echo(
-        self, ping: AnyPing, node: Node, asked: PingOptions, bridge: RunningBridge | None
+        self,
+        ping: AnyPing,
+        node: Node,
+        asked: PingOptions,
+        bridge: RunningBridge | None,
+        read_back: ReadBack,
     ) -> None:
         data_type = ping.plan.payload.data_type
         self.watch.note(f"waiting for an echo of {data_type.topic} in domain {node.options.domain_id}")
@@ -200,7 +225,12 @@ class _Recording:
             answers = (
                 f"{ping.echoing_relays} of {asked.relays} relays answer; " if ping.echoing_relays else ""
             )
-            raise NoEchoError(answers + explain_silence(node, ping.plan, waited_s))
+            settings = read_back.explain(ping.probes)
+            raise NoEchoError(
+                answers
+                + explain_silence(node, ping.plan, waited_s)
+                + (f"\n  not applied: {settings}" if settings else "")
+            )
         if came and bridge is not None:
             bridge.mark_ready()
         # One that was found later may need a moment more; behind a bridge nobody sees how many there are.
@@ -224,11 +254,17 @@ class _Recording:
         _raise_error_of(node)
         return run
 
-    def _watch_relay(self, relay: Relay, node: Node, sink: TraceSink) -> None:
+    def _watch_relay(self, relay: Relay, node: Node, sink: TraceSink, read_back: ReadBack) -> None:
         end_ns, noted, quiet, relayed = self._end_ns(), set[str](), 0, 0
         while (left_s := self._left_s(end_ns)) > 0 and not self.stop.wait(min(LOOK_S, left_s)):
             _raise_error_of(node)
             self._note_disk(sink)
+            try:
+                read_back.tell()
+            except NotAppliedError:  # it shows before the first message, so the trace would hold next to none
+                sink.close()
+                discard(self.options.destination)
+                raise
             progress = relay.progress()
             self.watch.progress(progress)
             quiet = quiet + 1 if progress.relayed == relayed else 0

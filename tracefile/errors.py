@@ -72,6 +72,12 @@ class NoEchoError(TraceError):
     exit_code = 8
 
 
+class NotAppliedError(TraceError):
+    """The middleware does not use a setting that was asked for, and the recording is strict about it."""
+
+    exit_code = 10
+
+
 class BridgeError(TraceError):
     """Bridge whose program ended, never came up, or cannot be started; the text holds the program's last line."""
 

@@ -49,6 +49,7 @@ def main_command(
     rmw: words.Rmw = None,
     transport: words.Transport = choices.Transport.DEFAULT,
     tuned: words.Tuned = False,
+    strict: words.Strict = False,
     executor: words.Executor = choices.ExecutorKind.AUTO,
     cpu_affinity: words.CpuAffinity = None,
     realtime: words.Realtime = None,
@@ -166,6 +167,7 @@ def main_command(
         duration_s=duration,
         cpu_affinity=cpu_affinity,
         realtime_priority=realtime,
+        strict=strict,
     )
     print_result(record_until_stopped(options), as_json=as_json)
 

@@ -226,6 +226,14 @@ Transport = Annotated[
 Tuned = Annotated[
     bool, _middleware("--tuned", metavar="", help="Apply the vendor's settings for large messages.")
 ]
+Strict = Annotated[
+    bool,
+    _middleware(
+        "--strict",
+        metavar="",
+        help="End, rather than warn, where the middleware does not use what was asked for (--transport, --tuned ...).",
+    ),
+]
 Executor = Annotated[
     choices.ExecutorKind,
     _middleware(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Generic, Protocol, TypeAlias, TypeVar
 
 from dds_trace.tracefile.units.durations import SECOND_NS
 
+from ..applied import Traffic
 from ..choices import Serialization
 from ..host.clock import SystemClock, sharpen_sleep
 from ..host.steady import steady_interpreter
@@ -153,6 +154,17 @@ class Ping(Generic[SentT, ReceivedT]):
                 sent += 1
             self._clock.wait_until(now_ns + LOOK_NS, stop)
         return False
+
+    @property
+    def probes(self) -> Traffic:
+        """The probes that `wait_for_echo` has sent, none of which counts as received."""
+        return Traffic(len(self._nonces), 0, self.plan.payload.messages[0].payload_bytes)
+
+    @property
+    def traffic(self) -> Traffic:
+        """The messages of the run so far, of their mean size."""
+        sizes = self._replies.payload_bytes[: self._published]
+        return Traffic(self._published, self._replies.received, sum(sizes) // max(len(sizes), 1))
 
     @property
     def echoing_relays(self) -> int:

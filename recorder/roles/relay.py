@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, TypeVar
 
+from ..applied import Traffic
 from ..choices import Serialization
 from ..host.clock import SystemClock
 from ..payloads.stamp import PROBE_RUN_ID, SentT
@@ -36,6 +37,7 @@ class Relay:
         qos: quality of service of both ways; must suit the pings (see `dds_trace.recorder.backends.qos`).
         serialization: form in which the messages pass the client library.
         clock: time of this device.
+        on_probe: callback behind the reply to each probe that comes before a ping's run.
     """
 
     def __init__(
@@ -48,13 +50,16 @@ class Relay:
         qos: Qos,
         serialization: Serialization = Serialization.RAW,
         clock: Clock | None = None,
+        on_probe: Callable[[], None] | None = None,
     ) -> None:
         self.relay_id = relay_id
         self.topics: list[str] = []
         self._sink = sink
         self._clock = clock or SystemClock()
         self._runs: dict[int, int] = {}  # run -> messages relayed
+        self._payload_bytes = 0  # of all messages relayed
         self._foreign = 0
+        self._on_probe = on_probe
         self._closers: list[Callable[[], None]] = []
         if serialization is Serialization.TYPED:
             self._serve(ObjectLane(node), data_types, qos)
@@ -78,6 +83,7 @@ class Relay:
         make_reply, read, payload_bytes_of = form.stamp.reply, form.stamp.read, form.payload_bytes_of
         now, publish, record = self._clock.monotonic_ns, publisher.publish, self._sink.record
         relay_id, relay_id_text, runs = self.relay_id, b"%08x" % self.relay_id, self._runs
+        on_probe = self._on_probe
 
         # What can wait until the reply is on its way does: T4 - T3 is taken off the latency, but it is also
         # time in which the next message waits.
@@ -90,15 +96,26 @@ class Relay:
             relay_out_ns = now()
             publish(reply)
             stamp = read(message)
-            if stamp is None or stamp.run_id == PROBE_RUN_ID:
+            if stamp is None:
+                return
+            if stamp.run_id == PROBE_RUN_ID:
+                if on_probe is not None:
+                    on_probe()
                 return
             run_id, sequence, _ = stamp
             size = payload_bytes_of(message)
             record(T3, run_id, sequence, relay_in_ns, 0, source_ns, received_ns, size, relay_id)
             record(T4, run_id, sequence, relay_out_ns, 0, 0, 0, size, relay_id)
             runs[run_id] = runs.get(run_id, 0) + 1
+            self._payload_bytes += size
 
         return receive
+
+    @property
+    def traffic(self) -> Traffic:
+        """The messages relayed so far, of their mean size."""
+        count = sum(self._runs.values())
+        return Traffic(count, count, self._payload_bytes // max(count, 1))
 
     def progress(self) -> RelayProgress:
         """Return the work done so far; any thread may ask."""

@@ -67,6 +67,27 @@ class ClosedTrace:
     ring_events: int = 0
 
 
+def discard(destination: TraceDestination) -> None:
+    """Remove a closed trace that holds nothing of worth, so that the next recording finds its place free.
+
+    Raises:
+        OutputError: it cannot be removed.
+    """
+    try:
+        for path in _files_of(destination):
+            path.unlink(missing_ok=True)
+        if destination.is_bag:
+            destination.path.rmdir()
+    except OSError as err:
+        raise output_error(destination.path, err) from err
+
+
+def _files_of(destination: TraceDestination) -> list[Path]:
+    trace = destination.trace_path
+    files = [trace, ring_path(trace)]
+    return [*files, trace.with_name(METADATA_NAME)] if destination.is_bag else files
+
+
 def make_room(destination: TraceDestination) -> None:
     """Make the folder of the trace; refuse existing files of the same names, or with `force` remove them.
 
@@ -74,18 +95,13 @@ def make_room(destination: TraceDestination) -> None:
         OutputExistsError: a file is there already, and `force` was not given.
         OutputError: the folder cannot be made, or a file cannot be removed.
     """
-    trace = destination.trace_path
-    ours = (
-        [trace, ring_path(trace), trace.with_name(METADATA_NAME)]
-        if destination.is_bag
-        else [trace, ring_path(trace)]
-    )
+    ours = _files_of(destination)
     existing = [path for path in (destination.path, *ours) if path.exists()]
     if existing and not destination.force:
         raise OutputExistsError(f"{existing[0]} is there already; choose another name or use --force")
     try:
         for path in ours:
             path.unlink(missing_ok=True)
-        trace.parent.mkdir(parents=True, exist_ok=True)
+        destination.trace_path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as err:
         raise output_error(destination.path, err) from err

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 from ...choices import Transport
 from ...host.environment import ConfigurationVariable, MiddlewareEnvironment
 from ..base import DDS_MEETING, Backend, Meeting
-from .installation import INSTALL, check_installed, find_rmws, set_discovery_range, set_transport
+from .fastdds_profile import applied_transport
+from .installation import INSTALL, check_installed, find_rmws, set_discovery_range
 from .node import Ros2Node, running_rmw
 
 if TYPE_CHECKING:
@@ -25,8 +26,8 @@ def _make_node(options: NodeOptions) -> Node:
         os.environ["RMW_IMPLEMENTATION"] = options.rmw
     check_installed()
     set_discovery_range(options.discovery)
-    set_transport(options, running_rmw())
-    return Ros2Node(options)
+    with applied_transport(options, running_rmw()) as settings:
+        return Ros2Node(options, settings)
 
 
 BACKEND = Backend(

@@ -35,11 +35,19 @@ INSTALL = (
 
 @dataclass(frozen=True, slots=True)
 class Vendor:
-    """The vendor behind a ROS middleware, its name for people, and the ROS packages whose versions describe it."""
+    """The vendor behind a ROS middleware.
+
+    Attributes:
+        name: vendor, as in a session.
+        label: name for people.
+        packages: ROS packages whose versions describe it.
+        stamps_reception: whether its `received_timestamp` is the time of the reception; False where it is that of the take.
+    """
 
     name: str
     label: str
     packages: tuple[str, ...]
+    stamps_reception: bool = True
 
 
 VENDORS = {
@@ -47,7 +55,10 @@ VENDORS = {
     "rmw_fastrtps_dynamic_cpp": Vendor(
         "fastdds", "Fast DDS", ("fastrtps", "fastdds", "rmw_fastrtps_dynamic_cpp")
     ),
-    "rmw_cyclonedds_cpp": Vendor("cyclonedds", "Cyclone DDS", ("cyclonedds", "rmw_cyclonedds_cpp")),
+    # Its source fills `received_timestamp` when the message is taken (a TODO in rmw_node.cpp, take_with_info).
+    "rmw_cyclonedds_cpp": Vendor(
+        "cyclonedds", "Cyclone DDS", ("cyclonedds", "rmw_cyclonedds_cpp"), stamps_reception=False
+    ),
     "rmw_connextdds": Vendor("connext", "RTI Connext", ("rti_connext_dds_cmake_module", "rmw_connextdds")),
     "rmw_zenoh_cpp": Vendor("zenoh", "Zenoh", ("zenoh_cpp_vendor", "rmw_zenoh_cpp")),
 }
@@ -116,7 +127,7 @@ def set_discovery_range(discovery: Discovery) -> None:
 
 
 def set_transport(options: NodeOptions, rmw: str) -> None:
-    """Set the environment variable from which Fast DDS reads its transports when a node is made.
+    """Set the environment variable from which Fast DDS reads its transports when a node is made, beyond this machine.
 
     Args:
         options: options of the node.

@@ -24,15 +24,20 @@ from ..threaded import LAST_ACKNOWLEDGEMENT_S, ROUND_S, ThreadedNode
 from .installation import INSTALL, package_version, vendor_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from ..node import NodeOptions, Publisher, RawMessage, Receive, RosMessage, Subscription
 
 
 class Ros2Node(ThreadedNode):
-    """One rclpy node with its context, executor and thread; see `Node` and `ObjectNode` for the names."""
+    """One rclpy node with its context, executor and thread; see `Node` and `ObjectNode` for the names.
 
-    def __init__(self, options: NodeOptions) -> None:
+    Args:
+        options: options of the node.
+        settings: further settings in effect, for `Middleware.settings`.
+    """
+
+    def __init__(self, options: NodeOptions, settings: Mapping[str, str] | None = None) -> None:
         rclpy = _rclpy()
         super().__init__(options)
         self._context = rclpy.Context()
@@ -42,7 +47,7 @@ class Ros2Node(ThreadedNode):
         )
         self._executor, executor_name = _make_executor(options.executor, self._context)
         self._executor.add_node(self._node)
-        self._middleware = _describe_middleware(options, executor_name)
+        self._middleware = _describe_middleware(options, executor_name, settings or {})
         self._publishers: list[_ObjectPublisher | _RawPublisher] = []
         # The EventsExecutor takes one message for each notification, and Fast DDS notifies once when several
         # messages become readable together (a lost fragment came at last): the others would wait in the reader
@@ -90,7 +95,7 @@ class Ros2Node(ThreadedNode):
     def _open_subscription(
         self, topic: str, type_name: str, receive: Receive[Any], qos: Qos | None, *, raw: bool
     ) -> _Ros2Subscription:
-        on_message = _with_info(receive)
+        on_message = _with_info(receive, stamps_reception=vendor_of(running_rmw()).stamps_reception)
         subscription = self._node.create_subscription(
             _message_class(type_name),
             topic,
@@ -276,15 +281,20 @@ def _make_executor(kind: ExecutorKind, context: Any) -> tuple[Any, str]:
     return _rclpy().executors.SingleThreadedExecutor(context=context), "single"
 
 
-def _with_info(receive: Receive[Any]) -> Callable[..., None]:
-    """Return `receive` as rclpy calls it, with the middleware's two time stamps where this rclpy reports them."""
+def _with_info(receive: Receive[Any], *, stamps_reception: bool) -> Callable[..., None]:
+    """Return `receive` as rclpy calls it, with the middleware's two time stamps where this rclpy reports them.
+
+    Args:
+        receive: callback of a subscription.
+        stamps_reception: whether the second time stamp is that of the reception; otherwise `receive` gets 0 for it.
+    """
     if not hasattr(_rclpy().subscription.Subscription, "CallbackType"):
         return receive  # Humble
 
     def on_message(message: Any, info: Any = None) -> None:
         if info is None:  # the EventsExecutor of Jazzy passes the pair as one argument
             message, info = message
-        receive(message, info["source_timestamp"], info["received_timestamp"])
+        receive(message, info["source_timestamp"], info["received_timestamp"] if stamps_reception else 0)
 
     # rclpy looks at the signature to learn whether the callback wants `info`: show it two needed parameters.
     parameter = inspect.Parameter
@@ -344,7 +354,7 @@ def _endpoint(info: Any) -> Endpoint:
     )
 
 
-def _describe_middleware(options: NodeOptions, executor: str) -> Middleware:
+def _describe_middleware(options: NodeOptions, executor: str, further: Mapping[str, str]) -> Middleware:
     rmw = running_rmw()
     vendor = vendor_of(rmw)
     versions = {name: package_version(name) for name in ("rclpy", *vendor.packages)}
@@ -354,6 +364,7 @@ def _describe_middleware(options: NodeOptions, executor: str) -> Middleware:
         "transport": options.transport.value,
         "tuned": str(options.tuned).lower(),
         "FASTDDS_BUILTIN_TRANSPORTS": os.environ.get("FASTDDS_BUILTIN_TRANSPORTS", ""),
+        **further,
     }
     return Middleware(
         "ros2",

@@ -96,3 +96,20 @@ def test_endpoints_are_taken_off_at_the_end():
     assert not any(each.is_open for each in bench.node.publishers.values())
     assert not any(each.is_open for each in bench.node.subscriptions.values())
     assert len(bench.relay.topics) == 6
+
+
+def test_probes_call_back_behind_their_reply_and_messages_do_not():
+    bench, called = Bench(), []
+    relay = Relay(
+        bench.node,
+        bench.sink,
+        RELAY,
+        data_types=data_types().values(),
+        qos=Qos(),
+        on_probe=lambda: called.append(len(bench.node.publishers["imu_data_relay"].sent)),
+    )
+    bench.node.deliver("imu_data", bench.message("imu", 0, 99))
+    assert called == [1]
+    bench.node.deliver("imu_data", bench.message("imu", 7, 0))
+    assert called == [1]
+    assert (relay.traffic.sent, relay.traffic.received, relay.traffic.payload_bytes) == (1, 1, 296)

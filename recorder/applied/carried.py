@@ -1,0 +1,139 @@
+"""Which path carried the payload: shared memory or an interface, by counters against payload x messages.
+
+Counters of an interface include other programs' traffic, which can only add to them. So a count that is too small
+refutes a path for certain, while one that is large enough proves nothing on a busy machine: where both could explain
+what was counted, the path is `unknown`. The bytes of a TCP connection that is still open are its own and prove it; too few
+of them prove nothing, as another connection may have come and gone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from .counters import InterfaceCounters
+
+if TYPE_CHECKING:
+    from .applied import Applied, Snapshot
+
+SHARED_MEMORY, UNKNOWN = "shm", "unknown"
+LOOPBACK = "lo"
+
+MIN_PAYLOAD_BYTES = 2_000_000
+"""Less payload than this is not told from discovery, which took 0.7 MB in runs of six seconds."""
+SURELY, POSSIBLY = 0.9, 0.5
+"""Share of the payload from which on a count explains it, and below which it cannot."""
+MIN_MESSAGES = 10
+"""Fewer messages than this may have been under way at one of the snapshots."""
+MOST_OVERHEAD = 4.0
+"""Counted bytes above this multiple of the payload are mostly others' (loopback counts each message twice)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Traffic:
+    """What one side sent and received between its two snapshots.
+
+    Attributes:
+        sent: messages that it handed to the middleware, warm-up included.
+        received: messages that it was given.
+        payload_bytes: bytes of a message.
+    """
+
+    sent: int
+    received: int
+    payload_bytes: int
+
+    @property
+    def sent_bytes(self) -> int:
+        """Bytes of payload sent."""
+        return self.sent * self.payload_bytes
+
+    @property
+    def received_bytes(self) -> int:
+        """Bytes of payload received."""
+        return self.received * self.payload_bytes
+
+
+def with_path(applied: Applied, traffic: Traffic) -> Applied:
+    """Return `applied` with the path that carried the payload; `unknown` before its end."""
+    return replace(applied, path=payload_path(applied, traffic))
+
+
+def payload_path(applied: Applied, traffic: Traffic) -> str:
+    """Return `shm`, the name of an interface, or `unknown` for the payload between the two snapshots."""
+    if applied.end is None or traffic.sent_bytes + traffic.received_bytes < MIN_PAYLOAD_BYTES:
+        return UNKNOWN
+    explaining = [name for name, delta in interface_deltas(applied).items() if _explains(delta, traffic)]
+    over_tcp = _tcp_delta(applied)
+    if over_tcp is not None and _reaches(over_tcp, traffic):
+        return _tcp_interface(applied.end, explaining)
+    memory = [each for each in applied.end.memory or () if each.is_in_use]
+    interfaces = applied.begin.interfaces
+    if memory and interfaces and all(is_excluded(applied, name, traffic) for name in interfaces):
+        return SHARED_MEMORY
+    # Memory of another process (or of whom nobody knows) could explain the payload as well as the interface does.
+    if any(each.is_own is not True for each in memory):
+        return UNKNOWN
+    return explaining[0] if len(explaining) == 1 else UNKNOWN
+
+
+def interface_deltas(applied: Applied) -> dict[str, InterfaceCounters]:
+    """Return interface -> what it counted between the two snapshots; empty before the end."""
+    if applied.end is None:
+        return {}
+    return {
+        name: counters.since(applied.begin.interfaces.get(name, InterfaceCounters()))
+        for name, counters in applied.end.interfaces.items()
+    }
+
+
+def is_excluded(applied: Applied, interface: str, traffic: Traffic) -> bool:
+    """Return whether an interface counted so little that it did not carry the payload, other traffic or not.
+
+    Received messages alone are proof: what was sent may have been for nobody.
+    """
+    if (
+        applied.end is None
+        or traffic.received < MIN_MESSAGES
+        or traffic.received_bytes < MIN_PAYLOAD_BYTES / 2
+    ):
+        return False
+    delta = interface_deltas(applied).get(interface)
+    if delta is None:  # never there; one that went away took its count along
+        return interface not in applied.begin.interfaces
+    # A negative count began anew.
+    return 0 <= delta.received_bytes < POSSIBLY * traffic.received_bytes
+
+
+def _reaches(delta: InterfaceCounters, traffic: Traffic) -> bool:
+    return (
+        delta.sent_bytes >= SURELY * traffic.sent_bytes
+        and delta.received_bytes >= SURELY * traffic.received_bytes
+    )
+
+
+def _explains(delta: InterfaceCounters, traffic: Traffic) -> bool:
+    most = MOST_OVERHEAD * (traffic.sent_bytes + traffic.received_bytes)
+    return _reaches(delta, traffic) and delta.sent_bytes + delta.received_bytes <= most
+
+
+def _tcp_delta(applied: Applied) -> InterfaceCounters | None:
+    """Return the bytes of the own TCP connections between the snapshots, None where there are none or none is known."""
+    if applied.end is None or applied.end.sockets is None or applied.begin.sockets is None:
+        return None
+    before = {each.inode: each.tcp for each in applied.begin.sockets if each.tcp is not None}
+    states = [(before.get(each.inode), each.tcp) for each in applied.end.sockets if each.tcp is not None]
+    if not states:
+        return None
+    return InterfaceCounters(
+        sum(now.acked_bytes - (then.acked_bytes if then else 0) for then, now in states),
+        sum(now.received_bytes - (then.received_bytes if then else 0) for then, now in states),
+    )
+
+
+def _tcp_interface(end: Snapshot, explaining: list[str]) -> str:
+    """Return the interface of the TCP connections: loopback by their addresses, else the one that counted enough."""
+    connected = [each for each in end.sockets or () if each.tcp is not None and each.remote_port]
+    if all(each.is_local for each in connected):
+        return LOOPBACK
+    return explaining[0] if len(explaining) == 1 else UNKNOWN

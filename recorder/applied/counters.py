@@ -1,0 +1,138 @@
+"""Counters of the kernel at one instant: bytes and packets by interface, lost fragments, multicast groups, limits.
+
+All of them belong to a network namespace, not to a process: other programs' traffic is counted as well.
+"""
+
+from __future__ import annotations
+
+import socket
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+_KERNEL_JOINS = ("224.0.0.1", "ff01::1", "ff02::1")
+"""Groups of all hosts, in which every interface is by itself."""
+
+_FRAGMENT_COUNTERS = (
+    "ReasmTimeout",
+    "ReasmReqds",
+    "ReasmOKs",
+    "ReasmFails",
+    "FragOKs",
+    "FragFails",
+    "FragCreates",
+)
+_UDP_COUNTERS = ("InErrors", "RcvbufErrors", "SndbufErrors", "InCsumErrors", "MemErrors")
+
+_LIMITS = {
+    "net.core.rmem_max": "net/core/rmem_max",
+    "net.core.rmem_default": "net/core/rmem_default",
+    "net.core.wmem_max": "net/core/wmem_max",
+    "net.core.wmem_default": "net/core/wmem_default",
+    "net.ipv4.ipfrag_time": "net/ipv4/ipfrag_time",
+    "net.ipv4.ipfrag_high_thresh": "net/ipv4/ipfrag_high_thresh",
+    "net.ipv4.ipfrag_low_thresh": "net/ipv4/ipfrag_low_thresh",
+    "net.ipv4.ipfrag_max_dist": "net/ipv4/ipfrag_max_dist",
+    "net.ipv4.ip_local_port_range.min": "net/ipv4/ip_local_port_range",  # the first of two numbers
+}
+
+
+@dataclass(frozen=True, slots=True)
+class InterfaceCounters:
+    """Totals of one interface since it came up."""
+
+    sent_bytes: int = 0
+    received_bytes: int = 0
+    sent_packets: int = 0
+    received_packets: int = 0
+
+    def since(self, begin: InterfaceCounters) -> InterfaceCounters:
+        """Return what was added after `begin`."""
+        return InterfaceCounters(
+            self.sent_bytes - begin.sent_bytes,
+            self.received_bytes - begin.received_bytes,
+            self.sent_packets - begin.sent_packets,
+            self.received_packets - begin.received_packets,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class MulticastGroup:
+    """A multicast group that some socket of this network namespace joined at an interface."""
+
+    interface: str
+    address: str
+
+
+def read_interfaces(root: Path = Path("/proc")) -> dict[str, InterfaceCounters]:
+    """Return interface -> its totals, from `/proc/net/dev`."""
+    counters = {}
+    for line in _lines(root / "self/net/dev")[2:]:
+        name, _, rest = line.partition(":")
+        numbers = [int(each) for each in rest.split()]
+        if len(numbers) >= 10:
+            counters[name.strip()] = InterfaceCounters(numbers[8], numbers[0], numbers[9], numbers[1])
+    return counters
+
+
+def read_kernel_counters(root: Path = Path("/proc")) -> dict[str, int]:
+    """Return the totals of lost fragments and datagrams by name (`ReasmFails`, `RcvbufErrors`), from `/proc/net/snmp`.
+
+    The names of UDP's counters stand in other protocols' lines too, so each is taken from its own line.
+    """
+    wanted = {"Ip:": _FRAGMENT_COUNTERS, "Udp:": _UDP_COUNTERS}
+    counters: dict[str, int] = {}
+    rows = [line.split() for line in _lines(root / "self/net/snmp")]
+    for names, values in zip(rows[::2], rows[1::2], strict=False):
+        counters |= {
+            name: int(value)
+            for name, value in zip(names, values, strict=False)
+            if name in wanted.get(names[0], ())
+        }
+    return counters
+
+
+def read_limits(root: Path = Path("/proc")) -> dict[str, int]:
+    """Return the kernel settings that bound buffers, reassembly and ports.
+
+    They are bytes, but for `net.ipv4.ipfrag_time` (seconds), `ipfrag_max_dist` (fragments) and the first port of those that
+    the kernel chooses itself.
+    """
+    words = {name: " ".join(_lines(root / "sys" / path)).split() for name, path in _LIMITS.items()}
+    return {name: int(each[0]) for name, each in words.items() if each and each[0].isdigit()}
+
+
+def read_groups(root: Path = Path("/proc")) -> tuple[MulticastGroup, ...]:
+    """Return the multicast groups of this network namespace by interface, from `/proc/net/igmp` and `igmp6`."""
+    groups = {*_ipv4_groups(root / "self/net/igmp"), *_ipv6_groups(root / "self/net/igmp6")}
+    joined = [group for group in groups if group.address not in _KERNEL_JOINS]
+    return tuple(sorted(joined, key=lambda group: (group.interface, group.address)))
+
+
+def _ipv4_groups(path: Path) -> list[MulticastGroup]:
+    groups, interface = [], ""
+    for line in _lines(path)[1:]:
+        words = line.split()
+        if not line[:1].isspace():
+            interface = words[1].rstrip(":")
+        elif words:
+            # Printed as one number, whose bytes in memory are the address in network order.
+            address = socket.inet_ntop(socket.AF_INET, struct.pack("=I", int(words[0], 16)))
+            groups.append(MulticastGroup(interface, address))
+    return groups
+
+
+def _ipv6_groups(path: Path) -> list[MulticastGroup]:
+    rows = [line.split() for line in _lines(path)]
+    return [
+        MulticastGroup(row[1], socket.inet_ntop(socket.AF_INET6, bytes.fromhex(row[2])))
+        for row in rows
+        if len(row) > 2
+    ]
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        return path.read_text().splitlines()
+    except OSError:
+        return []

@@ -1,0 +1,257 @@
+"""Differences between what a run was asked for and what its process really uses, in plain words.
+
+Each rule speaks only where the read-back leaves no other explanation: a difference bars a run from answers, so a false one
+would be worse than one that is missed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING
+
+from .carried import SHARED_MEMORY, UNKNOWN, is_excluded, payload_path
+from .vendors import SEGMENT, TransportFacts, vendor_facts
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from dds_trace.tracefile import JsonObject
+
+    from .applied import Applied
+    from .asked import Asked
+    from .carried import Traffic
+    from .memory import SharedMemory
+    from .sockets import Socket
+
+DOMAIN_PORTS, FIRST_PORT = 250, 7400
+"""DDS-RTPS 2.5, 9.6.2.3: a domain's ports are 7400 + 250 x domain and those above."""
+KERNELS_PORT = 32_768
+"""First of the ports that Linux chooses itself, unless `net.ipv4.ip_local_port_range` says otherwise."""
+GRANTED_PER_ASKED = 2
+"""Linux grants twice the socket buffer that a program sets, for its own bookkeeping (socket(7))."""
+
+
+class Setting(Enum):
+    """Which kind of setting was not applied."""
+
+    TRANSPORT = "transport"
+    TUNED = "tuned"
+    PROFILE = "profile"
+    INTERFACE = "interface"
+    KERNEL_LIMIT = "kernel_limit"
+    LARGE_DATA = "large_data"
+    SHARED_MEMORY = "shared_memory"
+    MEMORY_NAMESPACE = "memory_namespace"
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """One setting that was asked for and is not what the process does.
+
+    Attributes:
+        setting: which kind of setting.
+        asked: what was asked for.
+        applied: what was read back.
+        words: both as one sentence without a full stop.
+    """
+
+    setting: Setting
+    asked: str
+    applied: str
+    words: str
+
+    def to_json(self) -> JsonObject:
+        """Return the JSON object of one entry of the session's field `not_applied`."""
+        return {
+            "setting": self.setting.value,
+            "asked": self.asked,
+            "applied": self.applied,
+            "words": self.words,
+        }
+
+
+def differences(asked: Asked, applied: Applied, traffic: Traffic | None = None) -> tuple[Difference, ...]:
+    """Return every setting that was not applied; empty for an honest run.
+
+    Args:
+        asked: settings of this side.
+        applied: read back before the first message, or with its end after the last one.
+        traffic: messages between the two snapshots, or those that were sent in vain while waiting for an echo.
+    """
+    found = [rule(asked, applied, traffic) for rule in _RULES]
+    return tuple(each for each in found if each is not None)
+
+
+def _transport(asked: Asked, applied: Applied, traffic: Traffic | None) -> Difference | None:
+    """Compare the sockets and the shared memory of the process with what the asked transport needs."""
+    facts = vendor_facts(asked.vendor).transports.get(asked.transport)
+    if facts is None:
+        return None
+    used = _contradiction(facts, asked, applied, traffic)
+    if used is None:
+        return None
+    if asked.profile:
+        words = f"the profile {asked.profile} asks for {facts.label}, {used}"
+        if facts.shared_memory is False:
+            words += " (its transports come beside others unless useBuiltinTransports is false; ROS 2's LOCALHOST range adds its own)"
+        return Difference(Setting.PROFILE, asked.profile, used, words)
+    setting = Setting.LARGE_DATA if asked.transport == "large-data" else Setting.TRANSPORT
+    return Difference(setting, asked.transport, used, f"asked for {facts.label}, {used}")
+
+
+def _contradiction(
+    facts: TransportFacts, asked: Asked, applied: Applied, traffic: Traffic | None
+) -> str | None:
+    """Return in words what the process uses against the facts of its transport, None if nothing."""
+    memory, sockets = _memory_of(asked, applied), applied.latest.sockets
+    is_memory_known = applied.latest.memory is not None
+    if facts.shared_memory is False and memory:
+        if traffic is not None and payload_path(applied, traffic) == SHARED_MEMORY:
+            return "the bytes went through shared memory"
+        return f"shared memory is open ({_described(memory)})"
+    if facts.shared_memory is True and is_memory_known and not memory:
+        return "no shared memory is mapped"
+    if (
+        facts.protocol is not None
+        and sockets is not None
+        and not any(each.protocol == facts.protocol for each in sockets)
+    ):
+        return f"no {facts.protocol.upper()} socket is open"
+    return None
+
+
+def _receive_buffer(asked: Asked, applied: Applied, _traffic: Traffic | None) -> Difference | None:
+    """Compare the smallest receive buffer of the domain's UDP sockets with the asked one."""
+    sockets = _udp_sockets(applied)
+    first = FIRST_PORT + DOMAIN_PORTS * asked.domain_id
+    last = min(
+        first + DOMAIN_PORTS, applied.latest.limits.get("net.ipv4.ip_local_port_range.min", KERNELS_PORT)
+    )
+    of_domain = [each for each in sockets if first <= each.local_port < last]
+    # A socket that only sends is not enlarged, and has a port that the kernel chose. Where no port tells the receiving
+    # ones, the largest speaks for all.
+    buffers = [each.receive_buffer_bytes for each in of_domain] or [
+        max((each.receive_buffer_bytes for each in sockets), default=0)
+    ]
+    return _buffer(
+        "receive", "net.core.rmem_max", asked.receive_buffer_bytes, min(buffers) if sockets else None, applied
+    )
+
+
+def _send_buffer(asked: Asked, applied: Applied, _traffic: Traffic | None) -> Difference | None:
+    """Compare the largest send buffer of the UDP sockets with the asked one."""
+    buffers = [each.send_buffer_bytes for each in _udp_sockets(applied)]
+    return _buffer("send", "net.core.wmem_max", asked.send_buffer_bytes, max(buffers, default=None), applied)
+
+
+def _buffer(
+    way: str, limit_name: str, asked_bytes: int, granted_bytes: int | None, applied: Applied
+) -> Difference | None:
+    wanted_bytes = GRANTED_PER_ASKED * asked_bytes
+    if not asked_bytes or granted_bytes is None or granted_bytes >= wanted_bytes:
+        return None
+    words = (
+        f"asked for {way} buffers of {asked_bytes:,} bytes, which the kernel shows as {wanted_bytes:,}, "
+        f"and it shows {granted_bytes:,}"
+    )
+    limit_bytes = applied.latest.limits.get(limit_name)
+    if limit_bytes is not None and granted_bytes == GRANTED_PER_ASKED * limit_bytes:
+        return Difference(
+            Setting.KERNEL_LIMIT,
+            str(asked_bytes),
+            str(limit_bytes),
+            f"{words}: {limit_name} is {limit_bytes:,}",
+        )
+    return Difference(Setting.TUNED, str(wanted_bytes), str(granted_bytes), words)
+
+
+def _interface(asked: Asked, applied: Applied, traffic: Traffic | None) -> Difference | None:
+    """Compare what the named interface counted with the payload."""
+    if not asked.interface or traffic is None or not is_excluded(applied, asked.interface, traffic):
+        return None
+    path = payload_path(applied, traffic)
+    way = {UNKNOWN: "another way", SHARED_MEMORY: "through shared memory"}.get(path, f"through {path}")
+    return Difference(
+        Setting.INTERFACE,
+        asked.interface,
+        path,
+        f"asked for the interface {asked.interface}, the bytes went {way}",
+    )
+
+
+def _shared_memory(asked: Asked, applied: Applied, traffic: Traffic | None) -> Difference | None:
+    """Compare the mapped shared memory, and the path of the payload, with shared memory asked on or off."""
+    if asked.shared_memory is None or applied.latest.memory is None:
+        return None
+    memory = _memory_of(asked, applied)
+    path = UNKNOWN if traffic is None else payload_path(applied, traffic)
+    if not asked.shared_memory and memory:
+        used = (
+            "the bytes went through it" if path == SHARED_MEMORY else f"it is mapped ({_described(memory)})"
+        )
+        return Difference(Setting.SHARED_MEMORY, "off", used, f"asked for no shared memory, {used}")
+    if asked.shared_memory and not memory:
+        used = "none is mapped"
+        return Difference(Setting.SHARED_MEMORY, "on", used, f"asked for shared memory, {used}")
+    if asked.shared_memory and path not in (UNKNOWN, SHARED_MEMORY):
+        return Difference(
+            Setting.MEMORY_NAMESPACE,
+            "on",
+            path,
+            f"asked for shared memory, the bytes went through {path}: the other side's /dev/shm is another one, or it has "
+            "shared memory off",
+        )
+    return None
+
+
+def _memory_namespace(asked: Asked, applied: Applied, traffic: Traffic | None) -> Difference | None:
+    """Find shared memory that the other side cannot see."""
+    memory = _memory_of(asked, applied)
+    elsewhere = [each.name for each in memory if not each.is_here]
+    if elsewhere:
+        return Difference(
+            Setting.MEMORY_NAMESPACE,
+            asked.transport,
+            elsewhere[0],
+            f"{elsewhere[0]} is mapped, but it is not the file of that name in this process's /dev/shm",
+        )
+    # Fast DDS sends to a receiver of this host through the receiver's port in /dev/shm, and creates a port that it does not
+    # find there. Nobody serves such a port: the receiver serves the file of that name in its own mount namespace.
+    in_vain = traffic is not None and traffic.sent > 0 and traffic.received == 0
+    unserved = [each.name for each in memory if each.is_unserved_port]
+    if in_vain and unserved and not any(each.is_foreign_segment for each in memory):
+        return Difference(
+            Setting.MEMORY_NAMESPACE,
+            asked.transport,
+            unserved[0],
+            f"messages for a receiver on this host go to {unserved[0]} in /dev/shm, where nobody reads them: "
+            "the other side has a /dev/shm of its own (a container?); share it, or ask for UDP",
+        )
+    return None
+
+
+def _memory_of(asked: Asked, applied: Applied) -> list[SharedMemory]:
+    """Return the shared memory of the asked vendor that is in use."""
+    return [
+        each for each in applied.latest.memory or () if each.middleware == asked.vendor and each.is_in_use
+    ]
+
+
+def _udp_sockets(applied: Applied) -> list[Socket]:
+    return [each for each in applied.latest.sockets or () if each.protocol == "udp"]
+
+
+def _described(memory: list[SharedMemory]) -> str:
+    segments = [each.size_bytes for each in memory if each.role == SEGMENT]
+    return f"{len(memory)} files, {len(segments)} segments of {sum(segments):,} bytes"
+
+
+_RULES: tuple[Callable[[Asked, Applied, Traffic | None], Difference | None], ...] = (
+    _transport,
+    _receive_buffer,
+    _send_buffer,
+    _interface,
+    _shared_memory,
+    _memory_namespace,
+)

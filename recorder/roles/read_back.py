@@ -1,0 +1,100 @@
+"""The settings that a role asked its middleware for, beside those that its process is seen to use."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from dds_trace.tracefile import NotAppliedError
+
+from ..applied import Asked, asked_settings, differences, read_applied, with_path
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from dds_trace.tracefile import JsonObject
+
+    from ..applied import Applied, Difference, Setting, Traffic
+    from ..backends.node import Node
+
+
+class ReadBack:
+    """The settings of one role, read back before the first message and at the end, and never between messages.
+
+    Args:
+        node: the open node of the role.
+        environment: variables as the user set them, without those that the recorder adds.
+        strict: whether a setting that was not applied ends the recording.
+        note: callback that takes a line for the user.
+    """
+
+    def __init__(
+        self, node: Node, environment: Mapping[str, str], *, strict: bool, note: Callable[[str], None]
+    ) -> None:
+        options, middleware = node.options, node.middleware
+        self.asked: Asked = asked_settings(
+            middleware.vendor,
+            domain_id=options.domain_id,
+            transport=options.transport.value,
+            tuned=options.tuned,
+            discovery=options.discovery.value,
+            environment=environment,
+            settings=middleware.settings,
+        )
+        self._strict = strict
+        self._note = note
+        self._applied: Applied | None = None
+        self._differences: tuple[Difference, ...] = ()
+        self._told: set[tuple[Setting, str]] = set()
+
+    def read_begin(self) -> None:
+        """Read what the process uses before the first message; a second call changes nothing.
+
+        It takes some milliseconds, and any thread may call it: nothing is said before `tell`.
+        """
+        if self._applied is None:
+            applied = read_applied()
+            self._differences = differences(self.asked, applied)
+            self._applied = applied
+
+    def read_end(self, traffic: Traffic) -> None:
+        """Read what the process uses behind the last message.
+
+        Args:
+            traffic: messages since `read_begin`.
+        """
+        if self._applied is not None:
+            self._applied = with_path(read_applied(self._applied), traffic)
+            self._differences = differences(self.asked, self._applied, traffic)
+
+    def tell(self) -> None:
+        """Say each setting that was not applied and was not told before.
+
+        Raises:
+            NotAppliedError: there is one, and the recording is strict.
+        """
+        # At the end a setting that was told at the beginning may have other words, but it is the same news.
+        untold = [each for each in self._differences if (each.setting, each.asked) not in self._told]
+        self._told.update((each.setting, each.asked) for each in untold)
+        if untold and self._strict:
+            raise NotAppliedError(f"--strict: {'; '.join(each.words for each in untold)}")
+        for each in untold:
+            self._note(f"not applied: {each.words}; no answer will rest on this recording")
+
+    def explain(self, traffic: Traffic) -> str:
+        """Return what may keep messages from arriving, by the settings; empty if nothing is seen.
+
+        Args:
+            traffic: messages that were sent in vain.
+        """
+        return "; ".join(each.words for each in differences(self.asked, read_applied(), traffic))
+
+    def fields(self) -> JsonObject:
+        """Return the session's fields `asked`, and behind `read_begin` `applied` and `not_applied`."""
+        asked: JsonObject = {"asked": self.asked.to_json()}
+        if self._applied is None:
+            return asked
+        return {
+            **asked,
+            "applied": self._applied.to_json(),
+            "not_applied": [each.to_json() for each in self._differences],
+        }

@@ -1,0 +1,79 @@
+"""Real `dds-record` processes on Fast DDS that say what their middleware really uses."""
+
+from __future__ import annotations
+
+import pytest
+from processes import relay, run, running
+
+from dds_trace.tracefile import NotAppliedError, read_trace
+
+pytest.importorskip("rclpy", reason="no ROS 2 here")
+pytestmark = pytest.mark.middleware
+
+IGNORED = {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
+"""A wish that ROS 2's LOCALHOST range ignores."""
+LARGE = ("--size", "502KB", "--messages", 20, "--warmup", 2, "--rate", 20, "--depth", 1000)
+
+
+def ping(domain_id, out, *more, environment=None):
+    command = ("dds-record", "--role", "ping", "--domain", domain_id, "--out", out, *LARGE, *more)
+    return run(*command, environment=environment)
+
+
+def session(path):
+    return read_trace(path).sessions[-1].extra
+
+
+@pytest.mark.parametrize(
+    "more", [("--transport", "udp"), ("--tuned",)], ids=lambda more: "-".join(more).strip("-")
+)
+def test_transport_and_tuning_are_applied_on_this_machine(domain_id, tmp_path, more):
+    with relay(domain_id, tmp_path / "relay.mcap", *more, "--strict") as relaying:
+        done = ping(domain_id, tmp_path / "ping.mcap", *more, "--strict")
+        stopped = relaying.stop()
+    assert (done.status, stopped.status) == (0, 0), done.stderr + stopped.stderr
+    for name in ("ping", "relay"):
+        read = session(tmp_path / f"{name}.mcap")
+        assert read["asked"]["transport"] == "udp"
+        assert read["not_applied"] == []
+        assert read["applied"]["path"] in ("lo", "unknown")  # unknown where other tests use loopback as well
+        for instant in ("begin", "end"):
+            assert [
+                each["name"] for each in read["applied"][instant]["memory"] if not each["is_deleted"]
+            ] == []
+
+
+def test_a_setting_that_is_ignored_is_told_at_once_and_kept(domain_id, tmp_path):
+    with relay(domain_id, tmp_path / "relay.mcap") as relaying:
+        done = ping(domain_id, tmp_path / "ping.mcap", environment=IGNORED)
+        stopped = relaying.stop()
+    assert (done.status, stopped.status) == (0, 0), done.stderr + stopped.stderr
+    assert done.stderr.count("not applied: asked for UDP, shared memory is open") == 1
+    assert "not applied" not in stopped.stderr
+    read = session(tmp_path / "ping.mcap")
+    assert [each["setting"] for each in read["not_applied"]] == ["transport"]
+    first = read_trace(tmp_path / "ping.mcap").sessions[0].extra
+    assert first["not_applied"][0]["setting"] == "transport"
+
+
+def test_strict_ends_a_ping_before_its_trace(domain_id, tmp_path):
+    out = tmp_path / "ping.mcap"
+    with relay(domain_id, tmp_path / "relay.mcap"):
+        done = ping(domain_id, out, "--strict", environment=IGNORED)
+    assert done.status == NotAppliedError.exit_code
+    assert done.stderr.splitlines()[-1].startswith(
+        "dds-record: --strict: asked for UDP, shared memory is open"
+    )
+    assert not out.exists()
+
+
+def test_strict_ends_a_relay_at_the_first_ping_and_leaves_its_place_free(domain_id, tmp_path):
+    out = tmp_path / "relay"
+    command = ("dds-record", "--role", "relay", "--domain", domain_id, "--out", out, "--strict")
+    with running(*command, environment=IGNORED) as relaying:
+        relaying.wait_for_line("serves domain")
+        ping(domain_id, tmp_path / "ping.mcap", "--duration", 1)
+        done = relaying.finish()
+    assert done.status == NotAppliedError.exit_code, done.stderr
+    assert "asked for UDP, shared memory is open" in done.stderr
+    assert not out.exists()

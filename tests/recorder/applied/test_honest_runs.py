@@ -1,0 +1,128 @@
+"""Runs whose settings are applied raise no difference, on any backend: one of each, and fifty-one for `just test-slow`."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from importlib.util import find_spec
+from itertools import product
+
+import pytest
+from applied_pair import run_pair
+from namespaces import needs_namespaces
+
+from dds_trace.recorder.sweep.station.emulation import ip
+
+pytestmark = pytest.mark.middleware
+
+PACKAGES = {"ros2": "rclpy", "cyclonedds": "cyclonedds", "zenoh": "zenoh"}
+SIZES_BYTES = (33_000, 145_000, 502_000)
+
+
+@dataclass(frozen=True)
+class Honest:
+    """Settings that are applied.
+
+    Attributes:
+        paths: what may have carried the payload.
+        max_bytes: payload above which this transport loses messages.
+    """
+
+    backend: str
+    transport: str = "default"
+    tuned: bool = False
+    discovery: str = "localhost"
+    paths: tuple[str, ...] = ("lo", "unknown")
+    max_bytes: int = 1 << 30
+
+    @property
+    def name(self) -> str:
+        return "-".join((self.backend, self.transport, self.discovery, *(["tuned"] * self.tuned)))
+
+
+MEMORY = ("shm", "unknown")
+HONEST = [
+    Honest("ros2", paths=MEMORY),
+    Honest("ros2", "udp"),
+    Honest("ros2", "udp", tuned=True),
+    Honest("ros2", tuned=True),
+    Honest("ros2", "shm", paths=MEMORY),
+    Honest("ros2", "large-data", paths=MEMORY),
+    Honest("ros2", discovery="subnet", paths=MEMORY),
+    Honest("ros2", "udp", discovery="subnet"),
+    Honest("ros2", "udp", tuned=True, discovery="subnet"),
+    Honest("ros2", "large-data", discovery="subnet", paths=MEMORY),
+    Honest("cyclonedds"),
+    Honest("cyclonedds", tuned=True),
+    Honest("zenoh", paths=MEMORY),
+    Honest("zenoh", tuned=True, paths=MEMORY),
+    Honest("socket"),
+    Honest("socket", "udp", max_bytes=145_000),  # more datagrams than the system's buffer holds are lost
+    Honest("socket", "udp", tuned=True),
+]
+
+
+@pytest.fixture(scope="module")
+def subnet():
+    """A network namespace with an interface for multicast; the way into it."""
+    name = f"ddstrace-honest-{os.getpid()}"
+    ip("netns", "add", name)
+    try:
+        for command in (
+            ("link", "set", "lo", "up"),
+            ("link", "add", "link0", "type", "veth", "peer", "name", "link1"),
+            ("addr", "add", "198.51.100.1/24", "dev", "link0"),
+            ("link", "set", "link0", "up"),
+            ("link", "set", "link1", "up"),
+            ("route", "add", "224.0.0.0/4", "dev", "link0"),
+        ):
+            ip("-n", name, *command)
+        yield ("ip", "netns", "exec", name)
+    finally:
+        ip("netns", "delete", name)
+
+
+@pytest.fixture
+def run(domain_id, request):
+    def honest(case, payload_bytes):
+        if find_spec(PACKAGES.get(case.backend, "json")) is None:
+            pytest.skip(f"{case.backend} is not installed")
+        options = {
+            "transport": case.transport,
+            "tuned": case.tuned,
+            "discovery": case.discovery,
+            "payload_bytes": min(payload_bytes, case.max_bytes),
+        }
+        if case.discovery == "subnet":
+            return run_pair(case.backend, domain_id, **options, prefix=request.getfixturevalue("subnet"))
+        return run_pair(case.backend, domain_id, **options)
+
+    return honest
+
+
+def assert_honest(case, sides):
+    for side in sides:
+        assert side.at_begin == [], case.name
+        assert side.at_end == [], case.name
+        assert side.traffic.received > 0
+        assert side.applied.path in case.paths, case.name
+
+
+def named(case):
+    needs = [needs_namespaces("ip", "iproute2")] if case.discovery == "subnet" else []
+    return pytest.param(case, id=case.name, marks=needs)
+
+
+@pytest.mark.parametrize("case", [named(case) for case in HONEST])
+def test_what_is_applied_is_no_difference(run, case):
+    assert_honest(case, run(case, SIZES_BYTES[-1]))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@needs_namespaces("ip", "iproute2")
+def test_fifty_honest_runs_raise_none(run):
+    runs = list(product(SIZES_BYTES, HONEST))
+    assert len(runs) == 51
+    for payload_bytes, case in runs:
+        assert_honest(case, run(case, payload_bytes))

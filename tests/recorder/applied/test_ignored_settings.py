@@ -1,0 +1,211 @@
+"""Eight settings that middlewares ignore without a word, each provoked with real processes and named by the read-back."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from importlib.util import find_spec
+from itertools import count
+from pathlib import Path
+
+import pytest
+from applied_pair import run_pair
+from namespaces import needs_namespaces
+
+from dds_trace.recorder.backends.ros2.fastdds_profile import (
+    asked_profile,
+    localhost_profile,
+    profile_environment,
+    written_profile,
+)
+from dds_trace.recorder.choices import Transport
+from dds_trace.recorder.sweep.station.emulation import ip
+
+pytestmark = pytest.mark.middleware
+
+OWN_SHM = (
+    *("unshare", "--mount", "--propagation", "private", "sh", "-c"),
+    *('mount -t tmpfs -o mode=1777 tmpfs /dev/shm && exec "$@"', "sh"),
+)
+"""Becomes the command behind it with a /dev/shm of its own, as a container has one."""
+
+needs_root = pytest.mark.skipif(
+    os.geteuid() != 0 or shutil.which("unshare") is None,
+    reason="a /dev/shm of its own needs root and unshare",
+)
+needs_ros2 = pytest.mark.skipif(find_spec("rclpy") is None, reason="no ROS 2 here")
+needs_cyclonedds = pytest.mark.skipif(find_spec("cyclonedds") is None, reason="cyclonedds is not installed")
+needs_zenoh = pytest.mark.skipif(find_spec("zenoh") is None, reason="zenoh is not installed")
+_numbers = count()
+
+
+def localhost(value):
+    """The old way: the variable that the LOCALHOST range ignores."""
+    return {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "FASTDDS_BUILTIN_TRANSPORTS": value}
+
+
+@needs_ros2
+def test_1_udp_under_the_localhost_range(domain_id):
+    ping, relay = run_pair("ros2", domain_id, transport="udp", environment=localhost("UDPv4"))
+    for side in (ping, relay):
+        ((setting, words),) = side.at_begin
+        assert setting == "transport"
+        assert words.startswith("asked for UDP, shared memory is open (")
+        assert side.settings == ["transport"]
+    assert ping.at_end[0][1].startswith("asked for UDP, ")
+    assert any(each.is_foreign_segment for each in ping.applied.end.memory)
+
+
+@needs_ros2
+def test_2_tuned_under_the_localhost_range(domain_id):
+    for side in run_pair("ros2", domain_id, tuned=True, environment=localhost("UDPv4?sockets_size=4MB")):
+        assert side.settings == ["transport", "tuned", "tuned"]
+        assert side.at_end[1][1].startswith("asked for receive buffers of 4,000,000 bytes, ")
+        assert side.at_end[2][1].startswith("asked for send buffers of 4,000,000 bytes, ")
+
+
+@needs_ros2
+def test_3_a_profile_that_keeps_the_builtin_transports(domain_id):
+    loose = localhost_profile(Transport.UDP).replace("<useBuiltinTransports>false</useBuiltinTransports>", "")
+    with written_profile(loose) as path:
+        sides = run_pair(
+            "ros2",
+            domain_id,
+            environment={"ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT"},
+            variables={"FASTRTPS_DEFAULT_PROFILES_FILE": str(path)},
+        )
+    for side in sides:
+        ((setting, words),) = side.at_begin
+        assert setting == "profile"
+        assert f"the profile {path.name} asks for UDP, shared memory is open (" in words
+        # On a quiet machine the loopback interface, which the profile names, is seen to carry nothing as well.
+        assert side.settings in (["profile"], ["profile", "interface"])
+
+
+@pytest.fixture
+def unused_interface():
+    """A network namespace with an interface of its own that has an address; its name and the way into it."""
+    name = f"ddstrace-applied-{os.getpid()}-{next(_numbers)}"
+    ip("netns", "add", name)
+    try:
+        for command in (
+            ("link", "set", "lo", "up"),
+            ("link", "add", "unused0", "type", "veth", "peer", "name", "unused1"),
+            ("addr", "add", "198.51.100.1/24", "dev", "unused0"),
+            ("link", "set", "unused0", "up"),
+            ("link", "set", "unused1", "up"),
+        ):
+            ip("-n", name, *command)
+        yield "unused0", ("ip", "netns", "exec", name)
+    finally:
+        ip("netns", "delete", name)
+
+
+@needs_cyclonedds
+@needs_namespaces("ip", "iproute2")
+def test_4_an_interface_that_carries_nothing(domain_id, unused_interface):
+    # Linux moves what a machine sends to its own address through loopback, whichever interface has that address.
+    name, inside = unused_interface
+    settings = (
+        f'<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="{name}"/></Interfaces></General>'
+        "</Domain></CycloneDDS>"
+    )
+    for side in run_pair(
+        "cyclonedds", domain_id, discovery="subnet", variables={"CYCLONEDDS_URI": settings}, prefix=inside
+    ):
+        assert side.asked.interface == name
+        assert side.applied.path == "lo"
+        assert side.at_begin == []
+        assert side.at_end == [("interface", f"asked for the interface {name}, the bytes went through lo")]
+
+
+@needs_ros2
+@needs_namespaces("ip", "iproute2")
+def test_4_an_interface_of_a_fast_dds_profile_that_carries_nothing(domain_id, unused_interface):
+    name, inside = unused_interface
+    text = localhost_profile(Transport.UDP, 4_000_000).replace("127.0.0.1", "198.51.100.1")
+    with written_profile(text) as path:
+        sides = run_pair(
+            "ros2",
+            domain_id,
+            environment={"ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT"},
+            variables={"FASTRTPS_DEFAULT_PROFILES_FILE": str(path)},
+            prefix=inside,
+        )
+    for side in sides:
+        assert side.asked.interface == name
+        assert side.at_begin == []
+        assert side.at_end == [("interface", f"asked for the interface {name}, the bytes went through lo")]
+
+
+@needs_ros2
+def test_5_a_buffer_above_the_kernels_limit(domain_id):
+    # The limit itself is the machine's, and other tests need it; asking for more than it allows is the same.
+    limits = [int(Path(f"/proc/sys/net/core/{name}").read_text()) for name in ("rmem_max", "wmem_max")]
+    asked_bytes = 2 * max(limits)
+    with written_profile(localhost_profile(Transport.UDP, asked_bytes)) as path:
+        sides = run_pair(
+            "ros2",
+            domain_id,
+            tuned=True,
+            environment=profile_environment(path, {}),
+            asked={"receive_buffer_bytes": asked_bytes, "send_buffer_bytes": asked_bytes},
+        )
+    for side in sides:
+        assert side.settings == ["kernel_limit", "kernel_limit"]
+        assert side.at_end[0][1].endswith(f"net.core.rmem_max is {limits[0]:,}")
+        assert side.at_end[1][1].endswith(f"net.core.wmem_max is {limits[1]:,}")
+
+
+@needs_ros2
+def test_6_large_data_under_the_localhost_range(domain_id):
+    for side in run_pair("ros2", domain_id, transport="large-data", environment=localhost("LARGE_DATA")):
+        assert side.at_begin == [("large_data", "asked for LARGE_DATA, no TCP socket is open")]
+        assert side.settings == ["large_data"]
+
+
+@needs_zenoh
+@pytest.mark.parametrize(
+    ("is_on", "words"), [(True, "asked for no shared memory, "), (False, "none is mapped")]
+)
+def test_7_zenohs_shared_memory(domain_id, is_on, words):
+    # Not a word of the settings says it: zenoh's own default is on, and a message of 3 KB or more leaves TCP for it.
+    for side in run_pair("zenoh", domain_id, zenoh_memory=is_on, asked={"shared_memory": not is_on}):
+        assert side.settings == ["shared_memory"]
+        assert words in side.at_end[0][1]
+    for side in run_pair("zenoh", domain_id, zenoh_memory=is_on, asked={"shared_memory": is_on}):
+        assert side.at_begin == side.at_end == []
+
+
+@needs_root
+@needs_zenoh
+def test_8_zenoh_with_a_dev_shm_of_another_namespace(domain_id):
+    ping, relay = run_pair("zenoh", domain_id, asked={"shared_memory": True}, relay_prefix=OWN_SHM)
+    assert ping.settings == ["memory_namespace"]
+    assert ping.at_end[0][1].startswith("asked for shared memory, the bytes went through lo: ")
+    assert ping.applied.path == "lo"
+    assert relay.applied.path != "shm"
+
+
+@needs_root
+@needs_ros2
+def test_8_fast_dds_with_a_dev_shm_of_another_namespace_sends_in_vain(domain_id):
+    ping, _ = run_pair("ros2", domain_id, relay_prefix=OWN_SHM, attempts=20)
+    assert ping.traffic.received == 0
+    assert ping.settings == ["memory_namespace"]
+    assert "the other side has a /dev/shm of its own" in ping.at_end[0][1]
+
+
+@needs_root
+@needs_ros2
+def test_udp_reaches_a_side_whose_dev_shm_is_another(domain_id):
+    with written_profile(asked_profile(Transport.UDP, tuned=True)) as path:
+        sides = run_pair(
+            "ros2",
+            domain_id,
+            tuned=True,
+            environment=profile_environment(path, {}),
+            relay_prefix=OWN_SHM,
+        )
+    for side in sides:
+        assert side.at_end == []

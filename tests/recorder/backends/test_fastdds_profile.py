@@ -1,0 +1,220 @@
+"""The profile that keeps a Fast DDS transport on this machine: its text, and what real nodes make of it."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+from applied_pair import run_pair
+
+from dds_trace.recorder.backends.node import NodeOptions
+from dds_trace.recorder.backends.ros2 import fastdds_profile
+from dds_trace.recorder.backends.ros2.fastdds_profile import (
+    applied_transport,
+    asked_profile,
+    loaded_profile,
+    localhost_profile,
+    profile_environment,
+    written_profile,
+)
+from dds_trace.recorder.choices import Discovery, Transport
+from dds_trace.tracefile import OptionError
+
+GOLDEN = Path(__file__).parents[2] / "data" / "fastdds_profiles"
+ON_THIS_MACHINE = {"127.0.0.1", "239.255.0.1"}
+
+
+@pytest.mark.parametrize(
+    ("name", "transport", "tuned"),
+    [
+        ("udp", Transport.UDP, False),
+        ("udp-tuned", Transport.UDP, True),
+        ("udp-tuned", Transport.DEFAULT, True),
+        ("shm", Transport.SHM, False),
+        ("large-data", Transport.LARGE_DATA, False),
+    ],
+)
+def test_the_text_by_transport(name, transport, tuned):
+    assert asked_profile(transport, tuned=tuned) == (GOLDEN / f"{name}.xml").read_text()
+
+
+def test_the_default_needs_no_profile():
+    assert asked_profile(Transport.DEFAULT, tuned=False) is None
+    with pytest.raises(OptionError, match="LOCALHOST range is that already"):
+        localhost_profile(Transport.DEFAULT)
+
+
+@pytest.mark.parametrize("transport", [Transport.SHM, Transport.LARGE_DATA])
+def test_what_has_no_settings_for_large_messages_is_refused(transport):
+    with pytest.raises(OptionError, match=f"no settings for large messages .* {transport.value}"):
+        asked_profile(transport, tuned=True)
+
+
+def test_where_it_is_written_and_what_names_it():
+    with written_profile("<dds/>") as path:
+        assert path.read_text() == "<dds/>"
+        assert profile_environment(path, {}) == {
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
+            "FASTRTPS_DEFAULT_PROFILES_FILE": str(path),
+            "FASTDDS_DEFAULT_PROFILES_FILE": str(path),
+        }
+    assert not path.exists()
+
+
+@pytest.mark.parametrize("name", ["FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"])
+def test_a_profile_of_the_users_own_excludes_ours(name, tmp_path):
+    with pytest.raises(OptionError, match=f"{name} names a profile already"):
+        profile_environment(tmp_path / "ours.xml", {name: "/home/me/mine.xml"})
+
+
+def test_the_environment_is_as_before_behind_the_block(monkeypatch):
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    for _ in range(2):  # a process opens several nodes one after the other
+        with loaded_profile("<dds/>") as path:
+            assert os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] == str(path)
+            assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SYSTEM_DEFAULT"
+            assert path.exists()
+        assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
+        assert "FASTRTPS_DEFAULT_PROFILES_FILE" not in os.environ
+        assert "FASTDDS_DEFAULT_PROFILES_FILE" not in os.environ
+        assert not path.exists()
+
+
+def test_the_block_leaves_a_profile_of_the_users_own_alone(monkeypatch):
+    monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", "mine.xml")
+    with pytest.raises(OptionError, match="names a profile already"), loaded_profile("<dds/>"):
+        pass
+    assert os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] == "mine.xml"
+
+
+@pytest.fixture
+def run(domain_id):
+    """Runs a pair as the product opens its nodes."""
+    pytest.importorskip("rclpy", reason="no ROS 2 here")
+
+    def pair(transport, tuned, **more):
+        return run_pair("ros2", domain_id, transport=transport.value, tuned=tuned, **more)
+
+    return pair
+
+
+def assert_honest(side):
+    assert side.at_begin == side.at_end == []
+    assert {
+        each.local_address
+        for each in side.applied.latest.sockets
+        if each.remote_port or each.protocol == "udp"
+    } <= (ON_THIS_MACHINE)
+
+
+@pytest.mark.middleware
+@pytest.mark.parametrize("tuned", [False, True])
+@pytest.mark.parametrize("payload_bytes", [502_000, 1_000_000])
+def test_udp_leaves_shared_memory_and_stays_on_loopback(run, tuned, payload_bytes):
+    for side in run(Transport.UDP, tuned, payload_bytes=payload_bytes):
+        assert_honest(side)
+        assert side.applied.latest.memory == ()
+        assert side.traffic.sent == side.traffic.received
+        receiving = [
+            each.receive_buffer_bytes
+            for each in side.applied.latest.sockets
+            if 0 <= each.local_port - 7400 - 250 * side.asked.domain_id < 250
+        ]
+        assert len(receiving) >= 2
+        assert (min(receiving) == max(receiving) == 8_000_000) is tuned
+
+
+@pytest.mark.middleware
+def test_a_tuned_default_is_tuned_udp(run):
+    ping, relay = run(Transport.DEFAULT, True)
+    assert ping.asked.transport == relay.asked.transport == "udp"
+    for side in (ping, relay):
+        assert_honest(side)
+        assert side.applied.latest.memory == ()
+
+
+@pytest.mark.middleware
+def test_shared_memory_alone_opens_no_socket(run):
+    for side in run(Transport.SHM, False):
+        assert_honest(side)
+        assert side.applied.latest.sockets == ()
+        assert any(each.middleware == "fastdds" for each in side.applied.latest.memory)
+
+
+@pytest.mark.middleware
+def test_large_data_opens_tcp_on_loopback(run):
+    for side in run(Transport.LARGE_DATA, False):
+        assert_honest(side)
+        listening = [each.local_address for each in side.applied.latest.sockets if each.is_listening]
+        assert listening == ["127.0.0.1"]
+        groups = {(each.interface, each.address) for each in side.applied.latest.groups}
+        assert ("lo", "239.255.0.1") in groups
+
+
+@pytest.mark.middleware
+@pytest.mark.parametrize("is_ping_ours", [True, False])
+def test_nodes_of_the_localhost_range_and_ours_find_each_other(run, is_ping_ours):
+    theirs = {"transport": "default"}
+    pair = run(Transport.UDP, False, relay=theirs) if is_ping_ours else run(Transport.UDP, False, ping=theirs)
+    ours, other = pair if is_ping_ours else reversed(pair)
+    assert ours.traffic.received > 0
+    assert_honest(ours)
+    assert other.at_end == []
+
+
+@pytest.mark.middleware
+@pytest.mark.skipif(find_spec("cyclonedds") is None, reason="cyclonedds is not installed")
+@pytest.mark.parametrize("is_ping_ours", [True, False])
+def test_cyclone_dds_and_ours_find_each_other(run, is_ping_ours):
+    cyclone = {"transport": "default", "backend": "cyclonedds"}
+    more = {"relay" if is_ping_ours else "ping": cyclone}
+    for side in run(Transport.UDP, True, payload_bytes=1_000_000, **more):
+        assert side.traffic.received > 0
+        assert side.at_end == []
+
+
+LOCAL = NodeOptions(discovery=Discovery.LOCALHOST, transport=Transport.UDP)
+
+
+@pytest.fixture
+def fresh(monkeypatch):
+    """A process that has made no node yet."""
+    monkeypatch.setattr(fastdds_profile, "_loaded", [])
+
+
+@pytest.mark.usefixtures("fresh")
+def test_a_process_has_one_profile():
+    with applied_transport(LOCAL, "rmw_fastrtps_cpp") as settings:
+        assert settings == {"profile": "written by dds-trace for this machine alone"}
+    with applied_transport(replace(LOCAL, name="second"), "rmw_fastrtps_cpp"):
+        pass
+    other = replace(LOCAL, transport=Transport.DEFAULT)
+    with (
+        pytest.raises(OptionError, match="once for each process"),
+        applied_transport(other, "rmw_fastrtps_cpp"),
+    ):
+        pass
+
+
+@pytest.mark.usefixtures("fresh")
+def test_the_subnet_leaves_the_transport_to_the_variable(monkeypatch):
+    monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "SHM")
+    subnet = replace(LOCAL, discovery=Discovery.SUBNET, tuned=True)
+    with applied_transport(subnet, "rmw_fastrtps_cpp") as settings:
+        assert settings == {}
+        assert os.environ["FASTDDS_BUILTIN_TRANSPORTS"] == "UDPv4?sockets_size=4MB"
+        assert "FASTRTPS_DEFAULT_PROFILES_FILE" not in os.environ
+
+
+@pytest.mark.usefixtures("fresh")
+@pytest.mark.parametrize("discovery", Discovery)
+def test_the_transports_of_other_vendors_are_refused(discovery):
+    options = replace(LOCAL, discovery=discovery)
+    with (
+        pytest.raises(OptionError, match="the middleware here is rmw_cyclonedds_cpp"),
+        applied_transport(options, "rmw_cyclonedds_cpp"),
+    ):
+        pass

@@ -1,0 +1,98 @@
+"""The settings of a role read back: what the session gets, what the user is told, what `--strict` ends."""
+
+from __future__ import annotations
+
+import pytest
+from fake_node import FakeNode
+from snapshots import applied, counted, segment, udp
+
+from dds_trace.recorder.applied import Traffic
+from dds_trace.recorder.backends.node import Middleware, NodeOptions
+from dds_trace.recorder.choices import Transport
+from dds_trace.recorder.roles import read_back
+from dds_trace.recorder.roles.read_back import ReadBack
+from dds_trace.tracefile import NotAppliedError
+
+
+class Bench:
+    """A role on Fast DDS that was asked for UDP; `seen` is what its process uses."""
+
+    def __init__(self, monkeypatch, *, strict=False, transport=Transport.UDP):
+        self.node = FakeNode(NodeOptions(5, transport=transport))
+        self.node.middleware = Middleware("ros2", "fastdds", "rmw_fastrtps_cpp")
+        self.notes, self.reads = [], 0
+        self.seen = applied(sockets=(udp(8660),), begin=counted(lo=(0, 0)))
+        monkeypatch.setattr(read_back, "read_applied", self.read)
+        self.read_back = ReadBack(self.node, {}, strict=strict, note=self.notes.append)
+
+    def read(self, begun=None):
+        self.reads += 1
+        return self.seen if begun is None else applied(begin=counted(lo=(0, 0)), end=counted(lo=(0, 0)))
+
+
+def test_before_it_is_read_the_session_holds_the_wish_alone(monkeypatch):
+    bench = Bench(monkeypatch)
+    bench.read_back.read_end(Traffic(1, 1, 1))  # a relay that was never asked
+    assert list(bench.read_back.fields()) == ["asked"]
+    assert bench.read_back.fields()["asked"]["transport"] == "udp"
+    assert bench.reads == 0
+
+
+def test_an_honest_run_tells_nothing(monkeypatch):
+    bench = Bench(monkeypatch, strict=True)
+    bench.read_back.read_begin()
+    bench.read_back.tell()
+    fields = bench.read_back.fields()
+    assert fields["not_applied"] == bench.notes == []
+    assert fields["applied"]["begin"]["sockets"][0]["local_port"] == 8660
+    assert fields["applied"]["end"] is None
+
+
+def test_a_difference_is_told_once_and_kept(monkeypatch):
+    bench = Bench(monkeypatch)
+    bench.seen = applied(sockets=(udp(8660),), memory=(segment(),))
+    bench.read_back.read_begin()
+    for _ in range(2):
+        bench.read_back.tell()
+    (note,) = bench.notes
+    assert note.startswith("not applied: asked for UDP, shared memory is open (1 files")
+    (difference,) = bench.read_back.fields()["not_applied"]
+    assert difference["setting"] == "transport"
+
+
+def test_other_words_for_the_same_setting_at_the_end_are_no_news(monkeypatch):
+    bench = Bench(monkeypatch)
+    bench.seen = applied(memory=(segment(),), begin=counted(lo=(0, 0)))
+    bench.read_back.read_begin()
+    bench.read_back.tell()
+    ended = applied(memory=(segment(),), begin=counted(lo=(0, 0)), end=counted(lo=(9, 9)))
+    monkeypatch.setattr(read_back, "read_applied", lambda _: ended)
+    bench.read_back.read_end(Traffic(100, 100, 100_000))
+    bench.read_back.tell()
+    assert len(bench.notes) == 1
+    (difference,) = bench.read_back.fields()["not_applied"]
+    assert difference["words"] == "asked for UDP, the bytes went through shared memory"
+    assert bench.read_back.fields()["applied"]["path"] == "shm"
+
+
+def test_strict_ends_the_recording(monkeypatch):
+    bench = Bench(monkeypatch, strict=True)
+    bench.seen = applied(memory=(segment(),))
+    bench.read_back.read_begin()
+    with pytest.raises(NotAppliedError, match=r"^--strict: asked for UDP, shared memory is open"):
+        bench.read_back.tell()
+    assert bench.notes == []
+
+
+def test_the_beginning_is_read_once(monkeypatch):
+    bench = Bench(monkeypatch)
+    for _ in range(3):  # three pings look for their echo one after the other
+        bench.read_back.read_begin()
+    assert bench.reads == 1
+
+
+def test_a_setting_may_explain_why_no_echo_comes(monkeypatch):
+    bench = Bench(monkeypatch)
+    assert bench.read_back.explain(Traffic(20, 0, 33_000)) == ""
+    bench.seen = applied(memory=(segment(),))
+    assert bench.read_back.explain(Traffic(20, 0, 33_000)).startswith("asked for UDP, ")

@@ -1,0 +1,119 @@
+"""A ping and a relay on one backend as two processes, and what each read back of itself."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from dds_trace.recorder.applied import Applied, Asked, Traffic
+
+PATIENCE_S = 90.0
+"""No test is about time; this only ends one that hangs."""
+PAYLOAD_BYTES, MESSAGES = 502_000, 30
+
+
+@dataclass(frozen=True)
+class Report:
+    """What one side read back: differences as (setting, words)."""
+
+    asked: Asked
+    applied: Applied
+    traffic: Traffic
+    at_begin: list[tuple[str, str]]
+    at_end: list[tuple[str, str]]
+    rtt_ms: list[float]
+
+    @property
+    def settings(self) -> list[str]:
+        """Settings that were not applied, by the end."""
+        return [setting for setting, _ in self.at_end]
+
+
+def _report(line: str) -> Report:
+    data = json.loads(line)
+    return Report(
+        Asked.from_json(data["asked"]),
+        Applied.from_json(data["applied"]),
+        Traffic(*data["traffic"]),
+        [tuple(each) for each in data["at_begin"]],
+        [tuple(each) for each in data["at_end"]],
+        data.get("rtt_ms", []),
+    )
+
+
+def run_pair(
+    backend: str,
+    domain_id: int,
+    *,
+    transport: str = "default",
+    tuned: bool = False,
+    discovery: str = "localhost",
+    payload_bytes: int = PAYLOAD_BYTES,
+    messages: int = MESSAGES,
+    period_s: float = 0.02,
+    attempts: int = 60,
+    environment: dict[str, str] | None = None,
+    zenoh_memory: bool | None = None,
+    asked: dict[str, object] | None = None,
+    variables: dict[str, str] | None = None,
+    ping: dict[str, object] | None = None,
+    relay: dict[str, object] | None = None,
+    relay_prefix: tuple[str, ...] = (),
+    prefix: tuple[str, ...] = (),
+) -> tuple[Report, Report]:
+    """Send messages there and back; what ping and relay read back.
+
+    Args:
+        attempts: messages until the first echo, two a second, after which the ping gives up.
+        environment: replaces what the product sets for rclpy, None to leave that as it is.
+        zenoh_memory: zenoh's shared memory on or off, None for its default.
+        asked: fields of `Asked` that differ from what the options say.
+        variables: of both processes from their start, as a user sets them.
+        ping: what the ping is given that differs (`backend`, `transport`, `environment` ...).
+        relay: what the relay is given that differs.
+        relay_prefix: a command that becomes the relay.
+        prefix: a command that becomes either side.
+    """
+    given = {
+        "backend": backend,
+        "domain_id": domain_id,
+        "transport": transport,
+        "tuned": tuned,
+        "discovery": discovery,
+        "payload_bytes": payload_bytes,
+        "messages": messages,
+        "period_s": period_s,
+        "attempts": attempts,
+        "environment": environment,
+        "zenoh_memory": zenoh_memory,
+        "asked": asked or {},
+    }
+    with _side({**given, **(relay or {}), "role": "relay"}, variables, (*prefix, *relay_prefix)) as relaying:
+        try:
+            assert relaying.stdout.readline().strip() == "ready"
+            with _side({**given, **(ping or {}), "role": "ping"}, variables, prefix) as pinging:
+                try:
+                    said, _ = pinging.communicate(timeout=PATIENCE_S)
+                finally:
+                    pinging.kill()
+            answered, _ = relaying.communicate(timeout=PATIENCE_S)  # closes its stdin
+        finally:
+            relaying.kill()
+    assert (pinging.returncode, relaying.returncode) == (0, 0)
+    return _report(said.splitlines()[-1]), _report(answered.splitlines()[-1])
+
+
+def _side(
+    given: dict[str, object], variables: dict[str, str] | None, prefix: tuple[str, ...] = ()
+) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [*prefix, sys.executable, Path(__file__).with_name("applied_side.py"), json.dumps(given)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, **(variables or {})},
+    )

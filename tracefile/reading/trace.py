@@ -58,7 +58,7 @@ class Trace:
 
 @dataclass(slots=True)
 class TraceBuilder:
-    """All of a trace but its events, collected batch by batch.
+    """Everything in a trace except its events, collected batch by batch.
 
     Attributes:
         path: the trace.
@@ -67,7 +67,7 @@ class TraceBuilder:
         unreadable: number of messages on event topics that are not events.
         ring_events: number of events that only a ring has.
         notes: one line for each thing that a reader of the numbers should know.
-        truncated: the reason why each of its files that ends early does.
+        truncated: one reason for each of its files that ends early.
     """
 
     path: Path
@@ -79,7 +79,7 @@ class TraceBuilder:
     truncated: list[str] = field(default_factory=list)
 
     def batches_of(self, file: Path, source: Source, ring: RingBeside | None = None) -> Iterator[Batch]:
-        """Yield the batches of one file and one of the events that only its ring has; collect all but the events."""
+        """Yield the batches of a file, then a batch of the events that only its ring has; collect everything else."""
         for batch in source.batches():
             self._add(batch, file)
             yield batch
@@ -88,14 +88,10 @@ class TraceBuilder:
             batch = ring.batch(source.written_events)
             self.ring_events += sum(len(events) for _, events in batch.events)
             self._add(batch, file)
-            self.add_ring_session(ring)
+            if ring.contents:
+                self.texts.add_ring_session(ring.contents.session, ring.contents.dropped_events)
+                self.topics.add(SESSION_TOPIC)
             yield batch
-
-    def add_ring_session(self, ring: RingBeside) -> None:
-        """Add the session that a ring describes."""
-        if ring.contents:
-            self.texts.add_ring_session(ring.contents.session, ring.contents.dropped_events)
-            self.topics.add(SESSION_TOPIC)
 
     def _add(self, batch: Batch, file: Path) -> None:
         self.unreadable += batch.unreadable
@@ -107,7 +103,7 @@ class TraceBuilder:
             self.truncated.append(which + batch.truncated)
 
     def check(self) -> None:
-        """Check that this is a trace; a file that was cut off before its first topic may be one.
+        """Check that the files are a trace; a file that was cut off before its first topic may be one.
 
         Raises:
             TraceFormatError: no topic is ours.
@@ -120,14 +116,10 @@ class TraceBuilder:
 
     def _first_notes(self) -> list[str]:
         more = len(self.notes) - _MOST_NOTES
-        return (
-            self.notes
-            if more <= 0
-            else [
-                *self.notes[:_MOST_NOTES],
-                f"and {counted(more, 'more note like this', 'more notes like these')}",
-            ]
-        )
+        if more <= 0:
+            return self.notes
+        rest = counted(more, "more note like this", "more notes like these")
+        return [*self.notes[:_MOST_NOTES], f"and {rest}"]
 
     def trace(self, events: Mapping[Stage, EventColumns]) -> Trace:
         """Return the trace with these events.
@@ -137,13 +129,8 @@ class TraceBuilder:
         """
         self.check()
         if self.texts.unreadable_samples:
-            self.notes.append(
-                counted(
-                    self.texts.unreadable_samples,
-                    "host sample is no JSON object; not used",
-                    "host samples are no JSON objects; not used",
-                )
-            )
+            words = ("host sample is no JSON object", "host samples are no JSON objects")
+            self.notes.append(f"{counted(self.texts.unreadable_samples, *words)}; not used")
         return Trace(
             path=self.path,
             sessions=self.texts.sessions,

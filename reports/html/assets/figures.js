@@ -41,7 +41,7 @@ class FigureBlock {
 
   note(empty) {
     const { missing, foot } = this.drawn;
-    const groups = `${missing} group${missing === 1 ? "" : "s"}`;
+    const groups = counted(missing, "group");
     const notes = [];
     if (empty) notes.push(missing ? "Nothing to draw here:" : "Nothing passes the filters here.");
     if (missing) notes.push(`${groups} of this view ha${missing === 1 ? "s" : "ve"} no such value (too few messages, or a trace is missing).`);

@@ -20,7 +20,7 @@ function groupHover(group, ...lines) {
 
 function sampleHover(group) {
   const { received, published } = DATA.values.plain;
-  return `${formatCount(received[group])} of ${formatCount(published[group])} messages came back`;
+  return `${formatCount(received[group])} of ${counted(published[group], "message")} came back`;
 }
 
 /** The points of a plan's lines that pass the filters and have a value. */

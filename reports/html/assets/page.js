@@ -88,7 +88,7 @@ function showFilters() {
   }
   document.getElementById("reset").hidden = Object.keys(view.chosen).length === 0;
   const passing = passingGroups().length;
-  document.querySelector(".count").textContent = passing === DATA.groups.count ? `${formatCount(passing)} groups` : `${formatCount(passing)} of ${formatCount(DATA.groups.count)} groups`;
+  document.querySelector(".count").textContent = `${passing === DATA.groups.count ? "" : `${formatCount(passing)} of `}${counted(DATA.groups.count, "group")}`;
 }
 
 /** Which cell the detail figures show, out of those that pass the filters. */

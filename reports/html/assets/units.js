@@ -35,6 +35,7 @@ function formatRatio(value) {
 }
 
 const formatCount = (value) => (value === null || value === undefined ? MISSING : Math.trunc(value).toLocaleString("en-US"));
+const counted = (count, one, many = `${one}s`) => `${formatCount(count)} ${count === 1 ? one : many}`;
 const signed = (value, format) => (value > 0 ? "+" : "") + format(value);
 
 /** One unit for a whole axis: the one that suits its largest value. */

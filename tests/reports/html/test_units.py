@@ -1,0 +1,26 @@
+"""Counts on the page, which a script draws, follow the rule of those that Python writes."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from dds_trace.tracefile.units.counts import counted
+
+UNITS = Path(__file__).parents[3] / "reports" / "html" / "assets" / "units.js"
+COUNTS = (0, 1, 2, 1000)
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="node is not installed")
+def test_counts_of_the_page_are_those_of_the_reports():
+    words = [["group"], ["reply", "replies"]]
+    call = f"{list(COUNTS)}.map((count) => {json.dumps(words)}.map((word) => counted(count, ...word)))"
+    script = f"{UNITS.read_text()}\nconsole.log(JSON.stringify({call}));"
+    ran = subprocess.run(["node", "-e", script], capture_output=True, text=True, check=True)
+    assert json.loads(ran.stdout) == [
+        [counted(count, *word, text=f"{count:,}") for word in words] for count in COUNTS
+    ]

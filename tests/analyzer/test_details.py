@@ -82,7 +82,7 @@ def test_breakdown_without_stamps_of_the_middleware_has_four_parts(tmp_path):
     assert details.responses.select("messages", "late_ratio", "waiting_max_ns").rows() == [(200, 0.0, 50)]
 
 
-def test_freshness_with_a_deadline(tmp_path):
+def test_a_deadline_is_judged_per_run_and_relay(tmp_path):
     messages = drawn()
     lost = [Message(m.sequence, t0=m.t0, t1=m.t1) if 20 <= m.sequence < 25 else m for m in messages]
     write_pair(tmp_path, lost)
@@ -173,7 +173,7 @@ def test_a_group_has_the_same_details_alone_and_beside_another(tmp_path):
         assert_frame_equal(getattr(alone, name), getattr(both, name).filter(pl.col("group") == 0))
 
 
-def test_host_samples(tmp_path):
+def test_host_samples_are_rows_over_time(tmp_path):
     samples = [
         {
             "monotonic_ns": second * 10**9,

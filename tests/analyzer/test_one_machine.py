@@ -26,7 +26,7 @@ def record(folder, domain_id, *, relay_device):
     return analyze(folder)
 
 
-def test_clocks_on_a_real_exchange(tmp_path, domain_id):
+def test_one_way_times_of_a_real_exchange_hold_within_their_bound(tmp_path, domain_id):
     analysis = record(tmp_path / "one", domain_id, relay_device="this-machine")
     assert analysis.details.clock_fits["same_clock"].to_list() == [True]
     assert_parts_add_up(analysis)

@@ -58,6 +58,6 @@ def test_the_analyzer_gives_the_plain_numbers(name: str, tmp_path: Path) -> None
                 )
 
 
-def test_losses_are_real() -> None:
+def test_the_sample_with_losses_has_losses() -> None:
     (run,) = expected("losses")["runs"].values()
     assert 0 < run["outcomes"]["completed"] < run["published"]

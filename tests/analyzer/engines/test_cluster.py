@@ -160,7 +160,7 @@ def test_a_sketch_is_near_and_says_so(cluster, runs, tmp_path, monkeypatch, in_p
     assert sketch.distributions.equals(alone.distributions)
 
 
-def test_object_storage(cluster, runs, tmp_path, monkeypatch):
+def test_traces_in_object_storage_are_analyzed_as_on_disk(cluster, runs, tmp_path, monkeypatch):
     import s3fs
 
     s3fs.S3FileSystem().put(str(runs), "bucket/campaign", recursive=True)
@@ -198,7 +198,7 @@ def test_a_killed_worker_costs_no_data(cluster, runs, monkeypatch):
     assert_same_results(analyze(runs, cluster=address), alone)
 
 
-def test_no_scheduler_is_one_line(runs, monkeypatch):
+def test_without_a_scheduler_the_error_is_one_line(runs, monkeypatch):
     monkeypatch.setattr(dds_trace.analyzer.engines.cluster, "_TIMEOUT_S", 1)
     with pytest.raises(BackendUnavailableError, match="no Dask scheduler answers at tcp://"):
         analyze(runs, cluster="tcp://127.0.0.1:1")

@@ -238,7 +238,7 @@ def test_runs_that_are_not_what_they_say(tmp_path, changes, code, text):
     assert text in found[code].what
 
 
-def test_times_below_zero(tmp_path):
+def test_times_below_zero_are_counted(tmp_path):
     messages = sound()
     messages[5] = replace(messages[5], t4=messages[5].t3 - 3)  # leaves before it arrives
     messages[6] = replace(messages[6], t4=messages[6].t3 + 5000)  # takes longer than the round trip

@@ -135,7 +135,7 @@ def test_waiting_shows_in_the_response_and_not_in_the_round_trip():
 
 
 @pytest.mark.parametrize("rows", [[], [{"publish_ns": 0}]])
-def test_frames_without_a_reply(rows):
+def test_without_a_reply_frames_have_their_columns(rows):
     parts = parts_of(rows)
     assert set(STAGES) <= set(parts.columns)
     assert all(parts.schema[name] == pl.Int64 for name in STAGES)

@@ -9,7 +9,7 @@ from roundtrip_frames import MS, roundtrips, steady, with_one_way
 from dds_trace.analyzer.groups.freshness import outage_table, summarize_freshness
 
 
-def test_deadline_misses_by_hand():
+def test_deadline_misses_are_counted_with_their_longest_run():
     # One message each 100 ms, deadline 20 ms:      ok  late  lost  late   ok   ok  late
     frame = steady([5 * MS, 30 * MS, None, 21 * MS, 20 * MS, 5 * MS, 90 * MS])
     row = summarize_freshness(frame, deadline_ns=20 * MS).row(0, named=True)
@@ -33,7 +33,7 @@ def test_a_reply_without_the_relays_trace_is_judged_on_rtt_only():
     assert (by_rtt["judged"], by_rtt["missed"]) == (2, 1)
 
 
-def test_age_at_the_ping_and_at_the_relay():
+def test_the_age_is_known_at_the_ping_and_with_a_bound_at_the_relay():
     # Replies after 21 ms (10 out, 1 in the relay, 10 back) of messages at 0, 100, 200 ms.
     frame = with_one_way(
         roundtrips(
@@ -60,7 +60,7 @@ def test_age_at_the_ping_and_at_the_relay():
     assert row["clock_bound_ns"] == 0
 
 
-def test_an_outage_and_its_recovery():
+def test_an_outage_lasts_from_its_first_loss_to_the_next_reply():
     #   0 .. 9 in time, 10 .. 14 lost, 15 .. 17 late by 60 ms, 18 in time, 19 late, 20 .. 29 in time
     latencies = [5 * MS] * 10 + [None] * 5 + [60 * MS] * 3 + [5 * MS, 60 * MS] + [5 * MS] * 10
     frame = steady(latencies)
@@ -103,7 +103,7 @@ def test_runs_and_relays_have_rows_of_their_own():
     ]
 
 
-def test_nothing_at_all():
+def test_without_messages_there_is_nothing_to_summarize():
     assert summarize_freshness(steady([]), deadline_ns=1).is_empty()
     assert outage_table(steady([])).is_empty()
     row = summarize_freshness(steady([None, None, None]), deadline_ns=1).row(0, named=True)

@@ -181,7 +181,7 @@ def test_only_warmup_leaves_a_group_without_numbers(tmp_path):
     assert "nothing_counted" in {finding.code for finding in analysis.findings}
 
 
-def test_percentiles_of_a_thousand_messages(tmp_path):
+def test_a_thousand_messages_support_every_percentile(tmp_path):
     # rtt = 1001, 1003 ... 2999 ns; intermediate 1 ns: latency = 500, 501 ... 1499 ns.
     messages = [
         Message(s, t0=s * MS, t1=s * MS, t3=s * MS, t4=s * MS + 1, t2=s * MS + 1001 + 2 * s)

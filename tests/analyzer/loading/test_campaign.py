@@ -38,7 +38,7 @@ def codes(analysis):
     return [finding.code for finding in analysis.findings]
 
 
-def test_a_pair(tmp_path):
+def test_a_pair_of_traces_gives_its_rows(tmp_path):
     write_pair(tmp_path, TIMELINE)
     analysis = analyze(tmp_path)
     assert statuses(analysis) == {"ping.mcap": ("read", 24), "relay.mcap": ("read", 24)}
@@ -143,7 +143,7 @@ def test_a_copy_taken_before_the_end_adds_what_it_has(tmp_path):
     assert "unfinished_run" not in codes(both)
 
 
-def test_a_relay_trace_split_over_files(tmp_path):
+def test_a_relay_trace_split_over_files_is_put_together(tmp_path):
     write_pair(tmp_path, TIMELINE)
     whole = analyze(tmp_path)
     (tmp_path / "relay.mcap").unlink()
@@ -156,7 +156,7 @@ def test_a_relay_trace_split_over_files(tmp_path):
     assert len(split.sessions) == 2
 
 
-def test_ping_and_relay_merged_into_one_file(tmp_path):
+def test_ping_and_relay_merged_into_one_file_are_told_apart(tmp_path):
     write_pair(tmp_path / "two", TIMELINE)
     write_trace(
         tmp_path / "one" / "all.mcap",
@@ -213,12 +213,12 @@ def test_a_folder_without_any_trace_names_what_is_there(tmp_path):
         analyze(tmp_path)
 
 
-def test_a_folder_that_is_not_there(tmp_path):
+def test_a_folder_that_is_not_there_is_an_error(tmp_path):
     with pytest.raises(MissingEventsError, match="no such"):
         analyze(tmp_path / "nowhere")
 
 
-def test_one_file_given_by_name(tmp_path):
+def test_one_file_given_by_name_is_analyzed_alone(tmp_path):
     ping, _ = write_pair(tmp_path, TIMELINE)
     analysis = analyze(ping)
     assert statuses(analysis) == {"ping.mcap": ("read", 24)}

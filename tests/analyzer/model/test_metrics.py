@@ -16,7 +16,7 @@ def metrics(t0=0, t1=0, t2=None, t3=None, t4=None):
     return row["rtt_ns"], row["intermediate_ns"], row["latency_ns"], row["response_ns"]
 
 
-def test_formulas():
+def test_metrics_follow_their_formulas():
     # T0=100 planned, T1=107 sent, relay 5000..5040 on its own clock, T2=467 back.
     assert metrics(100, 107, 467, 5000, 5040) == (360, 40, 160, 367)
 

@@ -58,7 +58,7 @@ def test_every_kind_of_message_is_counted_once():
     assert list(counts) == list(COUNT_SCHEMA)
 
 
-def test_times_below_zero():
+def test_times_below_zero_are_counted():
     # rtt 90 - 100 = -10; intermediate 40 - 50 = -10; latency (200 - 100 - (350 - 50)) // 2 = -100.
     assert count([(0, 100)], [(0, 90)])["negative_rtt"] == 1
     assert count([(0, 100)], [(0, 190)], [(0, 50)], [(0, 40)])["negative_intermediate"] == 1

@@ -106,7 +106,7 @@ def test_parameters_come_from_run_and_sessions(tmp_path):
         (None, None, "zenoh", (None, "different")),  # a bridge, but to where?
     ],
 )
-def test_domains(tmp_path, relay_domain, told, bridge, expected):
+def test_the_relays_own_domain_decides_the_domain_mode(tmp_path, relay_domain, told, bridge, expected):
     ping, relay = write_pair(
         tmp_path,
         TWO,
@@ -156,7 +156,7 @@ def test_two_relays_give_two_rows_a_message_each_with_its_own_outcome(tmp_path):
     ]
 
 
-def test_a_relay_named_by_replies_only(tmp_path):
+def test_a_relay_named_by_replies_only_has_rows_without_latency(tmp_path):
     _, relay = write_pair(tmp_path, TWO, runs=[run(relay_domain_id=None)])
     relay.unlink()
     analysis = analyze(tmp_path)
@@ -174,7 +174,7 @@ def test_a_relay_named_by_replies_only(tmp_path):
     assert analysis.summary["latency_p50_ns"].to_list() == [None]
 
 
-def test_a_relay_whose_trace_is_there_without_this_run(tmp_path):
+def test_a_relay_whose_trace_lacks_the_run_is_found_by_its_id(tmp_path):
     """Its device is known, what became of the messages is not."""
     write_trace(tmp_path / "ping.mcap", ping_session(), [run()], ping_events(TWO))
     write_trace(tmp_path / "relay.mcap", relay_session(), (), {})
@@ -185,7 +185,7 @@ def test_a_relay_whose_trace_is_there_without_this_run(tmp_path):
     ]
 
 
-def test_no_relay_took_part(tmp_path):
+def test_a_run_without_a_relay_has_rows_of_losses(tmp_path):
     write_trace(
         tmp_path / "ping.mcap",
         ping_session(),
@@ -209,7 +209,7 @@ def test_a_relay_that_only_warmup_saw_took_part(tmp_path):
     assert (row["relay_id"], row["sequence"], row["outcome"]) == (RELAY_ID, 1, "lost_outbound")
 
 
-def test_two_pings_at_one_relay(tmp_path):
+def test_two_pings_at_one_relay_keep_their_messages(tmp_path):
     first, second = TWO, [Message(0, t0=5000, t1=5001, t3=600, t4=601, t2=5102)]
     write_trace(tmp_path / "a.mcap", ping_session(), [run()], ping_events(first))
     write_trace(
@@ -273,7 +273,7 @@ def test_a_restarted_relay_is_another_relay(tmp_path):
     ]
 
 
-def test_a_relay_restarted_under_its_old_id(tmp_path):
+def test_a_relay_restarted_under_its_old_id_gets_the_last_session_before_its_events(tmp_path):
     """Both sessions' events are paired, and a finding says that one of them stands for both."""
     messages = [
         Message(0, t0=0, t1=10, t3=500, t4=520, t2=140),
@@ -318,7 +318,7 @@ def test_merged_pings_without_a_name_are_told_apart_by_their_start(tmp_path):
     assert "doubtful_session" in codes(analysis)
 
 
-def test_relay_events_of_a_run_whose_ping_is_missing(tmp_path):
+def test_relay_events_without_their_ping_have_no_row_and_a_finding(tmp_path):
     write_pair(tmp_path, TWO)
     write_trace(
         tmp_path / "other.mcap",

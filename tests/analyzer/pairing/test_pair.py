@@ -22,7 +22,7 @@ def outcomes(paired):
     return [OUTCOMES[code] for code in paired.outcome.tolist()]
 
 
-def test_every_outcome():
+def test_every_outcome_follows_from_where_a_message_was_seen_last():
     published, paired = pair(
         t1=[(0, 1000), (1, 2000), (2, 3000), (3, 4000)],
         t3=[(0, 50), (2, 70), (3, 80)],
@@ -68,7 +68,7 @@ def test_warmup_messages_have_no_row_and_are_no_orphans():
     assert paired.orphans == 0
 
 
-def test_all_messages_were_warmup():
+def test_a_run_of_warmup_only_has_no_rows():
     published, paired = pair(t1=[(0, 10), (1, 20)], t2=[(0, 11)], warmup=5)
     assert len(published) == 0
     assert paired.receive_ns.tolist() == []
@@ -87,7 +87,7 @@ def test_the_same_reply_recorded_twice_is_one_reply():
     assert paired.duplicates.tolist() == [0]
 
 
-def test_more_duplicates_than_the_column_holds():
+def test_duplicates_stop_at_what_the_column_holds():
     _, paired = pair(t1=[(0, 10)], t2=[(0, 18 + n) for n in range(70_000)])
     assert paired.duplicates.tolist() == [65_535]
 
@@ -113,7 +113,7 @@ def test_reordered_is_who_came_after_a_later_one():
     assert paired.reordered.tolist() == [False, False]
 
 
-def test_events_of_messages_never_published():
+def test_events_of_messages_never_published_are_orphans():
     published, paired = pair(t1=[(0, 10), (2, 30)], t2=[(0, 15), (1, 25), (7, 80)], t3=[(1, 3)], t4=[(1, 4)])
     assert published.sequence.tolist() == [0, 2]
     assert paired.receive_ns.tolist() == [15, MISSING]
@@ -121,7 +121,7 @@ def test_events_of_messages_never_published():
     assert outcomes(paired) == [Outcome.COMPLETED, Outcome.LOST_OUTBOUND]
 
 
-def test_messages_out_of_order_in_the_file():
+def test_messages_out_of_order_in_the_file_are_sorted():
     published, paired = pair(t1=[(2, 30), (0, 10), (1, 20)], t2=[(1, 26), (0, 16), (2, 36)])
     assert published.sequence.tolist() == [0, 1, 2]
     assert published.publish_ns.tolist() == [10, 20, 30]

@@ -37,7 +37,7 @@ TYPES = {
 }
 
 
-def test_types_units_and_meanings(tmp_path):
+def test_files_tell_types_units_and_meanings(tmp_path):
     write_pair(tmp_path, TIMELINE)
     outputs = analyze(tmp_path, out=tmp_path / "out").outputs
     schema = pq.read_schema(outputs["roundtrips"])
@@ -114,7 +114,7 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypat
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_a_folder_that_may_not_be_written(tmp_path):
+def test_a_folder_that_may_not_be_written_is_an_error(tmp_path):
     write_pair(tmp_path, TIMELINE)
     (tmp_path / "out").mkdir(mode=0o500)
     with pytest.raises(OutputError):

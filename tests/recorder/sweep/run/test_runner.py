@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import signal
@@ -23,7 +24,7 @@ from dds_trace.recorder.sweep.run.state import Status, SweepState
 from dds_trace.recorder.sweep.search import RateAnswer
 from dds_trace.recorder.sweep.station.station import open_station
 from dds_trace.recorder.sweep.sweep import run_search, run_sweep
-from dds_trace.tracefile import OptionError, Stage, read_trace
+from dds_trace.tracefile import OptionError, OutputError, Stage, read_trace
 
 STAND_IN = Path(__file__).parents[3] / "support" / "stand_in_recorder.py"
 COMMAND = [sys.executable, "-I", "-S", str(STAND_IN)]
@@ -292,6 +293,20 @@ def test_cells_whose_relay_part_is_lost_are_not_complete(desk):
     assert outcome.missing == dict.fromkeys((FIRST, SECOND), "the relay's part of it is lost")
     assert desk.traces == []
     assert desk.sweep().missing == {}
+    assert desk.traces == files_of(FIRST, SECOND)
+
+
+def test_full_disk_ends_the_sweep_and_the_next_one_goes_on_with_the_relays_trace(desk, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as disk:
+        disk.setattr(os, "pwritev", full)  # in this process the relay's files alone are written so
+        with pytest.raises(OutputError, match="the disk is full"):
+            desk.sweep()
+    assert desk.state(FIRST).status is Status.RECORDED
+    assert desk.sweep().missing == {}
+    assert desk.started == {FIRST: 1, SECOND: 1, "relay": 1}
     assert desk.traces == files_of(FIRST, SECOND)
 
 

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from .base import load_bridge
+from .options import BRIDGED_TOPICS, BridgedTopic, BridgeOptions
+from .process.running import open_bridge
+
 if TYPE_CHECKING:
     from contextlib import ExitStack
 
     from ..options import PingOptions, RecordOptions
     from ..payloads.base import DataType
-    from . import RunningBridge
+    from .process.running import RunningBridge
 
 
 def open_asked_bridge(
@@ -27,14 +31,6 @@ def open_asked_bridge(
     """
     if asked.bridge == "none":
         return None
-    from . import (  # noqa: PLC0415 - nothing else needs it loaded
-        BRIDGED_TOPICS,
-        BridgedTopic,
-        BridgeOptions,
-        load_bridge,
-        open_bridge,
-    )
-
     if asked.bridge_running:
         load_bridge(asked.bridge)  # the trace keeps its name, so there must be one
         return None

@@ -128,7 +128,7 @@ def _cells(axes: AxisValues, installed: FindInstalled) -> Iterator[Cell]:
 
 def _cell(values: Mapping[str, AxisValue]) -> Cell:
     """Return the cell with these values; `_axis_value` has checked the type of each."""
-    return replace(Cell(), **values)  # type: ignore[arg-type]  # of an axis each
+    return replace(Cell(), **values)  # type: ignore[arg-type]  # mypy sees a union
 
 
 def _apply(exclusions: list[Exclusion], listed: list[Cell]) -> tuple[list[Cell], list[tuple[Cell, str]]]:

@@ -126,6 +126,12 @@ class Analysis:
         """
         return self.rows.load()
 
+    @property
+    def barred_groups(self) -> pl.DataFrame:
+        """The rows of `summary` in whose groups a setting was asked for and not applied (finding `not_applied`)."""
+        barred = {group for each in self.findings if each.code == "not_applied" for group in each.groups}
+        return self.summary[sorted(barred)]
+
     def scan_roundtrips(self) -> pl.LazyFrame:
         """Return the round trips as a lazy frame, which reads only the rows and columns that a query takes."""
         return self.rows.scan()

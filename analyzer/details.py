@@ -20,6 +20,7 @@ from .pairing.roundtrips import pair_exchanges
 from .pairing.rows import RowStore
 from .verdicts.answers import find_answers
 from .verdicts.bridge_cost import find_bridge_costs
+from .verdicts.cases import UnbarredRows
 from .verdicts.recommend import recommend_settings
 
 if TYPE_CHECKING:
@@ -28,11 +29,17 @@ if TYPE_CHECKING:
     from .groups.batch import Wanted
     from .groups.frames import Frames
     from .loading.campaign import Campaign
+    from .verdicts.cases import GroupRows
     from .verdicts.recommend import Recommendation
 
 
 def collect_details(
-    campaign: Campaign, frames: Frames, rows: RowStore, in_parts: Sequence[int], wanted: Wanted
+    campaign: Campaign,
+    frames: Frames,
+    rows: RowStore,
+    in_parts: Sequence[int],
+    wanted: Wanted,
+    barred: Sequence[int] = (),
 ) -> Details:
     """Put the details of a campaign together; without rows if they are not wanted.
 
@@ -42,9 +49,11 @@ def collect_details(
         rows: the round trips; what compares groups with each other reads those of a few groups at a time.
         in_parts: groups that no batch held whole: the frames lack what only a whole column of their rows gives.
         wanted: what is asked for.
+        barred: groups that no judgement uses, because a setting was not applied.
     """
     if not wanted.details:
         return details_not_requested()
+    judged = UnbarredRows(rows, tuple(barred))
     boots = ping_boots(campaign.sessions.values(), campaign.runs.values())
     intervals = [row for group in in_parts for row in interval_rows(group, _column_of(rows, group))]
     one_way = [row for group in in_parts for row in one_way_rows(group, _column_of(rows, group))]
@@ -58,10 +67,10 @@ def collect_details(
         clock_fits=segment_table(fit_devices(frames["clock_knots"], boots)),
         clock_knots=frames["clock_knots"],
         host_samples=host_sample_frame(campaign.traces),
-        bridge_costs=find_bridge_costs(rows),
-        answers=find_answers(rows),
+        bridge_costs=find_bridge_costs(judged),
+        answers=find_answers(judged),
         deadline_ns=wanted.deadline_ns,
-        recommendation=_recommendation(rows, wanted),
+        recommendation=_recommendation(judged, wanted),
     )
 
 
@@ -89,7 +98,7 @@ def details_not_requested() -> Details:
     )
 
 
-def _recommendation(rows: RowStore, wanted: Wanted) -> Recommendation | None:
+def _recommendation(rows: GroupRows, wanted: Wanted) -> Recommendation | None:
     """Recommend settings for the job, if there is one, from the rows of its data type."""
     if wanted.job is None:
         return None

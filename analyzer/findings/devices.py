@@ -1,4 +1,4 @@
-"""Checks of the devices: clocks that jump, stop or drift, processors and kernels that are overloaded."""
+"""Checks of the devices: clocks that jump, stop or drift, processors that are overloaded."""
 
 from __future__ import annotations
 
@@ -142,19 +142,4 @@ def cpu_saturation(evidence: Evidence) -> Iterator[Finding]:
                 evidence.session_name(evidence.campaign.sessions[session_id]),
                 f"In {full} of {counted(len(percents), 'second')} a processor was busy to at least {_SATURATED_PERCENT:g} %.",
                 "Latencies here hold time spent waiting for the processor: lower rate or size, or free the device.",
-            )
-
-
-def kernel_drops(evidence: Evidence) -> Iterator[Finding]:
-    """Report devices whose kernel dropped datagrams for want of receive buffer."""
-    samples = evidence.details.host_samples.drop_nulls("udp_receive_errors")
-    last = samples.group_by("session_id", maintain_order=True).last()
-    for session_id, count in last.select("session_id", "udp_receive_errors").iter_rows():
-        if count > 0:
-            yield Finding(
-                Severity.WARNING,
-                "udp_buffer_overflow",
-                evidence.session_name(evidence.campaign.sessions[session_id]),
-                f"The kernel threw away {counted(round(count), 'datagram')} for want of receive buffer while this was recorded.",
-                "Losses and late large messages are to be expected: raise net.core.rmem_max and net.core.rmem_default.",
             )

@@ -8,11 +8,14 @@ from typing import TYPE_CHECKING
 
 from dds_trace.tracefile.units.durations import format_ms
 
+from ..model.applied import SHARED_MEMORY, UNKNOWN, maps_memory, payload_path, udp_receive_buffer_bytes
 from ..model.finding import Finding, Severity
 from ..model.parameters import SIZE_LINE_COLUMNS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator
+
+    from dds_trace.tracefile import Session
 
     from ..model.parameters import ParameterValue
     from .evidence import Evidence
@@ -55,22 +58,37 @@ def unlike_sizes(evidence: Evidence) -> Iterator[Finding]:
 def _cause(evidence: Evidence, group: int, small: int, large: int) -> str:
     """Name what lies between the two sizes by the fingerprints."""
     exchange = evidence.grouping.exchanges[evidence.grouping.members()[group][0]]
-    if exchange.ping.vendor == "fastdds" and small < _SEGMENT_BYTES <= large:
+    sessions = [each for each in (exchange.relay, exchange.ping) if each is not None]
+    through_memory = len(sessions) > 1 and all(map(_goes_through_memory, sessions))
+    if through_memory and exchange.ping.vendor == "fastdds" and small < _SEGMENT_BYTES <= large:
         on_one = exchange.relay is not None and exchange.relay.device == exchange.ping.device
         if on_one:
             return f"; between them lies Fast DDS's shared-memory segment of {_SEGMENT_BYTES} B"
-    for session in (exchange.relay, exchange.ping):
-        buffer = _receive_buffer(session.host) if session else None
-        if session and buffer is not None and small < buffer <= large:
-            return f"; between them lies the socket buffer of {session.device} (net.core.rmem_default {buffer} B)"
+    for session in sessions:
+        name, buffer = _receive_buffer(session)
+        if buffer is not None and small < buffer <= large:
+            return f"; between them lies the socket buffer of {session.device} ({name} {buffer} B)"
     return "; the recorded environment shows no cause"
 
 
-def _receive_buffer(host: Mapping[str, object]) -> int | None:
-    buffers = host.get("socket_buffers")
+def _goes_through_memory(session: Session) -> bool:
+    """Tell whether shared memory may have carried the payload; an older trace does not tell, so it may."""
+    path = payload_path(session)
+    if path is None or path == SHARED_MEMORY:
+        return True
+    return path == UNKNOWN and maps_memory(session)
+
+
+def _receive_buffer(session: Session) -> tuple[str, int | None]:
+    """Return the name and the bytes of the buffer that a session received into, None where a datagram met no buffer."""
+    path = payload_path(session)
+    if path is not None:
+        used = None if path == SHARED_MEMORY else udp_receive_buffer_bytes(session)
+        return "SO_RCVBUF of its UDP sockets", used
+    buffers = session.host.get("socket_buffers")
     value = (
         buffers.get("rmem_default", buffers.get("net.core.rmem_default"))
         if isinstance(buffers, dict)
         else None
     )
-    return value if isinstance(value, int) else None
+    return "net.core.rmem_default", value if isinstance(value, int) else None

@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from ..model.finding import Finding, Severity
-from . import devices, groups, left_out, runs, sessions, sizes, sources
+from . import applied, devices, groups, left_out, runs, sessions, sizes, sources
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     Check = Callable[[Evidence], Iterator[Finding]]
 
 CHECKS: tuple[Check, ...] = (
+    applied.settings_not_applied,
     sessions.recorder_drops,
     sessions.failed_bridges,
     runs.unplaced_events,
@@ -49,7 +50,8 @@ CHECKS: tuple[Check, ...] = (
     devices.clock_steps,
     devices.clock_drifts,
     devices.cpu_saturation,
-    devices.kernel_drops,
+    applied.dropped_datagrams,
+    applied.lost_fragments,
     sizes.unlike_sizes,
     groups.few_samples,
     sources.skipped_files,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
+from ..model.applied import words_not_applied
 from ..model.column import schema_of
 from ..model.parameters import PARAMETER_COLUMNS, Parameters
 
@@ -35,6 +36,16 @@ class Grouping:
     parameters: pl.DataFrame
     exchanges: tuple[Exchange, ...]
     group_of_exchange: NDArray[np.uint32]
+
+    def not_applied(self) -> tuple[int, ...]:
+        """Return the groups in which a middleware did not use what it was asked for."""
+        barred = {
+            int(group)
+            for exchange, group in zip(self.exchanges, self.group_of_exchange, strict=True)
+            for session in (exchange.ping, exchange.relay)
+            if session is not None and words_not_applied(session)
+        }
+        return tuple(sorted(barred))
 
     def members(self) -> list[list[int]]:
         """Return for each group the positions of its exchanges."""

@@ -46,6 +46,34 @@ class GroupRows(Protocol):
         """Read columns (by default all) of the round trips of some rows of `groups`, group by group."""
 
 
+@dataclass(frozen=True, slots=True)
+class UnbarredRows:
+    """The round trips of a campaign (`GroupRows`) without groups that no judgement may use.
+
+    Attributes:
+        rows: all round trips.
+        barred: numbers of the groups left out.
+    """
+
+    rows: GroupRows
+    barred: tuple[int, ...] = ()
+
+    @property
+    def groups(self) -> pl.DataFrame:
+        """The groups that may be judged."""
+        groups = self.rows.groups
+        return groups.filter(~pl.col("group").is_in(self.barred)) if self.barred else groups
+
+    @property
+    def has_rows(self) -> bool:
+        """Whether round trips were kept."""
+        return self.rows.has_rows
+
+    def frame(self, groups: pl.DataFrame, columns: Sequence[str] | None = None) -> pl.DataFrame:
+        """Read columns (by default all) of the round trips of some rows of `groups`."""
+        return self.rows.frame(groups) if columns is None else self.rows.frame(groups, columns)
+
+
 def partition_groups(groups: pl.DataFrame, columns: Sequence[str]) -> list[pl.DataFrame]:
     """Cut groups into parts that agree in some parameter columns; parts are sorted by these.
 

@@ -11,7 +11,7 @@ channel) is in no interval that a single run can give: repeat runs.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Protocol
 
 import polars as pl
@@ -111,6 +111,7 @@ class Comparison:
         only_base: groups (match columns) that the new side does not have.
         only_new: groups that the base does not have.
         options: how the sides were compared.
+        barred: groups (match columns) of either side in which a setting was not applied; no gate passes or fails on one.
     """
 
     rows: pl.DataFrame
@@ -118,6 +119,7 @@ class Comparison:
     only_base: pl.DataFrame
     only_new: pl.DataFrame
     options: CompareOptions
+    barred: pl.DataFrame = field(default_factory=pl.DataFrame)
 
 
 class RoundTripSource(Protocol):
@@ -125,6 +127,10 @@ class RoundTripSource(Protocol):
 
     def load_roundtrips(self) -> pl.DataFrame:
         """Read all round trips into memory."""
+
+    @property
+    def barred_groups(self) -> pl.DataFrame:
+        """The parameter columns of the groups in which a setting was not applied."""
 
 
 def compare(base: RoundTripSource, new: RoundTripSource, options: CompareOptions | None = None) -> Comparison:
@@ -135,7 +141,9 @@ def compare(base: RoundTripSource, new: RoundTripSource, options: CompareOptions
         new: the analysis of the other side.
         options: how to compare; None for the defaults.
     """
-    return compare_roundtrips(base.load_roundtrips(), new.load_roundtrips(), options)
+    comparison = compare_roundtrips(base.load_roundtrips(), new.load_roundtrips(), options)
+    barred = [side.barred_groups.select(comparison.options.match) for side in (base, new)]
+    return replace(comparison, barred=pl.concat(barred).unique(maintain_order=True))
 
 
 def compare_roundtrips(

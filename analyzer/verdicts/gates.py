@@ -10,7 +10,8 @@
     unit      = "ns" | "us" | "ms" | "s"
 
 A gate is about what is surely so: it fails where the whole confidence interval lies beyond the limit, passes where none
-of it does, and is inconclusive in between or where a sample does not support the percentile.
+of it does, and is inconclusive in between, where a sample does not support the percentile, or where a setting was asked
+for and not applied: such a group did not measure what it says.
 """
 
 from __future__ import annotations
@@ -64,6 +65,9 @@ class GateOutcome(Enum):
         """Exit code of a command whose gates have this outcome."""
         return _EXIT_CODES[self]
 
+
+NOT_APPLIED = "a setting that was asked for was not applied"
+"""End of `GateResult.where` of a group that is barred."""
 
 _EXIT_CODES = {
     GateOutcome.PASSED: 0,
@@ -213,20 +217,23 @@ def varying_columns(comparison: Comparison) -> list[str]:
 def _judge_time(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator[GateResult]:
     unit = "" if gate.against is Against.RATIO else "_ns"
     columns = [f"{gate.against.value}{end}{unit}" for end in ("", "_low", "_high")]
-    return _judge_rows(
-        comparison.rows.filter(metric=gate.metric, statistic=gate.statistic), gate, columns, names
-    )
+    rows = comparison.rows.filter(metric=gate.metric, statistic=gate.statistic)
+    return _judge_rows(comparison, rows, gate, columns, names)
 
 
 def _judge_received(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator[GateResult]:
     columns = [f"new_received_ratio{end}" for end in ("", "_low", "_high")]
-    return _judge_rows(comparison.delivery, gate, columns, names)
+    return _judge_rows(comparison, comparison.delivery, gate, columns, names)
 
 
 def _judge_rows(
-    rows: pl.DataFrame, gate: Gate, columns: Sequence[str], names: Sequence[str]
+    comparison: Comparison, rows: pl.DataFrame, gate: Gate, columns: Sequence[str], names: Sequence[str]
 ) -> Iterator[GateResult]:
     """Judge every row; `columns` are those of the value and of the ends of its interval."""
+    barred = set(comparison.barred.iter_rows())
     for row in rows.iter_rows(named=True):
         value, low, high = (row[column] for column in columns)
-        yield GateResult(gate, group_words(row, names), gate.judge(value, low, high), value, low, high)
+        where, outcome = group_words(row, names), gate.judge(value, low, high)
+        if tuple(row[name] for name in comparison.options.match) in barred:
+            where, outcome = f"{where}; {NOT_APPLIED}", GateOutcome.INCONCLUSIVE
+        yield GateResult(gate, where, outcome, value, low, high)

@@ -21,6 +21,7 @@ from trace_files import (
 import dds_trace.analyzer.loading.shelf
 from dds_trace.analyzer import Severity, analyze
 from dds_trace.analyzer.findings import (
+    applied,
     devices,
     groups,
     left_out,
@@ -66,7 +67,7 @@ def test_a_sound_recording_has_no_finding(tmp_path):
 def test_every_check_is_in_the_table():
     functions = {
         value
-        for module in (devices, groups, left_out, runs, sessions, sizes, sources)
+        for module in (applied, devices, groups, left_out, runs, sessions, sizes, sources)
         for name, value in vars(module).items()
         if callable(value)
         and getattr(value, "__module__", "") == module.__name__

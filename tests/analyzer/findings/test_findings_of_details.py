@@ -109,7 +109,7 @@ def test_cpu_saturation_in_more_than_a_tenth_of_the_samples(tmp_path, busy, is_f
     assert ("cpu_saturated" in found) is is_found
     if is_found:
         assert "In 3 of 10 seconds" in found["cpu_saturated"].what
-    assert "threw away 9 datagrams" in found["udp_buffer_overflow"].what
+    assert "udp_buffer_overflow" not in found  # the host's counter holds other programs' datagrams as well
 
 
 def write_sizes(folder, ways, **sessions):

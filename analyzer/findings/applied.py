@@ -1,0 +1,99 @@
+"""Checks of what middleware and kernel really did: settings that were not applied, datagrams and fragments that were lost."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from typing import TYPE_CHECKING
+
+from dds_trace.tracefile.units.counts import counted
+
+from ..model.applied import kernel_counts, kernel_limits, socket_drops, words_not_applied
+from ..model.finding import Finding, Severity
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from dds_trace.tracefile import Session
+
+    from .evidence import Evidence
+
+_ROLES = ("ping", "relay")
+
+
+def settings_not_applied(evidence: Evidence) -> Iterator[Finding]:
+    """Report groups in which a middleware did not use what it was asked for; they are barred from every judgement."""
+    words: dict[int, dict[str, set[str]]] = defaultdict(lambda: defaultdict(set))
+    for exchange, group in zip(evidence.grouping.exchanges, evidence.exchange_groups(), strict=True):
+        for role, session in zip(_ROLES, (exchange.ping, exchange.relay), strict=True):
+            for each in words_not_applied(session) if session else ():
+                words[group][each].add(role)
+    for group, of_group in sorted(words.items()):
+        told = "; ".join(f"{' and '.join(sorted(roles))}: {each}" for each, roles in of_group.items())
+        yield Finding(
+            Severity.ERROR,
+            "not_applied",
+            evidence.group_names[group],
+            f"What was asked for is not what was measured. {told[0].upper()}{told[1:]}.",
+            "No answer, bridge cost, recommendation or gate uses this group: ask for what the middleware can do, and "
+            "record again.",
+            (group,),
+        )
+
+
+def dropped_datagrams(evidence: Evidence) -> Iterator[Finding]:
+    """Report recordings whose own sockets lost datagrams for want of receive buffer."""
+    for session, groups in _sessions(evidence):
+        count = socket_drops(session)
+        if count:
+            yield Finding(
+                Severity.WARNING,
+                "udp_buffer_overflow",
+                evidence.session_name(session),
+                f"The kernel threw away {counted(count, 'datagram')} at its own sockets for want of receive buffer.",
+                "Losses and late large messages are to be expected: raise net.core.rmem_max and net.core.rmem_default, "
+                "or record with --tuned.",
+                groups,
+            )
+
+
+def lost_fragments(evidence: Evidence) -> Iterator[Finding]:
+    """Report hosts whose kernel could not put datagrams together, or take them apart, while messages were under way."""
+    for session, groups in _sessions(evidence):
+        rises = kernel_counts(session)
+        failed, late = rises.get("ReasmFails", 0), rises.get("ReasmTimeout", 0)
+        unsent = rises.get("FragFails", 0)
+        said = [
+            f"{counted(failed, 'datagram')} could not be put together from IP fragments ({late} of them for a fragment that "
+            "never came)"
+            if failed
+            else "",
+            f"{counted(unsent, 'datagram')} could not be cut into fragments" if unsent else "",
+        ]
+        if failed or unsent:
+            yield Finding(
+                Severity.WARNING,
+                "fragments_lost",
+                evidence.session_name(session),
+                f"In its network namespace, all programs together, {' and '.join(filter(None, said))}.",
+                f"One lost fragment loses its whole datagram{_bounds(session)}: send smaller datagrams (Cyclone DDS "
+                "MaxMessageSize, Fast DDS maxMessageSize), or raise net.ipv4.ipfrag_high_thresh.",
+                groups,
+            )
+
+
+def _bounds(session: Session) -> str:
+    limits = kernel_limits(session)
+    time_s, thresh = limits.get("net.ipv4.ipfrag_time"), limits.get("net.ipv4.ipfrag_high_thresh")
+    if time_s is None or thresh is None:
+        return ""
+    return f", whose other fragments wait for {time_s} s in at most {thresh:,} B"
+
+
+def _sessions(evidence: Evidence) -> list[tuple[Session, tuple[int, ...]]]:
+    """Return each session with the groups that it took part in."""
+    groups: dict[int, dict[int, None]] = defaultdict(dict)
+    for exchange, group in zip(evidence.grouping.exchanges, evidence.exchange_groups(), strict=True):
+        for session in (exchange.ping, exchange.relay):
+            if session is not None:
+                groups[session.session_id][group] = None
+    return [(each, tuple(groups[each.session_id])) for each in evidence.campaign.sessions.values()]

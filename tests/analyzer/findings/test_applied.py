@@ -1,0 +1,211 @@
+"""What middleware and kernel really did: the findings, and what a group that is barred is kept out of."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from snapshots import applied, counted, segment, udp
+from trace_files import Message, ping_session, relay_session, run, write_pair
+
+from dds_trace.analyzer import GateOutcome, analyze, compare, judge_gates, options_for, parse_gate
+from dds_trace.analyzer.verdicts.compare import CompareOptions
+from dds_trace.analyzer.verdicts.job import parse_job
+
+MS = 1_000_000
+COUNT = 1000
+WORDS = "asked for UDP, the bytes went through shared memory"
+NOT_APPLIED = [{"setting": "transport", "asked": "udp", "applied": "shm", "words": WORDS}]
+
+
+def messages(way_ns):
+    return [
+        Message(
+            s,
+            t0=s * 100 * MS,
+            t1=s * 100 * MS,
+            t3=s * 100 * MS + way_ns,
+            t4=s * 100 * MS + way_ns + 10,
+            t2=s * 100 * MS + 2 * way_ns + 10 + s % 7,
+        )
+        for s in range(COUNT)
+    ]
+
+
+def record(folder, vendor="fastdds", way_ns=MS, *, ping=None, relay=None, number=0, **changes):
+    """One run of a vendor; `ping` and `relay` are further fields of their sessions."""
+    (folder / vendor).mkdir(parents=True, exist_ok=True)
+    domains = changes.pop("domains", (5, 5))
+    write_pair(
+        folder / vendor,
+        messages(way_ns),
+        ping=ping_session(session_id=1 + number, vendor=vendor, domain_id=domains[0], extra=ping or {}),
+        relay=relay_session(
+            device="alpha",
+            session_id=101 + number,
+            vendor=vendor,
+            domain_id=domains[1],
+            extra=relay or {},
+        ),
+        runs=[
+            run(
+                run_id=11 + number,
+                planned_messages=COUNT,
+                published=COUNT,
+                relay_domain_id=domains[1],
+                extra={"session_id": f"{1 + number:016x}"},
+                **changes,
+            )
+        ],
+    )
+
+
+def of_code(analysis, code):
+    return [finding for finding in analysis.findings if finding.code == code]
+
+
+@pytest.mark.parametrize(
+    ("fields", "role"),
+    [
+        ({"relay": {"not_applied": NOT_APPLIED}}, "relay"),
+        ({"ping": {"not_applied": NOT_APPLIED}}, "ping"),
+        ({"ping": {"not_applied": NOT_APPLIED}, "relay": {"not_applied": NOT_APPLIED}}, "ping and relay"),
+    ],
+)
+def test_a_setting_that_was_not_applied_is_an_error_of_the_group(tmp_path, fields, role):
+    record(tmp_path, **fields)
+    (finding,) = of_code(analyze(tmp_path), "not_applied")
+    assert (finding.severity.value, finding.groups) == ("error", (0,))
+    assert f"{role[0].upper()}{role[1:]}: {WORDS}." in finding.what
+
+
+@pytest.mark.parametrize("listed", [[], None, "udp", [None, {"words": 3}, {"words": ""}]])
+def test_no_words_are_no_finding(tmp_path, listed):
+    record(tmp_path, ping={"not_applied": listed})
+    assert of_code(analyze(tmp_path), "not_applied") == []
+
+
+def test_a_barred_group_is_in_no_answer_and_in_no_recommendation(tmp_path):
+    record(tmp_path, "fastdds", MS, ping={"not_applied": NOT_APPLIED})
+    record(tmp_path, "cyclonedds", 2 * MS, number=1)
+    record(tmp_path, "zenoh", 3 * MS, number=2)
+    job = parse_job("data=binary size=1000 rate=10 deadline=50ms reliability=0.99")
+    analysis = analyze(
+        tmp_path, job=replace(job, payload_bytes=analyze(tmp_path).summary["payload_bytes"][0])
+    )
+    (answer,) = analysis.details.answers
+    assert [each.setting["vendor"] for each in answer.contenders] == ["cyclonedds", "zenoh"]
+    candidates = analysis.details.recommendation.candidates
+    assert [each.setting["vendor"] for each in candidates] == ["cyclonedds", "zenoh"]
+    assert analysis.barred_groups["vendor"].to_list() == ["fastdds"]
+    assert sorted(analysis.summary["vendor"]) == ["cyclonedds", "fastdds", "zenoh"]
+
+
+def test_a_campaign_that_is_barred_as_a_whole_has_no_answer(tmp_path):
+    record(tmp_path, ping={"not_applied": NOT_APPLIED})
+    details = analyze(tmp_path).details
+    assert details.answers == ()
+    assert details.bridge_costs.is_empty()
+
+
+@pytest.mark.parametrize("barred", [(), (0,), (1,)])
+def test_a_barred_group_has_no_bridge_cost(tmp_path, barred):
+    fields = [{"ping": {"not_applied": NOT_APPLIED}} if number in barred else {} for number in range(2)]
+    record(tmp_path / "within", **fields[0])
+    record(tmp_path / "across", number=1, bridge="builtin", domains=(5, 10), way_ns=2 * MS, **fields[1])
+    assert analyze(tmp_path).details.bridge_costs.is_empty() is bool(barred)
+
+
+@pytest.mark.parametrize("side", ["base", "new", None])
+def test_a_gate_that_meets_a_barred_group_is_inconclusive(tmp_path, side):
+    for name in ("base", "new"):
+        record(tmp_path / name, ping={"not_applied": NOT_APPLIED} if name == side else {})
+    gates = [parse_gate("latency_p50 > +10%"), parse_gate("received_ratio < 99%")]
+    base, new = (analyze(tmp_path / name, details=False) for name in ("base", "new"))
+    results = judge_gates(compare(base, new, options_for(gates, CompareOptions())), gates)
+    expected = GateOutcome.PASSED if side is None else GateOutcome.INCONCLUSIVE
+    assert [result.outcome for result in results] == [expected] * 2
+    assert all(("was not applied" in result.where) is (side is not None) for result in results)
+    assert GateOutcome.INCONCLUSIVE.exit_code == 21
+
+
+def instants(begin_sockets, end_sockets, begin_counters=None, end_counters=None):
+    data = applied(
+        begin_sockets=begin_sockets, sockets=end_sockets, begin=counted(lo=(0, 0)), end=counted(lo=(9, 9))
+    ).to_json()
+    data["begin"]["counters"], data["end"]["counters"] = begin_counters or {}, end_counters or {}
+    data["begin"]["limits"] = {"net.ipv4.ipfrag_time": 30, "net.ipv4.ipfrag_high_thresh": 4_194_304}
+    return {"applied": data}
+
+
+def test_drops_of_the_own_sockets_are_found(tmp_path):
+    begin, end = (
+        (udp(7411, inode=1, dropped=5),),
+        (udp(7411, inode=1, dropped=12), udp(1, inode=2, dropped=2)),
+    )
+    record(tmp_path, relay=instants(begin, end), ping=instants(begin, begin))
+    (finding,) = of_code(analyze(tmp_path), "udp_buffer_overflow")
+    assert finding.where.startswith("relay on alpha")
+    assert "threw away 9 datagrams at its own sockets" in finding.what
+    assert finding.groups == (0,)
+
+
+@pytest.mark.parametrize(
+    "held",
+    [
+        {},
+        {"applied": None},
+        {"applied": {"begin": {"sockets": None}, "end": {}}},
+        {"applied": {"begin": {}, "end": None}},
+    ],
+)
+def test_unknown_sockets_are_no_finding(tmp_path, held):
+    record(tmp_path, ping=held, relay=held)
+    assert of_code(analyze(tmp_path), "udp_buffer_overflow") == []
+
+
+def test_lost_fragments_are_found(tmp_path):
+    begin = {"ReasmFails": 5, "ReasmTimeout": 1, "FragFails": 3}
+    record(
+        tmp_path,
+        ping=instants((), (), begin, {"ReasmFails": 25, "ReasmTimeout": 5, "FragFails": 4}),
+        relay=instants((), (), begin, begin),
+    )
+    (finding,) = of_code(analyze(tmp_path), "fragments_lost")
+    assert "20 datagrams could not be put together from IP fragments (4 of them" in finding.what
+    assert "1 datagram could not be cut into fragments" in finding.what
+    assert "wait for 30 s in at most 4,194,304 B" in finding.action
+
+
+def test_a_count_that_began_anew_is_no_finding(tmp_path):
+    record(tmp_path, ping=instants((), (), {"ReasmFails": 9}, {"ReasmFails": 2}))
+    assert of_code(analyze(tmp_path), "fragments_lost") == []
+
+
+def of_path(path, *, memory=(), sockets=()):
+    data = applied(memory=memory, sockets=sockets, begin=counted(lo=(0, 0)), end=counted(lo=(9, 9))).to_json()
+    return {"applied": {**data, "path": path}}
+
+
+@pytest.mark.parametrize(
+    ("fields", "cause"),
+    [
+        (of_path("shm"), "Fast DDS's shared-memory segment of 524288 B"),
+        (of_path("lo"), "the recorded environment shows no cause"),
+        (of_path("unknown"), "the recorded environment shows no cause"),
+        (of_path("unknown", memory=(segment(),)), "Fast DDS's shared-memory segment of 524288 B"),
+        (of_path("lo", sockets=(udp(7411, 300_000), udp(9))), "the recorded environment shows no cause"),
+        (
+            of_path("lo", sockets=(udp(7411, 600_000), udp(9))),
+            "the socket buffer of alpha (SO_RCVBUF of its UDP sockets 600000 B)",
+        ),
+        ({}, "Fast DDS's shared-memory segment of 524288 B"),
+    ],
+)
+def test_the_cause_of_a_jump_looks_at_what_was_applied(tmp_path, fields, cause):
+    for number, (size, way_ns) in enumerate([(502_000, MS), (1_000_000, 50 * MS)]):
+        record(
+            tmp_path / f"{size}", way_ns=way_ns, number=number, payload_bytes=size, ping=fields, relay=fields
+        )
+    (finding,) = of_code(analyze(tmp_path), "latency_jumps_with_size")
+    assert cause in finding.what

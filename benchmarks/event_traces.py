@@ -17,6 +17,7 @@ from mcap.records import Channel, ChunkIndex, DataEnd, Footer, Header, Schema, S
 
 from dds_trace.tracefile import CDR_HEADER, EVENT_DTYPE, RUN_TOPIC, SESSION_TOPIC, Qos, Run, Session, Stage
 from dds_trace.tracefile.format.events import EVENT_DEFINITION, EVENT_SCHEMA_NAME
+from dds_trace.tracefile.format.string_cdr import encode_string
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -239,13 +240,7 @@ def _texts(runs: range, seed: int, groups: int, *, relay: bool) -> bytes:
 
 
 def _text(channel: int, number: int, text: str) -> bytes:
-    data = text.encode() + b"\0"
-    body = (
-        struct.pack("<HIQQ", channel, number, START_NS, START_NS)
-        + CDR_HEADER
-        + struct.pack("<I", len(data))
-        + data
-    )
+    body = struct.pack("<HIQQ", channel, number, START_NS, START_NS) + encode_string(text)
     return struct.pack("<BQ", 5, len(body)) + body
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from mcap.reader import make_reader
 from mcap.writer import Writer
+from trace_files import string_cdr
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -33,7 +34,9 @@ def shift_relay_clock(source: Path, target: Path, clock: Callable[[int], int]) -
             (true_ns,) = struct.unpack_from("<q", data, _MONOTONIC_AT)
             return data[:_MONOTONIC_AT] + struct.pack("<q", clock(true_ns)) + data[_MONOTONIC_AT + 8 :]
         if topic == "/dds_trace/session" and (session := _json(data))["role"] == "relay":
-            return _text(session | {"monotonic_anchor_ns": clock(session["monotonic_anchor_ns"])})
+            return string_cdr(
+                json.dumps(session | {"monotonic_anchor_ns": clock(session["monotonic_anchor_ns"])})
+            )
         return data
 
     _copy_all(source, target, change)
@@ -43,7 +46,7 @@ def rewrite_sessions(source: Path, target: Path, fields: Mapping[str, Any]) -> N
     """Copies traces, these fields of every session replaced."""
 
     def change(topic: str, data: bytes) -> bytes:
-        return _text(_json(data) | fields) if topic == "/dds_trace/session" else data
+        return string_cdr(json.dumps(_json(data) | fields)) if topic == "/dds_trace/session" else data
 
     _copy_all(source, target, change)
 
@@ -84,8 +87,3 @@ def _json(data: bytes) -> dict[str, Any]:
     (length,) = struct.unpack_from("<I", data, 4)
     held: dict[str, Any] = json.loads(data[8 : 8 + length - 1])
     return held
-
-
-def _text(value: Mapping[str, Any]) -> bytes:
-    text = json.dumps(value).encode() + b"\0"
-    return b"\x00\x01\x00\x00" + struct.pack("<I", len(text)) + text

@@ -18,6 +18,7 @@ from .backends import open_node
 from .backends.domains import check_domain
 from .bridges.asked import open_asked_bridge
 from .host.clock import SystemClock
+from .host.kernel_clock import read_adjtimex
 from .host.privileges import apply_privileges
 from .host.sampling import HostSampler
 from .host.steady import collect_young, steady_interpreter
@@ -93,6 +94,7 @@ class _Recording:
         self.session_id = secrets.randbits(64)
         self.privileges = apply_privileges(options.cpu_affinity, options.realtime_priority)
         self.costs: dict[str, Json] = {}
+        self.correction = read_adjtimex()
         self.environment = dict(os.environ)  # before a node adds what it needs
         self._noted_disk = False
 
@@ -123,7 +125,7 @@ class _Recording:
                     self._watch_relay(relay, node, sink, read_back)
                 read_back.read_end(relay.traffic)
                 relay.close()
-                trace = sink.close(**read_back.fields())
+                trace = sink.close(**read_back.fields(), **self._clock_at_end())
                 read_back.tell()
                 return Recorded(trace, session, relay.progress())
 
@@ -149,7 +151,7 @@ class _Recording:
             if bridge is not None:
                 bridge.stop()  # so that its description says how it ended
             described: JsonObject = {} if bridge is None else {"bridge": bridge.describe()}
-            trace = sink.close(**described, **read_back.fields())
+            trace = sink.close(**described, **read_back.fields(), **self._clock_at_end())
             read_back.tell()
             return Recorded(trace, session, ping.progress(), run)
 
@@ -174,8 +176,17 @@ class _Recording:
             device=self.options.device,
             connectivity=self.options.connectivity,
             relay_id=relay_id,
-            extra={**self.privileges, **self.costs, **read_back.fields()},
+            extra={
+                **self.privileges,
+                **self.costs,
+                **read_back.fields(),
+                "clock": {"begin": self.correction},
+            },
         )
+
+    def _clock_at_end(self) -> JsonObject:
+        """Return the session's field `clock`: the kernel's correction of the clock at begin and end."""
+        return {"clock": {"begin": self.correction, "end": read_adjtimex()}}
 
     @contextmanager
     def _open_trace(self, session: Session) -> Iterator[TraceSink]:

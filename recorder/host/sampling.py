@@ -13,6 +13,7 @@ import psutil
 from dds_trace.tracefile import run_in_background
 
 from .fingerprint import read_text, wifi_signals
+from .kernel_clock import read_monotonic_pair
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -32,7 +33,7 @@ class HostSampler:
     """A thread that hands one sample a second to a callback, from `start` to `stop`.
 
     A sample is a JSON object:
-        `monotonic_ns`; `host` (`cpu_percent`, `cpu_percent_each`, `cpu_mhz`, `memory_used_bytes`,
+        `monotonic_ns` and at the same instant `monotonic_raw_ns`, which NTP does not slew; `host` (`cpu_percent`, `cpu_percent_each`, `cpu_mhz`, `memory_used_bytes`,
         `memory_available_bytes`, `load_1min`, `temperature_c`); `network` (interface -> `sent_bytes`,
         `received_bytes`, `sent_packets`, `received_packets`, `dropped`, `errors`: totals since boot);
         `udp` (kernel totals such as `RcvbufErrors`); `wifi` (interface -> `signal_dbm` ...);
@@ -88,8 +89,10 @@ class HostSampler:
     def sample(self) -> dict[str, Json]:
         """Take one sample now; shares of CPU are since the call before."""
         began_ns = time.thread_time_ns()
+        monotonic_ns, monotonic_raw_ns = read_monotonic_pair()
         sample: dict[str, Json] = {
-            "monotonic_ns": time.monotonic_ns(),
+            "monotonic_ns": monotonic_ns,
+            "monotonic_raw_ns": monotonic_raw_ns,
             "host": _host_load(),
             "network": _network_totals(),
             "udp": _kernel_totals(),

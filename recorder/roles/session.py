@@ -12,6 +12,7 @@ from ..backends import load_backend, load_backends
 from ..choices import Discovery
 from ..host.environment import join_environments
 from ..host.fingerprint import host_fingerprint
+from ..host.kernel_clock import read_boot_id
 
 if TYPE_CHECKING:
     from dds_trace.tracefile import JsonObject
@@ -61,7 +62,7 @@ def describe_session(
         wall_anchor_ns=anchor.wall_ns,
         monotonic_anchor_ns=anchor.monotonic_ns,
         host={**host, "middleware": dict(middleware.settings)},
-        extra={"vendor_label": vendor_label, **(extra or {})},
+        extra={"vendor_label": vendor_label, "boot_id": read_boot_id(), **(extra or {})},
     )
 
 

@@ -13,6 +13,7 @@ from dds_trace.analyzer import analyze
 from dds_trace.recorder import NodeOptions, PingOptions, RecordOptions, record
 from dds_trace.recorder.backends import BACKEND_MODULES, installed_middlewares
 from dds_trace.recorder.choices import Discovery
+from dds_trace.recorder.host.kernel_clock import read_adjtimex, read_boot_id
 from dds_trace.recorder.payloads import PAYLOADS
 from dds_trace.recorder.payloads.base import DataType, Form, Message, Payload, Source
 from dds_trace.recorder.payloads.cdr import CdrWriter
@@ -74,6 +75,8 @@ def test_a_toy_backend_carries_a_ping_and_a_relay_to_a_closed_trace_that_analyze
     assert session.host["versions"] == {"toy": "1.0"}
     assert session.host["settings"]["TOY_SETTING"] == "on"
     assert session.extra["client_library_floor"]["median_ns"] > 0
+    assert session.extra["boot_id"] == read_boot_id()
+    assert session.extra["clock"] == {"begin": read_adjtimex(), "end": read_adjtimex()}
     analysis = analyze(tmp_path)
     (group,) = analysis.summary.to_dicts()
     assert (group["backend"], group["relay_backend"]) == ("toy", "toy")

@@ -23,6 +23,7 @@ def test_samples_of_host_and_own_process_arrive_until_stopped():
     with HostSampler(samples.put, period_s=0.02):
         first, second = (samples.get(timeout=30) for _ in range(2))
     assert second["monotonic_ns"] > first["monotonic_ns"]
+    assert second["monotonic_raw_ns"] > first["monotonic_raw_ns"]
     json.dumps(first)
     assert first["processes"]["self"]["pid"] == os.getpid()
     assert first["processes"]["self"]["memory_bytes"] > 0

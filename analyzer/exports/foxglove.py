@@ -107,7 +107,8 @@ def write_derived(
         path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as draft, draft.open("wb") as file:
             _write_messages(Writer(file, compression=CompressionType.ZSTD), rows, topics)
-        layout.write_text(json.dumps(foxglove_layout(topics), indent=2) + "\n")
+        with replacing(layout) as draft:
+            draft.write_text(json.dumps(foxglove_layout(topics), indent=2) + "\n")
     except OSError as err:
         raise OutputError(
             f"{path}: cannot be written ({err.strerror or err}); check disk space and permissions"

@@ -18,7 +18,7 @@ from .base import Halves
 from .builtin_common import (
     INSTALL_ROS2,
     UP_LINE,
-    Traffic,
+    Forwarder,
     open_side,
     options_from_json,
     options_to_json,
@@ -75,13 +75,13 @@ def main(configuration: Path) -> None:
     sides = options.sides()
     with ExitStack() as stack:
         nodes = [stack.enter_context(open_side(side, options)) for side in sides]
-        traffic = Traffic()
+        forwarder = Forwarder()
         for side, here, there in zip(sides, nodes, reversed(nodes), strict=True):
             for name in side.takes:
                 type_name = options.type_of(name)
                 publisher = there.create_publisher(name, type_name)
-                here.create_subscription(name, type_name, traffic.forward(publisher.publish))
-        serve(nodes, traffic, f"domains {options.ping_domain_id} and {options.relay_domain_id}")
+                here.create_subscription(name, type_name, forwarder.forward(publisher.publish))
+        serve(nodes, forwarder, f"domains {options.ping_domain_id} and {options.relay_domain_id}")
 
 
 if __name__ == "__main__":

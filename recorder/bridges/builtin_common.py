@@ -97,8 +97,8 @@ def open_side(side: BridgeSide, options: BridgeOptions) -> Node:
     )
 
 
-class Traffic:
-    """The messages that a bridge forwards, counted per route, as each route may have a thread of its own."""
+class Forwarder:
+    """The routes of a bridge, each with a count of its messages, as each may have a thread of its own."""
 
     def __init__(self) -> None:
         self._counts: list[list[int]] = []
@@ -121,7 +121,7 @@ class Traffic:
         return sum(count[0] for count in self._counts)
 
 
-def serve(nodes: Sequence[Node], traffic: Traffic, what: str) -> None:
+def serve(nodes: Sequence[Node], forwarder: Forwarder, what: str) -> None:
     """Start the nodes, print `UP_LINE`, wait for SIGINT or SIGTERM, and print the number of forwarded messages.
 
     Raises:
@@ -139,9 +139,9 @@ def serve(nodes: Sequence[Node], traffic: Traffic, what: str) -> None:
             for node in nodes:
                 if node.error is not None:
                     raise node.error
-            if before == (before := traffic.messages):  # a quiet moment
+            if before == (before := forwarder.messages):  # a quiet moment
                 collect_young()
-    print(f"forwarded {counted(traffic.messages, 'message')}", flush=True)
+    print(f"forwarded {counted(forwarder.messages, 'message')}", flush=True)
 
 
 def run(main: Callable[[Path], None]) -> None:

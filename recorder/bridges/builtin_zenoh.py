@@ -21,7 +21,7 @@ from .base import Halves
 from .builtin_common import (
     INSTALL_ROS2,
     UP_LINE,
-    Traffic,
+    Forwarder,
     open_side,
     options_from_json,
     options_to_json,
@@ -83,7 +83,7 @@ def main(configuration: Path) -> None:
     zenoh.init_log_from_env_or("error")
     options = options_from_json(configuration)
     (side,) = options.sides()
-    traffic = Traffic()
+    forwarder = Forwarder()
     reliable = options.qos.reliability == "reliable"
     link = zenoh.Config.from_json5(json.dumps(zenoh_link(options, mode="peer")))
     with zenoh.open(link) as session, open_side(side, options) as node:
@@ -97,15 +97,15 @@ def main(configuration: Path) -> None:
                 reliability=zenoh.Reliability.RELIABLE if reliable else zenoh.Reliability.BEST_EFFORT,
                 express=True,  # at once, not in a batch with the next message
             )
-            node.create_subscription(name, options.type_of(name), traffic.forward(key.put))
+            node.create_subscription(name, options.type_of(name), forwarder.forward(key.put))
         subscribers = [
             session.declare_subscriber(
                 f"{KEY_PREFIX}/{name}",
-                _from_zenoh(traffic.forward(node.create_publisher(name, options.type_of(name)).publish)),
+                _from_zenoh(forwarder.forward(node.create_publisher(name, options.type_of(name)).publish)),
             )
             for name in side.puts
         ]
-        serve([node], traffic, f"domain {side.domain_id} and zenoh")
+        serve([node], forwarder, f"domain {side.domain_id} and zenoh")
         for subscriber in subscribers:  # before the node that they publish to is gone
             subscriber.undeclare()
 

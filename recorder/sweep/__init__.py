@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from .plan.link import PRESETS, Link
     from .plan.plan import Plan
     from .plan.plan_file import parse_plan, read_plan
-    from .plan.schedule import Group, Remaining, plan_seconds, schedule
+    from .plan.schedule import CellGroup, Remaining, plan_seconds, schedule
     from .run.progress import SweepProgress, make_progress
     from .run.result import CellResult, read_result
     from .search import MaxRate, RateAnswer
@@ -26,8 +26,8 @@ __all__ = [
     "INCOMPLETE_EXIT_CODE",
     "PRESETS",
     "Cell",
+    "CellGroup",
     "CellResult",
-    "Group",
     "Link",
     "MaxRate",
     "Plan",

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from dds_trace.recorder.bridges import Halves
 from dds_trace.recorder.bridges.builtin_common import (
-    Traffic,
+    Forwarder,
     open_side,
     options_from_json,
     options_to_json,
@@ -52,12 +52,12 @@ def main(configuration):
     options = options_from_json(configuration)
     with ExitStack() as stack:
         nodes = [stack.enter_context(open_side(side, options)) for side in options.sides()]
-        traffic = Traffic()
+        forwarder = Forwarder()
         for side, here, there in zip(options.sides(), nodes, reversed(nodes), strict=True):
             for name in side.takes:
                 publisher = there.create_publisher(name, options.type_of(name))
-                here.create_subscription(name, options.type_of(name), traffic.forward(publisher.publish))
-        serve(nodes, traffic, "toys")
+                here.create_subscription(name, options.type_of(name), forwarder.forward(publisher.publish))
+        serve(nodes, forwarder, "toys")
 
 
 if __name__ == "__main__":

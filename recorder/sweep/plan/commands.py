@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from .cells import Cell, RelayNeed
     from .plan import DeviceSettings, Plan
-    from .schedule import Group
+    from .schedule import CellGroup
 
 
 def relay_arguments(plan: Plan, need: RelayNeed) -> list[str]:
@@ -24,7 +24,7 @@ def relay_arguments(plan: Plan, need: RelayNeed) -> list[str]:
     ]
 
 
-def half_arguments(plan: Plan, group: Group) -> list[str]:
+def half_arguments(plan: Plan, group: CellGroup) -> list[str]:
     """Return the arguments of `dds-bridge` for the half of the group's bridge that runs beside its relay.
 
     This half waits for the ping's, which each ping starts anew: between two cells nothing has to be found again.

@@ -25,7 +25,7 @@ RELAY_OVERHEAD_S = 1.5
 
 
 @dataclass(frozen=True, slots=True)
-class Group:
+class CellGroup:
     """Cells that one relay serves without a restart, in the order in which they run.
 
     Attributes:
@@ -41,14 +41,14 @@ class Group:
     cells: tuple[Cell, ...]
 
 
-def schedule(plan: Plan) -> list[Group]:
+def schedule(plan: Plan) -> list[CellGroup]:
     """Return all cells of the plan, each once for each repeat, in groups of one relay.
 
     `shuffled` shuffles the relays of each pass and the cells of each relay, not all cells at once: a relay
     serves its cells without a restart, and with several repeats two middlewares meet the machine's drift
     alike. The order depends on the plan's seed alone, so an interrupted sweep goes on in it.
     """
-    groups: list[Group] = []
+    groups: list[CellGroup] = []
     for repeat in range(1, plan.run.repeats + 1):
         of_pass = group_by_relay(plan, [replace(cell, repeat=repeat) for cell in plan.cells])
         if plan.run.order is Order.SHUFFLED:
@@ -61,14 +61,14 @@ def schedule(plan: Plan) -> list[Group]:
     return [replace(group, number=number) for number, group in enumerate(groups, 1)]
 
 
-def group_by_relay(plan: Plan, cells: Iterable[Cell]) -> list[Group]:
+def group_by_relay(plan: Plan, cells: Iterable[Cell]) -> list[CellGroup]:
     """Return the cells in groups of one relay, relays and cells in the order of their first appearance."""
     served: dict[tuple[RelayNeed, str | None], list[Cell]] = {}
     for cell in cells:
         beside_relay = cell.bridge if plan.runs_halves(cell) else None
         served.setdefault((cell.relay, beside_relay), []).append(cell)
     return [
-        Group(number, need, bridge, tuple(listed))
+        CellGroup(number, need, bridge, tuple(listed))
         for number, ((need, bridge), listed) in enumerate(served.items(), 1)
     ]
 

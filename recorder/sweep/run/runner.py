@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from ..plan.cells import Cell
     from ..plan.link import LinkReport
     from ..plan.plan import Plan
-    from ..plan.schedule import Group
+    from ..plan.schedule import CellGroup
     from ..station.station import Station
     from .progress import SweepProgress
     from .result import CellResult
@@ -68,7 +68,7 @@ class Runner:
         self.state = SweepState(folder / "state.json", plan.name, plan.digest)
         self._estimate = Estimate(plan)
 
-    def run(self, groups: list[Group]) -> list[str]:
+    def run(self, groups: list[CellGroup]) -> list[str]:
         """Run every cell that is not complete and return the names of those that still are not.
 
         Raises:
@@ -96,7 +96,7 @@ class Runner:
         for path in self._parts.iterdir():
             path.unlink()
 
-    def _run_group(self, group: Group, waiting: list[Cell], all_cells: list[Cell]) -> None:
+    def _run_group(self, group: CellGroup, waiting: list[Cell], all_cells: list[Cell]) -> None:
         with self.relay(group) as relay:
             for cell in waiting:
                 left = [other for other in all_cells if not self.state[other.name].done]
@@ -104,7 +104,7 @@ class Runner:
                 self.record(cell, relay)
 
     @contextlib.contextmanager
-    def relay(self, group: Group) -> Iterator[GroupRelay]:
+    def relay(self, group: CellGroup) -> Iterator[GroupRelay]:
         """Yield a relay for the cells of this group; at the end of the block its part of each is in place."""
         relay = GroupRelay(
             self._station.device,
@@ -256,7 +256,7 @@ class Runner:
         """Return the path of a cell's relay trace."""
         return self.folder / f"{name}.relay.mcap"
 
-    def _segment_names(self, group: Group) -> Iterator[str]:
+    def _segment_names(self, group: CellGroup) -> Iterator[str]:
         """Return names that no earlier sweep in this folder has used; each begins with the group's number."""
         began_ms = time.time_ns() // 1_000_000
         return (f"{group.number}-{began_ms}-{start}.mcap" for start in itertools.count(1))

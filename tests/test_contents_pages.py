@@ -19,6 +19,7 @@ PAGES = (
     "dds_trace.recorder",
     "dds_trace.recorder.bridges",
     "dds_trace.recorder.sweep",
+    "dds_trace.recorder.wire",
 )
 
 

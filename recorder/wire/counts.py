@@ -1,0 +1,188 @@
+"""What one run cost on the wire, as it is written to the trace."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, fields
+from typing import TYPE_CHECKING, Any
+
+from .kernel_counters import InterfaceCount, IpCounts
+from .messages import RepeatCount
+from .packets.classes import DISCOVERY, WireClass
+from .tcp_info import TcpConnection
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+_DISCOVERY_NAMES = frozenset(kind.value for kind in DISCOVERY)
+_AGAIN_NAMES = frozenset(
+    kind.value for kind in (WireClass.DATA_AGAIN, WireClass.DATA_FRAG_AGAIN, WireClass.TCP_DATA_AGAIN)
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ClassCount:
+    """Traffic of one class in one direction.
+
+    Attributes:
+        name: a `WireClass`.
+        direction: `sent`, `received`, or `local` on the loopback interface, where it is both.
+        packets: IP packets; one that holds several classes counts for the first of them in `WireClass`'s order.
+        bytes: with all headers from Ethernet's on. Headers of a packet count for its class, its other submessages
+            for their own, so the classes' bytes sum to the packets' bytes.
+        submessages: RTPS submessages; 0 for TCP and other UDP.
+        fragments: samples (DATA) and fragments of samples (DATA_FRAG, which may hold several) in them. A DATA_FRAG with
+            one repeated fragment counts as repeated whole.
+        ip_fragments: how many of the packets are IP fragments.
+    """
+
+    name: str
+    direction: str
+    packets: int = 0
+    bytes: int = 0
+    submessages: int = 0
+    fragments: int = 0
+    ip_fragments: int = 0
+
+    @classmethod
+    def from_dict(cls, found: Mapping[str, Any]) -> ClassCount:
+        """Return what `WireCounts.to_dict` gave; unknown fields are ignored."""
+        known = {name: found[name] for name in cls.__slots__ if name in found}
+        return cls(**{"name": "", "direction": "", **known})
+
+
+@dataclass(frozen=True, slots=True)
+class WireCounts:
+    """What one run cost on the wire, seen from one side.
+
+    Times are CLOCK_MONOTONIC ns of this device.
+
+    Attributes:
+        run_id: as the run's JSON has it, 16 hex digits; empty if all runs were counted.
+        interfaces: that were watched.
+        begin_ns, end_ns: of the counting.
+        classes: traffic by class and direction; those that did not occur are left out.
+        repeats: messages that this side sent, by how often they were sent again.
+        messages: of the run, or of all runs, with a row of their own, both directions.
+        sample_bytes: their serialized lengths in total.
+        requests: ACKNACK and NACK_FRAG of user topics that asked for something again.
+        heartbeat_gap_p50_ns: median time between two heartbeats of a writer that came without data.
+        first_spdp_ns, first_data_ns, first_reply_ns: since the capture began: the first announcement of a participant,
+            the first message with our stamp (probes included), the first that a relay has sent back.
+        ip: the kernel's counters of IP fragments and UDP.
+        tcp: connections on the run's TCP ports, with their counters over the run.
+        tcp_again_bytes: TCP payload that the capture saw this side send again.
+        interface_counts: all traffic of the interfaces.
+        foreign_packets: RTPS of other domains, in no class.
+        unseen_headers: packets with a submessage whose header was not captured; its kind is missing in `classes`, its
+            bytes count for the packet's class.
+        unfollowed_datagrams: datagrams in which an IP fragment was missing or out of order, so that headers behind it
+            were not found, likewise. On the receiving side of a lossy link that is the link's loss.
+        late_repeats: repeats of samples that were no longer remembered; they are in `classes` and in no row.
+        kernel_drops, kernel_freezes: packets that found no room in the ring, and how often it was full.
+        packets: handled.
+        cpu_s: CPU time of the capturing process, reading of the kernel's counters included.
+    """
+
+    run_id: str = ""
+    interfaces: tuple[str, ...] = ()
+    begin_ns: int = 0
+    end_ns: int = 0
+    classes: tuple[ClassCount, ...] = ()
+    repeats: tuple[RepeatCount, ...] = ()
+    messages: int = 0
+    sample_bytes: int = 0
+    requests: int = 0
+    heartbeat_gap_p50_ns: float | None = None
+    first_spdp_ns: int | None = None
+    first_data_ns: int | None = None
+    first_reply_ns: int | None = None
+    ip: IpCounts = field(default_factory=IpCounts)
+    tcp: tuple[TcpConnection, ...] = ()
+    tcp_again_bytes: int = 0
+    interface_counts: tuple[InterfaceCount, ...] = ()
+    foreign_packets: int = 0
+    unseen_headers: int = 0
+    unfollowed_datagrams: int = 0
+    late_repeats: int = 0
+    kernel_drops: int = 0
+    kernel_freezes: int = 0
+    packets: int = 0
+    cpu_s: float = 0.0
+
+    @property
+    def complete(self) -> bool:
+        """Whether the kernel handed over every packet; if not, the counts are lower bounds and prove nothing."""
+        return self.kernel_drops == 0
+
+    @property
+    def duration_s(self) -> float:
+        """How long was counted, s."""
+        return (self.end_ns - self.begin_ns) / 1e9
+
+    @property
+    def total_bytes(self) -> int:
+        """Bytes of all classes, both directions."""
+        return sum(count.bytes for count in self.classes)
+
+    @property
+    def wire_bytes_per_sample_byte(self) -> float | None:
+        """All bytes on the wire per serialized byte of the run's messages; None without messages."""
+        return self.total_bytes / self.sample_bytes if self.sample_bytes else None
+
+    @property
+    def discovery_bytes_per_minute(self) -> float | None:
+        """Bytes of SPDP, SEDP and liveliness a minute, both directions; None if no time passed."""
+        found = self._bytes_of(_DISCOVERY_NAMES)
+        return found * 60 / self.duration_s if self.duration_s else None
+
+    @property
+    def again_bytes_share(self) -> float | None:
+        """Share of all bytes that went into repeated data; None without traffic."""
+        return self._bytes_of(_AGAIN_NAMES) / self.total_bytes if self.total_bytes else None
+
+    @property
+    def match_ns(self) -> int | None:
+        """Time from the first participant's announcement to the first message that came back; None if either is missing."""
+        if self.first_spdp_ns is None or self.first_reply_ns is None:
+            return None
+        return self.first_reply_ns - self.first_spdp_ns
+
+    @property
+    def packets_per_s(self) -> float | None:
+        """Packets handled a second; None if no time passed."""
+        return self.packets / self.duration_s if self.duration_s else None
+
+    def _bytes_of(self, names: frozenset[str]) -> int:
+        return sum(count.bytes for count in self.classes if count.name in names)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON object; `complete`, `wire_bytes_per_sample_byte` and the other properties are in it."""
+        return {**asdict(self), **{name: getattr(self, name) for name in _DERIVED}}
+
+    @classmethod
+    def from_dict(cls, found: Mapping[str, Any]) -> WireCounts:
+        """Return what `to_dict` gave; unknown fields are ignored, missing ones have their defaults."""
+        known = {f.name: found[f.name] for f in fields(cls) if f.name in found}
+        for name, read in _LISTS.items():
+            known[name] = tuple(read(part) for part in known.get(name) or ())
+        known["interfaces"] = tuple(known.get("interfaces", ()))
+        known["ip"] = IpCounts.from_dict(known.get("ip") or {})
+        return cls(**known)
+
+
+_LISTS: Mapping[str, Any] = {
+    "classes": ClassCount.from_dict,
+    "repeats": RepeatCount.from_dict,
+    "tcp": TcpConnection.from_dict,
+    "interface_counts": InterfaceCount.from_dict,
+}
+_DERIVED = (
+    "complete",
+    "duration_s",
+    "total_bytes",
+    "wire_bytes_per_sample_byte",
+    "discovery_bytes_per_minute",
+    "again_bytes_share",
+    "match_ns",
+    "packets_per_s",
+)

@@ -1,0 +1,55 @@
+"""What to capture."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+from ..backends.domains import first_port
+from .packets.packet_filter import PortRange
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+
+def domain_ports(domain_id: int) -> PortRange:
+    """Return the UDP ports of a DDS domain (DDSI-RTPS 2.5, section 9.6.2.3)."""
+    return PortRange(first_port(domain_id), first_port(domain_id + 1) - 1)
+
+
+@dataclass(frozen=True, slots=True)
+class WireOptions:
+    """What to capture, and with how much memory.
+
+    Attributes:
+        interfaces: names of those that carry the run's messages.
+        rtps_ports: UDP ports of the run's DDS domains (`domain_ports`); RTPS of other domains is left out. Empty: all
+            RTPS counts.
+        udp_ports: of UDP that is not RTPS: the `socket` backend's, zenoh's scouting.
+        tcp_ports: of the `socket` backend, of zenoh, of Fast DDS over TCP.
+        ring_bytes: kernel memory for packets on each interface. A second of 100 Mbit/s takes 12.5 MB in IP fragments
+            and in packets of several samples' fragments, and a tenth of that otherwise.
+        block_timeout_ms: how long the kernel collects packets before it hands them over, and how often they are counted.
+    """
+
+    interfaces: tuple[str, ...]
+    rtps_ports: tuple[PortRange, ...] = ()
+    udp_ports: tuple[PortRange, ...] = ()
+    tcp_ports: tuple[PortRange, ...] = ()
+    ring_bytes: int = 32 << 20
+    block_timeout_ms: int = 100
+
+    def to_json(self) -> str:
+        """Return the options as the capturing process gets them."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def from_json(cls, text: str) -> WireOptions:
+        """Return what `to_json` gave."""
+        found: Mapping[str, Any] = json.loads(text)
+        ports = {
+            name: tuple(PortRange(*pair) for pair in found[name])
+            for name in ("rtps_ports", "udp_ports", "tcp_ports")
+        }
+        return cls(**{**found, "interfaces": tuple(found["interfaces"]), **ports})

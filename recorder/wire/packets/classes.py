@@ -1,0 +1,76 @@
+"""Classes of traffic: what a packet was sent for."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+from . import rtps
+
+
+class WireClass(str, Enum):
+    """What bytes on the wire were sent for; in the order in which a packet with several purposes is counted for one.
+
+    `rtps_other` are packets without a purpose of their own and vendors' own submessages, such as the network statistics
+    (0x80, 60 bytes) that Fast DDS appends to each packet.
+    """
+
+    DATA_FRAG = "data_frag"
+    DATA_FRAG_AGAIN = "data_frag_again"
+    DATA = "data"
+    DATA_AGAIN = "data_again"
+    GAP = "gap"
+    HEARTBEAT = "heartbeat"
+    HEARTBEAT_FRAG = "heartbeat_frag"
+    NACK_FRAG = "nack_frag"
+    ACKNACK = "acknack"
+    SPDP = "spdp"
+    SEDP = "sedp"
+    LIVELINESS = "liveliness"
+    SECURE = "secure"
+    RTPS_OTHER = "rtps_other"
+    TCP_DATA = "tcp_data"
+    TCP_DATA_AGAIN = "tcp_data_again"
+    TCP_CONTROL = "tcp_control"
+    UDP_OTHER = "udp_other"
+    FRAGMENT_UNKNOWN = "fragment_unknown"
+
+
+RANK = {kind: number for number, kind in enumerate(WireClass)}
+DISCOVERY = frozenset((WireClass.SPDP, WireClass.SEDP, WireClass.LIVELINESS))
+AGAIN = {WireClass.DATA: WireClass.DATA_AGAIN, WireClass.DATA_FRAG: WireClass.DATA_FRAG_AGAIN}
+"""Class of a first sending -> class of a repeated one."""
+
+_BUILTIN_KIND = 0xC0
+"""Bits of an entity id's last octet that mark the entities of discovery (DDSI-RTPS 2.5, table 9.1)."""
+_BUILTIN_WRITERS = {
+    0x000100C2: WireClass.SPDP,
+    0xFF0101C2: WireClass.SPDP,  # DDS Security's
+    0x000200C2: WireClass.LIVELINESS,
+    0xFF0200C2: WireClass.LIVELINESS,
+}
+"""Well-known writers (9.3.1.5 and DDS Security 7.4.7); all other built-in ones announce or ask about endpoints."""
+
+_KINDS = {
+    rtps.DATA: WireClass.DATA,
+    rtps.DATA_FRAG: WireClass.DATA_FRAG,
+    rtps.GAP: WireClass.GAP,
+    rtps.HEARTBEAT: WireClass.HEARTBEAT,
+    rtps.HEARTBEAT_FRAG: WireClass.HEARTBEAT_FRAG,
+    rtps.ACKNACK: WireClass.ACKNACK,
+    rtps.NACK_FRAG: WireClass.NACK_FRAG,
+    **dict.fromkeys(rtps.SECURE_KINDS, WireClass.SECURE),
+}
+
+
+def class_of(kind: int, writer: int) -> WireClass | None:
+    """Return the class of a submessage, first sendings of data assumed; None for one that carries nothing by itself.
+
+    Args:
+        kind: of the submessage.
+        writer: entity id that it names; acknowledgements of discovery count as discovery.
+    """
+    if kind in rtps.CONTEXT_KINDS:
+        return None
+    if writer & _BUILTIN_KIND == _BUILTIN_KIND:
+        return _BUILTIN_WRITERS.get(writer, WireClass.SEDP)
+    return _KINDS.get(kind, WireClass.RTPS_OTHER)

@@ -1,0 +1,127 @@
+"""IP fragments: which datagram a later fragment belongs to, and the RTPS headers that begin in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
+
+from .rtps import LONGEST_FIELDS_BYTES, Submessage, walk_submessages
+
+if TYPE_CHECKING:
+    from collections.abc import Hashable
+
+REMEMBERED_DATAGRAMS = 4096
+"""Datagrams whose last fragment was not seen, remembered at once; the oldest go first."""
+
+Owner = TypeVar("Owner")
+
+
+class Piece(NamedTuple):
+    """A later fragment.
+
+    Attributes:
+        offset: of its first byte in the datagram.
+        memory: bytes that hold it.
+        begin, end: indices of its first byte and behind its last one that was captured.
+        wire_end: index behind its last byte, captured or not.
+        is_last: whether no other follows.
+    """
+
+    offset: int
+    memory: memoryview
+    begin: int
+    end: int
+    wire_end: int
+    is_last: bool
+
+
+@dataclass(slots=True)
+class _Datagram(Generic[Owner]):
+    """A datagram whose fragments are still coming.
+
+    Attributes:
+        owner: what the first fragment was found to be.
+        length: in bytes, UDP header included.
+        next_at: offset of the next submessage header, -1 if the trail is lost.
+        carried: bytes of that header in the fragments so far.
+    """
+
+    owner: Owner
+    length: int
+    next_at: int
+    carried: bytes
+
+
+class FragmentTable(Generic[Owner]):
+    """Datagrams by what their fragments have in common: addresses, identification, direction.
+
+    Attributes:
+        lost_trails: datagrams in which a submessage header was not seen, as a fragment was missing or out of order.
+    """
+
+    def __init__(self) -> None:
+        self.lost_trails = 0
+        self._datagrams: dict[Hashable, _Datagram[Owner]] = {}
+
+    def begin(
+        self, key: Hashable, owner: Owner, datagram_bytes: int, next_at: int, carried: bytes = b""
+    ) -> None:
+        """Note a first fragment.
+
+        Args:
+            key: of the datagram.
+            owner: what later fragments are counted with.
+            datagram_bytes: length with the UDP header.
+            next_at: offset in the datagram of the first submessage header that was not read.
+            carried: its bytes within the first fragment.
+        """
+        self._datagrams.pop(key, None)  # an identification that is used again: the last in line once more
+        if len(self._datagrams) >= REMEMBERED_DATAGRAMS:
+            self._datagrams.pop(next(iter(self._datagrams)))
+        self._datagrams[key] = _Datagram(owner, datagram_bytes, next_at, carried)
+
+    def continue_with(self, key: Hashable, piece: Piece) -> tuple[Owner, list[Submessage]] | None:
+        """Return the datagram's owner and the submessages that begin in this fragment; None if its first is unknown."""
+        datagram = self._datagrams.get(key)
+        if datagram is None:
+            return None
+        found = self._walk(datagram, piece)
+        if piece.is_last:
+            del self._datagrams[key]
+        return datagram.owner, found
+
+    def _walk(self, datagram: _Datagram[Owner], piece: Piece) -> list[Submessage]:
+        piece_end = piece.offset + piece.wire_end - piece.begin
+        if datagram.next_at < 0 or datagram.next_at >= piece_end:
+            return []
+        if datagram.next_at + len(datagram.carried) != piece.offset and datagram.next_at < piece.offset:
+            datagram.next_at = -1
+            self.lost_trails += 1
+            return []
+        found: list[Submessage] = []
+        if datagram.carried:
+            found = self._walk_seam(datagram, piece)
+        if datagram.next_at >= piece.offset:
+            at = piece.begin + datagram.next_at - piece.offset
+            walk = walk_submessages(piece.memory, at, piece.end, piece.begin + datagram.length - piece.offset)
+            found += walk.submessages
+            datagram.next_at = piece.offset + walk.next_at - piece.begin
+            datagram.carried = bytes(piece.memory[walk.next_at : piece.end])
+        return found
+
+    @staticmethod
+    def _walk_seam(datagram: _Datagram[Owner], piece: Piece) -> list[Submessage]:
+        """Read the submessages whose header begins in the fragment before and ends in this one."""
+        head = bytes(piece.memory[piece.begin : min(piece.end, piece.begin + LONGEST_FIELDS_BYTES)])
+        seam = datagram.carried + head
+        walk = walk_submessages(memoryview(seam), 0, len(seam), datagram.length - datagram.next_at)
+        # Of what begins within this fragment nothing is taken here: the walk over the fragment itself finds it.
+        found, at = [], 0
+        for submessage in walk.submessages:
+            if at >= len(datagram.carried):
+                break
+            found.append(submessage._replace(payload_at=None))  # it would be an index of `seam`
+            at += submessage.wire_bytes
+        datagram.next_at += at
+        datagram.carried = b""
+        return found

@@ -1,0 +1,154 @@
+"""Ethernet, IPv4, UDP and TCP headers of a batch of frames, read for all frames at once."""
+
+from __future__ import annotations
+
+import socket
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+UDP, TCP = socket.IPPROTO_UDP, socket.IPPROTO_TCP
+_ETHERNET_BYTES, _IPV4_BYTES, _UDP_BYTES = 14, 20, 8
+_IPV4 = 0x0800
+_RTPS_MAGIC = int.from_bytes(b"RTPS", "big")
+
+Numbers = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class FrameBatch:
+    """Frames in the ring's memory, in the order of their capture; one row each, valid until the ring's `release`.
+
+    Attributes:
+        memory: the ring's bytes.
+        position: index of the frame's first byte in `memory`.
+        captured_bytes: how much of the frame is there.
+        wire_bytes: the frame's length, with its Ethernet header.
+        wall_ns: CLOCK_REALTIME at the capture, ns since 1970.
+        packet_type: PACKET_HOST (0), PACKET_OUTGOING (4) and so on.
+    """
+
+    memory: NDArray[np.uint8]
+    position: Numbers
+    captured_bytes: Numbers
+    wire_bytes: Numbers
+    wall_ns: Numbers
+    packet_type: NDArray[np.uint8]
+
+    def __len__(self) -> int:
+        """Frames."""
+        return len(self.position)
+
+
+@dataclass(frozen=True, slots=True)
+class Headers:
+    """Headers of frames, one row each; a field of a header that the frame does not have is 0.
+
+    Attributes:
+        protocol: of IP, 0 for a frame that is not IPv4 or too short.
+        source, destination: IPv4 addresses as numbers.
+        ip_id: the identification that the fragments of a datagram have in common.
+        fragment_offset: bytes of the datagram before this frame's.
+        more_fragments: whether others of the datagram follow.
+        transport: index in the batch's memory of the first byte behind the IP header.
+        transport_end: index of the first byte behind what the IP header says is in this frame, captured or not.
+        seen_end: index of the first byte that was not captured, `transport_end` at most.
+        source_port, destination_port: of UDP and TCP; 0 in later fragments.
+        datagram_bytes: length of the UDP datagram with its header, over all its fragments.
+        is_rtps: whether the UDP payload begins with `RTPS`.
+    """
+
+    protocol: Numbers
+    source: Numbers
+    destination: Numbers
+    ip_id: Numbers
+    fragment_offset: Numbers
+    more_fragments: NDArray[np.bool_]
+    transport: Numbers
+    transport_end: Numbers
+    seen_end: Numbers
+    source_port: Numbers
+    destination_port: Numbers
+    datagram_bytes: Numbers
+    is_rtps: NDArray[np.bool_]
+
+
+def read_headers(batch: FrameBatch) -> Headers:
+    """Return the headers of a batch."""
+    begin, captured = batch.position, batch.captured_bytes
+    memory = batch.memory
+
+    def number(position: Numbers, octets: int) -> Numbers:
+        """Return big-endian numbers; what lies behind the memory's end is masked by the caller."""
+        value = np.zeros(len(position), np.int64)
+        for octet in range(octets):
+            value = value << 8 | memory[np.minimum(position + octet, memory.size - 1)]
+        return value
+
+    is_ipv4 = (captured >= _ETHERNET_BYTES + _IPV4_BYTES) & (number(begin + 12, 2) == _IPV4)
+    ip = begin + _ETHERNET_BYTES
+    header_bytes = (number(ip, 1) & 0x0F) * 4
+    flags = number(ip + 6, 2)
+    transport = ip + header_bytes
+    transport_end = ip + number(ip + 2, 2)
+    seen_end = np.minimum(begin + captured, transport_end)
+    protocol = np.where(is_ipv4, number(ip + 9, 1), 0)
+    fragment_offset = (flags & 0x1FFF) * 8
+    has_ports = is_ipv4 & (fragment_offset == 0) & (transport + _UDP_BYTES <= seen_end)
+    is_udp = has_ports & (protocol == UDP)
+    return Headers(
+        protocol=protocol,
+        source=number(ip + 12, 4),
+        destination=number(ip + 16, 4),
+        ip_id=number(ip + 4, 2),
+        fragment_offset=np.where(is_ipv4, fragment_offset, 0),
+        more_fragments=is_ipv4 & (flags & 0x2000 != 0),
+        transport=transport,
+        transport_end=transport_end,
+        seen_end=seen_end,
+        source_port=np.where(has_ports, number(transport, 2), 0),
+        destination_port=np.where(has_ports, number(transport + 2, 2), 0),
+        datagram_bytes=np.where(is_udp, number(transport + 4, 2), 0),
+        is_rtps=is_udp
+        & (transport + _UDP_BYTES + 20 <= seen_end)
+        & (number(transport + _UDP_BYTES, 4) == _RTPS_MAGIC),
+    )
+
+
+class Frame(NamedTuple):
+    """One frame; `Headers` and `FrameBatch` describe the fields, `time_ns` is CLOCK_MONOTONIC."""
+
+    protocol: int
+    source: int
+    destination: int
+    ip_id: int
+    fragment_offset: int
+    more_fragments: bool
+    transport: int
+    transport_end: int
+    seen_end: int
+    source_port: int
+    destination_port: int
+    datagram_bytes: int
+    is_rtps: bool
+    wire_bytes: int
+    time_ns: int
+    packet_type: int
+
+
+def read_frames(batch: FrameBatch, wall_to_monotonic_ns: int) -> Iterator[Frame]:
+    """Return the frames of a batch one by one, as plain numbers.
+
+    Args:
+        batch: frames in the order of their capture.
+        wall_to_monotonic_ns: added to their wall clock to get CLOCK_MONOTONIC.
+    """
+    headers = read_headers(batch)
+    columns = [getattr(headers, f.name) for f in fields(Headers)]
+    columns += [batch.wire_bytes, batch.wall_ns + wall_to_monotonic_ns, batch.packet_type]
+    return map(Frame._make, zip(*(column.tolist() for column in columns), strict=True))

@@ -1,0 +1,181 @@
+"""Submessages of one RTPS packet, from their headers alone (DDSI-RTPS 2.5, section 9.4)."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from typing import NamedTuple
+
+HEADER_BYTES = 20
+"""Of an RTPS packet: `RTPS`, version, vendor, and the sender's GUID prefix of 12 bytes at offset 8."""
+PREFIX_BYTES = slice(8, 20)
+
+# Submessage kinds (9.4.5.1.1).
+PAD, ACKNACK, HEARTBEAT, GAP, INFO_TS = 0x01, 0x06, 0x07, 0x08, 0x09
+INFO_SRC, INFO_REPLY_IP4, INFO_DST, INFO_REPLY = 0x0C, 0x0D, 0x0E, 0x0F
+NACK_FRAG, HEARTBEAT_FRAG, DATA, DATA_FRAG = 0x12, 0x13, 0x15, 0x16
+SECURE_KINDS = frozenset(range(0x30, 0x35))
+CONTEXT_KINDS = frozenset((PAD, INFO_TS, INFO_SRC, INFO_REPLY_IP4, INFO_DST, INFO_REPLY))
+"""Kinds that say something about the submessages behind them and carry nothing by themselves."""
+
+_LITTLE_ENDIAN, _INLINE_QOS = 0x01, 0x02
+_SUBMESSAGE_BYTES = 4
+_ENTITY = struct.Struct(">I")
+_SENTINEL, _MOST_PARAMETERS = 1, 32
+
+
+class Submessage(NamedTuple):
+    """One submessage.
+
+    Attributes:
+        kind: the number of 9.4.5.1.1.
+        wire_bytes: with its header.
+        writer: entity id of the writer that it comes from or goes to, 0 where it names none.
+        sequence: number of the sample; of an ACKNACK the first number not received.
+        fragment: number of its first fragment, from 1; 0 for a sample that is not fragmented.
+        fragments: fragments in it.
+        sample_bytes: length of the serialized sample.
+        asks: whether it asks for something again (ACKNACK, NACK_FRAG).
+        payload_at: index of the serialized sample's first byte, None if it does not begin in this submessage.
+    """
+
+    kind: int
+    wire_bytes: int
+    writer: int = 0
+    sequence: int = 0
+    fragment: int = 0
+    fragments: int = 0
+    sample_bytes: int = 0
+    asks: bool = False
+    payload_at: int | None = None
+
+
+class Walk(NamedTuple):
+    """Submessages of one piece of a packet, and where the next one begins.
+
+    Attributes:
+        submessages: those whose header fields are wholly in the piece.
+        next_at: index of the first header that is not; `end` if there is none.
+    """
+
+    submessages: list[Submessage]
+    next_at: int
+
+
+class _Order(NamedTuple):
+    """How numbers of one byte order are read."""
+
+    length: struct.Struct
+    sequence: struct.Struct
+    fragment: struct.Struct
+    word: struct.Struct
+
+
+_ORDERS = {
+    order: _Order(*(struct.Struct(order + fields) for fields in ("H", "iI", "IHHI", "I"))) for order in "<>"
+}
+
+_Read = Callable[["memoryview", int, int, int, _Order], Submessage]
+"""Read a submessage: memory, index of its header, its flags, its length, its byte order."""
+
+
+def _read_plain(memory: memoryview, at: int, flags: int, length: int, order: _Order) -> Submessage:
+    del flags, order
+    return Submessage(memory[at], length)
+
+
+def _read_data(memory: memoryview, at: int, flags: int, length: int, order: _Order) -> Submessage:
+    high, low = order.sequence.unpack_from(memory, at + 16)
+    payload_at = _payload_at(memory, at, flags, length, order)
+    sample_bytes = 0 if payload_at is None else at + length - payload_at
+    (writer,) = _ENTITY.unpack_from(memory, at + 12)
+    return Submessage(DATA, length, writer, (high << 32) + low, 0, 1, sample_bytes, payload_at=payload_at)
+
+
+def _read_data_frag(memory: memoryview, at: int, flags: int, length: int, order: _Order) -> Submessage:
+    high, low = order.sequence.unpack_from(memory, at + 16)
+    first, count, size, sample_bytes = order.fragment.unpack_from(memory, at + 24)
+    count = min(count, -(-length // max(size, 1)))  # no more than there is room for, whatever the header says
+    (writer,) = _ENTITY.unpack_from(memory, at + 12)
+    payload_at = _payload_at(memory, at, flags, length, order) if first == 1 else None
+    return Submessage(
+        DATA_FRAG, length, writer, (high << 32) + low, first, count, sample_bytes, payload_at=payload_at
+    )
+
+
+def _read_numbered(memory: memoryview, at: int, flags: int, length: int, order: _Order) -> Submessage:
+    """Read HEARTBEAT, HEARTBEAT_FRAG and GAP."""
+    del flags
+    (writer,) = _ENTITY.unpack_from(memory, at + 8)
+    high, low = order.sequence.unpack_from(memory, at + 12)
+    return Submessage(memory[at], length, writer, (high << 32) + low)
+
+
+def _read_acknack(memory: memoryview, at: int, flags: int, length: int, order: _Order) -> Submessage:
+    found = _read_numbered(memory, at, flags, length, order)
+    (bits,) = order.word.unpack_from(memory, at + 20)
+    return found._replace(asks=bits > 0)
+
+
+def _read_nack_frag(memory: memoryview, at: int, flags: int, length: int, order: _Order) -> Submessage:
+    return _read_numbered(memory, at, flags, length, order)._replace(asks=True)
+
+
+_READERS: dict[int, tuple[_Read, int]] = {
+    # kind -> how it is read, and how many bytes that takes, header included
+    DATA: (_read_data, 24),
+    DATA_FRAG: (_read_data_frag, 36),
+    HEARTBEAT: (_read_numbered, 28),
+    HEARTBEAT_FRAG: (_read_numbered, 24),
+    GAP: (_read_numbered, 20),
+    ACKNACK: (_read_acknack, 24),
+    NACK_FRAG: (_read_nack_frag, 28),
+}
+_PLAIN = (_read_plain, _SUBMESSAGE_BYTES)
+LONGEST_FIELDS_BYTES = max(needed for _, needed in _READERS.values())
+
+
+def walk_submessages(memory: memoryview, at: int, seen_end: int, end: int) -> Walk:
+    """Read the submessages from index `at` on.
+
+    Args:
+        memory: bytes that hold the packet, or a piece of it, somewhere.
+        at: index of the first submessage's header.
+        seen_end: index behind the last byte that may be read.
+        end: index behind the packet's last byte, whether it may be read or not.
+    """
+    found: list[Submessage] = []
+    memory = memory[:seen_end]  # what lies behind it in a ring belongs to another packet
+    while at + _SUBMESSAGE_BYTES <= seen_end:
+        kind, flags = memory[at], memory[at + 1]
+        order = _ORDERS["<" if flags & _LITTLE_ENDIAN else ">"]
+        (length,) = order.length.unpack_from(memory, at + 2)
+        if length == 0 and kind not in (PAD, INFO_TS):
+            length = end - at - _SUBMESSAGE_BYTES  # up to the packet's end (9.4.5.1.3)
+        length += _SUBMESSAGE_BYTES
+        read, needed = _READERS.get(kind, _PLAIN)
+        if length < needed or at + length > end:  # not RTPS: the rest of the packet is one unknown submessage
+            found.append(Submessage(0, end - at))
+            return Walk(found, end)
+        if at + needed > seen_end:
+            break
+        found.append(read(memory, at, flags, length, order))
+        at += length
+    return Walk(found, at)
+
+
+def _payload_at(memory: memoryview, at: int, flags: int, length: int, order: _Order) -> int | None:
+    """Return the index of the serialized payload of a DATA or DATA_FRAG, behind the inline QoS if there is one."""
+    place = at + 8 + order.length.unpack_from(memory, at + 6)[0]
+    if flags & _INLINE_QOS:
+        for _ in range(_MOST_PARAMETERS):
+            if place + 4 > min(at + length, len(memory)):
+                return None
+            (parameter,) = order.length.unpack_from(memory, place)
+            (size,) = order.length.unpack_from(memory, place + 2)
+            place += 4 if parameter == _SENTINEL else 4 + size
+            if parameter == _SENTINEL:
+                break
+        else:
+            return None
+    return place if place <= at + length else None

@@ -1,0 +1,274 @@
+"""The capturing process: `python -m dds_trace.recorder.wire.process OPTIONS`, driven by lines on its standard input.
+
+It is a process of its own so that its Python never holds up the one that stamps messages. Each line on standard input is
+a JSON object and is answered by one on standard output:
+
+    {"ask": "begin", "run_id": "16 hex digits, or empty"}  ->  {}
+    {"ask": "take"}                              ->  the run's `WireCounts`, with `row_bytes`, and so many bytes of MESSAGE_ROW
+
+Before all others it writes `{}`, or `{"error": "..."}` and ends. It ends when standard input closes, which the kernel
+does for it even when the recorder is killed.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import sys
+import time
+from contextlib import ExitStack, closing, suppress
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from dds_trace.tracefile import TraceError
+
+from .counts import ClassCount, WireCounts
+from .kernel_counters import interfaces_since, read_interfaces, read_ip_counts
+from .messages import count_repeats
+from .options import WireOptions
+from .packets.packet_filter import wire_program
+from .ring import PacketRing, RingStatistics
+from .tally import WireTally
+from .tcp_info import ClosedConnections, TcpConnection, read_connections
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from .kernel_counters import InterfaceCount, IpCounts
+    from .messages import MessageRows
+
+NICENESS = 5
+"""The capture gives way to the roles it watches; the ring holds what comes meanwhile.
+
+Under SCHED_BATCH it does not interrupt them when it wakes either. Much nicer, a busy machine would starve it for longer
+than the ring lasts.
+"""
+TCP_EVERY_NS = 1_000_000_000
+"""How often connections are read, so that one that closes before the run's end is still known."""
+_CLOCK_READINGS = 5
+
+
+@dataclass(slots=True)
+class _Before:
+    """Counters at the start of the run."""
+
+    run_id: str
+    begin_ns: int
+    cpu_s: float
+    ip: IpCounts
+    interfaces: Sequence[InterfaceCount]
+    tcp: dict[int, TcpConnection]
+
+
+class Capture:
+    """Rings on all interfaces, and what is counted from them.
+
+    Args:
+        options: what to capture.
+    """
+
+    def __init__(self, options: WireOptions) -> None:
+        self._options = options
+        self._tally = WireTally(options.rtps_ports)
+        self._tcp: dict[int, TcpConnection] = {}
+        self._tcp_read_ns = 0
+        self._resources = ExitStack()
+        program = wire_program(options.udp_ports, options.tcp_ports)
+        with ExitStack() as opened:
+            self._closed = (
+                opened.enter_context(closing(ClosedConnections(options.tcp_ports)))
+                if options.tcp_ports
+                else None
+            )
+            self._rings = [
+                opened.enter_context(
+                    PacketRing(
+                        interface,
+                        program,
+                        ring_bytes=options.ring_bytes,
+                        block_timeout_ms=options.block_timeout_ms,
+                    )
+                )
+                for interface in options.interfaces
+            ]
+            self._resources = opened.pop_all()
+        self._before = self._now("")
+        self._read_tcp()
+
+    def begin(self, run_id: str) -> None:
+        """Count anew for a run, or for whatever runs come if the id is empty."""
+        self._catch_up()
+        self._statistics()
+        self._tally.begin()
+        self._tcp.clear()  # connections that ended before
+        self._read_tcp()
+        self._before = self._now(run_id)
+
+    def take(self) -> tuple[WireCounts, MessageRows]:
+        """Return what was counted since `begin`."""
+        self._catch_up()
+        self._read_tcp()
+        before, now = self._before, self._now("")
+        statistics = self._statistics()
+        rows = self._tally.take_rows(int(before.run_id, 16) if before.run_id else None)
+        run, beginnings = self._tally.run, self._tally.beginnings
+        counts = WireCounts(
+            run_id=before.run_id,
+            interfaces=self._options.interfaces,
+            begin_ns=before.begin_ns,
+            end_ns=now.begin_ns,
+            classes=tuple(
+                ClassCount(kind.value, direction.name.lower(), **asdict(counted))
+                for (kind, direction), counted in sorted(run.classes.items())
+                if counted.packets or counted.bytes
+            ),
+            repeats=count_repeats(rows),
+            messages=len(rows),
+            sample_bytes=int(rows["sample_bytes"].sum()),
+            requests=run.requests,
+            heartbeat_gap_p50_ns=run.heartbeat_gap_p50_ns,
+            first_spdp_ns=beginnings.spdp_ns,
+            first_data_ns=beginnings.data_ns,
+            first_reply_ns=beginnings.reply_ns,
+            ip=now.ip.since(before.ip),
+            tcp=tuple(
+                found.since(before.tcp.get(cookie, replace(found, **_NOTHING_YET)))
+                for cookie, found in sorted(self._tcp.items())
+            ),
+            tcp_again_bytes=run.tcp_again_bytes,
+            interface_counts=interfaces_since(now.interfaces, before.interfaces),
+            foreign_packets=run.foreign_packets,
+            unseen_headers=run.unseen_headers,
+            unfollowed_datagrams=self._tally.unfollowed_datagrams,
+            late_repeats=self._tally.late_repeats,
+            kernel_drops=statistics.drops,
+            kernel_freezes=statistics.freezes,
+            packets=run.packets,
+            cpu_s=now.cpu_s - before.cpu_s,
+        )
+        return counts, rows
+
+    def serve(self) -> None:
+        """Count packets and answer questions until standard input closes."""
+        poll = select.poll()
+        # Not the rings: a large flow fills a block every few milliseconds, and each waking would cost the roles their CPU.
+        if self._closed:
+            poll.register(self._closed.fileno(), select.POLLIN)
+        poll.register(sys.stdin.fileno(), select.POLLIN)
+        asked = b""
+        while True:
+            ready = {descriptor for descriptor, _ in poll.poll(self._options.block_timeout_ms)}
+            self._drain()
+            if self._closed:
+                self._tcp |= self._closed.read()
+            if time.monotonic_ns() - self._tcp_read_ns > TCP_EVERY_NS:
+                self._read_tcp()
+            if sys.stdin.fileno() not in ready:
+                continue
+            data = os.read(sys.stdin.fileno(), 65536)
+            if not data:
+                return
+            *lines, asked = (asked + data).split(b"\n")
+            for line in lines:
+                self._answer(json.loads(line))
+
+    def close(self) -> None:
+        """Close the rings."""
+        self._resources.close()
+
+    def _answer(self, question: dict[str, Any]) -> None:
+        if question["ask"] == "begin":
+            self.begin(question["run_id"])
+            write_answer({})
+        else:
+            counts, rows = self.take()
+            write_answer({**counts.to_dict(), "row_bytes": rows.nbytes}, rows.tobytes())
+
+    def _drain(self) -> None:
+        """Handle what the kernel has handed over."""
+        for ring in self._rings:
+            batch = ring.read()
+            if len(batch):
+                self._tally.add(
+                    batch,
+                    ring.interface,
+                    is_loopback=ring.is_loopback,
+                    wall_to_monotonic_ns=wall_to_monotonic_ns(),
+                )
+            ring.release()
+
+    def _catch_up(self) -> None:
+        """Handle all packets up to now; those in a block that is not full come with its time-out, two of them at most."""
+        until_ns = time.monotonic_ns() + (2 * self._options.block_timeout_ms + 50) * 1_000_000
+        while (left_ns := until_ns - time.monotonic_ns()) > 0:
+            time.sleep(min(left_ns, self._options.block_timeout_ms * 1_000_000) / 1e9)
+            self._drain()
+
+    def _statistics(self) -> RingStatistics:
+        found = [ring.statistics() for ring in self._rings]
+        return RingStatistics(
+            *(sum(getattr(ring, name) for ring in found) for name in ("packets", "drops", "freezes"))
+        )
+
+    def _read_tcp(self) -> None:
+        self._tcp_read_ns = time.monotonic_ns()
+        if self._closed:
+            self._tcp |= read_connections(self._options.tcp_ports)
+            self._tcp |= self._closed.read()
+
+    def _now(self, run_id: str) -> _Before:
+        return _Before(
+            run_id,
+            time.monotonic_ns(),
+            time.process_time(),
+            read_ip_counts(),
+            read_interfaces(self._options.interfaces),
+            dict(self._tcp),
+        )
+
+
+_NOTHING_YET = dict.fromkeys(
+    ("retransmitted_segments", "segments_out", "segments_in", "bytes_sent", "bytes_retransmitted"), 0
+)
+
+
+def wall_to_monotonic_ns() -> int:
+    """Return what turns CLOCK_REALTIME into CLOCK_MONOTONIC by addition, from the tightest of a few readings."""
+    found = []
+    for _ in range(_CLOCK_READINGS):
+        before_ns = time.monotonic_ns()
+        wall_ns = time.time_ns()
+        after_ns = time.monotonic_ns()
+        found.append((after_ns - before_ns, (before_ns + after_ns) // 2 - wall_ns))
+    return min(found)[1]
+
+
+def write_answer(answer: dict[str, Any], rows: bytes = b"") -> None:
+    """Write one answer to standard output."""
+    sys.stdout.buffer.write(json.dumps(answer).encode() + b"\n" + rows)
+    sys.stdout.buffer.flush()
+
+
+def main() -> None:
+    """Capture until standard input closes."""
+    options = WireOptions.from_json(sys.argv[1])
+    os.sched_setscheduler(
+        0, os.SCHED_BATCH, os.sched_param(0)
+    )  # also if the role runs under a real-time priority
+    os.nice(NICENESS)
+    try:
+        capture = Capture(options)
+    except TraceError as err:
+        write_answer({"error": str(err)})
+        return
+    try:
+        write_answer({})
+        with suppress(BrokenPipeError):  # the recorder is gone
+            capture.serve()
+    finally:
+        capture.close()
+
+
+if __name__ == "__main__":
+    main()

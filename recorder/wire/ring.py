@@ -1,0 +1,200 @@
+"""Frames of one interface out of a ring that the kernel fills (AF_PACKET, TPACKET_V3, packet_mmap.rst)."""
+
+from __future__ import annotations
+
+import fcntl
+import mmap
+import socket
+import struct
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dds_trace.tracefile import OptionError
+
+from .packets.frames import FrameBatch, Numbers
+from .packets.packet_filter import attach_filter
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+    from typing_extensions import Self
+
+NO_CAPTURE = (
+    "--wire needs the capability CAP_NET_RAW: run as root, give it to the interpreter "
+    "(setcap cap_net_raw+ep PYTHON), or leave --wire out"
+)
+
+# <linux/if_packet.h>, <linux/if_ether.h>, <linux/if_arp.h>
+_SOL_PACKET, _ETH_P_ALL = 263, 3
+_PACKET_RX_RING, _PACKET_STATISTICS, _PACKET_VERSION, _PACKET_IGNORE_OUTGOING = 5, 6, 10, 23
+_TPACKET_V3, _TP_STATUS_USER = 2, 1
+_SIOCGIFHWADDR = 0x8927
+_ARPHRD_ETHER, _ARPHRD_LOOPBACK = 1, 772
+_FRAME_BYTES = 2048
+"""The kernel wants a frame size for the ring's geometry; version 3 packs frames of any size."""
+
+# Words of 4 bytes within struct tpacket_block_desc and struct tpacket3_hdr.
+_BLOCK_STATUS, _BLOCK_PACKETS, _BLOCK_FIRST = 2, 3, 4
+_NEXT, _SECONDS, _NANOSECONDS, _CAPTURED, _WIRE, _MAC_AND_NET = 0, 1, 2, 3, 4, 6
+_PACKET_TYPE_BYTE = 48 + 10
+"""`sll_pkttype` of the sockaddr_ll that follows each header of 48 bytes."""
+
+
+@dataclass(frozen=True, slots=True)
+class RingStatistics:
+    """What the kernel counted since the call before.
+
+    Attributes:
+        packets: that passed the filter, dropped ones included.
+        drops: that found no room in the ring.
+        freezes: how often the ring was full.
+    """
+
+    packets: int = 0
+    drops: int = 0
+    freezes: int = 0
+
+
+class PacketRing:
+    """A socket with its ring on one interface.
+
+    Of `lo`, whose frames pass twice, only the incoming pass is taken; of other interfaces both directions are.
+
+    Args:
+        interface: its name.
+        program: the filter (`wire_program`).
+        ring_bytes: of kernel memory.
+        block_bytes: the unit in which the kernel hands frames over; a multiple of the page size.
+        block_timeout_ms: after which a block that is not full is handed over.
+
+    Raises:
+        OptionError: no CAP_NET_RAW, no such interface, or one without Ethernet frames.
+    """
+
+    def __init__(
+        self,
+        interface: str,
+        program: bytes,
+        *,
+        ring_bytes: int = 32 << 20,
+        block_bytes: int = 1 << 18,
+        block_timeout_ms: int = 100,
+    ) -> None:
+        self.interface = interface
+        self.is_loopback = _hardware_type(interface) == _ARPHRD_LOOPBACK
+        self._block_bytes = block_bytes
+        self._blocks = max(2, ring_bytes // block_bytes)
+        self._next = 0
+        self._held = 0
+        try:
+            # Protocol 0: nothing arrives before the filter is in place.
+            self._socket = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, 0)
+        except PermissionError as err:
+            raise OptionError(NO_CAPTURE) from err
+        try:
+            self._set_up(program, block_timeout_ms)
+        except OSError as err:
+            self._socket.close()
+            raise OptionError(f"--wire: cannot capture on {interface}: {err.strerror}") from err
+
+    def _set_up(self, program: bytes, block_timeout_ms: int) -> None:
+        size = self._blocks * self._block_bytes
+        self._socket.setsockopt(_SOL_PACKET, _PACKET_VERSION, _TPACKET_V3)
+        geometry = (
+            self._block_bytes,
+            self._blocks,
+            _FRAME_BYTES,
+            size // _FRAME_BYTES,
+            block_timeout_ms,
+            0,
+            0,
+        )
+        self._socket.setsockopt(_SOL_PACKET, _PACKET_RX_RING, struct.pack("7I", *geometry))
+        attach_filter(self._socket, program)
+        if self.is_loopback:
+            self._socket.setsockopt(_SOL_PACKET, _PACKET_IGNORE_OUTGOING, 1)
+        self._map = mmap.mmap(self._socket.fileno(), size)
+        self._memory = np.frombuffer(self._map, np.uint8)
+        self._words = memoryview(self._map).cast("I")
+        self._socket.bind((self.interface, _ETH_P_ALL))
+
+    def read(self) -> FrameBatch:
+        """Return the frames of all blocks that are ready; `release` gives these back to the kernel."""
+        words, block_words = self._words, self._block_bytes // 4
+        found: list[int] = []
+        while self._held < self._blocks:
+            start = (self._next + self._held) % self._blocks * block_words
+            if not words[start + _BLOCK_STATUS] & _TP_STATUS_USER:
+                break
+            at = start + words[start + _BLOCK_FIRST] // 4
+            for _ in range(words[start + _BLOCK_PACKETS]):
+                found.append(at)
+                at += words[at + _NEXT] // 4
+            self._held += 1
+        return self._batch(np.array(found, np.int64))
+
+    def _batch(self, header: Numbers) -> FrameBatch:
+        """Return the columns of the frames whose headers begin at these words."""
+        words = self._memory.view(np.uint32)
+        mac_bytes = (words[header + _MAC_AND_NET] & 0xFFFF).astype(np.int64)
+        return FrameBatch(
+            self._memory,
+            header * 4 + mac_bytes,
+            words[header + _CAPTURED].astype(np.int64),
+            words[header + _WIRE].astype(np.int64),
+            words[header + _SECONDS].astype(np.int64) * 1_000_000_000 + words[header + _NANOSECONDS],
+            self._memory[header * 4 + _PACKET_TYPE_BYTE],
+        )
+
+    def release(self) -> None:
+        """Give the blocks of the last `read` back."""
+        for _ in range(self._held):
+            self._words[self._next * (self._block_bytes // 4) + _BLOCK_STATUS] = 0
+            self._next = (self._next + 1) % self._blocks
+        self._held = 0
+
+    def statistics(self) -> RingStatistics:
+        """Return the kernel's counters since the last call, which this resets."""
+        return RingStatistics(
+            *struct.unpack("3I", self._socket.getsockopt(_SOL_PACKET, _PACKET_STATISTICS, 12))
+        )
+
+    def close(self) -> None:
+        """Close the socket; the ring's memory goes with it."""
+        self._socket.close()
+        self._words.release()
+        del self._memory
+        with suppress(BufferError):  # a batch that someone still holds keeps the map
+            self._map.close()
+
+    def __enter__(self) -> Self:
+        """Return the ring itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close."""
+        self.close()
+
+
+def _hardware_type(interface: str) -> int:
+    """Return the interface's ARPHRD number.
+
+    Raises:
+        OptionError: no such interface, or its frames have no Ethernet header.
+    """
+    # Not from /sys/class/net: within `nsenter --net` that still shows the interfaces of the namespace before.
+    request = struct.pack("16s16x", interface.encode())
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
+        try:
+            answer = fcntl.ioctl(asked, _SIOCGIFHWADDR, request)
+        except OSError as err:
+            raise OptionError(f"--wire: there is no network interface {interface!r}") from err
+    found: int = struct.unpack_from("H", answer, 16)[0]
+    if found not in (_ARPHRD_ETHER, _ARPHRD_LOOPBACK):
+        raise OptionError(f"--wire: {interface} has no Ethernet frames (type {found})")
+    return found

@@ -75,7 +75,7 @@ class NoEchoError(TraceError):
 class NotAppliedError(TraceError):
     """The middleware does not use a setting that was asked for, and the recording is strict about it."""
 
-    exit_code = 10
+    exit_code = 11  # 10 is dds-sweep's: some cells have no recording
 
 
 class BridgeError(TraceError):

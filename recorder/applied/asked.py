@@ -117,10 +117,14 @@ def asked_settings(
 
 def interface_named(cyclonedds_uri: str) -> str:
     """Return the one interface that a value of CYCLONEDDS_URI names, empty if it names none or several."""
-    names = set()
-    for part in re.split(r",(?=\s*(?:<|file:|/))", cyclonedds_uri):
-        names.update(_INTERFACE.findall(part if part.lstrip().startswith("<") else _file_text(part)))
+    names = {name for text in configuration_texts(cyclonedds_uri) for name in _INTERFACE.findall(text)}
     return names.pop() if len(names) == 1 else ""
+
+
+def configuration_texts(cyclonedds_uri: str) -> list[str]:
+    """Return the XML of each part of a value of CYCLONEDDS_URI, inline or of a file; empty for a file that is not there."""
+    parts = re.split(r",(?=\s*(?:<|file:|/))", cyclonedds_uri)
+    return [part if part.lstrip().startswith("<") else _file_text(part) for part in parts]
 
 
 def _asked_by_environment(asked: Asked, environment: Mapping[str, str]) -> Asked:

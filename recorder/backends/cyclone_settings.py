@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import re
 from typing import TYPE_CHECKING
 
+from ..applied.asked import configuration_texts
 from ..choices import Discovery
 
 if TYPE_CHECKING:
@@ -21,12 +23,29 @@ CYCLONE_LOCALHOST = (
 # Without this Cyclone DDS binds to an interface of the network, and its data to this very machine goes out there.
 CYCLONE_LOOPBACK = '<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="lo"/></Interfaces></General></Domain></CycloneDDS>'
 
+_NAMES_LOOPBACK = re.compile(
+    r"<NetworkInterface\b[^>]*\b(?:name=[\"']lo[\"']|address=[\"']127\.)"
+    r"|<NetworkInterfaceAddress>\s*(?:lo|127\.[\d.]+)\s*<"  # as it was spelled before Cyclone DDS 0.10
+)
+
 # Cyclone DDS sends fragments of 1344 bytes and receives into the system's default buffer unless it is told otherwise;
 # a large message of another vendor then loses fragments faster than they are sent again.
 CYCLONE_TUNED = (
     "<CycloneDDS><Domain><General><MaxMessageSize>65500B</MaxMessageSize><FragmentSize>60000B</FragmentSize></General>"
     '<Internal><SocketReceiveBufferSize min="default" max="4MB"/></Internal></Domain></CycloneDDS>'
 )
+
+
+def cyclone_loopback(discovery: Discovery, environment: Mapping[str, str] = os.environ) -> str:
+    """Return the setting that keeps Cyclone DDS on the loopback interface, for a part before `cyclone_settings`.
+
+    It is empty beyond this machine, and where the user's own settings name that interface: named twice, Cyclone DDS does
+    not start.
+    """
+    texts = configuration_texts(environment.get("CYCLONEDDS_URI", ""))
+    if discovery is not Discovery.LOCALHOST or any(_NAMES_LOOPBACK.search(text) for text in texts):
+        return ""
+    return CYCLONE_LOOPBACK
 
 
 def cyclone_settings(

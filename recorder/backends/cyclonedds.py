@@ -19,10 +19,9 @@ from typing import TYPE_CHECKING, Any
 from dds_trace.tracefile import BackendUnavailableError, OptionError, Qos
 from dds_trace.tracefile.units.durations import SECOND_NS
 
-from ..choices import Discovery
 from ..host.environment import ConfigurationVariable, MiddlewareEnvironment
 from .base import DDS_MEETING, Backend, Meeting
-from .cyclone_settings import CYCLONE_LOOPBACK, cyclone_settings
+from .cyclone_settings import cyclone_loopback, cyclone_settings
 from .dds_types import DDS_TYPES, check_known, dds_name, dds_topic, ros_name, split_type
 from .node import Endpoint, Middleware, TopicView
 from .qos import asked_durations, duration_extra, incompatible_pairs
@@ -35,6 +34,8 @@ if TYPE_CHECKING:
 
 FOREVER_NS = (1 << 63) - 1
 MAX_ENDPOINTS = 10_000
+TYPE_CONSISTENCY = 24
+"""DDS_TYPE_CONSISTENCY_ENFORCEMENT_QOS_POLICY_ID of Cyclone DDS's `dds_public_qosdefs.h`."""
 
 
 class CycloneNode(ThreadedNode):
@@ -47,7 +48,7 @@ class CycloneNode(ThreadedNode):
         from cyclonedds.qos import Qos as CycloneQos
 
         super().__init__(options)
-        localhost = CYCLONE_LOOPBACK if options.discovery is Discovery.LOCALHOST else ""
+        localhost = cyclone_loopback(options.discovery)
         ours = cyclone_settings(options.discovery, tuned=options.tuned)
         settings = ",".join(filter(None, (localhost, ours)))
         try:
@@ -139,7 +140,31 @@ class CycloneNode(ThreadedNode):
         publishers = tuple(self._builtin.endpoints("publications", dds_topic(topic), names))
         subscriptions = tuple(self._builtin.endpoints("subscriptions", dds_topic(topic), names))
         named = incompatible_pairs(topic, publishers, subscriptions, self._options.name)
-        return TopicView(topic, publishers, subscriptions, tuple(named))
+        return TopicView(
+            topic, publishers, subscriptions, tuple(named), tuple(sorted(self._unassignable(topic)))
+        )
+
+    def _unassignable(self, topic: str) -> set[str]:
+        """Return a line for each way on a topic on which Cyclone DDS met an endpoint of a type that it cannot assign.
+
+        It counts such an endpoint as one of incompatible quality of service, by the policy for the consistency of types.
+        """
+        from cyclonedds.core import DDSException
+
+        statuses = [
+            (writer.get_offered_incompatible_qos_status, "subscription's")
+            for writer in (publisher.writer for publisher in self._writers if publisher.topic == topic)
+        ] + [
+            (condition.reader.get_requested_incompatible_qos_status, "publisher's")
+            for condition, _ in self._readers.values()
+            if condition.reader.topic.name == dds_topic(topic)
+        ]
+        lines = set()
+        for read_status, others in statuses:
+            with suppress(DDSException):  # closed meanwhile
+                if read_status().last_policy_id == TYPE_CONSISTENCY:
+                    lines.add(f"{topic}: a {others} type has the same name and another definition")
+        return lines
 
     def count_participants(self) -> int | None:
         """Count the participants of the domain."""
@@ -157,8 +182,8 @@ class _CyclonePublisher:
     """A publisher of serialized messages."""
 
     def __init__(self, topic: str, writer: Any) -> None:
-        self._topic = topic
-        self._writer = writer
+        self.topic = topic
+        self.writer = writer
         # DataWriter.write would serialize an object
         self._write = partial(_c_layer().ddspy_write, writer._ref)  # noqa: SLF001
 
@@ -168,17 +193,17 @@ class _CyclonePublisher:
         status = self._write(message)
         if status < 0:
             raise BackendUnavailableError(
-                f"Cyclone DDS cannot send on {self._topic} (status {status}, {len(message)} bytes)"
+                f"Cyclone DDS cannot send on {self.topic} (status {status}, {len(message)} bytes)"
             )
 
     def wait_until_acknowledged(self) -> None:
         """Wait until the last messages have arrived, for `LAST_ACKNOWLEDGEMENT_S` at most."""
         with suppress(Exception):  # closed before: nothing to wait for
-            self._writer.wait_for_acks(round(LAST_ACKNOWLEDGEMENT_S * SECOND_NS))
+            self.writer.wait_for_acks(round(LAST_ACKNOWLEDGEMENT_S * SECOND_NS))
 
     def close(self) -> None:
         self.wait_until_acknowledged()
-        _delete(self._writer)
+        _delete(self.writer)
 
 
 class _BuiltinReaders:

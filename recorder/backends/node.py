@@ -93,12 +93,15 @@ class TopicView:
 
     Attributes:
         incompatible: one line for each pair that can never match, naming the policy and both sides.
+        unassignable: one line for each side whose message type has this node's name and another definition, where the
+            middleware tells.
     """
 
     topic: str
     publishers: tuple[Endpoint, ...] = ()
     subscriptions: tuple[Endpoint, ...] = ()
     incompatible: tuple[str, ...] = ()
+    unassignable: tuple[str, ...] = ()
 
 
 class Receive(Protocol[MessageT_contra]):

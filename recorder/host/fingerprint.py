@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import psutil
 
+from ..applied.counters import read_limits
 from .environment import MiddlewareEnvironment
 
 if TYPE_CHECKING:
@@ -48,8 +49,8 @@ def host_fingerprint(
         A JSON object with the fields `machine`, `board`, `cpu_model`, `cpu_cores`, `cpu_cores_physical`,
         `cpu_governor`, `cpu_max_mhz`, `os`, `kernel`, `kernel_realtime`, `memory_bytes`, `python`, `versions`,
         `configuration` (variable or file name -> entries of `name`, `sha256`), `settings` (environment
-        variables), `socket_buffers` (`net.core.rmem_max` and so on, bytes), `mtu` (interface -> bytes,
-        interfaces that are up), `clock_source`, `container` and `wifi` (interface -> see `wifi_links`).
+        variables), `socket_buffers` (`net.core.rmem_max` and so on, bytes), `reassembly` (see `reassembly_limits`),
+        `mtu` (interface -> bytes, interfaces that are up), `clock_source`, `container` and `wifi` (interface -> see `wifi_links`).
     """
     environment = environment or MiddlewareEnvironment()
     return {
@@ -69,6 +70,7 @@ def host_fingerprint(
         "configuration": environment.hash_configuration(os.environ, Path.cwd()),
         "settings": environment.read_settings(os.environ),
         "socket_buffers": socket_buffers(),
+        "reassembly": reassembly_limits(),
         "mtu": interface_mtus(),
         "clock_source": read_text("/sys/devices/system/clocksource/clocksource0/current_clocksource"),
         "container": container_name(),
@@ -100,6 +102,15 @@ def socket_buffers() -> dict[str, int]:
             )
         }
     return {name: int(text) for name, text in texts.items() if text and text.isdigit()}
+
+
+def reassembly_limits() -> dict[str, int]:
+    """Return the kernel's limits of putting IP fragments together.
+
+    These are `net.ipv4.ipfrag_time` (seconds that a fragment waits for the others), `net.ipv4.ipfrag_high_thresh` and
+    `ipfrag_low_thresh` (bytes of all that wait) and `ipfrag_max_dist` (fragments of others in between).
+    """
+    return {name: value for name, value in read_limits().items() if name.startswith("net.ipv4.ipfrag_")}
 
 
 def interface_mtus() -> dict[str, int]:

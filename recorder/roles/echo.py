@@ -24,11 +24,13 @@ class Sight:
         subscriptions: subscriptions of others on the topic of the way out.
         publishers: publishers of others on the topic of the way back.
         incompatible: one line for each pair, on both topics, whose quality of service can never match.
+        unassignable: one line for each side, on both topics, whose type has the same name and another definition.
     """
 
     subscriptions: tuple[Endpoint, ...]
     publishers: tuple[Endpoint, ...]
     incompatible: tuple[str, ...]
+    unassignable: tuple[str, ...] = ()
 
     @property
     def is_hopeless(self) -> bool:
@@ -45,6 +47,7 @@ def look_for_relays(node: Node, data_type: DataType) -> Sight:
         tuple(endpoint for endpoint in there.subscriptions if endpoint.node_name != own),
         tuple(endpoint for endpoint in back.publishers if endpoint.node_name != own),
         there.incompatible + back.incompatible,
+        there.unassignable + back.unassignable,
     )
 
 
@@ -65,6 +68,7 @@ def explain_silence(node: Node, plan: RunPlan, waited_s: float) -> str:
         f"{_listed(sight.subscriptions)} subscribed to {data_type.topic}",
         f"{_listed(sight.publishers)} publishing {data_type.relay_topic}",
         *sight.incompatible,
+        *sight.unassignable,
     ]
     return (
         f"no echo within {waited_s:g} s\n"
@@ -79,6 +83,11 @@ def _advice(sight: Sight, node: Node, plan: RunPlan) -> str:
     data_type = plan.payload.data_type
     if sight.incompatible:
         return "give ping and relay the same --reliability, --durability and --deadline"
+    if sight.unassignable:
+        return (
+            f"install the same version of {data_type.type_name.split('/')[0]} on both sides: their definitions of "
+            f"{data_type.type_name} differ, so one cannot read the other's messages"
+        )
     types = {endpoint.type_name for endpoint in sight.subscriptions} - {data_type.type_name, ""}
     if types:
         return f"another program uses {data_type.topic} with {', '.join(sorted(types))}; stop it"

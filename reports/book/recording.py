@@ -7,6 +7,12 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from dds_trace.analyzer.model.applied import (
+    SHARED_MEMORY,
+    UNKNOWN,
+    payload_path,
+    udp_receive_buffer_bytes,
+)
 from dds_trace.tracefile.units.durations import format_duration
 from dds_trace.tracefile.visible import visible
 
@@ -55,9 +61,9 @@ def _sessions(analysis: Analysis) -> RecordTable:
     alike: dict[tuple[str, ...], list[Session]] = {}
     vendors = vendor_labels(analysis)
     for one in analysis.sessions:
-        surroundings = (
+        surroundings = [
             f"{visible(name)} {visible(value)}" for name, value in one.host.items() if name != _FLEETING
-        )
+        ]
         key = (
             visible(one.device),
             visible(one.role),
@@ -67,7 +73,7 @@ def _sessions(analysis: Analysis) -> RecordTable:
             str(one.domain_id),
             visible(one.connectivity),
             "clean" if one.state == "closed" else "cut off",
-            ", ".join(surroundings),
+            ", ".join([*surroundings, *_applied_words(one)]),
         )
         alike.setdefault(key, []).append(one)
     rows = [
@@ -88,6 +94,19 @@ def _sessions(analysis: Analysis) -> RecordTable:
         "Host",
     )
     return _table("Recording sessions", columns, rows, len(analysis.sessions))
+
+
+def _applied_words(session: Session) -> list[str]:
+    """Describe what the process was seen to use; nothing of an older session, which does not tell."""
+    path = payload_path(session)
+    if path is None:
+        return []
+    ways = {SHARED_MEMORY: "shared memory", UNKNOWN: "an unknown way"}
+    buffer_bytes = udp_receive_buffer_bytes(session)
+    buffers = (
+        [] if buffer_bytes is None else [f"UDP receive buffer as granted {format_count(buffer_bytes)} B"]
+    )
+    return [f"payload carried by {ways.get(path, visible(path))}", *buffers]
 
 
 def _sources(analysis: Analysis) -> RecordTable:

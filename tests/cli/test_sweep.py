@@ -82,6 +82,19 @@ def test_paper_plan_has_the_papers_sizes():
     assert sorted({cell.size for cell in cells if cell.data == "string"}) == [4, 91, 1405, 2675]
 
 
+def test_paper_plan_has_the_papers_rates_and_programs():
+    plan = read_plan(ROOT / "plans/paper.toml")
+    rates = {
+        data: sorted({cell.rate for cell in plan.cells if cell.data == data})
+        for data in ("binary", "string", "imu")
+    }
+    of_text = [10, 20, 40, 80, 100, 200, 500, 1000]
+    assert rates == {"binary": [1, 2, 4, 8, 10, 12, 15, 20, 100, 1000], "string": of_text, "imu": of_text}
+    assert {(cell.serialization, cell.executor) for cell in plan.cells} == {("typed", "single")}
+    assert min(plan.run.messages_at(cell.rate) for cell in plan.cells) == 400  # an interval for p99 takes 368
+    assert plan.run.messages_at(1000) == 20_000
+
+
 @pytest.mark.parametrize("path", PLANS, ids=lambda path: path.stem)
 def test_every_plan_that_we_ship_can_be_read(path):
     assert schedule(read_plan(path, installed))

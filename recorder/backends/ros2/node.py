@@ -24,7 +24,7 @@ from ..threaded import LAST_ACKNOWLEDGEMENT_S, ROUND_S, ThreadedNode
 from .installation import INSTALL, package_version, vendor_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from ..node import NodeOptions, Publisher, RawMessage, Receive, RosMessage, Subscription
 
@@ -143,13 +143,18 @@ class Ros2Node(ThreadedNode):
 
     def look_at(self, topic: str) -> TopicView:
         """Return the endpoints in the ROS graph; mismatches are from there and from the middleware's events."""
-        publishers = tuple(map(_endpoint, self._node.get_publishers_info_by_topic(topic)))
-        subscriptions = tuple(map(_endpoint, self._node.get_subscriptions_info_by_topic(topic)))
+        publishing = self._node.get_publishers_info_by_topic(topic)
+        subscribed = self._node.get_subscriptions_info_by_topic(topic)
+        publishers, subscriptions = tuple(map(_endpoint, publishing)), tuple(map(_endpoint, subscribed))
         named = tuple(incompatible_pairs(topic, publishers, subscriptions, self._options.name))
         if named:  # the same that the events reported, in better words
             self._incompatible[topic] = set()
         return TopicView(
-            topic, publishers, subscriptions, named or tuple(sorted(self._incompatible.get(topic, ())))
+            topic,
+            publishers,
+            subscriptions,
+            named or tuple(sorted(self._incompatible.get(topic, ()))),
+            tuple(_other_definitions(topic, [*publishing, *subscribed], self._options.name)),
         )
 
     def count_participants(self) -> int | None:
@@ -352,6 +357,21 @@ def _endpoint(info: Any) -> Endpoint:
             duration_extra({policy: getattr(profile, policy).nanoseconds for policy in DURATION_POLICIES}),
         ),
     )
+
+
+def _other_definitions(topic: str, infos: Sequence[Any], own_name: str) -> Iterator[str]:
+    """Yield a line for each endpoint whose type has the name of our own and another definition, by the hashes of ROS 2 Iron.
+
+    Fast DDS carries such messages all the same, and they are read wrongly.
+    """
+    hashes = [(info, str(getattr(info, "topic_type_hash", ""))) for info in infos]
+    known = [
+        (info, text) for info, text in hashes if text.startswith("RIHS")
+    ]  # other vendors' endpoints have none
+    own = {info.topic_type: text for info, text in known if info.node_name == own_name}
+    for info, text in known:
+        if text != own.get(info.topic_type, text):
+            yield f"{topic}: {info.node_name}'s {info.topic_type} has the same name and another definition"
 
 
 def _describe_middleware(options: NodeOptions, executor: str, further: Mapping[str, str]) -> Middleware:

@@ -11,7 +11,8 @@ import pytest
 from backend_pairs import all_data_types
 from processes import PATIENCE_S, ping, relay
 
-from dds_trace.recorder.backends import open_node
+from dds_trace.recorder.backends import cyclonedds, open_node
+from dds_trace.recorder.backends.cyclone_settings import CYCLONE_LOOPBACK, cyclone_loopback
 from dds_trace.recorder.backends.node import NodeOptions, message_objects_of
 from dds_trace.recorder.choices import Discovery, ExecutorKind, Transport
 from dds_trace.recorder.payloads import BINARY, IMU, data_types
@@ -201,3 +202,53 @@ def test_without_cyclonedds_it_says_how_to_get_it():
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=PATIENCE_S
     )
     assert "pip install 'dds-trace[cyclonedds]'" in done.stdout
+
+
+def test_a_peer_of_an_unassignable_type_is_seen(domain_id, monkeypatch):
+    with open_node("cyclonedds", options(domain_id)) as one:
+        one.create_publisher("imu_data", IMU.type_name)
+        one.create_subscription("imu_data_relay", IMU.type_name, lambda *_: None)
+        cyclonedds._type_called.cache_clear()
+        monkeypatch.setitem(cyclonedds.DDS_TYPES, IMU.type_name, {"data": "string"})
+        try:
+            with open_node("cyclonedds", options(domain_id, name="two")) as two:
+                two.create_subscription("imu_data", IMU.type_name, lambda *_: None)
+                two.create_publisher("imu_data_relay", IMU.type_name)
+                deadline = time.monotonic() + PATIENCE_S
+                there, back = one.look_at("imu_data"), one.look_at("imu_data_relay")
+                while not (there.unassignable and back.unassignable):
+                    assert time.monotonic() < deadline
+                    time.sleep(0.05)
+                    there, back = one.look_at("imu_data"), one.look_at("imu_data_relay")
+        finally:
+            cyclonedds._type_called.cache_clear()
+    assert there.unassignable == ("imu_data: a subscription's type has the same name and another definition",)
+    assert back.unassignable == (
+        "imu_data_relay: a publisher's type has the same name and another definition",
+    )
+    assert there.incompatible == back.incompatible == ()
+
+
+LOOPBACK = "<CycloneDDS><Domain><General><Interfaces><NetworkInterface {}/></Interfaces></General></Domain></CycloneDDS>"
+
+
+@pytest.mark.parametrize("attribute", ['name="lo"', 'address="127.0.0.1"', "priority='5' name='lo'"])
+@pytest.mark.parametrize("is_file", [False, True])
+def test_a_user_who_names_the_loopback_interface_is_not_told_twice(
+    domain_id, tmp_path, monkeypatch, attribute, is_file
+):
+    path = tmp_path / "mine.xml"
+    path.write_text(LOOPBACK.format(attribute))
+    monkeypatch.setenv("CYCLONEDDS_URI", path.as_uri() if is_file else path.read_text())
+    with open_node("cyclonedds", options(domain_id)) as node:
+        settings = node.middleware.settings["CYCLONEDDS_URI"]
+        assert node.count_participants() == 1
+    assert settings.count("<NetworkInterface ") == (0 if is_file else 1)
+
+
+def test_the_users_other_interfaces_leave_loopback_to_us():
+    for own in ("", LOOPBACK.format('name="eth0"'), "file:///nowhere.xml"):
+        assert cyclone_loopback(Discovery.LOCALHOST, {"CYCLONEDDS_URI": own}) == CYCLONE_LOOPBACK
+        assert cyclone_loopback(Discovery.SUBNET, {"CYCLONEDDS_URI": own}) == ""
+    old = "<CycloneDDS><Domain><General><NetworkInterfaceAddress>lo</NetworkInterfaceAddress></General></Domain></CycloneDDS>"
+    assert cyclone_loopback(Discovery.LOCALHOST, {"CYCLONEDDS_URI": old}) == ""

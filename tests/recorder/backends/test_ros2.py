@@ -335,3 +335,28 @@ def test_a_message_that_is_readable_for_ever_is_handed_on_once():
     left.take_left()
     left.take_left()
     assert handed == [1, 2, 3]
+
+
+def test_a_type_of_the_same_name_and_another_definition_is_named():
+    def info(node_name, type_hash, topic_type="sensor_msgs/msg/Imu"):
+        return SimpleNamespace(node_name=node_name, topic_type=topic_type, topic_type_hash=type_hash)
+
+    ours = info("me", "RIHS01_aa")
+    assert list(ros2._other_definitions("imu_data", [ours, info("you", "RIHS01_bb")], "me")) == [
+        "imu_data: you's sensor_msgs/msg/Imu has the same name and another definition"
+    ]
+    alike = [
+        info("you", "RIHS01_aa"),
+        info("cyclone", "INVALID"),
+        info("other", "RIHS01_cc", "std_msgs/msg/String"),
+    ]
+    assert (
+        list(
+            ros2._other_definitions(
+                "imu_data",
+                [ours, *alike, SimpleNamespace(node_name="humble", topic_type=ours.topic_type)],
+                "me",
+            )
+        )
+        == []
+    )

@@ -37,6 +37,13 @@ def test_fingerprint_is_json_with_every_field_of_the_trace_format():
     )
 
 
+def test_how_long_fragments_wait_and_in_how_many_bytes():
+    reassembly = host_fingerprint()["reassembly"]
+    assert reassembly["net.ipv4.ipfrag_time"] == int(read_text("/proc/sys/net/ipv4/ipfrag_time"))
+    assert reassembly["net.ipv4.ipfrag_high_thresh"] > 0
+    assert all(name.startswith("net.ipv4.ipfrag_") for name in reassembly)
+
+
 def test_fingerprint_names_no_host():
     assert f'"{socket.gethostname()}"' not in json.dumps(host_fingerprint())
 

@@ -28,10 +28,12 @@ def plan():
     return RunPlan(BINARY.make(4, 1), 10.0, 5, bridge="builtin", relay_domain_id=10)
 
 
-def see(node, *, listening=(), answering=(), incompatible=()):
+def see(node, *, listening=(), answering=(), incompatible=(), unassignable=()):
     own = Endpoint("me", IMAGE)
     node.views = {
-        "binary_image": TopicView("binary_image", (own,), tuple(listening), tuple(incompatible)),
+        "binary_image": TopicView(
+            "binary_image", (own,), tuple(listening), tuple(incompatible), tuple(unassignable)
+        ),
         "binary_image_relay": TopicView("binary_image_relay", tuple(answering), (own,)),
     }
 
@@ -111,3 +113,12 @@ def test_a_type_that_the_relay_needs_as_an_option_is_named(node):
     payload = Payload(header_data_type("sensor_msgs/msg/PointCloud2"), (Message(bytearray(200), 136),), 136)
     text = explain_silence(node, RunPlan(payload, 10.0, 5, relay_domain_id=5), 20)
     assert "--discovery localhost --type sensor_msgs/msg/PointCloud2 --out relay.mcap`" in text
+
+
+def test_a_relay_of_an_unassignable_type_is_named_and_no_firewall(node, plan):
+    line = "binary_image: a subscription's type has the same name and another definition"
+    see(node, listening=[Endpoint("relay", IMAGE)], unassignable=[line])
+    text = explain_silence(node, plan, 3)
+    assert line in text
+    assert "try: install the same version of sensor_msgs on both sides" in text
+    assert "firewall" not in text

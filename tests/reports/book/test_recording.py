@@ -32,6 +32,23 @@ def test_sessions_that_are_alike_are_one_row(analysis):
     assert sessions.rows[2][-1].endswith("kernel 6.8")
 
 
+def test_what_a_process_was_seen_to_use_stands_beside_its_host(analysis):
+    sockets = [{"protocol": "udp", "receive_buffer_bytes": size} for size in (212_992, 8_000_000)]
+    applied = {"path": "lo", "begin": {"sockets": sockets}}
+    ping, relay = analysis.sessions
+    sessions, _ = record_tables(
+        replace(
+            analysis,
+            sessions=(
+                replace(ping, extra={"applied": applied}),
+                replace(relay, extra={"applied": {"path": "shm", "begin": {"sockets": []}}}),
+            ),
+        )
+    )
+    assert sessions.rows[0][-1].endswith("payload carried by lo, UDP receive buffer as granted 8,000,000 B")
+    assert sessions.rows[1][-1].endswith("payload carried by shared memory")
+
+
 def test_of_many_files_those_that_were_not_read_come_first(analysis):
     sources = [Source(f"{n}.mcap", "read", "", 5) for n in range(MOST_ROWS + 10)]
     sources.append(Source("notes.txt", "skipped", "no trace", 0))

@@ -50,9 +50,10 @@ class Details:
         clock_fits: a row per pair of devices, boot and stretch without a step (`one_way.segment_table`):
             `ping_device`, `relay_device` str, `boot` i64, `same_clock` bool, `segment` u32, `start_ns`, `end_ns`,
             `at_ns`, `offset_ns`, `bound_ns` i64, `drift_ppb`, `drift_bound_ppb` f64, `residual_ns`, `step_before_ns`,
-            `step_bound_ns` i64.
+            `step_bound_ns` i64, `relay_boot` str null.
         clock_knots: offsets over time, what the fits rest on (`one_way.knots_of`): `group` u32, `run_id` u64,
-            `relay_id` u32, `ping_device`, `relay_device` str, `messages` u64, `at_ns`, `offset_ns`, `bound_ns` i64.
+            `relay_id` u32, `ping_device`, `relay_device` str, `messages` u64, `at_ns`, `offset_ns`, `bound_ns` i64,
+            `relay_boot` str null, `same_boot` bool null.
         host_samples: load of the devices over time (`host_samples.host_sample_frame`), columns of
             `host_samples.HOST_SAMPLE_SCHEMA`.
         bridge_costs: different domains against the same domain for equal parameters (`bridge_cost.bridge_cost`),

@@ -1,7 +1,8 @@
-"""Boots of a device, and its wall clock beside its monotonic clock, by the anchors that its sessions recorded."""
+"""Boots of a device, and its wall clock beside its monotonic clock, by what its sessions recorded."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -13,25 +14,57 @@ _SAME_BOOT_S = 2
 """Seconds by which the wall clock at monotonic zero of two sessions of one boot differs at most: NTP slews it."""
 
 
+@dataclass(frozen=True, slots=True)
+class _Boot:
+    """A boot of a device: its number, and the kernel's text for it, None where no session tells."""
+
+    number: int
+    boot_id: str | None
+
+    def holds(self, zero_s: int, boot_id: str | None) -> bool:
+        """Return whether a session is of this boot: by the kernel's text, else by its wall clock at monotonic zero."""
+        if boot_id is not None and self.boot_id is not None:
+            return boot_id == self.boot_id
+        return abs(self.number - zero_s) < _SAME_BOOT_S
+
+
+def boot_id_of(session: Session) -> str | None:
+    """Return the kernel's random text of the boot in which a session was recorded; None of an older recorder."""
+    boot_id = session.extra.get("boot_id")
+    return boot_id if isinstance(boot_id, str) and boot_id else None
+
+
+def share_boot(one: Session, other: Session | None) -> bool | None:
+    """Return whether two sessions are of one boot of one machine, None where a boot id is missing."""
+    ids = boot_id_of(one), boot_id_of(other) if other is not None else None
+    return None if None in ids else ids[0] == ids[1]
+
+
 def ping_boots(sessions: Iterable[Session], runs: Iterable[Run]) -> dict[int, int]:
     """Return the boot of the ping's device in which each run took place, as a number.
 
     A device's monotonic clock starts again at every boot, so stamps of two boots must not be mixed. Sessions of one
-    device whose monotonic zero lies at the same wall clock time, within two seconds, are of one boot.
+    device with equal boot ids are of one boot. Sessions of recorders that did not write it are of one boot if their
+    monotonic zero lies at the same wall clock time, within two seconds.
 
     Returns:
         run_id -> wall clock at monotonic zero in whole seconds, which numbers the boot; 0 for a run that does not name
         its session.
     """
     boot_of_session: dict[int, int] = {}
-    boots_of_device: dict[str, list[int]] = {}
+    boots_of_device: dict[str, list[_Boot]] = {}
     for session in sessions:
-        zero_s = _monotonic_zero_ns(session) // 1_000_000_000
+        zero_s, boot_id = _monotonic_zero_ns(session) // 1_000_000_000, boot_id_of(session)
         boots = boots_of_device.setdefault(session.device, [])
-        boot = next((known for known in boots if abs(known - zero_s) < _SAME_BOOT_S), None)
+        boot = next((known for known in boots if known.holds(zero_s, boot_id)), None)
         if boot is None:
-            boots.append(zero_s)
-        boot_of_session[session.session_id] = zero_s if boot is None else boot
+            while any(
+                known.number == zero_s for known in boots
+            ):  # two machines of one name, started together
+                zero_s += 1
+            boot = _Boot(zero_s, boot_id)
+            boots.append(boot)
+        boot_of_session[session.session_id] = boot.number
     return {run.run_id: boot_of_session.get(session_of_run(run), 0) for run in runs}
 
 

@@ -105,10 +105,12 @@ class ClockFit:
         ping_device: name of the device of T1 and T2.
         relay_device: name of the device of T3 and T4.
         boot: number of the boot of the ping's device (`boots.ping_boots`).
-        same_clock: whether the devices have one name and an offset of zero agrees with every message: one machine,
-            one clock. The segments are then a check of the method, and one-way times are exact.
+        same_clock: whether both sides are of one boot of one machine (where no boot id tells: have one name), and an
+            offset of zero agrees with every message. The segments are then a check of the method, and one-way times
+            are exact.
         segments: stretches between steps, in order of time; empty without a message that has all four stamps.
         steps: jumps between the segments, one fewer than these.
+        relay_boot: the kernel's text for the boot of the relay's device; None where no session tells.
     """
 
     ping_device: str
@@ -117,6 +119,7 @@ class ClockFit:
     same_clock: bool
     segments: tuple[ClockSegment, ...]
     steps: tuple[ClockStep, ...]
+    relay_boot: str | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,6 +180,8 @@ def fit_clock(
     ping_device: str = "ping",
     relay_device: str = "relay",
     boot: int = 0,
+    relay_boot: str | None = None,
+    same_boot: bool | None = None,
 ) -> tuple[ClockFit, ClockOffsets]:
     """Fit the relay's clock against the ping's, and return the fit with the offset at each message.
 
@@ -188,17 +193,22 @@ def fit_clock(
         ping_device: name of the device of T1 and T2.
         relay_device: name of the device of T3 and T4.
         boot: number of the boot of the ping's device (`boots.ping_boots`).
+        relay_boot: the kernel's text for the boot of the relay's device, if known.
+        same_boot: whether both sides are of one boot of one machine (`boots.share_boot`); None lets names decide.
 
     Raises:
         ValueError: a message has `rtt < intermediate`.
     """
     if not len(publish_ns):
         nothing = np.empty(0, np.int64)
-        return ClockFit(ping_device, relay_device, boot, False, (), ()), ClockOffsets(nothing, nothing)
+        no_fit = ClockFit(ping_device, relay_device, boot, False, (), (), relay_boot)
+        return no_fit, ClockOffsets(nothing, nothing)
     out_ns, back_ns = relay_in_ns - publish_ns, relay_out_ns - receive_ns  # theta's upper and lower end
     if np.any(back_ns > out_ns):
         raise ValueError("a message spent more time in the relay than under way: leave it out of the fit")
-    same_clock = ping_device == relay_device and bool(np.all(out_ns >= 0) and np.all(back_ns <= 0))
+    one_machine = ping_device == relay_device if same_boot is None else same_boot
+    # Two devices may have one name, and a time namespace another clock on one machine: zero has to agree, too.
+    same_clock = one_machine and bool(np.all(out_ns >= 0) and np.all(back_ns <= 0))
 
     rtt_ns = receive_ns - publish_ns
     half_way_ns = publish_ns + rtt_ns // 2
@@ -234,7 +244,7 @@ def fit_clock(
     alone = low > high
     low[alone], high[alone] = points.lower[alone], points.upper[alone]
 
-    fit = ClockFit(ping_device, relay_device, boot, same_clock, tuple(segments), tuple(steps))
+    fit = ClockFit(ping_device, relay_device, boot, same_clock, tuple(segments), tuple(steps), relay_boot)
     if same_clock:
         zero = np.zeros(len(publish_ns), np.int64)
         return fit, ClockOffsets(zero, zero)

@@ -92,7 +92,11 @@ def _steps(evidence: Evidence) -> Iterator[_Step]:
     boots = ping_boots(evidence.campaign.sessions.values(), evidence.campaign.runs.values())
     knots = evidence.details.clock_knots.sort("at_ns")
     for fit in evidence.details.clock_fits.drop_nulls("step_before_ns").iter_rows(named=True):
-        own = knots.filter(ping_device=fit["ping_device"], relay_device=fit["relay_device"])
+        own = knots.filter(
+            pl.col("relay_boot").eq_missing(pl.lit(fit["relay_boot"], pl.String)),
+            ping_device=fit["ping_device"],
+            relay_device=fit["relay_device"],
+        )
         in_boot = [boots.get(run_id, 0) == fit["boot"] for run_id in own["run_id"]]
         of_boot = own.filter(pl.Series(in_boot, dtype=pl.Boolean))
         before, after = (

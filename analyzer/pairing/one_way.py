@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
+from ..clocks.boots import boot_id_of, share_boot
 from ..clocks.fit import ClockFit, fit_clock
 from .pair import MISSING
 
@@ -87,6 +88,8 @@ def fit_exchanges(
             t2,
             ping_device=exchange.ping.device,
             relay_device=exchange.relay.device if exchange.relay else "",
+            relay_boot=boot_id_of(exchange.relay) if exchange.relay else None,
+            same_boot=share_boot(exchange.ping, exchange.relay),
         )
         under_way = (t2 - t1) - (t4 - t3)
         outbound = np.clip(t3 - t1 - offsets.offset_ns, 0, under_way)
@@ -113,13 +116,19 @@ KNOT_SCHEMA: dict[str, type[pl.DataType]] = {
     "at_ns": pl.Int64,
     "offset_ns": pl.Int64,
     "bound_ns": pl.Int64,
+    "relay_boot": pl.String,
+    "same_boot": pl.Boolean,
 }
 
 
 def knots_of(
     exchanges: Sequence[Exchange], groups: Sequence[int], fits: Sequence[ClockFit | None]
 ) -> pl.DataFrame:
-    """List the knots of every run: the frame `clock_knots`, columns of `KNOT_SCHEMA`."""
+    """List the knots of every run: the frame `clock_knots`, columns of `KNOT_SCHEMA`.
+
+    `relay_boot` is the boot id of the relay's session, and `same_boot` says whether the ping's is the same; both are null
+    where a recorder did not write it.
+    """
     rows: list[dict[str, object]] = [
         {
             "group": group,
@@ -131,6 +140,8 @@ def knots_of(
             "at_ns": knot.at_ns,
             "offset_ns": knot.offset_ns,
             "bound_ns": knot.bound_ns,
+            "relay_boot": fit.relay_boot,
+            "same_boot": share_boot(exchange.ping, exchange.relay),
         }
         for exchange, group, fit in zip(exchanges, groups, fits, strict=True)
         if fit is not None
@@ -141,7 +152,9 @@ def knots_of(
 
 
 def fit_devices(knots: pl.DataFrame, boots: Mapping[int, int]) -> tuple[ClockFit, ...]:
-    """Fit the clock of each pair of devices and boot over the whole campaign, from the knots of all its runs.
+    """Fit the clock of each pair of devices and boots over the whole campaign, from the knots of all its runs.
+
+    A relay that was rebooted between two runs has another clock, not one with a step: its boot id tells.
 
     Args:
         knots: frame of `knots_of`.
@@ -151,9 +164,9 @@ def fit_devices(knots: pl.DataFrame, boots: Mapping[int, int]) -> tuple[ClockFit
     of_run = pl.Series(list(boots.values()), dtype=pl.Int64)
     boot = pl.col("run_id").replace_strict(ids, of_run, default=0) if boots else pl.lit(0, pl.Int64)
     fits = []
-    keys = ["ping_device", "relay_device", "boot"]
+    keys = ["ping_device", "relay_device", "boot", "relay_boot", "same_boot"]
     for part in knots.with_columns(boot=boot).sort(*keys, "at_ns").partition_by(keys, maintain_order=True):
-        ping_device, relay_device, of_boot = part.select(keys).row(0)
+        ping_device, relay_device, of_boot, relay_boot, same_boot = part.select(keys).row(0)
         at_ns, offset_ns, bound_ns = (part[n].to_numpy() for n in ("at_ns", "offset_ns", "bound_ns"))
         # A knot is given as a message without duration, whose interval is that of the knot.
         fits.append(
@@ -165,6 +178,8 @@ def fit_devices(knots: pl.DataFrame, boots: Mapping[int, int]) -> tuple[ClockFit
                 ping_device=ping_device,
                 relay_device=relay_device,
                 boot=of_boot,
+                relay_boot=relay_boot,
+                same_boot=same_boot,
             )[0]
         )
     return tuple(fits)
@@ -186,6 +201,7 @@ SEGMENT_SCHEMA: dict[str, type[pl.DataType]] = {
     "residual_ns": pl.Int64,
     "step_before_ns": pl.Int64,
     "step_bound_ns": pl.Int64,
+    "relay_boot": pl.String,
 }
 
 
@@ -195,7 +211,7 @@ def segment_table(fits: Sequence[ClockFit]) -> pl.DataFrame:
     Columns of `SEGMENT_SCHEMA`: times on the ping's monotonic clock; `offset_ns` relay's clock minus ping's, wrong by
     at most `bound_ns` at `at_ns`; `drift_ppb` at which the relay's clock gains, wrong by at most `drift_bound_ppb`;
     `residual_ns` farthest of a knot from a straight line; `step_before_ns` the jump that began the segment, wrong by
-    at most `step_bound_ns`, null for the first.
+    at most `step_bound_ns`, null for the first; `relay_boot` the boot id of the relay's device, null if unknown.
     """
     rows = []
     for fit in fits:
@@ -211,6 +227,7 @@ def segment_table(fits: Sequence[ClockFit]) -> pl.DataFrame:
                     **{name: getattr(segment, name) for name in list(SEGMENT_SCHEMA)[5:13]},
                     "step_before_ns": step.size_ns if step else None,
                     "step_bound_ns": step.bound_ns if step else None,
+                    "relay_boot": fit.relay_boot,
                 }
             )
     return pl.DataFrame(rows, schema=SEGMENT_SCHEMA)

@@ -116,12 +116,16 @@ def clock_info(book: Book) -> Clock:
     two = fits.filter(~fits["same_clock"])
     step = max(1, -(-knots.height // KNOTS_IN_PAGE))
     pairs = []
-    for ping, relay, boot in (
-        two.select("ping_device", "relay_device", "boot").unique(maintain_order=True).iter_rows()
+    for ping, relay, boot, relay_boot in (
+        two.select("ping_device", "relay_device", "boot", "relay_boot")
+        .unique(maintain_order=True)
+        .iter_rows()
     ):
-        segments = two.filter(ping_device=ping, relay_device=relay, boot=boot)
+        of_boot = two.filter(two["relay_boot"].eq_missing(relay_boot))
+        segments = of_boot.filter(ping_device=ping, relay_device=relay, boot=boot)
         longest = segments.sort(segments["end_ns"] - segments["start_ns"]).row(-1, named=True)
         inside = knots["at_ns"].is_between(segments["start_ns"].min(), segments["end_ns"].max())
+        inside &= knots["relay_boot"].eq_missing(relay_boot)
         own = (
             knots.filter(inside).filter(ping_device=ping, relay_device=relay).sort("at_ns").gather_every(step)
         )

@@ -104,8 +104,8 @@ def with_one_way(frame: pl.DataFrame) -> pl.DataFrame:
     of_exchange = frame.partition_by("run_id", "relay_id", maintain_order=True)
     devices = [
         SimpleNamespace(
-            ping=SimpleNamespace(device=rows["ping_device"][0]),
-            relay=SimpleNamespace(device=rows["relay_device"][0]),
+            ping=SimpleNamespace(device=rows["ping_device"][0], extra={}),
+            relay=SimpleNamespace(device=rows["relay_device"][0], extra={}),
         )
         for rows in of_exchange
     ]

@@ -190,6 +190,18 @@ def test_two_devices_of_one_name_are_not_taken_for_one_machine():
     assert not fit.same_clock
 
 
+def test_the_boot_id_tells_one_machine_whatever_the_names_are():
+    drawn = draw(Truth())
+    fit, offsets = fit_clock(*drawn.stamps, ping_device="robot", relay_device="base", same_boot=True)
+    assert fit.same_clock
+    assert not offsets.bound_ns.any()
+    apart, _ = fit_clock(*drawn.stamps, ping_device="pi", relay_device="pi", same_boot=False)
+    assert not apart.same_clock
+    shifted = draw(Truth(offset_ns=5 * S))  # a time namespace of one machine
+    namespace, _ = fit_clock(*shifted.stamps, ping_device="robot", relay_device="base", same_boot=True)
+    assert not namespace.same_clock
+
+
 def test_nothing_to_fit_gives_no_segment():
     nothing = np.empty(0, np.int64)
     fit, offsets = fit_clock(nothing, nothing, nothing, nothing)

@@ -37,7 +37,7 @@ def test_one_way_columns_are_int64_without_a_relay():
 
 def test_device_pairs_and_boots_are_fitted_apart():
     def knot(run_id, relay_device, offset_ns):
-        return (0, run_id, 1, "ping-pi", relay_device, 1, 150, offset_ns, 101)
+        return (0, run_id, 1, "ping-pi", relay_device, 1, 150, offset_ns, 101, None, None)
 
     knots = pl.DataFrame(
         [knot(1, "relay-pi", 1000), knot(2, "relay-pi", 5_001_000), knot(3, "third", 1000)],
@@ -52,3 +52,16 @@ def test_device_pairs_and_boots_are_fitted_apart():
     ]
     assert segment_table(fits).select("segment", "at_ns", "bound_ns").rows() == [(0, 150, 102)] * 3
     assert segment_table(fit_devices(knots.clear(), {})).is_empty()
+
+
+def test_a_relay_that_was_rebooted_between_two_runs_has_no_step():
+    def knot(run_id, at_ns, offset_ns, relay_boot):
+        return (0, run_id, 1, "ping-pi", "relay-pi", 1, at_ns, offset_ns, 101, relay_boot, False)
+
+    knots = [(1, 150, 1000, "aa"), (2, 10**9, -(10**12), "bb"), (3, 2 * 10**9, -(10**12), "bb")]
+    rebooted = pl.DataFrame([knot(*each) for each in knots], schema=KNOT_SCHEMA, orient="row")
+    fits = fit_devices(rebooted, {})
+    assert [(f.relay_boot, f.segments[0].messages, f.steps) for f in fits] == [("aa", 1, ()), ("bb", 2, ())]
+    assert segment_table(fits)["relay_boot"].to_list() == ["aa", "bb"]
+    (unknown,) = fit_devices(rebooted.with_columns(relay_boot=pl.lit(None, pl.String)), {})
+    assert len(unknown.steps) == 1  # without the boot id it cannot be told from a step

@@ -126,7 +126,7 @@ class _Recording:
                 read_back.read_end(relay.traffic)
                 relay.close()
                 trace = sink.close(**read_back.fields(), **self._clock_at_end())
-                read_back.tell()
+                read_back.tell(trace.path)
                 return Recorded(trace, session, relay.progress())
 
     def ping(self, asked: PingOptions) -> Recorded:
@@ -152,7 +152,7 @@ class _Recording:
                 bridge.stop()  # so that its description says how it ended
             described: JsonObject = {} if bridge is None else {"bridge": bridge.describe()}
             trace = sink.close(**described, **read_back.fields(), **self._clock_at_end())
-            read_back.tell()
+            read_back.tell(trace.path)
             return Recorded(trace, session, ping.progress(), run)
 
     def _measure_costs(self) -> None:

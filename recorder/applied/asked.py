@@ -97,7 +97,8 @@ def asked_settings(
         tuned: whether `--tuned` was given.
         discovery: value of `--discovery`.
         environment: variables as the user set them, without what the recorder adds.
-        settings: `Middleware.settings` of the node, whose CYCLONEDDS_URI includes the recorder's own part.
+        settings: `Middleware.settings` of the node, whose CYCLONEDDS_URI includes the recorder's own part; the user's own
+            counts where it has none (rmw_cyclonedds).
     """
     asked = Asked(vendor, domain_id, transport, tuned, discovery)
     if tuned:
@@ -109,7 +110,8 @@ def asked_settings(
             send_buffer_bytes=facts.send_bytes,
         )
     if vendor == "cyclonedds":
-        return replace(asked, interface=interface_named((settings or {}).get("CYCLONEDDS_URI", "")))
+        uri = (settings or {}).get("CYCLONEDDS_URI", (environment or {}).get("CYCLONEDDS_URI", ""))
+        return replace(asked, interface=interface_named(uri))
     if vendor == "fastdds" and asked.transport == "default":
         return _asked_by_environment(asked, environment or {})
     return asked

@@ -10,6 +10,7 @@ from ..applied import Asked, asked_settings, differences, read_applied, with_pat
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
+    from pathlib import Path
 
     from dds_trace.tracefile import JsonObject
 
@@ -66,8 +67,11 @@ class ReadBack:
             self._applied = with_path(read_applied(self._applied), traffic)
             self._differences = differences(self.asked, self._applied, traffic)
 
-    def tell(self) -> None:
+    def tell(self, trace: Path | None = None) -> None:
         """Say each setting that was not applied and was not told before.
+
+        Args:
+            trace: path of the whole trace, at the end of a recording.
 
         Raises:
             NotAppliedError: there is one, and the recording is strict.
@@ -76,7 +80,12 @@ class ReadBack:
         untold = [each for each in self._differences if (each.setting, each.asked) not in self._told]
         self._told.update((each.setting, each.asked) for each in untold)
         if untold and self._strict:
-            raise NotAppliedError(f"--strict: {'; '.join(each.words for each in untold)}")
+            kept = (
+                ""
+                if trace is None
+                else f" (seen at the end: {trace} is whole, and no answer will rest on it)"
+            )
+            raise NotAppliedError(f"--strict: {'; '.join(each.words for each in untold)}{kept}")
         for each in untold:
             self._note(f"not applied: {each.words}; no answer will rest on this recording")
 

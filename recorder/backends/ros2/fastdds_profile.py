@@ -27,7 +27,7 @@ from dds_trace.tracefile import OptionError
 from ...applied.asked import PROFILE_VARIABLES
 from ...applied.vendors import BUFFER_BYTES
 from ...choices import Discovery, Transport
-from .installation import set_transport, vendor_of
+from .installation import NO_TUNING, set_transport, vendor_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -139,7 +139,7 @@ def localhost_profile(transport: Transport, buffer_bytes: int | None = None) -> 
     if layout is None:
         raise OptionError(f"--transport {transport.value}: ROS 2's own LOCALHOST range is that already")
     if buffer_bytes is not None and transport is not Transport.UDP:
-        raise OptionError(f"no settings for large messages are known for the transport {transport.value}")
+        raise OptionError(NO_TUNING.format(transport.value))
     buffers = "" if buffer_bytes is None else _BUFFERS.format(bytes=buffer_bytes)
     return _PROFILE.format(
         transport=transport.value,

@@ -74,6 +74,12 @@ FASTDDS_TRANSPORTS = {
 """(transport, tuned) -> value of FASTDDS_BUILTIN_TRANSPORTS; None leaves the user's own value in place."""
 
 
+NO_TUNING = (
+    "no settings for large messages are known for the transport {}: --tuned enlarges the buffers of UDP sockets, which do "
+    "not carry them there; leave one of the two options out"
+)
+
+
 def find_rmws() -> Sequence[str | None]:
     """Return the ROS middlewares of this machine, `[None]` for wheels with their only one, nothing without rclpy."""
     if not has_package("rclpy"):
@@ -138,9 +144,7 @@ def set_transport(options: NodeOptions, rmw: str) -> None:
     """
     chosen = (options.transport, options.tuned)
     if chosen not in FASTDDS_TRANSPORTS:
-        raise OptionError(
-            f"no settings for large messages are known for the transport {options.transport.value}"
-        )
+        raise OptionError(NO_TUNING.format(options.transport.value))
     if (value := FASTDDS_TRANSPORTS[chosen]) is not None:
         if vendor_of(rmw).name != "fastdds":
             raise OptionError(f"transport and tuning are Fast DDS's, and the middleware here is {rmw}")

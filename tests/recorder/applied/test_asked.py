@@ -160,6 +160,8 @@ def test_the_interface_that_cyclone_is_told(tmp_path):
     )
     asked = asked_settings("cyclonedds", domain_id=5, settings={"CYCLONEDDS_URI": settings("eth1")})
     assert asked.interface == "eth1"
+    own = {"CYCLONEDDS_URI": settings("eth2")}  # rmw_cyclonedds, to whose settings the recorder adds nothing
+    assert asked_settings("cyclonedds", domain_id=5, environment=own, settings={}).interface == "eth2"
 
 
 def test_the_buffers_of_tuned_are_those_that_the_backends_set():

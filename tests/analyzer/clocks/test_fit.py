@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from roundtrip_frames import MS, S
 
+from dds_trace.analyzer.clocks import lines
 from dds_trace.analyzer.clocks.fit import fit_clock
 from dds_trace.analyzer.clocks.lines import DRIFT, Lines, OffsetIntervals
 
@@ -170,6 +171,40 @@ def test_a_slewed_clock_bends_the_fit_without_a_step():
     assert np.all(np.abs(offsets.offset_ns - slewed) <= offsets.bound_ns + 10)
 
 
+def wrong_share_of_a_bent_clock():
+    """Share of messages outside of their bound, where the relay's clock gains 100 ppm from the fifth second on."""
+    wrong, generator = [], np.random.default_rng(0)
+    for _ in range(10):
+        t1 = START_NS + np.arange(400, dtype=np.int64) * 50 * MS
+        outbound, back = (100_000 + generator.exponential(200_000, 400).astype(np.int64) for _ in range(2))
+
+        def theta(true_ns):
+            return np.clip(true_ns - START_NS - 5 * S, 0, None) // 10_000
+
+        arrived = t1 + outbound
+        t2 = arrived + back
+        _, offsets = fit_clock(t1, arrived + theta(arrived), arrived + theta(arrived), t2)
+        wrong.append(np.abs(offsets.offset_ns - theta((t1 + t2) // 2)) > offsets.bound_ns)
+    return np.mean(wrong)
+
+
+def test_a_window_whose_halves_disagree_is_widened(monkeypatch):
+    assert wrong_share_of_a_bent_clock() < 0.05
+    monkeypatch.setattr(lines, "_is_bent", lambda *_window: False)
+    assert wrong_share_of_a_bent_clock() > 0.1
+
+
+@pytest.mark.parametrize("slow_return", [1.0, 3.0, 10.0])
+def test_a_straight_clock_is_fitted_as_without_its_halves(monkeypatch, slow_return):
+    drawn = [draw(Truth(10**9, 20_000), slow_return=slow_return, seed=seed) for seed in range(10)]
+    held = [fit_clock(*each.stamps) for each in drawn]
+    monkeypatch.setattr(lines, "_is_bent", lambda *_window: False)
+    for (fit, offsets), each in zip(held, drawn, strict=True):
+        alone, unheld = fit_clock(*each.stamps)
+        assert fit == alone
+        assert np.array_equal(offsets.bound_ns, unheld.bound_ns)
+
+
 def test_on_one_machine_the_fit_is_zero_within_its_bound():
     drawn = draw(Truth(), slow_return=6)
     fit, _ = fit_clock(*drawn.stamps, ping_device="a", relay_device="b")
@@ -230,10 +265,10 @@ def test_the_corners_of_the_lines_reach_as_far_as_all_lines(messages, drift, see
     time = np.sort(generator.integers(0, 10 * S, messages)).astype(np.float64)
     lower = drift * time - generator.exponential(MS, messages).round()
     points = OffsetIntervals(time, lower, lower + generator.exponential(MS, messages).round() + MS)
-    lines = Lines.through(points)
-    if lines is None:  # the drift is at its limit, and no line is as steep
+    through = Lines.through(points)
+    if through is None:  # the drift is at its limit, and no line is as steep
         return
-    lowest, highest = lines.range_at(time)
+    lowest, highest = through.range_at(time)
     centre = time[messages // 2]
     for slope in np.linspace(-DRIFT, DRIFT, 2001):
         low = (points.lower - slope * (time - centre)).max()

@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from ..model.finding import Finding, Severity
-from . import applied, devices, groups, left_out, runs, sessions, sizes, sources
+from . import applied, clocks, devices, groups, left_out, runs, sessions, sizes, sources
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -46,9 +46,10 @@ CHECKS: tuple[Check, ...] = (
     sessions.unlike_environments,
     sessions.unclosed_sessions,
     sessions.doubtful_sessions,
-    devices.suspends,
-    devices.clock_steps,
-    devices.clock_drifts,
+    clocks.suspends,
+    clocks.clock_steps,
+    clocks.slews,
+    clocks.clock_drifts,
     devices.cpu_saturation,
     applied.dropped_datagrams,
     applied.lost_fragments,

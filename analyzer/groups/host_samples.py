@@ -33,6 +33,7 @@ HOST_SAMPLE_SCHEMA: dict[str, type[pl.DataType]] = {
     "wifi_signal_dbm": pl.Float64,
     "udp_receive_errors": pl.Float64,
     "sampling_cpu_ns": pl.Float64,
+    "monotonic_raw_ns": pl.Int64,
 }
 
 
@@ -44,7 +45,8 @@ def host_sample_frame(traces: Sequence[Trace]) -> pl.DataFrame:
         the session's device; `cpu_percent` mean of all processors, `cpu_busiest_percent` the busiest one;
         `node_*` the recording process and `bridge_cpu_percent` the bridge's, of one processor each;
         `wifi_signal_dbm` the weakest interface; `udp_receive_errors` datagrams that the kernel threw away for want
-        of buffer since the session's first sample; `sampling_cpu_ns` what taking the sample before this one cost.
+        of buffer since the session's first sample; `sampling_cpu_ns` what taking the sample before this one cost;
+        `monotonic_raw_ns` CLOCK_MONOTONIC_RAW at `monotonic_ns`.
     """
     rows: dict[tuple[int, float], dict[str, object]] = {}
     for trace in traces:
@@ -97,6 +99,7 @@ def _row(sample: Mapping[str, object]) -> dict[str, float | None]:
     node = _object(processes.get("self"))
     each = host.get("cpu_percent_each")
     wall_ns, monotonic_ns = _number(sample.get("log_time_ns")), _number(sample.get("monotonic_ns"))
+    raw_ns = _number(sample.get("monotonic_raw_ns"))
     bridges = [_object(held).get("cpu_percent") for name, held in processes.items() if name != "self"]
     return {
         "wall_ns": None if wall_ns is None else int(wall_ns),
@@ -121,6 +124,7 @@ def _row(sample: Mapping[str, object]) -> dict[str, float | None]:
         ),
         "udp_receive_errors": _number(_object(sample.get("udp")).get("RcvbufErrors")),
         "sampling_cpu_ns": _number(sample.get("sampling_cpu_ns")),
+        "monotonic_raw_ns": None if raw_ns is None else int(raw_ns),
     }
 
 

@@ -22,6 +22,7 @@ import dds_trace.analyzer.loading.shelf
 from dds_trace.analyzer import Severity, analyze
 from dds_trace.analyzer.findings import (
     applied,
+    clocks,
     devices,
     groups,
     left_out,
@@ -67,7 +68,7 @@ def test_a_sound_recording_has_no_finding(tmp_path):
 def test_every_check_is_in_the_table():
     functions = {
         value
-        for module in (applied, devices, groups, left_out, runs, sessions, sizes, sources)
+        for module in (applied, clocks, devices, groups, left_out, runs, sessions, sizes, sources)
         for name, value in vars(module).items()
         if callable(value)
         and getattr(value, "__module__", "") == module.__name__

@@ -82,6 +82,57 @@ def test_a_restarted_relay_is_not_a_suspend(tmp_path):
     assert "suspend" not in found
 
 
+def test_a_slew_is_one_finding_and_not_a_step_for_each_second(tmp_path):
+    # The relay's clock gains 5000 ppm from the 20th to the 80th second, ten times what the fit takes for a drift.
+    slewed = [
+        replace(m, t3=m.t3 + gain, t4=m.t4 + gain)
+        for m in drawn(count=1000)
+        for gain in [min(max(m.t1 - 200 * PERIOD, 0), 600 * PERIOD) // 200]
+    ]
+    write_pair(tmp_path, slewed)
+    found = [f for f in analyze(tmp_path).findings if f.code in {"slewed", "clock_step", "suspend"}]
+    assert [(f.code, f.where) for f in found] == [("slewed", "beta against alpha")]
+    rate_ppm, within_ppm = map(float, re.search(r"at (\d+) ppm \(within ([\d.]+)\)", found[0].what).groups())
+    assert abs(rate_ppm - 5000) <= within_ppm < 500
+    assert "slewed" not in findings(tmp_path, details=False)
+
+
+def sampled(raw_ppm):
+    """Host samples of two minutes; RAW falls behind by `raw_ppm` of each second, 1 us of noise on every reading."""
+    raw_ns, samples = 0, []
+    for second in range(120):
+        noise_ns = 1000 * (-1) ** second
+        samples.append({"monotonic_ns": second * 10**9, "monotonic_raw_ns": raw_ns + noise_ns})
+        raw_ns += round(10**9 * (1 - raw_ppm(second) / 1e6))
+    return samples
+
+
+@pytest.mark.parametrize(
+    ("raw_ppm", "words"),
+    [
+        (lambda _second: 30, None),  # the frequency that NTP holds
+        (lambda second: 30 + second / 120, None),  # which moves by 1 ppm
+        (lambda second: 430 if 40 <= second < 60 else 30, "slewed at 430 ppm"),
+        (lambda second: -170 if second == 70 else 30, "slewed at 10 ppm"),  # 0.2 ms within ten seconds
+        (lambda _second: 500, "slewed at 500 ppm"),
+    ],
+)
+def test_a_slow_slew_shows_against_the_raw_clock(tmp_path, raw_ppm, words):
+    write_pair(tmp_path, drawn())
+    write_trace(
+        tmp_path / "ping.mcap",
+        ping_session(),
+        [run(planned_messages=200, published=200)],
+        ping_events(drawn()),
+        host=sampled(raw_ppm),
+    )
+    found = findings(tmp_path)
+    assert ("slewed" in found) is (words is not None)
+    if words is not None:
+        assert found["slewed"].where == "alpha"
+        assert words in found["slewed"].what
+
+
 def test_clock_drift(tmp_path):
     write_pair(tmp_path, drawn(count=600, drift=300e-6))
     assert "ppm" in findings(tmp_path)["clock_drift"].what

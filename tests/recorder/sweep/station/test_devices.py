@@ -116,7 +116,7 @@ def test_relay_ends_when_this_side_is_killed_and_is_fetched_whole_later(remote, 
     device.prepare()
     relay = device.start([], "1-1.mcap")
     wait_for((there(tmp_path) / "1-1.mcap").exists)
-    relay._program._process.kill()
+    relay._process.kill()
     relay.stop()
     assert device.collect("1-1.mcap").read_text() == "open\nclosed\n"
 

@@ -99,6 +99,7 @@ class RecordOptions:
         cpu_affinity: CPUs to run on, as `privileges.parse_cpus` reads them.
         realtime_priority: 1 to 99 for SCHED_FIFO with locked memory.
         strict: whether a setting that the middleware does not use ends the recording.
+        wire: whether the packets of the run's interfaces are counted.
     """
 
     destination: TraceDestination
@@ -114,6 +115,7 @@ class RecordOptions:
     cpu_affinity: str | None = None
     realtime_priority: int | None = None
     strict: bool = False
+    wire: bool = False
 
     def check(self) -> None:
         """Refuse values that make no sense, and an output that is there already.

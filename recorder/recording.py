@@ -30,6 +30,7 @@ from .roles.plan import check_serialization, plan_run
 from .roles.read_back import ReadBack
 from .roles.relay import Relay
 from .roles.session import describe_session
+from .roles.wire_record import open_wire
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -43,9 +44,12 @@ if TYPE_CHECKING:
     from .payloads.base import Payload
     from .roles.ping import AnyPing
     from .roles.progress import PingProgress, RelayProgress, Watch
+    from .roles.wire_record import WireRecord
 
 LOOK_S = 0.5
 """Time between two looks at a role while it runs."""
+WIRE_LOOKS = 4
+"""Looks of silence after which a relay writes what its capture of the wire has counted."""
 QUIET_LOOKS = 10
 """Idle looks before a relay collects garbage."""
 HOPELESS_S = 3.0
@@ -104,7 +108,7 @@ class _Recording:
         data_types = served_data_types(options.types)
         check_serialization(data_types, options.serialization)
         self._measure_costs()
-        with self._open_node("relay") as node, steady_interpreter():
+        with self._open_wire() as wire, self._open_node("relay") as node, steady_interpreter():
             read_back = self._read_back(node)
             session = self._describe("relay", node, read_back, relay_id)
             with self._open_trace(session) as sink:
@@ -117,12 +121,14 @@ class _Recording:
                     serialization=options.serialization,
                     on_probe=read_back.read_begin,
                 )
+                wire.begin()
                 node.start()
                 self.watch.note(
                     f"relay {relay_id:08x} serves domain {options.node.domain_id} until it is stopped"
                 )
-                with _sampled(sink):
-                    self._watch_relay(relay, node, sink, read_back)
+                with _sampled(sink, wire):
+                    self._watch_relay(relay, node, sink, read_back, wire)
+                wire.write_relay(relay.progress().relayed, self.session_id, sink)
                 read_back.read_end(relay.traffic)
                 relay.close()
                 trace = sink.close(**read_back.fields(), **self._clock_at_end())
@@ -135,6 +141,7 @@ class _Recording:
             payload = stack.enter_context(self._open_payload(asked, seed))
             plan = plan_run(self.options, asked, payload, session_id=self.session_id, seed=seed)
             self._measure_costs()
+            wire = stack.enter_context(self._open_wire(asked))
             node = stack.enter_context(self._open_node("ping"))
             ping = open_ping(node, plan, self.clock)
             node.start()
@@ -145,8 +152,11 @@ class _Recording:
             read_back.tell()
             session = self._describe("ping", node, read_back)
             sink = stack.enter_context(self._open_trace(session))
-            with _sampled(sink, bridge):
+            wire.begin(ping.run_id)
+            with _sampled(sink, wire, bridge):
                 run = None if self.stop.is_set() else self._run(ping, node, sink)
+            if run is not None:
+                run = wire.write_run(run, sink)
             read_back.read_end(ping.traffic)
             if bridge is not None:
                 bridge.stop()  # so that its description says how it ended
@@ -158,6 +168,17 @@ class _Recording:
     def _measure_costs(self) -> None:
         """Measure the costs of recording, before there is a node that could be disturbed."""
         self.costs = {**measured_cost(), **measured_floor(self.options.backend, self.options.node)}
+
+    def _open_wire(self, asked: PingOptions | None = None) -> AbstractContextManager[WireRecord]:
+        """Open the capture of the wire, if `--wire` asks for it; behind a bridge messages go through two domains."""
+        node = self.options.node
+        other = None if asked is None else asked.relay_domain_id
+        return open_wire(
+            asked=self.options.wire,
+            discovery=node.discovery,
+            domain_ids=[node.domain_id, *([] if other is None else [other])],
+            note=self.watch.note,
+        )
 
     def _open_node(self, role: str) -> Node:
         # A name of its own, by which the node tells its endpoints from those of others.
@@ -265,7 +286,9 @@ class _Recording:
         _raise_error_of(node)
         return run
 
-    def _watch_relay(self, relay: Relay, node: Node, sink: TraceSink, read_back: ReadBack) -> None:
+    def _watch_relay(
+        self, relay: Relay, node: Node, sink: TraceSink, read_back: ReadBack, wire: WireRecord
+    ) -> None:
         end_ns, noted, quiet, relayed = self._end_ns(), set[str](), 0, 0
         while (left_s := self._left_s(end_ns)) > 0 and not self.stop.wait(min(LOOK_S, left_s)):
             _raise_error_of(node)
@@ -280,6 +303,8 @@ class _Recording:
             self.watch.progress(progress)
             quiet = quiet + 1 if progress.relayed == relayed else 0
             relayed = progress.relayed
+            if quiet % WIRE_LOOKS == WIRE_LOOKS - 1:
+                wire.write_relay(relayed, self.session_id, sink, go_on=True)
             if quiet % QUIET_LOOKS == QUIET_LOOKS - 1:
                 collect_young()
                 lines = {line for topic in relay.topics for line in node.look_at(topic).incompatible}
@@ -295,9 +320,10 @@ class _Recording:
         return float("inf") if end_ns is None else (end_ns - self.clock.monotonic_ns()) / 1e9
 
 
-def _sampled(sink: TraceSink, bridge: RunningBridge | None = None) -> HostSampler:
-    """Return a sampler that writes the load of this host, this process and the bridge once a second within a block."""
-    return HostSampler(partial(sink.write_json, HOST_TOPIC), {} if bridge is None else bridge.processes)
+def _sampled(sink: TraceSink, wire: WireRecord, bridge: RunningBridge | None = None) -> HostSampler:
+    """Return a sampler that writes the load of this host, this process and its helpers once a second within a block."""
+    processes = {**wire.processes, **({} if bridge is None else bridge.processes)}
+    return HostSampler(partial(sink.write_json, HOST_TOPIC), processes)
 
 
 def _raise_error_of(node: Node) -> None:

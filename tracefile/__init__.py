@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     )
     from .format.json_fields import FORMAT_VERSION, Json, JsonObject
     from .format.string_cdr import CDR_HEADER
+    from .format.wire import WIRE_TOPIC
     from .reading.reader import iter_event_batches, read_trace
     from .reading.storage import find_traces
     from .reading.trace import Trace
@@ -46,6 +47,7 @@ __all__ = [
     "HOST_TOPIC",
     "RUN_TOPIC",
     "SESSION_TOPIC",
+    "WIRE_TOPIC",
     "BackendUnavailableError",
     "BridgeError",
     "ClosedTrace",

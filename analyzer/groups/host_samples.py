@@ -14,6 +14,9 @@ if TYPE_CHECKING:
 MOST_OF_SESSION = 2000
 """Samples of a session that are kept; of more, the one with the busiest processor of each stretch."""
 
+_OURS = ("self", "wire")
+"""Sampled processes that are the recorder's own: all others are a bridge's."""
+
 HOST_SAMPLE_SCHEMA: dict[str, type[pl.DataType]] = {
     "session_id": pl.UInt64,
     "role": pl.String,
@@ -100,7 +103,7 @@ def _row(sample: Mapping[str, object]) -> dict[str, float | None]:
     each = host.get("cpu_percent_each")
     wall_ns, monotonic_ns = _number(sample.get("log_time_ns")), _number(sample.get("monotonic_ns"))
     raw_ns = _number(sample.get("monotonic_raw_ns"))
-    bridges = [_object(held).get("cpu_percent") for name, held in processes.items() if name != "self"]
+    bridges = [_object(held).get("cpu_percent") for name, held in processes.items() if name not in _OURS]
     return {
         "wall_ns": None if wall_ns is None else int(wall_ns),
         "monotonic_ns": None if monotonic_ns is None else int(monotonic_ns),

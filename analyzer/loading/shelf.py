@@ -33,7 +33,7 @@ MOST_HELD_EVENTS = 24_000_000
 """Events that stay in memory, 56 bytes each; those of further traces wait in files."""
 
 _FORMAT = 1
-"""Version of an entry; an entry of another version is not used. 1: the first."""
+"""Version of an entry; an entry of another version, or without a field of this one, is not used. 1: the first."""
 
 _BLOCK_BYTES = 1 << 20
 
@@ -174,6 +174,7 @@ class _Entry(TypedDict):
     sessions: list[str]
     runs: list[str]
     host_samples: list[JsonObject]
+    wire: list[JsonObject]
     truncated: str | None
     ring_events: int
     unreadable_messages: int
@@ -201,6 +202,7 @@ def _to_dict(loaded: LoadedTrace) -> _Entry:
         "sessions": [session.to_json() for session in trace.sessions],
         "runs": [run.to_json() for run in trace.runs],
         "host_samples": [dict(sample) for sample in trace.host_samples],
+        "wire": [dict(text) for text in trace.wire],
         "truncated": trace.truncated,
         "ring_events": trace.ring_events,
         "unreadable_messages": trace.unreadable_messages,
@@ -223,6 +225,7 @@ def _from_dict(entry: _Entry, file: Path, path: Path, position: int) -> LoadedTr
         runs=tuple(Run.from_json(text, path) for text in entry["runs"]),
         events={},
         host_samples=tuple(entry["host_samples"]),
+        wire=tuple(entry["wire"]),
         truncated=entry["truncated"],
         ring_events=entry["ring_events"],
         unreadable_messages=entry["unreadable_messages"],

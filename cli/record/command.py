@@ -50,6 +50,7 @@ def main_command(
     transport: words.Transport = choices.Transport.DEFAULT,
     tuned: words.Tuned = False,
     strict: words.Strict = False,
+    wire: words.Wire = False,
     executor: words.Executor = choices.ExecutorKind.AUTO,
     cpu_affinity: words.CpuAffinity = None,
     realtime: words.Realtime = None,
@@ -168,6 +169,7 @@ def main_command(
         cpu_affinity=cpu_affinity,
         realtime_priority=realtime,
         strict=strict,
+        wire=wire,
     )
     print_result(record_until_stopped(options), as_json=as_json)
 

@@ -234,6 +234,15 @@ Strict = Annotated[
         help="End, rather than warn, where the middleware does not use what was asked for (--transport, --tuned ...).",
     ),
 ]
+Wire = Annotated[
+    bool,
+    _middleware(
+        "--wire",
+        metavar="",
+        help="Count packets, repeats and bytes on the wire: of lo under localhost discovery, else of all interfaces "
+        "that are up, in a namespace its own. Needs CAP_NET_RAW.",
+    ),
+]
 Executor = Annotated[
     choices.ExecutorKind,
     _middleware(

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from .capture import WireCapture, WireResult
     from .counts import ClassCount, WireCounts
     from .kernel_counters import InterfaceCount, IpCounts
-    from .messages import MESSAGE_ROW, NEVER_NS, Direction, RepeatCount
+    from .messages import RepeatCount
     from .options import WireOptions, domain_ports
     from .packets.packet_filter import PortRange
     from .tcp_info import TcpConnection, read_connections, read_socket
@@ -20,10 +20,7 @@ else:
     __getattr__, __dir__ = contents_page(__name__)
 
 __all__ = [
-    "MESSAGE_ROW",
-    "NEVER_NS",
     "ClassCount",
-    "Direction",
     "InterfaceCount",
     "IpCounts",
     "PortRange",

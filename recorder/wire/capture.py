@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import socket
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -11,14 +12,16 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 
 from dds_trace.tracefile import OptionError
+from dds_trace.tracefile.format.wire import MESSAGE_ROW
 
 from .counts import WireCounts
-from .messages import MESSAGE_ROW, MessageRows
 
 if TYPE_CHECKING:
     from types import TracebackType
 
     from typing_extensions import Self
+
+    from dds_trace.tracefile.format.wire import MessageRows
 
     from .options import WireOptions
 
@@ -48,10 +51,14 @@ class WireCapture:
         options: what to capture.
 
     Raises:
-        OptionError: no CAP_NET_RAW, or an interface that cannot be captured.
+        OptionError: no CAP_NET_RAW, a system without packet sockets, or an interface that cannot be captured.
     """
 
     def __init__(self, options: WireOptions) -> None:
+        if not hasattr(socket, "AF_PACKET"):
+            raise OptionError(
+                "--wire needs Linux, whose packet sockets (AF_PACKET) this system does not have"
+            )
         self._process = subprocess.Popen(
             [sys.executable, "-m", _PROCESS, options.to_json()],
             stdin=subprocess.PIPE,

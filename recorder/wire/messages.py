@@ -3,56 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from enum import IntEnum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from dds_trace.tracefile.format.wire import MESSAGE_ROW, NEVER_NS, Direction
 
 from ..payloads.stamp import STAMP_BYTES, STAMP_PREFIX, Stamp, parse_stamp
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from dds_trace.tracefile.format.wire import MessageRows
+
     from .ledger import SentSample
 
 
-class Direction(IntEnum):
-    """Which way a frame went; on the loopback interface every frame is both sent and received."""
-
-    SENT = 0
-    RECEIVED = 1
-    LOCAL = 2
-
-
-NEVER_NS = -1
-MESSAGE_ROW = np.dtype(
-    [
-        ("run_id", "<u8"),
-        ("sequence", "<u8"),
-        ("relay_id", "<u4"),
-        ("direction", "u1"),
-        ("fragments", "<u4"),
-        ("fragments_again", "<u4"),
-        ("repeats", "<u2"),
-        ("sample_bytes", "<u4"),
-        ("first_ns", "<i8"),
-        ("last_ns", "<i8"),
-        ("resent_after_ns", "<i8"),
-        ("waited_heartbeats", "<u2"),
-    ]
-)
-"""A message of ours on the wire, in one direction.
-
-`run_id`, `sequence`, `relay_id` are those of its stamp (`relay_id` 0 on the way out, the relay's on the way back),
-`direction` a `Direction`, `fragments` the DATA_FRAGs of its first sending (1 for a DATA), `fragments_again` the DATA_FRAGs
-or DATAs sent again, `repeats` how often the one that was repeated most went out again, `sample_bytes` its serialized
-length, `first_ns` and `last_ns` the capture of its first and last packet on CLOCK_MONOTONIC, `resent_after_ns` the time
-from a fragment's first sending to the message's first repetition, NEVER_NS if nothing was repeated, `waited_heartbeats` how
-many heartbeats its writer sent in between.
-"""
-
-MessageRows = NDArray[np.void]
 _MOST_COUNTED = 65535
 
 

@@ -30,6 +30,8 @@ class WireOptions:
         tcp_ports: of the `socket` backend, of zenoh, of Fast DDS over TCP.
         ring_bytes: kernel memory for packets on each interface. A second of 100 Mbit/s takes 12.5 MB in IP fragments
             and in packets of several samples' fragments, and a tenth of that otherwise.
+        cpus: those that the capturing process may run on, so that it does not share one that a role keeps for itself; empty
+            for those of its parent.
         block_timeout_ms: how long the kernel collects packets before it hands them over, and how often they are counted.
     """
 
@@ -39,6 +41,7 @@ class WireOptions:
     tcp_ports: tuple[PortRange, ...] = ()
     ring_bytes: int = 32 << 20
     block_timeout_ms: int = 100
+    cpus: tuple[int, ...] = ()
 
     def to_json(self) -> str:
         """Return the options as the capturing process gets them."""
@@ -52,4 +55,6 @@ class WireOptions:
             name: tuple(PortRange(*pair) for pair in found[name])
             for name in ("rtps_ports", "udp_ports", "tcp_ports")
         }
-        return cls(**{**found, "interfaces": tuple(found["interfaces"]), **ports})
+        return cls(
+            **{**found, "interfaces": tuple(found["interfaces"]), "cpus": tuple(found["cpus"]), **ports}
+        )

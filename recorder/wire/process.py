@@ -35,8 +35,9 @@ from .tcp_info import ClosedConnections, TcpConnection, read_connections
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from dds_trace.tracefile.format.wire import MessageRows
+
     from .kernel_counters import InterfaceCount, IpCounts
-    from .messages import MessageRows
 
 NICENESS = 5
 """The capture gives way to the roles it watches; the ring holds what comes meanwhile.
@@ -257,6 +258,8 @@ def main() -> None:
         0, os.SCHED_BATCH, os.sched_param(0)
     )  # also if the role runs under a real-time priority
     os.nice(NICENESS)
+    if options.cpus:
+        os.sched_setaffinity(0, options.cpus)
     try:
         capture = Capture(options)
     except TraceError as err:

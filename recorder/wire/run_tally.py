@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections import Counter
 
-    from .messages import Direction
+    from dds_trace.tracefile.format.wire import Direction
+
     from .packets.classes import WireClass
     from .packets.frames import Frame
 

@@ -6,9 +6,11 @@ import struct
 from collections import Counter
 from typing import TYPE_CHECKING, NamedTuple
 
+from dds_trace.tracefile.format.wire import Direction
+
 from ..payloads.stamp import PROBE_RUN_ID
 from .ledger import MULTICAST, Copy, SendLedger
-from .messages import Direction, MessageRows, message_row, message_rows, pack_rows, stamp_at
+from .messages import message_row, message_rows, pack_rows, stamp_at
 from .packets.classes import AGAIN, RANK, WireClass, class_of
 from .packets.fragments import FragmentTable, Piece
 from .packets.frames import TCP, UDP, read_frames
@@ -18,6 +20,8 @@ from .run_tally import Beginnings, RunTally
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
+
+    from dds_trace.tracefile.format.wire import MessageRows
 
     from ..payloads.stamp import Stamp
     from .ledger import SentSample

@@ -1,8 +1,9 @@
-"""Sessions, runs and host samples, gathered from the `std_msgs/msg/String` messages of a trace."""
+"""Sessions, runs, host samples and texts about the wire, gathered from the `std_msgs/msg/String` messages of a trace."""
 
 from __future__ import annotations
 
 import json
+from collections import Counter
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ from ..errors import TraceFormatError
 from ..format.descriptions import Run, Session
 from ..format.events import HOST_TOPIC, RUN_TOPIC, SESSION_TOPIC
 from ..format.string_cdr import decode_string
+from ..format.wire import WIRE_TOPIC
 
 if TYPE_CHECKING:
     from ..format.json_fields import JsonObject
@@ -19,18 +21,24 @@ _MAX_BYTES = 4 << 20  # a session with every configuration file of its host is a
 
 
 class TextCollector:
-    """Latest description of each session and run, in order of first appearance, and all host samples.
+    """Latest description of each session and run, in order of first appearance, all host samples and texts about the wire.
 
     Attributes:
-        unreadable_samples: number of host samples that are no JSON objects.
+        unreadable: topic -> number of its messages that are no JSON objects; of host samples and the wire.
     """
 
     def __init__(self) -> None:
         self._sessions: dict[int, Session] = {}
         self._runs: dict[int, Run] = {}
         self._host: list[JsonObject] = []
-        self._takers = {SESSION_TOPIC: self._session, RUN_TOPIC: self._run, HOST_TOPIC: self._host_sample}
-        self.unreadable_samples = 0
+        self._wire: list[JsonObject] = []
+        self._takers = {
+            SESSION_TOPIC: self._session,
+            RUN_TOPIC: self._run,
+            HOST_TOPIC: self._host_sample,
+            WIRE_TOPIC: self._wire_text,
+        }
+        self.unreadable = Counter[str]()
 
     @property
     def sessions(self) -> tuple[Session, ...]:
@@ -46,6 +54,11 @@ class TextCollector:
     def host_samples(self) -> tuple[JsonObject, ...]:
         """JSON objects of `/dds_trace/host`, each with its `log_time_ns`."""
         return tuple(self._host)
+
+    @property
+    def wire(self) -> tuple[JsonObject, ...]:
+        """JSON objects of `/dds_trace/wire`."""
+        return tuple(self._wire)
 
     def add(self, text: Text) -> None:
         """Add one message; a topic that this version does not know is ignored.
@@ -79,14 +92,25 @@ class TextCollector:
         self._runs[run.run_id] = run
 
     def _host_sample(self, text: Text) -> None:
-        try:
-            sample = json.loads(_string(text))
-        except (TraceFormatError, ValueError, RecursionError):
-            sample = None
-        if isinstance(sample, dict):
+        sample = self._object(text)
+        if sample is not None:
             self._host.append({**sample, "log_time_ns": text.log_time_ns})
-        else:
-            self.unreadable_samples += 1
+
+    def _wire_text(self, text: Text) -> None:
+        value = self._object(text)
+        if value is not None:
+            self._wire.append(value)
+
+    def _object(self, text: Text) -> JsonObject | None:
+        """Return the JSON object of a message; None of one that is none, which is counted."""
+        try:
+            value = json.loads(_string(text))
+        except (TraceFormatError, ValueError, RecursionError):
+            value = None
+        if isinstance(value, dict):
+            return value
+        self.unreadable[text.topic] += 1
+        return None
 
 
 def _string(text: Text) -> str:

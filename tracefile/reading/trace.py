@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from ..errors import TraceFormatError
-from ..format.events import SESSION_TOPIC
+from ..format.events import HOST_TOPIC, SESSION_TOPIC
+from ..format.wire import WIRE_TOPIC
 from ..units.counts import counted
 from .source import TOPIC_PREFIX
 from .texts import TextCollector
@@ -23,6 +24,12 @@ if TYPE_CHECKING:
 
 _MOST_NOTES = 20  # nobody reads more lines about one trace
 
+_NO_JSON_OBJECT = {
+    HOST_TOPIC: ("host sample is no JSON object", "host samples are no JSON objects"),
+    WIRE_TOPIC: ("text about the wire is no JSON object", "texts about the wire are no JSON objects"),
+}
+"""Topic -> words of a note about one and about several unreadable messages of it."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trace:
@@ -34,6 +41,7 @@ class Trace:
         runs: the latest description of each run, in order of appearance.
         events: the events of every stage, in file order; a stage without events is there and empty.
         host_samples: the JSON objects of `/dds_trace/host`, each with its `log_time_ns` (wall clock, ns since 1970).
+        wire: the JSON objects of `/dds_trace/wire`: records of messages, and counts of a relay (`format.wire`).
         truncated: the reason why the file ends early, or None; all that was complete before is in `events`.
         ring_events: number of the events that came from the ring that a killed recorder left behind.
         unreadable_messages: number of messages on event topics that are not events (wrong length or encoding).
@@ -45,6 +53,7 @@ class Trace:
     runs: tuple[Run, ...]
     events: Mapping[Stage, EventColumns]
     host_samples: tuple[JsonObject, ...] = ()
+    wire: tuple[JsonObject, ...] = ()
     truncated: str | None = None
     ring_events: int = 0
     unreadable_messages: int = 0
@@ -128,15 +137,15 @@ class TraceBuilder:
             TraceFormatError: as for `check`.
         """
         self.check()
-        if self.texts.unreadable_samples:
-            words = ("host sample is no JSON object", "host samples are no JSON objects")
-            self.notes.append(f"{counted(self.texts.unreadable_samples, *words)}; not used")
+        for topic, count in self.texts.unreadable.items():
+            self.notes.append(f"{counted(count, *_NO_JSON_OBJECT[topic])}; not used")
         return Trace(
             path=self.path,
             sessions=self.texts.sessions,
             runs=self.texts.runs,
             events=events,
             host_samples=self.texts.host_samples,
+            wire=self.texts.wire,
             truncated="; ".join(self.truncated) or None,
             ring_events=self.ring_events,
             unreadable_messages=self.unreadable,

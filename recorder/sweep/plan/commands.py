@@ -67,7 +67,8 @@ def ping_arguments(plan: Plan, cell: Cell, wait_s: float, relay_address: str | N
 def _common_arguments(plan: Plan, device: DeviceSettings) -> list[str]:
     named = ["--device", device.name] if device.name else []
     link = ["--connectivity", plan.connectivity] if plan.connectivity else []
-    return ["--discovery", plan.discovery, *link, *named, *device.options]
+    wire = ["--wire"] if plan.run.wire else []
+    return ["--discovery", plan.discovery, *link, *named, *wire, *device.options]
 
 
 def _axis_arguments(parameters: Cell | RelayNeed, names: Iterable[str]) -> list[str]:

@@ -49,6 +49,7 @@ class RunSettings:
             subnet otherwise.
         domain: domain of the relay, and of the ping where no bridge is between them.
         ping_domain: domain of the ping where a bridge joins the two.
+        wire: whether both sides count the packets of their interfaces (`dds-record --wire`).
     """
 
     messages: int = 0
@@ -64,6 +65,7 @@ class RunSettings:
     discovery: str | None = None
     domain: int = 10
     ping_domain: int = 5
+    wire: bool = False
 
     def messages_at(self, rate_hz: float) -> int:
         """Return the number of messages of a run at this rate, warm-up not counted."""
@@ -206,6 +208,7 @@ class Plan:
                 name: value
                 for name, value in asdict(self.run).items()
                 if name not in ("repeats", "attempts", "seed", "order", "settle_seconds")
+                and (name, value) != ("wire", False)  # so that sweeps of older versions go on
             },
             "devices": [(device.ssh, device.options) for device in (self.ping, self.relay)],
             "namespaces": self.namespaces,

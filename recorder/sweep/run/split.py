@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dds_trace.tracefile import HOST_TOPIC, SESSION_TOPIC, TraceFormatError, read_trace
+from dds_trace.tracefile import HOST_TOPIC, SESSION_TOPIC, WIRE_TOPIC, TraceFormatError, read_trace
 from dds_trace.tracefile.files import replacing
 from dds_trace.tracefile.writing.event_chunks import slots_in_time
 from dds_trace.tracefile.writing.writer import TraceWriter
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from dds_trace.tracefile import Trace
+    from dds_trace.tracefile import JsonObject, Trace
     from dds_trace.tracefile.format.ring import Slots
 
     from ..plan.link import LinkReport
@@ -72,6 +72,12 @@ def split_relay_trace(segment: Path, parts: list[CellPart]) -> dict[int, int]:
     return counts
 
 
+def wire_of_run(trace: Trace, run_id: int) -> list[JsonObject]:
+    """Return what the wire says of a run: its records, and the relay's counts while it served no other run."""
+    name = f"{run_id:016x}"
+    return [text for text in trace.wire if name == text.get("run_id") or text.get("run_ids") == [name]]
+
+
 def _write(part: CellPart, trace: Trace, slots: Slots) -> None:
     session = trace.sessions[-1]
     times_ns = slots["monotonic_ns"] + np.int64(session.wall_ns(0))
@@ -93,4 +99,6 @@ def _write(part: CellPart, trace: Trace, slots: Slots) -> None:
             writer.write_text(HOST_TOPIC, json.dumps(sample), time_ns)
             written = end
         writer.write_events(slots[written:])
+        for text in wire_of_run(trace, part.run_id):
+            writer.write_text(WIRE_TOPIC, json.dumps(text), int(times_ns[-1]))
         writer.finish()

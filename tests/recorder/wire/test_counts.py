@@ -13,7 +13,8 @@ from dds_trace.recorder.wire import (
 )
 from dds_trace.recorder.wire.kernel_counters import interfaces_since, parse_interfaces, parse_snmp
 from dds_trace.recorder.wire.ledger import SentSample
-from dds_trace.recorder.wire.messages import Direction, count_repeats, message_row, message_rows, pack_rows
+from dds_trace.recorder.wire.messages import count_repeats, message_row, message_rows, pack_rows
+from dds_trace.tracefile.format.wire import Direction
 
 COUNTS = WireCounts(
     run_id="00000000000000ab",

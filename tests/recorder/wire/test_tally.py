@@ -29,10 +29,10 @@ from wire_packets import (
 )
 
 from dds_trace.recorder.wire import tally as tally_module
-from dds_trace.recorder.wire.messages import NEVER_NS, Direction
 from dds_trace.recorder.wire.packets.classes import WireClass
 from dds_trace.recorder.wire.packets.packet_filter import PortRange
 from dds_trace.recorder.wire.tally import WireTally
+from dds_trace.tracefile.format.wire import NEVER_NS, Direction
 
 RUN = 0xABC
 ETHERNET_TO_RTPS = 14 + 20 + 8 + 20

@@ -14,10 +14,11 @@ from pathlib import Path
 import pytest
 from wire_packets import SPDP_WRITER, data, data_frag, rtps, stamped
 
-from dds_trace.recorder.wire import Direction, WireCapture, WireOptions, domain_ports
+from dds_trace.recorder.wire import WireCapture, WireOptions, domain_ports
 from dds_trace.recorder.wire.packets.packet_filter import wire_program
 from dds_trace.recorder.wire.ring import NO_CAPTURE, PacketRing
 from dds_trace.tracefile import OptionError
+from dds_trace.tracefile.format.wire import Direction
 
 needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="a capture needs CAP_NET_RAW")
 RUN = 0xFEED

@@ -35,6 +35,7 @@ from trace_files import (
 from dds_trace.tracefile import (
     EVENT_DTYPE,
     HOST_TOPIC,
+    WIRE_TOPIC,
     EventColumns,
     Stage,
     TraceFormatError,
@@ -275,6 +276,13 @@ class TestDescriptions:
         trace = read_trace(write_messages(tmp_path / "t.mcap", messages))
         assert trace.host_samples == ({"cpu": 2, "log_time_ns": WALL_ANCHOR_NS},)
         assert trace.notes == ("3 host samples are no JSON objects; not used",)
+
+    def test_texts_about_the_wire_are_kept_and_those_that_are_no_objects_noted(self, tmp_path):
+        texts = ['{"run_id": "0000000000000011", "rows": ""}', "[1]"]
+        messages = [RawMessage(WIRE_TOPIC, string_cdr(text), kind=STRING) for text in texts]
+        trace = read_trace(write_messages(tmp_path / "t.mcap", messages))
+        assert trace.wire == ({"run_id": "0000000000000011", "rows": ""},)
+        assert trace.notes == ("1 text about the wire is no JSON object; not used",)
 
 
 class TestMessagesThatAreNoEvents:

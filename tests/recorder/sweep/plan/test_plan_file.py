@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from dds_trace.recorder.bridges import BRIDGE_MODULES
+from dds_trace.recorder.sweep.plan.commands import ping_arguments, relay_arguments
 from dds_trace.recorder.sweep.plan.link import PRESETS
 from dds_trace.recorder.sweep.plan.plan import Order
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan, read_plan
@@ -163,7 +164,20 @@ def test_digest_changes_with_the_settings_and_not_with_more_cells():
     assert parse(RUN + "[axes]\nrate = [1, 2]\n").digest == plan.digest
     assert parse("[run]\nmessages = 10\nattempts = 5\n").digest == plan.digest
     assert parse("[run]\nmessages = 11\n").digest != plan.digest
+    assert parse("[run]\nmessages = 10\nwire = true\n").digest != plan.digest
     assert parse(RUN + "[link]\npreset = '5g'\n").digest != plan.digest
+
+
+def test_a_plan_of_an_older_version_keeps_its_digest():
+    assert parse(RUN).digest == "07a0d250d757d10b"
+
+
+def test_the_wire_is_captured_on_both_sides():
+    plan = parse(RUN + "wire = true\n")
+    (cell,) = plan.cells
+    assert "--wire" in ping_arguments(plan, cell, 1.0, None)
+    assert "--wire" in relay_arguments(plan, cell.relay)
+    assert "--wire" not in relay_arguments(parse(RUN), cell.relay)
 
 
 def test_examples_of_the_documentation_are_plans():

@@ -3,13 +3,23 @@ from __future__ import annotations
 import errno
 import os
 from collections import defaultdict
+from contextlib import closing
 
 import pytest
 from mcap.reader import make_reader
 from trace_files import Message, event, relay_events, relay_session, write_trace
 
 from dds_trace.recorder.sweep.run.split import CellPart, split_relay_trace
-from dds_trace.tracefile import HOST_TOPIC, OutputError, Stage, TraceFormatError, read_trace
+from dds_trace.tracefile import (
+    HOST_TOPIC,
+    WIRE_TOPIC,
+    OutputError,
+    Stage,
+    TraceDestination,
+    TraceFormatError,
+    TraceSink,
+    read_trace,
+)
 from dds_trace.tracefile.writing.writer import MAX_CHUNK_EVENTS
 
 SECOND_NS = 1_000_000_000
@@ -62,6 +72,23 @@ def test_host_samples_are_those_of_the_runs_time_and_those_that_are_added(segmen
     samples = read_trace(path).host_samples
     assert [sample["second"] for sample in samples if "second" in sample] == [10, 11]
     assert [sample["link"] for sample in samples if "link" in sample] == [{"delay_ms": 1}]
+
+
+def test_a_part_has_the_records_of_its_run_and_counts_that_are_of_no_other(tmp_path):
+    first, second, both = (
+        {"run_id": f"{FIRST_RUN:016x}", "rows": ""},
+        {"run_ids": [f"{FIRST_RUN:016x}"], "counts": {"requests": 1}},
+        {"run_ids": [f"{FIRST_RUN:016x}", f"{SECOND_RUN:016x}"], "counts": {"requests": 2}},
+    )
+    segment = tmp_path / "segment.mcap"
+    with closing(TraceSink(TraceDestination(segment), relay_session())) as sink:
+        for number in (3, 4):
+            sink.record(number, FIRST_RUN, 0, 1000 + number, relay_id=0xBEEF)
+        for text in (first, second, both, {"run_id": f"{SECOND_RUN:016x}", "rows": ""}):
+            sink.write_json(WIRE_TOPIC, text)
+    path = tmp_path / "part.mcap"
+    split_relay_trace(segment, [CellPart(FIRST_RUN, path)])
+    assert read_trace(path).wire == (first, second)
 
 
 def test_part_is_a_file_for_every_mcap_tool(segment, tmp_path):

@@ -1,0 +1,142 @@
+"""The capture of one role's interfaces, and how its counts and records come into the trace: after a run, never during it."""
+
+from __future__ import annotations
+
+import os
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from dds_trace.tracefile import WIRE_TOPIC, OptionError
+from dds_trace.tracefile.format.wire import row_texts
+
+from ..wire import WireCapture, WireOptions, domain_ports
+from ..wire.interfaces import run_interfaces
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Mapping
+
+    from dds_trace.tracefile import Run, TraceSink
+
+    from ..choices import Discovery
+    from ..wire import WireResult
+
+
+@contextmanager
+def open_wire(
+    *, asked: bool, discovery: Discovery, domain_ids: Iterable[int], note: Callable[[str], None]
+) -> Iterator[WireRecord]:
+    """Open the capture of a role, before its node: the first announcement of a participant counts.
+
+    Args:
+        asked: whether the wire is to be captured; if not, the record does nothing.
+        discovery: range of the node's discovery, which says on what interfaces its messages go.
+        domain_ids: domains of the run; the ports of `socket` and `zenoh` lie in a domain's range too.
+        note: callback that takes a line for the user.
+
+    Raises:
+        OptionError: no CAP_NET_RAW, or a system without packet sockets.
+    """
+    if not asked:
+        yield WireRecord(None, note)
+        return
+    ports = tuple(domain_ports(domain_id) for domain_id in sorted(set(domain_ids)))
+    options = WireOptions(
+        run_interfaces(discovery),
+        rtps_ports=ports,
+        udp_ports=ports,
+        tcp_ports=ports,
+        cpus=tuple(range(os.cpu_count() or 1)),
+    )
+    with WireCapture(options) as capture:
+        yield WireRecord(capture, note)
+
+
+class WireRecord:
+    """What a role's capture has counted, on its way into the trace.
+
+    A capture that ends by itself is told once; the recording goes on without it.
+
+    Args:
+        capture: the open capture, None if the wire is not captured.
+        note: callback that takes a line for the user.
+    """
+
+    def __init__(self, capture: WireCapture | None, note: Callable[[str], None]) -> None:
+        self._capture = capture
+        self._note = note
+        self._relayed = 0  # messages of a relay when its counts were last written
+
+    @property
+    def processes(self) -> Mapping[str, int]:
+        """Name and id of the capturing process, for the samples of the host's load; empty without a capture."""
+        return {} if self._capture is None else {"wire": self._capture.pid}
+
+    def begin(self, run_id: int | None = None) -> None:
+        """Count anew, which takes a quarter of a second.
+
+        Args:
+            run_id: the run whose messages get records; None for all runs, as a relay does not know them beforehand.
+        """
+        if self._capture is None:
+            return
+        try:
+            self._capture.begin(run_id)
+        except OptionError as err:
+            self._give_up(err)
+
+    def write_run(self, run: Run, sink: TraceSink) -> Run:
+        """Write the counts of a finished run into its description, and its records behind; return the description."""
+        result = self._take()
+        if result is None:
+            return run
+        described = replace(run, extra={**run.extra, "wire": result.counts.to_dict()})
+        sink.write_run(described)
+        _write_rows(result, sink)
+        return described
+
+    def write_relay(self, relayed: int, session_id: int, sink: TraceSink, *, go_on: bool = False) -> None:
+        """Write what a relay's capture has counted, if messages were relayed since it was last written.
+
+        Args:
+            relayed: messages that the relay has sent back so far.
+            session_id: session of the relay.
+            sink: its trace.
+            go_on: whether counting begins anew behind it.
+        """
+        if relayed == self._relayed:
+            return
+        result = self._take()
+        if go_on:
+            self.begin()
+        self._relayed = relayed
+        if result is None:
+            return
+        runs = sorted(set(result.rows["run_id"].tolist()))
+        sink.write_json(
+            WIRE_TOPIC,
+            {
+                "session_id": f"{session_id:016x}",
+                "run_ids": [f"{run_id:016x}" for run_id in runs],
+                "counts": result.counts.to_dict(),
+            },
+        )
+        _write_rows(result, sink)
+
+    def _take(self) -> WireResult | None:
+        if self._capture is None:
+            return None
+        try:
+            return self._capture.take()
+        except OptionError as err:
+            self._give_up(err)
+            return None
+
+    def _give_up(self, error: OptionError) -> None:
+        self._note(f"{error}; the recording goes on without counts of the wire")
+        self._capture = None
+
+
+def _write_rows(result: WireResult, sink: TraceSink) -> None:
+    for text in row_texts(result.rows):
+        sink.write_json(WIRE_TOPIC, text)

@@ -1,0 +1,90 @@
+"""What a message cost on the wire: one record a message and direction, and the texts that carry records and counts.
+
+The layout is `docs/trace-format.md`; other programs depend on every name here.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+from enum import IntEnum
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from .json_fields import JsonObject
+
+    MessageRows: TypeAlias = NDArray[np.void]
+    """One-dimensional array of `MESSAGE_ROW`."""
+
+WIRE_TOPIC = "/dds_trace/wire"
+
+NEVER_NS = -1
+"""`resent_after_ns` of a message that was sent once."""
+
+MESSAGE_ROW = np.dtype(
+    [
+        ("run_id", "<u8"),
+        ("sequence", "<u8"),
+        ("relay_id", "<u4"),
+        ("direction", "u1"),
+        ("fragments", "<u4"),
+        ("fragments_again", "<u4"),
+        ("repeats", "<u2"),
+        ("sample_bytes", "<u4"),
+        ("first_ns", "<i8"),
+        ("last_ns", "<i8"),
+        ("resent_after_ns", "<i8"),
+        ("waited_heartbeats", "<u2"),
+    ]
+)
+"""A message of ours on the wire, in one direction: 61 bytes, no padding.
+
+`run_id`, `sequence`, `relay_id` are those of its stamp (`relay_id` 0 on the way out, the relay's on the way back),
+`direction` a `Direction`, `fragments` the DATA_FRAGs of its first sending (1 for a DATA), `fragments_again` the DATA_FRAGs
+or DATAs sent again, `repeats` how often the one that was repeated most went out again, `sample_bytes` its serialized
+length, `first_ns` and `last_ns` the capture of its first and last packet on CLOCK_MONOTONIC, `resent_after_ns` the time
+from a fragment's first sending to the message's first repetition, NEVER_NS if nothing was repeated, `waited_heartbeats` how
+many heartbeats its writer sent in between.
+"""
+
+_ROWS_OF_A_TEXT = 8192
+"""Most records of one text: 0.7 MB, a sixth of the longest text that a reader takes."""
+
+
+class Direction(IntEnum):
+    """Which way a frame went; on the loopback interface every frame is both sent and received."""
+
+    SENT = 0
+    RECEIVED = 1
+    LOCAL = 2
+
+
+def row_texts(rows: MessageRows) -> Iterator[JsonObject]:
+    """Yield the JSON objects that carry `rows` on `WIRE_TOPIC`, some thousand records each, one run at a time.
+
+    Args:
+        rows: records, sorted by run.
+    """
+    for run_id in np.unique(rows["run_id"]).tolist():
+        of_run = rows[rows["run_id"] == run_id]
+        for first in range(0, len(of_run), _ROWS_OF_A_TEXT):
+            block = of_run[first : first + _ROWS_OF_A_TEXT]
+            packed = base64.b64encode(block.tobytes()).decode()
+            yield {"run_id": f"{run_id:016x}", "messages": len(block), "rows": packed}
+
+
+def rows_of_text(text: JsonObject) -> MessageRows:
+    """Return the records that a JSON object of `WIRE_TOPIC` carries; none of one with counts alone, or of a damaged one."""
+    packed = text.get("rows")
+    if isinstance(packed, str):
+        try:
+            return np.frombuffer(base64.b64decode(packed, validate=True), MESSAGE_ROW)
+        except (binascii.Error, ValueError):  # no base64, or no whole number of records
+            pass
+    return np.empty(0, MESSAGE_ROW)

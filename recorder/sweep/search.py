@@ -170,6 +170,7 @@ def why_not_held(search: Search, asked_hz: float, result: CellResult) -> str:
         ),
         (result.loss_percent > search.loss_percent, f"{result.loss_percent:.3g} % lost"),
         (response_ms > search.deadline_ms, f"response {percentile} {response_ms:.3g} ms"),
+        (bool(result.not_applied), f"not applied: {result.not_applied}"),
     )
     return "; ".join(text for failed, text in conditions if failed)
 

@@ -16,6 +16,7 @@ from dds_trace.tracefile.units.counts import counted
 from ..plan.plan import PERCENTILES
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -38,6 +39,7 @@ class CellResult:
         response_ms: percentile -> T2 - T0, None without replies.
         dropped_events: events that the recorder could not keep.
         cut_off: whether the run was ended before the end of its schedule.
+        not_applied: settings that the ping's middleware did not use although they were asked for, in words; empty if none.
     """
 
     run_id: str
@@ -50,6 +52,7 @@ class CellResult:
     response_ms: dict[str, float] | None
     dropped_events: int
     cut_off: bool
+    not_applied: str = ""
 
     @property
     def loss_percent(self) -> float:
@@ -62,7 +65,8 @@ class CellResult:
         rtt = (
             f"RTT p50 {self.rtt_ms['p50']:.2f} p99 {self.rtt_ms['p99']:.2f} ms" if self.rtt_ms else "no reply"
         )
-        return f"{rtt}, {self.received}/{counted(self.published, 'message')}{loss}{cut}"
+        unlike = f"; not applied: {self.not_applied}" if self.not_applied else ""
+        return f"{rtt}, {self.received}/{counted(self.published, 'message')}{loss}{cut}{unlike}"
 
 
 def read_result(path: Path) -> CellResult:
@@ -95,7 +99,16 @@ def read_result(path: Path) -> CellResult:
         response_ms=_percentiles_ms(receive_ns[in_answered] - sent.scheduled_ns[in_sent]),
         dropped_events=sum(session.dropped_events for session in trace.sessions),
         cut_off=len(sent) < run.planned_messages,
+        not_applied="; ".join(_words_not_applied(trace)),
     )
+
+
+def _words_not_applied(trace: Trace) -> Iterator[str]:
+    """Yield the words of each entry of the last session's field `not_applied`."""
+    entries = trace.sessions[-1].extra.get("not_applied") if trace.sessions else None
+    for entry in entries if isinstance(entries, list) else ():
+        if isinstance(entry, dict):
+            yield str(entry.get("words"))
 
 
 def _measured_events(trace: Trace, stage: Stage, run: Run) -> EventColumns:

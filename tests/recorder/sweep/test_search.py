@@ -106,6 +106,7 @@ def result(**changes):
         ({"achieved_rate_hz": None}, "0 of 100 messages a second sent"),
         ({"response_ms": {"p50": 1.0, "p99": 51.0}}, "response p99 51 ms"),
         ({"response_ms": None, "received": 0}, "100 % lost; response p99 inf ms"),
+        ({"not_applied": "asked for UDP"}, "not applied: asked for UDP"),
         ({"cut_off": True, "published": 500, "received": 500}, "cut off after 500 of 1000 messages"),
     ],
 )

@@ -39,6 +39,15 @@ def test_numbers_of_a_run_by_hand(tmp_path):
     assert str(result) == "RTT p50 2.00 p99 2.98 ms, 3/4 messages, 25 % lost"
 
 
+def test_what_was_not_applied_is_in_the_cells_line(tmp_path):
+    words = "asked for UDP, the bytes went through shared memory"
+    session = ping_session(extra={"not_applied": [{"words": words}]})
+    described = run(planned_messages=4, warmup_messages=1, published=5)
+    result = read_result(write_trace(tmp_path / "a.mcap", session, [described], ping_events(TIMELINE)))
+    assert result.not_applied == words
+    assert str(result).endswith(f"; not applied: {words}")
+
+
 def test_run_that_was_ended_early(tmp_path):
     result = read_result(write(tmp_path / "a.mcap", TIMELINE[:3], published=3))
     assert result.cut_off

@@ -69,6 +69,10 @@ def compare_command(
     before, after = (analyze(folder, details=False) for folder in (base, new))
     comparison = compare(before, after, options_for(gates, CompareOptions()))
     results = judge_gates(comparison, gates)
+    for folder, side in ((base, before), (new, after)):
+        for finding in side.findings:
+            if finding.code == "not_applied":
+                print(f"{folder}: {finding.where}: {finding.what}", file=sys.stderr)
     if comparison.delivery.is_empty():
         outcome = GateOutcome.NOTHING_TO_COMPARE
     else:

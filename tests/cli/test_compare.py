@@ -50,6 +50,20 @@ def test_every_outcome_has_its_exit_code(folders, capsys, new, gate, status, sai
     assert capsys.readouterr().err == f"dds-analyze compare: {said}\n"
 
 
+@pytest.mark.parametrize("gate", ["latency_p90 > +10%", "received_ratio < 99%"])
+@pytest.mark.parametrize("barred", ["base", "new"])
+def test_a_gate_on_a_group_whose_setting_was_not_applied_is_inconclusive(tmp_path, capsys, gate, barred):
+    words = "asked for UDP, the bytes went through shared memory"
+    for side in ("base", "new"):
+        extra = {"not_applied": [{"words": words}]} if side == barred else {}
+        write_pair(tmp_path / side, drawn(slower=1 + (side == "new")), ping=ping_session(extra=extra))
+    assert run_main("compare", tmp_path / "base", tmp_path / "new", "--fail-if", gate) == 21
+    shown = capsys.readouterr()
+    assert shown.err.startswith(f"{tmp_path / barred}: ")
+    assert words in shown.err
+    assert "a setting that was asked for was not applied" in shown.out
+
+
 def test_without_a_gate_it_shows_and_passes(folders, capsys):
     assert run_main("compare", folders / "base", folders / "slow") == 0
     shown = capsys.readouterr()

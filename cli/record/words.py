@@ -83,7 +83,7 @@ Messages = Annotated[
     _schedule(
         "--messages",
         metavar="N",
-        help="Messages to measure. [dim]Default: 400, or what fits --duration[/dim]",
+        help="Messages to measure. [dim]Default: 1000, or what fits --duration[/dim]",
     ),
 ]
 Warmup = Annotated[

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from dds_trace.cli import sweep as command
-from dds_trace.recorder.sweep import Cell, read_plan, schedule
+from dds_trace.recorder.sweep import Cell, plan_seconds, read_plan, schedule
+from dds_trace.recorder.sweep.plan.plan import Order
 from dds_trace.recorder.sweep.search import MaxRate, RateAnswer
 from dds_trace.recorder.sweep.sweep import SweepOutcome
 from dds_trace.tracefile import __version__
@@ -100,6 +101,26 @@ def test_every_plan_that_we_ship_can_be_read(path):
     assert schedule(read_plan(path, installed))
 
 
+@pytest.mark.parametrize("path", PLANS, ids=lambda path: path.stem)
+def test_every_plan_that_we_ship_has_five_passes_in_alternating_order(path):
+    asked = read_plan(path, installed).run
+    assert (asked.repeats, asked.order) == (5, Order.ALTERNATING)
+
+
+def test_plan_of_the_results_takes_90_minutes_at_most_with_what_runs_on_one_machine():
+    middlewares = [(name, None) for name in ("ros2", "cyclonedds", "zenoh", "socket")]
+    asked = read_plan(ROOT / "plans/results.toml", lambda: middlewares)
+    # five sizes: four middlewares in one domain, and ROS 2 over three bridges
+    assert len(asked.cells) == 5 * (4 + 3)
+    assert {cell.rate for cell in asked.cells} == {20}
+    assert sorted({cell.size for cell in asked.cells}) == [33_000, 145_000, 502_000, 1_000_000, 4_000_000]
+    assert plan_seconds(asked).seconds <= 90 * 60
+
+
+def test_demo_stays_a_matter_of_minutes():
+    assert plan_seconds(read_plan(ROOT / "plans/quick.toml")).seconds <= 4 * 60
+
+
 def test_quick_plan_is_the_three_kinds_of_data_in_one_domain_and_two():
     cells = read_plan(ROOT / "plans/quick.toml").cells
     assert {(cell.data, cell.bridge) for cell in cells} == {
@@ -116,8 +137,8 @@ def test_dry_run_of_the_papers_plan_from_the_command_line():
         check=True,
     )
     lines = done.stdout.splitlines()
-    assert sum(line.startswith("  ros2-") for line in lines) == 780
-    assert lines[-1].startswith("plan paper: 780 cells, 0 left out, 3 starts of a relay, about ")
+    assert sum(line.startswith("  ros2-") for line in lines) == 5 * 780
+    assert lines[-1].startswith("plan paper: 3900 cells, 0 left out, 15 starts of a relay, about ")
     assert done.stderr == ""
 
 

@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from .plan import DeviceSettings, Plan
     from .schedule import CellGroup
 
+PASS_LABEL = "pass"  # noqa: S105 - no password: the pass of a sweep
+"""Label of a run with the number of its pass, by which an analysis compares two sides pass by pass."""
+
 
 def relay_arguments(plan: Plan, need: RelayNeed) -> list[str]:
     """Return the arguments of the relay that serves every cell with this need, without `--out`."""
@@ -59,6 +62,7 @@ def ping_arguments(plan: Plan, cell: Cell, wait_s: float, relay_address: str | N
         *("--messages", str(plan.run.messages_at(cell.rate)), "--warmup", str(plan.run.warmup)),
         *("--wait", f"{wait_s:g}"),
         *("--label", f"sweep={plan.name}", "--label", f"cell={cell.name}"),
+        *("--label", f"{PASS_LABEL}={cell.repeat}"),
         *(("--label", f"link={plan.link}") if plan.link else ()),
         *_common_arguments(plan, plan.ping),
     ]

@@ -28,6 +28,7 @@ class Order(Enum):
 
     LISTED = "listed"
     SHUFFLED = "shuffled"
+    ALTERNATING = "alternating"  # a shuffled pass, then the same backwards, then another one ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,13 +36,14 @@ class RunSettings:
     """Settings of all cells of a plan: its table `[run]`.
 
     Attributes:
-        messages: number of messages of a run, warm-up not counted; 0 if `seconds` decides it.
+        messages: number of messages of a run, warm-up not counted; 0 if `seconds` decides it. A plan with neither has
+            `recorder.options.DEFAULT_MESSAGES`.
         seconds: length of a run, warm-up not counted; the number of messages follows from the cell's rate.
         min_messages: fewest messages of a run whose length is given in seconds, however low its rate.
         warmup: messages at the start of each run that are kept out of every statistic.
         settle_seconds: pause between two cells, in which buffers empty and CPUs cool.
         cutoff_seconds: longest time beyond the planned one; then a run is ended and its result says how far it got.
-        order: `shuffled` so that a drift of the machine does not look like an effect.
+        order: `shuffled` or `alternating` so that a drift of the machine does not look like an effect.
         seed: seed of the shuffling.
         repeats: passes over all cells, each in an order of its own.
         attempts: most attempts at a cell that fails.

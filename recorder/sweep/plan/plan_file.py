@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from dds_trace.tracefile import OptionError
 from dds_trace.tracefile.units.sizes import parse_size
 
+from ...options import DEFAULT_MESSAGES
 from .cells import AXES, DEFAULTS, Cell
 from .link import LINK_KEYS, PRESETS, Link
 from .plan import PERCENTILES, DeviceSettings, Exclusion, Plan, RunSettings, Search
@@ -80,12 +81,15 @@ def parse_plan(
     devices.allow("ping", "relay", "connectivity")
     relay = devices.table("relay").fill(DeviceSettings())
     network = root.table("network").fill(_Network())
+    run = root.table("run").fill(RunSettings())
+    if not {"messages", "seconds"} & set(root.table("run").values):
+        run = replace(run, messages=DEFAULT_MESSAGES)
     plan = Plan(
         name=root.take("name", str, name),
         description=root.take("description", str, ""),
         cells=tuple(cells),
         excluded=tuple(excluded),
-        run=root.table("run").fill(RunSettings()),
+        run=run,
         ping=devices.table("ping").fill(DeviceSettings()),
         relay=relay,
         namespaces=network.namespaces or link is not None,
@@ -163,7 +167,7 @@ def _check(plan: Plan, where: str) -> None:
     rules = (
         (
             (run.messages > 0) == (run.seconds > 0),
-            "[run] takes either messages or seconds, and it is above zero; give one of them",
+            "[run] takes either messages or seconds, and it is above zero; give one of them, or none for the default",
         ),
         (
             run.warmup < 0 or run.repeats < 1 or run.attempts < 1,

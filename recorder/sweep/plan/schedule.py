@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from .plan import Order
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
     from .cells import Cell, RelayNeed
     from .plan import Plan
@@ -42,23 +42,64 @@ class CellGroup:
 
 
 def schedule(plan: Plan) -> list[CellGroup]:
-    """Return all cells of the plan, each once for each repeat, in groups of one relay.
+    """Return all cells of the plan, each once for each pass, in groups of one relay.
 
-    `shuffled` shuffles the relays of each pass and the cells of each relay, not all cells at once: a relay
-    serves its cells without a restart, and with several repeats two middlewares meet the machine's drift
-    alike. The order depends on the plan's seed alone, so an interrupted sweep goes on in it.
+    The order depends on the plan's seed alone, so an interrupted sweep goes on in it.
     """
-    groups: list[CellGroup] = []
-    for repeat in range(1, plan.run.repeats + 1):
-        of_pass = group_by_relay(plan, [replace(cell, repeat=repeat) for cell in plan.cells])
-        if plan.run.order is Order.SHUFFLED:
-            chance = random.Random(f"{plan.run.seed} {repeat}")  # noqa: S311 - an order, not a secret
-            chance.shuffle(of_pass)
-            of_pass = [
-                replace(group, cells=tuple(chance.sample(group.cells, len(group.cells)))) for group in of_pass
-            ]
-        groups += of_pass
-    return [replace(group, number=number) for number, group in enumerate(groups, 1)]
+    groups = [
+        group
+        for number in range(1, plan.run.repeats + 1)
+        for group in schedule_pass(plan, plan.cells, number)
+    ]
+    return number_groups(groups)
+
+
+def number_groups(groups: Iterable[CellGroup], first: int = 1) -> list[CellGroup]:
+    """Return the groups with numbers that count from `first`."""
+    return [replace(group, number=number) for number, group in enumerate(groups, first)]
+
+
+def schedule_pass(plan: Plan, cells: Iterable[Cell], number: int) -> list[CellGroup]:
+    """Return these cells as those of a pass, in the plan's order, in groups of one relay.
+
+    Args:
+        plan: has the order and its seed.
+        cells: cells of the plan.
+        number: number of the pass: 1, 2 ...
+    """
+    groups = group_by_relay(plan, [replace(cell, repeat=number) for cell in cells])
+    return _ORDERS[plan.run.order](groups, plan.run.seed, number)
+
+
+def _listed(groups: list[CellGroup], seed: int, number: int) -> list[CellGroup]:  # noqa: ARG001 - the orders' signature
+    return groups
+
+
+def _shuffled(groups: list[CellGroup], seed: int, number: int) -> list[CellGroup]:
+    """Shuffle the relays and the cells of each relay, not all cells at once: a relay serves its cells without a restart."""
+    chance = random.Random(f"{seed} {number}")  # noqa: S311 - an order, not a secret
+    chance.shuffle(groups)
+    return [replace(group, cells=tuple(chance.sample(group.cells, len(group.cells)))) for group in groups]
+
+
+def _alternating(groups: list[CellGroup], seed: int, number: int) -> list[CellGroup]:
+    """Shuffle an odd pass, and run an even one backwards through the pass before it.
+
+    A drift that is linear over two such passes gives every cell the same mean. Reversals alone would leave each cell
+    the same two neighbours in every pass, so each pair of passes has an order of its own.
+    """
+    shuffled = _shuffled(groups, seed, (number + 1) // 2)
+    if number % 2:
+        return shuffled
+    return [replace(group, cells=group.cells[::-1]) for group in reversed(shuffled)]
+
+
+_ORDERS: dict[Order, Callable[[list[CellGroup], int, int], list[CellGroup]]] = {
+    Order.LISTED: _listed,
+    Order.SHUFFLED: _shuffled,
+    Order.ALTERNATING: _alternating,
+}
+"""Order -> function from the groups of a pass in the listed order, the seed and the number of the pass."""
 
 
 def group_by_relay(plan: Plan, cells: Iterable[Cell]) -> list[CellGroup]:
@@ -114,9 +155,9 @@ class Estimate:
         return Remaining(sum(self.cell_seconds(cell) for cell in cells))
 
 
-def plan_seconds(plan: Plan) -> Remaining:
-    """Return the expected time of the whole plan."""
-    groups = schedule(plan)
+def plan_seconds(plan: Plan, *, passes: int | None = None) -> Remaining:
+    """Return the expected time of the plan, or of another number of its passes."""
+    groups = schedule(plan if passes is None else replace(plan, run=replace(plan.run, repeats=passes)))
     estimate = Estimate(plan)
     runs_s = sum(estimate.remaining(list(group.cells)).seconds for group in groups)
     return Remaining(runs_s + RELAY_OVERHEAD_S * len(groups))

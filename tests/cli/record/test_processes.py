@@ -307,7 +307,7 @@ def test_a_ping_that_is_stopped_before_its_echo(domain_id, tmp_path):
         command.wait_for_line("waiting for an echo")
         done = command.stop()
     assert done.status == 0, done.stderr
-    assert "sent 0/410" in done.stdout
+    assert "sent 0/1010" in done.stdout
     trace = Read(tmp_path / "ping.mcap")
     assert trace.sessions[-1]["state"] == "closed"
     assert trace.runs == []

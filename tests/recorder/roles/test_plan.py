@@ -28,9 +28,9 @@ def planned(payload=MADE, duration_s=None, serialization=Serialization.RAW, **as
 @pytest.mark.parametrize(
     ("payload", "asked", "rate_hz", "messages"),
     [
-        (MADE, {}, 10.0, 400),
-        (RECORDED, {}, 30.0, 400),
-        (RECORDED, {"rate_hz": 7.0}, 7.0, 400),
+        (MADE, {}, 10.0, 1000),
+        (RECORDED, {}, 30.0, 1000),
+        (RECORDED, {"rate_hz": 7.0}, 7.0, 1000),
         (MADE, {"duration_s": 10, "rate_hz": 50}, 50, 490),
         (RECORDED, {"duration_s": 10}, 30.0, 290),
         (MADE, {"duration_s": 10, "messages": 5}, 10.0, 5),

@@ -134,7 +134,7 @@ def test_installed_middlewares_are_asked_for_when_the_plan_does():
         (RUN + "[axes]\ndepth = true\n", "depth is True, not a whole number"),
         ("[run]\nmessages = 1\norder = 'shufled'\n", r"did you mean 'shuffled'\?"),
         ("[run]\nmessages = 1\nseconds = 1\n", "either messages or seconds"),
-        ("[axes]\nrate = 1\n", "either messages or seconds"),
+        ("[run]\nmessages = 0\n[axes]\nrate = 1\n", "either messages or seconds"),
         ("[run]\nmessages = 1\nrepeats = 0\n", "counts messages, repeats and attempts"),
         ("[run]\nmessages = 1\ndiscovery = 'here'\n", "localhost or subnet"),
         ("[run]\nmessages = 1\ndomain = 5\n[axes]\nbridge = 'builtin'\n", "a bridge joins two"),

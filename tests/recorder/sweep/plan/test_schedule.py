@@ -1,10 +1,14 @@
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import pairwise
+
 import pytest
 
+from dds_trace.recorder.options import DEFAULT_MESSAGES
 from dds_trace.recorder.sweep.plan.commands import half_arguments, ping_arguments
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan
-from dds_trace.recorder.sweep.plan.schedule import Estimate, Remaining, plan_seconds, schedule
+from dds_trace.recorder.sweep.plan.schedule import Estimate, Remaining, plan_seconds, schedule, schedule_pass
 from dds_trace.tracefile import OptionError
 
 PLAN = """
@@ -47,6 +51,47 @@ def test_shuffled_order_is_a_permutation_that_the_seed_decides():
     # each repeat is a pass of its own, with every cell once
     repeats = [cell.repeat for group in first for cell in group.cells]
     assert repeats == sorted(repeats)
+
+
+ALTERNATING = 'order = "alternating"\nseed = 1'
+
+
+def unnumbered(groups):
+    return [replace(cell, repeat=1).name for group in groups for cell in group.cells]
+
+
+def test_alternating_pass_is_run_backwards_and_each_pair_of_passes_has_an_order_of_its_own():
+    asked = plan(ALTERNATING)
+    first, second, third, fourth = (unnumbered(schedule_pass(asked, asked.cells, n)) for n in (1, 2, 3, 4))
+    assert second == first[::-1]
+    assert fourth == third[::-1]
+    assert first != third
+    assert sorted(first) == sorted(third) == sorted(cell.name for cell in asked.cells)
+
+
+def test_linear_drift_over_two_alternating_passes_meets_every_cell_alike():
+    groups = schedule(plan(ALTERNATING))
+    places = {}
+    for place, name in enumerate(unnumbered(groups)):
+        places.setdefault(name, []).append(place)
+    assert len(places) == 12
+    assert {sum(of_cell) for of_cell in places.values()} == {23}  # the mean of 0 .. 23 is 11.5
+    assert [group.number for group in groups] == [1, 2, 3, 4]
+
+
+def test_pass_is_a_label_of_the_pings_run_by_which_the_analyzer_pairs_runs():
+    """The recorder and the analyzer share no import, so this is the one place that holds both to one word."""
+    asked = plan(ALTERNATING)
+    cell = replace(asked.cells[0], repeat=3)
+    arguments = ping_arguments(asked, cell, 20, None)
+    assert "pass=3" in [value for option, value in pairwise(arguments) if option == "--label"]
+
+
+def test_plan_without_a_length_has_the_default_number_of_messages():
+    asked = parse_plan("[run]\nwarmup = 0\n[axes]\nrate = 10\n", "p", "p.toml")
+    assert asked.run.messages == DEFAULT_MESSAGES == 1000
+    with pytest.raises(OptionError, match="give one of them"):
+        parse_plan("[run]\nmessages = 0\n[axes]\nrate = 10\n", "p", "p.toml")
 
 
 DISTANT = '[devices.relay]\nssh = "pi@robot"\n'

@@ -9,7 +9,17 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+import pytest
+
 from dds_trace.recorder.applied import Applied, Asked, Traffic
+from dds_trace.recorder.applied.vendors import BUFFER_BYTES
+
+LIMIT_BYTES = min(int(Path(f"/proc/sys/net/core/{name}").read_text()) for name in ("rmem_max", "wmem_max"))
+needs_large_buffers = pytest.mark.skipif(
+    LIMIT_BYTES < BUFFER_BYTES,
+    reason=f"net.core.rmem_max or wmem_max is {LIMIT_BYTES}, and --tuned asks for {BUFFER_BYTES}",
+)
+"""Of tests in which `--tuned` must be applied; with less it is the difference `kernel_limit`."""
 
 PATIENCE_S = 90.0
 """No test is about time; this only ends one that hangs."""

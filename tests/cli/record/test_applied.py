@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from applied_pair import needs_large_buffers
 from processes import relay, run, running
 
 from dds_trace.tracefile import NotAppliedError, read_trace
@@ -25,7 +26,7 @@ def session(path):
 
 
 @pytest.mark.parametrize(
-    "more", [("--transport", "udp"), ("--tuned",)], ids=lambda more: "-".join(more).strip("-")
+    "more", [("--transport", "udp"), pytest.param(("--tuned",), marks=needs_large_buffers)]
 )
 def test_transport_and_tuning_are_applied_on_this_machine(domain_id, tmp_path, more):
     with relay(domain_id, tmp_path / "relay.mcap", *more, "--strict") as relaying:

@@ -8,7 +8,7 @@ from importlib.util import find_spec
 from itertools import product
 
 import pytest
-from applied_pair import run_pair
+from applied_pair import needs_large_buffers, run_pair
 from namespaces import needs_namespaces
 
 from dds_trace.recorder.sweep.station.emulation import ip
@@ -110,6 +110,7 @@ def assert_honest(case, sides):
 
 def named(case):
     needs = [needs_namespaces("ip", "iproute2")] if case.discovery == "subnet" else []
+    needs += [needs_large_buffers] if case.tuned else []
     return pytest.param(case, id=case.name, marks=needs)
 
 
@@ -121,6 +122,7 @@ def test_what_is_applied_is_no_difference(run, case):
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 @needs_namespaces("ip", "iproute2")
+@needs_large_buffers
 def test_fifty_honest_runs_raise_none(run):
     runs = list(product(SIZES_BYTES, HONEST))
     assert len(runs) == 51

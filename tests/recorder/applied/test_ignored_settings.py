@@ -9,7 +9,7 @@ from itertools import count
 from pathlib import Path
 
 import pytest
-from applied_pair import run_pair
+from applied_pair import needs_large_buffers, run_pair
 from namespaces import needs_namespaces
 
 from dds_trace.recorder.backends.ros2.fastdds_profile import (
@@ -198,6 +198,7 @@ def test_8_fast_dds_with_a_dev_shm_of_another_namespace_sends_in_vain(domain_id)
 
 @needs_root
 @needs_ros2
+@needs_large_buffers
 def test_udp_reaches_a_side_whose_dev_shm_is_another(domain_id):
     with written_profile(asked_profile(Transport.UDP, tuned=True)) as path:
         sides = run_pair(

@@ -8,7 +8,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from applied_pair import run_pair
+from applied_pair import needs_large_buffers, run_pair
 
 from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.backends.ros2 import fastdds_profile
@@ -111,7 +111,7 @@ def assert_honest(side):
 
 
 @pytest.mark.middleware
-@pytest.mark.parametrize("tuned", [False, True])
+@pytest.mark.parametrize("tuned", [False, pytest.param(True, marks=needs_large_buffers)])
 @pytest.mark.parametrize("payload_bytes", [502_000, 1_000_000])
 def test_udp_leaves_shared_memory_and_stays_on_loopback(run, tuned, payload_bytes):
     for side in run(Transport.UDP, tuned, payload_bytes=payload_bytes):
@@ -128,6 +128,7 @@ def test_udp_leaves_shared_memory_and_stays_on_loopback(run, tuned, payload_byte
 
 
 @pytest.mark.middleware
+@needs_large_buffers
 def test_a_tuned_default_is_tuned_udp(run):
     ping, relay = run(Transport.DEFAULT, True)
     assert ping.asked.transport == relay.asked.transport == "udp"
@@ -166,6 +167,7 @@ def test_nodes_of_the_localhost_range_and_ours_find_each_other(run, is_ping_ours
 
 
 @pytest.mark.middleware
+@needs_large_buffers
 @pytest.mark.skipif(find_spec("cyclonedds") is None, reason="cyclonedds is not installed")
 @pytest.mark.parametrize("is_ping_ours", [True, False])
 def test_cyclone_dds_and_ours_find_each_other(run, is_ping_ours):

@@ -129,6 +129,7 @@ def _analyze(
         in_parts=tuple(in_parts),
         wanted=wanted,
         stale_rows=stale_rows if stale_rows and stale_rows.exists() else None,
+        sending=merged.frames["sending"],
     )
     if out is not None:
         write_summary(merged.summary.frame, outputs["summary"])

@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
+    import polars as pl
+
     from dds_trace.tracefile import Session
 
     from ..analysis import Details
@@ -39,6 +41,7 @@ class Evidence:
         in_parts: groups that no batch held whole.
         wanted: what was asked for.
         stale_rows: file with the rows of an earlier analysis, which this one does not replace.
+        sending: how each run was sent (`sending.sending_frame`).
     """
 
     campaign: Campaign
@@ -50,6 +53,7 @@ class Evidence:
     in_parts: tuple[int, ...]
     wanted: Wanted
     stale_rows: Path | None
+    sending: pl.DataFrame
 
     def counts_by_run(self) -> dict[int, tuple[Exchange, dict[str, int]]]:
         """Return for each run_id one exchange of the run (all share run and T1) and its row of counts."""

@@ -54,6 +54,7 @@ def losses(evidence: Evidence) -> Iterator[Finding]:
                 "Read percentiles here as those of the messages that survived; look at reliability, "
                 "socket buffers and rate.",
                 (group,),
+                effect=(published - received) / published,
             )
 
 
@@ -74,8 +75,8 @@ def unmeasured_groups(evidence: Evidence) -> Iterator[Finding]:
 
 def duplicates(evidence: Evidence) -> Iterator[Finding]:
     """Report groups in which replies came more than once."""
-    counts = evidence.summary.frame["duplicates"]
-    for group, (name, count) in enumerate(zip(evidence.group_names, counts, strict=True)):
+    columns = evidence.summary.frame.select("duplicates", "received").iter_rows()
+    for group, (name, (count, received)) in enumerate(zip(evidence.group_names, columns, strict=True)):
         if count:
             yield Finding(
                 Severity.WARNING,
@@ -84,6 +85,7 @@ def duplicates(evidence: Evidence) -> Iterator[Finding]:
                 f"{counted(count, 'reply', 'replies')} came more than once; the first one counts.",
                 "Look for a second bridge or route between the two sides.",
                 (group,),
+                effect=min(count / max(received, 1), 1.0),
             )
 
 
@@ -99,6 +101,7 @@ def reordering(evidence: Evidence) -> Iterator[Finding]:
                 f"{count} of {counted(received, 'reply', 'replies')} came after the reply to a later message.",
                 "With reliable QoS on one topic this should not happen: look for several routes or relays.",
                 (group,),
+                effect=count / received,
             )
 
 
@@ -124,13 +127,17 @@ def impossible_times(evidence: Evidence) -> Iterator[Finding]:
             )
 
 
+_REPEAT_LABELS = frozenset({"attempt", "iteration", "pass", "repeat", "round", "run", "seed", "trial"})
+"""Labels that number plain repeats, and tell of no setting."""
+
+
 def mixed_labels(evidence: Evidence) -> Iterator[Finding]:
-    """Report groups that pool runs with different labels, which are no parameter column."""
+    """Report groups that pool runs with different labels, which are no parameter column; numbers of repeats are none."""
     names = evidence.group_names
     for group, members in enumerate(evidence.grouping.members()):
         values: dict[str, set[str | None]] = defaultdict(set)
         runs = [evidence.grouping.exchanges[member].run for member in members]
-        for label in {label for run in runs for label in run.labels}:
+        for label in {label for run in runs for label in run.labels if label.lower() not in _REPEAT_LABELS}:
             values[label] = {run.labels.get(label) for run in runs}
         mixed = {label: different for label, different in sorted(values.items()) if len(different) > 1}
         if mixed:
@@ -184,7 +191,7 @@ def _shown(percentile: Percentile) -> str:
 
 def outages(evidence: Evidence) -> Iterator[Finding]:
     """Report groups that lost several messages in a row."""
-    names = evidence.group_names
+    names, published = evidence.group_names, evidence.summary.frame["published"].to_list()
     for (key,), of_group in evidence.details.outages.group_by(["group"], maintain_order=True):
         group = int(str(key))
         durations_ns = of_group["duration_ns"].drop_nulls().to_list()
@@ -198,6 +205,7 @@ def outages(evidence: Evidence) -> Iterator[Finding]:
             + (f"; {endless} lasted to the end of the run." if endless else "."),
             "Look at the timeline: a link that drops out, a bridge or relay that restarts, a full buffer.",
             (group,),
+            effect=of_group["messages"].sum() / published[group],
         )
 
 

@@ -17,9 +17,6 @@ if TYPE_CHECKING:
     from ..pairing.exchanges import Unplaced
     from .evidence import Evidence
 
-_RATE_TOLERANCE = 0.02
-"""Share by which the rate may stay below the asked one: a slower run has measured another load."""
-
 
 @dataclass(frozen=True, slots=True)
 class _Reason:
@@ -87,7 +84,8 @@ def unfinished_runs(evidence: Evidence) -> Iterator[Finding]:
                 "unfinished_run",
                 evidence.run_name(run_id),
                 f"The run has no end: {counted(kept, 'message was', 'messages were')} published, {run.planned_messages} planned.",
-                "The last messages may count as lost though they were only under way; repeat the run if that matters.",
+                "Messages that were under way at its end are censored: nobody knows whether they would have come. Repeat "
+                "the run if that matters.",
             )
         elif run.published < run.planned_messages:
             yield Finding(
@@ -96,6 +94,7 @@ def unfinished_runs(evidence: Evidence) -> Iterator[Finding]:
                 evidence.run_name(run_id),
                 f"The run was stopped after {run.published} of {counted(run.planned_messages, 'planned message')}.",
                 "Percentiles rest on fewer samples than planned; repeat the run if that matters.",
+                effect=1 - run.published / run.planned_messages,
             )
         if run.state == "finished" and kept < run.published:
             yield Finding(
@@ -106,6 +105,7 @@ def unfinished_runs(evidence: Evidence) -> Iterator[Finding]:
                 f"{'has no T1 in the trace; it has' if run.published - kept == 1 else 'have no T1 in the trace; they have'} "
                 "no row.",
                 "Use the whole trace; if it is whole, the recorder dropped events.",
+                effect=1 - kept / run.published,
             )
 
 
@@ -165,22 +165,6 @@ def missing_schedule(evidence: Evidence) -> Iterator[Finding]:
         )
 
 
-def schedule_not_held(evidence: Evidence) -> Iterator[Finding]:
-    """Report groups that published slower than asked."""
-    names = evidence.group_names
-    columns = evidence.summary.frame.select("rate_hz", "achieved_rate_hz").iter_rows()
-    for group, (name, (asked_hz, achieved_hz)) in enumerate(zip(names, columns, strict=True)):
-        if achieved_hz is not None and achieved_hz < asked_hz * (1 - _RATE_TOLERANCE):
-            yield Finding(
-                Severity.WARNING,
-                "schedule_not_held",
-                name,
-                f"Published at {achieved_hz:.4g} Hz, asked for {asked_hz:g} Hz.",
-                "Do not compare this group with others of the asked rate; lower the rate or free the CPU.",
-                (group,),
-            )
-
-
 def relays_without_trace(evidence: Evidence) -> Iterator[Finding]:
     """Report runs in which no relay took part, and relays whose events or description are missing."""
     unrecorded: dict[tuple[int, bool], list[int]] = defaultdict(list)
@@ -235,6 +219,7 @@ def gaps_of_relays(evidence: Evidence) -> Iterator[Finding]:
                 "lacks their T3 or T4: their latency is null, and lost_outbound may count messages that did arrive.",
                 "Use the whole trace of the relay.",
                 (group,),
+                effect=gaps / received,
             )
 
 

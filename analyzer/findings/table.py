@@ -1,4 +1,4 @@
-"""The findings: everything doubtful in an analysis, most severe first.
+"""The findings: everything doubtful in an analysis, worst first.
 
 A check is a function that looks at the evidence and yields findings. A new check is a function in a file of this
 folder and a row of `CHECKS`; analysis, reports and JSON follow from that.
@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from ..model.finding import Finding, Severity
-from . import applied, clocks, devices, groups, left_out, runs, sessions, sizes, sources
+from . import applied, clocks, devices, groups, left_out, runs, sending, sessions, sizes, sources
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -38,7 +38,8 @@ CHECKS: tuple[Check, ...] = (
     groups.impossible_times,
     groups.duplicates,
     groups.reordering,
-    runs.schedule_not_held,
+    sending.schedule_not_held,
+    sending.late_sends,
     runs.missing_schedule,
     runs.unlike_domains,
     runs.unlike_payloads,
@@ -66,7 +67,7 @@ CHECKS: tuple[Check, ...] = (
     left_out.groups_in_parts,
     left_out.cases_not_compared,
 )
-"""Every check, in the order in which findings of equal severity are listed."""
+"""Every check, in the order in which findings of equal severity and effect are listed."""
 
 _RANK = {severity: rank for rank, severity in enumerate(Severity)}
 
@@ -75,17 +76,21 @@ _OF_A_KIND = 20
 
 
 def find_findings(evidence: Evidence) -> tuple[Finding, ...]:
-    """Return the findings of every check, most severe first; of many of a kind the first ones and a count of the rest."""
+    """Return the findings of every check, worst first: by severity, then by effect.
+
+    Of many of a kind the worst ones and a count of the rest.
+    """
     kinds: dict[tuple[Severity, str], list[Finding]] = defaultdict(list)
     for check in CHECKS:
         for finding in check(evidence):
             kinds[finding.severity, finding.code].append(finding)
-    listed = [finding for of_kind in kinds.values() for finding in _first_ones(of_kind)]
-    return tuple(sorted(listed, key=lambda finding: _RANK[finding.severity]))
+    listed = [finding for of_kind in kinds.values() for finding in _worst_ones(of_kind)]
+    return tuple(sorted(listed, key=lambda finding: (_RANK[finding.severity], -finding.effect)))
 
 
-def _first_ones(of_kind: list[Finding]) -> list[Finding]:
-    """Return the first findings of a kind, and one that stands for all others."""
+def _worst_ones(of_kind: list[Finding]) -> list[Finding]:
+    """Return the worst findings of a kind, and one that stands for all others."""
+    of_kind = sorted(of_kind, key=lambda finding: -finding.effect)
     more = len(of_kind) - _OF_A_KIND
     if more <= 1:
         return of_kind

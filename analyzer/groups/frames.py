@@ -16,6 +16,7 @@ import polars as pl
 from .breakdown import breakdown_frame, response_frame
 from .freshness import freshness_frame, outage_frame
 from .intervals import interval_frame, knot_frame, one_way_frame
+from .sending import sending_frame
 from .timeline import timeline_frame
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
     Maker = Callable[[Batch, RoundTrips], pl.DataFrame]
 
-MAKERS: Mapping[str, Maker] = {"timeline": timeline_frame}
+MAKERS: Mapping[str, Maker] = {"timeline": timeline_frame, "sending": sending_frame}
 """Name -> how it is made from a batch. A frame of no rows has its columns all the same."""
 
 DETAIL_MAKERS: Mapping[str, Maker] = {

@@ -25,6 +25,8 @@ class Finding:
         action: one sentence: what to do next.
         groups: row numbers in `summary` of the groups it is about; empty where it is about a file, run or device.
         count: how many findings of its kind it stands for; more than one only for the last of very many.
+        effect: size of what it says, 0 to 1: the share of messages, or of the value, that it touches; 1 where it
+            touches all. Of equal severity the largest come first.
     """
 
     severity: Severity
@@ -34,3 +36,4 @@ class Finding:
     action: str
     groups: tuple[int, ...] = ()
     count: int = 1
+    effect: float = 1.0

@@ -27,6 +27,7 @@ from dds_trace.analyzer.findings import (
     groups,
     left_out,
     runs,
+    sending,
     sessions,
     sizes,
     sources,
@@ -68,7 +69,7 @@ def test_a_sound_recording_has_no_finding(tmp_path):
 def test_every_check_is_in_the_table():
     functions = {
         value
-        for module in (applied, clocks, devices, groups, left_out, runs, sessions, sizes, sources)
+        for module in (applied, clocks, devices, groups, left_out, runs, sending, sessions, sizes, sources)
         for name, value in vars(module).items()
         if callable(value)
         and getattr(value, "__module__", "") == module.__name__
@@ -82,6 +83,20 @@ def test_the_most_severe_come_first(tmp_path):
     severities = [finding.severity for finding in analyze(tmp_path).findings]
     assert severities == sorted(severities, key=list(Severity).index)
     assert severities[0] is Severity.ERROR
+
+
+def test_of_equal_severity_the_largest_effect_comes_first(tmp_path):
+    variants = [run(run_id=n, payload_bytes=1000 * n, planned_messages=10, published=10) for n in (1, 2, 3)]
+    ping, relay = {stage: [] for stage in Stage}, {stage: [] for stage in Stage}
+    for number, lost in ((1, 2), (2, 9), (3, 5)):
+        messages = [replace(m, t2=None) if m.sequence < lost else m for m in sound(10)]
+        for held, made in ((ping, ping_events), (relay, relay_events)):
+            for stage, events in made(messages, run_id=number, payload_bytes=1000 * number).items():
+                held[stage] += events
+    write_trace(tmp_path / "ping.mcap", ping_session(), variants, ping)
+    write_trace(tmp_path / "relay.mcap", relay_session(), (), relay)
+    losses = [(f.groups, f.effect) for f in analyze(tmp_path).findings if f.code == "loss"]
+    assert losses == [((1,), 0.9), ((2,), 0.5), ((0,), 0.2)]
 
 
 def test_of_many_findings_of_a_kind_the_rest_are_counted(tmp_path):
@@ -212,6 +227,42 @@ def test_schedule_not_held(tmp_path):
     assert "schedule_not_held" not in findings(tmp_path)
 
 
+def sent_late(late_ns, count=1000):
+    """A sound recording whose message s leaves `late_ns(s)` after its T0."""
+    return [
+        replace(m, t1=m.t0 + wait, t3=m.t3 + wait, t4=m.t4 + wait, t2=m.t2 + wait)
+        for m in sound(count)
+        for wait in [late_ns(m.sequence)]
+    ]
+
+
+def test_one_late_last_message_does_not_break_a_schedule(tmp_path):
+    write_pair(tmp_path, sent_late(lambda s: 300 * MS if s == 29 else 50, 30))
+    assert set(findings(tmp_path)) == {"few_samples"}
+    write_pair(tmp_path, sent_late(lambda s: s * 10 * MS, 30))  # a tenth of a period more each time
+    assert findings(tmp_path)["schedule_not_held"].what == "Published at 9.091 Hz, asked for 10 Hz."
+
+
+def test_a_sender_that_is_held_up_again_and_again_sends_late(tmp_path):
+    # Blocked for 300 ms in every two seconds: of twenty messages three leave late, and the rate is held.
+    write_pair(tmp_path, sent_late(lambda s: max(300 - 100 * (s % 20), 0) * MS + 50))
+    finding = findings(tmp_path)["late_sends"]
+    assert finding.what == (
+        "150 of 1000 messages (15 %) left more than 5.000 ms later than planned (T1 - T0), the latest 300.000 ms."
+    )
+    assert (finding.groups, finding.effect) == ((0,), 0.15)
+    assert "schedule_not_held" not in findings(tmp_path)
+
+
+def test_a_few_late_sends_are_no_habit(tmp_path):
+    write_pair(tmp_path, sent_late(lambda s: 20 * MS if s < 9 else 50))  # of 1000
+    assert findings(tmp_path) == {}
+    write_pair(tmp_path, sent_late(lambda s: 20 * MS if s < 2 else 50, 20))
+    assert "late_sends" not in findings(tmp_path)
+    write_pair(tmp_path, sent_late(lambda _: 4 * MS))  # a missed timer tick
+    assert findings(tmp_path) == {}
+
+
 @pytest.mark.parametrize(
     ("changes", "code", "text"),
     [
@@ -260,6 +311,13 @@ def test_labels_that_differ_within_a_group(tmp_path):
     events = {Stage.T1: [event(0, r.run_id, run_id=r.run_id) for r in variants]}
     write_trace(tmp_path / "ping.mcap", ping_session(), variants, events)
     assert "(tuning: None; off; on)" in findings(tmp_path)["mixed_labels"].what
+
+
+def test_labels_of_plain_repeats_are_no_finding(tmp_path):
+    variants = [run(run_id=n, labels={"pass": str(n), "site": "lab"}) for n in (1, 2, 3)]
+    events = {Stage.T1: [event(0, r.run_id, run_id=r.run_id) for r in variants]}
+    write_trace(tmp_path / "ping.mcap", ping_session(), variants, events)
+    assert "mixed_labels" not in findings(tmp_path)
 
 
 def test_unlike_environments(tmp_path):

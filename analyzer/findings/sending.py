@@ -1,0 +1,79 @@
+"""Checks of the sender: schedules that were not held, and messages that left late."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from typing import TYPE_CHECKING
+
+from dds_trace.tracefile.units.counts import counted
+from dds_trace.tracefile.units.durations import format_ms
+
+from ..groups.sending import LATE_NS
+from ..model.finding import Finding, Severity
+from .evidence import percent
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from .evidence import Evidence
+
+_RATE_TOLERANCE = 0.02
+"""Share by which the rate may stay below the asked one: a slower run has measured another load."""
+
+_BEHIND_NS = 10_000_000
+"""Time that a run must have fallen behind: two late sends (`sending.LATE_NS`), which no short run loses by its timers."""
+
+_LATE_SHARE = 0.01
+"""Late messages from which on the p99 of the response is a late message's. Of 1000 simulated runs of 1000 messages, sent
+0.1 ms late with a log-normal spread of 1, none has as many."""
+
+_LATE_MESSAGES = 3
+"""Late messages at least: one hiccup of a short run is no habit."""
+
+
+def schedule_not_held(evidence: Evidence) -> Iterator[Finding]:
+    """Report groups that published slower than asked: judged by the last tenth of each run, not by its last message."""
+    names = evidence.group_names
+    behind: dict[int, list[int]] = defaultdict(lambda: [0, 0])
+    for group, elapsed_ns, lag_ns in (
+        evidence.sending.drop_nulls("behind_ns").select("group", "elapsed_ns", "behind_ns").iter_rows()
+    ):
+        behind[group][0] += elapsed_ns
+        behind[group][1] += lag_ns
+    rates = evidence.summary.frame["rate_hz"].to_list()
+    for group, (elapsed_ns, lag_ns) in sorted(behind.items()):
+        share = elapsed_ns / (elapsed_ns + lag_ns) if elapsed_ns + lag_ns > 0 else 1.0
+        if lag_ns >= _BEHIND_NS and share < 1 - _RATE_TOLERANCE:
+            yield Finding(
+                Severity.WARNING,
+                "schedule_not_held",
+                names[group],
+                f"Published at {rates[group] * share:.4g} Hz, asked for {rates[group]:g} Hz.",
+                "Do not compare this group with others of the asked rate; lower the rate or free the CPU.",
+                (group,),
+                effect=1 - share,
+            )
+
+
+def late_sends(evidence: Evidence) -> Iterator[Finding]:
+    """Report groups whose messages left later than planned so often that it shows in the tail of the response."""
+    totals: dict[int, list[int]] = defaultdict(lambda: [0, 0, 0])
+    sent = evidence.sending.unique(["group", "run_id"], maintain_order=True).drop_nulls("late_max_ns")
+    for group, messages, late, late_max_ns in sent.select(
+        "group", "messages", "late", "late_max_ns"
+    ).iter_rows():
+        held = totals[group]
+        held[0], held[1], held[2] = held[0] + messages, held[1] + late, max(held[2], late_max_ns)
+    for group, (messages, late, late_max_ns) in sorted(totals.items()):
+        if late >= _LATE_MESSAGES and late >= _LATE_SHARE * messages:
+            yield Finding(
+                Severity.WARNING,
+                "late_sends",
+                evidence.group_names[group],
+                f"{late} of {counted(messages, 'message')} ({percent(late, messages)}) left more than "
+                f"{format_ms(LATE_NS)} ms later than planned (T1 - T0), the latest {format_ms(late_max_ns)} ms.",
+                "Latency leaves that wait out; read response (T2 - T0). A publish that blocks or a busy processor holds "
+                "the sender up: lower rate or size, or free the CPU.",
+                (group,),
+                effect=late / messages,
+            )

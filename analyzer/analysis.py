@@ -12,6 +12,7 @@ from polars.exceptions import PolarsError
 
 from dds_trace.tracefile import Run, Session, TraceFormatError
 
+from .model.wire import WIRE_FRAMES
 from .pairing.rows import RowStore
 from .saving.folder import read_folder, write_folder
 from .saving.records import Content, from_json, to_json
@@ -59,6 +60,9 @@ class Details:
         bridge_costs: different domains against the same domain for equal parameters (`bridge_cost.bridge_cost`),
             every percentile of the latency. A kind of message with more than `cases.MOST_COMPARED_ROWS` rows has
             none, and a finding says so.
+        wire: what the messages cost on the wire, a row per group recorded with `--wire` (`model.wire`).
+        wire_classes: the same by class of traffic.
+        wire_repeats: the same by how often messages were sent again, with their times.
         answers: the fastest contenders for each kind of message; rows as for `bridge_costs`.
         deadline_ns: the deadline that `freshness` judges; None for none.
         recommendation: settings for the `job` of the analysis; None without a job.
@@ -75,6 +79,9 @@ class Details:
     clock_knots: pl.DataFrame
     host_samples: pl.DataFrame
     bridge_costs: pl.DataFrame
+    wire: pl.DataFrame
+    wire_classes: pl.DataFrame
+    wire_repeats: pl.DataFrame
     answers: tuple[CaseAnswer, ...]
     deadline_ns: int | None = None
     recommendation: Recommendation | None = None
@@ -185,6 +192,7 @@ DETAIL_FRAMES = (
     "clock_knots",
     "host_samples",
     "bridge_costs",
+    *WIRE_FRAMES,
 )
 """Names of the frames of `Details`."""
 
@@ -198,7 +206,7 @@ def load_analysis(folder: str | os.PathLike[str]) -> Analysis:
     files = read_folder(Path(folder))
     try:
         content = from_json(Content, json.loads(files[_CONTENT].read_bytes()))
-        frames = {name: pl.read_parquet(files[f"{name}.parquet"]) for name in (*_FRAMES, *DETAIL_FRAMES)}
+        frames = {name: _read_frame(files, name) for name in (*_FRAMES, *DETAIL_FRAMES)}
         rows = RowStore.of(files[_ROUNDTRIPS], frames["summary"])
     except (KeyError, ValueError, RecursionError, OSError, PolarsError) as err:
         raise TraceFormatError(
@@ -223,3 +231,11 @@ def load_analysis(folder: str | os.PathLike[str]) -> Analysis:
         ),
         outputs={kind: Path(path) for kind, path in content.outputs.items()},
     )
+
+
+def _read_frame(files: Mapping[str, Path], name: str) -> pl.DataFrame:
+    """Read one frame of a saved analysis; one of an older version has none about the wire."""
+    path = files.get(f"{name}.parquet")
+    if path is None and name in WIRE_FRAMES:
+        return pl.DataFrame(schema=WIRE_FRAMES[name])
+    return pl.read_parquet(files[f"{name}.parquet"])

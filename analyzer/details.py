@@ -13,6 +13,7 @@ from .groups.batch import Batch
 from .groups.frames import DETAIL_MAKERS
 from .groups.host_samples import host_sample_frame
 from .groups.intervals import INTERVAL_SCHEMA, ONE_WAY_SCHEMA, interval_rows, one_way_rows
+from .groups.wire import no_wire_frames, wire_frames
 from .model.column import schema_of
 from .model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
 from .pairing.one_way import fit_devices, segment_table
@@ -26,7 +27,7 @@ from .verdicts.recommend import recommend_settings
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from .groups.batch import Wanted
+    from .groups.batch import Grouping, Wanted
     from .groups.frames import Frames
     from .loading.campaign import Campaign
     from .verdicts.cases import GroupRows
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
 
 def collect_details(
     campaign: Campaign,
+    grouping: Grouping,
     frames: Frames,
     rows: RowStore,
     in_parts: Sequence[int],
@@ -45,6 +47,7 @@ def collect_details(
 
     Args:
         campaign: its sessions, runs and traces.
+        grouping: its exchanges by group.
         frames: those of `frames.DETAIL_MAKERS`, of all batches.
         rows: the round trips; what compares groups with each other reads those of a few groups at a time.
         in_parts: groups that no batch held whole: the frames lack what only a whole column of their rows gives.
@@ -68,6 +71,7 @@ def collect_details(
         clock_knots=frames["clock_knots"],
         host_samples=host_sample_frame(campaign.traces),
         bridge_costs=find_bridge_costs(judged),
+        **wire_frames(campaign.traces, campaign.runs, grouping, rows)._asdict(),
         answers=find_answers(judged),
         deadline_ns=wanted.deadline_ns,
         recommendation=_recommendation(judged, wanted),
@@ -93,6 +97,7 @@ def details_not_requested() -> Details:
         clock_fits=segment_table(()),
         host_samples=host_sample_frame(()),
         bridge_costs=find_bridge_costs(no_rows),
+        **no_wire_frames()._asdict(),
         answers=(),
         requested=False,
     )

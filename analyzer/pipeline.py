@@ -118,7 +118,9 @@ def _analyze(
     rows.locate(merged.summary.frame)
     campaign = campaign.with_copies(total_copies([*exchanges.copies, *merged.copies]))
     in_parts = groups_in_parts(batches)
-    details = collect_details(campaign, merged.frames, rows, in_parts, wanted, grouping.not_applied())
+    details = collect_details(
+        campaign, grouping, merged.frames, rows, in_parts, wanted, grouping.not_applied()
+    )
     evidence = Evidence(
         campaign=campaign,
         exchanges=exchanges,

@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from ..model.finding import Finding, Severity
-from . import applied, clocks, devices, groups, left_out, runs, sending, sessions, sizes, sources
+from . import applied, clocks, devices, groups, left_out, runs, sending, sessions, sizes, sources, wire
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -54,6 +54,10 @@ CHECKS: tuple[Check, ...] = (
     devices.cpu_saturation,
     applied.dropped_datagrams,
     applied.lost_fragments,
+    wire.incomplete_captures,
+    wire.retransmission_storms,
+    wire.heartbeat_bound_recoveries,
+    wire.discovery_traffic,
     sizes.unlike_sizes,
     groups.few_samples,
     sources.skipped_files,

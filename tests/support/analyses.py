@@ -17,6 +17,7 @@ from dds_trace.analyzer.groups.breakdown import break_down, response_against_lat
 from dds_trace.analyzer.groups.freshness import outage_table, summarize_freshness
 from dds_trace.analyzer.groups.host_samples import HOST_SAMPLE_SCHEMA
 from dds_trace.analyzer.groups.intervals import INTERVAL_SCHEMA, ONE_WAY_SCHEMA
+from dds_trace.analyzer.groups.wire import no_wire_frames
 from dds_trace.analyzer.pairing.one_way import KNOT_SCHEMA, SEGMENT_SCHEMA
 from dds_trace.analyzer.pairing.rows import RowStore
 from dds_trace.analyzer.statistics.intervals import percentile_interval
@@ -276,6 +277,7 @@ def _details(ordered: Sequence[Measured], roundtrips: pl.DataFrame, watched: Wat
                 metrics=("latency",), statistics=("p50", "p90", "p95", "p99", "p99_9"), replicates=100
             ),
         ),
+        **no_wire_frames()._asdict(),
         answers=find_answers(rows_by_group(roundtrips)),
     )
 

@@ -27,6 +27,7 @@ from dds_trace.tracefile.format.events import (
     Stage,
 )
 from dds_trace.tracefile.format.string_cdr import STRING_DEFINITION, STRING_SCHEMA_NAME
+from dds_trace.tracefile.format.wire import WIRE_TOPIC
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -170,6 +171,7 @@ def write_trace(
     events: Mapping[Stage, Sequence[Event]] | None = None,
     *,
     host: Sequence[Mapping[str, Any]] = (),
+    wire: Sequence[Mapping[str, Any]] = (),
     compression: str = "zstd",
     chunked: bool = True,
     chunk_bytes: int = 1 << 20,
@@ -186,6 +188,7 @@ def write_trace(
         runs: run descriptions, in order.
         events: events of each stage, made by `event`, `ping_events`, `relay_events`. Each stage keeps its order.
         host: JSON objects for `/dds_trace/host`, one a second from time 0 of the monotonic clock.
+        wire: JSON objects for `/dds_trace/wire`, at time 0.
         compression: `zstd`, `lz4` or `none`.
         chunked: False writes bare messages.
         chunk_bytes: size at which a chunk is closed.
@@ -204,6 +207,7 @@ def write_trace(
             (HOST_TOPIC, anchor.wall_ns(second * 10**9), json.dumps(sample))
             for second, sample in enumerate(host)
         ),
+        *((WIRE_TOPIC, start_ns, json.dumps(text)) for text in wire),
     ]
     messages = [RawMessage(topic, string_cdr(text), log_time, STRING) for topic, log_time, text in texts]
     for stage, fields in _in_time_order(events or {}):

@@ -19,6 +19,7 @@ from dds_trace.tracefile.format.wire import NEVER_NS, Direction
 
 pytestmark = [
     pytest.mark.middleware,
+    pytest.mark.slow,
     needs_namespaces("tc", "iproute2"),
     pytest.mark.skipif(not Path("/dev/net/tun").exists(), reason="no TAP devices here"),
 ]

@@ -1,0 +1,247 @@
+"""The frames about the wire: what a group's messages cost, by class of traffic and by how often they were sent again.
+
+Counts come from the ping's runs, and those of a relay's capture from its trace; records of messages, of both, are joined to
+the rows by run, sequence and relay. A message's repeats are those of its way out and of its way back together.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from dataclasses import dataclass, field
+from statistics import median
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import polars as pl
+
+from dds_trace.tracefile.format.wire import MESSAGE_ROW, Direction, rows_of_text
+
+from ..model.wire import WIRE_CLASS_SCHEMA, WIRE_FRAMES, WIRE_REPEAT_SCHEMA, WIRE_SCHEMA
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from dds_trace.tracefile import Json, JsonObject, Run, Trace
+
+    from ..pairing.rows import RowStore
+    from .batch import Grouping
+
+DISCOVERY_CLASSES = frozenset({"spdp", "sedp", "liveliness"})
+AGAIN_CLASSES = frozenset({"data_again", "data_frag_again", "tcp_data_again"})
+
+_KEY = ["run_id", "sequence"]
+_RECORD_COLUMNS = (*_KEY, "relay_id", "repeats", "resent_after_ns", "waited_heartbeats")
+_ROW_COLUMNS = (*_KEY, "relay_id", "rtt_ns", "latency_ns")
+
+
+@dataclass(slots=True)
+class _Sums:
+    """Sums over the runs of one group."""
+
+    runs: int = 0
+    duration_s: float = 0.0
+    payload_bytes: float = 0.0
+    matches_ns: list[float] = field(default_factory=list)
+    counters: Counter[str] = field(default_factory=Counter)
+    bytes: Counter[str] = field(default_factory=Counter)
+    packets: Counter[str] = field(default_factory=Counter)
+
+
+class WireFrames(NamedTuple):
+    """The frames of `model.wire`, each by group."""
+
+    wire: pl.DataFrame
+    wire_classes: pl.DataFrame
+    wire_repeats: pl.DataFrame
+
+
+def no_wire_frames() -> WireFrames:
+    """Make the frames of a campaign without `--wire`: columns and no row."""
+    return WireFrames(**{name: pl.DataFrame(schema=schema) for name, schema in WIRE_FRAMES.items()})
+
+
+def wire_frames(
+    traces: Sequence[Trace], runs: Mapping[int, Run], grouping: Grouping, rows: RowStore
+) -> WireFrames:
+    """Make the frames of `model.wire`.
+
+    Args:
+        traces: the traces of a campaign, for records of messages and counts of relays.
+        runs: the latest description of each run.
+        grouping: the exchanges of each group.
+        rows: the round trips; a sketch has none, and then records are in no frame.
+    """
+    counts = {run_id: value for run_id, run in runs.items() if (value := _object(run.extra.get("wire")))}
+    if not counts:
+        return no_wire_frames()
+    of_relays = _counts_of_relays(traces)
+    records = _records(traces)
+    has_rows = rows.has_rows
+    frame, classes, repeats = [], [], []
+    for group, members in enumerate(grouping.members()):
+        exchanges = [grouping.exchanges[position] for position in members]
+        group_runs = dict.fromkeys(e.run.run_id for e in exchanges if e.run.run_id in counts)
+        if not group_runs:
+            continue
+        of_rows = rows.frame(rows.groups[group], _ROW_COLUMNS) if has_rows else _no_rows()
+        returned = 1.0 if of_rows.is_empty() else of_rows["rtt_ns"].count() / of_rows.height
+        relays = Counter(e.run.run_id for e in exchanges)
+        sums = _Sums()
+        for run_id in group_runs:
+            run = runs[run_id]
+            _add_ping(sums, counts[run_id])
+            sums.payload_bytes += run.published * run.payload_bytes * (1 + returned * relays[run_id])
+            for of_relay in of_relays.get(run_id, ()):
+                _add_counters(sums, of_relay)
+        joined = _joined(of_rows, records)
+        frame.append(_row(group, sums, joined))
+        total = sum(sums.bytes.values())
+        classes += [
+            (group, name, sums.packets[name], count, count / total)
+            for name, count in sorted(sums.bytes.items())
+            if total
+        ]
+        repeats.append(_repeat_rows(group, joined))
+    return WireFrames(
+        pl.DataFrame(frame, WIRE_SCHEMA, orient="row"),
+        pl.DataFrame(classes, WIRE_CLASS_SCHEMA, orient="row"),
+        pl.concat([pl.DataFrame(schema=WIRE_REPEAT_SCHEMA), *repeats]),
+    )
+
+
+def _counts_of_relays(traces: Iterable[Trace]) -> dict[int, list[JsonObject]]:
+    """Return run -> counts of relays that served it; those of several runs count for each of them."""
+    counts: dict[int, dict[tuple[Json, Json], JsonObject]] = defaultdict(dict)
+    for trace in traces:
+        for text in trace.wire:
+            of_relay = _object(text.get("counts"))
+            run_ids = text.get("run_ids")
+            for run_id in run_ids if of_relay and isinstance(run_ids, list) else ():
+                # Traces may be copies of each other.
+                counts[int(str(run_id), 16)][text.get("session_id"), of_relay.get("begin_ns")] = of_relay
+    return {run_id: list(of_run.values()) for run_id, of_run in counts.items()}
+
+
+def _records(traces: Iterable[Trace]) -> pl.DataFrame:
+    """Return the records of messages that a side sent, one per run, sequence and relay (0 on the way out)."""
+    parts = [rows_of_text(text) for trace in traces for text in trace.wire]
+    packed = np.concatenate([np.empty(0, MESSAGE_ROW), *parts])
+    sent = packed[packed["direction"] != Direction.RECEIVED]
+    # On the loopback interface both captures have the message.
+    return (
+        pl.DataFrame({name: np.ascontiguousarray(sent[name]) for name in _RECORD_COLUMNS})
+        .group_by(*_KEY, "relay_id")
+        .agg(pl.col("repeats", "resent_after_ns", "waited_heartbeats").max())
+    )
+
+
+def _joined(of_rows: pl.DataFrame, records: pl.DataFrame) -> pl.DataFrame:
+    """Return the rows of a group whose way out has a record, with `repeats`, `resent_after_ns`, `waited_heartbeats`.
+
+    The wait is that of the way that was repeated later; a way back without a record counts as sent once.
+    """
+    out = records.filter(relay_id=0).drop("relay_id")
+    both = of_rows.join(out, on=_KEY).join(records, on=[*_KEY, "relay_id"], how="left", suffix="_back")
+    return both.select(
+        "rtt_ns",
+        "latency_ns",
+        repeats=pl.col("repeats").cast(pl.UInt32) + pl.col("repeats_back").fill_null(0),
+        resent_after_ns=pl.max_horizontal("resent_after_ns", "resent_after_ns_back"),
+        waited_heartbeats=pl.max_horizontal("waited_heartbeats", "waited_heartbeats_back"),
+    )
+
+
+def _add_ping(sums: _Sums, counts: JsonObject) -> None:
+    sums.runs += 1
+    sums.duration_s += _number(counts.get("duration_s"))
+    if (match_ns := _number(counts.get("match_ns"))) > 0:
+        sums.matches_ns.append(match_ns)
+    classes = counts.get("classes")
+    for each in classes if isinstance(classes, list) else ():
+        of_class = _object(each)
+        name = str(of_class.get("name"))
+        sums.bytes[name] += int(_number(of_class.get("bytes")))
+        sums.packets[name] += int(_number(of_class.get("packets")))
+    _add_counters(sums, counts)
+
+
+def _add_counters(sums: _Sums, counts: JsonObject) -> None:
+    """Add what is counted on each device by itself."""
+    of_kernel = _object(counts.get("ip"))
+    for name in ("kernel_drops", "requests", "tcp_again_bytes"):
+        sums.counters[name] += int(_number(counts.get(name)))
+    for name in ("reassembly_failed", "udp_receive_buffer_full"):
+        sums.counters[name] += int(_number(of_kernel.get(name)))
+
+
+def _row(group: int, sums: _Sums, joined: pl.DataFrame) -> tuple[object, ...]:
+    total = sum(sums.bytes.values())
+    again = sum(sums.bytes[name] for name in AGAIN_CLASSES)
+    discovery = sum(sums.bytes[name] for name in DISCOVERY_CLASSES)
+    repeated = joined.filter(pl.col("repeats") > 0)
+    values: dict[str, object] = {
+        "group": group,
+        "runs": sums.runs,
+        "complete": not sums.counters["kernel_drops"],
+        "total_bytes": total,
+        "payload_bytes": round(sums.payload_bytes),
+        "bytes_per_payload_byte": total / sums.payload_bytes if sums.payload_bytes else None,
+        "again_bytes_share": again / total if total else None,
+        "messages": joined.height,
+        "again_messages": repeated.height,
+        "resent_after_p50_ns": repeated["resent_after_ns"].median(),
+        "waited_heartbeats_p50": repeated["waited_heartbeats"].median(),
+        "match_p50_ns": median(sums.matches_ns) if sums.matches_ns else None,
+        "discovery_share": discovery / total if total else None,
+        "discovery_bytes_per_minute": discovery * 60 / sums.duration_s if sums.duration_s else None,
+        **{
+            name: sums.counters[name]
+            for name in (
+                "kernel_drops",
+                "requests",
+                "reassembly_failed",
+                "udp_receive_buffer_full",
+                "tcp_again_bytes",
+            )
+        },
+    }
+    return tuple(values[name] for name in WIRE_SCHEMA)
+
+
+def _repeat_rows(group: int, joined: pl.DataFrame) -> pl.DataFrame:
+    return (
+        joined.group_by("repeats")
+        .agg(
+            pl.len().alias("messages"),
+            pl.col("rtt_ns").count().alias("returned"),
+            pl.col("rtt_ns").median().alias("rtt_p50_ns"),
+            pl.col("rtt_ns").max().alias("rtt_max_ns"),
+            pl.col("latency_ns").median().alias("latency_p50_ns"),
+            pl.col("latency_ns").max().alias("latency_max_ns"),
+        )
+        .with_columns(pl.lit(group).alias("group"))
+        .select(pl.col(name).cast(kind) for name, kind in WIRE_REPEAT_SCHEMA.items())
+        .sort("repeats")
+    )
+
+
+def _no_rows() -> pl.DataFrame:
+    return pl.DataFrame(
+        schema={
+            "run_id": pl.UInt64,
+            "sequence": pl.UInt64,
+            "relay_id": pl.UInt32,
+            "rtt_ns": pl.Int64,
+            "latency_ns": pl.Int64,
+        }
+    )
+
+
+def _object(value: Json) -> JsonObject:
+    """Return a JSON object, empty for anything else: a trace may hold any JSON here."""
+    return value if isinstance(value, dict) else {}
+
+
+def _number(value: Json) -> float:
+    """Return a number, 0 for anything else."""
+    return value if isinstance(value, int | float) and not isinstance(value, bool) else 0

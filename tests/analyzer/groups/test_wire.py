@@ -1,0 +1,185 @@
+"""The frames about the wire, from counts and records drawn by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from trace_files import (
+    PING_SESSION_ID,
+    RELAY_ID,
+    RELAY_SESSION_ID,
+    RUN_ID,
+    Message,
+    ping_events,
+    ping_session,
+    relay_events,
+    relay_session,
+    run,
+    write_trace,
+)
+
+from dds_trace.analyzer import analyze
+from dds_trace.analyzer.analysis import load_analysis
+from dds_trace.tracefile.format.wire import MESSAGE_ROW, Direction, row_texts
+
+MS = 1_000_000
+COUNTS = {
+    "duration_s": 30.0,
+    "match_ns": 40 * MS,
+    "requests": 2,
+    "kernel_drops": 0,
+    "tcp_again_bytes": 0,
+    "ip": {"reassembly_failed": 1, "udp_receive_buffer_full": 0},
+    "classes": [
+        {"name": "data", "direction": "sent", "packets": 20, "bytes": 330_000},
+        {"name": "data", "direction": "received", "packets": 20, "bytes": 330_000},
+        {"name": "data_again", "direction": "sent", "packets": 10, "bytes": 220_000},
+        {"name": "spdp", "direction": "sent", "packets": 1, "bytes": 110_000},
+        {"name": "sedp", "direction": "received", "packets": 1, "bytes": 110_000},
+    ],
+}
+
+
+def record(sequence, relay_id=0, direction=Direction.SENT, **fields):
+    row = np.zeros(1, MESSAGE_ROW)
+    row["run_id"], row["sequence"], row["relay_id"], row["direction"] = RUN_ID, sequence, relay_id, direction
+    row["resent_after_ns"] = -1
+    for name, value in fields.items():
+        row[name] = value
+    return row
+
+
+def texts(*records):
+    return list(row_texts(np.concatenate(records)))
+
+
+def of_relay(**changes):
+    return {
+        "session_id": f"{RELAY_SESSION_ID:016x}",
+        "run_ids": [f"{RUN_ID:016x}"],
+        "counts": {"begin_ns": 5, "requests": 3, "ip": {"reassembly_failed": 4}, **changes},
+    }
+
+
+MESSAGES = [Message(s, t0=s, t1=s, t3=s + 10, t4=s + 10, t2=s + 20 * (s + 1)) for s in range(4)]
+
+
+def folder_of(tmp_path, ping_wire=(), relay_wire=(), counts=COUNTS):
+    described = run(
+        planned_messages=4,
+        published=4,
+        extra={"session_id": f"{PING_SESSION_ID:016x}", "wire": counts},
+    )
+    write_trace(tmp_path / "ping.mcap", ping_session(), [described], ping_events(MESSAGES), wire=ping_wire)
+    write_trace(tmp_path / "relay.mcap", relay_session(), (), relay_events(MESSAGES), wire=relay_wire)
+    return tmp_path
+
+
+def test_bytes_of_a_group_by_class_and_per_payload_byte(tmp_path):
+    details = analyze(folder_of(tmp_path)).details
+    (row,) = details.wire.to_dicts()
+    assert (row["group"], row["runs"], row["complete"], row["total_bytes"]) == (0, 1, True, 1_100_000)
+    assert row["payload_bytes"] == 4 * 33_000 * 2
+    assert row["bytes_per_payload_byte"] == pytest.approx(1_100_000 / 264_000)
+    assert row["again_bytes_share"] == pytest.approx(0.2)
+    assert row["discovery_share"] == pytest.approx(0.2)
+    assert row["discovery_bytes_per_minute"] == pytest.approx(440_000)
+    assert row["match_p50_ns"] == 40 * MS
+    assert details.wire_classes.select("wire_class", "packets", "bytes", "share").rows() == [
+        ("data", 40, 660_000, 0.6),
+        ("data_again", 10, 220_000, 0.2),
+        ("sedp", 1, 110_000, 0.1),
+        ("spdp", 1, 110_000, 0.1),
+    ]
+
+
+def test_what_the_relays_capture_counted_is_added_once(tmp_path):
+    wire = [of_relay(), of_relay(), of_relay(begin_ns=9, kernel_drops=7)]
+    (row,) = analyze(folder_of(tmp_path, relay_wire=wire)).details.wire.to_dicts()
+    assert row["requests"] == 2 + 3 + 3
+    assert row["reassembly_failed"] == 1 + 4 + 4
+    assert (row["kernel_drops"], row["complete"]) == (7, False)
+
+
+def test_repeats_of_both_ways_are_joined_to_the_messages(tmp_path):
+    ping = texts(
+        record(0),
+        record(1, repeats=2, resent_after_ns=30 * MS, waited_heartbeats=3),
+        record(2),
+        record(3, repeats=1, resent_after_ns=10 * MS, waited_heartbeats=1),
+        record(0, RELAY_ID, Direction.RECEIVED, repeats=9),  # a copy that arrives proves no second sending
+    )
+    relay = texts(record(2, RELAY_ID, repeats=1, resent_after_ns=50 * MS, waited_heartbeats=4))
+    details = analyze(folder_of(tmp_path, ping, relay)).details
+    assert details.wire_repeats.select(
+        "group", "repeats", "messages", "returned", "rtt_p50_ns", "rtt_max_ns"
+    ).rows() == [(0, 0, 1, 1, 20.0, 20.0), (0, 1, 2, 2, 70.0, 80.0), (0, 2, 1, 1, 40.0, 40.0)]
+    (row,) = details.wire.to_dicts()
+    assert (row["messages"], row["again_messages"]) == (4, 3)
+    assert (row["resent_after_p50_ns"], row["waited_heartbeats_p50"]) == (30.0 * MS, 3.0)
+
+
+def test_on_loopback_both_captures_have_a_message_and_it_counts_once(tmp_path):
+    local = texts(*(record(s, direction=Direction.LOCAL, repeats=1) for s in range(4)))
+    details = analyze(folder_of(tmp_path, local, local)).details
+    assert details.wire_repeats.select("repeats", "messages").rows() == [(1, 4)]
+
+
+def test_without_the_wire_the_frames_are_empty(tmp_path):
+    details = analyze(folder_of(tmp_path, counts=None)).details
+    assert (details.wire.height, details.wire_classes.height, details.wire_repeats.height) == (0, 0, 0)
+    assert details.wire.width == 19
+
+
+@pytest.mark.parametrize("counts", [7, [], {"classes": 3, "ip": [], "duration_s": "long"}, {"classes": [1]}])
+def test_counts_that_are_no_counts_end_no_analysis(tmp_path, counts):
+    wire = [{"counts": 1, "run_ids": [1]}, {"counts": {"requests": None}, "run_ids": [f"{RUN_ID:016x}"]}]
+    assert analyze(folder_of(tmp_path, relay_wire=wire, counts=counts)).summary.height == 1
+
+
+def test_a_saved_analysis_has_its_wire(tmp_path):
+    analysis = analyze(folder_of(tmp_path))
+    analysis.save(tmp_path / "saved")
+    assert load_analysis(tmp_path / "saved").details.wire.equals(analysis.details.wire)
+
+
+def finding(tmp_path, **changes):
+    wire = texts(*(record(s, repeats=1, resent_after_ns=90 * MS, waited_heartbeats=2) for s in range(4)))
+    found = analyze(folder_of(tmp_path, wire, counts={**COUNTS, **changes})).findings
+    return {each.code: each for each in found if each.groups == (0,)}
+
+
+def test_repeats_that_are_a_load_of_their_own_are_a_storm(tmp_path):
+    classes = [*COUNTS["classes"], {"name": "data_frag_again", "packets": 1, "bytes": 100_000}]
+    storm = finding(tmp_path, classes=classes)["retransmission_storm"]
+    assert (
+        storm.what
+        == "26.7 % of the bytes on the wire were sent again, 4 of 4 messages; readers asked 2 times."
+    )
+    assert "retransmission_storm" not in finding(tmp_path)  # a fifth is the limit
+
+
+def test_discovery_out_of_proportion(tmp_path):
+    classes = [*COUNTS["classes"], {"name": "liveliness", "packets": 1, "bytes": 100_000}]
+    found = finding(tmp_path, classes=classes)["discovery_traffic"]
+    assert found.what == "Discovery took 26.7 % of the bytes on the wire, 640 KB a minute."
+    assert "discovery_traffic" not in finding(tmp_path, classes=classes, duration_s=3000.0)
+
+
+def test_too_few_repeats_say_nothing_of_heartbeats(tmp_path):
+    assert "heartbeat_bound_recovery" not in finding(tmp_path)
+
+
+def test_repeats_that_waited_for_heartbeats(tmp_path, monkeypatch):
+    monkeypatch.setattr("dds_trace.analyzer.findings.wire.FEWEST_AGAIN", 4)
+    found = finding(tmp_path)["heartbeat_bound_recovery"]
+    assert found.what == (
+        "4 of 4 messages were sent again; half of them waited for 2 heartbeat periods, 90.000 ms, or longer."
+    )
+
+
+def test_a_capture_with_drops_is_the_only_finding_about_the_wire(tmp_path):
+    classes = [{"name": "data_again", "packets": 1, "bytes": 100}]
+    found = finding(tmp_path, classes=classes, kernel_drops=1)
+    assert found["wire_incomplete"].what.startswith("The capture of the wire missed 1 packet that")
+    assert "retransmission_storm" not in found

@@ -71,8 +71,9 @@ def payload_path(applied: Applied, traffic: Traffic) -> str:
     interfaces = applied.begin.interfaces
     if memory and interfaces and all(is_excluded(applied, name, traffic) for name in interfaces):
         return SHARED_MEMORY
-    # Memory of another process (or of whom nobody knows) could explain the payload as well as the interface does.
-    if any(each.is_own is not True for each in memory):
+    # Memory of another process (or of whom nobody knows) could explain the payload as well as the interface does. On one
+    # machine own memory could, too: its reader may be gone, and loopback's count may be that of other programs.
+    if any(each.is_own is not True for each in memory) or (memory and explaining == [LOOPBACK]):
         return UNKNOWN
     return explaining[0] if len(explaining) == 1 else UNKNOWN
 

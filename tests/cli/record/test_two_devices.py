@@ -20,6 +20,7 @@ PING, RELAY = "192.168.0.10", "192.168.0.20"
 READY = {"--role relay": "serves domain", "dds-bridge": " runs: "}
 """What a command says on stderr once others may begin; a command with none of these words runs to its end."""
 MESSAGES, WARMUP, PAYLOAD_BYTES = 200, 10, 33_000
+LEAST_RECEIVED = 0.9
 
 
 def test_the_page_names_the_addresses_and_every_section_has_its_commands():
@@ -50,8 +51,11 @@ def test_its_commands_lead_to_completed_round_trips_over_the_link(tmp_path):
             _follow(list(blocks), devices)
             if section != "Bring the traces together":
                 sent = pair.report()
-                for role in ("ping", "relay"):  # or the messages found another way than the link
-                    assert sent[role]["sent_bytes"] > (MESSAGES + WARMUP) * PAYLOAD_BYTES, section
+                # The messages found no other way than the link; those that `_check` lets a busy machine lose, less.
+                for role in ("ping", "relay"):
+                    assert sent[role]["sent_bytes"] > LEAST_RECEIVED * (MESSAGES + WARMUP) * PAYLOAD_BYTES, (
+                        section
+                    )
     _check(devices["ping"].folder / "runs")
 
 
@@ -96,7 +100,7 @@ def _check(runs):
     for group in groups.values():
         assert group["published"] == MESSAGES
         # All of them, but for a machine that is too busy to read ten messages long.
-        assert group["received"] >= 0.9 * MESSAGES
+        assert group["received"] >= LEAST_RECEIVED * MESSAGES
         assert group["latency_p50_ns"] > 0
     for path in runs.glob("*/*.mcap"):
         session = read_trace(path).sessions[-1]

@@ -1,9 +1,10 @@
-"""Checks of the devices: clocks that jump, stop or drift, processors that are overloaded."""
+"""Checks of the load of the devices: no processor left for the messages."""
 
 from __future__ import annotations
 
-from collections import defaultdict
 from typing import TYPE_CHECKING
+
+import polars as pl
 
 from dds_trace.tracefile.units.counts import counted
 
@@ -14,24 +15,37 @@ if TYPE_CHECKING:
 
     from .evidence import Evidence
 
-_SATURATED_PERCENT = 95.0
+_FREE_PROCESSORS = 0.5
+"""Free processors of the machine, mean of a second, below which a woken thread often finds none: with one of 64 busy, 63 are."""
+
+_FULL_PERCENT = 95.0
+"""Share of one processor from which on the recording process has none left: Python runs on one at a time."""
+
 _SATURATED_SHARE = 0.1
-"""Share of samples with a busy processor from which on it delays messages, though no median shows it."""
+"""Share of seconds from which on it delays messages that percentiles show, though no median does."""
+
+_SATURATED_SECONDS = 2
+"""Seconds at least: the first one of a short recording holds its start."""
 
 
 def cpu_saturation(evidence: Evidence) -> Iterator[Finding]:
-    """Report devices with a processor that was busy in many samples."""
-    busy: dict[int, list[float]] = defaultdict(list)
-    samples = evidence.details.host_samples.select("session_id", "cpu_busiest_percent").drop_nulls()
-    for session_id, percent in samples.iter_rows():
-        busy[session_id].append(percent)
-    for session_id, percents in busy.items():
-        full = sum(percent >= _SATURATED_PERCENT for percent in percents)
-        if full > _SATURATED_SHARE * len(percents):
+    """Report recordings in many seconds of which the machine, or the one processor of the process, was full."""
+    full = (pl.col("cpu_free_processors") < _FREE_PROCESSORS, pl.col("node_cpu_percent") >= _FULL_PERCENT)
+    words = (
+        f"the machine had less than {_FREE_PROCESSORS:g} processors free",
+        f"the recording process filled a processor to at least {_FULL_PERCENT:g} %",
+    )
+    counts = evidence.details.host_samples.group_by("session_id", maintain_order=True).agg(
+        pl.len().alias("seconds"), *(each.sum().alias(str(cause)) for cause, each in enumerate(full))
+    )
+    for session_id, seconds, *of_cause in counts.iter_rows():
+        most = max(of_cause)
+        if most >= _SATURATED_SECONDS and most > _SATURATED_SHARE * seconds:
             yield Finding(
                 Severity.WARNING,
                 "cpu_saturated",
                 evidence.session_name(evidence.campaign.sessions[session_id]),
-                f"In {full} of {counted(len(percents), 'second')} a processor was busy to at least {_SATURATED_PERCENT:g} %.",
+                f"In {most} of {counted(seconds, 'second')} {words[of_cause.index(most)]}.",
                 "Latencies here hold time spent waiting for the processor: lower rate or size, or free the device.",
+                effect=most / seconds,
             )

@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from ..model.finding import Finding, Severity
-from . import applied, clocks, devices, groups, left_out, runs, sending, sessions, sizes, sources, wire
+from . import applied, clocks, devices, groups, left_out, runs, sending, sessions, sides, sizes, sources, wire
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -43,6 +43,9 @@ CHECKS: tuple[Check, ...] = (
     runs.missing_schedule,
     runs.unlike_domains,
     runs.unlike_payloads,
+    sides.overlapping_pings,
+    sides.unlike_versions,
+    sides.wireless_on_one_machine,
     groups.mixed_labels,
     sessions.unlike_environments,
     sessions.unclosed_sessions,

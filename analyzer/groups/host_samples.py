@@ -37,6 +37,7 @@ HOST_SAMPLE_SCHEMA: dict[str, type[pl.DataType]] = {
     "udp_receive_errors": pl.Float64,
     "sampling_cpu_ns": pl.Float64,
     "monotonic_raw_ns": pl.Int64,
+    "cpu_free_processors": pl.Float64,
 }
 
 
@@ -49,7 +50,8 @@ def host_sample_frame(traces: Sequence[Trace]) -> pl.DataFrame:
         `node_*` the recording process and `bridge_cpu_percent` the bridge's, of one processor each;
         `wifi_signal_dbm` the weakest interface; `udp_receive_errors` datagrams that the kernel threw away for want
         of buffer since the session's first sample; `sampling_cpu_ns` what taking the sample before this one cost;
-        `monotonic_raw_ns` CLOCK_MONOTONIC_RAW at `monotonic_ns`.
+        `monotonic_raw_ns` CLOCK_MONOTONIC_RAW at `monotonic_ns`; `cpu_free_processors` how many processors' time
+        nobody used.
     """
     rows: dict[tuple[int, float], dict[str, object]] = {}
     for trace in traces:
@@ -101,6 +103,7 @@ def _row(sample: Mapping[str, object]) -> dict[str, float | None]:
     host, processes = _object(sample.get("host")), _object(sample.get("processes"))
     node = _object(processes.get("self"))
     each = host.get("cpu_percent_each")
+    busy = _numbers(each if isinstance(each, list) else [])
     wall_ns, monotonic_ns = _number(sample.get("log_time_ns")), _number(sample.get("monotonic_ns"))
     raw_ns = _number(sample.get("monotonic_raw_ns"))
     bridges = [_object(held).get("cpu_percent") for name, held in processes.items() if name not in _OURS]
@@ -118,7 +121,7 @@ def _row(sample: Mapping[str, object]) -> dict[str, float | None]:
                 "load_1min",
             )
         },
-        "cpu_busiest_percent": max(_numbers(each if isinstance(each, list) else []), default=None),
+        "cpu_busiest_percent": max(busy, default=None),
         "node_cpu_percent": _number(node.get("cpu_percent")),
         "node_memory_bytes": _number(node.get("memory_bytes")),
         "bridge_cpu_percent": sum(_numbers(bridges)) if _numbers(bridges) else None,
@@ -128,6 +131,7 @@ def _row(sample: Mapping[str, object]) -> dict[str, float | None]:
         "udp_receive_errors": _number(_object(sample.get("udp")).get("RcvbufErrors")),
         "sampling_cpu_ns": _number(sample.get("sampling_cpu_ns")),
         "monotonic_raw_ns": None if raw_ns is None else int(raw_ns),
+        "cpu_free_processors": sum(100 - percent for percent in busy) / 100 if busy else None,
     }
 
 

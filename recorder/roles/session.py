@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import Session
+from dds_trace.tracefile.version import __version__
 
 from ..backends import load_backend, load_backends
 from ..choices import Discovery
@@ -62,7 +63,12 @@ def describe_session(
         wall_anchor_ns=anchor.wall_ns,
         monotonic_anchor_ns=anchor.monotonic_ns,
         host={**host, "middleware": dict(middleware.settings)},
-        extra={"vendor_label": vendor_label, "boot_id": read_boot_id(), **(extra or {})},
+        extra={
+            "vendor_label": vendor_label,
+            "recorder_version": __version__,
+            "boot_id": read_boot_id(),
+            **(extra or {}),
+        },
     )
 
 

@@ -21,6 +21,7 @@ from dds_trace.recorder.payloads.header import payload_bytes_of
 from dds_trace.recorder.payloads.stamp import HEADER_STAMP, RAW_HEADER_STAMP, stamp_text
 from dds_trace.reports.book.book import Book
 from dds_trace.tracefile import NoEchoError, TraceDestination, read_trace
+from dds_trace.tracefile.version import __version__
 
 MESSAGES, WARMUP = 8, 2
 
@@ -75,6 +76,7 @@ def test_a_toy_backend_carries_a_ping_and_a_relay_to_a_closed_trace_that_analyze
     assert session.host["versions"] == {"toy": "1.0"}
     assert session.host["settings"]["TOY_SETTING"] == "on"
     assert session.extra["client_library_floor"]["median_ns"] > 0
+    assert session.extra["recorder_version"] == __version__
     assert session.extra["boot_id"] == read_boot_id()
     assert session.extra["clock"] == {"begin": read_adjtimex(), "end": read_adjtimex()}
     analysis = analyze(tmp_path)

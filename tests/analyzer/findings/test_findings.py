@@ -29,6 +29,7 @@ from dds_trace.analyzer.findings import (
     runs,
     sending,
     sessions,
+    sides,
     sizes,
     sources,
 )
@@ -69,7 +70,19 @@ def test_a_sound_recording_has_no_finding(tmp_path):
 def test_every_check_is_in_the_table():
     functions = {
         value
-        for module in (applied, clocks, devices, groups, left_out, runs, sending, sessions, sizes, sources)
+        for module in (
+            applied,
+            clocks,
+            devices,
+            groups,
+            left_out,
+            runs,
+            sending,
+            sessions,
+            sides,
+            sizes,
+            sources,
+        )
         for name, value in vars(module).items()
         if callable(value)
         and getattr(value, "__module__", "") == module.__name__
@@ -434,3 +447,88 @@ def test_a_relay_without_its_events(tmp_path):
     assert "Copy the relay's trace" in findings(tmp_path)["missing_relay_trace"].action
     write_trace(tmp_path / "relay.mcap", relay_session(), (), {})
     assert "does not know these runs" in findings(tmp_path)["missing_relay_trace"].action
+
+
+def side_by_side(folder, shift_ns, **second):
+    """Two runs of one ping device, the second `shift_ns` after the first, with other fields."""
+    sessions = ping_session(), ping_session(session_id=9, **second)
+    for number, (session, shift) in enumerate(zip(sessions, (0, shift_ns), strict=True), 1):
+        moved = [
+            Message(m.sequence, *(t + shift for t in (m.t0, m.t1, m.t3, m.t4, m.t2))) for m in sound(100)
+        ]
+        described_run = described(
+            moved,
+            run_id=number,
+            payload_bytes=1000 * number,
+            extra={"session_id": f"{session.session_id:016x}"},
+        )
+        fields = {"run_id": number, "payload_bytes": 1000 * number}
+        write_trace(folder / f"ping{number}.mcap", session, [described_run], ping_events(moved, **fields))
+    return {f.code: f for f in analyze(folder).findings}
+
+
+def test_unlike_pings_at_the_same_time_on_a_device(tmp_path):
+    found = side_by_side(tmp_path, 5 * 10**9)["overlapping_pings"]  # of ten seconds each
+    assert found.groups == (0, 1)
+    assert found.what.startswith(
+        "1 run of one went on at the same time as a run of the other on the same device"
+    )
+    assert found.effect == pytest.approx(4.9 / 9.9, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("shift_ns", "second"),
+    [(10 * 10**9, {}), (9_500 * MS, {}), (5 * 10**9, {"device": "gamma"})],
+    ids=["one after the other", "within a second", "another device"],
+)
+def test_pings_that_do_not_disturb_each_other(tmp_path, shift_ns, second):
+    assert "overlapping_pings" not in side_by_side(tmp_path, shift_ns, **second)
+
+
+def test_two_names_of_one_boot_are_one_device(tmp_path):
+    boot = {"extra": {"boot_id": "one"}}
+    events = {Stage.T1: [event(s, s * PERIOD, run_id=1) for s in range(100)]}
+    write_trace(tmp_path / "a.mcap", ping_session(**boot), [described(sound(100), run_id=1)], events)
+    other = {Stage.T1: [event(s, s * PERIOD, run_id=2, payload_bytes=9) for s in range(100)]}
+    second = ping_session(session_id=9, device="gamma", **boot)
+    run_of_second = described(sound(100), run_id=2, payload_bytes=9, extra={"session_id": f"{9:016x}"})
+    write_trace(tmp_path / "b.mcap", second, [run_of_second], other)
+    assert "overlapping_pings" in findings(tmp_path)
+
+
+def test_a_ping_and_a_relay_of_unlike_versions(tmp_path):
+    old = {
+        "host": {"versions": {"rmw_fastrtps_cpp": "8.4.1", "rclpy": "7"}},
+        "extra": {"recorder_version": "0.1.0"},
+    }
+    new = {
+        "host": {"versions": {"rmw_fastrtps_cpp": "8.4.2", "rclpy": "7"}},
+        "extra": {"recorder_version": "0.2.0"},
+    }
+    write_pair(tmp_path, sound(), ping=ping_session(**old), relay=relay_session(**new))
+    found = findings(tmp_path)["unlike_versions"]
+    assert found.what == (
+        "The ping and the relay ran unlike versions: dds-trace 0.1.0 and 0.2.0; rmw_fastrtps_cpp 8.4.1 and 8.4.2."
+    )
+    assert (found.where, found.groups) == ("ping on alpha, relay on beta", (0,))
+    write_pair(tmp_path, sound(), ping=ping_session(**old), relay=relay_session(**old))
+    assert "unlike_versions" not in findings(tmp_path)
+    write_pair(tmp_path, sound(), ping=ping_session(**old))  # an older recorder tells nothing
+    assert "unlike_versions" not in findings(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("relay", "connectivity", "is_found"),
+    [
+        ({"extra": {"boot_id": "one"}}, "wireless", True),
+        ({"extra": {"boot_id": "two"}}, "wireless", False),
+        ({"extra": {"boot_id": "one"}}, "loopback", False),
+        ({"device": "alpha"}, "wireless", True),
+        ({}, "wireless", False),
+    ],
+)
+def test_wireless_on_one_machine(tmp_path, relay, connectivity, is_found):
+    ping = ping_session(connectivity=connectivity, extra={"boot_id": "one"} if "extra" in relay else {})
+    of_one_clock = [replace(m, t3=m.t3 + 500, t4=m.t4 + 500) for m in sound()]
+    write_pair(tmp_path, of_one_clock, ping=ping, relay=relay_session(connectivity=connectivity, **relay))
+    assert ("wireless_on_one_machine" in findings(tmp_path)) is is_found

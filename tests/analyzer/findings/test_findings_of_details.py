@@ -140,11 +140,20 @@ def test_clock_drift(tmp_path):
     assert "clock_drift" not in findings(tmp_path / "sound")
 
 
-@pytest.mark.parametrize(("busy", "is_found"), [(3, True), (1, False)])
-def test_cpu_saturation_in_more_than_a_tenth_of_the_samples(tmp_path, busy, is_found):
+@pytest.mark.parametrize(
+    ("busy", "processors", "process", "is_found"),
+    [
+        (3, [60.0, 100.0], 0.0, True),
+        (1, [60.0, 100.0], 0.0, False),
+        (3, [2.0] * 63 + [100.0], 0.0, False),  # any busy one of 64 is none of ours
+        (3, [2.0] * 63 + [100.0], 99.0, True),
+    ],
+)
+def test_cpu_saturation_in_more_than_a_tenth_of_the_samples(tmp_path, busy, processors, process, is_found):
     host = [
         {
-            "host": {"cpu_percent_each": [5.0, 100.0 if second < busy else 30.0]},
+            "host": {"cpu_percent_each": processors if second < busy else [30.0]},
+            "processes": {"self": {"cpu_percent": process if second < busy else 10.0}},
             "udp": {"RcvbufErrors": second},
         }
         for second in range(10)

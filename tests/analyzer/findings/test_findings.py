@@ -1,7 +1,9 @@
 """Each finding by hand: what brings it about, and that a sound recording has none."""
 
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
+from pkgutil import iter_modules
 
 import pytest
 from trace_files import (
@@ -20,19 +22,7 @@ from trace_files import (
 
 import dds_trace.analyzer.loading.shelf
 from dds_trace.analyzer import Severity, analyze
-from dds_trace.analyzer.findings import (
-    applied,
-    clocks,
-    devices,
-    groups,
-    left_out,
-    runs,
-    sending,
-    sessions,
-    sides,
-    sizes,
-    sources,
-)
+from dds_trace.analyzer import findings as rooms
 from dds_trace.analyzer.findings.table import CHECKS
 from dds_trace.tracefile import Qos, Stage, read_trace
 
@@ -68,21 +58,11 @@ def test_a_sound_recording_has_no_finding(tmp_path):
 
 
 def test_every_check_is_in_the_table():
+    names = {module.name for module in iter_modules(rooms.__path__)} - {"table", "evidence"}
+    checking = [import_module(f"{rooms.__name__}.{name}") for name in names]
     functions = {
         value
-        for module in (
-            applied,
-            clocks,
-            devices,
-            groups,
-            left_out,
-            runs,
-            sending,
-            sessions,
-            sides,
-            sizes,
-            sources,
-        )
+        for module in checking
         for name, value in vars(module).items()
         if callable(value)
         and getattr(value, "__module__", "") == module.__name__

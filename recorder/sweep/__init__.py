@@ -6,6 +6,7 @@ from dds_trace.lazy import contents_page
 
 if TYPE_CHECKING:
     from ..backends import installed_middlewares
+    from .against import AgainstOutcome, against_seconds, run_against, take_turns
     from .max_rate_report import COLUMNS, max_rate_rows, write_max_rates
     from .plan.cells import Cell
     from .plan.commands import half_arguments, relay_arguments
@@ -17,14 +18,18 @@ if TYPE_CHECKING:
     from .run.result import CellResult, read_result
     from .search import MaxRate, RateAnswer
     from .station.devices import printed_command
-    from .sweep import INCOMPLETE_EXIT_CODE, SweepOutcome, run_search, run_sweep
+    from .sweep import INCOMPLETE_EXIT_CODE, TOO_WIDE_EXIT_CODE, SweepOutcome, run_search, run_sweep
+    from .until import DEFAULT_MAX_PASSES, Until, parse_target
 else:
     __getattr__, __dir__ = contents_page(__name__)
 
 __all__ = [
     "COLUMNS",
+    "DEFAULT_MAX_PASSES",
     "INCOMPLETE_EXIT_CODE",
     "PRESETS",
+    "TOO_WIDE_EXIT_CODE",
+    "AgainstOutcome",
     "Cell",
     "CellGroup",
     "CellResult",
@@ -35,18 +40,23 @@ __all__ = [
     "Remaining",
     "SweepOutcome",
     "SweepProgress",
+    "Until",
+    "against_seconds",
     "half_arguments",
     "installed_middlewares",
     "make_progress",
     "max_rate_rows",
     "parse_plan",
+    "parse_target",
     "plan_seconds",
     "printed_command",
     "read_plan",
     "read_result",
     "relay_arguments",
+    "run_against",
     "run_search",
     "run_sweep",
     "schedule",
+    "take_turns",
     "write_max_rates",
 ]

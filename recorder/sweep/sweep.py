@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from .plan.schedule import schedule
@@ -10,6 +10,7 @@ from .run.lock import holding_folder
 from .run.runner import Runner
 from .search import find_max_rates, search_plan
 from .station.station import open_station
+from .until import run_further_passes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -18,9 +19,13 @@ if TYPE_CHECKING:
     from .plan.plan import Plan
     from .run.progress import SweepProgress
     from .search import MaxRate
+    from .until import Until
 
 INCOMPLETE_EXIT_CODE = 10
 """Exit code of `dds-sweep` if some cells have no complete recording; 1 to 9 are those of the `TraceError` tree."""
+
+TOO_WIDE_EXIT_CODE = 11
+"""Exit code of `dds-sweep --until` if everything is recorded and some cells are still too wide after the last pass."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,11 +36,13 @@ class SweepOutcome:
         folder: folder with the traces and `state.json`.
         cells: number of cells of the plan, repeats included.
         missing: name of each cell without a complete recording -> the reason.
+        too_wide: name of each cell whose interval is wider than asked for -> half width in percent.
     """
 
     folder: Path
     cells: int
     missing: dict[str, str]
+    too_wide: dict[str, float] = field(default_factory=dict)
 
 
 def run_sweep(
@@ -44,6 +51,7 @@ def run_sweep(
     progress: SweepProgress,
     *,
     command: Sequence[str] | None = None,
+    until: Until | None = None,
 ) -> SweepOutcome:
     """Record every cell of the plan that is not complete below `out`.
 
@@ -52,6 +60,7 @@ def run_sweep(
         out: folder in which the plan's folder is made.
         progress: receiver of every step.
         command: `dds-record` on this machine; the installed one if left out.
+        until: precision up to which further passes are run; None for the passes of the plan alone.
 
     Raises:
         TraceError: no cell can be recorded at all; failures of single cells are in the outcome.
@@ -63,11 +72,14 @@ def run_sweep(
         open_station(plan, folder, held, show=progress.note, command=command) as station,
     ):
         runner = Runner(plan, folder, station, progress)
-        missing = runner.run(groups)
-        reasons = {
-            name: runner.state[name].reason or "the relay's trace is still on its device" for name in missing
-        }
-    return SweepOutcome(folder, sum(len(group.cells) for group in groups), reasons)
+        runner.run(groups)
+        cells = [cell for group in groups for cell in group.cells]
+        too_wide: dict[str, float] = {}
+        if until is not None:
+            further = run_further_passes(plan, runner, until, progress.note)
+            cells += further.cells
+            too_wide = further.too_wide
+        return SweepOutcome(folder, len(cells), runner.reasons(cells), too_wide)
 
 
 def run_search(

@@ -28,7 +28,7 @@ from .split import CellPart, split_relay_trace
 from .state import CellState, Status, SweepState
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
     from pathlib import Path
 
     from ..plan.cells import Cell
@@ -82,12 +82,23 @@ class Runner:
             if done < len(cells):
                 self._station.device.prepare()
             for group in groups:
-                waiting = [cell for cell in group.cells if not self.state[cell.name].done]
-                if waiting:
-                    self._run_group(group, waiting, cells)
+                self.run_group(group, cells)
         finally:
             self._progress.end()
-        return [cell.name for cell in cells if self.state[cell.name].status is not Status.COMPLETE]
+        return list(self.reasons(cells))
+
+    def prepare(self) -> None:
+        """Take up what an interrupted sweep left, and check that relays can be started."""
+        self.resume()
+        self._station.device.prepare()
+
+    def reasons(self, cells: Iterable[Cell]) -> dict[str, str]:
+        """Return for each of these cells without a complete recording its name and the reason."""
+        return {
+            cell.name: self.state[cell.name].reason or "the relay's trace is still on its device"
+            for cell in cells
+            if self.state[cell.name].status is not Status.COMPLETE
+        }
 
     def resume(self) -> None:
         """Take apart the segments that an interrupted sweep left, and delete its unfinished cells."""
@@ -96,7 +107,16 @@ class Runner:
         for path in self._parts.iterdir():
             path.unlink()
 
-    def _run_group(self, group: CellGroup, waiting: list[Cell], all_cells: list[Cell]) -> None:
+    def run_group(self, group: CellGroup, all_cells: list[Cell]) -> None:
+        """Run the cells of a group that are not complete.
+
+        Args:
+            group: cells of one relay.
+            all_cells: cells of the sweep, for the time that is left.
+        """
+        waiting = [cell for cell in group.cells if not self.state[cell.name].done]
+        if not waiting:
+            return
         with self.relay(group) as relay:
             for cell in waiting:
                 left = [other for other in all_cells if not self.state[other.name].done]

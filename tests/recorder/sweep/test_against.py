@@ -1,0 +1,91 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from sweep_desk import COMMAND, FIRST, PLAN, SECOND, Heard, files_of
+
+from dds_trace.recorder.sweep.against import against_seconds, run_against, take_turns
+from dds_trace.recorder.sweep.plan.plan_file import parse_plan
+from dds_trace.recorder.sweep.plan.schedule import RELAY_OVERHEAD_S, RUN_OVERHEAD_S
+from dds_trace.tracefile import OptionError
+
+ONE_CELL = PLAN.replace("[100, 200]", "100").replace("[axes]", "repeats = 4\n[axes]")
+OTHER = ONE_CELL.replace("[axes]", '[axes]\nreliability = "best_effort"')
+
+
+def plan(text=ONE_CELL):
+    return parse_plan(text, "p", "p.toml")
+
+
+def turns_of(base, new):
+    return [(turn.side, turn.group.cells[0].name, turn.group.number) for turn in take_turns(base, new)]
+
+
+def test_sides_take_turns_and_the_one_that_begins_alternates():
+    assert turns_of(plan(), plan(OTHER)) == [
+        ("base", FIRST, 1),
+        ("new", f"{FIRST}_best_effort", 2),
+        ("new", f"{FIRST}_best_effort_r2", 3),
+        ("base", f"{FIRST}_r2", 4),
+        ("base", f"{FIRST}_r3", 5),
+        ("new", f"{FIRST}_best_effort_r3", 6),
+        ("new", f"{FIRST}_best_effort_r4", 7),
+        ("base", f"{FIRST}_r4", 8),
+    ]
+
+
+def test_linear_drift_over_two_alternating_passes_is_the_same_for_both_sides_of_a_cell():
+    text = PLAN.replace("[axes]", 'repeats = 2\norder = "alternating"\n[axes]')
+    places = {}
+    for place, turn in enumerate(take_turns(plan(text), plan(text))):
+        places.setdefault((turn.side, turn.group.cells[0].rate), []).append(place)
+    assert {sum(of_cell) for of_cell in places.values()} == {7}  # 0 .. 7 in pairs
+    assert len(places) == 4
+
+
+def test_sides_of_unlike_length_are_refused():
+    with pytest.raises(OptionError, match="the base has 1 cell and the new side 2"):
+        take_turns(plan(), plan(PLAN))
+
+
+def test_time_of_both_sides_has_a_start_of_the_relay_for_each_run():
+    # 5 messages at 100 Hz, no settling, eight runs
+    assert against_seconds(plan(), plan(OTHER)).seconds == pytest.approx(
+        8 * (0.05 + RUN_OVERHEAD_S + RELAY_OVERHEAD_S)
+    )
+
+
+def test_two_folders_are_recorded_in_turns_and_again_only_what_is_missing(desk):
+    base, new = (plan(text.replace("repeats = 4", "repeats = 2")) for text in (ONE_CELL, OTHER))
+    folder = desk.folder / "runs/ab"
+    heard = Heard()
+    outcome = run_against(base, new, folder, heard, commands=(COMMAND, COMMAND))
+    assert (outcome.base.missing, outcome.new.missing) == ({}, {})
+    assert sorted(path.name for path in (folder / "base").glob("*.mcap")) == files_of(FIRST, f"{FIRST}_r2")
+    assert sorted(path.name for path in (folder / "new").glob("*.mcap")) == files_of(
+        f"{FIRST}_best_effort", f"{FIRST}_best_effort_r2"
+    )
+    written = [
+        Path(start["arguments"][start["arguments"].index("--out") + 1])
+        for start in desk.starts
+        if start["cell"] != "relay"
+    ]
+    assert [path.parents[1].name for path in written] == ["base", "new", "new", "base"]
+    assert [name for name, _, _ in heard.ended_cells][:2] == [f"base {FIRST}", f"new {FIRST}_best_effort"]
+    starts = desk.started
+    again = Heard()
+    run_against(base, new, folder, again, commands=(COMMAND, COMMAND))
+    assert desk.started == starts
+    assert again.begun == (4, 4)
+
+
+def test_failure_of_one_side_is_that_sides_and_the_other_goes_on(desk):
+    desk.script(**{SECOND: ["unavailable"]})
+    base, new = (
+        plan(ONE_CELL.replace("repeats = 4", "repeats = 1")),
+        plan(ONE_CELL.replace("repeats = 4", "repeats = 1").replace("100", "200")),
+    )
+    outcome = run_against(base, new, desk.folder / "runs/ab", Heard(), commands=(COMMAND, COMMAND))
+    assert outcome.base.missing == {}
+    assert list(outcome.new.missing) == [SECOND]

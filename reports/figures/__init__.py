@@ -9,9 +9,12 @@ from . import (
     clocks,
     comparison,
     distribution,
+    first_message,
     host_load,
     latency,
+    sent_again,
     timeline,
+    wire_cost,
 )
 from .figure import Figure, FigureMaker, LeftOut, Scope, figure_maker
 
@@ -26,6 +29,9 @@ FIGURES: list[FigureMaker] = [
     capacity.TRANSFER_RATE,
     capacity.SUSTAINABLE,
     breakdown.FIGURE,
+    wire_cost.FIGURE,
+    sent_again.FIGURE,
+    first_message.FIGURE,
     clocks.ONE_WAY,
     clocks.CLOCK,
     distribution.PERCENTILE_CURVE,

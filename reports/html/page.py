@@ -42,6 +42,7 @@ SCRIPTS = (
     "layout.js",
     "kinds.js",
     "details.js",
+    "wire.js",
     "tables.js",
     "export.js",
     "figures.js",

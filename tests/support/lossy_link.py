@@ -131,7 +131,7 @@ def record_watched(
     with lossy_link(folder, loss, rate_mbit) as link:
         relay = (program, "--role", "relay", *both, "--out", folder / "relay.mcap")
         with running_session(link, 1, *session_of(options, folder / "relay"), *relay) as session:
-            _wait_for(session, "serves domain")
+            wait_for(session, "serves domain")
             peer = ("--peer", link.sides[1].address) if backend in ("socket", "zenoh") else ()
             ping = (program, "--role", "ping", *both, "--out", folder / "ping.mcap", *peer, *ping_options)
             link.watch(0, options, folder / "ping", *ping)
@@ -160,7 +160,7 @@ def running_session(link: LossyLink, side: int, *command: object) -> Iterator[su
         session.communicate(timeout=_PATIENCE_S)
 
 
-def _wait_for(command: subprocess.Popen[str], text: str) -> None:
+def wait_for(command: subprocess.Popen[str], text: str) -> None:
     assert command.stderr is not None
     said = []
     for line in command.stderr:

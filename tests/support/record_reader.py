@@ -24,6 +24,13 @@ def events_of(path: Path, stage: str) -> list[dict[str, int]]:
         return [dict(zip(FIELDS, unpack_event(message.data), strict=True)) for _, _, message in messages]
 
 
+def records_of(path: Path) -> list[tuple[str, bytes]]:
+    """Topic and bytes of every message, in the order of the file."""
+    with path.open("rb") as file:
+        messages = make_reader(file, validate_crcs=True).iter_messages(log_time_order=False)
+        return [(channel.topic, message.data) for _, channel, message in messages]
+
+
 def last_json(path: Path, name: str) -> dict[str, Any]:
     """The last `run` or `session` description."""
     with path.open("rb") as file:

@@ -103,10 +103,12 @@ const KINDS = {
 
   cells(plan, width) {
     const percent = plan.value === "received_ratio";
-    const found = collected(plan, percent ? (group) => DATA.values.plain.received_ratio[group] : statisticOf);
+    const own = plan.values_ns;  // times of the figure's own, in place of the chosen statistic
+    const found = collected(plan, percent ? (group) => DATA.values.plain.received_ratio[group] : own ? (group) => own[group] : statisticOf);
+    const intervals = !percent && !own && INTERVALS();
     const points = found.panels.flatMap((panel) => panel.lines.flatMap((line) => line.points));
     const unit = percent ? { factor: 0.01, label: "%" } : axisUnit(points.map((point) => point.value));
-    const label = percent ? "Received" : statisticLabel();
+    const label = percent ? "Received" : own ? plan.label : statisticLabel();
     const format = percent ? formatRatio : formatNs;
     const least = Math.min(1, ...points.map((point) => point.value)) * 100;
     const floor = least > 99 ? 99 : least > 90 ? 90 : least > 50 ? 50 : 0;
@@ -118,9 +120,9 @@ const KINDS = {
         traces: panel.lines.map((line) => {
           const trace = marks(line.series, line.points, {
             x: (point) => rank.get(point.x), y: (point) => point.value / unit.factor, mode: "markers", size: 8, open: percent,
-            hover: (point) => groupHover(point.group, `${label}: ${format(point.value)}`, ...(percent ? [] : intervalHover(point.group)), sampleHover(point.group)),
+            hover: (point) => groupHover(point.group, `${label}: ${format(point.value)}`, ...(percent || own ? [] : intervalHover(point.group)), sampleHover(point.group)),
           });
-          return percent ? trace : withInterval(trace, line.points, unit.factor);
+          return percent || own ? trace : withInterval(trace, line.points, unit.factor);
         }),
         ...cellAxis(places.map((place) => DATA.cells[place])),
         y: percent ? { type: "linear", range: [floor - (100 - floor) * 0.04, 100 + (100 - floor) * 0.06], nticks: 5 } : timeAxis(),
@@ -130,8 +132,8 @@ const KINDS = {
     return {
       ...gridOf(panels, width, { yTitle: `${label} (${unit.label})`, minWidth: Math.min(width, Math.max(300, most * 17)), height: percent ? 150 : 230 }),
       series: found.series, missing: found.missing, foot: "Numbers below the axis: rate in Hz, and under it the size.",
-      columns: [...GROUP_COLUMNS, { label, unit: percent ? "ratio" : "ns", format }, ...(!percent && INTERVALS() ? [LOW, HIGH] : [])],
-      rows: points.map((point) => groupRow(point.group, point.value, ...(!percent && INTERVALS() ? intervalOf(point.group) : []))),
+      columns: [...GROUP_COLUMNS, { label, unit: percent ? "ratio" : "ns", format }, ...(intervals ? [LOW, HIGH] : [])],
+      rows: points.map((point) => groupRow(point.group, point.value, ...(intervals ? intervalOf(point.group) : []))),
     };
   },
 

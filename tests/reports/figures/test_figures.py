@@ -209,7 +209,8 @@ def test_outages_are_marked_on_the_timeline():
 def test_without_details_the_figures_that_need_them_say_so(campaign):
     plain = replace(campaign, details=details_not_requested())
     left_out = {drawn.name for maker in FIGURES if isinstance(drawn := maker.draw(Book(plain)), LeftOut)}
-    assert left_out == {"bridge_cost", "breakdown", "one_way", "clock", "host_load"}
+    of_wire = {"wire_cost", "sent_again", "first_message"}
+    assert left_out == {"bridge_cost", "breakdown", "one_way", "clock", "host_load"} | of_wire
 
 
 def test_curves_are_the_inverse_of_the_histogram():

@@ -1,0 +1,97 @@
+"""Figures about the wire, from frames drawn by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import polars as pl
+import pytest
+from analyses import MS, Measured, make_analysis
+
+from dds_trace.analyzer.model.wire import WIRE_CLASS_SCHEMA, WIRE_REPEAT_SCHEMA, WIRE_SCHEMA
+from dds_trace.reports.book.book import Book
+from dds_trace.reports.figures import Figure, LeftOut
+from dds_trace.reports.figures.figure import Line, Panel
+from dds_trace.reports.figures.first_message import (
+    FirstMessage,
+    first_message_figure,
+    first_message_info,
+)
+from dds_trace.reports.figures.sent_again import Repeats, SentAgain, sent_again_figure, sent_again_info
+from dds_trace.reports.figures.wire_cost import WirePart, wire_cost_figure, wire_cost_info
+
+
+def frame(schema, *rows):
+    return pl.DataFrame([dict.fromkeys(schema) | row for row in rows], schema)
+
+
+def drawn(wire=(), classes=(), repeats=()):
+    analysis = make_analysis(Measured([MS, 2 * MS]), Measured([MS, 3 * MS], rate_hz=20.0))
+    details = replace(
+        analysis.details,
+        wire=frame(WIRE_SCHEMA, *wire),
+        wire_classes=frame(WIRE_CLASS_SCHEMA, *classes),
+        wire_repeats=frame(WIRE_REPEAT_SCHEMA, *repeats),
+    )
+    return Book(replace(analysis, details=details))
+
+
+def test_a_bar_is_the_bytes_per_payload_byte_by_what_they_were_spent_on():
+    classes = [
+        {"group": 1, "wire_class": name, "share": share}
+        for name, share in (("data", 0.4), ("data_frag", 0.2), ("data_frag_again", 0.25), ("acknack", 0.05), ("spdp", 0.1))
+    ]  # fmt: skip
+    info = wire_cost_info(drawn([{"group": 1, "complete": False, "bytes_per_payload_byte": 2.0}], classes))
+    assert info.panels == (Panel("Binary: Fast DDS", (Line(0, (1.0,), (1,)),)),)
+    assert [(part.name, pytest.approx(part.ratio)) for part in info.parts[1]] == [
+        ("data", 1.2),
+        ("again", 0.5),
+        ("control", 0.1),
+        ("discovery", 0.2),
+    ]
+    assert info.parts[1][1] == WirePart("again", 0.5, 0.25)
+    assert info.incomplete == (1,)
+    figure = wire_cost_figure(info)
+    assert isinstance(figure, Figure)
+    assert list(figure.plan["names"]) == ["data", "again", "control", "discovery"]
+
+
+def test_an_unknown_class_is_other():
+    classes = [{"group": 0, "wire_class": "of a later version", "share": 1.0}]
+    info = wire_cost_info(drawn([{"group": 0, "complete": True, "bytes_per_payload_byte": 1.5}], classes))
+    assert info.parts == {0: (WirePart("other", 1.5, 1.0),)}
+
+
+def test_a_group_without_repeats_is_not_drawn():
+    rows = [
+        {"group": 0, "repeats": 0, "messages": 2, "rtt_p50_ns": 5.0, "latency_p50_ns": 2.0, "latency_max_ns": 3.0},
+        {"group": 1, "repeats": 0, "messages": 1, "rtt_p50_ns": 5.0, "latency_p50_ns": 2.4, "latency_max_ns": 2.6},
+        {"group": 1, "repeats": 1, "messages": 1},
+    ]  # fmt: skip
+    info = sent_again_info(drawn(repeats=rows))
+    assert info == SentAgain({1: (Repeats(0, 1, 2, 3), Repeats(1, 1, None, None))}, "latency")
+
+
+def test_without_a_relays_trace_the_round_trip_is_drawn():
+    rows = [{"group": 0, "repeats": 1, "messages": 2, "rtt_p50_ns": 5.0, "rtt_max_ns": 6.0}]
+    assert sent_again_info(drawn(repeats=rows)) == SentAgain({0: (Repeats(1, 2, 5, 6),)}, "rtt")
+
+
+def test_time_to_the_first_message_is_a_mark_for_each_group_that_has_it():
+    rows = [{"group": 0, "match_p50_ns": 40e6}, {"group": 1}]
+    info = first_message_info(drawn(rows))
+    assert info == FirstMessage((Panel("Binary, same domain", (Line(0, (0.0,), (0,)),)),), {0: 40_000_000})
+    figure = first_message_figure(info)
+    assert isinstance(figure, Figure)
+    assert (figure.kind, figure.plan["values_ns"]) == ("cells", {"0": 40_000_000})
+
+
+def test_without_the_wire_each_figure_says_so():
+    book = drawn()
+    for figure in (
+        wire_cost_figure(wire_cost_info(book)),
+        sent_again_figure(sent_again_info(book)),
+        first_message_figure(first_message_info(book)),
+    ):
+        assert isinstance(figure, LeftOut)
+        assert "--wire" in figure.reason

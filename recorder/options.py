@@ -42,6 +42,7 @@ class PingOptions:
         bridge_peers: `HOST:PORT` of each other half that the ping's half connects to.
         relay_domain_id: domain of the relay, the ping's own if None.
         labels: texts of the user's, kept with the run.
+        settings: what the surroundings were set to (an emulated link, a load), told with the run's own settings.
     """
 
     data: str = "binary"
@@ -58,6 +59,7 @@ class PingOptions:
     bridge_peers: tuple[str, ...] = ()
     relay_domain_id: int | None = None
     labels: Mapping[str, str] = field(default_factory=dict)
+    settings: Mapping[str, str] = field(default_factory=dict)
 
     def check(self) -> None:
         """Refuse values that make no sense.

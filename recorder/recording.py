@@ -29,8 +29,9 @@ from .roles.ping import open_ping
 from .roles.plan import check_serialization, plan_run
 from .roles.read_back import ReadBack
 from .roles.relay import Relay
-from .roles.session import describe_session
+from .roles.session import default_connectivity, describe_session
 from .roles.wire_record import open_wire
+from .settings import side_settings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -189,17 +190,21 @@ class _Recording:
         return ReadBack(node, self.environment, strict=self.options.strict, note=self.watch.note)
 
     def _describe(self, role: str, node: Node, read_back: ReadBack, relay_id: int | None = None) -> Session:
+        options = self.options
+        connectivity = options.connectivity or default_connectivity(options.node.discovery)
+        settings = side_settings(options, connectivity)
         return describe_session(
             node,
             self.clock.anchor(),
             role=role,
             session_id=self.session_id,
-            device=self.options.device,
-            connectivity=self.options.connectivity,
+            device=options.device,
+            connectivity=connectivity,
             relay_id=relay_id,
             extra={
                 **self.privileges,
                 **self.costs,
+                "settings": settings,
                 **read_back.fields(),
                 "clock": {"begin": self.correction},
             },

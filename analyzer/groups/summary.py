@@ -10,6 +10,7 @@ import polars as pl
 from ..model.columns import STATISTICS, SUMMARY_COLUMNS
 from ..model.metrics import METRICS
 from ..pairing.pair import LOSSES
+from ..pairing.unsent import MOST_MESSAGES
 
 if TYPE_CHECKING:
     import numpy as np
@@ -64,22 +65,28 @@ def summarize_groups(grouping: Grouping, of_exchange: pl.DataFrame, statistics: 
 
 
 def _counts_and_rates(of_exchange: pl.DataFrame, grouping: Grouping) -> pl.DataFrame:
-    """Compute the columns of `columns.COUNT_COLUMNS`, one row per group."""
+    """Compute the columns of `columns.COUNT_COLUMNS` and `columns.RUN_COLUMNS`, one row per group."""
     exchanges = grouping.exchanges
     recorded = pl.Series([exchange.relay_recorded for exchange in exchanges], dtype=pl.Boolean)
     payload_bytes = pl.Series([exchange.run.payload_bytes for exchange in exchanges], dtype=pl.Int64)
+    planned = [min(max(exchange.run.planned_messages, 0), MOST_MESSAGES) for exchange in exchanges]
     moved = pl.when(recorded).then("relayed").otherwise("replied")
     return (
         of_exchange.lazy()
         .with_columns(
             pl.Series("group", grouping.group_of_exchange),
+            pl.Series("run_id", [exchange.run.run_id for exchange in exchanges], dtype=pl.UInt64),
+            pl.Series("planned", planned, dtype=pl.Int64),
+            pl.Series("environment", [exchange.environment() for exchange in exchanges], dtype=pl.String),
             (pl.col("published") - 1).alias("intervals"),
             (moved * payload_bytes).alias("moved_bytes"),
             pl.when(recorded).then("relay_span_ns").otherwise("reply_span_ns").alias("moved_span_ns"),
         )
         .group_by("group")
         .agg(
-            pl.col("published", "received", *LOSSES, "duplicates", "reordered").sum(),
+            pl.col("published", "received", *LOSSES, "duplicates", "reordered", "planned", "unsent").sum(),
+            pl.col("run_id").n_unique().alias("runs"),
+            pl.col("environment").unique().sort().str.join("+"),
             _per_second("intervals", "publish_span_ns").alias("achieved_rate_hz"),
             _per_second("moved_bytes", "moved_span_ns").alias("transfer_rate_bytes_per_s"),
         )

@@ -42,6 +42,9 @@ MEASURED_COLUMNS = (
 _FIRST_PARAMETERS = 20
 """Parameters of the first version of the contract; later ones are appended behind all columns that were there."""
 
+_PARAMETERS_BEFORE_RUNS = 21
+"""Parameters of the contract when the summary got `RUN_COLUMNS`."""
+
 ROUNDTRIP_COLUMNS = (
     KEY_COLUMNS
     + PARAMETER_COLUMNS[:_FIRST_PARAMETERS]
@@ -71,6 +74,24 @@ COUNT_COLUMNS = (
     ),
 )
 
+RUN_COLUMNS = (
+    Column("runs", pl.UInt64, "", "runs that are summarized"),
+    Column("planned", pl.UInt64, "", "messages that the runs planned, times the relays that took part"),
+    Column(
+        "unsent",
+        pl.UInt64,
+        "",
+        "planned messages whose T0 had passed when the run ended and that were never published, times the relays",
+    ),
+    Column(
+        "environment",
+        pl.String,
+        "",
+        "digest of what both sides ran in (kernel, governor, versions ...); several joined by +",
+    ),
+)
+"""Columns of the summary that were appended with the parameter `setting`."""
+
 STATISTICS = ("mean", "std", "min", *(p.name for p in PERCENTILES), "max")
 """Statistics of a metric in the summary, in column order: `<metric>_<statistic>_ns`."""
 
@@ -84,5 +105,7 @@ SUMMARY_COLUMNS = (
         for metric in METRICS
         for statistic in STATISTICS
     )
-    + PARAMETER_COLUMNS[_FIRST_PARAMETERS:]
+    + PARAMETER_COLUMNS[_FIRST_PARAMETERS:_PARAMETERS_BEFORE_RUNS]
+    + RUN_COLUMNS
+    + PARAMETER_COLUMNS[_PARAMETERS_BEFORE_RUNS:]
 )

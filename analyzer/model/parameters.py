@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, get_args, get_type_hints
 import polars as pl
 
 from .column import Column
+from .setting import setting_of
 
 if TYPE_CHECKING:
     from dds_trace.tracefile import Run, Session
@@ -96,6 +97,15 @@ class Parameters:
     connectivity: Annotated[
         str, Described(KeyPart.LINK, pl.String, "loopback, wired, wireless ... as the ping was told")
     ]
+    setting: Annotated[
+        str,
+        Described(
+            KeyPart.SETTINGS,
+            pl.String,
+            "all else that was asked for: key=value,... sorted, defaults left out; relay.key where the relay was asked "
+            "otherwise",
+        ),
+    ]
 
     def values(self) -> tuple[ParameterValue, ...]:
         """Return the values in the order of `PARAMETER_COLUMNS`."""
@@ -106,13 +116,17 @@ class Parameters:
         return tuple((value is None, value) for value in self.values())
 
 
-def parameters_of(run: Run, ping: Session, relay: Session | None) -> Parameters:
+def parameters_of(
+    run: Run, ping: Session, relay: Session | None, *, relays: int = 1, flows: int = 1
+) -> Parameters:
     """Return the key of the group to which a run and one of its relays belong.
 
     Args:
         run: the ping's description of the run.
         ping: session of the ping.
         relay: session of the relay, None without its trace.
+        relays: number of relays that took part in the run.
+        flows: number of runs that went on at the same time, this one included.
     """
     relay_domain_id = relay_domain_of(run, ping, relay)
     return Parameters(
@@ -137,6 +151,7 @@ def parameters_of(run: Run, ping: Session, relay: Session | None) -> Parameters:
         ping_device=ping.device,
         relay_device=relay.device if relay else None,
         connectivity=ping.connectivity,
+        setting=setting_of(run, ping, relay, relays=relays, flows=flows),
     )
 
 

@@ -35,6 +35,8 @@ COUNT_SCHEMA: dict[str, type[pl.DataType]] = {
     "repeated": pl.Int64,
     "least_payload_bytes": pl.Int64,
     "most_payload_bytes": pl.Int64,
+    "unsent": pl.Int64,
+    "in_flight": pl.Int64,
 }
 """Columns of the frame `counts`, one row per exchange; all i64.
 
@@ -43,11 +45,22 @@ COUNT_SCHEMA: dict[str, type[pl.DataType]] = {
 to last T1, first T3 to last T4, first to last T2, null without both. `relayed`, `replied`: messages with T3, with T2.
 `orphans`: T2, T3 and T4 of counted messages without T1. Of the run: `with_warmup` messages with a T1, warm-up included;
 `repeated` T1 beyond the first of their message; `least_payload_bytes`, `most_payload_bytes` as its T1 name them.
+`unsent`: messages that were due and never published. `in_flight`: messages without a row, since a killed ping does not know
+their fate (both `unsent.py`).
 """
 
 
-def count_messages(published: Published, paired: PairedMessages) -> dict[str, int | None]:
-    """Count the messages of one exchange: its row of `COUNT_SCHEMA`."""
+def count_messages(
+    published: Published, paired: PairedMessages, *, unsent: int = 0, in_flight: int = 0
+) -> dict[str, int | None]:
+    """Count the messages of one exchange: its row of `COUNT_SCHEMA`.
+
+    Args:
+        published: the messages with a row.
+        paired: their fates.
+        unsent: number of messages that never left.
+        in_flight: number of messages without a row.
+    """
     t0, t1, t2 = published.scheduled_ns, published.publish_ns, paired.receive_ns
     t3, t4 = paired.relay_in_ns, paired.relay_out_ns
     replied, relayed, left = t2 != MISSING, t3 != MISSING, t4 != MISSING
@@ -75,6 +88,8 @@ def count_messages(published: Published, paired: PairedMessages) -> dict[str, in
         "repeated": published.repeated,
         "least_payload_bytes": published.payload_range_bytes[0],
         "most_payload_bytes": published.payload_range_bytes[1],
+        "unsent": unsent,
+        "in_flight": in_flight,
     }
 
 

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from dds_trace.tracefile import MissingEventsError, Stage
 from dds_trace.tracefile.units.counts import counted
 
 from ..loading.events import merge_parts
+from ..model.environment import environment_of
 from ..model.parameters import Parameters, parameters_of
 from .sessions import Doubt, find_ping_session, find_relay_session
 
@@ -26,6 +29,7 @@ if TYPE_CHECKING:
     """The traces that hold events of one stage, run and relay."""
 
 NO_RELAY = 0
+_NS_PER_S = 1_000_000_000
 
 # The ranges of the columns that hold a description's numbers.
 _INT32 = (-(2**31), 2**31 - 1)
@@ -44,6 +48,8 @@ class Exchange:
         relay: the relay's session; None without its trace.
         start_ns: the run's first T1, wall clock by the anchor of the ping.
         counts: events of T1, T2, T3 and T4 in all traces; copies count.
+        relays: number of relays that took part in the run.
+        flows: number of runs of the ping's device in the middle of this one, which counts.
     """
 
     run: Run
@@ -52,6 +58,8 @@ class Exchange:
     relay: Session | None
     start_ns: int
     counts: tuple[int, int, int, int]
+    relays: int = 1
+    flows: int = 1
 
     @property
     def took_part(self) -> bool:
@@ -75,7 +83,19 @@ class Exchange:
 
     def parameters(self) -> Parameters:
         """Return the key of its group."""
-        return parameters_of(self.run, self.ping, self.relay)
+        return parameters_of(self.run, self.ping, self.relay, relays=self.relays, flows=self.flows)
+
+    def environment(self) -> str:
+        """Return the digest of what both sides ran in."""
+        return environment_of(self.ping, self.relay)
+
+    @property
+    def end_ns(self) -> int:
+        """The planned time of the run's last published message, wall clock by the anchor of the ping."""
+        messages = self.run.published or self.counts[0]
+        return self.start_ns + (
+            round((messages - 1) / self.run.rate_hz * _NS_PER_S) if self.run.rate_hz else 0
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,13 +174,29 @@ def find_exchanges(campaign: Campaign) -> Exchanges:
                 unplaced.append(_unplaced("impossible_description", run_id, relay_id, [t1], flaw))
                 continue
             counts = (_count(t1), _count(t2), _count(t3), _count(t4))
-            held.append(Exchange(run, ping, relay_id, relay, ping.wall_ns(_first_ns(t1)), counts))
+            start_ns = ping.wall_ns(_first_ns(t1))
+            held.append(Exchange(run, ping, relay_id, relay, start_ns, counts, relays=len(relays) or 1))
     if not held:
         raise MissingEventsError(_nothing_to_pair(campaign, unplaced))
     placed = {key for exchange in held for key in exchange.event_keys()}
     unplaced_parts = (parts for key, parts in campaign.events.items() if key not in placed)
     copies = (copy for parts in unplaced_parts if len(parts) > 1 for copy in merge_parts(parts)[1])
-    return Exchanges(tuple(sorted(held, key=_start)), tuple(unplaced), tuple(doubts), tuple(copies))
+    held = sorted(_with_flows(held), key=_start)
+    return Exchanges(tuple(held), tuple(unplaced), tuple(doubts), tuple(copies))
+
+
+def _with_flows(held: list[Exchange]) -> Iterator[Exchange]:
+    """Yield the exchanges with the number of runs of the same device that went on in the middle of each."""
+    spans: dict[str, dict[int, tuple[int, int]]] = defaultdict(dict)
+    for exchange in held:
+        spans[exchange.ping.device][exchange.run.run_id] = exchange.start_ns, exchange.end_ns
+    begins = {device: np.sort([begin for begin, _ in of.values()]) for device, of in spans.items()}
+    ends = {device: np.sort([end for _, end in of.values()]) for device, of in spans.items()}
+    for exchange in held:
+        middle_ns, device = (exchange.start_ns + exchange.end_ns) // 2, exchange.ping.device
+        begun = np.searchsorted(begins[device], middle_ns, side="right")
+        ended = np.searchsorted(ends[device], middle_ns, side="left")
+        yield replace(exchange, flows=int(begun - ended))
 
 
 def _by_run(index: EventIndex) -> tuple[dict[int, Parts], dict[int, dict[int, dict[Stage, Parts]]]]:

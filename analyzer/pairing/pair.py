@@ -10,7 +10,7 @@ counts, and events that agree in message and instant are one event.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import TYPE_CHECKING
 
@@ -71,6 +71,15 @@ class Published:
     def __len__(self) -> int:
         return len(self.sequence)
 
+    def take(self, kept: NDArray[np.bool_]) -> Published:
+        """Return the messages of a mask; counts of the run stay."""
+        return replace(
+            self,
+            sequence=self.sequence[kept],
+            publish_ns=self.publish_ns[kept],
+            scheduled_ns=self.scheduled_ns[kept],
+        )
+
     def rows(self, sequence: NDArray[np.uint64]) -> NDArray[np.int64]:
         """Return the row of each sequence number, -1 where no counted message has it."""
         if not len(self):
@@ -104,6 +113,18 @@ class PairedMessages:
     duplicates: NDArray[np.uint16]
     reordered: NDArray[np.bool_]
     orphans: int
+
+    def take(self, kept: NDArray[np.bool_]) -> PairedMessages:
+        """Return the fates of the messages of a mask; the count of orphans stays."""
+        return PairedMessages(
+            receive_ns=self.receive_ns[kept],
+            relay_in_ns=self.relay_in_ns[kept],
+            relay_out_ns=self.relay_out_ns[kept],
+            outcome=self.outcome[kept],
+            duplicates=self.duplicates[kept],
+            reordered=self.reordered[kept],
+            orphans=self.orphans,
+        )
 
 
 def published_messages(t1: EventColumns, warmup_messages: int) -> Published:
@@ -163,6 +184,11 @@ def pair_messages(
         reordered=_reordered(receive_ns),
         orphans=orphan_replies + orphan_arrivals + orphan_departures,
     )
+
+
+def first_replies(published: Published, t2: EventColumns) -> NDArray[np.int64]:
+    """Return the earliest T2 of each message, int64, MISSING without one."""
+    return _earliest(published, t2)[0]
 
 
 def middleware_stamps(

@@ -17,6 +17,7 @@ from ..model.parameters import PARAMETER_COLUMNS
 from .counts import COUNT_SCHEMA, count_messages
 from .one_way import OneWay, fit_exchanges
 from .pair import MISSING, OUTCOMES, middleware_stamps, pair_messages, published_messages
+from .unsent import count_unsent, settled
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -87,7 +88,11 @@ def pair_exchanges(
         for run_id, exchange in {exchange.run.run_id: exchange for exchange in exchanges}.items()
     }
     of_run = [published[exchange.run.run_id] for exchange in exchanges]
-    bounds = np.concatenate([[0], np.cumsum([len(messages) for messages in of_run])]).astype(np.int64)
+    kept = [
+        settled(exchange.run, messages, events[exchange.event_keys()[1]])
+        for exchange, messages in zip(exchanges, of_run, strict=True)
+    ]
+    bounds = np.concatenate([[0], np.cumsum([np.count_nonzero(mask) for mask in kept])]).astype(np.int64)
     rows = int(bounds[-1])
 
     # Filled exchange by exchange: the frame's memory once, whatever the number of runs.
@@ -96,10 +101,13 @@ def pair_exchanges(
     stamps = {name: np.empty(rows, np.int64) for name in _STAMPS}
     of_middleware: dict[str, NDArray[np.int64]] = {}
     counts = []
-    for exchange, messages, first in zip(exchanges, of_run, bounds[:-1].tolist(), strict=True):
-        here = slice(first, first + len(messages))
+    for exchange, every, mask, first in zip(exchanges, of_run, kept, bounds[:-1].tolist(), strict=True):
         of_stage = {key[0]: events[key] for key in exchange.event_keys()}
-        paired = pair_messages(messages, of_stage[Stage.T2], of_stage[Stage.T3], of_stage[Stage.T4])
+        paired = pair_messages(every, of_stage[Stage.T2], of_stage[Stage.T3], of_stage[Stage.T4])
+        unsent, messages = count_unsent(exchange.run, every, of_stage[Stage.T2]), every
+        if not mask.all():
+            messages, paired = every.take(mask), paired.take(mask)
+        here = slice(first, first + len(messages))
         sequence[here], outcome[here] = messages.sequence, paired.outcome
         duplicates[here], reordered[here] = paired.duplicates, paired.reordered
         stamps["scheduled_ns"][here] = messages.scheduled_ns
@@ -113,7 +121,8 @@ def pair_exchanges(
                 if name not in of_middleware:
                     of_middleware[name] = np.zeros(rows, np.int64)
                 of_middleware[name][here] = values
-        counts.append(count_messages(messages, paired))
+        in_flight = len(every) - len(messages)
+        counts.append(count_messages(messages, paired, unsent=unsent, in_flight=in_flight))
 
     one_way = fit_exchanges(exchanges, bounds, stamps) if details else OneWay.unknown(rows, len(exchanges))
     measured = with_metrics(

@@ -57,6 +57,7 @@ def main_command(
     device: words.Device = None,
     connectivity: words.Connectivity = None,
     label: words.Label = None,
+    setting: words.Setting = None,
     relay_id: words.RelayId = None,
     types: words.Types = None,
     recover_path: words.RecoverPath = None,
@@ -86,7 +87,7 @@ def main_command(
         default_discovery,
         default_domain,
         parse_durations,
-        parse_labels,
+        parse_pairs,
         refuse_others,
     )
 
@@ -116,6 +117,7 @@ def main_command(
         "--bridge-listen": bridge_listen,
         "--bridge-peer": bridge_peer or None,
         "--label": label or None,
+        "--setting": setting or None,
     }
     of_relay = {"--relay-id": relay_id, "--type": types or None}
     refuse_others(role.value, of_relay if role is choices.Role.PING else of_ping)
@@ -138,7 +140,8 @@ def main_command(
         bridge_listen=bridge_listen,
         bridge_peers=tuple(bridge_peer or ()),
         relay_domain_id=relay_domain,
-        labels=parse_labels(label or []),
+        labels=parse_pairs("--label", label or [], "site=lab"),
+        settings=parse_pairs("--setting", setting or [], "cpu_load=50%"),
     )
     options = RecordOptions(
         destination=TraceDestination(out, force=force, fsync=fsync),

@@ -60,16 +60,21 @@ def parse_durations(**texts: str | None) -> dict[str, int]:
     return {name: parse_duration(text) for name, text in texts.items() if text is not None}
 
 
-def parse_labels(texts: list[str]) -> dict[str, str]:
-    """Return the labels in `KEY=VALUE` texts.
+def parse_pairs(option: str, texts: list[str], example: str) -> dict[str, str]:
+    """Return keys and values of `KEY=VALUE` texts.
+
+    Args:
+        option: name of the option, for errors.
+        texts: its values.
+        example: a right one, for errors.
 
     Raises:
         OptionError: a text has no key or no `=`.
     """
-    labels = {}
+    pairs = {}
     for text in texts:
         key, equals, value = text.partition("=")
         if not key or not equals:
-            raise OptionError(f"--label {text!r}: write KEY=VALUE, for example site=lab")
-        labels[key] = value
-    return labels
+            raise OptionError(f"{option} {text!r}: write KEY=VALUE, for example {example}")
+        pairs[key] = value
+    return pairs

@@ -274,6 +274,14 @@ Label = Annotated[
     list[str] | None,
     _description("--label", metavar="KEY=VALUE", help="Kept with a ping's run; repeatable."),
 ]
+Setting = Annotated[
+    list[str] | None,
+    _description(
+        "--setting",
+        metavar="KEY=VALUE",
+        help="What you set around a ping (a load, a link); runs of unlike settings are never summarized together.",
+    ),
+]
 RelayId = Annotated[
     int | None,
     _description("--relay-id", metavar="N", help="A relay's number in the trace. [dim]Default: drawn[/dim]"),

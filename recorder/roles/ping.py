@@ -184,11 +184,12 @@ class Ping(Generic[SentT, ReceivedT]):
         sharpen_sleep()
         with steady_interpreter():
             self._send(stop)
+            ended_ns = self._now()
             self._drain()
         self._ended = True
         feed = self.plan.payload.feed
         skipped = {} if feed is None else {"skipped_messages": feed.skipped}
-        finished = description.finished(self._published, **skipped)
+        finished = description.finished(self._published, ended_ns=ended_ns, **skipped)
         sink.write_run(finished)
         return finished
 

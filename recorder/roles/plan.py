@@ -10,6 +10,7 @@ from dds_trace.tracefile.units.durations import SECOND_NS
 
 from ..choices import Serialization
 from ..options import DEFAULT_MESSAGES, DEFAULT_RATE_HZ
+from ..settings import run_settings
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -95,7 +96,7 @@ def plan_run(
         bridge=asked.bridge,
         relay_domain_id=own_domain_id if asked.relay_domain_id is None else asked.relay_domain_id,
         labels=asked.labels,
-        extra={"session_id": f"{session_id:016x}", **source, **running},
+        extra={"session_id": f"{session_id:016x}", **source, **running, "settings": run_settings(asked)},
     )
 
 

@@ -59,6 +59,7 @@ PARAMETERS: dict[str, Any] = {
     "relay_device": pl.String,
     "connectivity": pl.String,
 }
+SETTING: dict[str, Any] = {"setting": pl.String}
 STAMPS: dict[str, Any] = dict.fromkeys(
     ("scheduled_ns", "publish_ns", "receive_ns", "relay_in_ns", "relay_out_ns"), pl.Int64
 )
@@ -74,6 +75,7 @@ ROUNDTRIPS: dict[str, Any] = {
     "duplicates": pl.UInt16,
     "reordered": pl.Boolean,
     **dict.fromkeys(("outbound_ns", "return_ns", "clock_bound_ns"), pl.Int64),
+    **SETTING,
 }
 SUMMARY: dict[str, Any] = {
     **PARAMETERS,
@@ -86,6 +88,9 @@ SUMMARY: dict[str, Any] = {
         for metric in ("rtt", "intermediate", "latency", "response")
         for name in ("mean", "std", "min", *NEEDED, "max")
     },
+    **SETTING,
+    **dict.fromkeys(("runs", "planned", "unsent"), pl.UInt64),
+    "environment": pl.String,
 }
 DISTRIBUTIONS = {"group": pl.UInt32, "metric": pl.String, "value_ns": pl.Float64, "count": pl.UInt64}
 TIMELINE = {
@@ -118,6 +123,8 @@ class Measured:
     ping_device: str = "pi-one"
     relay_device: str | None = "pi-two"
     connectivity: str = "wired"
+    setting: str = ""
+    unsent: int = 0
     intermediate_ns: int = 100_000
     late_ns: int = 20_000
     """T1 - T0 of every message."""
@@ -148,6 +155,7 @@ class Measured:
             "ping_device": self.ping_device,
             "relay_device": self.relay_device,
             "connectivity": self.connectivity,
+            "setting": self.setting,
         }
 
     def rows(self, run_id: int) -> list[dict[str, Any]]:

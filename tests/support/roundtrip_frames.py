@@ -43,6 +43,7 @@ PLAIN: dict[str, Any] = {
     "ping_device": "ping-pi",
     "relay_device": "relay-pi",
     "connectivity": "wired",
+    "setting": "",
 }
 assert set(PLAIN) == set(PARAMETER_NAMES)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from .cells import AXES, DEFAULTS, RELAY_AXES
@@ -61,9 +62,9 @@ def ping_arguments(plan: Plan, cell: Cell, wait_s: float, relay_address: str | N
         *(("--peer", relay_address) if relay_address and connects_to_relay(cell.backend) else ()),
         *("--messages", str(plan.run.messages_at(cell.rate)), "--warmup", str(plan.run.warmup)),
         *("--wait", f"{wait_s:g}"),
-        *("--label", f"sweep={plan.name}", "--label", f"cell={cell.name}"),
+        *("--label", f"sweep={plan.name}", "--label", f"cell={replace(cell, repeat=1).name}"),
         *("--label", f"{PASS_LABEL}={cell.repeat}"),
-        *(("--label", f"link={plan.link}") if plan.link else ()),
+        *(("--label", f"link={plan.link}", "--setting", f"link={plan.link.setting}") if plan.link else ()),
         *_common_arguments(plan, plan.ping),
     ]
 

@@ -47,6 +47,13 @@ class Link:
         """Return the values as written to the trace."""
         return asdict(self)
 
+    @property
+    def setting(self) -> str:
+        """Name and all values that are applied, as a run's setting: `wifi-54(delay_ms=1,rate_mbit_s=54)`."""
+        applied = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "name"}
+        values = ",".join(f"{name}={value:g}" for name, value in sorted(applied.items()) if value)
+        return f"{self.name}({values})"
+
     def __str__(self) -> str:
         parts = [
             f"{self.rate_mbit_s:g} Mbit/s" if self.rate_mbit_s else "",

@@ -54,6 +54,8 @@ def test_every_kind_of_message_is_counted_once():
         "repeated": 0,
         "least_payload_bytes": 33_000,
         "most_payload_bytes": 33_000,
+        "unsent": 0,
+        "in_flight": 0,
     }
     assert list(counts) == list(COUNT_SCHEMA)
 

@@ -91,6 +91,7 @@ def test_parameters_come_from_run_and_sessions(tmp_path):
         "ping_device": "alpha",
         "relay_device": "gamma",
         "connectivity": "wired",
+        "setting": "",
     }
     assert (first["run_id"], first["relay_id"], first["sequence"]) == (RUN_ID, RELAY_ID, 0)
 

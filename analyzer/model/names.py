@@ -101,6 +101,8 @@ def _word(name: str, group: Mapping[str, ParameterValue]) -> str:
         return f"{value} domain"
     if name == "bridge" and value == "none":
         return "no bridge"
+    if name == "setting":
+        return str(value) or "nothing else set"
     return str(value) if name in _PLAIN else f"{name} {value}"
 
 

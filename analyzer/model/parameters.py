@@ -186,24 +186,32 @@ SERIES_COLUMNS = tuple(name for name in PARAMETER_NAMES if name not in CELL_COLU
 CONTENDER_COLUMNS = names_of(KeyPart.MIDDLEWARE, KeyPart.BRIDGE, KeyPart.SETTINGS)
 """Parameters that a user can choose for a given kind of message."""
 
-SETTING_COLUMNS = names_of(
-    KeyPart.MIDDLEWARE, KeyPart.BRIDGE, KeyPart.SETTINGS, KeyPart.DOMAIN_MODE, KeyPart.LINK
-)
-"""Parameters of a recommendation: the choice, and the domains and link for which it holds."""
+# Devices and links are strata: times of unlike devices are never pooled, and each verdict is within one pair of devices
+# and one link (E. H. Simpson, 1951, for what pooling does).
 
-CASE_COLUMNS = (*names_of(KeyPart.LINK), *names_of(KeyPart.DOMAIN_MODE), *CELL_COLUMNS)
+SETTING_COLUMNS = names_of(
+    KeyPart.MIDDLEWARE, KeyPart.BRIDGE, KeyPart.SETTINGS, KeyPart.DOMAIN_MODE, KeyPart.LINK, KeyPart.DEVICES
+)
+"""Parameters of a recommendation: the choice, and the domains, link and devices for which it holds."""
+
+CASE_COLUMNS = (
+    *names_of(KeyPart.LINK),
+    *names_of(KeyPart.DOMAIN_MODE),
+    *CELL_COLUMNS,
+    *names_of(KeyPart.DEVICES),
+)
 """Parameters of a kind of message, for which contenders are compared, in the order by which answers are sorted."""
 
-MATCH_COLUMNS = names_of(
-    KeyPart.MIDDLEWARE, KeyPart.BRIDGE, KeyPart.DOMAIN_MODE, KeyPart.MESSAGE, KeyPart.SETTINGS, KeyPart.LINK
-)
-"""Parameters in which two groups agree that are compared: all but the devices' names and the domains' numbers."""
+MATCH_COLUMNS = tuple(name for name in PARAMETER_NAMES if name not in names_of(KeyPart.DOMAIN_IDS))
+"""Parameters in which two groups agree that are compared: all but the domains' numbers."""
 
-BRIDGE_MATCH_COLUMNS = names_of(KeyPart.MIDDLEWARE, KeyPart.MESSAGE, KeyPart.SETTINGS, KeyPart.LINK)
+BRIDGE_MATCH_COLUMNS = names_of(
+    KeyPart.MIDDLEWARE, KeyPart.MESSAGE, KeyPart.SETTINGS, KeyPart.LINK, KeyPart.DEVICES
+)
 """Parameters in which a group in one domain and a group through a bridge agree that are compared."""
 
 BRIDGED_COLUMNS = names_of(
-    KeyPart.MIDDLEWARE, KeyPart.BRIDGE, KeyPart.MESSAGE, KeyPart.SETTINGS, KeyPart.LINK
+    KeyPart.MIDDLEWARE, KeyPart.BRIDGE, KeyPart.MESSAGE, KeyPart.SETTINGS, KeyPart.LINK, KeyPart.DEVICES
 )
 """Parameters of a row of `Details.bridge_costs`: those that were matched, and the bridge."""
 

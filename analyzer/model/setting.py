@@ -70,6 +70,11 @@ def condition_of(setting: str) -> str:
     return write_setting({k: v for k, v in parse_setting(setting).items() if k in CONDITIONS})
 
 
+def choice_of(setting: str) -> str:
+    """Return the part of a setting that a user can choose: all but its `condition_of`."""
+    return write_setting({k: v for k, v in parse_setting(setting).items() if k not in CONDITIONS})
+
+
 def relay_part_left_out(setting: str) -> str:
     """Return a setting without what only the relay's session tells."""
     values = parse_setting(setting)

@@ -1,6 +1,6 @@
 """Answers: which vendor and bridge is fastest for which kind of message, and where the traces cannot tell.
 
-For each kind of message (link, domain mode, data type, size, rate) the contenders' p99, or p50 where not all have an interval
+For each kind of message (link, domain mode, data type, size, rate, devices) the contenders' p99, or p50 where not all have an interval
 for p99, is compared by confidence intervals. One contender leads if its interval lies wholly below all the others;
 where the best interval overlaps another the answer is 'inconclusive'. Lost messages count as infinitely late. Plain
 sockets are the floor beneath every middleware, and no contender where a middleware was measured.
@@ -18,7 +18,15 @@ import polars as pl
 
 from ..model.parameters import CASE_COLUMNS, CONTENDER_COLUMNS
 from ..statistics.intervals import percentile_interval, ranges_overlap, ratio_interval
-from .cases import Contender, contender_names, delivered_latencies, is_too_large, partition_groups
+from .cases import (
+    CONDITIONS,
+    Contender,
+    contender_names,
+    delivered_latencies,
+    is_too_large,
+    partition_groups,
+    with_conditions,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -51,6 +59,9 @@ class CaseAnswer:
         clarity: whether one of them leads.
         contenders: best first.
         leaders: contenders that cannot be told apart from the best, which is the first of them.
+        ping_device: device of the ping.
+        relay_device: device of the relay, None without its trace.
+        conditions: what surrounded the runs, as in `setting` (values of an emulated link, concurrent runs ...).
     """
 
     connectivity: str
@@ -62,6 +73,9 @@ class CaseAnswer:
     clarity: Clarity
     contenders: tuple[Contender, ...]
     leaders: tuple[Contender, ...]
+    ping_device: str = ""
+    relay_device: str | None = None
+    conditions: str = ""
 
 
 def find_answers(rows: GroupRows, confidence: float = 0.95) -> tuple[CaseAnswer, ...]:
@@ -79,7 +93,7 @@ def find_answers(rows: GroupRows, confidence: float = 0.95) -> tuple[CaseAnswer,
     names = contender_names(contending)
     return tuple(
         _answer_case(case, rows, names, confidence)
-        for case in partition_groups(contending, CASE_COLUMNS)
+        for case in partition_groups(with_conditions(contending), (*CASE_COLUMNS, CONDITIONS))
         if not is_too_large(case)
     )
 
@@ -105,7 +119,7 @@ def _answer_case(case: pl.DataFrame, rows: GroupRows, names: ContenderNames, con
     else:
         clarity = Clarity.CLEAR if len(leaders) == 1 else Clarity.INCONCLUSIVE
     return CaseAnswer(
-        **case.select(CASE_COLUMNS).row(0, named=True),
+        **case.select(*CASE_COLUMNS, CONDITIONS).row(0, named=True),
         percentile=percentile,
         clarity=clarity,
         contenders=ranked,

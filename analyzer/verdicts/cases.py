@@ -12,6 +12,7 @@ import polars as pl
 
 from ..model.names import tell_apart, where_alike, where_it_varies
 from ..model.parameters import CONTENDER_COLUMNS
+from ..model.setting import choice_of, condition_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -83,6 +84,21 @@ def partition_groups(groups: pl.DataFrame, columns: Sequence[str]) -> list[pl.Da
     """
     ordered = groups.sort(*columns, maintain_order=True)
     return ordered.partition_by(*columns, maintain_order=True) if len(ordered) else []
+
+
+CONDITIONS = "conditions"
+"""Column of `with_conditions`."""
+
+
+def with_conditions(groups: pl.DataFrame) -> pl.DataFrame:
+    """Append the part of `setting` that surrounds a run and is no choice (`model.setting.condition_of`)."""
+    settings = groups["setting"].unique()
+    conditions = {setting: condition_of(setting) for setting in settings.to_list()}
+    return groups.with_columns(
+        pl.col("setting").replace_strict(conditions, return_dtype=pl.String).alias(CONDITIONS)
+        if conditions
+        else pl.lit("").alias(CONDITIONS)
+    )
 
 
 def is_too_large(groups: pl.DataFrame) -> bool:
@@ -183,5 +199,7 @@ def _pair(setting: Setting) -> str:
 
 
 def _word(column: str, setting: Setting) -> str:
+    if column == "setting":
+        return choice_of(str(setting[column])) or "nothing else set"
     known, unknown = _TOLD_LAST.get(column, (f"{column} {{}}", f"{column} None"))
     return unknown if setting[column] is None else known.format(setting[column])

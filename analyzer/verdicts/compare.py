@@ -21,6 +21,7 @@ from ..statistics.bootstrap import REPLICATES
 from ..statistics.intervals import ratio_interval
 from ..statistics.percentiles import PERCENTILES
 from .change import Sample, change_of, probability_of_superiority
+from .strata import replaced_devices, with_devices
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -159,6 +160,7 @@ def compare_roundtrips(
         options: how to compare; None for the defaults.
     """
     options = options or CompareOptions()
+    new = with_devices(new, replaced_devices(base, new))
     return compare_groups(
         match_groups(base, options.match), match_groups(new, options.match), base.schema, options
     )

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from dds_trace.analyzer.model.metrics import METRICS
 from dds_trace.analyzer.model.names import tell_apart, where_it_helps, where_it_varies
 from dds_trace.analyzer.model.parameters import SERIES_COLUMNS
+from dds_trace.analyzer.model.setting import parse_setting
 from dds_trace.tracefile.units.rates import format_rate
 from dds_trace.tracefile.units.sizes import format_size
 from dds_trace.tracefile.visible import visible
@@ -97,6 +98,7 @@ class Series:
     ping_device: str
     relay_device: str | None
     connectivity: str
+    setting: str = ""
     further: tuple[str, ...] = ()
     vendor_label: str = ""
 
@@ -168,9 +170,24 @@ def groups_info(analysis: Analysis) -> Groups:
         Group(i, series_index[series_rows[i]], cell_index[cell_rows[i]], row["published"], row["received"])
         for i, row in enumerate(rows)
     )
+    parts = (*_LABEL_PARTS, (where_it_helps, _setting_label_of(series)))
     return Groups(
-        groups, series, cells, tuple(tell_apart(series, lambda one: one.vendor_label, _LABEL_PARTS)), vendors
+        groups, series, cells, tuple(tell_apart(series, lambda one: one.vendor_label, parts)), vendors
     )
+
+
+def _setting_label_of(series: Iterable[Series]) -> Callable[[Series], str]:
+    """Return the function that labels a series by the parts of its setting in which any two of them differ."""
+    settings = {one.setting: parse_setting(one.setting) for one in series}
+    keys = sorted({key for setting in settings.values() for key in setting})
+    varying = [key for key in keys if len({setting.get(key) for setting in settings.values()}) > 1]
+
+    def label(one: Series) -> str:
+        own = settings[one.setting]
+        words = [key if own[key] == "true" else f"{key}={own[key]}" for key in varying if key in own]
+        return visible(", ".join(words)) or "nothing else set"
+
+    return label
 
 
 def vendor_labels(analysis: Analysis) -> VendorLabels:

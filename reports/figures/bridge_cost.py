@@ -62,7 +62,7 @@ class BridgeCost:
 def bridge_cost_info(book: Book) -> BridgeCost:
     """Assign the rows of `details.bridge_costs` to their groups."""
     groups = book.groups
-    # The comparison pools devices, so a row belongs to the first of the groups that differ in nothing else.
+    # The comparison pools the numbers of domains, so a row belongs to the first of the groups that differ in nothing else.
     place: dict[tuple[object, ...], int] = {}
     for index, row in enumerate(book.analysis.summary.iter_rows(named=True)):
         if row["domain_mode"] == "different":

@@ -412,6 +412,10 @@ def _summary_row(one: Measured, rows: list[dict[str, Any]]) -> dict[str, Any]:
         "received_ratio": len(received) / len(rows) if rows else None,
         "achieved_rate_hz": (len(rows) - 1) / sent_s if sent_s else None,
         "transfer_rate_bytes_per_s": one.payload_bytes * len(received) / span_s if span_s else None,
+        "runs": 1,
+        "planned": len(rows) + one.unsent,
+        "unsent": one.unsent,
+        "environment": "0123abcd",
     }
     for metric in ("rtt", "intermediate", "latency", "response"):
         values = [r[f"{metric}_ns"] for r in rows if r[f"{metric}_ns"] is not None]

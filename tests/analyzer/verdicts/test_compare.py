@@ -106,12 +106,12 @@ def test_superiority_is_the_mean_over_all_pairs(base, new):
     assert found == pytest.approx(np.mean(pairs))
 
 
-def test_groups_are_matched_by_parameters_and_not_by_machine():
+def test_a_machine_that_replaced_the_only_other_one_is_compared_with_it():
     base = pl.concat([steady([5 * MS] * 20), steady([7 * MS] * 20, run_id=2, payload_bytes=502_000)])
     new = pl.concat(
         [
             steady([10 * MS] * 20, ping_device="other-pi", ping_domain_id=7, relay_domain_id=7),
-            steady([7 * MS] * 20, run_id=3, rate_hz=20.0),
+            steady([7 * MS] * 20, run_id=3, rate_hz=20.0, ping_device="other-pi"),
         ],
     )
     found = compare_roundtrips(base, new, P50_ONLY)
@@ -127,7 +127,22 @@ def test_groups_are_matched_by_parameters_and_not_by_machine():
     assert (row["superiority"], row["cliffs_delta"]) == (0.0, -1.0)
     assert found.only_base["payload_bytes"].to_list() == [502_000]
     assert found.only_new["rate_hz"].to_list() == [20.0]
-    assert "ping_device" not in found.rows.columns
+    assert row["ping_device"] == "ping-pi"
+
+
+def test_of_several_devices_each_is_compared_with_itself():
+    base = pl.concat([steady([5 * MS] * 20), steady([50 * MS] * 20, run_id=2, ping_device="slow-pi")])
+    new = pl.concat(
+        [
+            steady([10 * MS] * 20, run_id=3, ping_device="other-pi"),
+            steady([50 * MS] * 20, run_id=4, ping_device="slow-pi"),
+        ]
+    )
+    found = compare_roundtrips(base, new, P50_ONLY)
+    assert found.rows["ping_device"].to_list() == ["slow-pi"]
+    assert (found.rows["base_ns"].item(), found.rows["new_ns"].item()) == (50 * MS, 50 * MS)
+    assert found.only_base["ping_device"].to_list() == ["ping-pi"]
+    assert found.only_new["ping_device"].to_list() == ["other-pi"]
 
 
 def test_losses_are_compared_beside_the_times():

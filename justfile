@@ -61,6 +61,10 @@ bench-full: setup
     {{bin}}/python benchmarks/bench_analyze.py --full
     {{bin}}/python benchmarks/bench_analyze.py --files 200
 
+# How often intervals and verdicts hold, by drawing: the tables of docs/coverage.md (--quick: about a minute)
+coverage *args: setup
+    {{bin}}/python benchmarks/coverage.py {{args}}
+
 # Fuzz the trace reader, guided by coverage (atheris), for so many seconds
 fuzz seconds="600": setup
     uv pip install --quiet --python {{bin}}/python -e '.[fuzz]'

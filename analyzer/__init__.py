@@ -22,13 +22,12 @@ if TYPE_CHECKING:
     from .saving.records import to_json
     from .verdicts.answers import CaseAnswer, Headline, find_headlines
     from .verdicts.compare import CompareOptions, Comparison, compare
+    from .verdicts.gate import GateOutcome, parse_gates
     from .verdicts.gates import (
-        GateOutcome,
         GateResult,
         judge_gates,
         options_for,
         overall_outcome,
-        parse_gate,
         varying_columns,
     )
     from .verdicts.job import parse_job
@@ -59,7 +58,7 @@ __all__ = [
     "judge_gates",
     "options_for",
     "overall_outcome",
-    "parse_gate",
+    "parse_gates",
     "parse_job",
     "ping_wall_offsets",
     "to_json",

@@ -35,7 +35,9 @@ class Details:
         intervals: every percentile with its confidence interval (`intervals.interval_frame`): `group` u32,
             `metric` str (`rtt`, `intermediate`, `latency`, `response`, `outbound`, `return`), `percentile` str
             (`p50` ... `p99_9`), `quantile` f64, `estimate_ns`, `low_ns`, `high_ns` f64 null where the sample does
-            not support them, `method` str null, `confidence` f64, `messages` u64, `independent` u64.
+            not support them, `method` str null, `confidence` f64, `messages` u64, `independent` u64, `runs`, `units` u32,
+            `episodes` u64 null, `basis` str (`between runs` or `within one run`), `between`, `within` f64 null,
+            `typical_ns` f64 null.
         one_way: way out and way back (`intervals.one_way_frame`): `group` u32, `metric` str (`outbound`,
             `return`), `messages` u64, `mean_ns`, `min_ns`, `p50_ns` ... `p99_9_ns`, `max_ns` f64, `bound_p50_ns`,
             `bound_max_ns` f64: asymmetry of the link inside the bound cannot be seen.

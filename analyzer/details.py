@@ -16,6 +16,7 @@ from .groups.intervals import INTERVAL_SCHEMA, ONE_WAY_SCHEMA, interval_rows, on
 from .groups.wire import no_wire_frames, wire_frames
 from .model.column import schema_of
 from .model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
+from .model.runs import pass_numbers
 from .pairing.one_way import fit_devices, segment_table
 from .pairing.roundtrips import pair_exchanges
 from .pairing.rows import RowStore
@@ -25,7 +26,11 @@ from .verdicts.cases import UnbarredRows
 from .verdicts.recommend import recommend_settings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
+
+    from numpy.typing import NDArray
+
+    from dds_trace.tracefile import Run
 
     from .groups.batch import Grouping, Wanted
     from .groups.frames import Frames
@@ -57,8 +62,13 @@ def collect_details(
     if not wanted.details:
         return details_not_requested()
     judged = UnbarredRows(rows, tuple(barred))
+    passes = pass_numbers(campaign.runs.values())
     boots = ping_boots(campaign.sessions.values(), campaign.runs.values())
-    intervals = [row for group in in_parts for row in interval_rows(group, _column_of(rows, group))]
+    intervals = [
+        row
+        for group in in_parts
+        for row in interval_rows(group, _column_of(rows, group), _run_of_row(rows, group))
+    ]
     one_way = [row for group in in_parts for row in one_way_rows(group, _column_of(rows, group))]
     return Details(
         intervals=_by_group(frames["intervals"], pl.DataFrame(intervals, INTERVAL_SCHEMA)),
@@ -70,11 +80,11 @@ def collect_details(
         clock_fits=segment_table(fit_devices(frames["clock_knots"], boots)),
         clock_knots=frames["clock_knots"],
         host_samples=host_sample_frame(campaign.traces),
-        bridge_costs=find_bridge_costs(judged),
+        bridge_costs=find_bridge_costs(judged, passes),
         **wire_frames(campaign.traces, campaign.runs, grouping, rows)._asdict(),
-        answers=find_answers(judged),
+        answers=find_answers(judged, passes=passes),
         deadline_ns=wanted.deadline_ns,
-        recommendation=_recommendation(judged, wanted),
+        recommendation=_recommendation(judged, wanted, campaign.runs.values()),
     )
 
 
@@ -103,16 +113,22 @@ def details_not_requested() -> Details:
     )
 
 
-def _recommendation(rows: GroupRows, wanted: Wanted) -> Recommendation | None:
+def _recommendation(rows: GroupRows, wanted: Wanted, runs: Iterable[Run]) -> Recommendation | None:
     """Recommend settings for the job, if there is one, from the rows of its data type."""
     if wanted.job is None:
         return None
     groups = rows.groups.filter(data_type=wanted.job.data_type)
-    return recommend_settings(rows.frame(groups), wanted.job)
+    return recommend_settings(rows.frame(groups), wanted.job, runs=runs)
 
 
 def _column_of(rows: RowStore, group: int) -> Callable[[str], pl.Series]:
     return lambda name: rows.frame(rows.groups[group], [name]).to_series()
+
+
+def _run_of_row(rows: RowStore, group: int) -> NDArray[np.int64]:
+    """Return for each row of a group the number of its run, rising."""
+    run_ids = rows.frame(rows.groups[group], ["run_id"])["run_id"].to_numpy()
+    return np.cumsum(np.diff(run_ids, prepend=run_ids[:1]) != 0)
 
 
 def _by_group(*frames: pl.DataFrame) -> pl.DataFrame:

@@ -13,6 +13,13 @@ if TYPE_CHECKING:
     from dds_trace.analyzer import Comparison, GateOutcome, GateResult
 
 
+class Unsure(str, Enum):
+    """Exits of an inconclusive comparison."""
+
+    PASS = "pass"  # noqa: S105 - no password: to let pass
+    FAIL = "fail"
+
+
 class ComparisonReport(str, Enum):
     """Kinds of report of a comparison."""
 
@@ -32,11 +39,26 @@ def compare_command(
         list[str] | None,
         typer.Option(
             metavar="GATE",
-            help="Such as 'latency_p99 > +10%', 'rtt_p50 > +2ms', 'latency_p99 > 20ms', 'received_ratio < 99%'; "
-            "repeatable.",
+            help="Such as 'latency_p99 > +10%', 'rtt_p50 > +2ms', 'latency_p99 > 20ms', 'received_ratio < 99%', "
+            "'received_ratio < -0.5 points'; repeatable. 'default' is p50 > +10%, p99 > +20%, received < -0.5 points.",
             show_default=False,
         ),
     ] = None,
+    allow_missing: Annotated[
+        bool,
+        typer.Option(
+            "--allow-missing", help="A group may be missing on the new side, or lose every message there."
+        ),
+    ] = False,
+    inconclusive: Annotated[
+        Unsure, typer.Option(metavar="EXIT", help="pass: an inconclusive gate exits with 0; fail: with 21.")
+    ] = Unsure.FAIL,
+    paired: Annotated[
+        bool,
+        typer.Option(
+            "--paired", help="Both sides were measured in the same passes of one sweep: compare pass by pass."
+        ),
+    ] = False,
     report: Annotated[
         ComparisonReport, typer.Option(metavar="KIND", help="terminal, md or junit.")
     ] = ComparisonReport.TERMINAL,
@@ -49,8 +71,10 @@ def compare_command(
 ) -> None:
     """Compare two sets of traces: per group the change of each percentile, how sure it is, and a verdict.
 
-    A gate fails only where the whole confidence interval lies beyond its limit. Exit codes: 0 passed, or no gate
-    given; 20 regressed; 21 inconclusive (too few messages to tell); 22 nothing to compare (no group in common).
+    The run is the unit: with fewer than three runs a side nothing is called better or worse. A gate fails only where
+    the whole confidence interval lies beyond its limit, or where a group of the base is missing or dead on the new
+    side. Exit codes: 0 passed, or no gate given; 20 regressed; 21 inconclusive (too few runs or messages to tell); 22
+    nothing to compare (no group in common).
 
     [bold]dds-analyze compare main/ branch/ --fail-if "latency_p99 > +10%" --report md[/bold]
     """
@@ -62,13 +86,13 @@ def compare_command(
         judge_gates,
         options_for,
         overall_outcome,
-        parse_gate,
+        parse_gates,
     )
 
-    gates = [parse_gate(text) for text in fail_if or []]  # before anything is read
+    gates = parse_gates(fail_if or [])  # before anything is read
     before, after = (analyze(folder, details=False) for folder in (base, new))
-    comparison = compare(before, after, options_for(gates, CompareOptions()))
-    results = judge_gates(comparison, gates)
+    comparison = compare(before, after, options_for(gates, CompareOptions(paired=paired)))
+    results = judge_gates(comparison, gates, allow_missing=allow_missing)
     for folder, side in ((base, before), (new, after)):
         for finding in side.findings:
             if finding.code == "not_applied":
@@ -76,13 +100,14 @@ def compare_command(
     if comparison.delivery.is_empty():
         outcome = GateOutcome.NOTHING_TO_COMPARE
     else:
-        outcome = overall_outcome(results) if gates else GateOutcome.PASSED
+        outcome = overall_outcome(results) if results else GateOutcome.PASSED
     if report is ComparisonReport.TERMINAL and out is None:
         _print_table(comparison, results)
     else:
         _print_or_write(_text(report, comparison, results), out)
-    _print_outcome(outcome, gated=bool(gates))
-    raise typer.Exit(outcome.exit_code)
+    _print_outcome(outcome, gated=bool(results))
+    is_let_pass = outcome is GateOutcome.INCONCLUSIVE and inconclusive is Unsure.PASS
+    raise typer.Exit(0 if is_let_pass else outcome.exit_code)
 
 
 def _text(report: ComparisonReport, comparison: "Comparison", results: "list[GateResult]") -> str:
@@ -118,30 +143,52 @@ def _print_table(comparison: "Comparison", results: "list[GateResult]") -> None:
     from rich.text import Text
 
     from dds_trace.analyzer import group_words, varying_columns
+    from dds_trace.reports.comparison import comparison_notes, result_line, runs_of_row
     from dds_trace.tracefile.visible import MAX_FINDING_CHARACTERS, visible
 
-    console = Console(width=None if sys.stdout.isatty() else 160)
-    table = Table("group", "metric", "base ms", "new ms", "change", "interval", "verdict")
+    console = Console(width=None if sys.stdout.isatty() else 200)
+    table = Table(
+        "group",
+        "metric",
+        "base ms",
+        "new ms",
+        "received",
+        "change",
+        "interval",
+        "runs",
+        "found from",
+        "verdict",
+    )
     names = varying_columns(comparison)
     for row in comparison.rows.iter_rows(named=True):
         low, high = _percent(row["ratio_low"]), _percent(row["ratio_high"])
         cells = (
             visible(group_words(row, names), MAX_FINDING_CHARACTERS),
             f"{row['metric']} {row['statistic']}",
-            _ms(row["base_ns"]),
-            _ms(row["new_ns"]),
+            _with_survivors(row["base_ns"], row["base_survivors_ns"]),
+            _with_survivors(row["new_ns"], row["new_survivors_ns"]),
+            f"{_share(row['base_received_ratio'])} -> {_share(row['new_received_ratio'])}",
             _percent(row["ratio"]),
             f"{low} to {high}" if low and high else "unknown",
+            runs_of_row(row),
+            _percent(row["smallest_ratio"]),
             row["verdict"],
         )
         table.add_row(*map(Text, cells))
     console.print(table)
-    for result in results:
-        console.print(
-            Text(
-                f"{result.outcome.value}: {result.gate.text} ({visible(result.where, MAX_FINDING_CHARACTERS)})"
-            )
-        )
+    for line in [*comparison_notes(comparison), *map(result_line, results)]:
+        console.print(Text(line))
+
+
+def _with_survivors(value_ns: float | None, survivors_ns: float | None) -> str:
+    """Write a time, and beside a lost one that of the survivors."""
+    if value_ns is None or value_ns != float("inf"):
+        return _ms(value_ns)
+    return "lost" if survivors_ns is None else f"lost (survivors {_ms(survivors_ns)})"
+
+
+def _share(value: float | None) -> str:
+    return "unknown" if value is None else f"{value:.2%}"
 
 
 def _ms(value_ns: float | None) -> str:
@@ -149,7 +196,9 @@ def _ms(value_ns: float | None) -> str:
 
 
 def _percent(ratio: float | None) -> str:
-    return "" if ratio is None else f"{ratio - 1:+.1%}"
+    if ratio is None:
+        return ""
+    return "lost" if ratio == float("inf") else f"{ratio - 1:+.1%}"
 
 
 def _print_outcome(outcome: "GateOutcome", *, gated: bool) -> None:

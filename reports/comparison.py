@@ -5,23 +5,23 @@ Strings from traces are escaped for the format, and control characters are spell
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET  # written, never parsed
 
 from dds_trace.analyzer.model.names import group_words
-from dds_trace.analyzer.verdicts.gates import (
-    Against,
-    GateOutcome,
-    overall_outcome,
-    varying_columns,
-)
+from dds_trace.analyzer.statistics.intervals import RUNS_TO_TELL, Basis
+from dds_trace.analyzer.verdicts.compare import FAMILY
+from dds_trace.analyzer.verdicts.gate import Against, GateOutcome
+from dds_trace.analyzer.verdicts.gates import overall_outcome, varying_columns
+from dds_trace.tracefile.units.counts import counted
 from dds_trace.tracefile.units.durations import format_ms
 from dds_trace.tracefile.visible import MAX_FINDING_CHARACTERS, visible
 
 from .text import markdown
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from dds_trace.analyzer.verdicts.compare import Comparison
     from dds_trace.analyzer.verdicts.gates import GateResult
@@ -32,10 +32,10 @@ def comparison_markdown(comparison: Comparison, results: Sequence[GateResult] = 
     lines = ["# Comparison of latency", ""]
     if results:
         lines += [f"**{overall_outcome(results).value.capitalize()}**", ""]
-        lines += ["| gate | group | measured | interval | outcome |", "|---|---|---:|---:|---|"]
+        lines += ["| gate | group | measured | interval | outcome | why |", "|---|---|---:|---:|---|---|"]
         lines += [
             f"| {markdown(r.gate.text)} | {markdown(r.where)} | {_measured(r, r.measured)} "
-            f"| {_interval(_measured(r, r.low), _measured(r, r.high))} | {r.outcome.value} |"
+            f"| {_interval(_measured(r, r.low), _measured(r, r.high))} | {r.outcome.value} | {markdown(_why(r))} |"
             for r in results
         ]
         lines.append("")
@@ -44,18 +44,14 @@ def comparison_markdown(comparison: Comparison, results: Sequence[GateResult] = 
     else:
         names = varying_columns(comparison)
         lines += [
-            "| group | metric | base | new | change | interval | new is faster | verdict |",
-            "|---|---|---:|---:|---:|---:|---:|---|",
+            "| group | metric | base | new | received | change | interval | new is below base | runs | found from | verdict |",
+            "|---|---|---:|---:|---:|---:|---:|---:|---|---:|---|",
         ]
         lines += [_markdown_row(row, names) for row in comparison.rows.iter_rows(named=True)]
-        share = f"{comparison.options.confidence:.0%}"
-        within = f"{comparison.options.same_within:.0%}"
-        lines += [
-            "",
-            f"Change and interval ({share}) are of new / base; 'same' is an interval wholly within {within}.",
-            "'New is faster': how often a message of the new side is faster than one of the base; 50% is no difference.",
-            "",
-        ]
+        lines += ["", *_explanations(comparison), ""]
+    lines += [f"- {markdown(note)}" for note in comparison_notes(comparison)]
+    if comparison.environment or comparison.errors:
+        lines.append("")
     for title, groups in (
         ("Only in the base", comparison.only_base),
         ("Only in the new", comparison.only_new),
@@ -67,6 +63,59 @@ def comparison_markdown(comparison: Comparison, results: Sequence[GateResult] = 
             ]
             lines.append("")
     return "\n".join(lines)
+
+
+def _explanations(comparison: Comparison) -> list[str]:
+    share = f"{comparison.options.confidence:.0%}"
+    within = f"{comparison.options.same_within:.0%}"
+    return [
+        (
+            f"Change and interval ({share}) are of new / base; 'same' is an interval wholly within {within}. A lost message is "
+            "infinitely late; 'survivors' is the figure of those that came back."
+        ),
+        (
+            f"The run is the unit: with fewer than {RUNS_TO_TELL} runs a side the interval holds within one run and the verdict is "
+            f"inconclusive. Verdicts are adjusted for the number of groups ({FAMILY})."
+        ),
+        "'Found from': the smallest change that these runs would have found with a probability of 80%.",
+        "'New is below base': how often a message of the new side takes less than one of the base; 50% is no difference.",
+    ]
+
+
+def comparison_notes(comparison: Comparison) -> list[str]:
+    """Return what makes the sides unlike or unfit: unlike environments, and findings of severity error."""
+    return [
+        *(f"Unlike environments: {visible(text, MAX_FINDING_CHARACTERS)}" for text in comparison.environment),
+        *(
+            f"Finding of severity error: {visible(text, MAX_FINDING_CHARACTERS)}"
+            for text in comparison.errors
+        ),
+    ]
+
+
+def result_line(result: GateResult) -> str:
+    """Return the outcome of a gate for one group in one line."""
+    why = _why(result)
+    where = visible(result.where, MAX_FINDING_CHARACTERS)
+    return f"{result.outcome.value}: {result.gate.text} ({where})" + (f": {visible(why)}" if why else "")
+
+
+def runs_of_row(row: Mapping[str, Any]) -> str:
+    """Return on how many runs a row of a comparison rests, as in `5 and 5`, `5 pairs` or `1 and 1, within one run`."""
+    if row["pairs"]:
+        return f"{row['pairs']} pairs"
+    said = f"{row['base_runs']} and {row['new_runs']}"
+    return said if row["basis"] == Basis.BETWEEN_RUNS.value else f"{said}, {row['basis']}"
+
+
+def _why(result: GateResult) -> str:
+    """Return the reason of a result, with the smallest change that could have been found."""
+    found = (
+        ""
+        if result.smallest_ratio is None
+        else f"changes from {result.smallest_ratio - 1:+.1%} on are found at 80% power"
+    )
+    return "; ".join(text for text in (result.reason, found) if text)
 
 
 def comparison_junit(results: Sequence[GateResult]) -> str:
@@ -87,6 +136,8 @@ def comparison_junit(results: Sequence[GateResult]) -> str:
             f"{_measured(result, result.measured)}, interval "
             f"{_interval(_measured(result, result.low), _measured(result, result.high))}"
         )
+        why = _why(result)
+        said += f"; {visible(why)}" if why else ""
         if result.outcome is GateOutcome.REGRESSED:
             ET.SubElement(case, "failure", {"message": said, "type": "regression"})
         elif result.outcome is GateOutcome.INCONCLUSIVE:
@@ -98,11 +149,39 @@ def comparison_junit(results: Sequence[GateResult]) -> str:
 def _markdown_row(row: dict[str, Any], names: Sequence[str]) -> str:
     change = None if row["ratio"] is None else row["ratio"] - 1
     ends = [None if row[end] is None else row[end] - 1 for end in ("ratio_low", "ratio_high")]
-    faster = "" if row["superiority"] is None else f"{row['superiority']:.0%}"
-    return (
-        f"| {markdown(group_words(row, names))} | {row['metric']} {row['statistic']} | {_ms(row['base_ns'])} "
-        f"| {_ms(row['new_ns'])} | {_percent(change)} | {_interval(*map(_percent, ends))} | {faster} | {row['verdict']} |"
+    below = "" if row["superiority"] is None else f"{row['superiority']:.0%}"
+    received = " -> ".join(_share(row[f"{side}_received_ratio"]) for side in ("base", "new"))
+    smallest = "" if row["smallest_ratio"] is None else _percent(row["smallest_ratio"] - 1)
+    cells = (
+        markdown(group_words(row, names)),
+        f"{row['metric']} {row['statistic']}",
+        _with_survivors(row["base_ns"], row["base_survivors_ns"], row["base_episodes"], row["statistic"]),
+        _with_survivors(row["new_ns"], row["new_survivors_ns"], row["new_episodes"], row["statistic"]),
+        received,
+        _percent(change),
+        _interval(*map(_percent, ends)),
+        below,
+        runs_of_row(row),
+        smallest,
+        row["verdict"],
     )
+    return f"| {' | '.join(cells)} |"
+
+
+def _with_survivors(
+    value_ns: float | None, survivors_ns: float | None, episodes: int | None, statistic: str
+) -> str:
+    """Write a time, beside a lost one that of the survivors, and of a tail the episodes it rests on."""
+    said = _ms(value_ns)
+    if value_ns is not None and math.isinf(value_ns) and survivors_ns is not None:
+        said += f" (survivors {_ms(survivors_ns)})"
+    if statistic.startswith("p9") and said and episodes is not None:
+        said += f" ({counted(episodes, 'episode')})"
+    return said
+
+
+def _share(value: float | None) -> str:
+    return "unknown" if value is None else f"{value:.2%}"
 
 
 def _measured(result: GateResult, value: float | None) -> str:
@@ -110,15 +189,21 @@ def _measured(result: GateResult, value: float | None) -> str:
         return "unknown"
     if result.gate.against is Against.RATIO:
         return _percent(value - 1)
-    return _ms(value) if result.gate.statistic else f"{value:.2%}"
+    if result.gate.statistic:
+        return _ms(value)
+    return f"{value * 100:+.2f} points" if result.gate.against is Against.DIFFERENCE else f"{value:.2%}"
 
 
 def _ms(value_ns: float | None) -> str:
-    return "" if value_ns is None else f"{format_ms(value_ns)} ms"
+    if value_ns is None:
+        return ""
+    return "lost" if math.isinf(value_ns) else f"{format_ms(value_ns)} ms"
 
 
 def _percent(share: float | None) -> str:
-    return "unknown" if share is None else f"{share:+.1%}"
+    if share is None:
+        return "unknown"
+    return "lost" if math.isinf(share) else f"{share:+.1%}"
 
 
 def _interval(low: str, high: str) -> str:

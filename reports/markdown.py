@@ -11,6 +11,7 @@ from dds_trace.tracefile.units.rates import format_rate
 from dds_trace.tracefile.units.sizes import format_size
 
 from .book.groups import METRIC_LABELS, STATISTIC_LABELS, data_type_label
+from .book.recommendation import COLUMNS
 from .figures.bridge_cost import bridge_cost_info
 from .text import format_added_ns, format_ratio, markdown
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from .book.book import Book
+    from .book.numbers import Intervals
     from .figures.bridge_cost import Cost
 
 FILE_NAME = "report.md"
@@ -26,8 +28,9 @@ MOST_GROUPS = 150
 """Most groups listed, because a comment on a pull request is read and not searched."""
 COST_STATISTICS = ("p50", "p90", "p99")
 HOW_TO_READ_COSTS = (
-    "Latency through the bridge less that of the same domain, its 95 % interval, and the ratio of the two. Without an "
-    "interval the samples show no more than the difference."
+    "Latency through the bridge less that of the same domain, its 95 % interval, and the ratio of the two; a lost message is "
+    "infinitely late. Without an interval the samples show no more than the difference, and from fewer than three runs a way "
+    "the interval holds within one run."
 )
 SHOWN_STATISTICS = ("p50", "p90", "p99", "max")
 
@@ -37,6 +40,7 @@ def render(book: Book) -> str:
     overview, answer = book.overview, book.answer
     parts = [
         f"# Latency report: {markdown(overview.title)}",
+        *_advice(book),
         f"**{markdown(answer.headline)}**",
         _table(
             ("Data", "Which is clearly fastest"),
@@ -62,6 +66,15 @@ def write(book: Book, folder: Path) -> Path:
     with replacing(path) as draft:
         draft.write_text(render(book), encoding="utf-8", newline="\n")
     return path
+
+
+def _advice(book: Book) -> list[str]:
+    """Return the recommendation with its job in words; nothing without one."""
+    advice = book.advice
+    if advice is None:
+        return []
+    table = [_table(COLUMNS, advice.rows)] if advice.rows else []
+    return [f"**{markdown(advice.said)}** Asked: {markdown(advice.asked)}", *table]
 
 
 def _findings(book: Book) -> str:
@@ -98,21 +111,32 @@ def _groups(book: Book) -> str:
                 format_rate(cell.rate_hz),
                 groups.labels[group.series],
                 format_ratio(values.plain["received_ratio"][group.index]),
+                intervals.basis(metric, "p50", group.index),
                 *(
                     _with_interval(values.times_ns[metric][name], ends, name, group.index)
+                    + _episodes_words(intervals, metric, name, group.index)
                     for name in SHOWN_STATISTICS
                 ),
             )
         )
     names = (f"{METRIC_LABELS[metric]} {STATISTIC_LABELS[name]}" for name in SHOWN_STATISTICS)
-    table = _table(("Data", "Size", "Rate", "Series", "Received", *names), rows)
+    table = _table(("Data", "Size", "Rate", "Series", "Received", "Runs", *names), rows)
     left = len(groups.groups) - len(rows)
     notes = [f"{counted(left, 'more group is', 'more groups are')} in `summary.parquet`."] if left else []
     if any(ends):
         notes.insert(
-            0, "In brackets: 95 % confidence intervals; a dash is an end that the sample does not support."
+            0,
+            "In brackets: 95 % confidence intervals, from the runs where there are three or more, else within one run; a dash is "
+            "an end that the sample does not support. A tail of fewer than ten episodes has no end.",
         )
     return "\n\n".join([table, *notes])
+
+
+def _episodes_words(intervals: Intervals, metric: str, name: str, group: int) -> str:
+    """Say on how many episodes a tail rests, as in ` (rests on 12 episodes)`; nothing of a median."""
+    of_groups = intervals.episodes.get(metric, {}).get(name, ())
+    episodes = of_groups[group] if of_groups else None
+    return "" if episodes is None or name == "p50" else f" (rests on {counted(episodes, 'episode')})"
 
 
 def _with_interval(

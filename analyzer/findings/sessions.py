@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from dds_trace.tracefile.units.counts import counted
 
 from ..model.finding import Finding, Severity
+from ..model.fingerprint import FLEETING, flat_fields
 from .evidence import some
 
 if TYPE_CHECKING:
@@ -22,9 +23,6 @@ _OF_MIDDLEWARE = ("versions", "configuration", "settings")
 """Parts of the fingerprint that every middleware has differently; they are compared within one vendor."""
 
 _BRIDGE_FAILURES = {"died": "ended by itself", "never_ready": "never carried a message"}
-
-_FLEETING = ("wifi",)
-"""Parts of the fingerprint that change from one minute to the next on the same device."""
 
 
 def recorder_drops(evidence: Evidence) -> Iterator[Finding]:
@@ -93,13 +91,13 @@ def unlike_environments(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _machine(session: Session) -> dict[str, object]:
-    parts = {k: v for k, v in session.host.items() if k not in (*_OF_MIDDLEWARE, *_FLEETING)}
-    return dict(_flattened(parts))
+    parts = {k: v for k, v in session.host.items() if k not in (*_OF_MIDDLEWARE, *FLEETING)}
+    return dict(flat_fields(parts))
 
 
 def _middleware(session: Session) -> dict[str, object]:
     parts = {name: session.host.get(name, {}) for name in _OF_MIDDLEWARE}
-    return {"rmw": session.rmw, **dict(_flattened(parts))}
+    return {"rmw": session.rmw, **dict(flat_fields(parts))}
 
 
 def _differences(where: str, described: list[tuple[Session, dict[str, object]]]) -> Iterator[Finding]:
@@ -118,15 +116,6 @@ def _differences(where: str, described: list[tuple[Session, dict[str, object]]])
                 f"{name} differs: {listed}.",
                 "Compare numbers across these sessions with care, or record again under equal conditions.",
             )
-
-
-def _flattened(host: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, object]]:
-    """Yield the leaves of a nested object with their dotted names."""
-    for key, value in host.items():
-        if isinstance(value, dict):
-            yield from _flattened(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", value
 
 
 def _on_devices(sessions: list[Session]) -> str:

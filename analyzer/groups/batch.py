@@ -134,6 +134,18 @@ def rows_by_group(batch: Batch, roundtrips: RoundTrips) -> Iterator[tuple[int, p
         yield group, roundtrips.measured.slice(first, after - first)
 
 
+def runs_by_group(batch: Batch, roundtrips: RoundTrips) -> Iterator[NDArray[np.int64]]:
+    """Yield for each group of `rows_by_group` a number for each row that the rows of one run share, run after run."""
+    if not batch.whole:
+        return
+    run_ids = [exchange.run.run_id for exchange in batch.exchanges]
+    number = {run_id: place for place, run_id in enumerate(dict.fromkeys(run_ids))}
+    run_of_row = roundtrips.per_row(np.array([number[run_id] for run_id in run_ids], np.int64))
+    for group in dict.fromkeys(batch.group_of_exchange.tolist()):
+        members = (batch.group_of_exchange == group).nonzero()[0]
+        yield run_of_row[int(roundtrips.bounds[members[0]]) : int(roundtrips.bounds[members[-1] + 1])]
+
+
 def with_group(batch: Batch, roundtrips: RoundTrips, of_runs: pl.DataFrame) -> pl.DataFrame:
     """Put the group of each run and relay before the columns of `of_runs`, and sort by it."""
     groups = roundtrips.described.select("run_id", "relay_id").with_columns(

@@ -9,12 +9,17 @@ import polars as pl
 
 from ..model.metrics import METRICS
 from ..pairing.one_way import knots_of
-from ..statistics.intervals import percentile_interval
-from ..statistics.percentiles import PERCENTILES, summarize_values
-from .batch import rows_by_group
+from ..run_statistics.between_runs import interval_of_runs
+from ..run_statistics.runs import Run, Statistic
+from ..run_statistics.spread import spread_of_runs
+from ..statistics.intervals import Basis
+from ..statistics.percentiles import PERCENTILES, quantile_of, summarize_values
+from .batch import rows_by_group, runs_by_group
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
+
+    from numpy.typing import NDArray
 
     from ..pairing.roundtrips import RoundTrips
     from .batch import Batch
@@ -31,6 +36,13 @@ INTERVAL_SCHEMA: dict[str, type[pl.DataType]] = {
     "confidence": pl.Float64,
     "messages": pl.UInt64,
     "independent": pl.UInt64,
+    "runs": pl.UInt32,
+    "units": pl.UInt32,
+    "episodes": pl.UInt64,
+    "basis": pl.String,
+    "between": pl.Float64,
+    "within": pl.Float64,
+    "typical_ns": pl.Float64,
 }
 
 ONE_WAY_SCHEMA: dict[str, type[pl.DataType]] = {
@@ -48,45 +60,88 @@ ONE_WAY_SCHEMA: dict[str, type[pl.DataType]] = {
 ONE_WAY_METRICS = ("outbound", "return")
 
 
+_METHODS = {Basis.BETWEEN_RUNS: "student_t_of_runs", Basis.WITHIN_RUN: "order_statistics"}
+
+
 def interval_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
-    """Compute every percentile of every metric with its 95 % interval by order statistics.
+    """Compute every percentile of every metric with its 95 % interval: from three runs on from the runs, else within one.
 
     Returns:
         Columns of `INTERVAL_SCHEMA`, five rows per group and metric that has a value (`METRICS`, `outbound`,
-        `return`). `estimate_ns` is the summary's percentile; `low_ns`, `high_ns` are null where the sample does not
-        support that end, all three where it does not support the percentile. `method` is `order_statistics`, null
-        without both ends. `independent`: number of independent messages that the sample is worth.
+        `return`), of the messages that have the metric. `estimate_ns` is the summary's percentile; `low_ns`, `high_ns`
+        are null where the sample does not support that end, all three where it does not support the percentile.
+        `method` is `student_t_of_runs` or `order_statistics`, null without both ends. `independent`: number of
+        independent messages that the sample is worth. `typical_ns`: what the interval is of: the percentile of a
+        typical run (`between_runs.interval_of_runs`), within one run `estimate_ns`. `basis`, `runs`, `units`, `episodes`
+        as in `statistics.intervals.Interval`; `between`, `within` as in `run_statistics.spread.Spread`.
     """
     rows = [
         row
-        for group, part in rows_by_group(batch, roundtrips)
-        for row in interval_rows(group, part.get_column)
+        for (group, part), run_of_row in zip(
+            rows_by_group(batch, roundtrips), runs_by_group(batch, roundtrips), strict=True
+        )
+        for row in interval_rows(group, part.get_column, run_of_row)
     ]
     return pl.DataFrame(rows, schema=INTERVAL_SCHEMA)
 
 
-def interval_rows(group: int, column: Callable[[str], pl.Series]) -> Iterator[dict[str, object]]:
-    """Yield the rows of `interval_frame` for one group, whose columns are fetched one by one."""
+def interval_rows(
+    group: int, column: Callable[[str], pl.Series], run_of_row: NDArray[np.int64]
+) -> Iterator[dict[str, object]]:
+    """Yield the rows of `interval_frame` for one group.
+
+    Args:
+        group: its number.
+        column: fetches a column of the group's rows.
+        run_of_row: a number for each row that the rows of one run share, run after run.
+    """
+    sent_ns = column("publish_ns").to_numpy()
     for metric in (*METRICS, *ONE_WAY_METRICS):
-        values = column(f"{metric}_ns").drop_nulls().to_numpy()
-        if not len(values):
+        values = column(f"{metric}_ns")
+        if values.null_count() == len(values):
             continue
-        ordered = np.sort(values)
+        runs = _runs(values, sent_ns, run_of_row)
+        ordered = np.sort(np.concatenate([run.values for run in runs]))
         for percentile in PERCENTILES:
-            interval = percentile_interval(values, percentile.quantile, ordered=ordered)
+            statistic = Statistic(percentile.quantile)
+            interval = interval_of_runs(runs, statistic)
+            spread = spread_of_runs(runs, statistic)
+            supported = len(ordered) >= percentile.needs
             yield {
                 "group": group,
                 "metric": metric,
                 "percentile": percentile.name,
                 "quantile": percentile.quantile,
-                "estimate_ns": interval.value,
+                "estimate_ns": quantile_of(ordered, percentile.quantile) if supported else None,
                 "low_ns": interval.lower,
                 "high_ns": interval.upper,
-                "method": "order_statistics" if interval.is_two_sided else None,
+                "method": _METHODS[interval.basis] if interval.is_two_sided else None,
                 "confidence": interval.confidence,
                 "messages": interval.samples,
                 "independent": interval.independent,
+                "runs": interval.runs,
+                "units": interval.units,
+                "episodes": interval.episodes,
+                "basis": interval.basis.value,
+                "between": spread.between,
+                "within": spread.within,
+                "typical_ns": interval.value,
             }
+
+
+def _runs(values: pl.Series, sent_ns: NDArray[np.int64], run_of_row: NDArray[np.int64]) -> list[Run]:
+    """Return the values of each run that has any, in the order of T1: several relays of a run side by side."""
+    present = values.is_not_null().to_numpy()
+    held, sent, runs = values.drop_nulls().to_numpy(), sent_ns[present], run_of_row[present]
+    edges = np.flatnonzero(np.diff(runs)) + 1
+    return [Run(*_in_order(*part)) for part in zip(np.split(held, edges), np.split(sent, edges), strict=True)]
+
+
+def _in_order(values: NDArray[np.int64], sent_ns: NDArray[np.int64]) -> Sequence[NDArray[np.int64]]:
+    if bool((np.diff(sent_ns) >= 0).all()):
+        return values, sent_ns
+    order = np.argsort(sent_ns, kind="stable")
+    return values[order], sent_ns[order]
 
 
 def one_way_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:

@@ -1,37 +1,43 @@
 """Answers: which vendor and bridge is fastest for which kind of message, and where the traces cannot tell.
 
 For each kind of message (link, domain mode, data type, size, rate, devices) the contenders' p99, or p50 where not all have an interval
-for p99, is compared by confidence intervals. One contender leads if its interval lies wholly below all the others;
-where the best interval overlaps another the answer is 'inconclusive'. Lost messages count as infinitely late. Plain
-sockets are the floor beneath every middleware, and no contender where a middleware was measured.
+for p99, is compared. The run is the unit: one contender leads if it is faster than each of the others by the test of
+their runs (`run_statistics.change`), adjusted by Holm over the others; with fewer than three runs a contender nothing is
+said. Lost messages count as infinitely late, and a contender that receives significantly less than another one never
+leads. Plain sockets are the floor beneath every middleware, and no contender where a middleware was measured.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import TYPE_CHECKING
 
-import numpy as np
 import polars as pl
 
 from ..model.parameters import CASE_COLUMNS, CONTENDER_COLUMNS
-from ..statistics.intervals import percentile_interval, ranges_overlap, ratio_interval
+from ..model.runs import passes_of
+from ..run_statistics.between_runs import interval_of_runs
+from ..run_statistics.change import Verdict, change_of_runs
+from ..run_statistics.delivery import change_of_received
+from ..run_statistics.runs import Statistic
+from ..statistics.families import holm_adjusted
+from ..statistics.intervals import Basis
 from .cases import (
     CONDITIONS,
     Contender,
     contender_names,
-    delivered_latencies,
     is_too_large,
     partition_groups,
     with_conditions,
 )
+from .matching import MatchedGroup
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
-    from .cases import ContenderNames, GroupRows
+    from .cases import ContenderNames, GroupRows, Setting
 
 _ROW_COLUMNS = ("run_id", "relay_id", "publish_ns", "latency_ns", "rtt_ns", "outcome")
 """Columns of the round trips that an answer rests on."""
@@ -62,6 +68,8 @@ class CaseAnswer:
         ping_device: device of the ping.
         relay_device: device of the relay, None without its trace.
         conditions: what surrounded the runs, as in `setting` (values of an emulated link, concurrent runs ...).
+        basis: `between runs`, or `within one run` where a contender has fewer than three: then nothing is told apart.
+        fewest_runs: runs of the contender that has the fewest.
     """
 
     connectivity: str
@@ -76,9 +84,13 @@ class CaseAnswer:
     ping_device: str = ""
     relay_device: str | None = None
     conditions: str = ""
+    basis: str = ""
+    fewest_runs: int = 0
 
 
-def find_answers(rows: GroupRows, confidence: float = 0.95) -> tuple[CaseAnswer, ...]:
+def find_answers(
+    rows: GroupRows, confidence: float = 0.95, passes: Mapping[int, int] | None = None
+) -> tuple[CaseAnswer, ...]:
     """Answer each kind of message, sorted by `CASE_COLUMNS`; one setting's round trips are in memory at a time.
 
     A kind with more than `cases.MOST_COMPARED_ROWS` round trips has no answer.
@@ -86,13 +98,14 @@ def find_answers(rows: GroupRows, confidence: float = 0.95) -> tuple[CaseAnswer,
     Args:
         rows: the round trips; without any there is no answer.
         confidence: of the intervals.
+        passes: run_id -> pass of the sweep: contenders are compared pass by pass where all runs have one.
     """
     if not rows.has_rows:
         return ()
     contending = without_floor(rows.groups)
     names = contender_names(contending)
     return tuple(
-        _answer_case(case, rows, names, confidence)
+        _answer_case(case, rows, names, confidence, passes or {})
         for case in partition_groups(with_conditions(contending), (*CASE_COLUMNS, CONDITIONS))
         if not is_too_large(case)
     )
@@ -104,53 +117,107 @@ def without_floor(groups: pl.DataFrame) -> pl.DataFrame:
     return groups if middlewares.is_empty() else middlewares
 
 
-def _answer_case(case: pl.DataFrame, rows: GroupRows, names: ContenderNames, confidence: float) -> CaseAnswer:
+def _answer_case(
+    case: pl.DataFrame,
+    rows: GroupRows,
+    names: ContenderNames,
+    confidence: float,
+    passes: Mapping[int, int],
+) -> CaseAnswer:
     """Rank the contenders of one kind of message, whose groups are `case`."""
-    percentile, contenders = _compared(case, rows, names, confidence)
-    ranked = tuple(sorted(contenders, key=Contender.order))
-    best = ranked[0]
-    leaders = tuple(
-        contender
-        for contender in ranked
-        if contender is best or ranges_overlap(best.latency.range, contender.latency.range)
-    )
+    measured = {}
+    for groups in partition_groups(case, CONTENDER_COLUMNS):
+        setting = groups.select(CONTENDER_COLUMNS).row(0, named=True)
+        measured[names[tuple(setting.values())]] = setting, MatchedGroup(rows.frame(groups, _ROW_COLUMNS))
+    percentile, quantile, contenders = _contenders(measured, confidence)
+    groups_of = {name: group for name, (_, group) in measured.items()}
+    ranked = sorted(_with_losses(contenders, groups_of, confidence), key=Contender.order)
+    beaten = _beaten_by(ranked[0], ranked[1:], groups_of, quantile, confidence, passes)
     if len(ranked) == 1:
         clarity = Clarity.ONLY_ONE
     else:
-        clarity = Clarity.CLEAR if len(leaders) == 1 else Clarity.INCONCLUSIVE
+        clarity = Clarity.CLEAR if len(beaten) == len(ranked) - 1 else Clarity.INCONCLUSIVE
+    is_between = all(one.latency.basis is Basis.BETWEEN_RUNS for one in ranked)
     return CaseAnswer(
         **case.select(*CASE_COLUMNS, CONDITIONS).row(0, named=True),
         percentile=percentile,
         clarity=clarity,
-        contenders=ranked,
-        leaders=leaders,
+        contenders=tuple(ranked),
+        leaders=tuple(
+            one for one in ranked if one is ranked[0] or not (one.name in beaten or one.loses_more)
+        ),
+        basis=(Basis.BETWEEN_RUNS if is_between else Basis.WITHIN_RUN).value,
+        fewest_runs=min(one.latency.runs for one in ranked),
     )
 
 
-def _compared(
-    case: pl.DataFrame, rows: GroupRows, names: ContenderNames, confidence: float
-) -> tuple[str, list[Contender]]:
-    """Return the percentile that can be compared, and the contenders with it."""
-    medians, tails = [], []
-    for groups in partition_groups(case, CONTENDER_COLUMNS):
-        setting = groups.select(CONTENDER_COLUMNS).row(0, named=True)
-        roundtrips = rows.frame(groups, _ROW_COLUMNS).sort("run_id", "relay_id", "publish_ns")
-        latencies = delivered_latencies(roundtrips)
-        ordered = np.sort(latencies)
-        median, tail = (
+def _contenders(
+    measured: Mapping[str, tuple[Setting, MatchedGroup]], confidence: float
+) -> tuple[str, float, list[Contender]]:
+    """Return the percentile that can be compared, its quantile, and the contenders with it."""
+
+    def contenders_at(quantile: float) -> list[Contender]:
+        statistic = Statistic(quantile)
+        return [
             Contender(
-                name=names[tuple(setting.values())],
+                name=name,
                 setting=setting,
-                latency=percentile_interval(latencies, quantile, confidence, ordered=ordered),
-                received=ratio_interval((roundtrips["outcome"] == "completed").to_numpy(), confidence),
+                latency=interval_of_runs(group.delivered("latency"), statistic, confidence),
+                received=group.received_ratio(confidence),
+                survivors_ns=group.of_survivors("latency", statistic),
             )
-            for quantile in (0.5, 0.99)
-        )
-        medians.append(median)
-        tails.append(tail)
+            for name, (setting, group) in measured.items()
+        ]
+
+    tails = contenders_at(0.99)
     if all(contender.latency.is_two_sided for contender in tails):
-        return "p99", tails
-    return "p50", medians
+        return "p99", 0.99, tails
+    return "p50", 0.5, contenders_at(0.5)
+
+
+def _with_losses(
+    contenders: Sequence[Contender], groups: Mapping[str, MatchedGroup], confidence: float
+) -> list[Contender]:
+    """Mark contenders that receive significantly less than the one that receives most."""
+    most = max(contenders, key=lambda one: (one.received.value or 0.0, one.name))
+    return [
+        replace(
+            one,
+            loses_more=change_of_received(
+                groups[most.name].received, groups[one.name].received, confidence
+            ).verdict()
+            is Verdict.WORSE,
+        )
+        for one in contenders
+    ]
+
+
+def _beaten_by(
+    best: Contender,
+    others: Sequence[Contender],
+    groups: Mapping[str, MatchedGroup],
+    quantile: float,
+    confidence: float,
+    passes: Mapping[int, int],
+) -> set[str]:
+    """Return the names of the contenders that the best is faster than, by tests adjusted by Holm over all others."""
+    statistic = Statistic(quantile)
+    changes = [
+        change_of_runs(
+            groups[best.name].delivered("latency"),
+            groups[other.name].delivered("latency"),
+            statistic,
+            confidence,
+            passes_of(groups[best.name].runs, groups[other.name].runs, passes),
+        )
+        for other in others
+    ]
+    adjusted = holm_adjusted([1.0 if change.p_value is None else change.p_value for change in changes])
+    return {
+        other.name
+        for other, change, p in zip(others, changes, adjusted.tolist(), strict=True)
+        if change.verdict(0.0) is Verdict.WORSE and p <= 1 - confidence
+    }
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,17 +10,18 @@ import polars as pl
 from ..model.parameters import BRIDGE_MATCH_COLUMNS
 from ..statistics.percentiles import PERCENTILES
 from .cases import is_too_large, partition_groups
-from .compare import CompareOptions, compare_groups, match_groups
+from .compare import CompareOptions, compare_groups
+from .matching import match_groups
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from .cases import GroupRows
 
-_OPTIONS = CompareOptions(metrics=("latency",), statistics=tuple(p.name for p in PERCENTILES))
-
-_RATIOS = ("base_received_ratio", "new_received_ratio")
+_OPTIONS = CompareOptions(metrics=("latency",), statistics=tuple(p.name for p in PERCENTILES), paired=True)
 
 
-def find_bridge_costs(rows: GroupRows) -> pl.DataFrame:
+def find_bridge_costs(rows: GroupRows, passes: Mapping[int, int] | None = None) -> pl.DataFrame:
     """Compare the percentiles of the latency; the round trips of one kind of message are in memory at a time.
 
     A kind with more than `cases.MOST_COMPARED_ROWS` round trips has no costs.
@@ -31,7 +32,7 @@ def find_bridge_costs(rows: GroupRows) -> pl.DataFrame:
     across = (pl.col("domain_mode") == "different").any()
     within = ((pl.col("domain_mode") == "same") & (pl.col("bridge") == "none")).any()
     costs = [
-        bridge_cost(rows.frame(case), _OPTIONS)
+        bridge_cost(rows.frame(case), _OPTIONS, passes)
         for case in partition_groups(rows.groups, BRIDGE_MATCH_COLUMNS)
         if case.select(across & within).item() and not is_too_large(case)
     ]
@@ -39,17 +40,19 @@ def find_bridge_costs(rows: GroupRows) -> pl.DataFrame:
     return pl.concat([empty, *costs]).sort("bridge", maintain_order=True)
 
 
-def bridge_cost(roundtrips: pl.DataFrame, options: CompareOptions | None = None) -> pl.DataFrame:
+def bridge_cost(
+    roundtrips: pl.DataFrame, options: CompareOptions | None = None, passes: Mapping[int, int] | None = None
+) -> pl.DataFrame:
     """Compare each bridge's way between domains with the way within a domain, for equal parameters.
 
     Args:
         roundtrips: rows of `docs/trace-format.md`.
         options: how to compare; None for the defaults. Bridge and domain mode are never matched.
+        passes: run_id -> pass of the sweep; both ways are compared pass by pass where `options.paired`.
 
     Returns:
         One row per bridge, group, metric and statistic: `bridge` str, then the columns of `Comparison.rows` (base is
-        the same domain without a bridge, new is the way through the bridge), `base_received_ratio` and
-        `new_received_ratio` f64.
+        the same domain without a bridge, new is the way through the bridge).
     """
     options = options or CompareOptions()
     match = tuple(name for name in options.match if name in BRIDGE_MATCH_COLUMNS)
@@ -62,10 +65,6 @@ def bridge_cost(roundtrips: pl.DataFrame, options: CompareOptions | None = None)
         through = match_groups(
             different.filter(pl.col("bridge").eq_missing(pl.lit(bridge, pl.String))), match
         )
-        comparison = compare_groups(same, through, roundtrips.schema, replace(options, match=match))
-        delivery = comparison.delivery.select(*match, *_RATIOS)
-        rows = comparison.rows.join(
-            delivery, on=list(match), how="left", nulls_equal=True, maintain_order="left"
-        )
-        tables.append(rows.select(pl.lit(bridge, pl.String).alias("bridge"), pl.all()))
+        comparison = compare_groups(same, through, roundtrips.schema, replace(options, match=match), passes)
+        tables.append(comparison.rows.select(pl.lit(bridge, pl.String).alias("bridge"), pl.all()))
     return pl.concat(tables)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
-import numpy as np
 import polars as pl
 
 from ..model.names import tell_apart, where_alike, where_it_varies
@@ -16,8 +15,6 @@ from ..model.setting import choice_of, condition_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
-
-    from numpy.typing import NDArray
 
     from ..model.parameters import ParameterValue
     from ..statistics.intervals import Interval
@@ -110,8 +107,7 @@ def parts_of(roundtrips: pl.DataFrame, columns: Sequence[str]) -> Iterator[tuple
     """Cut round trips by the values of some columns.
 
     Yields:
-        The values and their rows, by run and relay and in the order of time; parts are sorted by their values, null
-        first.
+        The values and their rows, in the order in which they came; parts are sorted by their values, null first.
     """
 
     def order(part: tuple[Setting, pl.DataFrame]) -> list[tuple[bool, ParameterValue]]:
@@ -121,25 +117,7 @@ def parts_of(roundtrips: pl.DataFrame, columns: Sequence[str]) -> Iterator[tuple
         (part.select(columns).row(0, named=True), part)
         for part in roundtrips.partition_by(*columns, maintain_order=True)
     ]
-    for setting, part in sorted(parts, key=order):
-        yield setting, part.sort("run_id", "relay_id", "publish_ns")
-
-
-def delivered_latencies(roundtrips: pl.DataFrame) -> NDArray[np.float64]:
-    """Return the latency of each message in ns, infinite if it was lost; empty if no latency is known.
-
-    A reply that came back without the relay's stamps took at most half of its round trip. It counts with that: left
-    out, it would give the lost ones more weight than they have.
-
-    Args:
-        roundtrips: `outcome`, `latency_ns` and `rtt_ns`, in the order of the result.
-    """
-    if roundtrips["latency_ns"].null_count() == len(roundtrips):
-        return np.empty(0, np.float64)
-    lost = pl.col("outcome") != "completed"
-    at_most = pl.coalesce(pl.col("latency_ns").cast(pl.Float64), pl.col("rtt_ns") / 2)
-    latencies = roundtrips.select(pl.when(lost).then(math.inf).otherwise(at_most)).to_series()
-    return latencies.drop_nulls().to_numpy()
+    yield from sorted(parts, key=order)
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,19 +127,23 @@ class Contender:
     Attributes:
         name: what tells it apart from the others of the campaign: vendor, bridge, and what else varies.
         setting: value of each of `CONTENDER_COLUMNS`.
-        latency: the compared percentile with its interval, ns.
+        latency: the compared percentile with its interval, ns; a lost message is infinitely late.
         received: share of messages whose reply came back, with its interval.
+        survivors_ns: the compared percentile of the messages that came back; None if they are too few.
+        loses_more: whether it receives significantly less than another contender of the case.
     """
 
     name: str
     setting: Setting
     latency: Interval
     received: Interval
+    survivors_ns: float | None = None
+    loses_more: bool = False
 
-    def order(self) -> tuple[float, float, str]:
-        """Return the key by which contenders are ranked: estimate, upper end (both infinite if unknown), name."""
+    def order(self) -> tuple[bool, float, float, str]:
+        """Return the key by which contenders are ranked: losses, estimate, upper end (infinite if unknown), name."""
         value, upper = (math.inf if v is None else v for v in (self.latency.value, self.latency.upper))
-        return value, upper, self.name
+        return self.loses_more, value, upper, self.name
 
 
 _TOLD_LAST: Mapping[str, tuple[str, str]] = {

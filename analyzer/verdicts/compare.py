@@ -1,12 +1,10 @@
 """Two sets of round trips against each other: per group and statistic the change, its interval, a verdict.
 
-Difference and ratio have an interval from the block bootstrap of both sides (`analyzer/statistics/bootstrap.py`); the effect is
-the probability of superiority (R. McGraw and S. Wong, 1992; Cliff's delta, 1993, is twice that less one): how often a
-message of the new side is faster than one of the base. One interval in twenty misses the truth by design: among many
-groups a few verdicts are chance, which is why a gate (`analyzer/verdicts/gates.py`) takes a limit and not "worse".
-
-Runs of one group are taken as one series. What differs from run to run but not within a run (a reboot, another
-channel) is in no interval that a single run can give: repeat runs.
+The run is the unit: with three runs a side the change has an interval from the runs (`analyzer/run_statistics/change.py`),
+with fewer the interval holds within one run and no verdict follows. A lost message is an infinitely late one; the
+survivors' figure stands beside. Of many groups a few verdicts are chance: `better` and `worse` are said only where the
+p value, adjusted by Benjamini and Hochberg over the groups of a metric and statistic, stays below 1 - confidence. The
+effect is the probability of superiority (R. McGraw and S. Wong, 1992; Cliff's delta, 1993, is twice that less one).
 """
 
 from __future__ import annotations
@@ -17,19 +15,29 @@ from typing import TYPE_CHECKING, Protocol
 import polars as pl
 
 from ..model.parameters import MATCH_COLUMNS
-from ..statistics.bootstrap import REPLICATES
-from ..statistics.intervals import ratio_interval
+from ..model.runs import pass_numbers, passes_of
+from ..run_statistics.change import Change, Verdict, change_of_runs
+from ..run_statistics.delivery import DeliveryChange, change_of_received
+from ..run_statistics.runs import MEAN, Statistic, joined_runs
+from ..run_statistics.superiority import probability_of_superiority
+from ..statistics.families import benjamini_hochberg_adjusted
 from ..statistics.percentiles import PERCENTILES
-from .change import Sample, change_of, probability_of_superiority
+from .matching import known_key, match_groups, pair_keys, unmatched
+from .sides import SideError, environment_differences, errors_of
 from .strata import replaced_devices, with_devices
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from ..model.parameters import ParameterValue
-    from ..statistics.intervals import Interval
+    from dds_trace.tracefile import Run, Session
 
-COMPARED_STATISTICS = ("mean", *(percentile.name for percentile in PERCENTILES))
+    from ..model.finding import Finding
+    from ..model.parameters import ParameterValue
+    from .matching import Key, MatchedGroup
+
+STATISTIC_BY_NAME = {"mean": MEAN, **{p.name: Statistic(p.quantile) for p in PERCENTILES}}
+
+COMPARED_STATISTICS = tuple(STATISTIC_BY_NAME)
 """Statistics of a metric that can be compared."""
 
 
@@ -43,7 +51,8 @@ class CompareOptions:
         match: columns that make two groups the same experiment.
         confidence: of every interval.
         same_within: a ratio wholly within `1 +- same_within` counts as the same.
-        replicates: draws of the bootstrap.
+        paired: whether both sides were measured in the same passes of one sweep, so that they are compared pass by
+            pass (label `pass` of a run).
     """
 
     metrics: tuple[str, ...] = ("latency", "rtt")
@@ -51,15 +60,17 @@ class CompareOptions:
     match: tuple[str, ...] = MATCH_COLUMNS
     confidence: float = 0.95
     same_within: float = 0.05
-    replicates: int = REPLICATES
+    paired: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class ChangeRow:
     """The columns of `Comparison.rows` behind the match columns: one statistic of one metric of one matched group.
 
-    Times are in ns. `superiority` and `cliffs_delta` are of the metric, not of the statistic; delta is positive where
-    new is faster. Null is what the samples do not support.
+    Times are in ns, infinite where more messages were lost than the statistic leaves room for; `..._survivors_ns` is the
+    same of the messages that came back, whose number is `..._messages`. `superiority` and `cliffs_delta` are of the
+    metric, not of the statistic; delta is positive where new is faster. `p_adjusted` is adjusted over the groups;
+    `smallest_ratio` would have been found with a probability of 80 %. Null is what the samples do not support.
     """
 
     metric: str
@@ -79,6 +90,21 @@ class ChangeRow:
     superiority: float | None
     cliffs_delta: float | None
     verdict: str
+    base_received_ratio: float | None
+    new_received_ratio: float | None
+    base_survivors_ns: float | None
+    new_survivors_ns: float | None
+    base_low_ns: float | None
+    base_high_ns: float | None
+    base_runs: int
+    new_runs: int
+    base_episodes: int | None
+    new_episodes: int | None
+    basis: str
+    pairs: int
+    p_value: float | None
+    p_adjusted: float | None
+    smallest_ratio: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,13 +119,30 @@ class DeliveryRow:
     new_received_ratio: float | None
     new_received_ratio_low: float | None
     new_received_ratio_high: float | None
+    difference: float | None
+    difference_low: float | None
+    difference_high: float | None
+    verdict: str
+    basis: str
+    base_runs: int
+    new_runs: int
+    is_dead: bool
 
 
-_DTYPES = {"str": pl.String, "int": pl.UInt64, "float | None": pl.Float64}
+_DTYPES = {
+    "str": pl.String,
+    "int": pl.UInt64,
+    "int | None": pl.UInt64,
+    "float | None": pl.Float64,
+    "bool": pl.Boolean,
+}
 """Annotation of a field of the rows above -> dtype of its column."""
 
 COMPARISON_SCHEMA = {field.name: _DTYPES[str(field.type)] for field in fields(ChangeRow)}
 DELIVERY_SCHEMA = {field.name: _DTYPES[str(field.type)] for field in fields(DeliveryRow)}
+
+FAMILY = "Benjamini-Hochberg over groups"
+"""How p values of the verdicts are adjusted, in words."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,6 +155,10 @@ class Comparison:
         only_base: groups (match columns) that the new side does not have.
         only_new: groups that the base does not have.
         options: how the sides were compared.
+        changes: of each row of `rows`, with what gates judge by.
+        deliveries: of each row of `delivery`, likewise.
+        environment: differences between the environments of the two sides, a sentence each.
+        errors: findings of severity error of either side.
         barred: groups (match columns) of either side in which a setting was not applied; no gate passes or fails on one.
     """
 
@@ -120,21 +167,41 @@ class Comparison:
     only_base: pl.DataFrame
     only_new: pl.DataFrame
     options: CompareOptions
+    changes: tuple[Change, ...] = ()
+    deliveries: tuple[DeliveryChange, ...] = ()
+    environment: tuple[str, ...] = ()
+    errors: tuple[SideError, ...] = ()
     barred: pl.DataFrame = field(default_factory=pl.DataFrame)
 
 
-class RoundTripSource(Protocol):
+class ComparedSide(Protocol):
     """An analysis, as far as a comparison reads it."""
 
-    def load_roundtrips(self) -> pl.DataFrame:
-        """Read all round trips into memory."""
+    @property
+    def sessions(self) -> Sequence[Session]:
+        """The recording processes."""
+
+    @property
+    def runs(self) -> Sequence[Run]:
+        """The descriptions of the runs."""
+
+    @property
+    def findings(self) -> Sequence[Finding]:
+        """What is doubtful."""
+
+    @property
+    def summary(self) -> pl.DataFrame:
+        """One row per group."""
 
     @property
     def barred_groups(self) -> pl.DataFrame:
         """The parameter columns of the groups in which a setting was not applied."""
 
+    def load_roundtrips(self) -> pl.DataFrame:
+        """Read all round trips into memory."""
 
-def compare(base: RoundTripSource, new: RoundTripSource, options: CompareOptions | None = None) -> Comparison:
+
+def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | None = None) -> Comparison:
     """Compare every group that two analyses measured; the round trips of both are in memory meanwhile.
 
     Args:
@@ -142,15 +209,32 @@ def compare(base: RoundTripSource, new: RoundTripSource, options: CompareOptions
         new: the analysis of the other side.
         options: how to compare; None for the defaults.
     """
-    comparison = compare_roundtrips(base.load_roundtrips(), new.load_roundtrips(), options)
-    barred = [side.barred_groups.select(comparison.options.match) for side in (base, new)]
-    return replace(comparison, barred=pl.concat(barred).unique(maintain_order=True))
+    found = compare_roundtrips(
+        base.load_roundtrips(),
+        new.load_roundtrips(),
+        options,
+        passes=pass_numbers([*base.runs, *new.runs]),
+    )
+    match = found.options.match
+    names = replaced_devices(base.summary, new.summary)
+    groups_of_new = with_devices(new.summary, names).select(match)
+    barred = [base.barred_groups.select(match), with_devices(new.barred_groups, names).select(match)]
+    return replace(
+        found,
+        barred=pl.concat(barred).unique(maintain_order=True),
+        environment=environment_differences(base.sessions, new.sessions),
+        errors=(
+            *errors_of("base", base.findings, base.summary.select(match)),
+            *errors_of("new", new.findings, groups_of_new),
+        ),
+    )
 
 
 def compare_roundtrips(
     base: pl.DataFrame,
     new: pl.DataFrame,
     options: CompareOptions | None = None,
+    passes: Mapping[int, int] | None = None,
 ) -> Comparison:
     """Compare the groups of two frames of round trips, as `compare` does.
 
@@ -158,112 +242,110 @@ def compare_roundtrips(
         base: rows of `docs/trace-format.md`.
         new: rows of the other side.
         options: how to compare; None for the defaults.
+        passes: run_id -> pass of the sweep; needed where `options.paired`.
     """
     options = options or CompareOptions()
     new = with_devices(new, replaced_devices(base, new))
     return compare_groups(
-        match_groups(base, options.match), match_groups(new, options.match), base.schema, options
+        match_groups(base, options.match), match_groups(new, options.match), base.schema, options, passes
     )
 
 
-class MatchedGroup:
-    """The messages of one group, with the samples that were drawn from: a sample is drawn from once.
-
-    Args:
-        rows: in the order of time within each run.
-    """
-
-    def __init__(self, rows: pl.DataFrame) -> None:
-        self._rows = rows
-        self._samples: dict[str, Sample] = {}
-
-    def __len__(self) -> int:
-        return len(self._rows)
-
-    def sample(self, metric: str) -> Sample:
-        """Return the values of a metric that are not null."""
-        if metric not in self._samples:
-            self._samples[metric] = Sample(self._rows[f"{metric}_ns"].drop_nulls().to_numpy())
-        return self._samples[metric]
-
-    def received(self, confidence: float) -> Interval:
-        """Return the share of messages whose reply came back."""
-        return ratio_interval((self._rows["outcome"] == "completed").to_numpy(), confidence)
-
-
-if TYPE_CHECKING:
-    MatchedGroups = Mapping[tuple[ParameterValue, ...], MatchedGroup]
-    """Values of the match columns -> group; sorted."""
-
-
-def match_groups(roundtrips: pl.DataFrame, match: Sequence[str]) -> MatchedGroups:
-    """Cut round trips into groups by the values of the match columns."""
-    ordered = roundtrips.sort(*match, "run_id", "relay_id", "publish_ns", nulls_last=False)
-    return {
-        part.select(match).row(0): MatchedGroup(part)
-        for part in ordered.partition_by(*match, maintain_order=True)
-    }
-
-
 def compare_groups(
-    before: MatchedGroups,
-    after: MatchedGroups,
+    before: Mapping[Key, MatchedGroup],
+    after: Mapping[Key, MatchedGroup],
     schema: Mapping[str, pl.DataType],
     options: CompareOptions,
+    passes: Mapping[int, int] | None = None,
 ) -> Comparison:
-    """Compare groups of equal keys.
+    """Compare groups of equal keys; a relay that left no trace matches any (`matching.pair_keys`).
 
     Args:
         before: groups of the base, by the values of `options.match`.
         after: groups of the new side.
         schema: dtypes of the match columns, and of any others.
         options: how to compare.
+        passes: run_id -> pass of the sweep; needed where `options.paired`.
     """
-    rows: list[dict[str, ParameterValue]] = []
-    delivery: list[dict[str, ParameterValue]] = []
-    for key in (key for key in before if key in after):
-        labels = dict(zip(options.match, key, strict=True))
-        delivery.append(labels | asdict(_delivery(before[key], after[key], options.confidence)))
-        rows += (labels | asdict(row) for row in _changes(before[key], after[key], options))
-    labels_schema = {name: schema[name] for name in options.match}
+    pairs = pair_keys(before, after, options.match)
+    labels: list[dict[str, ParameterValue]] = []
+    deliveries: list[tuple[DeliveryRow, DeliveryChange]] = []
+    rows: list[tuple[dict[str, ParameterValue], ChangeRow, Change]] = []
+    for key, partner in pairs.items():
+        base, new = before[key], after[partner]
+        labels.append(dict(zip(options.match, known_key(key, partner), strict=True)))
+        deliveries.append(_delivery(base, new, options.confidence))
+        rows += (
+            (labels[-1], *changed)
+            for changed in _changes(base, new, deliveries[-1][1], options, passes or {})
+        )
+    schema_of_labels = {name: schema[name] for name in options.match}
     return Comparison(
-        rows=pl.DataFrame(rows, schema={**labels_schema, **COMPARISON_SCHEMA}),
-        delivery=pl.DataFrame(delivery, schema={**labels_schema, **DELIVERY_SCHEMA}),
-        only_base=_keys_frame((key for key in before if key not in after), labels_schema),
-        only_new=_keys_frame((key for key in after if key not in before), labels_schema),
+        rows=_adjusted(
+            pl.DataFrame(
+                [label | asdict(row) for label, row, _ in rows],
+                schema={**schema_of_labels, **COMPARISON_SCHEMA},
+            ),
+            options.confidence,
+        ),
+        delivery=pl.DataFrame(
+            [label | asdict(row) for label, (row, _) in zip(labels, deliveries, strict=True)],
+            schema={**schema_of_labels, **DELIVERY_SCHEMA},
+        ),
+        only_base=_keys_frame(unmatched(before, list(pairs)), schema_of_labels),
+        only_new=_keys_frame(unmatched(after, list(pairs.values())), schema_of_labels),
         options=options,
+        changes=tuple(change for _, __, change in rows),
+        deliveries=tuple(change for _, change in deliveries),
     )
 
 
-def _delivery(base: MatchedGroup, new: MatchedGroup, confidence: float) -> DeliveryRow:
-    before, after = base.received(confidence), new.received(confidence)
-    return DeliveryRow(
+def _delivery(base: MatchedGroup, new: MatchedGroup, confidence: float) -> tuple[DeliveryRow, DeliveryChange]:
+    change = change_of_received(base.received, new.received, confidence)
+    row = DeliveryRow(
         base_published=len(base),
-        base_received_ratio=before.value,
-        base_received_ratio_low=before.lower,
-        base_received_ratio_high=before.upper,
+        base_received_ratio=change.base.value,
+        base_received_ratio_low=change.base.lower,
+        base_received_ratio_high=change.base.upper,
         new_published=len(new),
-        new_received_ratio=after.value,
-        new_received_ratio_low=after.lower,
-        new_received_ratio_high=after.upper,
+        new_received_ratio=change.new.value,
+        new_received_ratio_low=change.new.lower,
+        new_received_ratio_high=change.new.upper,
+        difference=change.difference,
+        difference_low=change.difference_low,
+        difference_high=change.difference_high,
+        verdict=change.verdict().value,
+        basis=change.basis.value,
+        base_runs=change.base.runs,
+        new_runs=change.new.runs,
+        is_dead=new.is_dead and not base.is_dead,
     )
+    return row, change
 
 
-def _changes(base: MatchedGroup, new: MatchedGroup, options: CompareOptions) -> Iterator[ChangeRow]:
+def _changes(
+    base: MatchedGroup,
+    new: MatchedGroup,
+    received: DeliveryChange,
+    options: CompareOptions,
+    passes: Mapping[int, int],
+) -> Iterator[tuple[ChangeRow, Change]]:
+    paired = passes_of(base.runs, new.runs, passes) if options.paired else None
     for metric in options.metrics:
-        before, after = base.sample(metric), new.sample(metric)
-        superiority = probability_of_superiority(before, after)
-        for statistic in options.statistics:
-            change = change_of(before, after, statistic, options.confidence, options.replicates)
-            yield ChangeRow(
+        before, after = base.delivered(metric), new.delivered(metric)
+        superiority = probability_of_superiority(joined_runs(before).ordered, joined_runs(after).ordered)
+        for name in options.statistics:
+            statistic = STATISTIC_BY_NAME[name]
+            change = change_of_runs(before, after, statistic, options.confidence, paired)
+            row = ChangeRow(
                 metric=metric,
-                statistic=statistic,
-                base_messages=len(before),
-                new_messages=len(after),
-                base_ns=change.base,
-                new_ns=change.new,
-                new_low_ns=change.new_low,
-                new_high_ns=change.new_high,
+                statistic=name,
+                base_messages=len(base.survivors(metric)),
+                new_messages=len(new.survivors(metric)),
+                base_ns=change.base.value,
+                new_ns=change.new.value,
+                new_low_ns=change.new.lower,
+                new_high_ns=change.new.upper,
                 difference_ns=change.difference,
                 difference_low_ns=change.difference_low,
                 difference_high_ns=change.difference_high,
@@ -273,10 +355,40 @@ def _changes(base: MatchedGroup, new: MatchedGroup, options: CompareOptions) -> 
                 superiority=superiority,
                 cliffs_delta=None if superiority is None else 2 * superiority - 1,
                 verdict=change.verdict(options.same_within).value,
+                base_received_ratio=received.base.value,
+                new_received_ratio=received.new.value,
+                base_survivors_ns=base.of_survivors(metric, statistic),
+                new_survivors_ns=new.of_survivors(metric, statistic),
+                base_low_ns=change.base.lower,
+                base_high_ns=change.base.upper,
+                base_runs=change.base.runs,
+                new_runs=change.new.runs,
+                base_episodes=change.base.episodes,
+                new_episodes=change.new.episodes,
+                basis=change.basis.value,
+                pairs=change.pairs,
+                p_value=change.p_value,
+                p_adjusted=None,
+                smallest_ratio=change.smallest_ratio,
             )
+            yield row, change
 
 
-def _keys_frame(
-    keys: Iterable[tuple[ParameterValue, ...]], schema: Mapping[str, pl.DataType]
-) -> pl.DataFrame:
+def _adjusted(rows: pl.DataFrame, confidence: float) -> pl.DataFrame:
+    """Fill `p_adjusted` over the groups of each metric and statistic, and leave no verdict that it does not support."""
+    adjusted: list[float | None] = [None] * len(rows)
+    known = rows.with_row_index("place").filter(pl.col("p_value").is_not_null())
+    for family in known.partition_by("metric", "statistic") if len(known) else ():
+        values = benjamini_hochberg_adjusted(family["p_value"].to_numpy()).tolist()
+        for place, value in zip(family["place"].to_list(), values, strict=True):
+            adjusted[place] = value
+    p_adjusted = pl.Series("p_adjusted", adjusted, pl.Float64)
+    unsure = pl.col("verdict").is_in([Verdict.BETTER.value, Verdict.WORSE.value]) & (
+        p_adjusted.fill_null(0.0) > 1 - confidence
+    )
+    verdict = pl.when(unsure).then(pl.lit(Verdict.INCONCLUSIVE.value)).otherwise("verdict").alias("verdict")
+    return rows.with_columns(p_adjusted, verdict)
+
+
+def _keys_frame(keys: Iterable[Key], schema: Mapping[str, pl.DataType]) -> pl.DataFrame:
     return pl.DataFrame(list(keys), schema=schema, orient="row")

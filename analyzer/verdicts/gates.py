@@ -1,163 +1,41 @@
-"""Gates for CI: `--fail-if "latency_p99 > +10%"` against a comparison.
+"""A comparison judged by gates (`analyzer/verdicts/gate.py`): an outcome for each gate and group, with its reason.
 
-    gate      = metric ws (">" | ">=" | "<" | "<=") ws limit
-    limit     = sign number "%"          change against the base, as a share of it:  latency_p99 > +10%
-              | sign number unit         change against the base:                    rtt_p50 > +2ms
-              | number unit              the new side alone:                         latency_p99_9 > 20ms
-              | number "%"               the new side alone, for ratios:             received_ratio < 99%
-    metric    = ("latency" | "rtt" | "response" | "intermediate") "_" statistic | "received_ratio"
-    statistic = "mean" | "p50" | "p90" | "p95" | "p99" | "p99_9"
-    unit      = "ns" | "us" | "ms" | "s"
-
-A gate is about what is surely so: it fails where the whole confidence interval lies beyond the limit, passes where none
-of it does, and is inconclusive in between, where a sample does not support the percentile, or where a setting was asked
-for and not applied: such a group did not measure what it says.
+A gate is one test for each group, so that among many groups some interval lies beyond the limit by chance: a group is
+regressed only where its p value, adjusted by Holm over the groups of the gate, stays below half of 1 - confidence.
+A group that the new side does not have, or of which no reply came back there, is regressed whatever the gates are.
 """
 
 from __future__ import annotations
 
-import difflib
-import operator
-import re
+import math
 from dataclasses import dataclass, replace
-from enum import Enum
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile.errors import OptionError
-from dds_trace.tracefile.units.durations import UNIT_NS
-from dds_trace.tracefile.units.quantities import split_quantity
-
-from ..model.metrics import METRICS
 from ..model.names import group_words, varying_parameters
-from .compare import COMPARED_STATISTICS
+from ..run_statistics.deciding import runs_to_settle_ratio, runs_to_settle_value
+from ..statistics.distributions import student_cdf, student_quantile
+from ..statistics.families import holm_adjusted
+from ..statistics.intervals import RUNS_TO_TELL, Basis
+from ..statistics.power import messages_to_close
+from .compare import STATISTIC_BY_NAME
+from .gate import RECEIVED_RATIO, Against, Gate, GateOutcome
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
-    import polars as pl
-
+    from ..run_statistics.change import Change
+    from ..run_statistics.delivery import DeliveryChange
     from .compare import CompareOptions, Comparison
+    from .matching import Key
 
-RECEIVED_RATIO = "received_ratio"
-_GATE_METRICS = (
-    *(f"{metric}_{statistic}" for metric in METRICS for statistic in COMPARED_STATISTICS),
-    RECEIVED_RATIO,
-)
-_OPERATORS: dict[str, Callable[[float, float], bool]] = {
-    ">": operator.gt,
-    ">=": operator.ge,
-    "<": operator.lt,
-    "<=": operator.le,
-}
-_GATE = re.compile(r"\s*(?P<metric>[A-Za-z0-9_.]+)\s*(?P<operator>>=|<=|>|<)\s*(?P<limit>\S.*?)\s*")
-
-
-class GateOutcome(Enum):
-    """The outcome of a gate; its exit codes differ from those of `TraceError`."""
-
-    PASSED = "passed"
-    REGRESSED = "regressed"
-    INCONCLUSIVE = "inconclusive"
-    NOTHING_TO_COMPARE = "nothing to compare"
-
-    @property
-    def exit_code(self) -> int:
-        """Exit code of a command whose gates have this outcome."""
-        return _EXIT_CODES[self]
-
+ALL_GROUPS = Gate("every group of the base answers", RECEIVED_RATIO, "", "<=", Against.NEW, 0.0)
+"""The gate that a missing or dead group fails."""
 
 NOT_APPLIED = "a setting that was asked for was not applied"
 """End of `GateResult.where` of a group that is barred."""
 
-_EXIT_CODES = {
-    GateOutcome.PASSED: 0,
-    GateOutcome.REGRESSED: 20,
-    GateOutcome.INCONCLUSIVE: 21,
-    GateOutcome.NOTHING_TO_COMPARE: 22,
-}
-
-
-class Against(Enum):
-    """The value that a limit applies to, by the prefix of its columns in a comparison."""
-
-    RATIO = "ratio"  # change as a share of the base
-    DIFFERENCE = "difference"  # change in ns
-    NEW = "new"  # the new side alone
-
-
-@dataclass(frozen=True, slots=True)
-class Gate:
-    """A condition under which a comparison fails.
-
-    Attributes:
-        text: the gate as it was written.
-        metric: `latency`, `rtt`, `response`, `intermediate` or `received_ratio`.
-        statistic: `mean` or a percentile; empty for `received_ratio`.
-        operator: `>`, `>=`, `<` or `<=`.
-        against: the value that the limit applies to.
-        limit: a ratio new / base for `RATIO`, ns for `DIFFERENCE` and `NEW` (a share for `received_ratio`).
-    """
-
-    text: str
-    metric: str
-    statistic: str
-    operator: str
-    against: Against
-    limit: float
-
-    def judge(self, value: float | None, low: float | None, high: float | None) -> GateOutcome:
-        """Judge an estimate by its interval; an end that is None is unknown."""
-        if value is None or low is None or high is None:
-            return GateOutcome.INCONCLUSIVE
-        fails = [_OPERATORS[self.operator](end, self.limit) for end in (low, high)]
-        if all(fails):
-            return GateOutcome.REGRESSED
-        return GateOutcome.INCONCLUSIVE if any(fails) else GateOutcome.PASSED
-
-
-def parse_gate(text: str) -> Gate:
-    """Read a gate in the grammar of this module.
-
-    Raises:
-        OptionError: the text is not a gate; the message says where it goes wrong and names the nearest metric.
-    """
-    match = _GATE.fullmatch(text)
-    if match is None:
-        raise OptionError(f"--fail-if {text!r}: write METRIC > LIMIT, for example 'latency_p99 > +10%'")
-    metric, statistic = _parse_metric(text, match["metric"])
-    against, limit = _parse_limit(text, match["limit"], metric)
-    return Gate(text.strip(), metric, statistic, match["operator"], against, limit)
-
-
-def _parse_metric(text: str, name: str) -> tuple[str, str]:
-    spelled = name.lower().replace(".", "_")  # p99.9 is meant as p99_9
-    if spelled not in _GATE_METRICS:
-        near = difflib.get_close_matches(spelled, _GATE_METRICS, n=1, cutoff=0)[0]
-        raise OptionError(f"--fail-if {text!r}: no metric {name!r}; did you mean {near!r}?")
-    if spelled == RECEIVED_RATIO:
-        return spelled, ""
-    metric, _, statistic = spelled.partition("_")
-    return metric, statistic
-
-
-def _parse_limit(text: str, limit: str, metric: str) -> tuple[Against, float]:
-    sign = limit[0] if limit[0] in "+-" else ""
-    number, unit = split_quantity(limit[len(sign) :]) or (0.0, "")
-    if unit != "%" and unit not in UNIT_NS:
-        raise OptionError(
-            f"--fail-if {text!r}: no limit {limit!r}; write a change such as +10% or +2ms, or a value such as 20ms",
-        )
-    number = -number if sign == "-" else number
-    is_share, is_signed = unit == "%", bool(sign)
-    if metric == RECEIVED_RATIO:
-        if not is_share or is_signed:
-            raise OptionError(f"--fail-if {text!r}: {RECEIVED_RATIO} takes a share such as 99%")
-        return Against.NEW, number / 100
-    if is_share:
-        if not is_signed:
-            raise OptionError(f"--fail-if {text!r}: write +{limit} for a change against the base")
-        return Against.RATIO, 1 + number / 100
-    return Against.DIFFERENCE if is_signed else Against.NEW, number * UNIT_NS[unit]
+FAMILY = "Holm over groups"
+"""How p values of gates are adjusted, in words."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,6 +49,9 @@ class GateResult:
         measured: the measured value in the unit of the limit.
         low: lower end of its interval.
         high: upper end of its interval.
+        reason: one sentence: why the outcome is inconclusive, and what it takes to decide; or what is missing.
+        smallest_ratio: the smallest ratio above 1 that these runs would have found with a probability of 80 %; None
+            where that cannot be told.
     """
 
     gate: Gate
@@ -179,6 +60,52 @@ class GateResult:
     measured: float | None
     low: float | None
     high: float | None
+    reason: str = ""
+    smallest_ratio: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Judged:
+    """A value with its interval, and what gives the probability that it lies beyond a limit by chance.
+
+    Attributes:
+        where: the group in words.
+        group: its match columns.
+        value: the measured value; `low` and `high` are the ends of its interval.
+        basis: what the interval has seen vary.
+        degrees: degrees of freedom of Student's t behind the interval; None if it is not known.
+        wanted: one sentence: what it takes to decide.
+        smallest_ratio: as in `GateResult`.
+    """
+
+    where: str
+    group: Key
+    value: float | None
+    low: float | None
+    high: float | None
+    basis: Basis
+    degrees: float | None
+    wanted: str
+    smallest_ratio: float | None
+
+    def p_beyond(self, limit: float, confidence: float, *, is_ratio: bool) -> float:
+        """Return the probability of an estimate this far beyond a limit if the truth is on it."""
+        value, end = self.value, self.low if self.value is not None and self.value > limit else self.high
+        if value is None or end is None:
+            return (1 - confidence) / 2
+        if math.isinf(end):
+            return 0.0
+        if math.isinf(value):
+            far, near, at = 0.0, -1 / end, -1 / limit
+        elif is_ratio and min(value, end, limit) > 0:
+            far, near, at = math.log(value), math.log(end), math.log(limit)
+        else:
+            far, near, at = value, end, limit
+        if far == near:
+            return 0.0
+        degrees = math.inf if self.degrees is None else self.degrees
+        reach = student_quantile((1 + confidence) / 2, degrees)
+        return student_cdf(-reach * (far - at) / (far - near), degrees)
 
 
 def options_for(gates: Sequence[Gate], options: CompareOptions) -> CompareOptions:
@@ -191,13 +118,25 @@ def options_for(gates: Sequence[Gate], options: CompareOptions) -> CompareOption
     )
 
 
-def judge_gates(comparison: Comparison, gates: Sequence[Gate]) -> list[GateResult]:
-    """Judge every matched group by every gate, gate by gate; the comparison was made with `options_for` the gates."""
+def judge_gates(
+    comparison: Comparison, gates: Sequence[Gate], *, allow_missing: bool = False
+) -> list[GateResult]:
+    """Judge every group of the base by every gate, gate by gate.
+
+    Args:
+        comparison: made with `options_for` the gates; without a group in common there is nothing to judge.
+        gates: the gates.
+        allow_missing: whether a group may be missing on the new side, or lose every message there.
+
+    Returns:
+        First a result of `ALL_GROUPS` for each missing or dead group, then those of the gates.
+    """
+    if comparison.delivery.is_empty():
+        return []
     names = varying_columns(comparison)
-    results: list[GateResult] = []
+    results = [] if allow_missing else list(_missing(comparison, names))
     for gate in gates:
-        judge = _judge_received if gate.metric == RECEIVED_RATIO else _judge_time
-        results += judge(comparison, gate, names)
+        results += _judge(comparison, gate, names)
     return results
 
 
@@ -214,26 +153,153 @@ def varying_columns(comparison: Comparison) -> list[str]:
     return varying_parameters(comparison.delivery, comparison.options.match)
 
 
-def _judge_time(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator[GateResult]:
-    unit = "" if gate.against is Against.RATIO else "_ns"
-    columns = [f"{gate.against.value}{end}{unit}" for end in ("", "_low", "_high")]
-    rows = comparison.rows.filter(metric=gate.metric, statistic=gate.statistic)
-    return _judge_rows(comparison, rows, gate, columns, names)
+def _missing(comparison: Comparison, names: Sequence[str]) -> Iterator[GateResult]:
+    every = comparison.options.match  # what tells a missing group apart may be alike in all others
+    for row in comparison.only_base.iter_rows(named=True):
+        where = group_words(row, every)
+        yield GateResult(
+            ALL_GROUPS, where, GateOutcome.REGRESSED, None, None, None, "missing on the new side"
+        )
+    for row, change in zip(comparison.delivery.iter_rows(named=True), comparison.deliveries, strict=True):
+        if row["is_dead"]:
+            new = change.new
+            yield GateResult(
+                ALL_GROUPS,
+                group_words(row, names),
+                GateOutcome.REGRESSED,
+                new.value,
+                new.lower,
+                new.upper,
+                "no reply came back on the new side",
+            )
 
 
-def _judge_received(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator[GateResult]:
-    columns = [f"new_received_ratio{end}" for end in ("", "_low", "_high")]
-    return _judge_rows(comparison, comparison.delivery, gate, columns, names)
-
-
-def _judge_rows(
-    comparison: Comparison, rows: pl.DataFrame, gate: Gate, columns: Sequence[str], names: Sequence[str]
-) -> Iterator[GateResult]:
-    """Judge every row; `columns` are those of the value and of the ends of its interval."""
+def _judge(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator[GateResult]:
+    confidence = comparison.options.confidence
+    find = _received if gate.metric == RECEIVED_RATIO else _times
+    judged = list(find(comparison, gate, names))
+    outcomes = [gate.judge(one.value, one.low, one.high) for one in judged]
+    beyond = [
+        place
+        for place, (one, outcome) in enumerate(zip(judged, outcomes, strict=True))
+        if outcome is GateOutcome.REGRESSED and one.basis is Basis.BETWEEN_RUNS
+    ]
+    is_ratio = gate.against is Against.RATIO or bool(gate.statistic and gate.against is Against.NEW)
+    p_values = [judged[place].p_beyond(gate.limit, confidence, is_ratio=is_ratio) for place in beyond]
+    # Groups that are not beyond the limit are tests of the family, too: their p values are larger than all of these.
+    adjusted = holm_adjusted([*p_values, *[1.0] * (len(judged) - len(beyond))])
+    by_chance = {
+        place for place, p in zip(beyond, adjusted.tolist(), strict=False) if p > (1 - confidence) / 2 + 1e-12
+    }
     barred = set(comparison.barred.iter_rows())
-    for row in rows.iter_rows(named=True):
-        value, low, high = (row[column] for column in columns)
-        where, outcome = group_words(row, names), gate.judge(value, low, high)
-        if tuple(row[name] for name in comparison.options.match) in barred:
-            where, outcome = f"{where}; {NOT_APPLIED}", GateOutcome.INCONCLUSIVE
-        yield GateResult(gate, where, outcome, value, low, high)
+    for place, (one, outcome) in enumerate(zip(judged, outcomes, strict=True)):
+        is_barred = one.group in barred
+        reason = _reason(comparison, one, outcome, len(judged) if place in by_chance else 0)
+        yield GateResult(
+            gate=gate,
+            where=f"{one.where}; {NOT_APPLIED}" if is_barred else one.where,
+            outcome=GateOutcome.INCONCLUSIVE if reason or is_barred else outcome,
+            measured=one.value,
+            low=one.low,
+            high=one.high,
+            reason=reason,
+            smallest_ratio=one.smallest_ratio,
+        )
+
+
+def _reason(comparison: Comparison, one: _Judged, outcome: GateOutcome, by_chance_of: int) -> str:
+    """Return why a result is inconclusive and what it takes to decide; empty if it is conclusive."""
+    errors = [error.text for error in comparison.errors if error.is_about(one.group)]
+    if errors:
+        return f"a side is not fit to be judged: {errors[0]}"
+    if one.basis is Basis.WITHIN_RUN:
+        return f"{Basis.WITHIN_RUN.value}: {one.wanted}"
+    if by_chance_of:
+        return f"beyond the limit, but one of {by_chance_of} groups is by chance ({FAMILY}); {one.wanted}"
+    return one.wanted if outcome is GateOutcome.INCONCLUSIVE else ""
+
+
+def _times(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator[_Judged]:
+    for row, change in zip(comparison.rows.iter_rows(named=True), comparison.changes, strict=True):
+        if row["metric"] != gate.metric or row["statistic"] != gate.statistic:
+            continue
+        unit = "" if gate.against is Against.RATIO else "_ns"
+        is_alone = gate.against is Against.NEW
+        yield _Judged(
+            where=group_words(row, names),
+            group=tuple(row[name] for name in comparison.options.match),
+            value=row[f"{gate.against.value}{unit}"],
+            low=row[f"{gate.against.value}_low{unit}"],
+            high=row[f"{gate.against.value}_high{unit}"],
+            basis=change.new.basis if is_alone else change.basis,
+            degrees=max(1, change.new.units - 1) if is_alone else change.degrees,
+            wanted=_wanted(gate, change),
+            smallest_ratio=change.smallest_ratio,
+        )
+
+
+def _wanted(gate: Gate, change: Change) -> str:
+    """Return how many more runs or messages it very likely takes to decide by a gate."""
+    sides = [change.new] if gate.against is Against.NEW else [change.base, change.new]
+    have = " and ".join(str(side.runs) for side in sides)
+    if any(side.runs < RUNS_TO_TELL for side in sides):
+        return f"it takes {RUNS_TO_TELL} runs a side, there are {have}"
+    statistic = STATISTIC_BY_NAME[gate.statistic]
+    short = [side for side in sides if side.value is None]
+    if short:
+        return f"{gate.statistic} takes {statistic.needs} messages, there are {short[0].samples}"
+    if statistic.quantile is not None:
+        more = [messages_to_close(side, statistic.quantile) for side in sides if not side.is_two_sided]
+        if any(more):
+            return f"the tail rests on too few episodes; record about {max(m or 0 for m in more)} more messages a side"
+    runs = None
+    if gate.against is Against.RATIO and gate.limit > 0:
+        runs = runs_to_settle_ratio(change, gate.limit)
+    elif gate.against is Against.DIFFERENCE and change.base.value and change.base.value + gate.limit > 0:
+        runs = runs_to_settle_ratio(change, 1 + gate.limit / change.base.value)
+    elif gate.against is Against.NEW:
+        runs = runs_to_settle_value(change.new, gate.limit)
+    if runs is None:
+        return "the limit is too close to what was measured, or too much was lost, for more runs to decide"
+    runs = max(runs, *(side.runs + 1 for side in sides))
+    return f"about {runs} runs a side would decide, there are {have}"
+
+
+def _received(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator[_Judged]:
+    is_alone = gate.against is Against.NEW
+    for row, change in zip(comparison.delivery.iter_rows(named=True), comparison.deliveries, strict=True):
+        value, low, high = (
+            (change.new.value, change.new.lower, change.new.upper)
+            if is_alone
+            else (change.difference, change.difference_low, change.difference_high)
+        )
+        sides = [change.new] if is_alone else [change.base, change.new]
+        yield _Judged(
+            where=group_words(row, names),
+            group=tuple(row[name] for name in comparison.options.match),
+            value=value,
+            low=low,
+            high=high,
+            basis=change.new.basis if is_alone else change.basis,
+            degrees=max(1, min(side.runs for side in sides) - 1),
+            wanted=_wanted_of_received(gate, change),
+            smallest_ratio=None,
+        )
+
+
+def _wanted_of_received(gate: Gate, change: DeliveryChange) -> str:
+    """Return how many runs of this kind it very likely takes: the interval's reach falls with the root of their number."""
+    is_alone = gate.against is Against.NEW
+    sides = [change.new] if is_alone else [change.base, change.new]
+    have = " and ".join(str(side.runs) for side in sides)
+    if any(side.runs < RUNS_TO_TELL for side in sides):
+        return f"it takes {RUNS_TO_TELL} runs a side, there are {have}"
+    value = change.new.value if is_alone else change.difference
+    low = change.new.lower if is_alone else change.difference_low
+    high = change.new.upper if is_alone else change.difference_high
+    if value is None or low is None or high is None or value == gate.limit:
+        return "more runs of this kind do not decide"
+    reach = high - value if value < gate.limit else value - low
+    fewest = max(side.runs for side in sides)
+    runs = max(fewest + 1, math.ceil(fewest * (reach / (value - gate.limit)) ** 2))
+    return f"about {runs} runs a side would decide, there are {have}"

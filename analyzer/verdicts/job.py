@@ -16,6 +16,9 @@ from dds_trace.tracefile.units.sizes import parse_size
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+DEFAULT_RELIABILITY = "0.99"
+"""Share of messages that must arrive within the deadline where a job does not say: what 1000 messages can tell."""
+
 IMU_BYTES = 296
 """Size of a message of `data=imu`: 37 float64."""
 
@@ -94,7 +97,7 @@ def parse_job(text: str) -> Job:
     """Read a job from `KEY=VALUE ...`.
 
     Keys: `data`, `size` (bytes, KB, MB, KiB, MiB; `data=imu` needs none), `rate` (Hz), `deadline` (ns, us, ms, s),
-    `reliability` (0.999 or 99.9%), and optionally `domain` (same or different).
+    and optionally `reliability` (0.999 or 99.9%; `DEFAULT_RELIABILITY`) and `domain` (same or different).
 
     Raises:
         OptionError: a key is unknown, given twice or missing, or a value is not of its kind; the message names it.
@@ -115,6 +118,7 @@ def parse_job(text: str) -> Job:
         _KEYS[name].value(words, text)  # here, so that of several errors the first one is reported
     if words.get(_DATA.name) == "imu":
         words.setdefault(_SIZE.name, str(IMU_BYTES))
+    words.setdefault(_RELIABILITY.name, DEFAULT_RELIABILITY)
     missing = [name for name in _KEYS if name not in words and name != _DOMAIN.name]
     if missing:
         wanted = " ".join(f"{name}={_KEYS[name].example}" for name in missing)

@@ -1,9 +1,11 @@
 """Recommendation: which middleware, bridge and settings meet the deadline of a job.
 
-A setting meets a job if messages arrive within the deadline with the wanted probability. Lost messages count as infinitely
-late, so the question is whether the `reliability` quantile of the latency is below the deadline, and its confidence
-interval (`analyzer/statistics/intervals.py`) gives the answer: the setting meets the deadline if the upper end does, it misses
-it if the lower end does, and otherwise these traces cannot tell. A reply that was lost makes its message count as lost.
+A setting meets a job if messages arrive within the deadline with the wanted probability, of runs that held the rate and
+finished. Lost messages count as infinitely late, so the question is whether the `reliability` quantile of the latency is
+below the deadline, and its confidence interval from the runs (`analyzer/run_statistics/between_runs.py`) gives the answer:
+the setting meets the deadline if the upper end does, it misses it if the lower end does, and otherwise these traces cannot
+tell. With fewer than three runs, and where the size and rate were not measured, it is `likely` at best. A reply that was
+lost makes its message count as lost.
 """
 
 from __future__ import annotations
@@ -16,29 +18,45 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from dds_trace.tracefile.units.counts import counted
+from dds_trace.tracefile.units.durations import SECOND_NS
 
 from ..model.parameters import SETTING_COLUMNS
-from ..statistics.intervals import percentile_interval, ranges_overlap
-from ..statistics.percentiles import minimum_messages, planned_messages
-from .cases import delivered_latencies, parts_of
+from ..run_statistics.between_runs import interval_of_runs
+from ..run_statistics.deciding import runs_to_settle_value
+from ..run_statistics.runs import Statistic
+from ..statistics.intervals import RUNS_TO_TELL, Basis, ranges_overlap
+from ..statistics.percentiles import planned_messages
+from ..statistics.power import messages_to_close
+from .cases import parts_of
 from .interpolation import guess_time
+from .matching import MatchedGroup
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping, Sequence
 
-    from ..statistics.intervals import Range
+    from dds_trace.tracefile import Run
+
+    from ..statistics.intervals import Interval, Range
     from .cases import Setting
     from .interpolation import SizeAndRate
     from .job import Job
+
+
+RATE_HELD = 0.98
+"""Share of the asked rate that a run must have sent: below, it was not this job that was measured."""
 
 
 class Fit(Enum):
     """Whether a setting meets a job."""
 
     MEETS = "meets"
+    LIKELY = "likely"  # by fewer than three runs, or by a guess
     INCONCLUSIVE = "inconclusive"
     MISSES = "misses"
 
+
+JUDGED_METRIC = "latency"
+"""The metric that a deadline is held against."""
 
 _FIT_ORDER = {fit: order for order, fit in enumerate(Fit)}
 
@@ -58,7 +76,14 @@ class Candidate:
         messages: published messages of the job's size and rate, 0 for a guess.
         held_out: measurements that a guess's error comes from, 0 for a measured candidate.
         tied: whether the interval overlaps that of the best candidate, so that these traces do not tell the two apart.
-        reason: one sentence: why the fit is inconclusive, or what a guess rests on; empty otherwise.
+        reason: one sentence: why the fit is not `meets`, or what a guess rests on; empty otherwise.
+        received_ratio: share of the messages whose reply came back; None for a guess.
+        survivors_ns: the `reliability` quantile of the messages that came back; None for a guess and where they are
+            too few.
+        rate_held: the least share of the asked rate that a run sent; None for a guess.
+        runs: runs of the job's size and rate, 0 for a guess.
+        basis: `between runs` or `within one run`; empty for a guess.
+        episodes: those that the messages beyond the quantile came in; None where there is none, and for a guess.
     """
 
     setting: Setting
@@ -72,6 +97,12 @@ class Candidate:
     held_out: int
     tied: bool = False
     reason: str = ""
+    received_ratio: float | None = None
+    survivors_ns: float | None = None
+    rate_held: float | None = None
+    runs: int = 0
+    basis: str = ""
+    episodes: int | None = None
 
     @property
     def range(self) -> Range:
@@ -90,7 +121,8 @@ class Recommendation:
 
     Attributes:
         job: what is asked for.
-        candidates: best first: those that meet the deadline by their upper end, then the inconclusive, then the others.
+        candidates: best first: those that meet the deadline by their upper end, then the likely, the inconclusive, the
+            others.
     """
 
     job: Job
@@ -105,59 +137,126 @@ class Recommendation:
     def is_conclusive(self) -> bool:
         """Whether one candidate alone is best, or every candidate surely misses the deadline."""
         return len(self.best) == 1 or (
-            bool(self.candidates) and all(c.fit is Fit.MISSES for c in self.candidates)
+            bool(self.candidates) and all(c.fit is Fit.MISSES and c.measured for c in self.candidates)
         )
 
 
-def recommend_settings(roundtrips: pl.DataFrame, job: Job, confidence: float = 0.95) -> Recommendation:
+def recommend_settings(
+    roundtrips: pl.DataFrame, job: Job, confidence: float = 0.95, runs: Iterable[Run] = ()
+) -> Recommendation:
     """Rank every setting whose latency for a job was measured or can be guessed.
 
     Args:
         roundtrips: rows of `docs/trace-format.md`.
         job: what is asked for.
         confidence: of the intervals.
+        runs: descriptions of the runs, which say whether each finished; one without a description counts as finished.
     """
+    unfinished = frozenset(run.run_id for run in runs if run.state != "finished")
     wanted = pl.col("data_type") == job.data_type
     if job.domain_mode is not None:
         wanted &= pl.col("domain_mode") == job.domain_mode
     candidates = [
         candidate
         for setting, part in parts_of(roundtrips.filter(wanted), SETTING_COLUMNS)
-        if (candidate := _candidate(setting, part, job, confidence)) is not None
+        if (candidate := _candidate(setting, part, _Wanted(job, confidence, unfinished))) is not None
     ]
     candidates.sort(key=Candidate.order)
     if candidates:
         best = candidates[0]
-        candidates = [replace(c, tied=c is best or ranges_overlap(c.range, best.range)) for c in candidates]
+        candidates = [replace(c, tied=c is best or _is_tied(c, best)) for c in candidates]
     return Recommendation(job, tuple(candidates))
 
 
-def _candidate(setting: Setting, part: pl.DataFrame, job: Job, confidence: float) -> Candidate | None:
+def _is_tied(one: Candidate, best: Candidate) -> bool:
+    """Tell whether two candidates are not told apart: their intervals overlap, or one has fewer than three runs."""
+    is_between = all(c.basis == Basis.BETWEEN_RUNS.value for c in (one, best))
+    return not is_between or ranges_overlap(one.range, best.range)
+
+
+@dataclass(frozen=True, slots=True)
+class _Wanted:
+    """A job, the confidence of intervals, and the runs that did not finish."""
+
+    job: Job
+    confidence: float
+    unfinished: frozenset[int]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Cell:
+    """One size and rate of a setting, as far as it was measured.
+
+    Attributes:
+        rate_hz: the asked rate.
+        interval: of the `reliability` quantile of the latency, ns.
+        received_ratio: share of the messages whose reply came back.
+        survivors_ns: the quantile of the messages that came back.
+        rate_held: the least share of the asked rate that a run sent; None where no run has two messages.
+        unfinished: runs that did not finish.
+        messages: published messages.
+    """
+
+    rate_hz: float
+    interval: Interval
+    received_ratio: float | None
+    survivors_ns: float | None
+    rate_held: float | None
+    unfinished: int
+    messages: int
+
+    def failure(self, deadline_ns: int) -> str:
+        """Return why the cell does not do the job, in words; empty where nothing speaks against it."""
+        if self.rate_held is not None and self.rate_held < RATE_HELD:
+            return f"sent {self.rate_held * self.rate_hz:.4g} Hz where {self.rate_hz:g} Hz were asked"
+        if self.unfinished:
+            return f"{counted(self.unfinished, 'run')} did not finish"
+        if self.interval.value is not None and self.interval.value > deadline_ns:
+            lost = 1 - (self.received_ratio or 0.0)
+            return "is later than the deadline" + (f" and loses {lost:.2%}" if lost else "")
+        return ""
+
+
+def _measure(rows: pl.DataFrame, wanted: _Wanted) -> _Cell:
+    group, statistic = MatchedGroup(rows), Statistic(wanted.job.reliability)
+    rate_hz = float(rows["rate_hz"][0])
+    held = [
+        share for run in group.runs if (share := _share_of_rate(run.rows["publish_ns"], rate_hz)) is not None
+    ]
+    return _Cell(
+        rate_hz=rate_hz,
+        interval=interval_of_runs(group.delivered(JUDGED_METRIC), statistic, wanted.confidence),
+        received_ratio=group.received_ratio(wanted.confidence).value,
+        survivors_ns=group.of_survivors(JUDGED_METRIC, statistic),
+        rate_held=min(held, default=None),
+        unfinished=sum(run.run_id in wanted.unfinished for run in group.runs),
+        messages=len(group),
+    )
+
+
+def _share_of_rate(sent_ns: pl.Series, rate_hz: float) -> float | None:
+    """Return the rate that a run sent divided by the asked one; None with fewer than two messages."""
+    times = sent_ns.unique().sort()
+    if len(times) < 2:
+        return None
+    return float((len(times) - 1) * SECOND_NS / (int(times[-1]) - int(times[0])) / rate_hz)
+
+
+def _candidate(setting: Setting, part: pl.DataFrame, wanted: _Wanted) -> Candidate | None:
     """Judge a setting by its round trips; None if nothing can be said of it."""
     size_and_rate = ("payload_bytes", "rate_hz")
     cells: dict[SizeAndRate, pl.DataFrame] = {
         rows.select(size_and_rate).row(0): rows for _, rows in parts_of(part, size_and_rate)
     }
-    measured = cells.get((job.payload_bytes, job.rate_hz))
+    measured = cells.get((wanted.job.payload_bytes, wanted.job.rate_hz))
     if measured is not None:
-        return _measured(setting, measured, job, confidence)
-    return _guessed(setting, cells, job)
+        return _measured(setting, _measure(measured, wanted), wanted)
+    return _guessed(setting, {at: _measure(rows, wanted) for at, rows in cells.items()}, wanted.job)
 
 
-def _measured(setting: Setting, cell: pl.DataFrame, job: Job, confidence: float) -> Candidate:
-    latencies = delivered_latencies(cell)
-    interval = percentile_interval(latencies, job.reliability, confidence)
-    fit = _fit(interval.range, job.deadline_ns)
-    reason = ""
-    if fit is Fit.INCONCLUSIVE:
-        needs = planned_messages(job.reliability, confidence, interval.samples / max(1, interval.independent))
-        needs = max(needs, minimum_messages(job.reliability))
-        if not len(latencies):
-            reason = "no relay trace: these messages have no latency"
-        elif len(latencies) < needs:
-            reason = f"{counted(len(latencies), 'message')}; an interval at {job.reliability:g} takes {needs}"
-        else:
-            reason = "the deadline lies within the interval; record more messages"
+def _measured(setting: Setting, cell: _Cell, wanted: _Wanted) -> Candidate:
+    fit, reason = _fit_of_cell(cell, wanted)
+    interval = cell.interval
     return Candidate(
         setting=setting,
         fit=fit,
@@ -165,26 +264,76 @@ def _measured(setting: Setting, cell: pl.DataFrame, job: Job, confidence: float)
         latency_ns=interval.value,
         lower_ns=interval.lower,
         upper_ns=interval.upper,
-        margin_ns=_margin(interval.upper, job.deadline_ns),
-        messages=len(cell),
+        margin_ns=_margin(interval.upper, wanted.job.deadline_ns),
+        messages=cell.messages,
         held_out=0,
         reason=reason,
+        received_ratio=cell.received_ratio,
+        survivors_ns=cell.survivors_ns,
+        rate_held=cell.rate_held,
+        runs=interval.runs,
+        basis=interval.basis.value,
+        episodes=interval.episodes,
     )
 
 
-def _guessed(setting: Setting, cells: Mapping[SizeAndRate, pl.DataFrame], job: Job) -> Candidate | None:
+def _fit_of_cell(cell: _Cell, wanted: _Wanted) -> tuple[Fit, str]:
+    """Return whether a measured cell meets the job, and why not."""
+    job, interval = wanted.job, cell.interval
+    fit = _fit(interval.range, job.deadline_ns)
+    if cell.rate_held is not None and cell.rate_held < RATE_HELD:
+        return Fit.MISSES, cell.failure(job.deadline_ns)
+    if cell.unfinished and fit is not Fit.MISSES:
+        return Fit.INCONCLUSIVE, cell.failure(job.deadline_ns)
+    if fit is Fit.INCONCLUSIVE:
+        return fit, _why_inconclusive(interval, wanted)
+    if fit is Fit.MEETS and interval.basis is Basis.WITHIN_RUN:
+        return (
+            Fit.LIKELY,
+            f"{Basis.WITHIN_RUN.value}: it takes {RUNS_TO_TELL} runs, there are {interval.runs}",
+        )
+    return fit, ""
+
+
+def _why_inconclusive(interval: Interval, wanted: _Wanted) -> str:
+    """Return why an interval does not tell, and what it takes."""
+    job = wanted.job
+    statistic = Statistic(job.reliability)
+    inflation = interval.samples / max(1, interval.independent)
+    needs = max(planned_messages(job.reliability, wanted.confidence, inflation), statistic.needs)
+    if not interval.samples:
+        return "no relay trace: these messages have no latency"
+    if interval.samples < needs:
+        return f"{counted(interval.samples, 'message')}; an interval at {job.reliability:g} takes {needs}"
+    more = messages_to_close(interval, job.reliability)
+    if more:
+        return f"the tail rests on {counted(interval.episodes or 0, 'episode')}; record about {more} more messages"
+    runs = runs_to_settle_value(interval, job.deadline_ns)
+    what = "record more runs" if runs is None else f"about {max(runs, interval.runs + 1)} runs would tell"
+    return f"the deadline lies within the interval; {what}"
+
+
+def _guessed(setting: Setting, cells: Mapping[SizeAndRate, _Cell], job: Job) -> Candidate | None:
+    at = (float(job.payload_bytes), float(job.rate_hz))
+    failing = [
+        f"{size:g} B at {rate:g} Hz {failure}"
+        for size, rate in _neighbours(list(cells), at)
+        if (failure := cells[size, rate].failure(job.deadline_ns))
+    ]
+    if failing:
+        return _unknown(setting, f"not measured, and not guessed: {'; '.join(failing)}")
     values = {
-        cell: value
-        for cell, rows in cells.items()
-        if (value := percentile_interval(delivered_latencies(rows), job.reliability).value) is not None
-        and 0 < value < math.inf
+        place: cell.interval.value
+        for place, cell in cells.items()
+        if cell.interval.value is not None and 0 < cell.interval.value < math.inf
     }
-    guess = guess_time(values, (job.payload_bytes, job.rate_hz))
+    guess = guess_time(values, at)
     if guess is None:
         return None
+    fit = _fit((guess.lower_ns, guess.upper_ns), job.deadline_ns)
     return Candidate(
         setting=setting,
-        fit=_fit((guess.lower_ns, guess.upper_ns), job.deadline_ns),
+        fit=Fit.LIKELY if fit is Fit.MEETS else fit,
         measured=False,
         latency_ns=guess.value_ns,
         lower_ns=guess.lower_ns,
@@ -197,6 +346,24 @@ def _guessed(setting: Setting, cells: Mapping[SizeAndRate, pl.DataFrame], job: J
             f"{counted(guess.held_out, 'held-out cell was', 'held-out cells were')} off by a factor of up to {guess.error_factor:.2f}"
         ),
     )
+
+
+def _unknown(setting: Setting, reason: str) -> Candidate:
+    return Candidate(setting, Fit.INCONCLUSIVE, False, None, None, None, None, 0, 0, reason=reason)
+
+
+def _neighbours(cells: Sequence[SizeAndRate], at: SizeAndRate) -> list[SizeAndRate]:
+    """Return the measured cells next to a size and rate; none where the measured ones do not surround it."""
+    sides = [_next_to({cell[axis] for cell in cells}, at[axis]) for axis in (0, 1)]
+    return [cell for cell in cells if cell[0] in sides[0] and cell[1] in sides[1]]
+
+
+def _next_to(values: set[float], at: float) -> set[float]:
+    """Return the value itself, or the two around it; empty where it lies outside."""
+    if at in values:
+        return {at}
+    below, above = [v for v in values if v < at], [v for v in values if v > at]
+    return {max(below), min(above)} if below and above else set()
 
 
 def _fit(interval_ns: Range, deadline_ns: int) -> Fit:

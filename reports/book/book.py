@@ -10,6 +10,7 @@ from .findings import findings_info
 from .groups import groups_info
 from .numbers import curves_info, intervals_info, values_info
 from .overview import overview_info
+from .recommendation import recommendation_info
 from .recording import own_costs, record_tables
 from .runs import bridge_loads, run_times
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from .groups import Groups
     from .numbers import Curves, Intervals, Values
     from .overview import Overview
+    from .recommendation import Advice
     from .recording import OwnCost, RecordTable
     from .runs import RunTime
 
@@ -81,6 +83,11 @@ class Book:
     def answer(self) -> Conclusion:
         """Headline, verdicts and remarks."""
         return answer_info(self.analysis, self.groups, self.values)
+
+    @cached_property
+    def advice(self) -> Advice | None:
+        """Recommendation in words; None without a job."""
+        return recommendation_info(self.analysis.details.recommendation)
 
     @cached_property
     def findings(self) -> tuple[FindingKind, ...]:

@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
+from dds_trace.analyzer.statistics.intervals import Basis
+from dds_trace.tracefile.units.quantities import MISSING
+
 from .groups import METRIC_LABELS, STATISTIC_LABELS
 
 if TYPE_CHECKING:
@@ -88,10 +91,27 @@ class Intervals:
     """Ends of the 95 % intervals: metric -> percentile (`p50` to `p99_9`) -> ns per group, None without this end.
 
     Means and extremes have no interval.
+
+    Attributes:
+        low_ns: lower ends.
+        high_ns: upper ends.
+        episodes: those that the messages beyond each percentile came in, None where no message lies beyond.
+        is_between: whether each interval comes from the runs: 1 or 0, None without an interval.
+        runs: of each group, 0 where nothing was measured.
     """
 
     low_ns: Ends
     high_ns: Ends
+    episodes: Ends
+    is_between: Ends
+    runs: tuple[int, ...]
+
+    def basis(self, metric: str, percentile: str, group: int) -> str:
+        """Return on how many runs an interval rests, as in `5` or `1, within one run`; a dash without an interval."""
+        is_between = self.is_between.get(metric, {}).get(percentile, ())
+        if not is_between or is_between[group] is None:
+            return MISSING
+        return f"{self.runs[group]}" if is_between[group] else f"{self.runs[group]}, {Basis.WITHIN_RUN.value}"
 
 
 def intervals_info(analysis: Analysis) -> Intervals:
@@ -99,13 +119,21 @@ def intervals_info(analysis: Analysis) -> Intervals:
     height = analysis.summary.height
     low: dict[str, dict[str, list[int | None]]] = {metric: {} for metric in METRIC_LABELS}
     high: dict[str, dict[str, list[int | None]]] = {metric: {} for metric in METRIC_LABELS}
-    rows = analysis.details.intervals.select("group", "metric", "percentile", "low_ns", "high_ns")
-    for group, metric, percentile, low_ns, high_ns in rows.iter_rows():
+    episodes: dict[str, dict[str, list[int | None]]] = {metric: {} for metric in METRIC_LABELS}
+    is_between: dict[str, dict[str, list[int | None]]] = {metric: {} for metric in METRIC_LABELS}
+    runs = [0] * height
+    rows = analysis.details.intervals.select(
+        "group", "metric", "percentile", "low_ns", "high_ns", "episodes", "runs", "basis"
+    )
+    for group, metric, percentile, low_ns, high_ns, of_tail, count, basis in rows.iter_rows():
         if metric in METRIC_LABELS:
+            runs[group] = max(runs[group], count)
+            for column, value in ((episodes, of_tail), (is_between, int(basis == Basis.BETWEEN_RUNS.value))):
+                column[metric].setdefault(percentile, [None] * height)[group] = value
             for side, end in ((low, low_ns), (high, high_ns)):
                 ends = side[metric].setdefault(percentile, [None] * height)
                 ends[group] = None if end is None else round(end)
-    return Intervals(_frozen(low), _frozen(high))
+    return Intervals(_frozen(low), _frozen(high), _frozen(episodes), _frozen(is_between), tuple(runs))
 
 
 def _frozen(ends: Mapping[str, Mapping[str, list[int | None]]]) -> Ends:

@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from .groups import VendorLabels
 
 CLEARLY = (
-    "A cell is one data type, size and rate. One is called clearly fastest only where the 95 % confidence interval of its p99 "
-    "(of its median, where a sample is too small for that) lies wholly below the intervals of all the others; lost messages count as "
-    "infinitely late. Where intervals overlap the answer is inconclusive. Plain sockets are the floor beneath every middleware and "
-    "no contender."
+    "A cell is one data type, size and rate. One is called clearly fastest only where its p99 (its median, where a sample is too "
+    "small for that) lies below that of each of the others by a test of their runs at 95 %, adjusted for their number; lost "
+    "messages count as infinitely late, and who receives significantly less never leads. With fewer than three runs, and where the "
+    "tests do not tell, the answer is inconclusive. Plain sockets are the floor beneath every middleware and no contender."
 )
 
 MODES = {"same": "same domain", "different": "different domains"}

@@ -93,7 +93,7 @@ def bridge_cost_figure(info: BridgeCost) -> Figure | LeftOut:
     how_to_read = (
         "Each mark is the latency through a bridge less that in the same domain, with its 95 % interval; an interval that "
         "reaches the zero line shows no difference that these samples can prove, and where a bridge loses many messages the "
-        "share received is to be looked at first, because only those that came back have a latency."
+        "share received is to be looked at first: a lost message is infinitely late."
     )
     if not info.panels:
         return LeftOut(

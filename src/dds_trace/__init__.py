@@ -65,7 +65,8 @@ if TYPE_CHECKING:
     from .analyzer.pipeline import analyze
     from .analyzer.recordings.topics import analyze_topics
     from .analyzer.verdicts.compare import CompareOptions, Comparison, compare
-    from .analyzer.verdicts.gates import Gate, GateOutcome, judge_gates, parse_gate
+    from .analyzer.verdicts.gate import Gate, GateOutcome, parse_gate
+    from .analyzer.verdicts.gates import judge_gates
     from .analyzer.verdicts.job import Job, parse_job
     from .analyzer.verdicts.recommend import Recommendation
     from .reports.reporters import write_reports

@@ -276,7 +276,7 @@ def test_a_job_gets_its_recommendation(tmp_path):
     job = parse_job("data=binary size=33KB rate=10 deadline=50ms reliability=0.9")
     details = analyze(tmp_path, job=job).details
     assert details.recommendation is not None
-    assert [c.fit.value for c in details.recommendation.candidates] == ["meets"]
+    assert [c.fit.value for c in details.recommendation.candidates] == ["likely"]  # one run
 
 
 def test_every_frame_has_its_columns_where_nothing_came_back(tmp_path):

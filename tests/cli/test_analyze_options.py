@@ -55,7 +55,7 @@ def test_a_derived_trace_and_its_layout(runs):
 def test_a_recommendation(runs, capsys):
     job = "data=binary size=33KB rate=10 deadline=50ms reliability=0.9"
     assert run_main(runs, "--recommend", job) == 0
-    assert "meets" in capsys.readouterr().out
+    assert "likely" in capsys.readouterr().out  # one run shows no more
 
 
 def test_topics_of_any_recording(runs, capsys):

@@ -3,7 +3,7 @@
 from xml.etree import ElementTree as ET
 
 import pytest
-from trace_files import Message, ping_session, write_pair
+from trace_files import Message, ping_session, run, write_pair
 
 from dds_trace.cli.analyze import main
 
@@ -11,11 +11,11 @@ MS = 1_000_000
 PERIOD = 100 * MS
 
 
-def drawn(slower=1, count=600):
-    """Latency 1 to 1.06 ms, times `slower`."""
+def drawn(slower=1, count=600, number=0):
+    """Latency 1 to 1.06 ms, times `slower`; runs follow each other."""
     messages = []
     for s in range(count):
-        t, way = s * PERIOD, slower * (MS + (s * 7 % 60) * 1000)
+        t, way = (number * 1000 + s) * PERIOD, int(slower * (MS + (s * 7 % 60) * 1000))
         messages.append(Message(s, t0=t, t1=t, t3=t + way, t4=t + way, t2=t + 2 * way))
     return messages
 
@@ -26,13 +26,34 @@ def run_main(*arguments):
     return ended.value.code or 0
 
 
+def record(folder, runs=3, **how):
+    """Runs of one group, each in a folder of its own, 1 % slower and faster in turn."""
+    first = how.get("first", 0)
+    count, vendor, slower = how.get("count", 600), how.get("vendor", "fastdds"), how.get("slower", 1)
+    for number in range(runs):
+        write_pair(
+            folder / str(number),
+            drawn(slower * (0.99 + 0.01 * number), count, first + number),
+            ping=ping_session(vendor=vendor, session_id=50 + first + number),
+            runs=[
+                run(
+                    run_id=70 + first + number,
+                    planned_messages=count,
+                    published=count,
+                    extra={"session_id": f"{50 + first + number:016x}"},
+                )
+            ],
+        )
+
+
 @pytest.fixture
 def folders(tmp_path):
-    write_pair(tmp_path / "base", drawn())
-    write_pair(tmp_path / "same", drawn())
-    write_pair(tmp_path / "slow", drawn(slower=2))
-    write_pair(tmp_path / "few", drawn(count=20))
-    write_pair(tmp_path / "other", drawn(), ping=ping_session(vendor="zenoh"))
+    record(tmp_path / "base")
+    record(tmp_path / "same")
+    record(tmp_path / "slow", slower=2)
+    record(tmp_path / "few", count=20)
+    record(tmp_path / "one", runs=1, slower=2)
+    record(tmp_path / "other", vendor="zenoh")
     return tmp_path
 
 
@@ -41,6 +62,7 @@ def folders(tmp_path):
     [
         ("same", "latency_p90 > +10%", 0, "passed"),
         ("slow", "latency_p90 > +10%", 20, "regressed"),
+        ("one", "latency_p90 > +10%", 21, "inconclusive"),
         ("few", "latency_p99 > +10%", 21, "inconclusive"),
         ("other", "latency_p90 > +10%", 22, "nothing to compare"),
     ],
@@ -70,6 +92,28 @@ def test_without_a_gate_it_shows_and_passes(folders, capsys):
     assert "worse" in shown.out
     assert "+100.0%" in shown.out
     assert shown.err == ""
+
+
+def test_one_run_is_not_called_worse(folders, capsys):
+    assert run_main("compare", folders / "base", folders / "one") == 0
+    shown = capsys.readouterr().out
+    assert "within one run" in shown
+    assert "worse" not in shown
+    assert "inconclusive" in shown
+
+
+def test_inconclusive_can_be_let_pass(folders):
+    gate = ("--fail-if", "latency_p90 > +10%", "--inconclusive", "pass")
+    assert run_main("compare", folders / "base", folders / "one", *gate) == 0
+
+
+def test_a_missing_group_regresses_unless_that_is_allowed(folders, capsys):
+    record(folders / "two" / "a")
+    record(folders / "two" / "b", vendor="zenoh", first=10)
+    new = folders / "base"
+    assert run_main("compare", folders / "two", new, "--allow-missing") == 0
+    assert run_main("compare", folders / "two", new) == 20
+    assert "missing on the new side" in capsys.readouterr().out
 
 
 def test_junit_into_a_file(folders, capsys):

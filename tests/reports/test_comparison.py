@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from xml.etree import ElementTree as ET
 
-from roundtrip_frames import MS, steady
+from roundtrip_frames import MS, in_runs, steady
 
 from dds_trace.analyzer.verdicts.compare import CompareOptions, compare_roundtrips
-from dds_trace.analyzer.verdicts.gates import judge_gates, parse_gate
+from dds_trace.analyzer.verdicts.gate import parse_gate
+from dds_trace.analyzer.verdicts.gates import judge_gates
 from dds_trace.reports.comparison import comparison_junit, comparison_markdown
 
 HOSTILE = "<script>alert(1)</script>|`a`](http://x)\n# h @you\x1b[31m\x00"
-OPTIONS = CompareOptions(metrics=("latency",), statistics=("p50",), replicates=199)
+OPTIONS = CompareOptions(metrics=("latency",), statistics=("p50",))
 GATES = [
     parse_gate(t)
     for t in ("latency_p50 > +10%", "latency_p50 > +2ms", "latency_p99 > 1ms", "received_ratio < 1%")
@@ -19,9 +20,11 @@ GATES = [
 
 
 def compared(**parameters):
-    options = CompareOptions(metrics=("latency",), statistics=("p50", "p99"), replicates=199)
+    options = CompareOptions(metrics=("latency",), statistics=("p50", "p99"))
     found = compare_roundtrips(
-        steady([5 * MS] * 40, **parameters), steady([6 * MS] * 40, **parameters), options
+        in_runs([5 * MS] * 40, spread=1e-9, **parameters),
+        in_runs([6 * MS] * 40, spread=1e-9, **parameters),
+        options,
     )
     return found, judge_gates(found, GATES)
 
@@ -34,13 +37,18 @@ def test_markdown_says_the_outcome_first():
     assert cells[2:] == [
         "5.000 ms",
         "6.000 ms",
+        "100.00% -> 100.00%",
         "+20.0%",
         "+20.0% to +20.0%",
         "0%",
+        "3 and 3",
+        "+0.0%",
         "worse",
     ]
     unknown = next(line for line in text.splitlines() if "latency p99" in line)
-    assert unknown.endswith("|  |  | unknown | unknown to unknown | 0% | inconclusive |")
+    assert unknown.endswith(
+        "| +20.0% | unknown to unknown | 0% | 3 and 3, within one run |  | inconclusive |"
+    )
 
 
 def test_markdown_of_nothing():
@@ -63,7 +71,9 @@ def test_junit_counts_and_names():
     }
     cases = root.findall("testsuite/testcase")
     assert [c.get("name") for c in cases] == [g.text for g in GATES]
-    assert cases[0].find("failure").get("message") == "+20.0%, interval +20.0% to +20.0%"
+    assert cases[0].find("failure").get("message") == (
+        "+20.0%, interval +20.0% to +20.0%; changes from +0.0% on are found at 80% power"
+    )
     assert [len(c) for c in cases] == [1, 0, 1, 0]
     assert "inconclusive" in cases[2].find("skipped").get("message")
     assert ET.fromstring(comparison_junit([])).get("tests") == "0"
@@ -80,6 +90,6 @@ def test_hostile_strings_stay_strings():
     widths = {
         line.count("|") for line in text.splitlines() if "latency p" in line or line.startswith("| group")
     }
-    assert widths == {9}
+    assert widths == {12}
     root = ET.fromstring(comparison_junit(results))
     assert "<script>alert(1)</script>" in root.find("testsuite/testcase").get("classname")

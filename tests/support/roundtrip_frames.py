@@ -126,3 +126,17 @@ def rows_by_group(frame: pl.DataFrame) -> RowStore:
         "group", "run_id", "relay_id", "sequence"
     )
     return RowStore.of(rows.select(frame.columns), groups.drop("group"))
+
+
+def in_runs(
+    latencies_ns: Iterable[int | None], *, runs: int = 3, spread: float = 0.03, **parameters: Any
+) -> pl.DataFrame:
+    """The same messages in several runs (`run_id` 100 * the given one and up), which are slower and faster by `spread`."""
+    held, first = list(latencies_ns), 100 * parameters.pop("run_id", 1)
+    factors = [(1 + spread) ** (number - (runs - 1) / 2) for number in range(runs)]
+    return pl.concat(
+        steady(
+            [None if ns is None else round(ns * factor) for ns in held], run_id=first + number, **parameters
+        )
+        for number, factor in enumerate(factors)
+    )

@@ -347,7 +347,7 @@ function percentileMarks(group, factor) {
   if (!named.length) return [];
   const trace = marks(DATA.groups.series[group], named, {
     x: (one) => one.at, y: (one) => one.value / factor, mode: "markers", size: 6,
-    hover: (one) => groupHover(group, `${one.name.replace("_", ".")}: ${formatNs(one.value)}`, `95 %: ${formatNs(one.ends[0])} to ${formatNs(one.ends[1])}`),
+    hover: (one) => groupHover(group, `${one.name.replace("_", ".")}: ${formatNs(one.value)}`, `95 %: ${formatNs(one.ends[0])} to ${formatNs(one.ends[1])}`, restsOn(group, one.name)),
   });
   trace.error_y = errorBars(named.map((one) => one.value), named.map((one) => one.ends), factor, trace.marker.color);
   return [trace];

@@ -66,13 +66,13 @@ function showGroups() {
     { label: "Sent", format: formatCount }, { label: "Received", unit: "ratio", format: formatRatio },
     ...shown.flatMap((key) => {
       const label = DATA.statistics.find((one) => one.key === key).label;
-      return [{ label: `${labelOf("metric")} ${label}`, unit: "ns", format: formatNs }, ...(bounded(key) ? [{ ...LOW, label: `${label} 95 % low` }, { ...HIGH, label: `${label} 95 % high` }] : [])];
+      return [{ label: `${labelOf("metric")} ${label}`, unit: "ns", format: formatNs }, ...(bounded(key) ? [{ ...LOW, label: `${label} 95 % low` }, { ...HIGH, label: `${label} 95 % high` }, { label: `${label} interval` }] : [])];
     }),
     { label: "Transfer rate", unit: "bytes/s", format: formatBytesPerS }, { label: "Achieved rate", unit: "Hz", format: formatHz },
     { label: "Duplicates", format: formatCount }, { label: "Reordered", format: formatCount },
   ];
   const rows = passingGroups().map((group) => groupRow(
-    group, values.published[group], values.received_ratio[group], ...shown.flatMap((key) => [times[view.metric][key][group], ...(bounded(key) ? intervalOf(group, key) : [])]),
+    group, values.published[group], values.received_ratio[group], ...shown.flatMap((key) => [times[view.metric][key][group], ...(bounded(key) ? [...intervalOf(group, key), restsOn(group, key)] : [])]),
     values.transfer_rate_bytes_per_s[group], values.achieved_rate_hz[group], values.duplicates[group], values.reordered[group],
   ));
   showTable(document.getElementById("groups-table"), "All groups that pass the filters", columns, rows, groupsSorting);

@@ -77,5 +77,14 @@ function intervalOf(group, statistic = view.statistic) {
   return [end("low_ns"), end("high_ns")];
 }
 
+/** What the interval of a percentile rests on: runs, and beyond a tail episodes, as a sentence; empty without an interval. */
+function restsOn(group, statistic = view.statistic) {
+  const between = DATA.intervals.is_between[view.metric]?.[statistic]?.[group] ?? null;
+  if (between === null) return "";
+  const episodes = statistic === "p50" ? null : DATA.intervals.episodes[view.metric]?.[statistic]?.[group] ?? null;
+  const count = (number, noun) => `${number} ${noun}${number === 1 ? "" : "s"}`;
+  return `rests on ${count(DATA.intervals.runs[group], "run")}${between ? "" : " (within one run)"}${episodes === null ? "" : `, ${count(episodes, "episode")}`}`;
+}
+
 const labelOf = (name) => CHOICES[name].find((choice) => choice.key === view[name]).label;
 function statisticLabel() { return `${labelOf("metric")}, ${labelOf("statistic")}`; }

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dds_trace.analyzer.statistics.intervals import order_statistic_ranks
+from dds_trace.analyzer.statistics.order_statistics import order_statistic_ranks
 from dds_trace.analyzer.statistics.percentiles import (
     PERCENTILES,
     minimum_messages,

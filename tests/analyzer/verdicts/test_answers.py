@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import polars as pl
-from roundtrip_frames import MS, rows_by_group, steady
+from roundtrip_frames import MS, in_runs, rows_by_group, steady
 
 from dds_trace.analyzer.verdicts.answers import Clarity, Headline, Lead, find_answers, find_headlines
 
@@ -16,12 +16,13 @@ def noisy(centre_ns, messages=60, seed=0):
 
 
 def test_a_clear_leader():
-    frame = pl.concat([steady(noisy(10 * MS)), steady(noisy(5 * MS), vendor="cyclonedds", run_id=2)])
+    frame = pl.concat([in_runs(noisy(10 * MS)), in_runs(noisy(5 * MS), vendor="cyclonedds", run_id=2)])
     (answer,) = find_answers(rows_by_group(frame))
+    assert (answer.basis, answer.fewest_runs) == ("between runs", 3)
     assert (answer.connectivity, answer.domain_mode, answer.data_type) == ("wired", "same", "binary")
     assert (answer.payload_bytes, answer.rate_hz) == (33_000, 10.0)
     assert answer.clarity is Clarity.CLEAR
-    assert answer.percentile == "p50"  # 60 messages carry no interval for p99
+    assert answer.percentile == "p50"  # three runs of 60 messages carry no interval for p99
     assert [c.name for c in answer.contenders] == ["cyclonedds to fastdds", "fastdds"]
     assert [c.name for c in answer.leaders] == ["cyclonedds to fastdds"]
     assert answer.contenders[0].latency.upper < answer.contenders[1].latency.lower
@@ -29,7 +30,7 @@ def test_a_clear_leader():
 
 
 def test_overlapping_intervals_are_inconclusive():
-    frame = pl.concat([steady(noisy(10 * MS)), steady(noisy(10 * MS, seed=9), bridge="builtin", run_id=2)])
+    frame = pl.concat([in_runs(noisy(10 * MS)), in_runs(noisy(10 * MS, seed=9), bridge="builtin", run_id=2)])
     (answer,) = find_answers(rows_by_group(frame))
     assert answer.clarity is Clarity.INCONCLUSIVE
     assert {c.name for c in answer.leaders} == {"fastdds", "fastdds via builtin"}
@@ -45,7 +46,7 @@ def test_sockets_are_the_floor_and_no_contender():
 
 
 def test_tails_are_compared_where_every_sample_supports_them():
-    frame = pl.concat([steady(noisy(10 * MS, 400)), steady(noisy(5 * MS, 400), vendor="zenoh", run_id=2)])
+    frame = pl.concat([in_runs(noisy(10 * MS, 1000)), in_runs(noisy(5 * MS, 1000), vendor="zenoh", run_id=2)])
     (answer,) = find_answers(rows_by_group(frame))
     assert answer.percentile == "p99"
     assert answer.clarity is Clarity.CLEAR
@@ -63,12 +64,50 @@ def test_losing_most_messages_is_not_fast():
     assert answer.contenders[1].received.value == 0.25
 
 
+def test_one_run_tells_nobody_apart():
+    frame = pl.concat([steady(noisy(10 * MS)), steady(noisy(5 * MS), vendor="zenoh", run_id=2)])
+    (answer,) = find_answers(rows_by_group(frame))
+    assert answer.clarity is Clarity.INCONCLUSIVE
+    assert len(answer.leaders) == 2
+    assert (answer.basis, answer.fewest_runs) == ("within one run", 1)
+
+
+def test_who_loses_more_never_leads_and_bars_the_others_if_it_is_not_slower():
+    lossy = [None if i % 10 == 3 else ns for i, ns in enumerate(noisy(5 * MS, 600))]
+    frame = pl.concat([in_runs(noisy(10 * MS, 600)), in_runs(lossy, vendor="cyclonedds", run_id=2)])
+    (answer,) = find_answers(rows_by_group(frame))
+    # p99 of the lossy one is infinite, so that it is beaten there; it stands last with what its survivors took.
+    assert (answer.percentile, answer.clarity) in {("p99", Clarity.CLEAR), ("p50", Clarity.INCONCLUSIVE)}
+    assert [c.loses_more for c in answer.contenders] == [False, True]
+    assert [c.setting["vendor"] for c in answer.leaders] == ["fastdds"]
+    assert answer.contenders[1].survivors_ns < 6 * MS
+    assert answer.contenders[1].received.value == 0.9
+
+
+def test_a_pass_takes_what_its_runs_share_out_of_the_comparison():
+    # Passes differ by a factor of up to 1.5, the contenders by 10 %: Welch cannot tell, the pairs can.
+    centres = [10 * MS, 12 * MS, 15 * MS, 11 * MS]
+    frame = pl.concat(
+        [
+            *(steady(noisy(ns, seed=i), run_id=10 + i) for i, ns in enumerate(centres)),
+            *(
+                steady(noisy(int(0.9 * ns), seed=50 + i), run_id=20 + i, vendor="zenoh")
+                for i, ns in enumerate(centres)
+            ),
+        ]
+    )
+    passes = {first + i: i for first in (10, 20) for i in range(4)}
+    (unpaired,) = find_answers(rows_by_group(frame))
+    (paired,) = find_answers(rows_by_group(frame), passes=passes)
+    assert (unpaired.clarity, paired.clarity) == (Clarity.INCONCLUSIVE, Clarity.CLEAR)
+
+
 def test_headlines_count_cases():
     runs = []
     for number, (size, cyclone_ns) in enumerate([(33_000, 5 * MS), (502_000, 6 * MS), (1_000_000, 10 * MS)]):
-        runs.append(steady(noisy(10 * MS), payload_bytes=size, run_id=10 + number))
+        runs.append(in_runs(noisy(10 * MS), payload_bytes=size, run_id=10 + number))
         runs.append(
-            steady(
+            in_runs(
                 noisy(cyclone_ns, seed=3),
                 payload_bytes=size,
                 run_id=20 + number,
@@ -76,7 +115,7 @@ def test_headlines_count_cases():
                 relay_vendor="cyclonedds",
             ),
         )
-    runs.append(steady(noisy(MS), data_type="imu", payload_bytes=296, run_id=30))
+    runs.append(in_runs(noisy(MS), data_type="imu", payload_bytes=296, run_id=30))
     headlines = find_headlines(find_answers(rows_by_group(pl.concat(runs))))
     assert headlines == (
         Headline("wired", "same", "binary", 3, (Lead("cyclonedds", 2),), inconclusive=1, only_one=0),

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import polars as pl
 import pytest
-from roundtrip_frames import MS, steady
+from roundtrip_frames import MS, in_runs, steady
 
 from dds_trace.analyzer.verdicts.compare import CompareOptions, compare_roundtrips
-from dds_trace.analyzer.verdicts.gates import (
+from dds_trace.analyzer.verdicts.gate import (
+    DEFAULT_GATES,
     Against,
     GateOutcome,
-    judge_gates,
-    options_for,
-    overall_outcome,
     parse_gate,
+    parse_gates,
 )
+from dds_trace.analyzer.verdicts.gates import judge_gates, options_for, overall_outcome
+from dds_trace.analyzer.verdicts.sides import SideError
 from dds_trace.tracefile.errors import OptionError
 
 
@@ -28,6 +32,7 @@ from dds_trace.tracefile.errors import OptionError
         ("intermediate_p50 > +500us", "intermediate", "p50", Against.DIFFERENCE, 500_000),
         ("Latency_P90 > -3ns", "latency", "p90", Against.DIFFERENCE, -3),
         ("received_ratio < 99.9%", "received_ratio", "", Against.NEW, 0.999),
+        ("received_ratio < -0.5 points", "received_ratio", "", Against.DIFFERENCE, -0.005),
     ],
 )
 def test_the_grammar(text, metric, statistic, against, limit):
@@ -65,6 +70,8 @@ def test_errors_say_what_to_write(text, words):
         (1.00, 1.10, GateOutcome.PASSED),  # 1.10 is not more than 10 %
         (1.05, 1.20, GateOutcome.INCONCLUSIVE),
         (None, None, GateOutcome.INCONCLUSIVE),
+        (1.2, None, GateOutcome.REGRESSED),  # wherever the other end is
+        (None, 1.05, GateOutcome.PASSED),
     ],
 )
 def test_a_gate_is_about_the_whole_interval(low, high, outcome):
@@ -73,12 +80,12 @@ def test_a_gate_is_about_the_whole_interval(low, high, outcome):
 
 def results_of(texts, base, new):
     gates = [parse_gate(text) for text in texts]
-    options = options_for(gates, CompareOptions(metrics=(), statistics=(), replicates=199))
+    options = options_for(gates, CompareOptions(metrics=(), statistics=()))
     return judge_gates(compare_roundtrips(base, new, options), gates)
 
 
 def test_gates_on_frames():
-    base, new = steady([5 * MS] * 40), steady([6 * MS] * 40)  # +20 %, +1 ms
+    base, new = in_runs([5 * MS] * 40, spread=0.001), in_runs([6 * MS] * 40, spread=0.001)  # +20 %, +1 ms
     texts = [
         "latency_p50 > +10%",
         "latency_p50 > +2ms",
@@ -94,7 +101,8 @@ def test_gates_on_frames():
         "passed",
         "inconclusive",
     ]
-    assert [r.measured for r in results] == [1.2, MS, 6 * MS, 1.0, None]
+    assert [r.measured for r in results[:4]] == pytest.approx([1.2, MS, 6 * MS, 1.0])
+    assert results[4].reason.startswith("within one run: ")
     assert "payload_bytes=33000 rate_hz=10" in results[0].where
     assert overall_outcome(results) is GateOutcome.REGRESSED
     assert overall_outcome(results[1:2]) is GateOutcome.PASSED
@@ -102,13 +110,78 @@ def test_gates_on_frames():
 
 
 def test_a_single_side_gate_needs_no_interval_of_the_base():
-    (result,) = results_of(["latency_p50 > 5.5ms"], steady([5 * MS] * 3), steady([6 * MS] * 40))
+    (result,) = results_of(
+        ["latency_p50 > 5.5ms"], steady([5 * MS] * 3), in_runs([6 * MS] * 40, spread=0.001)
+    )
     assert result.outcome is GateOutcome.REGRESSED
 
 
 def test_losses_regress():
-    (result,) = results_of(["received_ratio < 99%"], steady([MS] * 300), steady([MS, None] * 150))
+    (result,) = results_of(["received_ratio < 99%"], in_runs([MS] * 300), in_runs([MS, None] * 150))
     assert result.outcome is GateOutcome.REGRESSED
+
+
+def test_one_run_decides_no_gate_and_says_what_it_takes():
+    results = results_of(
+        ["latency_p50 > +10%", "received_ratio < 99%"], steady([MS] * 99), steady([9 * MS] * 99)
+    )
+    assert [r.outcome for r in results] == [GateOutcome.INCONCLUSIVE] * 2
+    assert all("within one run: it takes 3 runs" in r.reason for r in results)
+
+
+def test_an_inconclusive_gate_says_how_many_runs_would_decide():
+    (result,) = results_of(["latency_p50 > +10%"], in_runs([10 * MS] * 40), in_runs([int(11.5 * MS)] * 40))
+    assert result.outcome is GateOutcome.INCONCLUSIVE
+    # Spread 3 % a side, 4.4 % from the limit: smallest_shift(sqrt(2 / n) * 0.0296, 2 (n - 1)) <= 0.0445 from n = 9 on.
+    assert result.reason == "about 9 runs a side would decide, there are 3 and 3"
+    assert result.smallest_ratio > 1
+
+
+def test_a_missing_and_a_dead_group_regress_unless_that_is_allowed():
+    base = pl.concat(
+        [in_runs([MS] * 40, payload_bytes=size, run_id=size) for size in (1, 2, 3)],
+    )
+    new = pl.concat(
+        [in_runs([MS] * 40, payload_bytes=1), in_runs([None] * 40, payload_bytes=2, run_id=2)],
+    )
+    comparison = compare_roundtrips(base, new, CompareOptions(metrics=("latency",), statistics=("p50",)))
+    gates = [parse_gate("latency_p50 > +50%")]
+    results = judge_gates(comparison, gates)
+    assert [(r.outcome.value, r.reason) for r in results[:2]] == [
+        ("regressed", "missing on the new side"),
+        ("regressed", "no reply came back on the new side"),
+    ]
+    assert "payload_bytes=3" in results[0].where
+    allowed = judge_gates(comparison, gates, allow_missing=True)
+    assert "every group" not in " ".join(r.gate.text for r in allowed)
+
+
+def test_a_finding_of_severity_error_leaves_its_groups_inconclusive():
+    base, new = in_runs([5 * MS] * 40), in_runs([9 * MS] * 40)
+    found = compare_roundtrips(base, new, CompareOptions(metrics=("latency",), statistics=("p50",)))
+    gates = [parse_gate("latency_p50 > +10%")]
+    for groups, outcome in ((frozenset(), "inconclusive"), (frozenset({("other",)}), "regressed")):
+        (result,) = judge_gates(replace(found, errors=(SideError("new: recorder_drops", groups),)), gates)
+        assert result.outcome.value == outcome
+
+
+def test_many_groups_are_adjusted_by_holm():
+    def side(factors):
+        return pl.concat(
+            in_runs([round(5 * MS * f)] * 30, run_id=i + 1, payload_bytes=1000 + i)
+            for i, f in enumerate(factors)
+        )
+
+    (alone,) = results_of(["latency_p50 > +1%"], side([1.0]), side([1.1]))
+    among = results_of(["latency_p50 > +1%"], side([1.0] * 40), side([1.1] + [1.0] * 39))
+    assert alone.outcome is GateOutcome.REGRESSED
+    assert among[0].outcome is GateOutcome.INCONCLUSIVE
+    assert "Holm over groups" in among[0].reason
+
+
+def test_default_gates_are_three():
+    assert [gate.text for gate in parse_gates(["default"])] == list(DEFAULT_GATES)
+    assert len(parse_gates(["default", "rtt_p50 > +2ms"])) == len(DEFAULT_GATES) + 1
 
 
 def test_nothing_in_common_is_an_outcome_of_its_own():

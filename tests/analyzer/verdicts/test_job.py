@@ -30,6 +30,10 @@ def test_the_grammar():
     assert parse_job("data=imu rate=100 deadline=5ms reliability=0.9").payload_bytes == 296
 
 
+def test_the_line_of_the_readme_runs():
+    assert parse_job("data=binary size=502KB rate=20 deadline=50ms").reliability == 0.99
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -41,7 +45,7 @@ def test_the_grammar():
         ("data=binary size=1KB rate=20 deadline=50 reliability=0.9", "deadline=50 is not understood"),
         ("data=binary size=1KB rate=20 deadline=50ms reliability=1", "reliability=1 is not understood"),
         ("data=binary size=1KB rate=20 deadline=50ms reliability=0.9 domain=5", "domain=5"),
-        ("data=binary size=1KB", "rate, deadline, reliability missing; add rate=20"),
+        ("data=binary size=1KB", "rate, deadline missing; add rate=20"),
         ("", "missing"),
     ],
 )

@@ -24,7 +24,7 @@ def test_a_clear_winner_is_named():
         ),
     )
     assert answer.headline == "In the same domain, Zenoh was clearly fastest in the one cell."
-    assert "wholly below the intervals of all the others" in answer.rule
+    assert "by a test of their runs" in answer.rule
 
 
 def test_overlap_is_inconclusive():
@@ -47,8 +47,8 @@ def test_lost_messages_are_infinitely_late():
     assert answer.remarks[-1] == "10 of 40 messages (25 %) did not come back, in 1 of 2 groups."
 
 
-def test_too_few_messages_are_inconclusive():
-    answer = Book(make_analysis(Measured([10 * MS] * 3), Measured([MS] * 3, **ZENOH))).answer
+def test_runs_that_differ_more_than_the_contenders_are_inconclusive():
+    answer = Book(make_analysis(Measured([10 * MS] * 3), Measured([10 * MS + 100] * 3, **ZENOH))).answer
     assert answer.verdicts[0].inconclusive == 1
 
 
@@ -93,7 +93,7 @@ def test_one_middleware_leaves_no_choice_and_the_bridge_its_price():
     assert levels == f"Binary: median latency 1.01 ms ({same}) to 10 ms ({bridged})."
     assert (
         price
-        == "Fast DDS, via builtin: median +9 ms (95 %: +8.99 ms to +9.01 ms) against the same domain in the one cell "
+        == "Fast DDS, via builtin: median +9 ms (95 %: +8.52 ms to +9.5 ms) against the same domain in the one cell "
         "compared; clearly slower."
     )
     assert losses == "Every message came back."

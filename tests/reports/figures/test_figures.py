@@ -161,7 +161,8 @@ def test_bridge_cost_is_the_difference_with_its_interval():
     # Sorted by bridge: builtin is group 0. Samples of the bridge in the run (0 to 1.9 s): 30 % each.
     assert (panel.title, cell.group, cell.bridge_cpu_percent) == ("Binary", 0, 30.0)
     assert (cost.difference_ns, cost.verdict) == (2 * MS, "worse")
-    assert 2 * MS - 19_000 <= cost.low_ns <= 2 * MS <= cost.high_ns <= 2 * MS + 19_000
+    # Three runs a way that spread by 3 %: Welch's t on their logarithms reaches 8 % of 3 ms.
+    assert 1.8 * MS <= cost.low_ns <= 2 * MS <= cost.high_ns <= 2.2 * MS
     assert "p99" not in cell.costs
 
 
@@ -193,9 +194,11 @@ def test_host_load_is_that_of_the_run():
 def test_intervals_are_by_group():
     mixed = [MS + n * 1000 for n in random.Random(1).sample(range(20), 20)]
     intervals = intervals_info(make_analysis(Measured(mixed), Measured([MS], rate_hz=20.0)))
-    # The median of 20 values lies between the 6th and the 15th with 95.9 % (binomial).
-    assert intervals.low_ns["latency"]["p50"] == (1_005_000, None)
-    assert intervals.high_ns["latency"]["p50"] == (1_014_000, None)
+    # Student's price leaves 16 of 20 independent: the 4th of 16 (binomial), so the 4th of 20; above the median the messages
+    # come in fewer than ten episodes, so that there is no upper end.
+    assert intervals.low_ns["latency"]["p50"] == (1_003_000, None)
+    assert intervals.high_ns["latency"]["p50"] == (None, None)
+    assert [intervals.basis("latency", "p50", group) for group in (0, 1)] == ["1, within one run"] * 2
 
 
 def test_outages_are_marked_on_the_timeline():

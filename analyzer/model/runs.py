@@ -1,0 +1,115 @@
+"""The runs of a frame of round trips as the series that verdicts rest on, losses included."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+
+from ..run_statistics.runs import Run
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from dds_trace.tracefile import Run as RunDescription
+
+    from ..run_statistics.change import Passes
+
+PASS_LABEL = "pass"  # noqa: S105 - no password: the pass of a sweep
+"""Label of a run that says in which pass of its sweep it was measured: a whole number."""
+
+_LATEST_NS = {"latency": pl.col("rtt_ns") / 2}
+"""Metric -> time that a message took at most whose stamps do not give the metric itself."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunRows:
+    """The round trips of one run.
+
+    Attributes:
+        run_id: its number.
+        rows: in the order of T1; those of several relays side by side.
+    """
+
+    run_id: int
+    rows: pl.DataFrame
+
+    def delivered(self, metric: str) -> Run:
+        """Return a metric of every message in ns, infinite for a lost one.
+
+        A reply that came back without the relay's stamps took at most half of its round trip one way. It counts with
+        that: left out, it would give the lost ones more weight than they have.
+        """
+        at_most = pl.col(f"{metric}_ns").cast(pl.Float64)
+        if metric in _LATEST_NS:
+            at_most = pl.coalesce(at_most, _LATEST_NS[metric])
+        value = pl.when(pl.col("outcome") != "completed").then(math.inf).otherwise(at_most)
+        return _run_of(self.rows.select("publish_ns", value=value).drop_nulls("value"))
+
+    def survivors(self, metric: str) -> Run:
+        """Return a metric of the messages that have it, ns."""
+        return _run_of(self.rows.select("publish_ns", value=pl.col(f"{metric}_ns")).drop_nulls("value"))
+
+    @property
+    def received(self) -> NDArray[np.bool_]:
+        """For each message whether its reply came back."""
+        return (self.rows["outcome"] == "completed").to_numpy()
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether no reply came back."""
+        return not bool((self.rows["outcome"] == "completed").any())
+
+
+def _run_of(rows: pl.DataFrame) -> Run:
+    return Run(rows["value"].to_numpy(), rows["publish_ns"].to_numpy())
+
+
+def split_runs(rows: pl.DataFrame) -> tuple[RunRows, ...]:
+    """Cut round trips into runs.
+
+    Args:
+        rows: `run_id`, `publish_ns`, `outcome` and the metrics that are asked for.
+
+    Returns:
+        In the order in which the runs come in `rows`.
+    """
+    return tuple(
+        RunRows(int(part["run_id"][0]), part.sort("publish_ns", maintain_order=True))
+        for part in rows.partition_by("run_id", maintain_order=True)
+    )
+
+
+def delivered_runs(runs: Sequence[RunRows], metric: str) -> list[Run]:
+    """Return a metric of each run with losses infinitely late (`RunRows.delivered`).
+
+    Where replies came back and none has the metric (a latency without the relay's trace) there is nothing to tell: no
+    run has a value then.
+    """
+    is_known = any(run.rows[f"{metric}_ns"].null_count() < len(run.rows) for run in runs)
+    if is_known or all(run.is_lost for run in runs):
+        return [run.delivered(metric) for run in runs]
+    return [Run(np.empty(0)) for _ in runs]
+
+
+def pass_numbers(runs: Iterable[RunDescription]) -> dict[int, int]:
+    """Return run_id -> pass of the sweep, of the runs that say it."""
+    return {
+        run.run_id: int(text)
+        for run in runs
+        if (text := run.labels.get(PASS_LABEL, "")).isascii() and text.isdigit()
+    }
+
+
+def passes_of(base: Sequence[RunRows], new: Sequence[RunRows], passes: Mapping[int, int]) -> Passes | None:
+    """Return the pass of each run of both sides; None unless every run has one, and each pass one run a side."""
+    sides = tuple([passes.get(run.run_id) for run in side] for side in (base, new))
+    if any(number is None for side in sides for number in side) or any(len(set(s)) < len(s) for s in sides):
+        return None
+    before, after = ([number for number in side if number is not None] for side in sides)
+    return before, after

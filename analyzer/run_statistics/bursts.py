@@ -1,0 +1,133 @@
+"""How much a series of dependent messages is worth, and how many episodes a rare event happened in.
+
+A message that waits in a queue makes the next one wait, a radio that loses one loses the next, and a backup that
+starts in the tenth second lasts to the fifteenth. The variance of a share in such a series is decided by its slowest
+movements, so it is read off there: the projections of the series on the first few cosines that fit into the run
+(the equal-weighted cosine estimator, U. Mueller, "HAC corrections for strongly autocorrelated time series", Journal
+of Business & Economic Statistics 32, 2014; E. Lazarus, D. Lewis, J. Stock and M. Watson, "HAR inference", the same
+journal 36, 2018). The k-th cosine has a period of 2/k of the run, so that what is seen depends on the run's length in
+seconds and not on the rate: dependence that lasts a twelfth of the run counts in full, longer one in part, up to a drift
+through the whole run. The mean divided by the root of this estimate is Student's t with as many degrees of freedom as
+there are cosines.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Float64 = NDArray[np.float64]
+    Int64 = NDArray[np.int64]
+
+COSINES = 12
+"""Projections that the variance is read from. The more there are, the shorter the dependence that is seen in full and the
+smaller the price: Student's t is 18 % above the normal quantile with eight, 11 % with twelve. Simulated within one run
+of 1000 messages, intervals of p50 of independent messages hold the truth in 98.0 of 100 with eight and 97.5 with twelve, at
+a correlation of 0.95 in 97 and 96, in bursts of 20 that hold one message in twenty in 94 and 94 (sixteen: 92)."""
+
+EPISODE_GAP_SHARE = 0.05
+"""Two rare events closer than this share of their mean distance are one episode. Independent events are counted one
+in twenty too few; events in a burst of which every second message is slow are still one."""
+
+_CELLS = (
+    1024  # neighbours are added up in at most this many cells: the twelfth cosine has 170 of them a period
+)
+
+
+def long_run_variance(series: NDArray[Any]) -> float:
+    """Return n times the variance of the mean of a series.
+
+    `(2 / n) sum_j (sum_t x_t cos(pi j (t - 1/2) / n))^2 / COSINES`, j = 1 ... COSINES. The cosines sum to zero, so a
+    mean need not be taken off. The cost is one pass over the series.
+
+    Args:
+        series: finite numbers in the order of time, at least `2 * COSINES`, shape (messages,).
+    """
+    n = len(series)
+    cells = min(n, _CELLS)
+    sums = np.add.reduceat(series.astype(np.float64), _edges(n, cells))
+    return _projected_variance(sums - series.mean() * np.diff(_edges(n, cells), append=n), n)
+
+
+def share_inflation(places: NDArray[np.intp], messages: int) -> float:
+    """Return the variance of a share of messages divided by that of as many independent ones.
+
+    Without events, with nothing but events and in fewer than `2 * COSINES` messages there is nothing to compare: 1.
+
+    Args:
+        places: of the messages that count, 0 ... messages - 1, rising, shape (events,).
+        messages: length of the series.
+    """
+    share = len(places) / messages if messages else 0.0
+    if messages < 2 * COSINES or not 0 < share < 1:
+        return 1.0
+    cells = min(messages, _CELLS)
+    edges = _edges(messages, cells)
+    counts = np.diff(np.searchsorted(places, edges), append=len(places))
+    centred = counts - share * np.diff(edges, append=messages)
+    return _projected_variance(centred, messages) / (share * (1 - share))
+
+
+def _projected_variance(sums: Float64, messages: int) -> float:
+    return float(2 / messages * np.square(_cosines(len(sums)) @ sums).mean())
+
+
+@lru_cache(maxsize=64)
+def _edges(messages: int, cells: int) -> NDArray[np.int64]:
+    """Return the first message of each cell."""
+    edges = np.arange(cells, dtype=np.int64) * messages // cells
+    edges.flags.writeable = False
+    return edges
+
+
+@lru_cache(maxsize=64)
+def _cosines(cells: int) -> Float64:
+    """Return the cosines at the cells' centres, shape (COSINES, cells)."""
+    centres = (np.arange(cells) + 0.5) / cells
+    waves = np.cos(np.pi * np.arange(1, COSINES + 1)[:, None] * centres)
+    waves.flags.writeable = False
+    return np.asarray(waves)
+
+
+def episode_sizes(places: NDArray[np.intp], messages: int, sent_ns: Int64 | None = None) -> Int64:
+    """Return the number of events in each episode of a series, in the order of time.
+
+    Runs declustering (R. Smith and I. Weissman, "Estimating the extremal index", JRSS B 56, 1994): an episode ends
+    where the next event is farther away than a gap, here `EPISODE_GAP_SHARE` of the events' mean distance and at
+    least one message. Of two other estimators that were simulated, the intervals estimator (C. Ferro and J. Segers,
+    JRSS B 65, 2003) takes one outage of 100 messages for 100 episodes, because it has no gap between episodes to
+    learn from, and K gaps (M. Sueveges and A. Davison, Annals of Applied Statistics 4, 2010) is no closer to the truth.
+
+    Args:
+        places: of the messages that count, 0 ... messages - 1, rising, shape (events,).
+        messages: length of the series.
+        sent_ns: when each message of the series was sent, int64 ns, rising; None where they are equally far apart.
+    """
+    if not len(places):
+        return np.empty(0, np.int64)
+    times = places if sent_ns is None else sent_ns[places]
+    step = 1.0 if sent_ns is None else float(sent_ns[-1] - sent_ns[0]) / max(1, messages - 1)
+    gap = max(EPISODE_GAP_SHARE * messages / len(places), 1 + 1e-9) * step
+    ends = np.flatnonzero(np.diff(times) > gap)
+    return np.diff(np.concatenate([[-1], ends, [len(places) - 1]]))
+
+
+def equal_episodes(sizes: Int64) -> int | None:
+    """Return how many episodes of equal size make a count vary as much as episodes of these sizes do.
+
+    The number of events is a compound Poisson variable: its variance is that of the number of episodes times their
+    mean squared size, so that `(sum sizes)^2 / sum sizes^2` equal ones have the same relative error. One outage of 60
+    messages and 40 late ones elsewhere are worth 2.7 episodes and not 41.
+
+    Args:
+        sizes: events in each episode, shape (episodes,).
+
+    Returns:
+        The nearest whole number; None without an event.
+    """
+    return round(float(sizes.sum()) ** 2 / float(np.square(sizes).sum())) if len(sizes) else None

@@ -1,0 +1,77 @@
+"""How much of the spread of a group's runs lies between them and how much within them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .between_runs import Scale, scale_of
+from .bursts import COSINES, long_run_variance
+from .runs import quantile_at
+from .tails import tails_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from .runs import Run, Statistic
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """Standard deviations of the logarithm of a statistic of one run; 0.05 is 5 %.
+
+    Attributes:
+        between: what differs from run to run and no number of messages averages away; 0 if the runs differ by less
+            than their messages explain; None below two runs or where a logarithm does not exist.
+        within: what longer runs would average away, the root mean square over the runs; None where a run is too
+            short to tell.
+    """
+
+    between: float | None
+    within: float | None
+
+
+def spread_of_runs(runs: Sequence[Run], statistic: Statistic) -> Spread:
+    """Return the variance components of a statistic (one-way random effects, S. Searle et al., 1992, section 3.6).
+
+    The variance of the runs' logarithms is the sum of both; the part within is each run's own error, so that
+    `between**2 = max(0, variance - within**2)`.
+
+    Args:
+        runs: those that do not support the statistic are left out.
+        statistic: what is estimated.
+    """
+    held = [run for run in runs if len(run) >= max(statistic.needs, 2 * COSINES + 1)]
+    values = np.array([statistic.of_run(run) for run in held])
+    if not held or scale_of(values) is not Scale.LOGARITHM:
+        return Spread(None, None)
+    errors = [_log_error(run, statistic, value) for run, value in zip(held, values.tolist(), strict=True)]
+    if any(error is None for error in errors):
+        return Spread(None, None)
+    within_squared = float(np.mean([error * error for error in errors if error is not None]))
+    between = None
+    if len(held) > 1:
+        between = math.sqrt(max(0.0, float(np.log(values).var(ddof=1)) - within_squared))
+    return Spread(between, math.sqrt(within_squared))
+
+
+def _log_error(run: Run, statistic: Statistic, value: float) -> float | None:
+    """Return the standard error of the logarithm of a run's statistic; None where it is not finite.
+
+    Of a quantile: half of the logarithm's rise over one standard error of the share below it to either side (R.
+    Woodruff, "Confidence intervals for medians and other position measures", JASA 47, 1952).
+    """
+    n = len(run)
+    if statistic.quantile is None:
+        variance = max(float(run.values.var()), long_run_variance(run.values))
+        return math.sqrt(variance / n) / value
+    share = statistic.quantile
+    error = math.sqrt(share * (1 - share) * max(1.0, tails_of([run], share)[0].inflation) / n)
+    steps = [min(max(share + side * error, 0.5 / n), 1 - 0.5 / n) for side in (-1, 1)]
+    low, high = (quantile_at(run.ordered, (n + 1 / 3) * step + 1 / 3) for step in steps)
+    if low <= 0 or math.isinf(high):
+        return None
+    return math.log(high / low) * error / (steps[1] - steps[0])

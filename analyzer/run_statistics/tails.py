@@ -1,0 +1,192 @@
+"""The messages beyond a quantile of a group of runs: how many episodes they came in, and how they depend."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from statistics import NormalDist
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..statistics.intervals import RUNS_TO_TELL
+from .bursts import episode_sizes, equal_episodes, share_inflation
+from .runs import Statistic
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from .runs import Run, Values
+
+    Int64 = NDArray[np.int64]
+
+LIKELY = 0.95
+_MEDIAN = Statistic(0.5)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tail:
+    """The messages of one run beyond a quantile of its group.
+
+    Attributes:
+        messages: how many.
+        sizes: int64, messages in each episode that they came in.
+        inflation: variance of their share divided by that of independent messages.
+    """
+
+    messages: int
+    sizes: Int64
+    inflation: float
+
+
+@dataclass(frozen=True, slots=True)
+class Threshold:
+    """Where the tail of a group begins.
+
+    Attributes:
+        value: the order statistic of all messages next to the quantile, on the side of the bulk.
+        is_upper: whether the tail lies above it (quantiles from p50 on) or below.
+        is_part: whether messages equal to the value are part of the tail.
+    """
+
+    value: float
+    is_upper: bool
+    is_part: bool
+
+    def is_beyond(self, values: Values) -> NDArray[np.bool_]:
+        """Return which values lie in the tail.
+
+        Where the value is infinite, the lost messages do: more of them than the quantile leaves room for, but
+        comparing with infinity as with a number would make a series of lost and received ones look constant.
+        """
+        if math.isinf(self.value):
+            return ~np.isfinite(values)
+        if self.is_upper:
+            return values >= self.value if self.is_part else values > self.value
+        return values <= self.value if self.is_part else values < self.value
+
+
+def tails_of(runs: Sequence[Run], quantile: float) -> list[Tail]:
+    """Return for each run what lies beyond a quantile of the group, levels of runs set aside.
+
+    Beyond one value for all runs, so that a run without a burst does not add the episodes of its quiet tail to those
+    of a run that had one; relative to each run's median, so that a run that is slower throughout is not one episode.
+
+    Args:
+        runs: at least one message each.
+        quantile: between 0 and 1, both excluded.
+    """
+    levels = levels_of(runs)
+    threshold = threshold_of(runs, levels, quantile)
+    tails = []
+    for run, level in zip(runs, levels.of_runs, strict=True):
+        places = np.flatnonzero(threshold.is_beyond(levels.relative(run.values, level)))
+        sizes = episode_sizes(places, len(run), run.sent_ns)
+        tails.append(Tail(len(places), sizes, share_inflation(places, len(run))))
+    return tails
+
+
+def episodes_of(tails: Sequence[Tail]) -> int | None:
+    """Return how many episodes of equal size the messages beyond a quantile are worth; None without such a message.
+
+    From the sizes of the episodes within the runs; but no more than the runs themselves make likely. If E episodes fall
+    on R runs by chance, the squared coefficient of variation of the messages that each run has beyond is about R / E.
+    Bursts that a gap cut in pieces, or that half of the runs do not have, show there: the limit is the E for which
+    so large a variation still has a probability of 5 % (chi-square with R - 1 degrees, by E. Wilson and M. Hilferty's
+    cube, 1931).
+
+    Args:
+        tails: of all runs of the group.
+    """
+    equal = equal_episodes(np.concatenate([tail.sizes for tail in tails]))
+    messages = np.array([tail.messages for tail in tails])
+    if equal is None or len(tails) < RUNS_TO_TELL or not messages.var():
+        return equal
+    variation = float(messages.var(ddof=1)) / float(messages.mean()) ** 2
+    ninth = 2 / (9 * (len(tails) - 1))
+    least_likely = (1 - ninth + NormalDist().inv_cdf(LIKELY) * math.sqrt(ninth)) ** 3
+    return min(equal, max(1, round(least_likely * len(tails) / variation)))
+
+
+@dataclass(frozen=True, slots=True)
+class Levels:
+    """The levels that the runs of a group are compared at.
+
+    Attributes:
+        of_runs: the level of each run.
+        is_ratio: whether values are divided by it, or it is taken off.
+    """
+
+    of_runs: tuple[float, ...]
+    is_ratio: bool
+
+    def relative(self, values: Values, level: float) -> Values:
+        """Return values at a level of 1, or of 0; in the same order."""
+        return values / level if self.is_ratio else values - level
+
+
+def levels_of(runs: Sequence[Run]) -> Levels:
+    """Return the median of each run; to be taken off if one is not above zero. One run alone is left as it is.
+
+    A run whose median is infinite is given the middle level of the others.
+    """
+    medians = np.array([_MEDIAN.of_run(run) for run in runs])
+    is_finite = np.isfinite(medians)
+    if len(runs) == 1 or not is_finite.any():
+        return Levels((0.0,) * len(runs), is_ratio=False)
+    medians[~is_finite] = np.median(medians[is_finite])
+    return Levels(tuple(medians.tolist()), is_ratio=bool((medians > 0).all()))
+
+
+def threshold_of(runs: Sequence[Run], levels: Levels, quantile: float) -> Threshold:
+    """Return where the tail of a group begins.
+
+    The quantile of all messages lies between the least and the greatest of the runs' own, so that only what lies
+    there is looked at. Of a clock that ticks once a millisecond many values are equal: those at the quantile are
+    part of the tail if that brings its share closer to the one that the quantile leaves, and if no others are.
+
+    Args:
+        runs: at least one message each.
+        levels: of the runs.
+        quantile: between 0 and 1, both excluded.
+    """
+    is_upper = quantile >= 0.5
+    messages = sum(len(run) for run in runs)
+    position = (messages - 1) * quantile
+    place = math.floor(position) if is_upper else math.ceil(position)
+    between, below = _between_quantiles(runs, levels, quantile)
+    value = float(np.partition(between, place - below)[place - below])
+    wanted = messages * (1 - quantile if is_upper else quantile)
+    outside = messages - below - len(between) if is_upper else below
+
+    def misfit(candidate: Threshold) -> tuple[bool, float]:
+        count = int(np.count_nonzero(candidate.is_beyond(between))) + (outside if math.isfinite(value) else 0)
+        return count in {0, messages}, abs(count - wanted)
+
+    return min((Threshold(value, is_upper, is_part) for is_part in (False, True)), key=misfit)
+
+
+def _between_quantiles(runs: Sequence[Run], levels: Levels, quantile: float) -> tuple[Values, int]:
+    """Return the relative values from the least to the greatest of the runs' quantiles, and how many lie below."""
+    pairs = list(zip(runs, levels.of_runs, strict=True))
+    ranks = [quantile * len(run) for run in runs]
+    first, last = (
+        [
+            levels.relative(run.ordered[place : place + 1], level)[0]
+            for (run, level), place in zip(pairs, of_runs, strict=True)
+        ]
+        for of_runs in (
+            [max(math.floor(rank) - 1, 0) for rank in ranks],
+            [min(math.ceil(rank), len(run) - 1) for rank, run in zip(ranks, runs, strict=True)],
+        )
+    )
+    low, high = min(first), max(last)
+    parts, below = [], 0
+    for run, level in pairs:
+        relative = levels.relative(run.ordered, level)
+        begin, end = np.searchsorted(relative, low, "left"), np.searchsorted(relative, high, "right")
+        parts.append(relative[begin:end])
+        below += int(begin)
+    return np.concatenate(parts), below

@@ -1,0 +1,119 @@
+"""Tests of a difference of two sides' means, and intervals of a difference and a ratio that go with them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from ..statistics.distributions import student_cdf, student_quantile
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    Float64 = NDArray[np.float64]
+    Ends = tuple[float, float, float]
+    """An estimate, its lower and its upper end."""
+
+
+@dataclass(frozen=True, slots=True)
+class StudentTest:
+    """A difference of two means with what Student's t needs to judge it.
+
+    Attributes:
+        difference: new - base.
+        base_error: standard error of the base's part.
+        new_error: the same of the new side's.
+        degrees: degrees of freedom.
+        pairs: pairs that were compared one by one; 0 for two independent samples.
+    """
+
+    difference: float
+    base_error: float
+    new_error: float
+    degrees: float
+    pairs: int
+
+    @property
+    def error(self) -> float:
+        """Standard error of the difference."""
+        return math.hypot(self.base_error, self.new_error)
+
+    @property
+    def p_value(self) -> float:
+        """Probability of a difference at least as large, to either side, if there is none."""
+        if self.error == 0:
+            return 1.0 if self.difference == 0 else 0.0
+        return 2 * student_cdf(-abs(self.difference) / self.error, self.degrees)
+
+    def reach(self, confidence: float) -> float:
+        """Return how many standard errors an end of the interval is away."""
+        return student_quantile((1 + confidence) / 2, self.degrees)
+
+
+def welch_test(base: Float64, new: Float64) -> StudentTest:
+    """Return the test of two independent samples whose variances may differ (B. L. Welch, Biometrika 34, 1947).
+
+    Args:
+        base: float64, at least two values.
+        new: likewise.
+    """
+    variances = [float(side.var(ddof=1)) / len(side) for side in (base, new)]
+    weights = [variance**2 / (len(side) - 1) for variance, side in zip(variances, (base, new), strict=True)]
+    degrees = sum(variances) ** 2 / sum(weights) if sum(weights) else len(base) + len(new) - 2.0
+    errors = [math.sqrt(variance) for variance in variances]
+    return StudentTest(float(new.mean() - base.mean()), errors[0], errors[1], degrees, 0)
+
+
+def paired_test(base: Float64, new: Float64) -> StudentTest:
+    """Return the test of the differences of pairs (Student, 1908); each side is given half of their variance.
+
+    Args:
+        base: float64, at least two values.
+        new: as many, in the same order.
+    """
+    apart = new - base
+    error = float(apart.std(ddof=1)) / math.sqrt(2 * len(apart))
+    return StudentTest(float(apart.mean()), error, error, len(apart) - 1, len(apart))
+
+
+def mover_ends(base: Ends, new: Ends) -> tuple[float, float]:
+    """Return the ends of new - base from the ends of both (G. Zou and A. Donner, Statistics in Medicine 27, 2008).
+
+    `difference -+ sqrt((new - its end)^2 + (base - its opposite end)^2)`.
+
+    Args:
+        base: estimate, lower end, upper end.
+        new: likewise.
+    """
+    difference = new[0] - base[0]
+    low = difference - math.hypot(new[0] - new[1], base[2] - base[0])
+    return low, difference + math.hypot(new[2] - new[0], base[0] - base[1])
+
+
+def fieller_ends(above: Float64, below: Float64, test: StudentTest, confidence: float) -> tuple[float, float]:
+    """Return the ends of the ratio of two means that are not below zero (E. C. Fieller, JRSS B 16, 1954).
+
+    The ratios r for which the means of `above` and `r below` are not told apart: the two roots of
+    `(m^2 - t^2 v) r^2 - 2 M m r + M^2 - t^2 V = 0`, with M, V the mean of `above` and its variance, m, v of `below`.
+
+    Args:
+        above: float64, at least 0, not all zero unless `below` is not.
+        below: likewise.
+        test: of the two samples, for its degrees of freedom.
+        confidence: of the interval.
+
+    Returns:
+        The lower end is 0 where `above` is not surely above zero, the upper infinite where `below` is not; both are
+        infinite where `below` is zero throughout and `above` surely is not.
+    """
+    squared = test.reach(confidence) ** 2
+    top, bottom = float(above.mean()), float(below.mean())
+    a = bottom**2 - squared * float(below.var(ddof=1)) / len(below)
+    c = top**2 - squared * float(above.var(ddof=1)) / len(above)
+    root = math.sqrt(max(0.0, (top * bottom) ** 2 - a * c))
+    high = (top * bottom + root) / a if a > 0 else math.inf
+    if c <= 0:
+        return 0.0, high
+    return (c / (top * bottom + root) if bottom > 0 else math.inf), high

@@ -1,0 +1,174 @@
+"""Gates for CI: `--fail-if "latency_p99 > +10%"` against a comparison.
+
+    gate      = metric ws (">" | ">=" | "<" | "<=") ws limit
+    limit     = sign number "%"          change against the base, as a share of it:  latency_p99 > +10%
+              | sign number unit         change against the base:                    rtt_p50 > +2ms
+              | number unit              the new side alone:                         latency_p99_9 > 20ms
+              | number "%"               the new side alone, for ratios:             received_ratio < 99%
+              | sign number "points"     change against the base, for ratios:        received_ratio < -0.5 points
+    metric    = ("latency" | "rtt" | "response" | "intermediate") "_" statistic | "received_ratio"
+    statistic = "mean" | "p50" | "p90" | "p95" | "p99" | "p99_9"
+    unit      = "ns" | "us" | "ms" | "s"
+
+`default` stands for `DEFAULT_GATES`.
+
+A gate is about what is surely so: it fails where the whole confidence interval lies beyond the limit, passes where none
+of it does, and is inconclusive in between, where a sample does not support the percentile, or where a setting was asked
+for and not applied: such a group did not measure what it says.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import operator
+import re
+from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING
+
+from dds_trace.tracefile.errors import OptionError
+from dds_trace.tracefile.units.durations import UNIT_NS
+from dds_trace.tracefile.units.quantities import split_quantity
+
+from ..model.metrics import METRICS
+from .compare import COMPARED_STATISTICS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+RECEIVED_RATIO = "received_ratio"
+_GATE_METRICS = (
+    *(f"{metric}_{statistic}" for metric in METRICS for statistic in COMPARED_STATISTICS),
+    RECEIVED_RATIO,
+)
+_OPERATORS: dict[str, Callable[[float, float], bool]] = {
+    ">": operator.gt,
+    ">=": operator.ge,
+    "<": operator.lt,
+    "<=": operator.le,
+}
+_POINTS = "points"
+_GATE = re.compile(r"\s*(?P<metric>[A-Za-z0-9_.]+)\s*(?P<operator>>=|<=|>|<)\s*(?P<limit>\S.*?)\s*")
+
+
+class GateOutcome(Enum):
+    """The outcome of a gate; its exit codes differ from those of `TraceError`."""
+
+    PASSED = "passed"
+    REGRESSED = "regressed"
+    INCONCLUSIVE = "inconclusive"
+    NOTHING_TO_COMPARE = "nothing to compare"
+
+    @property
+    def exit_code(self) -> int:
+        """Exit code of a command whose gates have this outcome."""
+        return _EXIT_CODES[self]
+
+
+_EXIT_CODES = {
+    GateOutcome.PASSED: 0,
+    GateOutcome.REGRESSED: 20,
+    GateOutcome.INCONCLUSIVE: 21,
+    GateOutcome.NOTHING_TO_COMPARE: 22,
+}
+
+
+class Against(Enum):
+    """The value that a limit applies to, by the prefix of its columns in a comparison."""
+
+    RATIO = "ratio"  # change as a share of the base
+    DIFFERENCE = "difference"  # change in ns
+    NEW = "new"  # the new side alone
+
+
+@dataclass(frozen=True, slots=True)
+class Gate:
+    """A condition under which a comparison fails.
+
+    Attributes:
+        text: the gate as it was written.
+        metric: `latency`, `rtt`, `response`, `intermediate` or `received_ratio`.
+        statistic: `mean` or a percentile; empty for `received_ratio`.
+        operator: `>`, `>=`, `<` or `<=`.
+        against: the value that the limit applies to.
+        limit: a ratio new / base for `RATIO`, ns for `DIFFERENCE` and `NEW` (for `received_ratio` a share, or the
+            difference of two).
+    """
+
+    text: str
+    metric: str
+    statistic: str
+    operator: str
+    against: Against
+    limit: float
+
+    def judge(self, value: float | None, low: float | None, high: float | None) -> GateOutcome:
+        """Judge an estimate by its interval; an end that is None may be anywhere."""
+        if value is None:
+            return GateOutcome.INCONCLUSIVE
+        ends = (-math.inf if low is None else low, math.inf if high is None else high)
+        fails = [_OPERATORS[self.operator](end, self.limit) for end in ends]
+        if all(fails):
+            return GateOutcome.REGRESSED
+        return GateOutcome.INCONCLUSIVE if any(fails) else GateOutcome.PASSED
+
+
+DEFAULT_GATES = ("latency_p50 > +10%", "latency_p99 > +20%", "received_ratio < -0.5 points")
+"""Gates that `--fail-if default` stands for: changes that users notice and that five runs of 1000 messages a side find at
+a run-to-run spread of 5 % (`docs/coverage.md`); half a point of messages is one in two hundred."""
+
+
+def parse_gates(texts: Iterable[str]) -> list[Gate]:
+    """Read gates, `default` being `DEFAULT_GATES`; errors as for `parse_gate`."""
+    spelled = [DEFAULT_GATES if text.strip().lower() == "default" else (text,) for text in texts]
+    return [parse_gate(text) for gates in spelled for text in gates]
+
+
+def parse_gate(text: str) -> Gate:
+    """Read a gate in the grammar of this module.
+
+    Raises:
+        OptionError: the text is not a gate; the message says where it goes wrong and names the nearest metric.
+    """
+    match = _GATE.fullmatch(text)
+    if match is None:
+        raise OptionError(f"--fail-if {text!r}: write METRIC > LIMIT, for example 'latency_p99 > +10%'")
+    metric, statistic = _parse_metric(text, match["metric"])
+    against, limit = _parse_limit(text, match["limit"], metric)
+    return Gate(text.strip(), metric, statistic, match["operator"], against, limit)
+
+
+def _parse_metric(text: str, name: str) -> tuple[str, str]:
+    spelled = name.lower().replace(".", "_")  # p99.9 is meant as p99_9
+    if spelled not in _GATE_METRICS:
+        near = difflib.get_close_matches(spelled, _GATE_METRICS, n=1, cutoff=0)[0]
+        raise OptionError(f"--fail-if {text!r}: no metric {name!r}; did you mean {near!r}?")
+    if spelled == RECEIVED_RATIO:
+        return spelled, ""
+    metric, _, statistic = spelled.partition("_")
+    return metric, statistic
+
+
+def _parse_limit(text: str, limit: str, metric: str) -> tuple[Against, float]:
+    sign = limit[0] if limit[0] in "+-" else ""
+    number, unit = split_quantity(limit[len(sign) :]) or (0.0, "")
+    if unit == _POINTS and metric == RECEIVED_RATIO and sign:
+        return Against.DIFFERENCE, (-number if sign == "-" else number) / 100
+    if unit != "%" and unit not in UNIT_NS:
+        raise OptionError(
+            f"--fail-if {text!r}: no limit {limit!r}; write a change such as +10% or +2ms, or a value such as 20ms",
+        )
+    number = -number if sign == "-" else number
+    is_share, is_signed = unit == "%", bool(sign)
+    if metric == RECEIVED_RATIO:
+        if not is_share or is_signed:
+            raise OptionError(
+                f"--fail-if {text!r}: {RECEIVED_RATIO} takes a share such as 99%, or a change such as -0.5 points"
+            )
+        return Against.NEW, number / 100
+    if is_share:
+        if not is_signed:
+            raise OptionError(f"--fail-if {text!r}: write +{limit} for a change against the base")
+        return Against.RATIO, 1 + number / 100
+    return Against.DIFFERENCE if is_signed else Against.NEW, number * UNIT_NS[unit]

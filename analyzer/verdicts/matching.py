@@ -1,0 +1,131 @@
+"""The groups of two sides that are the same experiment, and what was measured of each."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+from ..model.runs import delivered_runs, split_runs
+from ..run_statistics.received import received_interval
+from ..run_statistics.runs import joined_runs
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    import numpy as np
+    import polars as pl
+    from numpy.typing import NDArray
+
+    from ..model.parameters import ParameterValue
+    from ..run_statistics.runs import Run, Statistic
+    from ..statistics.intervals import Interval
+
+    Key = tuple[ParameterValue, ...]
+    """Values of the match columns."""
+
+RELAY_COLUMNS = ("relay_vendor", "relay_backend", "relay_device", "relay_domain_id")
+"""Columns that are null without the relay's trace, and that match any value then."""
+
+
+class MatchedGroup:
+    """The messages of one group by run.
+
+    Args:
+        rows: the group's round trips.
+    """
+
+    def __init__(self, rows: pl.DataFrame) -> None:
+        self.runs = split_runs(rows)
+        self._published = len(rows)
+        self._delivered: dict[str, list[Run]] = {}
+        self._survivors: dict[str, Run] = {}
+
+    def __len__(self) -> int:
+        return self._published
+
+    def delivered(self, metric: str) -> list[Run]:
+        """Return a metric of every message of each run, ns, infinite for a lost one."""
+        if metric not in self._delivered:
+            self._delivered[metric] = delivered_runs(self.runs, metric)
+        return self._delivered[metric]
+
+    def survivors(self, metric: str) -> Run:
+        """Return a metric of the messages that have it, all runs as one series, ns."""
+        if metric not in self._survivors:
+            self._survivors[metric] = joined_runs([run.survivors(metric) for run in self.runs])
+        return self._survivors[metric]
+
+    def of_survivors(self, metric: str, statistic: Statistic) -> float | None:
+        """Return a statistic of the messages that have the metric, ns; None where they do not support it."""
+        series = self.survivors(metric)
+        return statistic.of_run(series) if len(series) >= statistic.needs else None
+
+    @cached_property
+    def received(self) -> tuple[NDArray[np.bool_], ...]:
+        """For each run and message whether its reply came back."""
+        return tuple(run.received for run in self.runs)
+
+    def received_ratio(self, confidence: float) -> Interval:
+        """Return the share of messages whose reply came back."""
+        return received_interval(self.received, confidence)
+
+    @cached_property
+    def is_dead(self) -> bool:
+        """Whether messages were sent and no reply came back."""
+        return bool(self.runs) and all(run.is_lost for run in self.runs)
+
+
+def match_groups(roundtrips: pl.DataFrame, match: Sequence[str]) -> dict[Key, MatchedGroup]:
+    """Cut round trips into groups by the values of the match columns; sorted by these, null first."""
+    return {
+        part.select(match).row(0): MatchedGroup(part)
+        for part in roundtrips.sort(*match, nulls_last=False, maintain_order=True).partition_by(
+            *match, maintain_order=True
+        )
+    }
+
+
+def pair_keys(
+    before: Mapping[Key, object], after: Mapping[Key, object], match: Sequence[str]
+) -> dict[Key, Key]:
+    """Return which group of the new side each group of the base is compared with.
+
+    Equal keys first. A key whose relay left no trace has nulls for it: it is paired with the only group left on the
+    other side that agrees in everything known; of several nobody knows which it was.
+
+    Args:
+        before: groups of the base by the values of `match`.
+        after: groups of the new side.
+        match: names of the columns.
+    """
+    pairs = {key: key for key in before if key in after}
+    open_after = [key for key in after if key not in pairs]
+    relay = [place for place, name in enumerate(match) if name in RELAY_COLUMNS]
+    open_before = [key for key in before if key not in pairs]
+    for key in open_before:
+        alike = [other for other in open_after if _agree(key, other, relay)]
+        if len(alike) == 1 and sum(_agree(one, alike[0], relay) for one in open_before) == 1:
+            pairs[key] = alike[0]
+    return {key: pairs[key] for key in before if key in pairs}
+
+
+def known_key(key: Key, other: Key) -> Key:
+    """Return a key with what the other one knows in place of nulls."""
+    return tuple(theirs if own is None else own for own, theirs in zip(key, other, strict=True))
+
+
+def _agree(key: Key, other: Key, relay: Sequence[int]) -> bool:
+    """Tell whether two keys agree in every column but those of the relay that one of them does not know."""
+    return all(
+        _equal(place, one, two, relay) for place, (one, two) in enumerate(zip(key, other, strict=True))
+    )
+
+
+def _equal(place: int, one: ParameterValue, two: ParameterValue, relay: Sequence[int]) -> bool:
+    return one == two or (place in relay and (one is None or two is None))
+
+
+def unmatched(keys: Mapping[Key, object], matched: Sequence[Key]) -> Iterator[Key]:
+    """Yield the keys that were not matched, in their order."""
+    known = set(matched)
+    yield from (key for key in keys if key not in known)

@@ -1,0 +1,178 @@
+"""Intervals from runs: Student's t by hand, its scales, runs that are joined, coverage by drawing."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from drawn_series import log_normal_groups
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dds_trace.analyzer.run_statistics.between_runs import (
+    Scale,
+    ends_of_units,
+    interval_of_runs,
+    scale_of,
+    units_of,
+)
+from dds_trace.analyzer.run_statistics.runs import MEAN, Run, Statistic
+from dds_trace.analyzer.run_statistics.within_run import interval_within
+from dds_trace.analyzer.statistics.intervals import Basis
+
+P50, P99 = Statistic(0.5), Statistic(0.99)
+
+
+def constant_runs(*levels: float, messages: int = 200):
+    return [Run(np.full(messages, level)) for level in levels]
+
+
+def test_three_runs_by_hand():
+    # Logarithms 0, 1, 2: mean 1, deviation 1, t of two degrees 4.3027: 1 +- 4.3027 / sqrt(3) = 1 +- 2.4842.
+    found = interval_of_runs(constant_runs(1, math.e, math.e**2), P50)
+    assert found.value == pytest.approx(math.e)
+    assert found.lower == pytest.approx(math.exp(1 - 2.48414), rel=1e-4)
+    assert found.upper == pytest.approx(math.exp(1 + 2.48414), rel=1e-4)
+    assert (found.basis, found.runs, found.units, found.samples) == (Basis.BETWEEN_RUNS, 3, 3, 600)
+    assert found.unit_spread == pytest.approx(1)
+
+
+def test_two_runs_say_something_of_themselves_only():
+    runs = [Run(values) for values in log_normal_groups(1, 2, 500, 0.05, seed=1)[0]]
+    assert interval_of_runs(runs, P50) == interval_within(runs, P50)
+    assert interval_of_runs(runs, P50).basis is Basis.WITHIN_RUN
+    assert interval_of_runs([], P50).value is None
+    assert interval_of_runs([*runs, Run(np.empty(0))], P50).basis is Basis.WITHIN_RUN
+
+
+def test_a_statistic_that_is_not_positive_is_averaged_as_it_is():
+    # A one-way time within the clocks' error: -1, 0, 1: 0 +- 4.3027 / sqrt(3).
+    found = interval_of_runs(constant_runs(-1, 0, 1), MEAN)
+    assert found.value == 0
+    assert found.upper == pytest.approx(2.48414, rel=1e-4)
+    assert found.lower == pytest.approx(-2.48414, rel=1e-4)
+    assert found.unit_spread is None
+
+
+def test_a_lost_run_leaves_an_end_below_and_none_above():
+    # Reciprocals 1, 1, 1, 1, 0: mean 0.8, deviation 0.4472, t of four degrees 2.7764: up to 0.8 + 0.5553 = 1.3553.
+    value, lower, upper = ends_of_units(np.array([1, 1, 1, 1, math.inf]), 0.95)
+    assert (value, upper) == (1.0, math.inf)
+    assert lower == pytest.approx(1 / 1.35528, rel=1e-4)
+
+
+def test_lost_runs_alone_are_infinite():
+    assert ends_of_units(np.full(3, math.inf), 0.95) == (math.inf, math.inf, math.inf)
+    found = interval_of_runs(constant_runs(math.inf, math.inf, math.inf), P50)
+    assert (found.value, found.lower, found.upper) == (math.inf, math.inf, math.inf)
+
+
+def test_the_middle_of_runs_some_of_which_are_lost():
+    assert ends_of_units(np.array([1, 2, math.inf, math.inf]), 0.95)[0] == math.inf
+    assert ends_of_units(np.array([1, 2, 3, math.inf]), 0.95)[0] == 2.5
+    value, lower, upper = ends_of_units(np.array([-1, 2, math.inf]), 0.95)
+    assert (value, lower, upper) == (2.0, None, math.inf)
+
+
+@pytest.mark.parametrize(
+    ("values", "scale"),
+    [
+        ([1, 2], Scale.LOGARITHM),
+        ([0, 2], Scale.LINEAR),
+        ([1, math.inf], Scale.RECIPROCAL),
+        ([-1, math.inf], Scale.NONE),
+    ],
+)
+def test_scales(values, scale):
+    assert scale_of(np.array(values, np.float64)) is scale
+
+
+def test_short_runs_are_joined_until_they_support_a_percentile():
+    draws = np.random.default_rng(1).random((10, 60))
+    units = units_of([Run(draw) for draw in draws], P99)
+    # Two runs of 60 have the 100 messages of p99; six episodes in 600 messages leave three units.
+    assert (len(units), units.runs, units.messages) == (3, 10, 600)
+    assert len(units_of([Run(draw) for draw in draws], P50)) == 10
+    assert interval_of_runs([Run(draw) for draw in draws[:5]], P99).basis is Basis.WITHIN_RUN
+
+
+def test_a_short_rest_joins_its_neighbour():
+    lengths = (150, 40, 70, 150, 30)
+    draws = np.random.default_rng(1)
+    runs = [Run(draws.random(length)) for length in lengths]
+    assert len(units_of(runs, Statistic(0.9))) == 5
+    assert len(units_of(runs, P99)) == 3  # 150; 40 + 70; 150 + 30
+
+
+def test_units_hold_as_many_episodes_as_there_are_units():
+    # Four bursts of five in each of twelve runs of 1000: 48 episodes, the root of which is 6.9.
+    runs = []
+    for draw in np.random.default_rng(2).random((12, 1000)):
+        draw[np.add.outer([100, 350, 600, 850], np.arange(5)).ravel()] += 10
+        runs.append(Run(draw))
+    units = units_of(runs, Statistic(0.98))
+    assert (units.episodes, len(units)) == (48, 7)
+
+
+def test_a_tail_of_few_episodes_has_no_end():
+    runs = []
+    for draw in np.random.default_rng(2).random((5, 1000)):
+        draw[400:420] += 10
+        runs.append(Run(draw))
+    found = interval_of_runs(runs, Statistic(0.98))
+    assert found.episodes == 5
+    assert found.upper is None
+    assert found.lower is not None
+    assert interval_of_runs(runs, P50).is_two_sided
+
+
+def test_runs_do_not_overlap_if_they_differ():
+    # Ten runs of 50,000 messages: within them p50 is known to 0.3 %, between them to 7 %.
+    group = log_normal_groups(1, 10, 50_000, 0.1, seed=3)[0]
+    found = interval_of_runs([Run(values) for values in group], P50)
+    assert 0.04 < math.log(found.upper / found.lower) / 2 < 0.12
+
+
+@pytest.mark.parametrize("runs", [3, 5, 10])
+@pytest.mark.parametrize("correlation", [0.0, 0.8])
+@pytest.mark.parametrize("quantile", [0.5, 0.9])
+def test_nineteen_of_twenty_intervals_hold_the_truth(runs, correlation, quantile):
+    true = math.exp(0.5 * {0.5: 0.0, 0.9: 1.2815515655446004}[quantile])
+    groups = log_normal_groups(300, runs, 500, 0.05, seed=5, correlation=correlation)
+    held = 0
+    for group in groups:
+        found = interval_of_runs([Run(values) for values in group], Statistic(quantile))
+        held += found.lower <= true <= found.upper
+    assert 0.915 <= held / 300 <= 0.985  # 95 expected, with a standard error of 1.3
+
+
+def test_pooled_messages_would_fail_the_same_test():
+    held = 0
+    for group in log_normal_groups(100, 5, 500, 0.05, seed=5):
+        found = interval_within([Run(np.concatenate(list(group)))], P50)
+        held += found.lower <= 1 <= found.upper
+    assert held < 88  # runs of 5 % spread by more than their messages do
+
+
+@given(
+    values=st.lists(st.lists(st.integers(1, 10**9), min_size=20, max_size=40), min_size=3, max_size=6),
+    factor=st.sampled_from([2, 10, 1000]),
+)
+@settings(deadline=None)
+def test_intervals_follow_their_unit(values, factor):
+    runs = [Run(np.array(run)) for run in values]
+    scaled = [Run(np.array(run) * factor) for run in values]
+    found, of_scaled = interval_of_runs(runs, P50), interval_of_runs(scaled, P50)
+    assert of_scaled.value == pytest.approx(found.value * factor)
+    for end, of_end in ((found.lower, of_scaled.lower), (found.upper, of_scaled.upper)):
+        assert (end is None) == (of_end is None)
+        if end is not None:
+            assert of_end == pytest.approx(end * factor)
+
+
+@given(levels=st.lists(st.floats(0.5, 100) | st.just(math.inf) | st.floats(-5, 0), min_size=2, max_size=8))
+def test_ends_enclose_the_value(levels):
+    value, lower, upper = ends_of_units(np.array(levels), 0.95)
+    assert lower is None or lower <= value + 1e-9 * abs(value)
+    assert upper is None or value <= upper + 1e-9 * abs(upper)

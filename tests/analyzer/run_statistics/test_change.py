@@ -1,0 +1,199 @@
+"""Changes between two sides: Welch, pairs, lost runs, single runs; false and true verdicts by drawing."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from drawn_series import log_normal_groups
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dds_trace.analyzer.run_statistics.change import Verdict, change_of_runs
+from dds_trace.analyzer.run_statistics.runs import MEAN, Run, Statistic
+from dds_trace.analyzer.statistics.distributions import student_quantile
+from dds_trace.analyzer.statistics.intervals import Basis
+
+P50, P99 = Statistic(0.5), Statistic(0.99)
+
+
+def constant_runs(*levels: float):
+    return [Run(np.full(100, level)) for level in levels]
+
+
+def runs_of(group):
+    return [Run(values) for values in group]
+
+
+def test_three_runs_a_side_by_hand():
+    # Logarithms 0, 1, 2 and 3, 4, 5: difference 3, error sqrt(2 / 3), four degrees, t 2.7764.
+    base = constant_runs(1, math.e, math.e**2)
+    new = constant_runs(math.e**3, math.e**4, math.e**5)
+    change = change_of_runs(base, new, P50)
+    reach = 2.776445 * math.sqrt(2 / 3)
+    assert change.ratio == pytest.approx(math.e**3)
+    assert change.ratio_low == pytest.approx(math.exp(3 - reach), rel=1e-5)
+    assert change.ratio_high == pytest.approx(math.exp(3 + reach), rel=1e-5)
+    assert change.difference == pytest.approx(math.e**4 - math.e)
+    assert change.p_value == pytest.approx(0.0213, abs=1e-4)
+    # 3.7611 standard errors are found in 80 of 100 (test_distributions).
+    assert change.smallest_ratio == pytest.approx(math.exp(3.7610603 * math.sqrt(2 / 3)), rel=1e-6)
+    assert change.verdict(0.05) is Verdict.WORSE
+    assert change_of_runs(new, base, P50).verdict(0.05) is Verdict.BETTER
+
+
+def test_the_ends_of_the_difference_by_hand():
+    # Each side's own error 1 / sqrt(3), Welch's t 2.7764: ends of the logarithms 1 -+ 1.603 and 4 -+ 1.603.
+    change = change_of_runs(
+        constant_runs(1, math.e, math.e**2), constant_runs(math.e**3, math.e**4, math.e**5), P50
+    )
+    reach = 2.776445 / math.sqrt(3)
+    base = [math.exp(1 + side * reach) for side in (0, -1, 1)]
+    new = [math.exp(4 + side * reach) for side in (0, -1, 1)]
+    low = new[0] - base[0] - math.hypot(new[0] - new[1], base[2] - base[0])
+    high = new[0] - base[0] + math.hypot(new[2] - new[0], base[0] - base[1])
+    assert change.difference_low == pytest.approx(low, rel=1e-5)
+    assert change.difference_high == pytest.approx(high, rel=1e-5)
+
+
+def test_equal_runs_are_the_same():
+    change = change_of_runs(constant_runs(100, 101, 99), constant_runs(100, 99, 101), P50)
+    assert change.verdict(0.05) is Verdict.SAME
+    assert change.verdict(0.001) is Verdict.INCONCLUSIVE
+
+
+@pytest.mark.parametrize("runs", [1, 2])
+def test_fewer_than_three_runs_give_no_verdict(runs):
+    group = log_normal_groups(1, 3, 1000, 0.0, seed=1)[0]
+    change = change_of_runs(runs_of(group), runs_of(10 * group[:runs]), P50)
+    assert change.basis is Basis.WITHIN_RUN
+    assert change.verdict(0.05) is Verdict.INCONCLUSIVE
+    assert change.ratio_low > 8
+    assert change.difference_low > 0
+    assert (change.p_value, change.smallest_ratio) == (None, None)
+
+
+def test_within_a_run_an_open_end_leaves_the_ratio_open():
+    values = np.random.default_rng(1).random(1000) + 1
+    burst = values.copy()
+    burst[100:120] += 10
+    change = change_of_runs([Run(values)], [Run(burst)], P99)
+    assert change.new.upper is None
+    assert (change.ratio_low, change.ratio_high) == (None, None)
+    assert change.ratio > 2
+
+
+def test_passes_are_compared_one_by_one():
+    # A drift of the machine that both sides share, and 10 % between them: without pairs it hides the difference.
+    drift = np.array([1.0, 1.5, 2.0, 2.5, 3.0])
+    noise = np.array([0.99, 1.01, 1.0, 1.005, 0.995])
+    base, new = constant_runs(*drift), constant_runs(*(1.1 * drift * noise)[::-1])
+    order = ([1, 2, 3, 4, 5], [5, 4, 3, 2, 1])
+    paired = change_of_runs(base, new, P50, passes=order)
+    assert (paired.pairs, paired.verdict(0.05)) == (5, Verdict.WORSE)
+    logs = np.log(1.1 * noise)
+    reach = student_quantile(0.975, 4) * logs.std(ddof=1) / math.sqrt(5)
+    assert paired.ratio_low == pytest.approx(math.exp(logs.mean() - reach))
+    assert change_of_runs(base, new, P50).verdict(0.05) is Verdict.INCONCLUSIVE
+
+
+@pytest.mark.parametrize("passes", [([1, 2, 3, 4, 5], [1, 2, 3, 4, 6]), ([1, 2, 3, 4, 5], [1, 2, 3, 4, 4])])
+def test_passes_that_do_not_match_are_not_paired(passes):
+    levels = (1.0, 1.1, 1.2, 1.3, 1.4)
+    assert change_of_runs(constant_runs(*levels), constant_runs(*levels), P50, passes=passes).pairs == 0
+
+
+def test_a_side_that_lost_every_message_is_infinitely_worse():
+    alive, dead = constant_runs(1, 1.1, 0.9), constant_runs(*[math.inf] * 3)
+    change = change_of_runs(alive, dead, P50)
+    assert (change.ratio, change.ratio_low, change.ratio_high) == (math.inf, math.inf, math.inf)
+    assert (change.difference_low, change.difference_high) == (math.inf, math.inf)
+    assert change.verdict(0.05) is Verdict.WORSE
+    assert change_of_runs(dead, alive, P50).verdict(0.05) is Verdict.BETTER
+    both = change_of_runs(dead, dead, P50)
+    assert (both.ratio, both.verdict(0.05)) == (None, Verdict.INCONCLUSIVE)
+
+
+def test_a_survivors_tail_is_no_improvement():
+    # The new side loses exactly the 5 % slowest: their p99 would be far better, with the losses it is infinite.
+    base = log_normal_groups(1, 5, 2000, 0.02, seed=2)[0]
+    limits = np.quantile(base, 0.95, axis=1, keepdims=True)
+    new = np.where(base > limits, math.inf, base)
+    change = change_of_runs(runs_of(base), runs_of(new), P99)
+    assert change.verdict(0.05) is Verdict.WORSE
+    assert change_of_runs(runs_of(base), runs_of(new), P50).ratio == pytest.approx(1)
+
+
+def test_one_lost_run_of_five_is_no_proof():
+    base = constant_runs(1, 1.01, 0.99, 1.02, 0.98)
+    change = change_of_runs(base, constant_runs(1, 1.01, 0.99, 1.02, math.inf), P50)
+    assert change.verdict(0.05) is Verdict.INCONCLUSIVE
+    assert change.ratio_low < 1
+    assert change.ratio_high > 10
+
+
+def test_times_below_zero_have_a_difference_and_no_ratio():
+    change = change_of_runs(constant_runs(-1, 0, 1), constant_runs(9, 10, 11), MEAN)
+    assert change.difference == 10
+    assert change.difference_low == pytest.approx(10 - 2.776445 * math.sqrt(2 / 3), rel=1e-5)
+    assert (change.ratio, change.verdict(0.05)) == (None, Verdict.INCONCLUSIVE)
+
+
+def test_sides_without_messages_are_not_compared():
+    change = change_of_runs([], constant_runs(1, 2, 3), P50)
+    assert (change.difference, change.ratio, change.basis) == (None, None, Basis.WITHIN_RUN)
+
+
+@given(
+    base=st.lists(st.floats(0.1, 100) | st.just(math.inf), min_size=3, max_size=6),
+    new=st.lists(st.floats(0.1, 100), min_size=3, max_size=6),
+)
+@settings(deadline=None)
+def test_sides_can_be_exchanged(base, new):
+    one = change_of_runs(constant_runs(*base), constant_runs(*new), P50)
+    other = change_of_runs(constant_runs(*new), constant_runs(*base), P50)
+    exchanged = {Verdict.BETTER: Verdict.WORSE, Verdict.WORSE: Verdict.BETTER}
+    verdict = one.verdict(0.0)
+    assert other.verdict(0.0) is exchanged.get(verdict, verdict)
+    assert one.p_value == pytest.approx(other.p_value)
+    if math.inf not in base:
+        assert one.ratio_low == pytest.approx(1 / other.ratio_high)
+        assert one.difference_high == pytest.approx(-other.difference_low)
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.05, 0.10])
+@pytest.mark.parametrize("runs", [3, 5])
+def test_equal_sides_are_rarely_told_apart(spread, runs):
+    groups = log_normal_groups(600, runs, 300, spread, seed=3)
+    pairs = zip(groups[::2], groups[1::2], strict=True)
+    changes = [change_of_runs(runs_of(base), runs_of(new), P50) for base, new in pairs]
+    false = np.mean([change.verdict(0.0) is not Verdict.INCONCLUSIVE for change in changes])
+    assert false <= 0.07
+    assert np.mean([change.ratio_low > 1.1 for change in changes]) <= 0.03
+
+
+def test_equal_sides_measured_in_passes_are_rarely_told_apart():
+    groups = log_normal_groups(600, 5, 300, 0.05, seed=4)
+    order = (range(5), range(5))
+    pairs = zip(groups[::2], groups[1::2], strict=True)
+    changes = [change_of_runs(runs_of(base), runs_of(new), P50, passes=order) for base, new in pairs]
+    assert np.mean([change.verdict(0.0) is not Verdict.INCONCLUSIVE for change in changes]) <= 0.07
+
+
+@pytest.mark.parametrize("statistic", [P50, P99])
+def test_twenty_percent_are_found_with_five_runs_of_1000_a_side(statistic):
+    groups = log_normal_groups(200, 5, 1000, 0.05, seed=5)
+    pairs = zip(groups[::2], 1.2 * groups[1::2], strict=True)
+    verdicts = [change_of_runs(runs_of(base), runs_of(new), statistic).verdict(0.05) for base, new in pairs]
+    assert np.mean([verdict is Verdict.WORSE for verdict in verdicts]) >= 0.8
+
+
+def test_the_smallest_ratio_is_found_in_80_of_100():
+    groups = log_normal_groups(800, 5, 300, 0.05, seed=6)
+    pairs = list(zip(groups[::2], groups[1::2], strict=True))
+    smallest = np.mean(
+        [change_of_runs(runs_of(base), runs_of(new), P50).smallest_ratio for base, new in pairs]
+    )
+    found = [change_of_runs(runs_of(base), runs_of(smallest * new), P50).ratio_low > 1 for base, new in pairs]
+    assert np.mean(found) == pytest.approx(0.8, abs=0.06)

@@ -1,0 +1,58 @@
+"""Two modes: known mixtures, and distributions that have one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from drawn_series import autoregressive
+
+from dds_trace.analyzer.run_statistics.bursts import share_inflation
+from dds_trace.analyzer.run_statistics.modes import find_modes
+
+GENERATOR = np.random.default_rng(1)
+ONE_MODE = {
+    "normal": lambda n: GENERATOR.normal(10, 1, n),
+    "log-normal": lambda n: np.exp(GENERATOR.standard_normal(n)),
+    "exponential": lambda n: GENERATOR.exponential(1, n) + 0.01,
+    "pareto": lambda n: GENERATOR.pareto(2, n) + 1,
+    "uniform": lambda n: GENERATOR.random(n) + 1,
+}
+
+
+def test_two_modes_are_found_where_they_are():
+    values = np.exp(0.15 * GENERATOR.standard_normal(2000))
+    values[: 2000 * 3 // 10] *= 4
+    found = find_modes(GENERATOR.permutation(values))
+    assert found.low == pytest.approx(1, rel=0.1)
+    assert found.high == pytest.approx(4, rel=0.1)
+    assert found.share == pytest.approx(0.3, abs=0.02)
+    assert found.valley < 0.1
+
+
+@pytest.mark.parametrize("name", ONE_MODE)
+@pytest.mark.parametrize("messages", [300, 3000])
+def test_one_mode_is_never_two(name, messages):
+    found = [find_modes(ONE_MODE[name](messages)) for _ in range(200)]
+    assert sum(modes is not None for modes in found) <= 1
+
+
+def test_correlated_messages_make_no_modes():
+    runs = np.exp(0.5 * autoregressive(300, 1000, 0.95, seed=2))
+    found = [find_modes(run, share_inflation(np.flatnonzero(run > np.median(run)), 1000)) for run in runs]
+    assert sum(modes is not None for modes in found) <= 3
+
+
+def test_a_few_late_messages_are_a_tail():
+    values = np.exp(0.1 * GENERATOR.standard_normal(2000))
+    values[:100] *= 10
+    assert find_modes(values) is None
+
+
+def test_ticks_of_a_clock_are_no_modes():
+    assert find_modes(GENERATOR.integers(1, 4, 5000) * 1_000_000) is None
+
+
+def test_few_messages_do_not_tell():
+    assert find_modes(np.array([1.0, 10.0] * 99)) is None
+    assert find_modes(np.exp(GENERATOR.standard_normal(3000)), inflation=20) is None
+    assert find_modes(np.full(1000, 5)) is None

@@ -1,0 +1,134 @@
+"""Received ratios: limits by hand, episodes, runs that differ, coverage by drawing."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dds_trace.analyzer.run_statistics.change import Verdict
+from dds_trace.analyzer.run_statistics.delivery import change_of_received
+from dds_trace.analyzer.run_statistics.received import received_interval, wilson_ends
+from dds_trace.analyzer.statistics.intervals import Basis
+
+
+def losing(messages: int, *lost: tuple[int, int]):
+    """A run that loses all messages from one number up to another."""
+    received = np.ones(messages, np.bool_)
+    for first, end in lost:
+        received[first:end] = False
+    return received
+
+
+def test_nothing_lost_is_garwoods_limit():
+    found = received_interval([losing(1000)] * 3)
+    assert (found.value, found.upper, found.episodes) == (1.0, 1.0, 0)
+    assert found.lower == pytest.approx(1 - 3.68888 / 3000, abs=1e-8)
+    assert found.basis is Basis.BETWEEN_RUNS
+
+
+def test_one_outage_is_one_event():
+    # Garwood of one: 0.02532 to 5.5716 episodes; of 30 messages each below, of 2 * 30 - 1 above.
+    found = received_interval([losing(5000, (700, 730))])
+    assert (found.value, found.episodes, found.basis) == (0.994, 1, Basis.WITHIN_RUN)
+    assert found.upper == pytest.approx(1 - 0.0253178 * 30 / 5000, abs=1e-7)
+    assert found.lower == pytest.approx(1 - 5.5716434 * 59 / 5000, abs=1e-7)
+
+
+def test_unlike_outages_count_by_the_message():
+    # Sizes 1 and 99: a lost message is in an outage of (1 + 99^2) / 100 = 98.02 on average; 2 mean - 1 is 99.
+    found = received_interval([losing(5000, (100, 101), (700, 799))])
+    assert found.lower == pytest.approx(1 - 7.2246877 * 99 / 5000, abs=1e-7)
+
+
+def test_what_is_rarer_is_counted():
+    silent = received_interval([~losing(1000)])
+    assert (silent.value, silent.lower) == (0.0, 0.0)
+    assert silent.upper == pytest.approx(3.68888 / 1000, abs=1e-8)
+    few = received_interval([~losing(5000, (700, 730))])
+    assert (few.value, few.episodes) == (0.006, 1)
+
+
+def test_without_messages_there_is_no_ratio():
+    found = received_interval([])
+    assert (found.value, found.lower, found.upper, found.samples) == (None, None, None, 0)
+    assert received_interval([np.empty(0, np.bool_)]).value is None
+
+
+def test_wilson_by_hand():
+    # 5 of 10: centre 1/2, reach 1.96 sqrt(0.025 + 0.0096) / 1.384 = 0.2634.
+    assert wilson_ends(0.5, 10, 1.959964) == (
+        pytest.approx(0.2366, abs=1e-4),
+        pytest.approx(0.7634, abs=1e-4),
+    )
+
+
+def test_runs_that_lose_unlike_shares_widen():
+    generator = np.random.default_rng(1)
+    alike = [generator.random(2000) > 0.05 for _ in range(5)]
+    unlike = [generator.random(2000) > share for share in (0.01, 0.03, 0.05, 0.07, 0.09)]
+    widths = [found.upper - found.lower for found in map(received_interval, (alike, unlike))]
+    assert widths[1] > 2.5 * widths[0]
+    # By hand: shares 1 ... 9 %, deviation 3.16 %, / sqrt(5) * 2.776 = 3.9 % to either side.
+    assert widths[1] == pytest.approx(2 * 0.039, rel=0.15)
+
+
+@pytest.mark.parametrize("runs", [1, 3, 5])
+def test_nineteen_of_twenty_hold_single_losses(runs):
+    draws = np.random.default_rng(2).random((400, runs, 1000)) > 0.03
+    found = [received_interval(list(group)) for group in draws]
+    assert 0.92 <= np.mean([i.lower <= 0.97 <= i.upper for i in found]) <= 0.995
+
+
+@pytest.mark.parametrize("runs", [1, 3, 5, 10])
+def test_most_hold_outages(runs):
+    # Outages of 20 begin at any message with 1 in 1000: 2 % are lost, at first in two outages a run.
+    generator, held, seen = np.random.default_rng(3), 0, 0
+    for _ in range(300):
+        group = []
+        for begins in generator.random((runs, 1019)) < 0.001:
+            lost = np.convolve(begins, np.ones(20))[19:1019] > 0
+            group.append(~lost)
+        found = received_interval(group)
+        if found.episodes:
+            seen += 1
+            held += found.lower <= 0.999**20 <= found.upper
+    assert held / seen >= 0.85
+
+
+@given(
+    group=st.lists(st.lists(st.booleans(), min_size=1, max_size=80), min_size=1, max_size=6),
+    confidence=st.sampled_from([0.8, 0.95, 0.99]),
+)
+@settings(deadline=None)
+def test_ends_lie_between_none_and_all(group, confidence):
+    runs = [np.array(run) for run in group]
+    found = received_interval(runs, confidence)
+    assert 0 <= found.lower <= found.value + 1e-12
+    assert found.value - 1e-12 <= found.upper <= 1
+    mirrored = received_interval([~run for run in runs], confidence)
+    if not math.isclose(found.value, 0.5):
+        assert mirrored.lower == pytest.approx(1 - found.upper, abs=1e-12)
+
+
+def test_a_side_that_loses_more_is_worse():
+    generator = np.random.default_rng(4)
+    base = [generator.random(2000) > 0.001 for _ in range(5)]
+    new = [generator.random(2000) > 0.03 for _ in range(5)]
+    change = change_of_received(base, new)
+    assert change.difference == pytest.approx(-0.029, abs=0.005)
+    assert change.difference_high < 0
+    assert change.verdict() is Verdict.WORSE
+    assert change_of_received(new, base).verdict() is Verdict.BETTER
+    assert change_of_received(base[:2], new).verdict() is Verdict.INCONCLUSIVE
+    assert change_of_received(base, base).verdict(same_within=0.01) is Verdict.SAME
+    assert change_of_received(base, []).difference is None
+
+
+def test_equal_losses_are_rarely_told_apart():
+    draws = np.random.default_rng(5).random((300, 2, 5, 500)) > 0.02
+    verdicts = [change_of_received(list(base), list(new)).verdict() for base, new in draws]
+    assert np.mean([verdict is not Verdict.INCONCLUSIVE for verdict in verdicts]) <= 0.07

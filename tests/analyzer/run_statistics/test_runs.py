@@ -1,0 +1,45 @@
+"""Runs: quantiles by the median-unbiased definition, lost messages, runs joined."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dds_trace.analyzer.run_statistics.runs import MEAN, Run, Statistic, joined_runs, quantile_at
+
+
+@given(values=st.lists(st.integers(0, 10**12), min_size=1, max_size=80), q=st.floats(0.01, 0.99))
+def test_quantiles_are_numpys_median_unbiased(values, q):
+    found = Statistic(q).of_run(Run(np.array(values, np.int64)))
+    assert found == pytest.approx(float(np.quantile(values, q, method="median_unbiased")), rel=1e-9, abs=1e-3)
+
+
+def test_a_statistic_by_hand():
+    run = Run(np.array([40, 10, 30, 20]))
+    # Definition 8: position (4 + 1/3) / 2 + 1/3 = 2.5.
+    assert Statistic(0.5).of_run(run) == 25.0
+    assert Statistic(0.99).of_run(run) == 40.0
+    assert MEAN.of_run(run) == 25.0
+    assert (MEAN.needs, Statistic(0.5).needs, Statistic(0.99).needs) == (1, 1, 100)
+
+
+def test_lost_messages_are_infinitely_late():
+    run = Run(np.array([1.0, math.inf, 2.0, math.inf]))
+    assert Statistic(0.5).of_run(run) == math.inf
+    assert Statistic(0.3).of_run(run) < 2
+    assert MEAN.of_run(run) == math.inf
+    assert quantile_at(np.array([math.inf, math.inf]), 1.5) == math.inf
+
+
+def test_joined_runs_follow_each_other_in_time():
+    first = Run(np.array([1, 2, 3]), np.array([100, 110, 120]))
+    second = Run(np.array([4, 5]), np.array([5_000, 5_020]))
+    joined = joined_runs([first, second])
+    assert joined.values.tolist() == [1, 2, 3, 4, 5]
+    assert np.diff(joined.sent_ns).tolist() == [10, 10, 20, 20]
+    assert joined_runs([first]) is first
+    assert joined_runs([first, Run(np.array([7]))]).sent_ns is None

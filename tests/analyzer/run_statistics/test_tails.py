@@ -1,0 +1,117 @@
+"""Tails of groups: thresholds with ties and losses, levels of runs set aside."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dds_trace.analyzer.run_statistics.runs import Run
+from dds_trace.analyzer.run_statistics.tails import (
+    Levels,
+    Tail,
+    Threshold,
+    episodes_of,
+    levels_of,
+    tails_of,
+    threshold_of,
+)
+
+
+def threshold_alone(values, quantile):
+    runs = [Run(values)]
+    return threshold_of(runs, levels_of(runs), quantile)
+
+
+def test_the_tail_begins_at_an_order_statistic():
+    values = np.random.default_rng(1).permutation(100)
+    assert threshold_alone(values, 0.9) == Threshold(89.0, is_upper=True, is_part=False)
+    assert threshold_alone(values, 0.1) == Threshold(10.0, is_upper=False, is_part=False)
+
+
+@given(
+    groups=st.lists(
+        st.lists(st.integers(1, 50) | st.just(math.inf), min_size=1, max_size=40), min_size=1, max_size=5
+    ),
+    quantile=st.sampled_from([0.01, 0.1, 0.5, 0.9, 0.99]),
+)
+@settings(deadline=None)
+def test_a_group_has_the_threshold_of_all_its_values(groups, quantile):
+    runs = [Run(np.array(values, np.float64)) for values in groups]
+    levels = levels_of(runs)
+    relative = [levels.relative(run.values, level) for run, level in zip(runs, levels.of_runs, strict=True)]
+    assert threshold_of(runs, levels, quantile) == threshold_alone(np.concatenate(relative), quantile)
+
+
+@pytest.mark.parametrize(("quantile", "messages"), [(0.9, 10), (0.99, 10), (0.5, 10), (0.2, 90), (0.05, 90)])
+def test_equal_values_are_part_of_the_tail_if_that_fits_better(quantile, messages):
+    # Ninety 1 and ten 2. p90 is 1, and 2 lies beyond; p99 is 2, and nothing else does; p20 and p5 are 1.
+    values = np.array([1] * 90 + [2] * 10)
+    assert threshold_alone(values, quantile).is_beyond(values).sum() == messages
+
+
+def test_beyond_what_is_all_the_same_lies_nothing():
+    (tail,) = tails_of([Run(np.full(50, 7))], 0.9)
+    assert (tail.messages, tail.inflation, episodes_of([tail])) == (0, 1.0, None)
+
+
+def test_beyond_an_infinite_threshold_are_the_lost():
+    values = np.arange(1000.0)
+    values[300:350] = math.inf
+    (tail,) = tails_of([Run(values)], 0.99)
+    assert (tail.messages, tail.sizes.tolist()) == (50, [50])
+    assert tail.inflation > 10
+
+
+def test_a_run_without_a_burst_has_no_episode():
+    quiet, loud = (Run(draw + 1) for draw in np.random.default_rng(1).random((2, 1000)))
+    loud.values[[100, 101, 102, 103, 500, 501, 502, 503]] = 50.0
+    tails = tails_of([quiet, loud], 0.996)
+    assert [tail.sizes.tolist() for tail in tails] == [[], [4, 4]]
+    assert episodes_of(tails) == 2
+
+
+def test_a_run_that_is_slower_throughout_is_no_episode():
+    generator = np.random.default_rng(2)
+    runs = [Run(level * (1 + 0.1 * generator.random(1000))) for level in (1.0, 2.0, 3.0)]
+    assert [tail.messages for tail in tails_of(runs, 0.5)] == [500, 500, 500]
+    assert episodes_of(tails_of(runs, 0.99)) > 20
+
+
+def tail_of(*sizes):
+    return Tail(sum(sizes), np.array(sizes, np.int64), 1.0)
+
+
+def test_runs_without_an_episode_limit_the_number():
+    # Thirty single messages in one of three runs: mean 10, variance 300, variation 3.
+    # Chi-square of two degrees, 95 %: 5.99 / 2 (2.97 by the cube), times 3 runs / 3.
+    assert episodes_of([tail_of(*[1] * 30), tail_of(), tail_of()]) == 3
+    # 12, 10 and 8: variation 4 / 100, as many as 223 episodes would be likely, and 30 there are.
+    assert episodes_of([tail_of(*[1] * 12), tail_of(*[1] * 10), tail_of(*[1] * 8)]) == 30
+    assert episodes_of([tail_of(*[1] * 10)] * 3) == 30
+    assert episodes_of([tail_of(*[1] * 30), tail_of()]) == 30  # two runs tell nothing of their spread
+
+
+def test_levels_that_are_not_positive_are_taken_off():
+    assert levels_of([Run(np.array([-2, -1, 0])), Run(np.array([4, 5, 6]))]) == Levels(
+        (-1, 5), is_ratio=False
+    )
+    assert levels_of([Run(np.array([1, 2, 3])), Run(np.array([4, 5, 6]))]) == Levels((2, 5), is_ratio=True)
+
+
+def test_a_run_that_lost_most_is_given_the_level_of_the_others():
+    runs = [Run(np.array([2.0, math.inf, math.inf])), Run(np.array([3.0, 4.0, 5.0]))]
+    assert levels_of(runs) == Levels((4, 4), is_ratio=True)
+    assert levels_of([Run(np.full(3, math.inf))] * 2) == Levels((0, 0), is_ratio=False)
+
+
+def test_a_pause_of_the_sender_ends_an_episode():
+    values = np.ones(200)
+    values[[50, 51, 52, 53]] = 9
+    evenly_ns = np.arange(200) * 1_000_000
+    paused_ns = evenly_ns + np.where(np.arange(200) > 51, 60_000_000_000, 0)
+    assert [tail.sizes.tolist() for tail in tails_of([Run(values, evenly_ns)], 0.98)] == [[4]]
+    assert [tail.sizes.tolist() for tail in tails_of([Run(values, paused_ns)], 0.98)] == [[2, 2]]

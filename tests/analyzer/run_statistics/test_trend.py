@@ -1,0 +1,51 @@
+"""Trends: by hand, known rises, false alarms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from drawn_series import autoregressive
+
+from dds_trace.analyzer.run_statistics.trend import BLOCKS, block_medians, find_trend
+
+
+def test_blocks_are_equally_long():
+    assert block_medians(np.array([3, 1, 2, 9, 8, 7, 5]), 2).tolist() == [2, 8]
+
+
+def test_a_straight_line_by_hand():
+    # 128 messages in 32 blocks of four, medians 1.5, 5.5 ... plus 100: from 101.5 to 225.5.
+    trend = find_trend(100 + np.arange(4 * BLOCKS))
+    assert trend.change == pytest.approx(225.5 / 101.5 - 1)
+    assert trend.p_value < 1e-4
+    assert trend.is_sure(0.5)
+    assert not trend.is_sure(1.5)
+    fall = find_trend(300 - np.arange(4 * BLOCKS))
+    assert fall.change == pytest.approx(174.5 / 298.5 - 1)
+    assert fall.is_sure()
+
+
+def test_short_and_constant_runs():
+    assert find_trend(np.ones(4 * BLOCKS - 1)) is None
+    constant = find_trend(np.full(1000, 7))
+    assert (constant.change, constant.p_value, constant.is_sure()) == (0.0, 1.0, False)
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.5, 0.8, 0.95])
+@pytest.mark.parametrize("messages", [300, 1000])
+def test_runs_without_a_trend_rarely_have_one(correlation, messages):
+    runs = np.exp(0.5 * autoregressive(600, messages, correlation, seed=1))
+    assert np.mean([find_trend(run).is_sure() for run in runs]) <= 0.01
+
+
+def test_a_rise_is_found():
+    rise = np.exp(np.linspace(0, 0.5, 1000))
+    found = [find_trend(rise * np.exp(0.5 * run)) for run in autoregressive(200, 1000, 0.0, seed=2)]
+    assert np.mean([trend.is_sure(0.1) for trend in found]) >= 0.9
+    assert np.median([trend.change for trend in found]) == pytest.approx(np.exp(0.5) - 1, rel=0.1)
+
+
+def test_a_burst_is_no_trend():
+    values = np.exp(0.3 * np.random.default_rng(3).standard_normal(1000))
+    values[900:960] *= 10
+    assert not find_trend(values).is_sure()

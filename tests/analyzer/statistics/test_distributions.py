@@ -1,0 +1,117 @@
+"""Student's t, its power and Poisson limits: closed forms, stored values of a library, and drawing."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dds_trace.analyzer.statistics.distributions import (
+    incomplete_beta,
+    poisson_cdf,
+    poisson_limits,
+    shift_for_power,
+    student_cdf,
+    student_quantile,
+)
+
+
+@pytest.mark.parametrize("probability", [0.6, 0.9, 0.975, 0.9995])
+def test_quantiles_with_one_two_and_four_degrees_have_closed_forms(probability):
+    # W. T. Shaw, "Sampling Student's T distribution", 2006: 1 is Cauchy's; 2 and 4 are roots of polynomials.
+    alpha = 4 * probability * (1 - probability)
+    assert student_quantile(probability, 1) == pytest.approx(
+        math.tan(math.pi * (probability - 0.5)), rel=1e-9
+    )
+    assert student_quantile(probability, 2) == pytest.approx(
+        2 * (probability - 0.5) * math.sqrt(2 / alpha), rel=1e-9
+    )
+    root = math.cos(math.acos(math.sqrt(alpha)) / 3) / math.sqrt(alpha)
+    assert student_quantile(probability, 4) == pytest.approx(2 * math.sqrt(root - 1), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("probability", "degrees", "quantile"),
+    [  # scipy.stats.t.ppf of scipy 1.17.1
+        (0.975, 0.7, 36.611415031588656),
+        (0.975, 3, 3.1824463052837078),
+        (0.975, 7.3, 2.345066736547703),
+        (0.995, 9, 3.249835541592126),
+        (0.9, 30, 1.3104150253913955),
+        (0.975, 5000, 1.9604385517065073),
+    ],
+)
+def test_quantiles_are_those_of_a_library(probability, degrees, quantile):
+    assert student_quantile(probability, degrees) == pytest.approx(quantile, rel=1e-9)
+
+
+@given(t=st.floats(-50, 50), degrees=st.floats(0.5, 500))
+@settings(deadline=None)
+def test_the_distribution_is_symmetric_and_its_quantile_leads_back(t, degrees):
+    probability = student_cdf(t, degrees)
+    assert probability + student_cdf(-t, degrees) == pytest.approx(1.0, abs=1e-12)
+    if 1e-6 < probability < 1 - 1e-6:
+        assert student_quantile(probability, degrees) == pytest.approx(t, abs=1e-6 * max(1, abs(t)))
+
+
+def test_infinite_degrees_are_the_normal_distribution():
+    assert student_cdf(1.959963984540054, math.inf) == pytest.approx(0.975, abs=1e-12)
+    assert student_cdf(math.inf, 3) == 1.0
+    assert student_cdf(-math.inf, 3) == 0.0
+
+
+def test_incomplete_beta_of_whole_numbers_is_a_binomial_sum():
+    # I_x(a, b) = P(binomial(a + b - 1, x) >= a)
+    tail = sum(math.comb(9, k) * 0.3**k * 0.7 ** (9 - k) for k in range(4, 10))
+    assert incomplete_beta(0.3, 4, 6) == pytest.approx(tail, rel=1e-13)
+    assert incomplete_beta(0.0, 4, 6) == 0.0
+    assert incomplete_beta(1.0, 4, 6) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("degrees", "shift"),
+    [  # the root of scipy.stats.nct.sf(t, degrees, shift) = 0.8
+        (2, 5.65348926640557),
+        (4, 3.7610602610043022),
+        (8, 3.2009222385156204),
+        (98, 2.8294146753960376),
+    ],
+)
+def test_shifts_are_those_of_the_noncentral_t(degrees, shift):
+    assert shift_for_power(degrees) == pytest.approx(shift, abs=1e-8)
+
+
+def test_a_true_difference_of_that_shift_is_found_in_80_of_100():
+    samples = np.random.default_rng(1).standard_normal((20_000, 5)) + shift_for_power(4) / math.sqrt(5)
+    t = samples.mean(axis=1) / samples.std(axis=1, ddof=1) * math.sqrt(5)
+    assert (t > student_quantile(0.975, 4)).mean() == pytest.approx(0.8, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("count", "low", "high"),
+    [  # F. Garwood 1936, table I
+        (0, 0.0, 3.689),
+        (1, 0.0253, 5.572),
+        (5, 1.623, 11.668),
+        (50, 37.11, 65.92),
+    ],
+)
+def test_poisson_limits_are_garwoods(count, low, high):
+    assert poisson_limits(count) == (pytest.approx(low, abs=6e-3), pytest.approx(high, abs=6e-3))
+
+
+@given(count=st.integers(1, 60))
+@settings(deadline=None)
+def test_poisson_limits_are_each_wrong_in_one_of_forty(count):
+    low, high = poisson_limits(count)
+    assert poisson_cdf(count, high) == pytest.approx(0.025, rel=1e-6)
+    assert 1 - poisson_cdf(count - 1, low) == pytest.approx(0.025, rel=1e-6)
+
+
+@pytest.mark.parametrize("bad", [0.0, 1.0, 97.5])
+def test_probabilities_are_no_percents(bad):
+    with pytest.raises(ValueError, match="between 0 and 1"):
+        student_quantile(bad, 4)

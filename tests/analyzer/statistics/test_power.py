@@ -1,0 +1,77 @@
+"""What could have been found and how much more it takes: by hand and by drawing."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dds_trace.analyzer.run_statistics.two_samples import welch_test
+from dds_trace.analyzer.statistics.distributions import student_quantile
+from dds_trace.analyzer.statistics.intervals import Basis, Interval
+from dds_trace.analyzer.statistics.power import (
+    messages_to_close,
+    runs_to_decide,
+    runs_to_narrow,
+    smallest_shift,
+)
+
+
+def interval(lower, upper, *, samples, independent, episodes):
+    return Interval(1.0, lower, upper, 0.95, samples, independent, Basis.BETWEEN_RUNS, 5, 5, episodes)
+
+
+def test_a_shift_counts_in_standard_errors():
+    assert smallest_shift(0.1, 4) == pytest.approx(0.37610603, rel=1e-6)
+    assert smallest_shift(0.1, 4.2) == pytest.approx(0.37610603, rel=1e-6)  # rounded down to a quarter
+    assert smallest_shift(0.1, 98) == pytest.approx(0.28294147, rel=1e-6)
+    assert smallest_shift(0.1, 4, power=0.9) > smallest_shift(0.1, 4)
+
+
+@pytest.mark.parametrize("distance", [0.04, 0.08, 0.2])
+def test_the_runs_that_it_takes_decide_in_80_of_100(distance):
+    runs = runs_to_decide(distance, 0.05, 0.05)
+    draws = np.random.default_rng(1).standard_normal((1500, 2, runs)) * 0.05
+    decided = []
+    for base, new in draws:
+        test = welch_test(base, new + distance)
+        decided.append(test.difference - test.reach(0.95) * test.error > 0)
+    assert np.mean(decided) >= 0.77  # a standard error of 1 %
+    if runs > 3:  # and one run less would not
+        fewer = smallest_shift(0.05 * math.sqrt(2 / (runs - 1)), 2 * (runs - 2))
+        assert fewer > distance
+
+
+def test_what_lies_at_the_limit_is_never_decided():
+    assert runs_to_decide(0.0, 0.05, 0.05) is None
+    assert runs_to_decide(1e-4, 0.05, 0.05) is None
+    assert runs_to_decide(-0.2, 0.0, 0.0) == 3
+    assert runs_to_decide(-0.2, 0.05, 0.05) == runs_to_decide(0.2, 0.05, 0.05)
+
+
+@given(distance=st.floats(0.02, 1), spread=st.floats(0.01, 0.2))
+@settings(deadline=None, max_examples=30)
+def test_more_spread_takes_more_runs(distance, spread):
+    few, many = runs_to_decide(distance, spread, spread), runs_to_decide(distance, 2 * spread, 2 * spread)
+    assert many is None or few <= many
+
+
+def test_the_runs_of_a_narrow_interval():
+    runs = runs_to_narrow(0.05, 0.05)
+    assert student_quantile(0.975, runs - 1) * 0.05 / math.sqrt(runs) <= 0.05
+    assert student_quantile(0.975, runs - 2) * 0.05 / math.sqrt(runs - 1) > 0.05
+    assert runs == 7  # t of 6 degrees 2.447 / sqrt(7) = 0.925; of 5 degrees 2.571 / sqrt(6) = 1.05
+    assert runs_to_narrow(0.0, 0.05) == 3
+    assert runs_to_narrow(0.05, 0.0) is None
+
+
+def test_messages_that_close_an_interval():
+    assert messages_to_close(interval(1, 2, samples=1000, independent=900, episodes=4), 0.99) == 0
+    # Four episodes in 1000 messages: ten take 2500.
+    assert messages_to_close(interval(1, None, samples=1000, independent=900, episodes=4), 0.99) == 1500
+    # 368 independent messages for p99; 100 of 1000 are: 3680.
+    assert messages_to_close(interval(1, None, samples=1000, independent=100, episodes=9), 0.99) == 2680
+    assert messages_to_close(interval(None, None, samples=0, independent=0, episodes=None), 0.99) is None

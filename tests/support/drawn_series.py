@@ -1,0 +1,24 @@
+"""Series with a known truth: correlated, in bursts, in runs that differ."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+
+def autoregressive(runs: int, messages: int, correlation: float, seed: int):
+    """Standard normal values whose neighbours correlate, shape (runs, messages)."""
+    values = np.random.default_rng(seed).standard_normal((messages, runs))
+    for place in range(1, messages):
+        values[place] = correlation * values[place - 1] + math.sqrt(1 - correlation**2) * values[place]
+    return values.T
+
+
+def log_normal_groups(
+    groups: int, runs: int, messages: int, spread: float, seed: int, correlation: float = 0.0
+):
+    """Groups of runs with median 1: messages spread by 50 %, runs by `spread`; shape (groups, runs, messages)."""
+    values = 0.5 * autoregressive(groups * runs, messages, correlation, seed)
+    levels = spread * np.random.default_rng([seed, 1]).standard_normal((groups * runs, 1))
+    return np.exp(values + levels).reshape(groups, runs, messages)

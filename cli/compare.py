@@ -177,7 +177,7 @@ def _print_table(comparison: "Comparison", results: "list[GateResult]") -> None:
         table.add_row(*map(Text, cells))
     console.print(table)
     for line in [*comparison_notes(comparison), *map(result_line, results)]:
-        console.print(Text(line))
+        console.print(Text(line), soft_wrap=True)
 
 
 def _with_survivors(value_ns: float | None, survivors_ns: float | None) -> str:

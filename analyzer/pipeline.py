@@ -14,7 +14,7 @@ from .engines.local import LocalEngine
 from .engines.merge import merge_results
 from .findings.evidence import Evidence
 from .findings.table import find_findings
-from .groups.batch import Wanted, group_exchanges
+from .groups.batch import DEADLINE_METRIC, Wanted, group_exchanges
 from .loading.events import total_copies
 from .loading.remote import is_remote
 from .pairing.exchanges import find_exchanges
@@ -58,6 +58,7 @@ def analyze(
     sketch: bool = False,
     details: bool = True,
     deadline_ns: int | None = None,
+    deadline_metric: str = DEADLINE_METRIC,
     job: Job | None = None,
 ) -> Analysis:
     """Analyze every trace in a folder.
@@ -80,6 +81,7 @@ def analyze(
         details: one-way times, `Analysis.details` and the findings that rest on them; without, these are null, empty
             and absent, and a large campaign takes a fraction of the time.
         deadline_ns: judge every message against it (`Analysis.details.freshness`).
+        deadline_metric: metric that the deadline is for: `response`, `latency`, `rtt`, `outbound` ...
         job: what to recommend settings for (`Analysis.details.recommendation`).
         progress: called before each trace is read with the number done, the number of all, and its path.
 
@@ -95,7 +97,13 @@ def analyze(
     else:
         engine = LocalEngine(target / CACHE_FOLDER if target and cache else None)
     try:
-        wanted = Wanted(rows=not sketch, details=details, deadline_ns=deadline_ns, job=job)
+        wanted = Wanted(
+            rows=not sketch,
+            details=details,
+            deadline_ns=deadline_ns,
+            deadline_metric=deadline_metric,
+            job=job,
+        )
         return _analyze(engine, folder, target, wanted, progress)
     finally:
         engine.close()

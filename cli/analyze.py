@@ -96,7 +96,9 @@ def main_command(
     deadline: Annotated[
         str | None,
         typer.Option(
-            metavar="TIME", help="Count messages later than this, such as 20ms.", show_default=False
+            metavar="TIME",
+            help="Count messages later than this, such as 20ms: planned send to reply, or '20ms metric=outbound'.",
+            show_default=False,
         ),
     ] = None,
     recommend: Annotated[
@@ -142,7 +144,7 @@ def main_command(
     from dds_trace.reports import write_reports
 
     target = default_output(folder) if out is None else out
-    deadline_ns = None if deadline is None else parse_duration(deadline, "--deadline")
+    deadline_ns, deadline_metric = _parse_deadline(deadline)
     job = None if recommend is None else parse_job(recommend)
     if topics:
         _show_topics(folder, target)
@@ -156,6 +158,7 @@ def main_command(
             cluster=cluster,
             sketch=sketch,
             deadline_ns=deadline_ns,
+            deadline_metric=deadline_metric,
             job=job,
         )
     reports = write_reports(analysis, report or ["terminal"], target)
@@ -172,6 +175,26 @@ def main_command(
     for finding in analysis.findings:
         if finding.severity is Severity.ERROR:
             print(f"{finding.where}: {finding.what} {finding.action}", file=sys.stderr)
+
+
+def _parse_deadline(text: str | None) -> tuple[int | None, str]:
+    """Return the deadline in ns, None for none, and the metric that it is for.
+
+    Raises:
+        OptionError: the time or the metric is not understood.
+    """
+    from dds_trace.analyzer.groups.batch import DEADLINE_METRIC, DEADLINE_METRICS
+    from dds_trace.tracefile import OptionError
+
+    if text is None:
+        return None, DEADLINE_METRIC
+    time, _, named = text.strip().partition(" ")
+    metric = named.strip().removeprefix("metric=") if named else DEADLINE_METRIC
+    if metric not in DEADLINE_METRICS:
+        raise OptionError(
+            f"--deadline {text!r}: there is no metric {metric!r}; write metric= and one of {', '.join(DEADLINE_METRICS)}"
+        )
+    return parse_duration(time, "--deadline"), metric
 
 
 def _show_topics(folder: Path, target: Path) -> None:

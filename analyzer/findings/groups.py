@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from dds_trace.tracefile.units.counts import counted
 from dds_trace.tracefile.units.durations import format_ms
 
+from ..model.environment import environment_differences
 from ..model.finding import Finding, Severity
 from ..model.metrics import METRICS
 from ..pairing.pair import Outcome
@@ -152,6 +153,30 @@ def mixed_labels(evidence: Evidence) -> Iterator[Finding]:
                 "Analyze them as separate folders, or compare them by run in roundtrips.parquet.",
                 (group,),
             )
+
+
+def unlike_group_environments(evidence: Evidence) -> Iterator[Finding]:
+    """Report groups whose runs had unlike environments, which nobody asked for."""
+    for group, members in enumerate(evidence.grouping.members()):
+        exchanges = [evidence.grouping.exchanges[member] for member in members]
+        differences = environment_differences((exchange.ping, exchange.relay) for exchange in exchanges)
+        if differences:
+            listed = "; ".join(
+                f"{name}: {some(values, 4)}" for name, values in list(differences.items())[:_FIELDS]
+            )
+            more = len(differences) - _FIELDS
+            yield Finding(
+                Severity.WARNING,
+                "environment_differs",
+                evidence.group_names[group],
+                f"Runs of unlike environments are summarized together ({listed}{f'; and {more} more' if more > 0 else ''}).",
+                "Analyze them as separate folders, or record again under equal conditions.",
+                (group,),
+            )
+
+
+_FIELDS = 5
+"""Fields of unlike environments that a finding lists."""
 
 
 def few_samples(evidence: Evidence) -> Iterator[Finding]:

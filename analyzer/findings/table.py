@@ -47,6 +47,7 @@ CHECKS: tuple[Check, ...] = (
     sides.unlike_versions,
     sides.wireless_on_one_machine,
     groups.mixed_labels,
+    groups.unlike_group_environments,
     sessions.unlike_environments,
     sessions.unclosed_sessions,
     sessions.doubtful_sessions,

@@ -10,6 +10,7 @@ import polars as pl
 
 from ..model.applied import words_not_applied
 from ..model.column import schema_of
+from ..model.metrics import METRICS
 from ..model.parameters import PARAMETER_COLUMNS, Parameters
 
 if TYPE_CHECKING:
@@ -21,6 +22,13 @@ if TYPE_CHECKING:
     from ..pairing.exchanges import Exchange
     from ..pairing.roundtrips import RoundTrips
     from ..verdicts.job import Job
+
+
+DEADLINE_METRIC = "response"
+"""Metric of a deadline unless another one is named: what a user with a schedule waits for."""
+
+DEADLINE_METRICS = (*METRICS, "outbound", "return")
+"""Metrics that a deadline can be for."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,12 +85,14 @@ class Wanted:
         rows: the rows of `roundtrips`; without, groups have histograms only.
         details: one-way times and the frames of `frames.DETAIL_MAKERS`; without, they take no time and have no rows.
         deadline_ns: a message later than this, or lost, misses its deadline; None judges none.
+        deadline_metric: metric that the deadline is for, one of `DEADLINE_METRICS`.
         job: what to recommend settings for.
     """
 
     rows: bool = True
     details: bool = True
     deadline_ns: int | None = None
+    deadline_metric: str = DEADLINE_METRIC
     job: Job | None = None
 
 

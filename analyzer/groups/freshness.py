@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
+from ..pairing.pair import LOSSES, Outcome
 from .age import age_of_information
 from .batch import grouped_rows, with_group
 from .outages import find_outages, longest_run, runs_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from numpy.typing import NDArray
 
@@ -24,6 +25,12 @@ if TYPE_CHECKING:
     Int64 = NDArray[np.int64]
     Bools = NDArray[np.bool_]
 
+
+ONE_WAY = ("outbound_ns", "return_ns")
+"""Metrics that are wrong by at most `clock_bound_ns`."""
+
+_NEVER = {"outbound_ns": (Outcome.LOST_OUTBOUND.value,)}
+"""Metric -> outcomes of messages that surely never made this way; any loss for a metric that is not here."""
 
 FRESHNESS_SCHEMA = {
     "run_id": pl.UInt64,
@@ -49,19 +56,30 @@ FRESHNESS_SCHEMA = {
 
 def freshness_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     """Summarize freshness: `group` u32, then the columns of `FRESHNESS_SCHEMA`, a row per run and relay."""
-    of_runs = summarize_freshness(grouped_rows(batch, roundtrips), batch.wanted.deadline_ns)
+    wanted = batch.wanted
+    runs = roundtrips.described.select("run_id", "relay_id").iter_rows()
+    unsent = dict(zip(runs, roundtrips.counts["unsent"].to_list(), strict=True))
+    of_runs = summarize_freshness(
+        grouped_rows(batch, roundtrips), wanted.deadline_ns, f"{wanted.deadline_metric}_ns", unsent
+    )
     return with_group(batch, roundtrips, of_runs)
 
 
 def outage_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     """List the outages: `group` u32, then the columns of `outage_table`, a row per outage."""
+    wanted = batch.wanted
     return with_group(
-        batch, roundtrips, outage_table(grouped_rows(batch, roundtrips), batch.wanted.deadline_ns)
+        batch,
+        roundtrips,
+        outage_table(grouped_rows(batch, roundtrips), wanted.deadline_ns, f"{wanted.deadline_metric}_ns"),
     )
 
 
 def summarize_freshness(
-    roundtrips: pl.DataFrame, deadline_ns: int | None = None, metric: str = "latency_ns"
+    roundtrips: pl.DataFrame,
+    deadline_ns: int | None = None,
+    metric: str = "response_ns",
+    unsent: Mapping[tuple[int, int], int] | None = None,
 ) -> pl.DataFrame:
     """Summarize deadline misses, age of information and outages: one row per run and relay.
 
@@ -69,11 +87,13 @@ def summarize_freshness(
         roundtrips: frame of `docs/trace-format.md`; with `outbound_ns` and `clock_bound_ns` the age at
             the relay is given too.
         deadline_ns: a message misses it if it is lost or its `metric` is larger. None: nothing is judged.
-        metric: column that the deadline is for.
+        metric: column that the deadline is for. Of `response_ns` a message without a schedule has its round trip. A
+            one-way time meets or misses the deadline surely, by its `clock_bound_ns`, or is not judged.
+        unsent: (run_id, relay_id) -> messages that were due and never left; they miss the deadline.
 
     Returns:
-        Sorted by run and relay. `messages` published; `judged` those whose fate against the deadline is known (a reply
-        without the relay's trace has no latency and is not judged); `missed`, `missed_ratio` of the judged,
+        Sorted by run and relay. `messages` published; `judged` those whose fate against the deadline is known, and the
+        unsent ones (a reply without the relay's trace has no latency and is not judged); `missed`, `missed_ratio` of the judged,
         `longest_missed` in a row and `longest_missed_ns` from the first one's planned time to the next in
         time; `age_*`: information that went to the relay and back, at the ping, exact on one clock; `relay_age_*`:
         at the relay, on the ping's clock, wrong by at most `clock_bound_ns`; `outages` of at least
@@ -82,7 +102,7 @@ def summarize_freshness(
     rows = []
     for run in _runs(roundtrips, metric):
         row: dict[str, object] = {"run_id": run.run_id, "relay_id": run.relay_id, "messages": len(run.lost)}
-        row |= _deadline(run, deadline_ns)
+        row |= _deadline(run, deadline_ns, (unsent or {}).get((run.run_id, run.relay_id), 0))
         row |= _ages(run)
         outages = find_outages(
             run.sequence, run.planned_ns, run.receive_ns, run.lost, _in_time(run, deadline_ns)
@@ -101,7 +121,7 @@ def summarize_freshness(
 def outage_table(
     roundtrips: pl.DataFrame,
     deadline_ns: int | None = None,
-    metric: str = "latency_ns",
+    metric: str = "response_ns",
 ) -> pl.DataFrame:
     """List outages for drawing: `run_id`, `relay_id` and the fields of `Outage`, times in ns (i64, null)."""
     schema = {
@@ -145,6 +165,8 @@ class _Run:
     lost: Bools
     value_ns: Int64
     known: Bools
+    never: Bools
+    either_way_ns: Int64
     publish_ns: Int64
     outbound_ns: Int64
     bound_ns: Int64
@@ -161,7 +183,11 @@ def _runs(roundtrips: pl.DataFrame, metric: str) -> Iterator[_Run]:
         "receive_ns",
         pl.coalesce("scheduled_ns", "publish_ns").alias("planned_ns"),
         (pl.col("outcome") != "completed").alias("lost"),
-        pl.col(metric).alias("value_ns"),
+        _value(metric).alias("value_ns"),
+        pl.col("outcome").is_in(_NEVER.get(metric, LOSSES)).alias("never"),
+        (pl.col("clock_bound_ns") if metric in ONE_WAY and aligned else pl.lit(0, pl.Int64)).alias(
+            "either_way_ns"
+        ),
         pl.col("outbound_ns") if aligned else pl.lit(None, pl.Int64).alias("outbound_ns"),
         pl.col("clock_bound_ns") if aligned else pl.lit(None, pl.Int64).alias("bound_ns"),
     ).rename({"clock_bound_ns": "bound_ns"} if aligned else {})
@@ -174,12 +200,21 @@ def _runs(roundtrips: pl.DataFrame, metric: str) -> Iterator[_Run]:
         **{
             n: frame[n].fill_null(0).to_numpy() for n in ("receive_ns", "value_ns", "outbound_ns", "bound_ns")
         },
+        "never": frame["never"].to_numpy(),
+        "either_way_ns": frame["either_way_ns"].fill_null(0).to_numpy(),
         "known": frame["value_ns"].is_not_null().to_numpy(),
         "aligned": frame["outbound_ns"].is_not_null().to_numpy(),
     }
     runs = [(*frame.row(start)[:2], start, stop) for start, stop in pairwise([*starts, len(frame)])]
     for run_id, relay_id, start, stop in sorted(runs):
         yield _Run(run_id, relay_id, **{name: values[start:stop] for name, values in columns.items()})
+
+
+def _value(metric: str) -> pl.Expr:
+    """Return the time that the deadline is for, of a response from T1 where there was no schedule."""
+    if metric == "response_ns":
+        return pl.coalesce("response_ns", pl.col("receive_ns") - pl.col("publish_ns"))
+    return pl.col(metric)
 
 
 def _starts(frame: pl.DataFrame) -> list[int] | None:
@@ -196,27 +231,31 @@ def _starts(frame: pl.DataFrame) -> list[int] | None:
 def _in_time(run: _Run, deadline_ns: int | None) -> Bools:
     """Tell which messages came within the deadline; without one, within the time that 90 % of the run's messages took."""
     if deadline_ns is not None:
-        return run.known & (run.value_ns <= deadline_ns)
+        return run.known & (run.value_ns + run.either_way_ns <= deadline_ns)
     usual = run.receive_ns - run.planned_ns
     arrived = usual[~run.lost]
     return ~run.lost & (usual <= (np.quantile(arrived, 0.9) if len(arrived) else 0))
 
 
-def _deadline(run: _Run, deadline_ns: int | None) -> dict[str, object]:
+def _deadline(run: _Run, deadline_ns: int | None, unsent: int) -> dict[str, object]:
     if deadline_ns is None:
         return {"deadline_ns": None}
-    judged = run.lost | run.known
-    missed = run.lost | (run.known & (run.value_ns > deadline_ns))
+    late = run.known & (run.value_ns - run.either_way_ns > deadline_ns)
+    missed = run.never | late
+    judged = missed | (run.known & (run.value_ns + run.either_way_ns <= deadline_ns))
     lengths_ns = []
     for start, stop in runs_of(missed):
         end_ns = run.planned_ns[stop] if stop < len(missed) else run.planned_ns[stop - 1]
         lengths_ns.append(int(end_ns - run.planned_ns[start]))
+    # Those that never left were due after the last one that did.
+    ending = len(missed) - int(np.flatnonzero(~missed)[-1]) - 1 if not missed.all() else len(missed)
+    all_judged, all_missed = int(judged.sum()) + unsent, int(missed.sum()) + unsent
     return {
         "deadline_ns": deadline_ns,
-        "judged": int(judged.sum()),
-        "missed": int(missed.sum()),
-        "missed_ratio": float(missed.sum() / judged.sum()) if judged.any() else None,
-        "longest_missed": longest_run(missed),
+        "judged": all_judged,
+        "missed": all_missed,
+        "missed_ratio": all_missed / all_judged if all_judged else None,
+        "longest_missed": max(longest_run(missed), ending + unsent if unsent else 0),
         "longest_missed_ns": max(lengths_ns, default=0),
     }
 

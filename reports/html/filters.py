@@ -64,6 +64,7 @@ _FILTERS: tuple[tuple[str, str, Callable[[Cell, Series], Option]], ...] = (
     ("backend", "Backend", lambda _, s: _same(visible(s.backend))),
     ("serialization", "Serialization", lambda _, s: _same(visible(s.serialization))),
     ("link", "Link", lambda _, s: _same(visible(s.connectivity))),
+    ("setting", "Setting", lambda _, s: Option(visible(s.setting), visible(s.setting) or "nothing else set")),
 )
 
 

@@ -12,7 +12,7 @@ from dds_trace.analyzer.groups.freshness import outage_table, summarize_freshnes
 def test_deadline_misses_are_counted_with_their_longest_run():
     # One message each 100 ms, deadline 20 ms:      ok  late  lost  late   ok   ok  late
     frame = steady([5 * MS, 30 * MS, None, 21 * MS, 20 * MS, 5 * MS, 90 * MS])
-    row = summarize_freshness(frame, deadline_ns=20 * MS).row(0, named=True)
+    row = summarize_freshness(frame, deadline_ns=20 * MS, metric="latency_ns").row(0, named=True)
     assert (row["messages"], row["judged"], row["missed"]) == (7, 7, 4)
     assert row["missed_ratio"] == pytest.approx(4 / 7)
     assert (row["longest_missed"], row["longest_missed_ns"]) == (3, 300 * MS)  # from 100 ms to 400 ms
@@ -27,7 +27,7 @@ def test_without_a_deadline_nothing_is_judged():
 
 def test_a_reply_without_the_relays_trace_is_judged_on_rtt_only():
     frame = roundtrips([{"publish_ns": 0, "receive_ns": 10 * MS}, {"publish_ns": 100 * MS}])
-    by_latency = summarize_freshness(frame, deadline_ns=20 * MS).row(0, named=True)
+    by_latency = summarize_freshness(frame, deadline_ns=20 * MS, metric="latency_ns").row(0, named=True)
     assert (by_latency["judged"], by_latency["missed"]) == (1, 1)
     by_rtt = summarize_freshness(frame, deadline_ns=20 * MS, metric="rtt_ns").row(0, named=True)
     assert (by_rtt["judged"], by_rtt["missed"]) == (2, 1)
@@ -108,3 +108,30 @@ def test_without_messages_there_is_nothing_to_summarize():
     assert outage_table(steady([])).is_empty()
     row = summarize_freshness(steady([None, None, None]), deadline_ns=1).row(0, named=True)
     assert (row["missed"], row["age_mean_ns"], row["outages"], row["outage_longest_ns"]) == (3, None, 1, None)
+
+
+def test_a_deadline_is_for_the_response_unless_another_metric_is_named():
+    # Sent 15 ms late, back 10 ms later: the response is 25 ms, the round trip 10 ms.
+    frame = roundtrips([{"scheduled_ns": 0, "publish_ns": 15 * MS, "receive_ns": 25 * MS}])
+    assert summarize_freshness(frame, deadline_ns=20 * MS)["missed"].to_list() == [1]
+    assert summarize_freshness(frame, deadline_ns=20 * MS, metric="rtt_ns")["missed"].to_list() == [0]
+
+
+def test_messages_that_never_left_miss_the_deadline():
+    frame = roundtrips(
+        [{"publish_ns": 0, "receive_ns": 10 * MS}, {"publish_ns": 100 * MS}], run_id=4, relay_id=7
+    )
+    row = summarize_freshness(frame, deadline_ns=20 * MS, unsent={(4, 7): 3}).row(0, named=True)
+    assert (row["messages"], row["judged"], row["missed"], row["longest_missed"]) == (2, 5, 4, 4)
+    assert row["missed_ratio"] == 0.8
+
+
+def test_a_one_way_deadline_is_surely_met_surely_missed_or_cannot_be_told():
+    # 5, 19, 21, 30 ms out, each wrong by at most 2 ms, deadline 20 ms; one lost on its way out, one on its way back.
+    ways = [
+        {"outbound_ns": ms * MS, "clock_bound_ns": 2 * MS, "receive_ns": 50 * MS} for ms in (5, 19, 21, 30)
+    ]
+    lost = [{"outcome": "lost_outbound"}, {"outcome": "lost_return"}]
+    frame = roundtrips({"publish_ns": 0, "sequence": n, **row} for n, row in enumerate([*ways, *lost]))
+    row = summarize_freshness(frame, deadline_ns=20 * MS, metric="outbound_ns").row(0, named=True)
+    assert (row["messages"], row["judged"], row["missed"]) == (6, 3, 2)

@@ -6,6 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import polars as pl
+
 from .analysis import Analysis
 from .details import collect_details
 from .engines.batches import groups_in_parts, plan_batches
@@ -15,6 +17,7 @@ from .engines.merge import merge_results
 from .findings.evidence import Evidence
 from .findings.table import find_findings
 from .groups.batch import DEADLINE_METRIC, Wanted, group_exchanges
+from .groups.shapes import SHAPE_SCHEMA
 from .loading.events import total_copies
 from .loading.remote import is_remote
 from .pairing.exchanges import find_exchanges
@@ -140,6 +143,7 @@ def _analyze(
         wanted=wanted,
         stale_rows=stale_rows if stale_rows and stale_rows.exists() else None,
         sending=merged.frames["sending"],
+        shapes=merged.frames.get("shapes", pl.DataFrame(schema=SHAPE_SCHEMA)),
     )
     if out is not None:
         write_summary(merged.summary.frame, outputs["summary"])

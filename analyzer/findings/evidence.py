@@ -42,6 +42,7 @@ class Evidence:
         wanted: what was asked for.
         stale_rows: file with the rows of an earlier analysis, which this one does not replace.
         sending: how each run was sent (`sending.sending_frame`).
+        shapes: what the latency of each run does over its time (`shapes.shape_frame`); empty without details.
     """
 
     campaign: Campaign
@@ -54,6 +55,7 @@ class Evidence:
     wanted: Wanted
     stale_rows: Path | None
     sending: pl.DataFrame
+    shapes: pl.DataFrame
 
     def counts_by_run(self) -> dict[int, tuple[Exchange, dict[str, int]]]:
         """Return for each run_id one exchange of the run (all share run and T1) and its row of counts."""

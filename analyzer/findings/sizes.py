@@ -6,11 +6,14 @@ from collections import defaultdict
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
+import polars as pl
+
 from dds_trace.tracefile.units.durations import format_ms
 
 from ..model.applied import SHARED_MEMORY, UNKNOWN, maps_memory, payload_path, udp_receive_buffer_bytes
 from ..model.finding import Finding, Severity
 from ..model.parameters import SIZE_LINE_COLUMNS
+from ..statistics.intervals import RUNS_TO_TELL
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -28,8 +31,14 @@ _JUMP = 2.0
 
 
 def unlike_sizes(evidence: Evidence) -> Iterator[Finding]:
-    """Report neighbouring sizes, all else equal, between whose p50 intervals the latency surely falls or jumps."""
-    medians = evidence.details.intervals.filter(metric="latency", percentile="p50").drop_nulls("method")
+    """Report neighbouring sizes, all else equal, between whose p50 intervals the latency surely falls or jumps.
+
+    Only intervals that rest on runs count: within one run they leave out what differs from run to run. Of 20,000
+    simulated pairs of equal sizes, three or five runs each that differ by 5 %, 0.2 and 0.3 % fall.
+    """
+    medians = evidence.details.intervals.filter(
+        pl.col("runs") >= RUNS_TO_TELL, metric="latency", percentile="p50"
+    ).drop_nulls("method")
     interval = {row["group"]: row for row in medians.iter_rows(named=True)}
     lines: dict[tuple[ParameterValue, ...], list[tuple[int, int]]] = defaultdict(list)
     for group, row in enumerate(evidence.grouping.parameters.iter_rows(named=True)):

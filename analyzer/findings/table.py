@@ -11,7 +11,21 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from ..model.finding import Finding, Severity
-from . import applied, clocks, devices, groups, left_out, runs, sending, sessions, sides, sizes, sources, wire
+from . import (
+    applied,
+    clocks,
+    devices,
+    groups,
+    left_out,
+    runs,
+    sending,
+    sessions,
+    shapes,
+    sides,
+    sizes,
+    sources,
+    wire,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -43,6 +57,9 @@ CHECKS: tuple[Check, ...] = (
     runs.missing_schedule,
     runs.unlike_domains,
     runs.unlike_payloads,
+    shapes.short_warm_up,
+    shapes.rising_latency,
+    shapes.two_modes,
     sides.overlapping_pings,
     sides.unlike_versions,
     sides.wireless_on_one_machine,

@@ -17,6 +17,7 @@ from .breakdown import breakdown_frame, response_frame
 from .freshness import freshness_frame, outage_frame
 from .intervals import interval_frame, knot_frame, one_way_frame
 from .sending import sending_frame
+from .shapes import shape_frame
 from .timeline import timeline_frame
 
 if TYPE_CHECKING:
@@ -41,6 +42,7 @@ DETAIL_MAKERS: Mapping[str, Maker] = {
     "freshness": freshness_frame,
     "outages": outage_frame,
     "clock_knots": knot_frame,
+    "shapes": shape_frame,
 }
 """The same for frames that take more time than rows and summary together: made only where they are asked for."""
 

@@ -172,20 +172,36 @@ def test_cpu_saturation_in_more_than_a_tenth_of_the_samples(tmp_path, busy, proc
     assert "udp_buffer_overflow" not in found  # the host's counter holds other programs' datagrams as well
 
 
-def write_sizes(folder, ways, **sessions):
-    """One run for each size, with this way there and back."""
+def write_sizes(folder, ways, repeats=3, spread=0.0, **sessions):
+    """Some runs for each size, with this way there and back; the runs of a size differ by `spread` of it."""
     runs, ping, relay = [], {stage: [] for stage in Stage}, {stage: [] for stage in Stage}
-    for number, (size, way) in enumerate(ways.items(), 1):
+    cells = [(size, way, n) for size, way in ways.items() for n in range(repeats)]
+    for number, (size, way, repeat) in enumerate(cells, 1):
         runs.append(run(run_id=number, payload_bytes=size, planned_messages=200, published=200))
         messages = [
             Message(m.sequence, *(t + number * 300 * PERIOD for t in (m.t0, m.t1, m.t3, m.t4, m.t2)))
-            for m in drawn(way=way)
+            for m in drawn(way=round(way * (1 + spread * (repeat - (repeats - 1) / 2))))
         ]
         for events, made in ((ping, ping_events), (relay, relay_events)):
             for stage, of_stage in made(messages, run_id=number, payload_bytes=size).items():
                 events[stage] += of_stage
     write_trace(folder / "ping.mcap", sessions.get("ping") or ping_session(), runs, ping)
     write_trace(folder / "relay.mcap", sessions.get("relay") or relay_session(), (), relay)
+
+
+OF_SIZES = {"latency_falls_with_size", "latency_jumps_with_size"}
+
+
+def test_two_sizes_of_a_run_each_say_nothing_of_size(tmp_path):
+    write_sizes(tmp_path, {33_000: 5 * MS, 145_000: MS}, repeats=2)
+    assert not OF_SIZES & set(findings(tmp_path))
+
+
+def test_runs_that_differ_more_than_the_sizes_do_say_nothing_of_size(tmp_path):
+    write_sizes(tmp_path, {33_000: 5 * MS, 145_000: 4 * MS}, spread=0.3)
+    assert not OF_SIZES & set(findings(tmp_path))
+    write_sizes(tmp_path, {33_000: 5 * MS, 145_000: 4 * MS}, spread=0.01)
+    assert "latency_falls_with_size" in findings(tmp_path)
 
 
 def test_latency_that_falls_with_size_beyond_the_segment_of_one_machine(tmp_path):

@@ -1,0 +1,89 @@
+"""The frame `shapes`: what the latency of each run does over its time: a warm-up, a rise, two modes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+
+from ..run_statistics.bursts import share_inflation
+from ..run_statistics.modes import find_modes
+from ..run_statistics.trend import find_trend
+from ..run_statistics.warm_up import find_warm_up
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from ..pairing.roundtrips import RoundTrips
+    from .batch import Batch
+
+    Int64 = NDArray[np.int64]
+
+OWN_NS = 28_000
+"""Difference of latency that may be the recorder's own: four events of a message, each of up to 7 us when it is cold."""
+
+SHAPE_SCHEMA: dict[str, type[pl.DataType]] = {
+    "group": pl.UInt32,
+    "run_id": pl.UInt64,
+    "relay_id": pl.UInt32,
+    "p50_ns": pl.Int64,
+    "warm_up_messages": pl.UInt64,
+    "warm_up_s": pl.Float64,
+    "warm_up_ratio": pl.Float64,
+    "trend_ratio": pl.Float64,
+    "modes_low_ns": pl.Float64,
+    "modes_high_ns": pl.Float64,
+    "modes_share": pl.Float64,
+}
+
+
+def shape_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
+    """Look at the latency of each run and relay in the order of time; at its round trips without the relay's trace.
+
+    Returns:
+        Columns of `SHAPE_SCHEMA`, null where nothing was found: `warm_up_messages` at the begin that are not like the
+        others and how long they took (`warm_up_s`), their level over that of the others; `trend_ratio`: level at the end
+        over that at the begin; the two modes and the share of the smaller one. Only what is no chance and larger than
+        `OWN_NS`.
+    """
+    rows: list[dict[str, object]] = []
+    for number, exchange in enumerate(batch.exchanges):
+        first, after = roundtrips.bounds[number : number + 2].tolist()
+        metric = "latency_ns" if exchange.relay_recorded else "rtt_ns"
+        part = roundtrips.measured.slice(first, after - first).filter(pl.col(metric) > 0)
+        rows.append(
+            {
+                "group": int(batch.group_of_exchange[number]),
+                "run_id": exchange.run.run_id,
+                "relay_id": exchange.relay_id,
+                "p50_ns": part[metric].median() if part.height else None,
+                **shape_of(part[metric].to_numpy(), part["publish_ns"].to_numpy()),
+            }
+        )
+    return pl.DataFrame(rows, schema=SHAPE_SCHEMA, strict=False)
+
+
+def shape_of(latency_ns: Int64, sent_ns: Int64) -> dict[str, float]:
+    """Return the columns of `SHAPE_SCHEMA` that hold for a run.
+
+    Args:
+        latency_ns: of each message that came back, above zero, in the order of time.
+        sent_ns: T1 of each.
+    """
+    shape: dict[str, float] = {}
+    if not len(latency_ns):
+        return shape
+    p50_ns = float(np.median(latency_ns))
+    warm_up = find_warm_up(latency_ns)
+    if warm_up is not None and warm_up.is_sure() and abs(warm_up.ratio - 1) * p50_ns >= OWN_NS:
+        shape["warm_up_messages"], shape["warm_up_ratio"] = warm_up.messages, warm_up.ratio
+        shape["warm_up_s"] = float(sent_ns[warm_up.messages] - sent_ns[0]) / 1e9
+    trend = find_trend(latency_ns)
+    if trend is not None and trend.is_sure() and abs(trend.change) * p50_ns >= OWN_NS:
+        shape["trend_ratio"] = 1 + trend.change
+    modes = find_modes(latency_ns, share_inflation(np.flatnonzero(latency_ns > p50_ns), len(latency_ns)))
+    if modes is not None and modes.high - modes.low >= OWN_NS:
+        shape["modes_low_ns"], shape["modes_high_ns"] = modes.low, modes.high
+        shape["modes_share"] = modes.share
+    return shape

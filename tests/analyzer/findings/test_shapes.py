@@ -1,0 +1,99 @@
+"""Runs whose latency does something over its time: drawn series of round trips, each with its finding."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from trace_files import (
+    Message,
+    ping_events,
+    ping_session,
+    relay_events,
+    relay_session,
+    run,
+    write_trace,
+)
+
+from dds_trace.analyzer import analyze
+from dds_trace.analyzer.groups.shapes import shape_of
+from dds_trace.tracefile import Stage
+
+MS = 1_000_000
+PERIOD = 10 * MS
+CODES = {"short_warm_up", "latency_rises", "two_modes"}
+
+
+def found(folder, *series_ms, warmup=0):
+    """Findings of runs with these latencies, one run of 100 Hz after the other."""
+    runs, ping, relay = [], {stage: [] for stage in Stage}, {stage: [] for stage in Stage}
+    start = 0
+    for number, latencies_ms in enumerate(series_ms, 1):
+        messages = [
+            Message(s, t0=t, t1=t, t3=t + way, t4=t + way, t2=t + 2 * way)
+            for s, way in enumerate(round(MS * each) for each in latencies_ms)
+            for t in [start + s * PERIOD]
+        ]
+        start += (len(messages) + 200) * PERIOD
+        count = len(messages) - warmup
+        runs.append(
+            run(
+                run_id=number,
+                rate_hz=100.0,
+                planned_messages=count,
+                published=len(messages),
+                warmup_messages=warmup,
+            )
+        )
+        for held, made in ((ping, ping_events), (relay, relay_events)):
+            for stage, events in made(messages, run_id=number).items():
+                held[stage] += events
+    write_trace(folder / "ping.mcap", ping_session(), runs, ping)
+    write_trace(folder / "relay.mcap", relay_session(), (), relay)
+    return {finding.code: finding for finding in analyze(folder).findings if finding.code in CODES}
+
+
+def noise(seed, count=1000):
+    return np.exp(np.random.default_rng(seed).normal(0, 0.2, count))
+
+
+def test_steady_latency_has_no_shape(tmp_path):
+    assert found(tmp_path, *(noise(seed) for seed in range(3))) == {}
+
+
+def test_a_short_warm_up_is_named_with_the_length_that_would_do(tmp_path):
+    slow_begin = np.where(np.arange(1000) < 40, 3.0, 1.0)
+    finding = found(tmp_path, *(slow_begin * noise(seed) for seed in range(3)), warmup=10)["short_warm_up"]
+    # Ten of the forty are warm-up already; noise adds batches of five.
+    assert finding.what.startswith("In 3 of 3 runs the first messages are not like the others: ")
+    messages = int(re.search(r"up to (\d+) messages", finding.what)[1])
+    assert 30 <= messages <= 45
+    assert finding.action == f"Record with --warmup {10 + messages}, which leaves them out."
+
+
+def test_latency_that_rises_through_a_run(tmp_path):
+    rise = np.linspace(1, 2, 1000)
+    finding = found(tmp_path, rise * noise(1), rise * noise(2), noise(3))["latency_rises"]
+    assert finding.what.startswith("In 2 of 3 runs the latency rises from the begin to the end, by up to ")
+    assert "latency_rises" not in found(tmp_path, rise[::-1] * noise(1))
+
+
+def test_one_run_of_five_decides_nothing(tmp_path):
+    assert found(tmp_path, np.linspace(1, 2, 1000) * noise(0), *(noise(seed) for seed in range(1, 5))) == {}
+
+
+def test_two_modes(tmp_path):
+    one_in_three = np.where(np.arange(1000) % 3 == 0, 4.0, 1.0)
+    finding = found(tmp_path, one_in_three * noise(1))["two_modes"]
+    assert "33 % of the messages are of the smaller one" in finding.what
+
+
+@pytest.mark.parametrize("scale_ns", [1, 10_000])
+def test_what_may_be_the_recorders_own_is_no_finding(scale_ns):
+    # A rise by the half of 10 us, as one of 10 ms would be found.
+    sent_ns = np.arange(1000) * PERIOD
+    rise = np.linspace(1, 1.5, 1000) * noise(4)
+    shape = shape_of((rise * scale_ns * 10_000).astype(np.int64), sent_ns)
+    assert ("trend_ratio" in shape) is (scale_ns > 1)
+    assert shape_of(np.empty(0, np.int64), np.empty(0, np.int64)) == {}

@@ -205,9 +205,14 @@ def of_path(path, *, memory=(), sockets=()):
     ],
 )
 def test_the_cause_of_a_jump_looks_at_what_was_applied(tmp_path, fields, cause):
-    for number, (size, way_ns) in enumerate([(502_000, MS), (1_000_000, 50 * MS)]):
+    for number, (size, way_ns) in enumerate([(502_000, MS), (1_000_000, 50 * MS)] * 3):
         record(
-            tmp_path / f"{size}", way_ns=way_ns, number=number, payload_bytes=size, ping=fields, relay=fields
+            tmp_path / f"{number}",
+            way_ns=way_ns,
+            number=number,
+            payload_bytes=size,
+            ping=fields,
+            relay=fields,
         )
     (finding,) = of_code(analyze(tmp_path), "latency_jumps_with_size")
     assert cause in finding.what

@@ -18,6 +18,7 @@ from dds_trace.analyzer.groups.freshness import outage_table, summarize_freshnes
 from dds_trace.analyzer.groups.host_samples import HOST_SAMPLE_SCHEMA
 from dds_trace.analyzer.groups.intervals import INTERVAL_SCHEMA, ONE_WAY_SCHEMA
 from dds_trace.analyzer.groups.wire import no_wire_frames
+from dds_trace.analyzer.model.wire import WIRE_CLASS_SCHEMA, WIRE_REPEAT_SCHEMA, WIRE_SCHEMA
 from dds_trace.analyzer.pairing.one_way import KNOT_SCHEMA, SEGMENT_SCHEMA
 from dds_trace.analyzer.pairing.rows import RowStore
 from dds_trace.analyzer.run_statistics.runs import Run as Series
@@ -706,6 +707,42 @@ def _campaign_findings() -> list[Finding]:
 
 
 # Frozen values, so every test of a process may share them.
+def over_a_lossy_wire() -> Analysis:
+    """Two middlewares recorded with `--wire`: the first repeated messages, of the second the kernel dropped packets."""
+    analysis = make_analysis(
+        Measured([MS, 2 * MS, 30 * MS]),
+        Measured([MS, 3 * MS], vendor="cyclonedds", relay_vendor="cyclonedds"),
+    )
+    shares = {"data": 0.5, "data_frag_again": 0.3, "heartbeat": 0.1, "sedp": 0.05, "secure": 0.05}
+    counts = {
+        name: 0 if kind in (pl.UInt32, pl.UInt64) else 0.25
+        for name, kind in WIRE_SCHEMA.items()
+        if kind != pl.Boolean
+    }
+    wire = [
+        {**counts, "group": 0, "complete": False, "kernel_drops": 3, "bytes_per_payload_byte": 1.5},
+        {**counts, "group": 1, "complete": True, "bytes_per_payload_byte": 1.1, "match_p50_ns": 4e7},
+    ]
+    classes = [
+        {"group": group, "wire_class": name, "packets": 5, "bytes": round(100_000 * share), "share": share}
+        for group in (0, 1)
+        for name, share in shares.items()
+    ]
+    times = ("rtt_p50_ns", "rtt_max_ns", "latency_p50_ns", "latency_max_ns")
+    repeats = [
+        {"group": 1, "repeats": n, "messages": 3 - n, "returned": 1}
+        | dict.fromkeys(times, float(MS * (1 + 29 * n)))
+        for n in (0, 1)
+    ]
+    details = replace(
+        analysis.details,
+        wire=pl.DataFrame(wire, WIRE_SCHEMA),
+        wire_classes=pl.DataFrame(classes, WIRE_CLASS_SCHEMA),
+        wire_repeats=pl.DataFrame(repeats, WIRE_REPEAT_SCHEMA),
+    )
+    return replace(analysis, details=details)
+
+
 EVERY_ANALYSIS = {
     "empty folder": cache(empty_folder),
     "one message": cache(one_message),
@@ -713,5 +750,6 @@ EVERY_ANALYSIS = {
     "nothing came back": cache(nothing_came_back),
     "hostile strings": cache(hostile),
     "small campaign": cache(small_campaign),
+    "over a lossy wire": cache(over_a_lossy_wire),
     "500 groups": cache(five_hundred_groups),
 }

@@ -1,4 +1,4 @@
-"""`WireCapture`: what a role holds of the capturing process."""
+"""`WireCapture`: the capturing process, as a role uses it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _PATIENCE_S = 10.0
 
 @dataclass(frozen=True, slots=True)
 class WireResult:
-    """What the wire says of one run.
+    """Counts and records of one run.
 
     Attributes:
         counts: of the whole run.
@@ -48,7 +48,7 @@ class WireCapture:
     Start it before the middleware: the first announcement of a participant is one of the things it looks for.
 
     Args:
-        options: what to capture.
+        options: interfaces, ports and memory.
 
     Raises:
         OptionError: no CAP_NET_RAW, a system without packet sockets, or an interface that cannot be captured.

@@ -1,4 +1,4 @@
-"""What one run cost on the wire, as it is written to the trace."""
+"""Counts of one run on the wire, as they are written to the trace."""
 
 from __future__ import annotations
 
@@ -45,14 +45,14 @@ class ClassCount:
 
     @classmethod
     def from_dict(cls, found: Mapping[str, Any]) -> ClassCount:
-        """Return what `WireCounts.to_dict` gave; unknown fields are ignored."""
+        """Return the count that a JSON object of `WireCounts.to_dict` holds; unknown fields are ignored."""
         known = {name: found[name] for name in cls.__slots__ if name in found}
         return cls(**{"name": "", "direction": "", **known})
 
 
 @dataclass(frozen=True, slots=True)
 class WireCounts:
-    """What one run cost on the wire, seen from one side.
+    """Counts of one run on the wire, seen from one side.
 
     Times are CLOCK_MONOTONIC ns of this device.
 
@@ -161,7 +161,7 @@ class WireCounts:
 
     @classmethod
     def from_dict(cls, found: Mapping[str, Any]) -> WireCounts:
-        """Return what `to_dict` gave; unknown fields are ignored, missing ones have their defaults."""
+        """Return the counts that a JSON object of `to_dict` holds; unknown fields are ignored, missing ones have their defaults."""
         known = {f.name: found[f.name] for f in fields(cls) if f.name in found}
         for name, read in _LISTS.items():
             known[name] = tuple(read(part) for part in known.get(name) or ())

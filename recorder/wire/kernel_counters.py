@@ -59,7 +59,7 @@ class IpCounts:
 
     @classmethod
     def from_dict(cls, found: Mapping[str, Any]) -> IpCounts:
-        """Return what `to_dict` gave; unknown fields are ignored, missing ones are 0."""
+        """Return the counters that a JSON object of `to_dict` holds; unknown fields are ignored, missing ones are 0."""
         return cls(**{name: int(found[name]) for name in cls.__slots__ if name in found})
 
 
@@ -97,7 +97,7 @@ class InterfaceCount:
 
     @classmethod
     def from_dict(cls, found: Mapping[str, Any]) -> InterfaceCount:
-        """Return what `WireCounts.to_dict` gave; unknown fields are ignored."""
+        """Return the counters that a JSON object of `WireCounts.to_dict` holds; unknown fields are ignored."""
         known = {name: found[name] for name in cls.__slots__ if name in found}
         return cls(**{"name": "", **known})
 

@@ -1,4 +1,4 @@
-"""What each writer has sent: whether a sample or a fragment is on the wire for the first time or again, and when."""
+"""Ledger of each writer's samples: whether a sample or a fragment is on the wire for the first time or again, and when."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MULTICAST = 0
 """Destination of whatever goes to a group: what is sent to all need not be sent to one, so one copy more is a repeat."""
 
 REMEMBERED_NS = 30_000_000_000
-"""How long after its last copy a sample is remembered; a later copy counts as a repeat of a forgotten sample."""
+"""Time after its last copy for which a sample is remembered; a later copy is a repeat of a forgotten sample."""
 REMEMBERED_COPIES = 400_000
 """Copies (samples, or fragments of them, per destination) remembered at once, about 100 bytes each; the oldest go first."""
 
@@ -46,7 +46,7 @@ class Copy(NamedTuple):
 
 @dataclass(slots=True)
 class SentSample:
-    """What is known of one sample.
+    """State of one sample.
 
     Attributes:
         first_ns, last_ns: of its first and last copy.

@@ -1,4 +1,4 @@
-"""What the wire says of each message: one row a message and direction, and how many were sent how often."""
+"""Records of messages on the wire, one a message and direction, and counts of messages by their repeats."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def message_row(sample: SentSample, direction: Direction) -> tuple[int, ...] | N
 
 
 def pack_rows(rows: Sequence[tuple[int, ...]]) -> MessageRows:
-    """Return rows as an array."""
+    """Return records, given as tuples, as an array."""
     return np.array(rows, MESSAGE_ROW)
 
 
@@ -93,12 +93,12 @@ class RepeatCount:
 
     @classmethod
     def from_dict(cls, found: Mapping[str, Any]) -> RepeatCount:
-        """Return what `to_dict` gave; unknown fields are ignored."""
+        """Return the count that a JSON object of `to_dict` holds; unknown fields are ignored."""
         return cls(**{name: found[name] for name in cls.__slots__ if name in found})
 
 
 def count_repeats(rows: MessageRows) -> tuple[RepeatCount, ...]:
-    """Count messages by their number of repeats, those alone that this side sent."""
+    """Count the messages that this side sent by their number of repeats."""
     sent = rows[rows["direction"] != Direction.RECEIVED]
     return tuple(
         _repeat_count(int(repeats), sent[sent["repeats"] == repeats])

@@ -1,4 +1,4 @@
-"""What to capture."""
+"""Options of a capture."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def domain_ports(domain_id: int) -> PortRange:
 
 @dataclass(frozen=True, slots=True)
 class WireOptions:
-    """What to capture, and with how much memory.
+    """Interfaces and ports of a capture, and its memory.
 
     Attributes:
         interfaces: names of those that carry the run's messages.
@@ -44,12 +44,12 @@ class WireOptions:
     cpus: tuple[int, ...] = ()
 
     def to_json(self) -> str:
-        """Return the options as the capturing process gets them."""
+        """Return the options as a text for the capturing process."""
         return json.dumps(asdict(self))
 
     @classmethod
     def from_json(cls, text: str) -> WireOptions:
-        """Return what `to_json` gave."""
+        """Return the options in a text of `to_json`."""
         found: Mapping[str, Any] = json.loads(text)
         ports = {
             name: tuple(PortRange(*pair) for pair in found[name])

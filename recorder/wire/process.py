@@ -46,7 +46,7 @@ Under SCHED_BATCH it does not interrupt them when it wakes either. Much nicer, a
 than the ring lasts.
 """
 TCP_EVERY_NS = 1_000_000_000
-"""How often connections are read, so that one that closes before the run's end is still known."""
+"""Time between two readings of connections, so that one that closes before the run's end is still known."""
 _CLOCK_READINGS = 5
 
 
@@ -63,7 +63,7 @@ class _Before:
 
 
 class Capture:
-    """Rings on all interfaces, and what is counted from them.
+    """Rings on all interfaces, and the counts of their packets.
 
     Args:
         options: what to capture.
@@ -107,7 +107,7 @@ class Capture:
         self._before = self._now(run_id)
 
     def take(self) -> tuple[WireCounts, MessageRows]:
-        """Return what was counted since `begin`."""
+        """Return counts and records since `begin`."""
         self._catch_up()
         self._read_tcp()
         before, now = self._before, self._now("")
@@ -187,7 +187,7 @@ class Capture:
             write_answer({**counts.to_dict(), "row_bytes": rows.nbytes}, rows.tobytes())
 
     def _drain(self) -> None:
-        """Handle what the kernel has handed over."""
+        """Count the packets that the kernel has handed over."""
         for ring in self._rings:
             batch = ring.read()
             if len(batch):

@@ -29,7 +29,7 @@ class ClassTally:
 
 @dataclass(slots=True)
 class Beginnings:
-    """When discovery and traffic began, CLOCK_MONOTONIC ns; None until they did.
+    """Beginnings of discovery and traffic, CLOCK_MONOTONIC ns; None until then.
 
     Attributes:
         spdp_ns: the first announcement of a participant.
@@ -49,7 +49,7 @@ class Beginnings:
 
 @dataclass(slots=True)
 class RunTally:
-    """What is counted anew for each run.
+    """Counters that begin anew with each run.
 
     Attributes:
         classes: by class and direction.

@@ -1,4 +1,4 @@
-"""What the kernel says of TCP connections (`TCP_INFO`), of any process in this network namespace, by sock_diag.
+"""TCP connections by the kernel's `TCP_INFO`, of any process in this network namespace, by sock_diag.
 
 Layouts: <linux/inet_diag.h>, <linux/sock_diag.h> and struct tcp_info of <linux/tcp.h>, of which fields are appended
 and never moved; a kernel that is too old for one leaves it 0.
@@ -94,7 +94,7 @@ class TcpConnection:
 
     @classmethod
     def from_dict(cls, found: Mapping[str, Any]) -> TcpConnection:
-        """Return what `to_dict` gave; unknown fields are ignored, missing counters are 0."""
+        """Return the connection that a JSON object of `to_dict` holds; unknown fields are ignored, missing counters are 0."""
         known = {name: int(found[name]) for name in cls.__slots__ if name in found}
         return cls(**{"local_port": 0, "remote_port": 0, **known})
 
@@ -112,7 +112,7 @@ def parse_tcp_info(info: bytes, local_port: int, remote_port: int) -> TcpConnect
 
 
 def read_socket(connection: socket.socket) -> TcpConnection:
-    """Return what the kernel says of a TCP socket of this process."""
+    """Return the kernel's counters of a TCP socket of this process."""
     info = connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _INFO_BYTES)
     return parse_tcp_info(info, connection.getsockname()[1], connection.getpeername()[1])
 
@@ -127,7 +127,7 @@ def read_connections(ports: Sequence[PortRange]) -> dict[int, TcpConnection]:
 
 
 class ClosedConnections:
-    """Hears of each connection that ends in this network namespace, with its last `TCP_INFO`.
+    """Listener for connections that end in this network namespace, each with its last `TCP_INFO`.
 
     A connection that is read once a second has sent more when it ends.
 

@@ -1,4 +1,4 @@
-"""Classes of traffic: what a packet was sent for."""
+"""Classes of traffic, by the purpose of a packet."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from . import rtps
 
 
 class WireClass(str, Enum):
-    """What bytes on the wire were sent for; in the order in which a packet with several purposes is counted for one.
+    """Purposes of bytes on the wire, in the order in which a packet with several purposes counts for one.
 
     `rtps_other` are packets without a purpose of their own and vendors' own submessages, such as the network statistics
     (0x80, 60 bytes) that Fast DDS appends to each packet.

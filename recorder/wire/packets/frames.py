@@ -41,7 +41,7 @@ class FrameBatch:
     packet_type: NDArray[np.uint8]
 
     def __len__(self) -> int:
-        """Frames."""
+        """Return the number of frames."""
         return len(self.position)
 
 

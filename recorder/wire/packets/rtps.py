@@ -63,7 +63,7 @@ class Walk(NamedTuple):
 
 
 class _Order(NamedTuple):
-    """How numbers of one byte order are read."""
+    """Readers of numbers in one byte order."""
 
     length: struct.Struct
     sequence: struct.Struct

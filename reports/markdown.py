@@ -55,6 +55,7 @@ def render(book: Book) -> str:
         "## Groups",
         _groups(book),
         *_section("What a bridge costs", _bridge_costs(book)),
+        *_section("What a message costs on the wire", _wire_costs(book)),
         *_section("Clocks", _clocks(book)),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
@@ -190,6 +191,42 @@ def _added(cost: Cost | None) -> str:
         within = f" [{format_added_ns(cost.low_ns)}, {format_added_ns(cost.high_ns)}]"
     ratio = "" if cost.ratio is None else f", x{cost.ratio:.3g}"
     return f"{format_added_ns(cost.difference_ns)}{within}{ratio}"
+
+
+def _wire_costs(book: Book) -> str:
+    """Tabulate the groups that were recorded with `--wire`, by cell, then series."""
+    groups = book.groups
+    of_wire = {row["group"]: row for row in book.analysis.details.wire.iter_rows(named=True)}
+    rows = []
+    for group in sorted(groups.groups, key=lambda group: (group.cell, group.series)):
+        row = of_wire.get(group.index)
+        if row is None:
+            continue
+        cell = groups.cell_of(group)
+        ratio = row["bytes_per_payload_byte"]
+        rows.append(
+            (
+                data_type_label(cell.data_type),
+                format_size(cell.payload_bytes),
+                format_rate(cell.rate_hz),
+                groups.labels[group.series],
+                format_duration(None) if ratio is None else f"{ratio:.3g}",
+                format_ratio(row["again_bytes_share"]),
+                f"{row['again_messages']} of {counted(row['messages'], 'message')}",
+                format_duration(row["match_p50_ns"]),
+                "" if row["complete"] else f"{counted(row['kernel_drops'], 'packet')} dropped by the kernel",
+            )
+        )
+    columns = (
+        "Bytes per payload byte",
+        "Sent again",
+        "Messages sent again",
+        "First message after",
+        "Incomplete",
+    )
+    left = len(rows) - MOST_GROUPS
+    note = f"\n\n{counted(left, 'more group is', 'more groups are')} in the JSON report." if left > 0 else ""
+    return _table(("Data", "Size", "Rate", "Series", *columns), rows[:MOST_GROUPS]) + note
 
 
 def _clocks(book: Book) -> str:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
+from dds_trace.analyzer.statistics.intervals import RUNS_TO_TELL
 from dds_trace.tracefile.units.counts import counted
 from dds_trace.tracefile.units.durations import format_duration
 from dds_trace.tracefile.visible import visible
@@ -90,9 +91,19 @@ def _headline(
     if not any(verdict.wins for verdict in verdicts):
         cells = sum(verdict.cells for verdict in verdicts)
         where = "the one cell" if cells == 1 else f"any of the {cells} cells"
-        return f"Inconclusive: no choice was clearly faster than the others in {where} compared."
+        said = f"Inconclusive: no choice was clearly faster than the others in {where} compared."
+        fewest = min(answer.fewest_runs for answer in answers if len(answer.contenders) > 1)
+        return (
+            said
+            if fewest >= RUNS_TO_TELL
+            else f"{said} That takes {RUNS_TO_TELL} runs of each, there {_are(fewest)}."
+        )
     modes = dict.fromkeys(verdict.mode for verdict in verdicts)
     return " ".join(_mode_sentence(mode, [one for one in verdicts if one.mode == mode]) for mode in modes)
+
+
+def _are(runs: int) -> str:
+    return f"{'is' if runs == 1 else 'are'} {runs}"
 
 
 _MOST_WAYS = 3

@@ -2,8 +2,10 @@ import random
 from dataclasses import replace
 
 from analyses import EVERY_ANALYSIS, MS, Measured, make_analysis
+from roundtrip_frames import rows_by_group
 
 from dds_trace.analyzer.details import details_not_requested
+from dds_trace.analyzer.verdicts.answers import find_answers
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.overview import Fact
 from dds_trace.reports.book.verdicts import DataVerdict, WinCount
@@ -36,6 +38,16 @@ def test_overlap_is_inconclusive():
     assert (
         answer.headline
         == "Inconclusive: no choice was clearly faster than the others in the one cell compared."
+    )
+
+
+def test_fewer_than_three_runs_are_told_and_nobody_is_faster():
+    held = make_analysis(Measured(SLOW), Measured(FAST, **ZENOH))
+    one_run = find_answers(rows_by_group(held.load_roundtrips()))
+    answer = Book(replace(held, details=replace(held.details, answers=one_run))).answer
+    assert answer.headline == (
+        "Inconclusive: no choice was clearly faster than the others in the one cell compared. "
+        "That takes 3 runs of each, there is 1."
     )
 
 

@@ -17,6 +17,7 @@ from .groups.wire import no_wire_frames, wire_frames
 from .model.column import schema_of
 from .model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
 from .model.runs import pass_numbers
+from .model.unsent import unsent_by_run
 from .pairing.one_way import fit_devices, segment_table
 from .pairing.roundtrips import pair_exchanges
 from .pairing.rows import RowStore
@@ -61,7 +62,7 @@ def collect_details(
     """
     if not wanted.details:
         return details_not_requested()
-    judged = UnbarredRows(rows, tuple(barred))
+    judged = UnbarredRows(rows, tuple(barred), unsent_by_run(rows.scan(), campaign.runs.values()))
     passes = pass_numbers(campaign.runs.values())
     boots = ping_boots(campaign.sessions.values(), campaign.runs.values())
     intervals = [

@@ -9,8 +9,8 @@ import polars as pl
 
 from ..model.columns import STATISTICS, SUMMARY_COLUMNS
 from ..model.metrics import METRICS
+from ..model.unsent import MOST_MESSAGES
 from ..pairing.pair import LOSSES
-from ..pairing.unsent import MOST_MESSAGES
 
 if TYPE_CHECKING:
     import numpy as np

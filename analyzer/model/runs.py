@@ -10,6 +10,7 @@ import numpy as np
 import polars as pl
 
 from ..run_statistics.runs import Run
+from .unsent import UNSENT
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -54,6 +55,11 @@ class RunRows:
     def survivors(self, metric: str) -> Run:
         """Return a metric of the messages that have it, ns."""
         return _run_of(self.rows.select("publish_ns", value=pl.col(f"{metric}_ns")).drop_nulls("value"))
+
+    @property
+    def sent_ns(self) -> pl.Series:
+        """T1 of every message that left."""
+        return self.rows.filter(pl.col("outcome") != UNSENT)["publish_ns"]
 
     @property
     def received(self) -> NDArray[np.bool_]:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..model.unsent import Ends, due_unsent
 from .pair import MISSING, first_replies
 
 if TYPE_CHECKING:
@@ -17,9 +18,6 @@ if TYPE_CHECKING:
 
 _NS_PER_S = 1_000_000_000
 
-MOST_MESSAGES = 1 << 53
-"""Largest number that a description's count of messages can mean: sums of many stay within an int64."""
-
 _PATIENCE_NS = 2 * _NS_PER_S
 """Time that a reply may take in a run without any: what a ping waits at its end before it gives one up."""
 
@@ -30,19 +28,18 @@ def count_unsent(run: Run, published: Published, t2: EventColumns) -> int:
     The run ended when its ping stopped sending (`ended_ns` of the run); if it did not tell, at the last T1 or T2. Messages
     of a live topic have no plan: those that the ping skipped never left.
     """
-    skipped = run.extra.get("skipped_messages")
-    if isinstance(skipped, int):
-        return min(max(skipped, 0), MOST_MESSAGES)
-    scheduled = published.scheduled_ns
-    if not len(published) or scheduled[0] == MISSING or run.rate_hz <= 0 or _is_live(run):
-        return 0
-    told = run.extra.get("ended_ns")
-    ended_ns = told if isinstance(told, int) else _last_ns(published, t2)
-    first = int(published.sequence[0])
-    total = run.warmup_messages + run.planned_messages
-    due = first + 1 + int((ended_ns - int(scheduled[0])) * run.rate_hz / _NS_PER_S)
-    left = max(int(published.sequence[-1]) + 1, run.published, run.warmup_messages)
-    return min(max(0, min(due, total) - left), MOST_MESSAGES)
+    if not len(published):
+        return due_unsent(run, None)
+    scheduled_ns = int(published.scheduled_ns[0])
+    return due_unsent(
+        run,
+        Ends(
+            first=int(published.sequence[0]),
+            scheduled_ns=None if scheduled_ns == MISSING else scheduled_ns,
+            last=int(published.sequence[-1]),
+            last_ns=_last_ns(published, t2),
+        ),
+    )
 
 
 def settled(run: Run, published: Published, t2: EventColumns) -> NDArray[np.bool_]:
@@ -60,10 +57,6 @@ def settled(run: Run, published: Published, t2: EventColumns) -> NDArray[np.bool
     longest_ns = int(rtts_ns.max()) if len(rtts_ns) else _PATIENCE_NS
     known &= replied | (published.publish_ns <= _last_ns(published, t2) - longest_ns)
     return known
-
-
-def _is_live(run: Run) -> bool:
-    return str(run.extra.get("data_source", "")).startswith("topic:")
 
 
 def _last_ns(published: Published, t2: EventColumns) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
@@ -12,6 +12,7 @@ import polars as pl
 from ..model.names import tell_apart, where_alike, where_it_varies
 from ..model.parameters import CONTENDER_COLUMNS
 from ..model.setting import choice_of, condition_of
+from ..model.unsent import with_unsent
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -51,10 +52,12 @@ class UnbarredRows:
     Attributes:
         rows: all round trips.
         barred: numbers of the groups left out.
+        unsent: run_id -> messages that never left: rows stand for them, so that they count as lost.
     """
 
     rows: GroupRows
     barred: tuple[int, ...] = ()
+    unsent: Mapping[int, int] = field(default_factory=dict)
 
     @property
     def groups(self) -> pl.DataFrame:
@@ -69,7 +72,8 @@ class UnbarredRows:
 
     def frame(self, groups: pl.DataFrame, columns: Sequence[str] | None = None) -> pl.DataFrame:
         """Read columns (by default all) of the round trips of some rows of `groups`."""
-        return self.rows.frame(groups) if columns is None else self.rows.frame(groups, columns)
+        frame = self.rows.frame(groups) if columns is None else self.rows.frame(groups, columns)
+        return with_unsent(frame, self.unsent)
 
 
 def partition_groups(groups: pl.DataFrame, columns: Sequence[str]) -> list[pl.DataFrame]:

@@ -16,6 +16,7 @@ import polars as pl
 
 from ..model.parameters import MATCH_COLUMNS
 from ..model.runs import pass_numbers, passes_of
+from ..model.unsent import unsent_by_run, with_unsent
 from ..run_statistics.change import Change, Verdict, change_of_runs
 from ..run_statistics.delivery import DeliveryChange, change_of_received
 from ..run_statistics.runs import MEAN, Statistic, joined_runs
@@ -210,8 +211,8 @@ def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | Non
         options: how to compare; None for the defaults.
     """
     found = compare_roundtrips(
-        base.load_roundtrips(),
-        new.load_roundtrips(),
+        _all_messages(base),
+        _all_messages(new),
         options,
         passes=pass_numbers([*base.runs, *new.runs]),
     )
@@ -228,6 +229,12 @@ def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | Non
             *errors_of("new", new.findings, groups_of_new),
         ),
     )
+
+
+def _all_messages(side: ComparedSide) -> pl.DataFrame:
+    """Return the round trips, with a row for each message that never left."""
+    roundtrips = side.load_roundtrips()
+    return with_unsent(roundtrips, unsent_by_run(roundtrips.lazy(), side.runs))
 
 
 def compare_roundtrips(

@@ -6,6 +6,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from ..model.runs import delivered_runs, split_runs
+from ..model.unsent import UNSENT
 from ..run_statistics.received import received_interval
 from ..run_statistics.runs import joined_runs
 
@@ -36,7 +37,7 @@ class MatchedGroup:
 
     def __init__(self, rows: pl.DataFrame) -> None:
         self.runs = split_runs(rows)
-        self._published = len(rows)
+        self._published = int((rows["outcome"] != UNSENT).sum())
         self._delivered: dict[str, list[Run]] = {}
         self._survivors: dict[str, Run] = {}
 

@@ -220,9 +220,7 @@ class _Cell:
 def _measure(rows: pl.DataFrame, wanted: _Wanted) -> _Cell:
     group, statistic = MatchedGroup(rows), Statistic(wanted.job.reliability)
     rate_hz = float(rows["rate_hz"][0])
-    held = [
-        share for run in group.runs if (share := _share_of_rate(run.rows["publish_ns"], rate_hz)) is not None
-    ]
+    held = [share for run in group.runs if (share := _share_of_rate(run.sent_ns, rate_hz)) is not None]
     return _Cell(
         rate_hz=rate_hz,
         interval=interval_of_runs(group.delivered(JUDGED_METRIC), statistic, wanted.confidence),

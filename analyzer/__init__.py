@@ -17,12 +17,14 @@ if TYPE_CHECKING:
     from .exports.tables import export_tables
     from .model.finding import Finding, Severity
     from .model.names import group_words
+    from .model.runs import pass_numbers
     from .pipeline import analyze, default_output
     from .recordings.topics import TopicReport, analyze_topics
     from .saving.records import to_json
     from .verdicts.answers import CaseAnswer, Headline, find_headlines
     from .verdicts.compare import CompareOptions, Comparison, compare
     from .verdicts.gate import GateOutcome, parse_gates
+    from .verdicts.false_alarms import FalseAlarms, count_false_alarms
     from .verdicts.gates import (
         GateResult,
         judge_gates,
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
         varying_columns,
     )
     from .verdicts.job import parse_job
+    from .verdicts.precision import check_statistic, half_widths
     from .verdicts.recommend import Recommendation
 else:
     __getattr__, __dir__ = contents_page(__name__)
@@ -41,6 +44,7 @@ __all__ = [
     "CaseAnswer",
     "CompareOptions",
     "Comparison",
+    "FalseAlarms",
     "Finding",
     "GateOutcome",
     "GateResult",
@@ -50,16 +54,20 @@ __all__ = [
     "TopicReport",
     "analyze",
     "analyze_topics",
+    "check_statistic",
     "compare",
+    "count_false_alarms",
     "default_output",
     "export_tables",
     "find_headlines",
     "group_words",
+    "half_widths",
     "judge_gates",
     "options_for",
     "overall_outcome",
     "parse_gates",
     "parse_job",
+    "pass_numbers",
     "ping_wall_offsets",
     "to_json",
     "varying_columns",

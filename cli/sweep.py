@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import signal
 import sys
 from collections import Counter
@@ -18,7 +19,7 @@ from dds_trace.tracefile.units.counts import counted
 from .errors import run_command
 
 if TYPE_CHECKING:
-    from dds_trace.recorder.sweep import Cell, Plan
+    from dds_trace.recorder.sweep import Cell, Plan, Until
 
 INTERRUPTED_EXIT_CODE = 130
 """Exit code after Ctrl-C, as shells report it."""
@@ -65,6 +66,30 @@ def main_command(
         bool,
         typer.Option("--max-rate", help="Find the highest rate that holds instead of the plan's rates."),
     ] = False,
+    until: Annotated[
+        str | None,
+        typer.Option(
+            metavar="STATISTIC:PERCENT",
+            help="Go on with passes until the interval of this statistic is so narrow in every cell (half its width in "
+            "percent of the value), for example latency_p99:5%.",
+            show_default=False,
+        ),
+    ] = None,
+    max_passes: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N", help="Most passes of --until. [dim]Default: 20[/dim]", min=1, show_default=False
+        ),
+    ] = None,
+    against: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SIDE",
+            help="Run the plan (base) and another side (new) in turns: another plan.toml, the folder of a Python "
+            "environment with dds-record, or SAME, which prints how often the comparison errs.",
+            show_default=False,
+        ),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
     version: Annotated[  # noqa: ARG001 - its callback does it
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Show the version.")
@@ -73,47 +98,100 @@ def main_command(
     """Record every cell of a plan: one closed trace for each device and cell.
 
     Interrupted anywhere, the same command goes on with what is not complete. Ends with 0 if everything is
-    complete and with 10 if some cells are not; then the reasons are on stderr and in state.json.
+    complete, with 10 if some cells are not (then the reasons are on stderr and in state.json), and with 11 if some are
+    still wider than --until.
     """
     from dds_trace.recorder.sweep import installed_middlewares, read_plan
 
+    from .against import new_side, run_sides, show_sides
+    from .precision import precision
+
     asked = read_plan(plan, installed_middlewares, by_hand=printed is not None)
-    if max_rate and printed:
-        raise OptionError(
-            "--max-rate starts its relays itself and cannot wait for a person; leave --print out"
-        )
+    _refuse_together(
+        {"--max-rate": max_rate, "--until": until, "--against": against, "--print": printed},
+        {"--max-passes": max_passes, "--until": until},
+    )
+    target = None if until is None else precision(until, max_passes, asked)
+    other = None if against is None else new_side(against, plan, asked, installed_middlewares)
     if dry_run:
-        _show(asked, as_json)
+        if other is not None:
+            show_sides(asked, other, as_json=as_json)
+        else:
+            _show(asked, as_json, target)
         return
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        code = _search(asked, out, as_json) if max_rate else _sweep(asked, out, as_json)
+        if max_rate:
+            code = _search(asked, out, as_json)
+        elif other is not None:
+            code = run_sides(asked, other, out, as_json=as_json)
+        else:
+            code = _sweep(asked, out, as_json, target)
     except KeyboardInterrupt:
         print("Interrupted; the same command goes on from here", file=sys.stderr)
         code = INTERRUPTED_EXIT_CODE
     raise typer.Exit(code)
 
 
-def _sweep(plan: Plan, out: Path, as_json: bool) -> int:
+def _refuse_together(kinds: dict[str, object], dependent: dict[str, object]) -> None:
+    """Refuse options that exclude each other, and one that needs another.
+
+    Args:
+        kinds: option -> value, falsy if it was not given; at most one may be.
+        dependent: the option and the one that it needs.
+
+    Raises:
+        OptionError: they cannot go together.
+    """
+    given = [name for name, value in kinds.items() if value]
+    if len(given) > 1:
+        reason = (
+            "the programs of both devices are started here, and a person cannot be waited for"
+            if "--print" in given
+            else "each is a sweep of its own"
+        )
+        raise OptionError(f"{' and '.join(given)} do not go together: {reason}; leave one out")
+    (option, value), (needed, other) = dependent.items()
+    if value is not None and other is None:
+        raise OptionError(f"{option} belongs to {needed}; give both or leave it out")
+
+
+def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None) -> int:
     from rich.console import Console
 
-    from dds_trace.recorder.sweep import INCOMPLETE_EXIT_CODE, make_progress, run_sweep
+    from dds_trace.recorder.sweep import (
+        INCOMPLETE_EXIT_CODE,
+        TOO_WIDE_EXIT_CODE,
+        make_progress,
+        run_sweep,
+    )
 
     console = Console(stderr=True)
     progress = make_progress(console)
     if plan.by_hand:
         for line in _relay_commands(plan):
             progress.note(line)
-    done = run_sweep(plan, out, progress)
+    done = run_sweep(plan, out, progress, until=until)
     complete = done.cells - len(done.missing)
     if as_json:
-        print(json.dumps({"folder": str(done.folder), "cells": done.cells, "missing": done.missing}))
+        result = {"folder": str(done.folder), "cells": done.cells, "missing": done.missing}
+        if until is not None:  # JSON has no infinity: null is an interval that lacks an end
+            result["too_wide"] = {
+                name: width if math.isfinite(width) else None for name, width in done.too_wide.items()
+            }
+        print(json.dumps(result))
     else:
         print(f"Wrote {done.folder}")
         print(f"{complete} of {counted(done.cells, 'cell is', 'cells are')} complete")
     for name, reason in done.missing.items():
         print(f"{name}: {reason}", file=sys.stderr)
-    return INCOMPLETE_EXIT_CODE if done.missing else 0
+    for name, width in done.too_wide.items():
+        assert until is not None
+        known = f"known to +-{width:.1f} %" if math.isfinite(width) else "without an interval of two ends"
+        print(f"{name}: {until.statistic} is {known} after the last pass", file=sys.stderr)
+    if done.missing:
+        return INCOMPLETE_EXIT_CODE
+    return TOO_WIDE_EXIT_CODE if done.too_wide else 0
 
 
 def _search(plan: Plan, out: Path, as_json: bool) -> int:
@@ -146,7 +224,7 @@ def _search(plan: Plan, out: Path, as_json: bool) -> int:
     return INCOMPLETE_EXIT_CODE if any(highest.answer is RateAnswer.FAILED for highest in answers) else 0
 
 
-def _show(plan: Plan, as_json: bool) -> None:
+def _show(plan: Plan, as_json: bool, until: Until | None) -> None:
     """Print the cells in the order in which they run."""
     from dds_trace.recorder.sweep import plan_seconds, schedule
 
@@ -154,7 +232,10 @@ def _show(plan: Plan, as_json: bool) -> None:
     cells = [cell for group in groups for cell in group.cells]
     if as_json:
         listed = [{"name": cell.name, "seconds": plan.run.planned_seconds(cell.rate)} for cell in cells]
-        print(json.dumps({"plan": plan.name, "seconds": plan_seconds(plan).seconds, "cells": listed}))
+        shown = {"plan": plan.name, "seconds": plan_seconds(plan).seconds, "cells": listed}
+        if until is not None:
+            shown["most_seconds"] = plan_seconds(plan, passes=until.max_passes).seconds
+        print(json.dumps(shown))
         return
     for group in groups:
         print(f"relay {group.need.name}" + (f", half of {group.bridge} beside it" if group.bridge else ""))
@@ -172,6 +253,11 @@ def _show(plan: Plan, as_json: bool) -> None:
         f"{counted(len(groups), 'start of a relay', 'starts of a relay')}, "
         f"about {plan_seconds(plan)}"
     )
+    if until is not None:
+        print(
+            f"until {until.statistic} is known to +-{until.percent:g} % in every cell: {until.max_passes} passes at "
+            f"most, about {plan_seconds(plan, passes=until.max_passes)} if every cell takes all of them"
+        )
 
 
 def _doubt(plan: Plan, cell: Cell) -> str:

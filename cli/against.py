@@ -1,0 +1,151 @@
+"""`dds-sweep --against`: two sides in turns, and for equal ones how often the comparison errs."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from dds_trace.tracefile import OptionError
+from dds_trace.tracefile.units.counts import counted
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection
+
+    from dds_trace.analyzer import FalseAlarms
+    from dds_trace.recorder.sweep import AgainstOutcome, Plan
+
+SAME = "SAME"
+"""Value of `--against` for an A/A sweep."""
+
+
+@dataclass(frozen=True, slots=True)
+class NewSide:
+    """The new side of a sweep in turns.
+
+    Attributes:
+        name: its part of the folder's name.
+        plan: what it records.
+        command: its `dds-record`, None for the one of this installation.
+        is_same: whether it is the base once more.
+    """
+
+    name: str
+    plan: Plan
+    command: tuple[str, ...] | None = None
+    is_same: bool = False
+
+
+def new_side(
+    text: str,
+    base_path: Path,
+    base: Plan,
+    installed: Callable[[], Collection[tuple[str, str | None]]],
+) -> NewSide:
+    """Return the side that `--against` names: a plan, the folder of a Python environment, or `SAME`.
+
+    Raises:
+        OptionError: it is none of these, or the environment has no dds-record.
+    """
+    from dds_trace.recorder.sweep import read_plan
+
+    path = Path(text).expanduser()
+    if text == SAME or (path.is_file() and path.samefile(base_path)):
+        return NewSide("same", base, is_same=True)
+    if path.suffix == ".toml":
+        plan = read_plan(path, installed)
+        return NewSide(plan.name, plan)
+    if not path.is_dir():
+        raise OptionError(
+            f"--against {text}: give another plan.toml, the folder of a Python environment, or {SAME}"
+        )
+    program = path.absolute() / "bin" / "dds-record"
+    if not program.exists():
+        raise OptionError(f"--against {text}: it has no bin/dds-record; install dds-trace there")
+    if base.has_two_devices:
+        raise OptionError(
+            "--against ENVIRONMENT is for sweeps on one machine; with another device write a plan whose "
+            "[devices.relay] path is that of the environment there"
+        )
+    name = path.absolute().name
+    return NewSide(path.absolute().parent.name if name in {".venv", "venv"} else name, base, (str(program),))
+
+
+def show_sides(base: Plan, other: NewSide, *, as_json: bool) -> None:
+    """Print the runs of both sides in their order, and how long they take."""
+    from dds_trace.recorder.sweep import against_seconds, take_turns
+
+    turns = [(turn.side, turn.group.cells[0].name) for turn in take_turns(base, other.plan)]
+    seconds = against_seconds(base, other.plan)
+    if as_json:
+        listed = [{"side": side, "name": name} for side, name in turns]
+        print(json.dumps({"plan": _name(base, other), "seconds": seconds.seconds, "cells": listed}))
+        return
+    for side, name in turns:
+        print(f"{side:4}  {name}")
+    print(f"plan {_name(base, other)}: {counted(len(turns), 'cell')} of both sides, about {seconds}")
+
+
+def run_sides(base: Plan, other: NewSide, out: Path, *, as_json: bool) -> int:
+    """Record both sides, print what to compare, and of two equal sides how often the comparison errs; return the exit code."""
+    from rich.console import Console
+
+    from dds_trace.recorder.sweep import INCOMPLETE_EXIT_CODE, make_progress, run_against
+
+    done = run_against(
+        replace(base, name=f"{_name(base, other)}-base"),
+        replace(other.plan, name=f"{_name(base, other)}-new"),
+        out / _name(base, other),
+        make_progress(Console(stderr=True)),
+        commands=(None, other.command),
+    )
+    sides = {"base": done.base, "new": done.new}
+    missing = {side: outcome.missing for side, outcome in sides.items()}
+    alarms = _false_alarms(done) if other.is_same else None
+    if as_json:
+        result: dict[str, object] = {side: str(outcome.folder) for side, outcome in sides.items()}
+        result |= {"cells": done.base.cells + done.new.cells, "missing": missing}
+        if alarms is not None:
+            result["false_alarms"] = {
+                "measured": alarms.measured,
+                "of_measured": alarms.of_measured,
+                "dealt": alarms.dealt,
+                "of_dealt": alarms.of_dealt,
+                "deals": alarms.deals,
+            }
+        print(json.dumps(result))
+    else:
+        for side, outcome in sides.items():
+            complete = outcome.cells - len(outcome.missing)
+            print(f"Wrote {outcome.folder}")
+            print(f"{side}: {complete} of {counted(outcome.cells, 'cell is', 'cells are')} complete")
+        print(f"Compare: dds-analyze compare {done.base.folder} {done.new.folder} --paired")
+        if alarms is not None:
+            print(_in_words(alarms))
+    for side, reasons in missing.items():
+        for name, reason in reasons.items():
+            print(f"{side} {name}: {reason}", file=sys.stderr)
+    return INCOMPLETE_EXIT_CODE if any(missing.values()) else 0
+
+
+def _name(base: Plan, other: NewSide) -> str:
+    return f"{base.name}-against-{other.name}"
+
+
+def _false_alarms(done: AgainstOutcome) -> FalseAlarms:
+    from dds_trace.analyzer import analyze, count_false_alarms, pass_numbers
+
+    base, new = (analyze(outcome.folder, details=False) for outcome in (done.base, done.new))
+    return count_false_alarms(
+        base.load_roundtrips(), new.load_roundtrips(), pass_numbers([*base.runs, *new.runs])
+    )
+
+
+def _in_words(alarms: FalseAlarms) -> str:
+    return (
+        f"A/A: {alarms.measured} of {counted(alarms.of_measured, 'verdict')} better or worse; with the passes dealt to "
+        f"the two sides in {counted(alarms.deals, 'way')}: {alarms.dealt} of {alarms.of_dealt} "
+        f"({alarms.rate:.1%}), all false"
+    )

@@ -1,0 +1,45 @@
+"""`dds-sweep --until`: the precision of a sweep's cells, computed by the analyzer."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from dds_trace.tracefile import OptionError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from dds_trace.recorder.sweep import Plan, Until
+
+
+def precision(text: str, max_passes: int | None, plan: Plan) -> Until:
+    """Return the precision at which a sweep ends.
+
+    Args:
+        text: statistic and half width, such as `latency_p99:5%`.
+        max_passes: most passes, None for the default.
+        plan: the plan, whose passes are run in any case.
+
+    Raises:
+        OptionError: the text is wrong, or the plan has more passes than allowed.
+    """
+    from dds_trace.analyzer import check_statistic
+    from dds_trace.recorder.sweep import DEFAULT_MAX_PASSES, Until, parse_target
+
+    statistic, percent = parse_target(text)
+    check_statistic(statistic)
+    most = max(DEFAULT_MAX_PASSES, plan.run.repeats) if max_passes is None else max_passes
+    if most < plan.run.repeats:
+        raise OptionError(
+            f"--max-passes {most} is below the {plan.run.repeats} passes of the plan; give at least so many"
+        )
+
+    def measure(folder: Path, runs: Mapping[str, tuple[int, ...]]) -> Mapping[str, float]:
+        from dds_trace.analyzer import analyze, half_widths
+
+        if not runs:  # nothing was recorded: there is no trace to analyze
+            return {}
+        return half_widths(analyze(folder, details=False).load_roundtrips(), runs, statistic)
+
+    return Until(statistic, percent, most, measure)

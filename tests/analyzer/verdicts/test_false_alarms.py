@@ -1,0 +1,52 @@
+from __future__ import annotations
+
+from roundtrip_frames import MS, roundtrips
+
+from dds_trace.analyzer.verdicts.compare import CompareOptions
+from dds_trace.analyzer.verdicts.false_alarms import MOST_DEALS, count_false_alarms
+
+P50 = CompareOptions(metrics=("rtt",), statistics=("p50",), paired=True)
+
+
+def side(first_run, rtts_ms):
+    """One run a pass, of ten messages that all take the run's time."""
+    return roundtrips(
+        {
+            "run_id": first_run + place,
+            "sequence": number,
+            "publish_ns": (place * 100 + number) * MS,
+            "receive_ns": (place * 100 + number) * MS + round(rtt * MS),
+        }
+        for place, rtt in enumerate(rtts_ms)
+        for number in range(10)
+    )
+
+
+def passes(count):
+    return {first + place: place + 1 for first in (100, 200) for place in range(count)}
+
+
+def test_sides_that_differ_alike_in_every_pass_alarm_as_recorded_and_not_once_a_pass_is_exchanged():
+    base = side(100, [1.00, 1.01, 0.99, 1.00])
+    new = side(200, [1.50, 1.51, 1.49, 1.52])
+    alarms = count_false_alarms(base, new, passes(4), P50)
+    # pass 1 stays; each of the other three is exchanged or not
+    assert alarms.deals == 8
+    assert (alarms.measured, alarms.of_measured) == (1, 1)
+    assert (alarms.dealt, alarms.of_dealt) == (1, 8)
+    assert alarms.rate == 1 / 8
+
+
+def test_noise_alarms_only_in_the_deal_that_puts_every_slower_run_on_one_side():
+    base = side(100, [1.0, 1.1, 0.9, 1.05])
+    new = side(200, [1.1, 0.9, 1.05, 1.0])
+    # new against base: slower, faster, slower, faster; exchanged in passes 2 and 4 it is always slower
+    alarms = count_false_alarms(base, new, passes(4), P50)
+    assert (alarms.measured, alarms.dealt, alarms.of_dealt) == (0, 1, 8)
+
+
+def test_of_many_passes_some_ways_to_deal_them_are_drawn():
+    rtts = [1.0, 1.1, 0.9, 1.05, 1.2, 0.95, 1.02, 1.08]
+    alarms = count_false_alarms(side(100, rtts), side(200, rtts[::-1]), passes(8), P50)
+    assert alarms.deals == MOST_DEALS
+    assert alarms.of_dealt == MOST_DEALS

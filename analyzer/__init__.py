@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from .saving.records import to_json
     from .verdicts.answers import CaseAnswer, Headline, find_headlines
     from .verdicts.compare import CompareOptions, Comparison, compare
-    from .verdicts.gate import GateOutcome, parse_gates
     from .verdicts.false_alarms import FalseAlarms, count_false_alarms
+    from .verdicts.gate import GateOutcome, parse_gates
     from .verdicts.gates import (
         GateResult,
         judge_gates,

@@ -49,7 +49,7 @@ def new_side(
     Raises:
         OptionError: it is none of these, or the environment has no dds-record.
     """
-    from dds_trace.recorder.sweep import read_plan
+    from dds_trace.recorder.sweep import environment_program, read_plan
 
     path = Path(text).expanduser()
     if text == SAME or (path.is_file() and path.samefile(base_path)):
@@ -61,16 +61,14 @@ def new_side(
         raise OptionError(
             f"--against {text}: give another plan.toml, the folder of a Python environment, or {SAME}"
         )
-    program = path.absolute() / "bin" / "dds-record"
-    if not program.exists():
-        raise OptionError(f"--against {text}: it has no bin/dds-record; install dds-trace there")
+    command = environment_program(path.absolute(), "dds-record")
     if base.has_two_devices:
         raise OptionError(
             "--against ENVIRONMENT is for sweeps on one machine; with another device write a plan whose "
             "[devices.relay] path is that of the environment there"
         )
     name = path.absolute().name
-    return NewSide(path.absolute().parent.name if name in {".venv", "venv"} else name, base, (str(program),))
+    return NewSide(path.absolute().parent.name if name in {".venv", "venv"} else name, base, command)
 
 
 def show_sides(base: Plan, other: NewSide, *, as_json: bool) -> None:

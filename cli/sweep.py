@@ -106,11 +106,11 @@ def main_command(
     from .against import new_side, run_sides, show_sides
     from .precision import precision
 
-    asked = read_plan(plan, installed_middlewares, by_hand=printed is not None)
     _refuse_together(
         {"--max-rate": max_rate, "--until": until, "--against": against, "--print": printed},
         {"--max-passes": max_passes, "--until": until},
     )
+    asked = read_plan(plan, installed_middlewares, by_hand=printed is not None)
     target = None if until is None else precision(until, max_passes, asked)
     other = None if against is None else new_side(against, plan, asked, installed_middlewares)
     if dry_run:

@@ -75,8 +75,8 @@ def count_false_alarms(
     counts = []
     for swapped in _deals(sorted(set(passes.values()))):
         is_new = pl.col("_is_new") ^ pl.col("_pass").is_in(list(swapped)).fill_null(value=False)
-        sides = [rows.filter(is_new == side).drop("_pass", "_is_new") for side in (False, True)]
-        counts.append(_count(compare_roundtrips(*sides, options, passes=passes)))
+        of_base, of_new = (rows.filter(is_new == side).drop("_pass", "_is_new") for side in (False, True))
+        counts.append(_count(compare_roundtrips(of_base, of_new, options, passes=passes)))
     (measured, of_measured) = counts[0]
     return FalseAlarms(
         measured=measured,

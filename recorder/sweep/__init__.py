@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from .run.result import CellResult, read_result
     from .search import MaxRate, RateAnswer
     from .station.devices import printed_command
+    from .station.programs import environment_program
     from .sweep import INCOMPLETE_EXIT_CODE, TOO_WIDE_EXIT_CODE, SweepOutcome, run_search, run_sweep
     from .until import DEFAULT_MAX_PASSES, Until, parse_target
 else:
@@ -42,6 +43,7 @@ __all__ = [
     "SweepProgress",
     "Until",
     "against_seconds",
+    "environment_program",
     "half_arguments",
     "installed_middlewares",
     "make_progress",

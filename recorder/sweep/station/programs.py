@@ -12,7 +12,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import BackendUnavailableError
+from dds_trace.tracefile import BackendUnavailableError, OptionError
+
+from ...bridges.process.supervise import program_environment
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,6 +30,29 @@ def local_program(name: str) -> list[str]:
     """Return the path of the command `name` of this installation."""
     beside = Path(sys.executable).with_name(name)
     return [str(beside if beside.exists() else shutil.which(name) or name)]
+
+
+def environment_program(folder: Path, name: str) -> tuple[str, ...]:
+    """Return the words that run the command `name` of another Python environment.
+
+    Where ROS 2 is from wheels, this process has their guard variable and library path; with these the other
+    environment's ROS 2 would load ours.
+
+    Args:
+        folder: absolute path of the environment.
+        name: name of a command of dds-trace.
+
+    Raises:
+        OptionError: the environment has no such command.
+    """
+    program = folder / "bin" / name
+    if not program.exists():
+        raise OptionError(f"{folder} has no bin/{name}; install dds-trace there, or give another folder")
+    variables = program_environment({}, foreign=True)
+    changed = [key for key in os.environ if variables.get(key) != os.environ[key]]
+    words = [word for key in changed if key not in variables for word in ("-u", key)]
+    words += [f"{key}={variables[key]}" for key in changed if key in variables]
+    return ("env", *words, str(program))
 
 
 class Program:

@@ -1,0 +1,148 @@
+"""`dds-sweep --until` and `--against` with real recordings on the socket backend, as a user calls them."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from dds_trace.tracefile import read_trace
+
+PLAN = """
+[run]
+messages = 60
+warmup = 5
+settle_seconds = 0
+repeats = {repeats}
+order = "alternating"
+domain = {domain}
+[axes]
+backend = "socket"
+size = "1KB"
+rate = 200
+"""
+CELL = "socket_same_binary-1KB_200Hz"
+
+
+@pytest.fixture
+def plan(tmp_path, domain_id):
+    def write(repeats):
+        path = tmp_path / "p.toml"
+        path.write_text(PLAN.format(repeats=repeats, domain=domain_id))
+        return path
+
+    return write
+
+
+def sweep(*arguments):
+    return subprocess.run(
+        [sys.executable, "-m", "dds_trace.cli.sweep", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def passes_in(folder):
+    return sorted(int(read_trace(path).runs[0].labels["pass"]) for path in folder.glob("*.ping.mcap"))
+
+
+@pytest.mark.middleware
+def test_until_adds_passes_and_says_which_cells_are_still_too_wide(plan, tmp_path):
+    # Two passes give no interval between runs, and no third run is exact to a millionth.
+    options = (
+        plan(2),
+        "--out",
+        tmp_path / "runs",
+        "--until",
+        "rtt_p50:0.000001%",
+        "--max-passes",
+        3,
+        "--json",
+    )
+    done = sweep(*options)
+    assert done.returncode == 11, done.stderr
+    result = json.loads(done.stdout)
+    assert (result["cells"], result["missing"], list(result["too_wide"])) == (3, {}, [CELL])
+    assert f"{CELL}: rtt_p50 is known to +-" in done.stderr
+    assert passes_in(tmp_path / "runs/p") == [1, 2, 3]
+    # Whatever the runs were: within +-10000 % everything is precise enough, and nothing is recorded again.
+    again = sweep(plan(2), "--out", tmp_path / "runs", "--until", "rtt_p50:10000%", "--json")
+    assert again.returncode == 0, again.stderr
+    assert json.loads(again.stdout)["too_wide"] == {}
+    assert passes_in(tmp_path / "runs/p") == [1, 2, 3]
+
+
+@pytest.mark.middleware
+def test_a_against_a_prints_how_often_the_comparison_errs_and_leaves_two_folders_to_compare(plan, tmp_path):
+    done = sweep(plan(3), "--out", tmp_path / "runs", "--against", "SAME", "--json")
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    assert (result["cells"], result["missing"]) == (6, {"base": {}, "new": {}})
+    alarms = result["false_alarms"]
+    assert alarms["deals"] == 4  # passes 2 and 3 exchanged or not
+    assert alarms["of_dealt"] == 4 * alarms["of_measured"] > 0
+    for side in ("base", "new"):
+        assert passes_in(Path(result[side])) == [1, 2, 3]
+    compared = subprocess.run(
+        [
+            *(sys.executable, "-m", "dds_trace.cli.analyze", "compare"),
+            *(result["base"], result["new"], "--paired", "--report", "md"),
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert compared.returncode == 0, compared.stderr
+
+
+@pytest.mark.middleware
+def test_another_python_environment_records_the_new_side(plan, tmp_path):
+    """The environment is a folder whose dds-record runs ours with a device name of its own: the base is not run by it."""
+    program = tmp_path / "venv/bin/dds-record"
+    program.parent.mkdir(parents=True)
+    program.write_text(
+        f'#!/bin/sh\nexec "{sys.executable}" -m dds_trace.cli.record "$@" --device elsewhere\n'
+    )
+    program.chmod(0o755)
+    done = sweep(plan(1), "--out", tmp_path / "runs", "--against", tmp_path / "venv", "--json")
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    devices = {
+        side: {read_trace(path).sessions[0].device for path in Path(result[side]).glob("*.mcap")}
+        for side in ("base", "new")
+    }
+    assert devices["new"] == {"elsewhere"}
+    assert "elsewhere" not in devices["base"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--until", "latency_p99"), "write STATISTIC:PERCENT"),
+        (("--until", "lateness_p99:5%"), "is no statistic"),
+        (("--until", "latency_p99:5%", "--max-passes", 2), "below the 3 passes of the plan"),
+        (("--max-passes", 9), "--max-passes belongs to --until"),
+        (("--until", "latency_p99:5%", "--max-rate"), "--max-rate and --until do not go together"),
+        (("--until", "latency_p99:5%", "--print", "relay"), "a person cannot be waited for"),
+        (("--against", "nowhere"), "give another plan.toml"),
+    ],
+)
+def test_options_that_make_no_sense_are_refused(plan, tmp_path, options, message):
+    done = sweep(plan(3), "--out", tmp_path / "runs", *options)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert message in done.stderr
+    assert not (tmp_path / "runs").exists()
+
+
+def test_dry_run_tells_the_most_that_further_passes_take_and_the_turns_of_two_sides(plan):
+    until = sweep(plan(3), "--dry-run", "--until", "latency_p99:5%", "--max-passes", 6)
+    assert until.stdout.splitlines()[-1].startswith(
+        "until latency_p99 is known to +-5 % in every cell: 6 passes at most, about "
+    )
+    turns = sweep(plan(2), "--dry-run", "--against", "SAME").stdout.splitlines()
+    assert turns[:4] == [f"base  {CELL}", f"new   {CELL}", f"new   {CELL}_r2", f"base  {CELL}_r2"]
+    assert turns[4].startswith("plan p-against-same: 4 cells of both sides, about ")

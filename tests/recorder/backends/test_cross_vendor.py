@@ -19,6 +19,9 @@ ODD = ("--deadline", "333333333ns", "--lifespan", "1234567us")
 """Durations travel in units of 2^-32 s: equal ones that were rounded apart would be named as different."""
 TUNED_BUFFER_BYTES = 4_000_000
 """What `--tuned` asks of the kernel, which gives no more than net.core.rmem_max."""
+FIRST_MESSAGE = frozenset({0})
+"""A tuned Fast DDS and a tuned Cyclone DDS sometimes lose the first message behind the probes (docs/middlewares.md); it is
+one of the warm-up, so no statistic holds it."""
 VENDORS = {"ros2": "fastdds", "cyclonedds": "cyclonedds"}
 
 
@@ -43,7 +46,7 @@ def test_large_messages_cross_when_tuned(domain_id, tmp_path, ping_backend, rela
         assert done.status == 0, done.stderr
         assert command.stop().status == 0
     trace, relay_trace = read_trace(tmp_path / "ping.mcap"), read_trace(tmp_path / "relay.mcap")
-    assert_whole(trace, relay_trace, has_source=None)
+    assert_whole(trace, relay_trace, has_source=None, may_miss=FIRST_MESSAGE)
     for session in (trace.sessions[-1], relay_trace.sessions[-1]):
         assert session.host["middleware"]["tuned"] == "true"
 

@@ -96,7 +96,11 @@ def interval_rows(
         run_of_row: a number for each row that the rows of one run share, run after run.
     """
     sent_ns = column("publish_ns").to_numpy()
+    bounds = column("clock_bound_ns").drop_nulls()
+    bound_ns = float(bounds.to_numpy().max()) if len(bounds) else 0.0
     for metric in (*METRICS, *ONE_WAY_METRICS):
+        # No quantile of one-way times is further off than its worst message.
+        off_ns = bound_ns if metric in ONE_WAY_METRICS else 0.0
         values = column(f"{metric}_ns")
         if values.null_count() == len(values):
             continue
@@ -113,8 +117,8 @@ def interval_rows(
                 "percentile": percentile.name,
                 "quantile": percentile.quantile,
                 "estimate_ns": quantile_of(ordered, percentile.quantile) if supported else None,
-                "low_ns": interval.lower,
-                "high_ns": interval.upper,
+                "low_ns": None if interval.lower is None else interval.lower - off_ns,
+                "high_ns": None if interval.upper is None else interval.upper + off_ns,
                 "method": _METHODS[interval.basis] if interval.is_two_sided else None,
                 "confidence": interval.confidence,
                 "messages": interval.samples,

@@ -49,7 +49,12 @@ METRICS: Mapping[str, Metric] = {
     for metric in (
         Metric("rtt", "Round trip", _t2 - _t1, "T2 - T1"),
         Metric("intermediate", "Time in relay", _t4 - _t3, "T4 - T3"),
-        Metric("latency", "Latency", _latency, "(rtt - intermediate) // 2"),
+        Metric(
+            "latency",
+            "Latency",
+            _latency,
+            "(rtt - intermediate) // 2, the mean of both ways: its tail is no one-way tail",
+        ),
         Metric("response", "Response", _t2 - _t0, "T2 - T0"),
     )
 }

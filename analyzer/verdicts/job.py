@@ -13,6 +13,8 @@ from dds_trace.tracefile.units.quantities import split_quantity
 from dds_trace.tracefile.units.rates import parse_rate
 from dds_trace.tracefile.units.sizes import parse_size
 
+from ..model.metrics import METRICS
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -31,9 +33,10 @@ class Job:
         data_type: `binary`, `string`, `imu` or another payload's name.
         payload_bytes: application bytes of a message.
         rate_hz: messages per second.
-        deadline_ns: latency within which a message must arrive.
+        deadline_ns: time within which a reply must be there.
         reliability: share of messages that must arrive within the deadline, between 0 and 1, both excluded.
         domain_mode: `same` or `different`; None accepts both.
+        metric: time that the deadline is for: `response` (planned send to reply), or another metric.
     """
 
     data_type: str
@@ -42,6 +45,7 @@ class Job:
     deadline_ns: int
     reliability: float
     domain_mode: str | None = None
+    metric: str = "response"
 
 
 Value = TypeVar("Value")
@@ -88,8 +92,9 @@ _RATE = _Key("rate", "20", parse_rate)
 _DEADLINE = _Key("deadline", "50ms", parse_duration)
 _RELIABILITY = _Key("reliability", "0.999", _share)
 _DOMAIN = _Key("domain", "same", lambda text: text if text in {"same", "different"} else None)
+_METRIC = _Key("metric", "response", lambda text: text if text in METRICS else None)
 _KEYS: dict[str, _Key[str] | _Key[int] | _Key[float]] = {
-    key.name: key for key in (_DATA, _SIZE, _RATE, _DEADLINE, _RELIABILITY, _DOMAIN)
+    key.name: key for key in (_DATA, _SIZE, _RATE, _DEADLINE, _RELIABILITY, _DOMAIN, _METRIC)
 }
 
 
@@ -119,7 +124,7 @@ def parse_job(text: str) -> Job:
     if words.get(_DATA.name) == "imu":
         words.setdefault(_SIZE.name, str(IMU_BYTES))
     words.setdefault(_RELIABILITY.name, DEFAULT_RELIABILITY)
-    missing = [name for name in _KEYS if name not in words and name != _DOMAIN.name]
+    missing = [name for name in _KEYS if name not in words and name not in (_DOMAIN.name, _METRIC.name)]
     if missing:
         wanted = " ".join(f"{name}={_KEYS[name].example}" for name in missing)
         raise OptionError(f"--recommend {text!r}: {', '.join(missing)} missing; add {wanted}")
@@ -130,4 +135,5 @@ def parse_job(text: str) -> Job:
         deadline_ns=_DEADLINE.value(words, text),
         reliability=_RELIABILITY.value(words, text),
         domain_mode=_DOMAIN.value(words, text) if _DOMAIN.name in words else None,
+        metric=_METRIC.value(words, text) if _METRIC.name in words else "response",
     )

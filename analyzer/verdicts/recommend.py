@@ -1,7 +1,7 @@
 """Recommendation: which middleware, bridge and settings meet the deadline of a job.
 
 A setting meets a job if messages arrive within the deadline with the wanted probability, of runs that held the rate and
-finished. Lost messages count as infinitely late, so the question is whether the `reliability` quantile of the latency is
+finished. Lost messages count as infinitely late, so the question is whether the `reliability` quantile of the job's metric (the response, T2 - T0, unless it names another) is
 below the deadline, and its confidence interval from the runs (`analyzer/run_statistics/between_runs.py`) gives the answer:
 the setting meets the deadline if the upper end does, it misses it if the lower end does, and otherwise these traces cannot
 tell. With fewer than three runs, and where the size and rate were not measured, it is `likely` at best. A reply that was
@@ -54,9 +54,6 @@ class Fit(Enum):
     INCONCLUSIVE = "inconclusive"
     MISSES = "misses"
 
-
-JUDGED_METRIC = "latency"
-"""The metric that a deadline is held against."""
 
 _FIT_ORDER = {fit: order for order, fit in enumerate(Fit)}
 
@@ -223,9 +220,9 @@ def _measure(rows: pl.DataFrame, wanted: _Wanted) -> _Cell:
     held = [share for run in group.runs if (share := _share_of_rate(run.sent_ns, rate_hz)) is not None]
     return _Cell(
         rate_hz=rate_hz,
-        interval=interval_of_runs(group.delivered(JUDGED_METRIC), statistic, wanted.confidence),
+        interval=interval_of_runs(group.delivered(wanted.job.metric), statistic, wanted.confidence),
         received_ratio=group.received_ratio(wanted.confidence).value,
-        survivors_ns=group.of_survivors(JUDGED_METRIC, statistic),
+        survivors_ns=group.of_survivors(wanted.job.metric, statistic),
         rate_held=min(held, default=None),
         unfinished=sum(run.run_id in wanted.unfinished for run in group.runs),
         messages=len(group),
@@ -300,7 +297,8 @@ def _why_inconclusive(interval: Interval, wanted: _Wanted) -> str:
     inflation = interval.samples / max(1, interval.independent)
     needs = max(planned_messages(job.reliability, wanted.confidence, inflation), statistic.needs)
     if not interval.samples:
-        return "no relay trace: these messages have no latency"
+        lacking = "schedule" if job.metric == "response" else "relay trace"
+        return f"no {lacking}: these messages have no {job.metric}"
     if interval.samples < needs:
         return f"{counted(interval.samples, 'message')}; an interval at {job.reliability:g} takes {needs}"
     more = messages_to_close(interval, job.reliability)

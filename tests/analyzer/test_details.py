@@ -86,7 +86,7 @@ def test_a_deadline_is_judged_per_run_and_relay(tmp_path):
     messages = drawn()
     lost = [Message(m.sequence, t0=m.t0, t1=m.t1) if 20 <= m.sequence < 25 else m for m in messages]
     write_pair(tmp_path, lost)
-    details = analyze(tmp_path, deadline_ns=3 * MS).details
+    details = analyze(tmp_path, deadline_ns=3 * MS, deadline_metric="latency").details
     assert details.deadline_ns == 3 * MS
     (row,) = details.freshness.iter_rows(named=True)
     assert (row["group"], row["judged"], row["missed"], row["longest_missed"]) == (0, 200, 5, 5)

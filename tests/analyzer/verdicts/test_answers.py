@@ -150,3 +150,33 @@ def test_no_relay_trace_and_nothing_at_all():
     assert answer.contenders[0].latency.value is None
     assert find_answers(rows_by_group(steady([]))) == ()
     assert find_headlines(()) == ()
+
+
+def test_devices_of_unlike_speed_are_answered_each_for_itself():
+    # Cyclone DDS is 20 % faster on each of three devices; pooled, the devices' spread would hide it (Simpson).
+    speeds = {"fast": 1.0, "pi": 9.0, "zero": 80.0}
+    frame = pl.concat(
+        in_runs(
+            noisy(speed * share * MS),
+            vendor=vendor,
+            ping_device=device,
+            run_id=10 * place + (1 if vendor == "fastdds" else 2),
+        )
+        for place, (device, speed) in enumerate(speeds.items(), 1)
+        for vendor, share in (("fastdds", 1.0), ("cyclonedds", 0.8))
+    )
+    answers = find_answers(rows_by_group(frame))
+    assert [answer.ping_device for answer in answers] == ["fast", "pi", "zero"]
+    assert {answer.clarity for answer in answers} == {Clarity.CLEAR}
+    assert {answer.leaders[0].setting["vendor"] for answer in answers} == {"cyclonedds"}
+    (headline,) = find_headlines(answers)
+    assert (headline.cases, headline.leads[0].cases, headline.inconclusive) == (3, 3, 0)
+
+
+def test_unlike_values_of_a_link_are_two_cases_and_no_contenders():
+    frame = pl.concat(
+        in_runs(noisy(10 * MS), setting=f"link=custom(delay_ms={delay})", run_id=delay) for delay in (1, 2)
+    )
+    answers = find_answers(rows_by_group(frame))
+    assert [answer.conditions for answer in answers] == ["link=custom(delay_ms=1)", "link=custom(delay_ms=2)"]
+    assert {answer.clarity for answer in answers} == {Clarity.ONLY_ONE}

@@ -13,7 +13,7 @@ from dds_trace.analyzer.verdicts.job import Job
 from dds_trace.analyzer.verdicts.recommend import Fit, recommend_settings
 from dds_trace.tracefile import Run
 
-JOB = Job("binary", 33_000, 10.0, 20 * MS, 0.9)
+JOB = Job("binary", 33_000, 10.0, 20 * MS, 0.9, metric="latency")
 
 
 def noisy(centre_ns, messages=200, seed=0):
@@ -92,7 +92,9 @@ def test_a_failing_neighbour_forbids_a_guess():
             for size in sizes
         ]
     )
-    (candidate,) = recommend_settings(frame, Job("binary", 30_000, 10.0, 20 * MS, 0.9)).candidates
+    (candidate,) = recommend_settings(
+        frame, Job("binary", 30_000, 10.0, 20 * MS, 0.9, metric="latency")
+    ).candidates
     assert (candidate.fit, candidate.latency_ns) == (Fit.INCONCLUSIVE, None)
     assert candidate.reason == (
         "not measured, and not guessed: 40000 B at 10 Hz is later than the deadline and loses 60.00%"
@@ -101,7 +103,7 @@ def test_a_failing_neighbour_forbids_a_guess():
 
 def test_a_deadline_inside_the_interval_is_inconclusive():
     (candidate,) = recommend_settings(
-        steady(noisy(10 * MS)), Job("binary", 33_000, 10.0, int(10.85 * MS), 0.9)
+        steady(noisy(10 * MS)), Job("binary", 33_000, 10.0, int(10.85 * MS), 0.9, metric="latency")
     ).candidates
     assert candidate.lower_ns < 10.85 * MS < candidate.upper_ns
     assert candidate.fit is Fit.INCONCLUSIVE
@@ -140,7 +142,9 @@ def test_without_the_relays_trace_there_is_no_answer():
 def test_an_unmeasured_cell_is_a_guess_that_says_so():
     sizes = (10_000, 20_000, 40_000, 80_000, 160_000)
     frame = pl.concat([steady([size * 100] * 40, run_id=size, payload_bytes=size) for size in sizes])
-    (candidate,) = recommend_settings(frame, Job("binary", 30_000, 10.0, 20 * MS, 0.9)).candidates
+    (candidate,) = recommend_settings(
+        frame, Job("binary", 30_000, 10.0, 20 * MS, 0.9, metric="latency")
+    ).candidates
     assert not candidate.measured
     assert candidate.latency_ns == pytest.approx(3 * MS, rel=1e-3)
     assert (candidate.messages, candidate.held_out) == (0, 3)
@@ -157,3 +161,13 @@ def test_nothing_measured_nothing_recommended():
 
 def test_all_surely_late_is_an_answer_too():
     assert recommend_settings(steady(noisy(40 * MS)), JOB).is_conclusive
+
+
+def test_a_deadline_is_for_the_response_unless_the_job_names_another_metric():
+    # 8 ms one way: the reply is there after 16 ms and more, which is later than 12 ms.
+    frame = in_runs(noisy(8 * MS))
+    of_response, of_latency = (
+        recommend_settings(frame, Job("binary", 33_000, 10.0, 12 * MS, 0.9, **named)).candidates[0].fit
+        for named in ({}, {"metric": "latency"})
+    )
+    assert (of_response, of_latency) == (Fit.MISSES, Fit.MEETS)

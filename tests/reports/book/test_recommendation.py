@@ -13,7 +13,7 @@ from dds_trace.reports.book.recommendation import recommendation_info
 from dds_trace.reports.html.page import render as render_html
 from dds_trace.reports.markdown import render as render_markdown
 
-JOB = Job("binary", 33_000, 10.0, 50 * MS, 0.99)
+JOB = Job("binary", 33_000, 10.0, 50 * MS, 0.99, metric="latency")
 MIXED = [MS + (n * 37 % 101) * 1000 for n in range(1500)]
 
 

@@ -1,0 +1,60 @@
+"""Messages that never left, and those that were on their way when the ping died."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from trace_files import run
+
+from dds_trace.analyzer.pairing.pair import Published
+from dds_trace.analyzer.pairing.unsent import count_unsent, settled
+from dds_trace.tracefile import EventColumns
+
+MS = 1_000_000
+
+
+def published(count):
+    """Messages 0, 1, 2 ... sent on time, one each 100 ms."""
+    at_ns = np.arange(count, dtype=np.int64) * 100 * MS
+    return Published(np.arange(count, dtype=np.uint64), at_ns, at_ns, 0, count, 0, (1, 1))
+
+
+def replies(*at_ns):
+    zeros = np.zeros(len(at_ns), np.int64)
+    return EventColumns(
+        run_id=zeros.astype(np.uint64),
+        sequence=np.array([sequence for sequence, _ in at_ns], np.uint64),
+        monotonic_ns=np.array([ns for _, ns in at_ns], np.int64),
+        scheduled_ns=zeros,
+        source_ns=zeros,
+        received_ns=zeros,
+        payload_bytes=zeros.astype(np.uint32),
+        relay_id=zeros.astype(np.uint32),
+    )
+
+
+@pytest.mark.parametrize(
+    ("ended_ns", "planned", "unsent"),
+    [
+        (450 * MS, 100, 0),  # T0 of 0 ... 4 had passed, and all five left
+        (1250 * MS, 100, 8),  # T0 of 5 ... 12 had passed as well
+        (1250 * MS, 7, 2),  # the plan ends at 6
+    ],
+)
+def test_messages_that_were_due_when_the_run_ended(ended_ns, planned, unsent):
+    described = run(
+        rate_hz=10.0, planned_messages=planned, warmup_messages=0, published=5, extra={"ended_ns": ended_ns}
+    )
+    assert count_unsent(described, published(5), replies()) == unsent
+
+
+def test_what_a_live_topic_skipped_never_left():
+    assert count_unsent(run(extra={"skipped_messages": 3}), published(5), replies()) == 3
+
+
+def test_a_killed_ping_does_not_know_the_fate_of_its_last_messages():
+    # Replies to 0, 1, 3 after 150 ms at most; the last event is T2 of 3 at 450 ms. 2 (200 ms) is lost, 4 (400 ms) is open.
+    t2 = replies((0, 150 * MS), (1, 150 * MS), (3, 450 * MS))
+    killed = run(state="started")
+    assert settled(killed, published(5), t2).tolist() == [True, True, True, True, False]
+    assert settled(run(), published(5), t2).all()

@@ -49,7 +49,7 @@ def new_side(
     Raises:
         OptionError: it is none of these, or the environment has no dds-record.
     """
-    from dds_trace.recorder.sweep import environment_program, read_plan
+    from dds_trace.recorder.sweep import environment_name, environment_program, read_plan
 
     path = Path(text).expanduser()
     if text == SAME or (path.is_file() and path.samefile(base_path)):
@@ -67,8 +67,7 @@ def new_side(
             "--against ENVIRONMENT is for sweeps on one machine; with another device write a plan whose "
             "[devices.relay] path is that of the environment there"
         )
-    name = path.absolute().name
-    return NewSide(path.absolute().parent.name if name in {".venv", "venv"} else name, base, command)
+    return NewSide(environment_name(text), base, command)
 
 
 def show_sides(base: Plan, other: NewSide, *, as_json: bool) -> None:

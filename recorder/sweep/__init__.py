@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from ..backends import installed_middlewares
     from .against import AgainstOutcome, against_seconds, run_against, take_turns
     from .max_rate_report import COLUMNS, max_rate_rows, write_max_rates
-    from .plan.cells import Cell
+    from .plan.cells import Cell, environment_name
     from .plan.commands import half_arguments, relay_arguments
     from .plan.link import PRESETS, Link
     from .plan.plan import Plan
@@ -43,6 +43,7 @@ __all__ = [
     "SweepProgress",
     "Until",
     "against_seconds",
+    "environment_name",
     "environment_program",
     "half_arguments",
     "installed_middlewares",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field, fields
+from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from dds_trace.tracefile.units.sizes import spell_size
@@ -24,7 +25,7 @@ class Axis:
     """One axis of a plan.
 
     Attributes:
-        option: option of `dds-record`.
+        option: option of `dds-record`, empty for what is not told to it.
         of_relay: whether the relay has to be started with it too.
         kind: type of a plan's value.
         choices: the allowed values, empty where any value of the type is allowed. The table of backends or bridges
@@ -56,6 +57,7 @@ class Cell:
         data: `binary`, `string`, `imu`, or a source such as `file:PATH`.
         size: payload bytes, None where the data decides.
         rate: messages a second.
+        environment: folder of the Python environment whose `dds-record` runs, empty for this one.
         repeat: 1, 2 ... when the plan asks for several.
     """
 
@@ -81,6 +83,7 @@ class Cell:
         "auto", Axis("--executor", of_relay=True, choices=[kind.value for kind in ExecutorKind])
     )
     tuned: bool = _axis(False, Axis("--tuned", of_relay=True, kind=bool))
+    environment: str = _axis("", Axis("", of_relay=True))
     repeat: int = 1
 
     @property
@@ -157,6 +160,7 @@ class RelayNeed:
     transport: str
     executor: str
     tuned: bool
+    environment: str
 
     @property
     def name(self) -> str:
@@ -188,7 +192,15 @@ def _middleware_name(backend: str, rmw: str | None) -> str:
     return f"{backend}-{short}" if short else backend
 
 
+def environment_name(folder: str) -> str:
+    """Return the name of a Python environment: that of its folder, or of the one around a `.venv`."""
+    path = Path(folder).expanduser().absolute()
+    return path.parent.name if path.name in {".venv", "venv"} else path.name
+
+
 def _other_name(name: str, value: object) -> str:
     if value is True:
         return name
+    if name == "environment":
+        return environment_name(str(value))
     return f"{name}-{value}" if isinstance(value, int) else str(value)

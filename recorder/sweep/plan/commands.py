@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from .cells import AXES, DEFAULTS, RELAY_AXES
+from .cells import AXES, DEFAULTS, RELAY_AXES, environment_name
 from .plan import connects_to_relay
 
 if TYPE_CHECKING:
@@ -64,6 +64,7 @@ def ping_arguments(plan: Plan, cell: Cell, wait_s: float, relay_address: str | N
         *("--wait", f"{wait_s:g}"),
         *("--label", f"sweep={plan.name}", "--label", f"cell={replace(cell, repeat=1).name}"),
         *("--label", f"{PASS_LABEL}={cell.repeat}"),
+        *(("--setting", f"environment={environment_name(cell.environment)}") if cell.environment else ()),
         *(("--label", f"link={plan.link}", "--setting", f"link={plan.link.setting}") if plan.link else ()),
         *_common_arguments(plan, plan.ping),
     ]
@@ -81,7 +82,7 @@ def _axis_arguments(parameters: Cell | RelayNeed, names: Iterable[str]) -> list[
     return [
         argument
         for name in names
-        if getattr(parameters, name) != DEFAULTS[name]
+        if AXES[name].option and getattr(parameters, name) != DEFAULTS[name]
         for argument in _option(AXES[name].option, getattr(parameters, name))
     ]
 

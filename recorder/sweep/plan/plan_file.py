@@ -190,6 +190,10 @@ def _check(plan: Plan, where: str) -> None:
             plan.has_two_devices and not plan.relay.reached_at and any(map(plan.needs_address, plan.cells)),
             "the ping has to be told where the relay is; give [devices.relay] its address",
         ),
+        (
+            plan.has_two_devices and any(cell.environment for cell in plan.cells),
+            "the axis environment needs both devices on this machine; leave it or the other device out",
+        ),
         (plan.ping.ssh is not None, "the ping is always on this machine; give [devices.relay] the ssh"),
         (
             plan.search.percentile not in PERCENTILES,

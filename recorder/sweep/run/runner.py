@@ -127,7 +127,7 @@ class Runner:
     def relay(self, group: CellGroup) -> Iterator[GroupRelay]:
         """Yield a relay for the cells of this group; at the end of the block its part of each is in place."""
         relay = GroupRelay(
-            self._station.device,
+            self._station.within(group.need.environment).device,
             relay_arguments(self.plan, group.need),
             half_arguments(self.plan, group) if group.bridge else None,
             self._segment_names(group),
@@ -194,7 +194,7 @@ class Runner:
         began_s = time.monotonic()
         log = draft.with_name(draft.name + ".log")
         command = [
-            *self._station.ping_command,
+            *self._station.within(cell.environment).ping_command,
             *ping_arguments(self.plan, cell, self._station.wait_s, self._station.relay_address),
             "--out",
             str(draft),

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .devices import LocalDevice, PrintedDevice
 from .namespaces import NamespacePair
-from .programs import local_program
+from .programs import environment_program, local_program
 from .ssh import SshDevice
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-    from pathlib import Path
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from ..plan.link import LinkReport
     from ..plan.plan import Plan
@@ -38,6 +38,7 @@ class Station:
         wait_s: longest time that a ping waits for the relay's echo.
         relay_address: address at which the ping reaches the relay's device, None on one machine.
         report_link: returns the report of the emulated link since the call before; None without such a link.
+        environments: folder of each other Python environment of the plan -> command of the ping and device of the relay.
     """
 
     ping_command: Sequence[str]
@@ -46,6 +47,14 @@ class Station:
     wait_s: float = 20.0
     relay_address: str | None = None
     report_link: Callable[[], LinkReport | None] | None = None
+    environments: Mapping[str, tuple[Sequence[str], RelayDevice]] = field(default_factory=dict)
+
+    def within(self, environment: str) -> Station:
+        """Return this station with the `dds-record` of a Python environment of the plan; empty for that of this one."""
+        if not environment:
+            return self
+        ping_command, device = self.environments[environment]
+        return replace(self, ping_command=ping_command, device=device)
 
 
 @contextmanager
@@ -67,10 +76,15 @@ def open_station(
         command: `dds-record` on this machine; the installed one if left out.
 
     Raises:
-        OptionError, BackendUnavailableError: as `NamespacePair`.
+        OptionError, BackendUnavailableError: as `NamespacePair`; an environment of the plan has no `dds-record`.
     """
     own = list(command or local_program("dds-record"))
     parts = folder / PARTS
+    others = {
+        environment: environment_program(Path(environment).expanduser().absolute(), "dds-record")
+        for environment in dict.fromkeys(cell.environment for cell in plan.cells)
+        if environment
+    }
     if plan.by_hand:
         yield Station(own, PrintedDevice(show), held, PERSON_WAIT_S, plan.relay.reached_at)
     elif plan.relay.ssh is not None:
@@ -80,7 +94,27 @@ def open_station(
             pair = stack.enter_context(NamespacePair(plan.link))
             relay = LocalDevice(parts, [*pair.relay.prefix, *own], held)
             yield Station(
-                [*pair.ping.prefix, *own], relay, held, ECHO_WAIT_S, pair.relay.address, pair.report
+                [*pair.ping.prefix, *own],
+                relay,
+                held,
+                ECHO_WAIT_S,
+                pair.relay.address,
+                pair.report,
+                {
+                    environment: (
+                        [*pair.ping.prefix, *other],
+                        LocalDevice(parts, [*pair.relay.prefix, *other], held),
+                    )
+                    for environment, other in others.items()
+                },
             )
     else:
-        yield Station(own, LocalDevice(parts, own, held), held, ECHO_WAIT_S)
+        yield Station(
+            own,
+            LocalDevice(parts, own, held),
+            held,
+            ECHO_WAIT_S,
+            environments={
+                environment: (other, LocalDevice(parts, other, held)) for environment, other in others.items()
+            },
+        )

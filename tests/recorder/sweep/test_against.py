@@ -89,3 +89,20 @@ def test_failure_of_one_side_is_that_sides_and_the_other_goes_on(desk):
     outcome = run_against(base, new, desk.folder / "runs/ab", Heard(), commands=(COMMAND, COMMAND))
     assert outcome.base.missing == {}
     assert list(outcome.new.missing) == [SECOND]
+
+
+def test_environment_is_an_axis_whose_cells_are_run_by_the_dds_record_of_that_folder(desk):
+    program = desk.folder / "kilted/bin/dds-record"
+    program.parent.mkdir(parents=True)
+    program.write_text("#!/bin/sh\nexec " + " ".join(COMMAND) + ' "$@" --from kilted\n')
+    program.chmod(0o755)
+    axis = f'[axes]\nenvironment = ["", "{program.parents[1]}"]'
+    text = ONE_CELL.replace("repeats = 4", "repeats = 1").replace("[axes]", axis)
+    outcome = desk.sweep(text)
+    assert outcome.missing == {}
+    assert desk.traces == files_of(FIRST, f"{FIRST}_kilted")
+    by_folder = {start["cell"] for start in desk.starts if start["arguments"][-2:] == ["--from", "kilted"]}
+    assert by_folder == {f"{FIRST}_kilted", "relay"}
+    pings = {start["cell"]: start["arguments"] for start in desk.starts}
+    assert "environment=kilted" in pings[f"{FIRST}_kilted"]
+    assert not any("environment=" in word for word in pings[FIRST])

@@ -36,6 +36,7 @@ def test_every_parameter_shows_in_the_name():
         "transport": "udp",
         "executor": "single",
         "tuned": True,
+        "environment": "/opt/kilted",
         "repeat": 2,
     }
     assert set(changes) == {field.name for field in fields(Cell)}
@@ -58,3 +59,8 @@ def test_relay_of_another_vendor():
     assert (cell.relay.backend, cell.relay.rmw, cell.relay.depth) == ("cyclonedds", None, 3)
     assert cell.name == "ros2-fastrtps_to-cyclonedds_same_binary_10Hz_depth-3"
     assert cell.relay.name == "cyclonedds depth-3"
+
+
+def test_environment_has_the_name_of_its_folder_or_of_the_one_around_it():
+    assert Cell(environment="/opt/kilted").name == "ros2_same_binary_10Hz_kilted"
+    assert Cell(environment="/home/x/kilted/.venv/").name == "ros2_same_binary_10Hz_kilted"

@@ -35,12 +35,14 @@ class EventPart:
         trace: position of the trace in its campaign.
         count: number of events.
         first_ns: the earliest `monotonic_ns`.
+        last_ns: the latest one.
         events: the events, or where they are.
     """
 
     trace: int
     count: int
     first_ns: int
+    last_ns: int
     events: EventColumns | EventsElsewhere
 
     def load(self) -> EventColumns:
@@ -79,7 +81,9 @@ def index_events(of_traces: Iterable[Mapping[EventKey, EventPart]]) -> EventInde
 def split_trace(trace: Trace, position: int) -> dict[EventKey, EventPart]:
     """Return the index of one trace whose events are in memory."""
     return {
-        (stage, *key): EventPart(position, len(columns), int(columns.monotonic_ns.min()), columns)
+        (stage, *key): EventPart(
+            position, len(columns), int(columns.monotonic_ns.min()), int(columns.monotonic_ns.max()), columns
+        )
         for stage in Stage
         for key, columns in split_events(trace.events[stage], by_relay=stage is not Stage.T1).items()
     }

@@ -179,7 +179,7 @@ class _Entry(TypedDict):
     ring_events: int
     unreadable_messages: int
     notes: list[str]
-    parts: list[tuple[str, int, int, int, int, dict[str, tuple[str, int]]]]
+    parts: list[tuple[str, int, int, int, int, int, dict[str, tuple[str, int]]]]
 
 
 def _known(folder: Path, key: str, path: Path, position: int) -> LoadedTrace | None:
@@ -208,7 +208,7 @@ def _to_dict(loaded: LoadedTrace) -> _Entry:
         "unreadable_messages": trace.unreadable_messages,
         "notes": list(trace.notes),
         "parts": [
-            (stage.value, run_id, relay_id, part.count, part.first_ns, dict(events.columns))
+            (stage.value, run_id, relay_id, part.count, part.first_ns, part.last_ns, dict(events.columns))
             for ((stage, run_id, relay_id), part), events in zip(loaded.parts.items(), stored, strict=True)
         ],
     }
@@ -216,9 +216,9 @@ def _to_dict(loaded: LoadedTrace) -> _Entry:
 
 def _from_dict(entry: _Entry, file: Path, path: Path, position: int) -> LoadedTrace:
     parts = {}
-    for stage, run_id, relay_id, count, first_ns, columns in entry["parts"]:
+    for stage, run_id, relay_id, count, first_ns, last_ns, columns in entry["parts"]:
         events = StoredEvents(file, count, {name: (how, value) for name, (how, value) in columns.items()})
-        parts[Stage(stage), run_id, relay_id] = EventPart(position, count, first_ns, events)
+        parts[Stage(stage), run_id, relay_id] = EventPart(position, count, first_ns, last_ns, events)
     trace = Trace(
         path=path,
         sessions=tuple(Session.from_json(text, path) for text in entry["sessions"]),

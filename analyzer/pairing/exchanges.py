@@ -47,6 +47,7 @@ class Exchange:
         relay_id: the relay.
         relay: the relay's session; None without its trace.
         start_ns: the run's first T1, wall clock by the anchor of the ping.
+        end_ns: the run's last T1, likewise.
         counts: events of T1, T2, T3 and T4 in all traces; copies count.
         relays: number of relays that took part in the run.
         flows: number of runs of the ping's device in the middle of this one, which counts.
@@ -57,6 +58,7 @@ class Exchange:
     relay_id: int
     relay: Session | None
     start_ns: int
+    end_ns: int
     counts: tuple[int, int, int, int]
     relays: int = 1
     flows: int = 1
@@ -88,14 +90,6 @@ class Exchange:
     def environment(self) -> str:
         """Return the digest of what both sides ran in."""
         return environment_of(self.ping, self.relay)
-
-    @property
-    def end_ns(self) -> int:
-        """The planned time of the run's last published message, wall clock by the anchor of the ping."""
-        messages = self.run.published or self.counts[0]
-        return self.start_ns + (
-            round((messages - 1) / self.run.rate_hz * _NS_PER_S) if self.run.rate_hz else 0
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,8 +168,11 @@ def find_exchanges(campaign: Campaign) -> Exchanges:
                 unplaced.append(_unplaced("impossible_description", run_id, relay_id, [t1], flaw))
                 continue
             counts = (_count(t1), _count(t2), _count(t3), _count(t4))
-            start_ns = ping.wall_ns(_first_ns(t1))
-            held.append(Exchange(run, ping, relay_id, relay, start_ns, counts, relays=len(relays) or 1))
+            first_ns, last_ns = _first_ns(t1), max(part.last_ns for part in t1)
+            start_ns, end_ns = ping.wall_ns(first_ns), ping.wall_ns(last_ns)
+            held.append(
+                Exchange(run, ping, relay_id, relay, start_ns, end_ns, counts, relays=len(relays) or 1)
+            )
     if not held:
         raise MissingEventsError(_nothing_to_pair(campaign, unplaced))
     placed = {key for exchange in held for key in exchange.event_keys()}

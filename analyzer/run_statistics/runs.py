@@ -46,11 +46,13 @@ class Run:
 
 
 def joined_runs(runs: Sequence[Run]) -> Run:
-    """Return several runs as one series, in their order; a single run is returned as it is.
+    """Return several runs as one series, in their order; a single run is returned as it is, no run as an empty one.
 
     Times of sending are moved so that the runs follow each other: an episode does not outlive its run by more than
     the pause between two messages.
     """
+    if not runs:
+        return Run(np.empty(0))
     if len(runs) == 1:
         return runs[0]
     values = np.concatenate([run.values for run in runs])

@@ -77,9 +77,9 @@ def test_events_are_fetched_only_when_they_are_wanted():
             Shelved.fetched += 1
             return columns
 
-    part = EventPart(0, 2, 10, Shelved())
+    part = EventPart(0, 2, 10, 30, Shelved())
     assert Shelved.fetched == 0
     assert merge_parts([part]) == (columns, ())
     assert Shelved.fetched == 1
-    assert EventPart(0, 2, 10, columns).load() is columns
+    assert EventPart(0, 2, 10, 30, columns).load() is columns
     assert len(merge_parts([])[0]) == 0

@@ -136,7 +136,12 @@ def test_the_summary_is_that_of_its_rows(files):
     with tempfile.TemporaryDirectory() as name:
         write(Path(name), files)
         analysis = analyze(name)
-    keys = ["relay_device", "relay_vendor", "relay_domain_id"]  # nothing else differs in these recordings
+    keys = [
+        "relay_device",
+        "relay_vendor",
+        "relay_domain_id",
+        "setting",
+    ]  # nothing else differs in these recordings
     for group in analysis.summary.to_dicts():
         rows = (
             analysis.load_roundtrips()

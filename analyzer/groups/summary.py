@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
+from dds_trace.tracefile.units.durations import SECOND_NS
+
 from ..model.columns import STATISTICS, SUMMARY_COLUMNS
 from ..model.metrics import METRICS
 from ..model.unsent import MOST_MESSAGES
@@ -18,8 +20,6 @@ if TYPE_CHECKING:
 
     from .batch import Grouping
     from .measure import Statistics
-
-_NS_PER_S = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,7 +101,7 @@ def _per_second(amount: str, span_ns: str) -> pl.Expr:
     """Divide sum by sum: the runs of a group weigh as long as they took; a run without a duration says nothing."""
     lasted = pl.col(span_ns) > 0
     return _ratio(
-        pl.col(amount).filter(lasted).sum() * float(_NS_PER_S), pl.col(span_ns).filter(lasted).sum()
+        pl.col(amount).filter(lasted).sum() * float(SECOND_NS), pl.col(span_ns).filter(lasted).sum()
     )
 
 

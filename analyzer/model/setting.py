@@ -75,12 +75,6 @@ def choice_of(setting: str) -> str:
     return write_setting({k: v for k, v in parse_setting(setting).items() if k not in CONDITIONS})
 
 
-def relay_part_left_out(setting: str) -> str:
-    """Return a setting without what only the relay's session tells."""
-    values = parse_setting(setting)
-    return write_setting({key: value for key, value in values.items() if not key.startswith("relay.")})
-
-
 def _side(session: Session) -> dict[str, str]:
     """Return what a side was asked for, defaults left out."""
     told = session.extra.get("settings")

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
+from dds_trace.tracefile.units.durations import SECOND_NS
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from dds_trace.tracefile import Run
 
-_NS_PER_S = 1_000_000_000
 
 MOST_MESSAGES = 1 << 53
 """Largest number that a description's count of messages can mean: sums of many stay within an int64."""
@@ -59,7 +60,7 @@ def due_unsent(run: Run, ends: Ends | None) -> int:
     told = run.extra.get("ended_ns")
     ended_ns = told if isinstance(told, int) else ends.last_ns
     total = run.warmup_messages + run.planned_messages
-    due = ends.first + 1 + int((ended_ns - ends.scheduled_ns) * run.rate_hz / _NS_PER_S)
+    due = ends.first + 1 + int((ended_ns - ends.scheduled_ns) * run.rate_hz / SECOND_NS)
     left = max(ends.last + 1, run.published, run.warmup_messages)
     return min(max(0, min(due, total) - left), MOST_MESSAGES)
 

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     """The traces that hold events of one stage, run and relay."""
 
 NO_RELAY = 0
-_NS_PER_S = 1_000_000_000
 
 # The ranges of the columns that hold a description's numbers.
 _INT32 = (-(2**31), 2**31 - 1)

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dds_trace.tracefile.units.durations import SECOND_NS
+
 from ..model.unsent import Ends, due_unsent
 from .pair import MISSING, first_replies
 
@@ -16,9 +18,8 @@ if TYPE_CHECKING:
 
     from .pair import Published
 
-_NS_PER_S = 1_000_000_000
 
-_PATIENCE_NS = 2 * _NS_PER_S
+_PATIENCE_NS = 2 * SECOND_NS
 """Time that a reply may take in a run without any: what a ping waits at its end before it gives one up."""
 
 

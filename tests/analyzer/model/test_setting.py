@@ -15,7 +15,6 @@ from dds_trace.analyzer.model.setting import (
     choice_of,
     condition_of,
     parse_setting,
-    relay_part_left_out,
     setting_of,
     write_setting,
 )
@@ -44,7 +43,6 @@ def test_the_relay_tells_where_it_was_asked_otherwise():
     assert (
         setting_of(run(), ping(tuned=True), relay(depth=3)) == "relay.depth=3,relay.tuned=default,tuned=true"
     )
-    assert relay_part_left_out("relay.depth=3,tuned=true") == "tuned=true"
     assert setting_of(run(), ping(), relay_session(rmw="rmw_fastrtps_dynamic_cpp")) == (
         "relay.rmw=rmw_fastrtps_dynamic_cpp"
     )

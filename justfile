@@ -46,7 +46,7 @@ test-slow *args: setup
 samples: setup
     DDS_TRACE_BIN={{bin}} sample_traces/record.sh
 
-# Build the real zenoh-bridge-dds from crates (cargo, about a quarter of an hour)
+# Build the real zenoh-bridge-dds and zenoh-bridge-ros2dds from crates (cargo, about twenty minutes)
 install-zenoh-bridge:
     scripts/install-zenoh-bridge.sh
 

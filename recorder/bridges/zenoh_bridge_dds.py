@@ -7,7 +7,6 @@ The same bridge comes as a program, `zenoh-bridge-dds`, and as a plugin of zenoh
 from __future__ import annotations
 
 import json
-import os
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,14 +15,14 @@ from typing import TYPE_CHECKING
 from ..choices import Discovery
 from .base import Halves
 from .process.programs import reported_version
-from .zenoh_link import zenoh_environment, zenoh_link
+from .zenoh_link import plugin_arguments, router_with, zenoh_environment, zenoh_link
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from .options import BridgeOptions
 
-PLUGIN = "libzenoh_plugin_dds.so"
+PLUGIN = "dds"
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,8 +55,7 @@ class ZenohBridgeDds:
         """Return `zenoh-bridge-dds` on the PATH, else `zenohd` with the plugin in the folder of our recipe."""
         if path := shutil.which("zenoh-bridge-dds"):
             return Path(path)
-        router = installed_folder() / "zenohd"
-        return router if router.is_file() and router.with_name(PLUGIN).is_file() else None
+        return router_with(PLUGIN)
 
     def version(self, program: Path) -> str:
         """Return the line of `--version`."""
@@ -66,8 +64,7 @@ class ZenohBridgeDds:
     def command(self, program: Path, configuration: Path, options: BridgeOptions) -> Sequence[str]:
         """Return the program, or the router with the plugin that must load."""
         del options
-        plugin = ("-P", f"dds:{program.with_name(PLUGIN)}") if program.name == "zenohd" else ()
-        return (str(program), *plugin, "-c", str(configuration))
+        return (str(program), *plugin_arguments(program, PLUGIN), "-c", str(configuration))
 
     def environment(self, program: Path, options: BridgeOptions) -> Mapping[str, str]:
         """Return the settings of the Cyclone DDS inside."""
@@ -76,9 +73,3 @@ class ZenohBridgeDds:
 
 
 BRIDGE = ZenohBridgeDds()
-
-
-def installed_folder() -> Path:
-    """Return the folder of the two files that `just install-zenoh-bridge` builds."""
-    data = os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share"
-    return Path(data) / "dds-trace" / "zenoh-bridge-dds"

@@ -1,7 +1,8 @@
 """`zenoh-bridge-ros2dds`: Eclipse zenoh's bridge for ROS 2, successor of `zenoh-bridge-dds`; one half for each domain.
 
 Its maintainers recommend it for ROS 2. Unlike its predecessor it knows ROS names and directions, so the configuration
-lists for each side the topics that may leave and those that may come in.
+lists for each side the topics that may leave and those that may come in. It comes as a program, and as a plugin of
+zenoh's router: `zenohd` with `libzenoh_plugin_ros2dds.so` beside it, which is what `just install-zenoh-bridge` builds.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING
 from ..choices import Discovery
 from .base import Halves
 from .process.programs import reported_version, ros_package_program
-from .zenoh_link import zenoh_environment, zenoh_link
+from .zenoh_link import plugin_arguments, router_with, zenoh_environment, zenoh_link
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from .options import BridgeOptions
 
 PROGRAM = "zenoh-bridge-ros2dds"
+PLUGIN = "ros2dds"
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,9 +32,7 @@ class ZenohBridgeRos2dds:
     """Eclipse zenoh's bridge for ROS 2; see `Bridge` for the names."""
 
     name: str = PROGRAM
-    install: str = (
-        "get it from https://download.eclipse.org/zenoh/zenoh-plugin-ros2dds/latest/ and put it on the PATH"
-    )
+    install: str = "build it with `just install-zenoh-bridge` (needs cargo), or get it from https://download.eclipse.org/zenoh/zenoh-plugin-ros2dds/latest/ and put it on the PATH"
     halves: Halves = Halves.ALWAYS
     suffix: str = ".json5"
     up_pattern: str | None = None
@@ -57,18 +57,19 @@ class ZenohBridgeRos2dds:
         )
 
     def find(self) -> Path | None:
-        """Return the program on the PATH, else that of the sourced ROS 2 installation."""
-        path = shutil.which(PROGRAM)
-        return Path(path) if path else ros_package_program("zenoh_bridge_ros2dds", "zenoh_bridge_ros2dds")
+        """Return the program on the PATH, else that of the sourced ROS 2 installation, else `zenohd` of our recipe."""
+        if path := shutil.which(PROGRAM):
+            return Path(path)
+        return ros_package_program("zenoh_bridge_ros2dds", "zenoh_bridge_ros2dds") or router_with(PLUGIN)
 
     def version(self, program: Path) -> str:
         """Return the line of `--version`."""
         return reported_version(program, "--version")
 
     def command(self, program: Path, configuration: Path, options: BridgeOptions) -> Sequence[str]:
-        """Return the program with its file."""
+        """Return the program, or the router with the plugin that must load, with its file."""
         del options
-        return (str(program), "-c", str(configuration))
+        return (str(program), *plugin_arguments(program, PLUGIN), "-c", str(configuration))
 
     def environment(self, program: Path, options: BridgeOptions) -> Mapping[str, str]:
         """Return the settings of the Cyclone DDS inside."""

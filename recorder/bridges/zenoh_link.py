@@ -1,7 +1,9 @@
-"""The link between two zenoh programs of a bridge: the part of a zenoh configuration that all our zenoh bridges share."""
+"""What all our zenoh bridges share: the link between two zenoh programs, and zenoh's router with a plugin as the program."""
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..backends.cyclone_settings import cyclone_settings
@@ -34,3 +36,24 @@ def zenoh_environment(options: BridgeOptions) -> Mapping[str, str]:
     log = {"RUST_LOG": "z=info", "NO_COLOR": "1"}
     settings = cyclone_settings(options.discovery, tuned=options.tuned)
     return {**log, "CYCLONEDDS_URI": settings} if settings else log
+
+
+def installed_folder() -> Path:
+    """Return the folder of the router and the plugins that `just install-zenoh-bridge` builds."""
+    data = os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share"
+    return Path(data) / "dds-trace" / "zenoh-bridge-dds"
+
+
+def router_with(plugin: str) -> Path | None:
+    """Return `zenohd` in the folder of our recipe if the plugin's library is beside it."""
+    router = installed_folder() / "zenohd"
+    return router if router.is_file() and _library(router, plugin).is_file() else None
+
+
+def plugin_arguments(program: Path, plugin: str) -> tuple[str, ...]:
+    """Return what makes zenoh's router load a plugin or end; nothing for a bridge's own program."""
+    return ("-P", f"{plugin}:{_library(program, plugin)}") if program.name == "zenohd" else ()
+
+
+def _library(router: Path, plugin: str) -> Path:
+    return router.with_name(f"libzenoh_plugin_{plugin}.so")

@@ -161,6 +161,28 @@ def test_zenoh_bridge_ros2dds():
         assert set(half) == {"nodename", "domain", "ros_localhost_only", "allow", "reliable_routes_blocking"}
 
 
+@pytest.mark.parametrize(
+    ("name", "plugin"), [("zenoh-bridge-dds", "dds"), ("zenoh-bridge-ros2dds", "ros2dds")]
+)
+def test_zenohs_router_is_a_bridge_if_its_plugin_is_beside_it(name, plugin, tmp_path, monkeypatch):
+    folder = tmp_path / "dds-trace" / "zenoh-bridge-dds"
+    folder.mkdir(parents=True)
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
+    bridge = load_bridge(name)
+    (folder / "zenohd").touch()
+    for other in {"dds", "ros2dds"} - {plugin}:
+        (folder / f"libzenoh_plugin_{other}.so").touch()
+    assert bridge.find() is None
+    (folder / f"libzenoh_plugin_{plugin}.so").touch()
+    assert bridge.find() == folder / "zenohd"
+    options = BridgeOptions(5, 10, half=Half.PING, listen="127.0.0.1:7447")
+    arguments = bridge.command(folder / "zenohd", tmp_path / "c.json5", options)
+    assert arguments[1:3] == ("-P", f"{plugin}:{folder / f'libzenoh_plugin_{plugin}.so'}")
+    assert bridge.command(tmp_path / name, tmp_path / "c.json5", options)[1] == "-c"
+
+
 def test_integration_service():
     (text,) = texts("integration-service", qos=BEST_EFFORT)
     found = from_yaml(text)

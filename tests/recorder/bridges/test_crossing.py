@@ -37,7 +37,7 @@ def test_without_a_bridge_no_message_crosses(pair):
     assert set(seen.echoed.values()) == {0}
 
 
-@pytest.mark.parametrize("name", ["builtin", "builtin-zenoh", "zenoh-bridge-dds"])
+@pytest.mark.parametrize("name", ["builtin", "builtin-zenoh", "zenoh-bridge-dds", "zenoh-bridge-ros2dds"])
 def test_allowed_topics_cross_both_ways_and_no_other_does(name, pair):
     skip_if_missing(name)
     topics = {**ALLOWED, "not_on_the_list": "std_msgs/msg/String"}
@@ -52,7 +52,7 @@ def test_allowed_topics_cross_both_ways_and_no_other_does(name, pair):
         assert seen.heard[topic] <= seen.sent[topic]
 
 
-@pytest.mark.parametrize("name", ["builtin-zenoh", "zenoh-bridge-dds"])
+@pytest.mark.parametrize("name", ["builtin-zenoh", "zenoh-bridge-dds", "zenoh-bridge-ros2dds"])
 def test_two_halves_started_apart_meet_as_on_two_devices(name, pair):
     skip_if_missing(name)
     address = free_address()

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 
 from dds_trace.tracefile.units.counts import counted
 
-from ..clocks.boots import boot_id_of, share_boot
+from ..clocks.boots import share_boot
 from ..model.finding import Finding, Severity
-from .evidence import some
+from ..pairing.flows import find_overlaps
+from .evidence import percent, some
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -17,53 +18,39 @@ if TYPE_CHECKING:
     from dds_trace.tracefile import Session
 
     from ..pairing.exchanges import Exchange
+    from ..pairing.flows import Overlap
     from .evidence import Evidence
-
-_OVERLAP_NS = 1_000_000_000
-"""Time that two runs must share: less is one run's drain beside the next one's first messages, and NTP slews the wall clocks
-by which runs of two sessions are laid side by side."""
 
 
 def overlapping_pings(evidence: Evidence) -> Iterator[Finding]:
-    """Report pairs of groups whose pings ran on one device at the same time: each is the other's load.
+    """Report groups whose pings ran on one machine at the same time: each was the other's load.
 
-    Runs of one group at the same time are flows that were meant to be. Nothing is estimated here, so that honest
-    recordings, one after the other, have no such finding.
+    Runs of one group in the middle of each other are flows that were meant to be, and `flows` in the setting of their group
+    counts them. Nothing is estimated here, so that honest recordings, one after the other, have no such finding.
     """
-    runs: dict[str, list[tuple[int, int, int, int]]] = defaultdict(list)
-    of_exchange = evidence.summary.of_exchange["publish_span_ns"].to_list()
-    seen: set[int] = set()
-    for exchange, group, span_ns in zip(
-        evidence.grouping.exchanges, evidence.exchange_groups(), of_exchange, strict=True
-    ):
-        if exchange.run.run_id not in seen:
-            seen.add(exchange.run.run_id)
-            machine = boot_id_of(exchange.ping) or exchange.ping.device
-            end_ns = exchange.start_ns + (span_ns or 0)
-            runs[machine].append((exchange.start_ns, end_ns, group, exchange.run.run_id))
-    shared: dict[tuple[int, int], list[tuple[int, float]]] = defaultdict(list)
-    for of_machine in runs.values():
-        going_on: list[tuple[int, int, int, int]] = []
-        for run in sorted(of_machine):
-            start_ns, end_ns, group, run_id = run
-            going_on = [other for other in going_on if other[1] - start_ns >= _OVERLAP_NS]
-            for _, other_end_ns, other_group, _ in going_on:
-                common_ns = min(end_ns, other_end_ns) - start_ns
-                if other_group != group and common_ns >= _OVERLAP_NS:
-                    pair = (min(group, other_group), max(group, other_group))
-                    shared[pair].append((run_id, common_ns / max(end_ns - start_ns, 1)))
-            going_on.append(run)
+    exchanges = evidence.grouping.exchanges
+    group_of_run: dict[int, int] = {}
+    for exchange, group in zip(exchanges, evidence.exchange_groups(), strict=True):
+        group_of_run.setdefault(exchange.run.run_id, group)
+    shared: dict[tuple[int, int], list[Overlap]] = defaultdict(list)
+    for overlap in find_overlaps(exchange.span() for exchange in exchanges):
+        one, other = sorted((group_of_run[overlap.one], group_of_run[overlap.other]))
+        if one != other or not overlap.is_mutual:
+            shared[one, other].append(overlap)
     names = evidence.group_names
-    for (one, other), overlaps in sorted(shared.items()):
+    for groups, overlaps in sorted(shared.items()):
+        pairs = counted(len(overlaps), "pair of runs", "pairs of runs")
+        of = "of this group" if groups[0] == groups[1] else "of the two groups"
+        worst = max(overlaps, key=lambda overlap: overlap.share)
         yield Finding(
             Severity.WARNING,
             "overlapping_pings",
-            f"{names[one]}; {names[other]}",
-            f"{counted(len(overlaps), 'run')} of one went on at the same time as a run of the other on the same device, such as "
-            f"{evidence.run_name(overlaps[0][0])}.",
+            "; ".join(names[group] for group in dict.fromkeys(groups)),
+            f"{pairs} {of} went on at the same time on one machine, such as {evidence.run_name(worst.one)} and "
+            f"{evidence.run_name(worst.other)} for {percent(worst.share, 1)} of the shorter one.",
             "Each was the other's load: record one after the other, or read both as measured under load.",
-            (one, other),
-            effect=min(max(share for _, share in overlaps), 1.0),
+            tuple(dict.fromkeys(groups)),
+            effect=worst.share,
         )
 
 

@@ -7,14 +7,14 @@ from collections import defaultdict
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from dds_trace.tracefile import MissingEventsError, Stage
 from dds_trace.tracefile.units.counts import counted
 
+from ..clocks.boots import boot_id_of
 from ..loading.events import merge_parts
 from ..model.environment import environment_of
 from ..model.parameters import Parameters, parameters_of
+from .flows import RunSpan, count_flows
 from .sessions import Doubt, find_ping_session, find_relay_session
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ class Exchange:
         end_ns: the run's last T1, likewise.
         counts: events of T1, T2, T3 and T4 in all traces; copies count.
         relays: number of relays that took part in the run.
-        flows: number of runs of the ping's device in the middle of this one, which counts.
+        flows: number of runs of the ping's machine in the middle of this one, which counts.
     """
 
     run: Run
@@ -71,6 +71,11 @@ class Exchange:
     def relay_recorded(self) -> bool:
         """Whether the relay's own events are there."""
         return sum(self.counts[2:]) > 0
+
+    def span(self) -> RunSpan:
+        """Return the time that the run took, on the machine that its ping ran on."""
+        machine = boot_id_of(self.ping) or self.ping.device
+        return RunSpan(self.start_ns, self.end_ns, self.run.run_id, machine)
 
     def event_keys(self) -> tuple[EventKey, EventKey, EventKey, EventKey]:
         """Return the keys of its events in the event index, T1 to T4; T1 is shared by all relays of the run."""
@@ -177,22 +182,9 @@ def find_exchanges(campaign: Campaign) -> Exchanges:
     placed = {key for exchange in held for key in exchange.event_keys()}
     unplaced_parts = (parts for key, parts in campaign.events.items() if key not in placed)
     copies = (copy for parts in unplaced_parts if len(parts) > 1 for copy in merge_parts(parts)[1])
-    held = sorted(_with_flows(held), key=_start)
+    flows = count_flows(exchange.span() for exchange in held)
+    held = sorted((replace(each, flows=flows[each.run.run_id]) for each in held), key=_start)
     return Exchanges(tuple(held), tuple(unplaced), tuple(doubts), tuple(copies))
-
-
-def _with_flows(held: list[Exchange]) -> Iterator[Exchange]:
-    """Yield the exchanges with the number of runs of the same device that went on in the middle of each."""
-    spans: dict[str, dict[int, tuple[int, int]]] = defaultdict(dict)
-    for exchange in held:
-        spans[exchange.ping.device][exchange.run.run_id] = exchange.start_ns, exchange.end_ns
-    begins = {device: np.sort([begin for begin, _ in of.values()]) for device, of in spans.items()}
-    ends = {device: np.sort([end for _, end in of.values()]) for device, of in spans.items()}
-    for exchange in held:
-        middle_ns, device = (exchange.start_ns + exchange.end_ns) // 2, exchange.ping.device
-        begun = np.searchsorted(begins[device], middle_ns, side="right")
-        ended = np.searchsorted(ends[device], middle_ns, side="left")
-        yield replace(exchange, flows=int(begun - ended))
 
 
 def _by_run(index: EventIndex) -> tuple[dict[int, Parts], dict[int, dict[int, dict[Stage, Parts]]]]:

@@ -450,8 +450,9 @@ def side_by_side(folder, shift_ns, **second):
 def test_unlike_pings_at_the_same_time_on_a_device(tmp_path):
     found = side_by_side(tmp_path, 5 * 10**9)["overlapping_pings"]  # of ten seconds each
     assert found.groups == (0, 1)
-    assert found.what.startswith(
-        "1 run of one went on at the same time as a run of the other on the same device"
+    assert found.what == (
+        "1 pair of runs of the two groups went on at the same time on one machine, such as "
+        "run 0000000000000001 (ping1.mcap) and run 0000000000000002 (ping2.mcap) for 49.5 % of the shorter one."
     )
     assert found.effect == pytest.approx(4.9 / 9.9, rel=1e-3)
 
@@ -463,6 +464,37 @@ def test_unlike_pings_at_the_same_time_on_a_device(tmp_path):
 )
 def test_pings_that_do_not_disturb_each_other(tmp_path, shift_ns, second):
     assert "overlapping_pings" not in side_by_side(tmp_path, shift_ns, **second)
+
+
+def flows_and_overlaps(folder, *spans_s):
+    """Runs of one device and equal parameters, each from a begin to an end in seconds: flows of each, and the findings."""
+    sent = {Stage.T1: []}
+    runs = []
+    for number, (begin_s, end_s) in enumerate(spans_s, 1):
+        times = range(round(begin_s * 10), round(end_s * 10) + 1)
+        sent[Stage.T1] += [event(s, tick * PERIOD, run_id=number) for s, tick in enumerate(times)]
+        runs.append(run(run_id=number, planned_messages=len(times), published=len(times)))
+    write_trace(folder / "ping.mcap", ping_session(), runs, sent)
+    analysis = analyze(folder)
+    rows = analysis.load_roundtrips().unique("run_id").sort("run_id")
+    return rows["setting"].to_list(), [f for f in analysis.findings if f.code == "overlapping_pings"]
+
+
+@pytest.mark.parametrize(
+    ("spans_s", "settings", "groups"),
+    [
+        ([(0, 10), (1, 11), (20, 30)], ["flows=2", "flows=2", ""], []),  # the setting says it
+        ([(0, 10), (8, 18)], ["", ""], [(0,)]),  # the finding says it: two seconds of each were under load
+        ([(0, 10), (1, 3)], ["", "flows=2"], [(0, 1)]),  # counted for one of them alone
+        ([(0, 10), (9.5, 19)], ["", ""], []),  # half a second, in the middle of neither
+        ([(0, 0.6), (0.2, 0.8)], ["flows=2", "flows=2"], []),
+        ([(0, 10), (10.1, 20)], ["", ""], []),
+    ],
+)
+def test_runs_at_the_same_time_are_flows_of_the_setting_or_a_finding(tmp_path, spans_s, settings, groups):
+    told, found = flows_and_overlaps(tmp_path, *spans_s)
+    assert told == settings
+    assert [finding.groups for finding in found] == groups
 
 
 def test_two_names_of_one_boot_are_one_device(tmp_path):

@@ -1,0 +1,100 @@
+"""Runs of one machine at the same time: how many of them a run is one of, and which were each other's load.
+
+Both answers come from the same spans, so that a run is counted among the flows of another one (`setting` of its group) only
+if the two are an overlap as well.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+OVERLAP_NS = 1_000_000_000
+"""Time that two runs share at least, if neither goes on in the middle of the other: NTP slews the wall clocks by which runs
+of two sessions are laid side by side, and one late last message is no load."""
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class RunSpan:
+    """A run from its first to its last T1.
+
+    Attributes:
+        start_ns: the first T1, wall clock.
+        end_ns: the last T1.
+        run_id: the run.
+        machine: boot id of the ping's session, or its device's name where the session tells none.
+    """
+
+    start_ns: int
+    end_ns: int
+    run_id: int
+    machine: str
+
+    @property
+    def middle_ns(self) -> int:
+        """Instant halfway between the first and the last T1."""
+        return (self.start_ns + self.end_ns) // 2
+
+    def holds(self, instant_ns: int) -> bool:
+        """Return whether the run went on at an instant."""
+        return self.start_ns <= instant_ns <= self.end_ns
+
+
+@dataclass(frozen=True, slots=True)
+class Overlap:
+    """Two runs of one machine that went on at the same time.
+
+    Attributes:
+        one: run_id of the run that began first.
+        other: run_id of the other one.
+        share: time that they share over that of the shorter run, 0 to 1.
+        is_mutual: whether each went on in the middle of the other, so that the flows of both count it.
+    """
+
+    one: int
+    other: int
+    share: float
+    is_mutual: bool
+
+
+def count_flows(spans: Iterable[RunSpan]) -> dict[int, int]:
+    """Return for each run_id the number of runs of its machine that went on in the middle of it, itself included."""
+    flows: dict[int, int] = {}
+    for of_machine in _by_machine(spans):
+        begins = np.sort([span.start_ns for span in of_machine])
+        ends = np.sort([span.end_ns for span in of_machine])
+        for span in of_machine:
+            begun = np.searchsorted(begins, span.middle_ns, side="right")
+            ended = np.searchsorted(ends, span.middle_ns, side="left")
+            flows[span.run_id] = int(begun - ended)
+    return flows
+
+
+def find_overlaps(spans: Iterable[RunSpan]) -> Iterator[Overlap]:
+    """Yield each pair of runs of one machine that share a second, or of which one went on in the middle of the other."""
+    for of_machine in _by_machine(spans):
+        going_on: list[RunSpan] = []
+        for span in sorted(of_machine):
+            going_on = [other for other in going_on if other.end_ns >= span.start_ns]
+            for other in going_on:
+                common_ns = min(span.end_ns, other.end_ns) - span.start_ns
+                in_middle = other.holds(span.middle_ns), span.holds(other.middle_ns)
+                if common_ns >= OVERLAP_NS or any(in_middle):
+                    shorter_ns = min(span.end_ns - span.start_ns, other.end_ns - other.start_ns)
+                    share = common_ns / shorter_ns if shorter_ns else 1.0
+                    yield Overlap(other.run_id, span.run_id, share, all(in_middle))
+            going_on.append(span)
+
+
+def _by_machine(spans: Iterable[RunSpan]) -> Iterable[list[RunSpan]]:
+    """Return the spans of each machine, one for a run."""
+    machines: dict[str, dict[int, RunSpan]] = defaultdict(dict)
+    for span in spans:
+        machines[span.machine][span.run_id] = span
+    return [list(of_machine.values()) for of_machine in machines.values()]

@@ -65,6 +65,10 @@ bench-full: setup
 coverage *args: setup
     {{bin}}/python benchmarks/coverage.py {{args}}
 
+# How often comparisons of equal sides err, by drawing pairs from the recordings of a sweep (twenty passes: docs/coverage.md)
+real-aa *args: setup
+    {{bin}}/python benchmarks/real_aa.py {{args}}
+
 # Fuzz the trace reader, guided by coverage (atheris), for so many seconds
 fuzz seconds="600": setup
     uv pip install --quiet --python {{bin}}/python -e '.[fuzz]'

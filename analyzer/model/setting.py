@@ -75,6 +75,12 @@ def choice_of(setting: str) -> str:
     return write_setting({k: v for k, v in parse_setting(setting).items() if k not in CONDITIONS})
 
 
+def without_relay(setting: str) -> str:
+    """Return the part of a setting that is known without the relay's trace."""
+    known = {k: v for k, v in parse_setting(setting).items() if k != "relays" and not k.startswith("relay.")}
+    return write_setting(known)
+
+
 def _side(session: Session) -> dict[str, str]:
     """Return what a side was asked for, defaults left out."""
     told = session.extra.get("settings")

@@ -280,7 +280,7 @@ def compare_groups(
     rows: list[tuple[dict[str, ParameterValue], ChangeRow, Change]] = []
     for key, partner in pairs.items():
         base, new = before[key], after[partner]
-        labels.append(dict(zip(options.match, known_key(key, partner), strict=True)))
+        labels.append(dict(zip(options.match, known_key(key, partner, options.match), strict=True)))
         deliveries.append(_delivery(base, new, options.confidence))
         rows += (
             (labels[-1], *changed)

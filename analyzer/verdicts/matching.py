@@ -5,7 +5,10 @@ from __future__ import annotations
 from functools import cached_property
 from typing import TYPE_CHECKING
 
+import polars as pl
+
 from ..model.runs import delivered_runs, split_runs
+from ..model.setting import without_relay
 from ..model.unsent import UNSENT
 from ..run_statistics.received import received_interval
 from ..run_statistics.runs import joined_runs
@@ -14,7 +17,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     import numpy as np
-    import polars as pl
     from numpy.typing import NDArray
 
     from ..model.parameters import ParameterValue
@@ -26,6 +28,9 @@ if TYPE_CHECKING:
 
 RELAY_COLUMNS = ("relay_vendor", "relay_backend", "relay_device", "relay_domain_id")
 """Columns that are null without the relay's trace, and that match any value then."""
+
+SETTING = "setting"
+"""Column that holds, among others, what the relay was asked for unlike the ping, and the number of relays."""
 
 
 class MatchedGroup:
@@ -77,13 +82,28 @@ class MatchedGroup:
 
 
 def match_groups(roundtrips: pl.DataFrame, match: Sequence[str]) -> dict[Key, MatchedGroup]:
-    """Cut round trips into groups by the values of the match columns; sorted by these, null first."""
-    return {
-        part.select(match).row(0): MatchedGroup(part)
+    """Cut round trips into groups by the values of the match columns; sorted by these, null first.
+
+    A run of which nothing came back may have left no trace of its relay. It belongs to the only group that agrees in
+    everything else: in a group of its own it would be a loss that no comparison counts.
+    """
+    parts = {
+        part.select(match).row(0): part
         for part in roundtrips.sort(*match, nulls_last=False, maintain_order=True).partition_by(
             *match, maintain_order=True
         )
     }
+    for key in [key for key in parts if not _knows_relay(key, match)]:
+        alike = [other for other in parts if _knows_relay(other, match) and _agree(key, other, match)]
+        if len(alike) != 1:
+            continue
+        part = parts.pop(key)
+        is_answered = (pl.col("outcome") == "completed").any().over("run_id")
+        parts[alike[0]] = pl.concat([parts[alike[0]], part.filter(~is_answered)])
+        answered = part.filter(is_answered)
+        if not answered.is_empty():
+            parts[key] = answered
+    return {key: MatchedGroup(parts[key]) for key in sorted(parts, key=_nulls_first)}
 
 
 def pair_keys(
@@ -91,8 +111,9 @@ def pair_keys(
 ) -> dict[Key, Key]:
     """Return which group of the new side each group of the base is compared with.
 
-    Equal keys first. A key whose relay left no trace has nulls for it: it is paired with the only group left on the
-    other side that agrees in everything known; of several nobody knows which it was.
+    Equal keys first. A key whose relay left no trace has nulls for it, and a setting that is silent about it: it is
+    paired with the only group left on the other side that agrees in everything known; of several nobody knows which it
+    was.
 
     Args:
         before: groups of the base by the values of `match`.
@@ -101,29 +122,42 @@ def pair_keys(
     """
     pairs = {key: key for key in before if key in after}
     open_after = [key for key in after if key not in pairs]
-    relay = [place for place, name in enumerate(match) if name in RELAY_COLUMNS]
     open_before = [key for key in before if key not in pairs]
     for key in open_before:
-        alike = [other for other in open_after if _agree(key, other, relay)]
-        if len(alike) == 1 and sum(_agree(one, alike[0], relay) for one in open_before) == 1:
+        alike = [other for other in open_after if _agree(key, other, match)]
+        if len(alike) == 1 and sum(_agree(one, alike[0], match) for one in open_before) == 1:
             pairs[key] = alike[0]
     return {key: pairs[key] for key in before if key in pairs}
 
 
-def known_key(key: Key, other: Key) -> Key:
-    """Return a key with what the other one knows in place of nulls."""
-    return tuple(theirs if own is None else own for own, theirs in zip(key, other, strict=True))
-
-
-def _agree(key: Key, other: Key, relay: Sequence[int]) -> bool:
-    """Tell whether two keys agree in every column but those of the relay that one of them does not know."""
-    return all(
-        _equal(place, one, two, relay) for place, (one, two) in enumerate(zip(key, other, strict=True))
+def known_key(key: Key, other: Key, match: Sequence[str]) -> Key:
+    """Return a key with what the other one knows in place of nulls; of two settings that of the key that has a relay."""
+    is_silent = not _knows_relay(key, match)
+    return tuple(
+        theirs if own is None or (name == SETTING and is_silent) else own
+        for name, own, theirs in zip(match, key, other, strict=True)
     )
 
 
-def _equal(place: int, one: ParameterValue, two: ParameterValue, relay: Sequence[int]) -> bool:
-    return one == two or (place in relay and (one is None or two is None))
+def _knows_relay(key: Key, match: Sequence[str]) -> bool:
+    """Tell whether the relay of a key left a trace."""
+    return all(value is not None for name, value in zip(match, key, strict=True) if name in RELAY_COLUMNS)
+
+
+def _agree(key: Key, other: Key, match: Sequence[str]) -> bool:
+    """Tell whether two keys agree in every column but what one of them does not know of its relay."""
+    is_silent = not (_knows_relay(key, match) and _knows_relay(other, match))
+    return all(_equal(name, one, two, is_silent) for name, one, two in zip(match, key, other, strict=True))
+
+
+def _equal(name: str, one: ParameterValue, two: ParameterValue, is_silent: bool) -> bool:
+    if name == SETTING and is_silent:
+        return without_relay(str(one)) == without_relay(str(two))
+    return one == two or (name in RELAY_COLUMNS and (one is None or two is None))
+
+
+def _nulls_first(key: Key) -> list[tuple[bool, ParameterValue]]:
+    return [(value is not None, value) for value in key]
 
 
 def unmatched(keys: Mapping[Key, object], matched: Sequence[Key]) -> Iterator[Key]:

@@ -12,6 +12,7 @@ from polars.exceptions import PolarsError
 
 from dds_trace.tracefile import Run, Session, TraceFormatError
 
+from .model.unsent import with_unsent
 from .model.wire import WIRE_FRAMES
 from .pairing.rows import RowStore
 from .saving.folder import read_folder, write_folder
@@ -113,6 +114,7 @@ class Analysis:
         findings: most severe first.
         details: what takes more time than rows and summary.
         outputs: files written, by kind (`roundtrips`, `summary`).
+        unsent: run_id -> messages that were due and never left, of the runs that have any.
     """
 
     title: str
@@ -127,6 +129,7 @@ class Analysis:
     findings: tuple[Finding, ...]
     details: Details
     outputs: Mapping[str, Path] = field(default_factory=dict)
+    unsent: Mapping[int, int] = field(default_factory=dict)
 
     def load_roundtrips(self) -> pl.DataFrame:
         """Read all round trips into memory: gigabytes of a large campaign, which `scan_roundtrips` reads in part.
@@ -135,6 +138,15 @@ class Analysis:
             One row per published message and relay (`docs/trace-format.md`), by group, run, relay and sequence.
         """
         return self.rows.load()
+
+    def load_messages(self) -> pl.DataFrame:
+        """Read every message that was due into memory: what verdicts rest on.
+
+        Returns:
+            The round trips, and behind those of each run and relay a row of outcome `unsent` for each message that was due
+            and never left (`model.unsent.with_unsent`).
+        """
+        return with_unsent(self.load_roundtrips(), self.unsent)
 
     @property
     def barred_groups(self) -> pl.DataFrame:
@@ -167,6 +179,7 @@ class Analysis:
             deadline_ns=self.details.deadline_ns,
             recommendation=self.details.recommendation,
             requested=self.details.requested,
+            unsent={f"{run_id:016x}": count for run_id, count in self.unsent.items()},
         )
         text = json.dumps(to_json(content), allow_nan=False)
         frames = {name: getattr(self, name) for name in _FRAMES}
@@ -203,7 +216,7 @@ def load_analysis(folder: str | os.PathLike[str]) -> Analysis:
     """Read an analysis that `Analysis.save` wrote; its round trips stay in the folder until they are asked for.
 
     Raises:
-        TraceFormatError: the folder holds no saved analysis, one of a later version, or a file that was changed.
+        TraceFormatError: the folder holds no saved analysis, one of another version, or a file that was changed.
     """
     files = read_folder(Path(folder))
     try:
@@ -232,12 +245,10 @@ def load_analysis(folder: str | os.PathLike[str]) -> Analysis:
             requested=content.requested,
         ),
         outputs={kind: Path(path) for kind, path in content.outputs.items()},
+        unsent={int(run_id, 16): count for run_id, count in content.unsent.items()},
     )
 
 
 def _read_frame(files: Mapping[str, Path], name: str) -> pl.DataFrame:
-    """Read one frame of a saved analysis; one of an older version has none about the wire."""
-    path = files.get(f"{name}.parquet")
-    if path is None and name in WIRE_FRAMES:
-        return pl.DataFrame(schema=WIRE_FRAMES[name])
+    """Read one frame of a saved analysis."""
     return pl.read_parquet(files[f"{name}.parquet"])

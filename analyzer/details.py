@@ -17,13 +17,11 @@ from .groups.wire import no_wire_frames, wire_frames
 from .model.column import schema_of
 from .model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
 from .model.runs import pass_numbers
-from .model.unsent import unsent_by_run
 from .pairing.one_way import fit_devices, segment_table
 from .pairing.roundtrips import pair_exchanges
 from .pairing.rows import RowStore
 from .verdicts.answers import find_answers
 from .verdicts.bridge_cost import find_bridge_costs
-from .verdicts.cases import UnbarredRows
 from .verdicts.recommend import recommend_settings
 
 if TYPE_CHECKING:
@@ -47,7 +45,7 @@ def collect_details(
     rows: RowStore,
     in_parts: Sequence[int],
     wanted: Wanted,
-    barred: Sequence[int] = (),
+    judged: GroupRows,
 ) -> Details:
     """Put the details of a campaign together; without rows if they are not wanted.
 
@@ -55,14 +53,13 @@ def collect_details(
         campaign: its sessions, runs and traces.
         grouping: its exchanges by group.
         frames: those of `frames.DETAIL_MAKERS`, of all batches.
-        rows: the round trips; what compares groups with each other reads those of a few groups at a time.
+        rows: the round trips.
         in_parts: groups that no batch held whole: the frames lack what only a whole column of their rows gives.
         wanted: what is asked for.
-        barred: groups that no judgement uses, because a setting was not applied.
+        judged: the messages that groups are compared by, of which those of a few groups are read at a time.
     """
     if not wanted.details:
         return details_not_requested()
-    judged = UnbarredRows(rows, tuple(barred), unsent_by_run(rows.scan(), campaign.runs.values()))
     passes = pass_numbers(campaign.runs.values())
     boots = ping_boots(campaign.sessions.values(), campaign.runs.values())
     intervals = [

@@ -23,6 +23,7 @@ from .loading.remote import is_remote
 from .pairing.exchanges import find_exchanges
 from .pairing.parquet import write_summary
 from .pairing.rows import RowStore
+from .verdicts.cases import UnbarredRows
 
 if TYPE_CHECKING:
     import os
@@ -129,9 +130,9 @@ def _analyze(
     rows.locate(merged.summary.frame)
     campaign = campaign.with_copies(total_copies([*exchanges.copies, *merged.copies]))
     in_parts = groups_in_parts(batches)
-    details = collect_details(
-        campaign, grouping, merged.frames, rows, in_parts, wanted, grouping.not_applied()
-    )
+    unsent = merged.summary.unsent_by_run(grouping)
+    judged = UnbarredRows(rows, grouping.not_applied(), unsent)
+    details = collect_details(campaign, grouping, merged.frames, rows, in_parts, wanted, judged)
     evidence = Evidence(
         campaign=campaign,
         exchanges=exchanges,
@@ -161,6 +162,7 @@ def _analyze(
         findings=find_findings(evidence),
         outputs=outputs,
         details=details,
+        unsent=unsent,
     )
 
 

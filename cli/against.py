@@ -136,7 +136,7 @@ def _false_alarms(done: AgainstOutcome) -> FalseAlarms:
 
     base, new = (analyze(outcome.folder, details=False) for outcome in (done.base, done.new))
     return count_false_alarms(
-        base.load_roundtrips(), new.load_roundtrips(), pass_numbers([*base.runs, *new.runs])
+        base.load_messages(), new.load_messages(), pass_numbers([*base.runs, *new.runs])
     )
 
 

@@ -40,6 +40,6 @@ def precision(text: str, max_passes: int | None, plan: Plan) -> Until:
 
         if not runs:  # nothing was recorded: there is no trace to analyze
             return {}
-        return half_widths(analyze(folder, details=False).load_roundtrips(), runs, statistic)
+        return half_widths(analyze(folder, details=False).load_messages(), runs, statistic)
 
     return Until(statistic, percent, most, measure)

@@ -76,16 +76,22 @@ def unplaced_events(evidence: Evidence) -> Iterator[Finding]:
 
 def unfinished_runs(evidence: Evidence) -> Iterator[Finding]:
     """Report runs that were cut short, and runs whose publications are not all in the trace."""
+    groups: dict[int, set[int]] = defaultdict(set)
+    for exchange, group in zip(evidence.grouping.exchanges, evidence.exchange_groups(), strict=True):
+        groups[exchange.run.run_id].add(group)
     for run_id, (exchange, counts) in evidence.counts_by_run().items():
         run, kept = exchange.run, counts["with_warmup"]
         if run.state != "finished":
+            under_way = counted(counts["in_flight"], "message was", "messages were")
             yield Finding(
                 Severity.WARNING,
                 "unfinished_run",
                 evidence.run_name(run_id),
-                f"The run has no end: {counted(kept, 'message was', 'messages were')} published, {run.planned_messages} planned.",
-                "Messages that were under way at its end are censored: nobody knows whether they would have come. Repeat "
-                "the run if that matters.",
+                f"The run has no end: {counted(kept, 'message was', 'messages were')} published, {run.planned_messages} planned; "
+                f"{under_way} under way at its end.",
+                "Messages that were under way are censored: nobody knows whether they would have come, so they count neither "
+                "as received nor as lost. Repeat the run if that matters.",
+                tuple(sorted(groups[run_id])),
             )
         elif run.published < run.planned_messages:
             yield Finding(

@@ -38,6 +38,20 @@ class Summary:
     samples: dict[str, NDArray[np.int64]]
     of_exchange: pl.DataFrame
 
+    def unsent_by_run(self, grouping: Grouping) -> dict[int, int]:
+        """Return run_id -> messages that were due and never left, of the runs that have any.
+
+        Args:
+            grouping: the groups that are summarized.
+        """
+        unsent: dict[int, int] = {}
+        for exchange, count in zip(
+            grouping.exchanges, self.of_exchange["unsent"].fill_null(0).to_list(), strict=True
+        ):
+            if count:
+                unsent[exchange.run.run_id] = max(count, unsent.get(exchange.run.run_id, 0))
+        return unsent
+
 
 def summarize_groups(grouping: Grouping, of_exchange: pl.DataFrame, statistics: Statistics) -> Summary:
     """Make one row per group.

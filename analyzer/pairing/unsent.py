@@ -8,7 +8,7 @@ import numpy as np
 
 from dds_trace.tracefile.units.durations import SECOND_NS
 
-from ..model.unsent import Ends, due_unsent
+from ..model.unsent import MOST_MESSAGES
 from .pair import MISSING, first_replies
 
 if TYPE_CHECKING:
@@ -26,21 +26,24 @@ _PATIENCE_NS = 2 * SECOND_NS
 def count_unsent(run: Run, published: Published, t2: EventColumns) -> int:
     """Return the number of counted messages whose T0 had passed when the run ended and that were never published.
 
-    The run ended when its ping stopped sending (`ended_ns` of the run); if it did not tell, at the last T1 or T2. Messages
-    of a live topic have no plan: those that the ping skipped never left.
+    The run ended when its ping stopped sending (`ended_ns` of the run); if it did not tell, at the last T1 or T2. A message
+    that was on its way when the ping died was published. Messages of a live topic have no plan: those that the ping
+    skipped never left.
     """
-    if not len(published):
-        return due_unsent(run, None)
-    scheduled_ns = int(published.scheduled_ns[0])
-    return due_unsent(
-        run,
-        Ends(
-            first=int(published.sequence[0]),
-            scheduled_ns=None if scheduled_ns == MISSING else scheduled_ns,
-            last=int(published.sequence[-1]),
-            last_ns=_last_ns(published, t2),
-        ),
-    )
+    skipped = run.extra.get("skipped_messages")
+    if isinstance(skipped, int):
+        return min(max(skipped, 0), MOST_MESSAGES)
+    if not len(published) or run.rate_hz <= 0 or str(run.extra.get("data_source", "")).startswith("topic:"):
+        return 0
+    first, scheduled_ns = int(published.sequence[0]), int(published.scheduled_ns[0])
+    if scheduled_ns == MISSING:
+        return 0
+    told = run.extra.get("ended_ns")
+    ended_ns = told if isinstance(told, int) else _last_ns(published, t2)
+    planned = run.warmup_messages + run.planned_messages
+    due = first + 1 + int((ended_ns - scheduled_ns) * run.rate_hz / SECOND_NS)
+    left = max(int(published.sequence[-1]) + 1, run.published, run.warmup_messages)
+    return min(max(0, min(due, planned) - left), MOST_MESSAGES)
 
 
 def settled(run: Run, published: Published, t2: EventColumns) -> NDArray[np.bool_]:

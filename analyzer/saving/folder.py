@@ -31,8 +31,10 @@ if TYPE_CHECKING:
 
 MANIFEST = "analysis.json"
 FORMAT = "dds-trace analysis"
-VERSION = 1
-"""Version 1: first version (2026). A file or a field may be added without a new version; none changes its meaning."""
+VERSION = 2
+"""Version 1: first version (2026). Version 2: `setting`, `runs`, `planned`, `unsent` and `environment` in the summary, runs and
+episodes of the intervals, and the unsent messages of each run, without which no report and no verdict of today can be made.
+"""
 
 _FILE_NAME = re.compile(r"[a-z_]+-[0-9a-f]{8}\.(json|parquet)")
 """Names of files beside the manifest: none leads out of the folder."""
@@ -118,9 +120,12 @@ def read_folder(folder: Path) -> dict[str, Path]:
     """Check every file of a save, and return the path of each by its name.
 
     Raises:
-        TraceFormatError: this is no save, a save of a later version, or one of its files was changed.
+        TraceFormatError: this is no save, a save of another version, or one of its files was changed.
     """
     manifest = _read_manifest(folder)
+    if manifest.version < VERSION:
+        what = f"version {manifest.version} of a saved analysis; this program reads version {VERSION}: analyze the traces again"
+        raise TraceFormatError(folder / MANIFEST, what)
     for saved in manifest.files.values():
         path = folder / saved.file
         try:
@@ -140,8 +145,11 @@ def _read_manifest(folder: Path) -> Manifest:
         manifest = json.loads(path.read_bytes())
         if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
             raise TraceFormatError(path, "not the manifest of a saved analysis")
-        if manifest.get("version") != VERSION:
-            what = f"version {manifest.get('version')!r} of a saved analysis; this program reads version {VERSION}"
+        if isinstance(manifest.get("version"), int) and manifest["version"] > VERSION:
+            what = (
+                f"version {manifest['version']} of a saved analysis; this program reads version {VERSION}: read it with the "
+                "dds-trace that wrote it"
+            )
             raise TraceFormatError(path, what)
         checked = from_json(Manifest, manifest)
     except OSError as err:
@@ -156,7 +164,7 @@ def _read_manifest(folder: Path) -> Manifest:
 
 
 def _earlier_files(folder: Path) -> tuple[SavedFile, ...]:
-    """Return the files of the save that is in the folder; none of a missing or empty one.
+    """Return the files of the save that is in the folder, of whatever version up to this; none of a missing or empty one.
 
     Raises:
         OutputExistsError: the folder holds something else.

@@ -48,6 +48,7 @@ class Content:
         sessions: as JSON texts (`Session.to_json`).
         runs: as JSON texts (`Run.to_json`).
         outputs: kind -> path.
+        unsent: run_id, 16 hexadecimal digits -> messages that were due and never left.
     """
 
     title: str
@@ -61,6 +62,7 @@ class Content:
     deadline_ns: int | None
     recommendation: Recommendation | None
     requested: bool
+    unsent: Mapping[str, int]
 
 
 def to_json(value: object, not_finite: Callable[[float], object] = str) -> object:

@@ -16,7 +16,6 @@ import polars as pl
 
 from ..model.parameters import MATCH_COLUMNS
 from ..model.runs import pass_numbers, passes_of
-from ..model.unsent import unsent_by_run, with_unsent
 from ..run_statistics.change import Change, Verdict, change_of_runs
 from ..run_statistics.delivery import DeliveryChange, change_of_received
 from ..run_statistics.runs import MEAN, Statistic, joined_runs
@@ -198,8 +197,8 @@ class ComparedSide(Protocol):
     def barred_groups(self) -> pl.DataFrame:
         """The parameter columns of the groups in which a setting was not applied."""
 
-    def load_roundtrips(self) -> pl.DataFrame:
-        """Read all round trips into memory."""
+    def load_messages(self) -> pl.DataFrame:
+        """Read the round trips into memory, with a row for each message that was due and never left."""
 
 
 def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | None = None) -> Comparison:
@@ -211,8 +210,8 @@ def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | Non
         options: how to compare; None for the defaults.
     """
     found = compare_roundtrips(
-        _all_messages(base),
-        _all_messages(new),
+        base.load_messages(),
+        new.load_messages(),
         options,
         passes=pass_numbers([*base.runs, *new.runs]),
     )
@@ -229,12 +228,6 @@ def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | Non
             *errors_of("new", new.findings, groups_of_new),
         ),
     )
-
-
-def _all_messages(side: ComparedSide) -> pl.DataFrame:
-    """Return the round trips, with a row for each message that never left."""
-    roundtrips = side.load_roundtrips()
-    return with_unsent(roundtrips, unsent_by_run(roundtrips.lazy(), side.runs))
 
 
 def compare_roundtrips(

@@ -7,24 +7,9 @@ import pytest
 from roundtrip_frames import MS, in_runs, steady
 
 from dds_trace.analyzer.model.runs import delivered_runs, split_runs
-from dds_trace.analyzer.model.unsent import unsent_by_run, with_unsent
+from dds_trace.analyzer.model.unsent import with_unsent
 from dds_trace.analyzer.verdicts.compare import CompareOptions, compare_roundtrips
 from dds_trace.analyzer.verdicts.matching import MatchedGroup
-from dds_trace.tracefile import Run
-
-ENDED = {"ended_ns": 5_000 * MS}
-
-
-def described(run_id, planned, **changes):
-    return Run(run_id, "binary", 33_000, 10.0, planned, 0, state="finished", **changes)
-
-
-def test_what_was_due_at_the_end_of_the_run_and_never_left():
-    # 10 Hz, 20 messages from 0 to 1.9 s, 40 planned; the run ended at 5 s, when all 40 were due.
-    frame = steady([MS] * 20)
-    assert unsent_by_run(frame.lazy(), [described(1, 40, published=20, extra=ENDED)]) == {1: 20}
-    assert unsent_by_run(frame.lazy(), [described(1, 20, published=20, extra=ENDED)]) == {}
-    assert unsent_by_run(frame.lazy(), []) == {}
 
 
 def test_they_are_lost_and_not_published():

@@ -116,6 +116,18 @@ def test_a_save_that_fails_keeps_the_earlier_one(saved, analysis, monkeypatch, e
     assert load_analysis(saved).summary.equals(analysis.summary)
 
 
+def test_a_save_of_an_older_version_is_replaced_and_one_of_a_later_version_stays(saved, analysis):
+    manifest = json.loads((saved / MANIFEST).read_text())
+    before = data_files(saved)
+    (saved / MANIFEST).write_text(json.dumps(manifest | {"version": manifest["version"] - 1}))
+    analysis.save(saved)
+    assert not set(data_files(saved)) & set(before)
+    assert load_analysis(saved).summary.equals(analysis.summary)
+    (saved / MANIFEST).write_text(json.dumps(manifest | {"version": manifest["version"] + 1}))
+    with pytest.raises(OutputExistsError, match="give a folder of its own"):
+        analysis.save(saved)
+
+
 def test_a_folder_with_anything_else_is_not_written_to(tmp_path, analysis):
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(OutputExistsError, match="give a folder of its own"):
@@ -167,7 +179,11 @@ def test_a_zero_anywhere_in_the_manifest_is_refused(saved):
     ("change", "words"),
     [
         ({"format": "something else"}, "not the manifest of a saved analysis"),
-        ({"version": 2}, "version 2 of a saved analysis; this program reads version 1"),
+        ({"version": 3}, "version 3 of a saved analysis; this program reads version 2: read it with"),
+        (
+            {"version": 1},
+            "version 1 of a saved analysis; this program reads version 2: analyze the traces again",
+        ),
         ({"files": {}}, "cannot be read"),
         (
             {"files": {"content.json": {"file": "../content.json", "bytes": 0, "sha256": ""}}},

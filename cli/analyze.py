@@ -165,10 +165,11 @@ def main_command(
     exported = [path for kind in export or [] for path in export_tables(analysis, kind.value, target)]
     if derived_mcap:
         exported += _write_derived(analysis, target)
-    if analysis.details.recommendation is not None:
-        from .analyze_text import print_recommendation
+    if analysis.details.recommendation is not None and "terminal" not in (report or ["terminal"]):
+        from dds_trace.reports.book.book import Book
+        from dds_trace.reports.terminal import render_advice
 
-        print_recommendation(analysis.details.recommendation)
+        print(render_advice(Book(analysis)), end="")
     for path in (*analysis.outputs.values(), *reports, *exported):
         if path is not None:
             print(f"Wrote {path}")
@@ -188,8 +189,11 @@ def _parse_deadline(text: str | None) -> tuple[int | None, str]:
 
     if text is None:
         return None, DEADLINE_METRIC
-    time, _, named = text.strip().partition(" ")
-    metric = named.strip().removeprefix("metric=") if named else DEADLINE_METRIC
+    time, *named = text.split() or [""]
+    metrics = [word.removeprefix("metric=") for word in named if word.startswith("metric=")]
+    if len(named) > 1 or len(metrics) != len(named):
+        raise OptionError(f"--deadline {text!r}: write a time, and metric= behind it: '20ms metric=outbound'")
+    metric = metrics[0] if metrics else DEADLINE_METRIC
     if metric not in DEADLINE_METRICS:
         raise OptionError(
             f"--deadline {text!r}: there is no metric {metric!r}; write metric= and one of {', '.join(DEADLINE_METRICS)}"

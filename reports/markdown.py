@@ -10,7 +10,7 @@ from dds_trace.tracefile.units.durations import format_duration
 from dds_trace.tracefile.units.rates import format_rate
 from dds_trace.tracefile.units.sizes import format_size
 
-from .book.groups import METRIC_LABELS, STATISTIC_LABELS, data_type_label
+from .book.groups import LATENCY_MEANING, METRIC_LABELS, STATISTIC_LABELS, data_type_label
 from .book.recommendation import COLUMNS
 from .figures.bridge_cost import bridge_cost_info
 from .text import format_added_ns, format_ratio, markdown
@@ -43,13 +43,14 @@ def render(book: Book) -> str:
         *_advice(book),
         f"**{markdown(answer.headline)}**",
         _table(
-            ("Data", "Which is clearly fastest"),
-            ((verdict.data, verdict.sentence) for verdict in answer.verdicts),
+            ("Data", "Devices and link", "Result"),
+            ((verdict.data, verdict.place, verdict.sentence) for verdict in answer.verdicts),
         ),
         _list(markdown(remark) for remark in answer.remarks),
         markdown(answer.rule),
         "## What was measured",
         _list(f"{markdown(fact.label)}: {markdown(fact.value)}" for fact in overview.facts),
+        markdown(LATENCY_MEANING),
         "## Findings",
         _findings(book),
         "## Groups",

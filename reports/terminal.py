@@ -19,6 +19,7 @@ from dds_trace.tracefile.units.sizes import format_size
 from dds_trace.tracefile.visible import visible
 
 from .book.groups import METRIC_LABELS
+from .book.recommendation import COLUMNS
 from .text import format_ratio
 
 if TYPE_CHECKING:
@@ -57,13 +58,50 @@ def _report(book: Book) -> RenderableType:
         Text(),
         *(Text.assemble((f"{fact.label:<11}", "dim"), fact.value) for fact in overview.facts),
         Text(),
+        *_advice(book),
         Text(answer.headline, style="bold"),
-        _list([*(f"{verdict.data}: {verdict.sentence}" for verdict in answer.verdicts), *answer.remarks]),
+        _list(
+            [
+                *(f"{one.data}, on {one.place}: {one.sentence}" for one in answer.verdicts),
+                *answer.remarks,
+            ]
+        ),
         *((Text(answer.rule, style="dim"),) if answer.rule else ()),
         Text(),
         *_findings(book),
         *_tables(book),
     )
+
+
+def render_advice(book: Book) -> str:
+    """Return the recommendation alone, as plain text of 80 columns; empty without one."""
+    text = io.StringIO()
+    Console(file=text, width=WIDTH, color_system=None, legacy_windows=False).print(Group(*_advice(book)))
+    return (
+        "\n".join(line.rstrip() for line in text.getvalue().splitlines()).strip("\n") + "\n"
+        if book.advice
+        else ""
+    )
+
+
+_FIT_COLORS = {"meets": "green", "misses": "red"}
+
+
+def _advice(book: Book) -> list[RenderableType]:
+    """List the settings for the job, best first, each with its numbers and what these rest on."""
+    advice = book.advice
+    if advice is None:
+        return []
+    grid = Table.grid(padding=(0, 1, 0, 0))
+    grid.add_column(no_wrap=True)
+    for row in advice.rows:
+        told = dict(zip(COLUMNS, row, strict=True))
+        grid.add_row(Text(told["Does it"], style=_FIT_COLORS.get(told["Does it"], "")), Text(told["Setting"]))
+        numbers = (
+            f"{told['Time']} (95 %: {told['95 % interval']}), received {told['Received']}, {told['Rests on']}"
+        )
+        grid.add_row(Text(), Text(f"{numbers}. {told['Why']}".strip(), style="dim"))
+    return [Text(advice.said, style="bold"), Text(f"Asked: {advice.asked}"), grid, Text()]
 
 
 def _list(items: Sequence[str]) -> Table:

@@ -5,12 +5,17 @@ One table for everything that must agree on them: the frames, the Parquet files,
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import polars as pl
 
 from ..statistics.percentiles import PERCENTILES
 from .column import Column
 from .metrics import METRICS
 from .parameters import PARAMETER_COLUMNS
+
+if TYPE_CHECKING:
+    from .metrics import Metric
 
 KEY_COLUMNS = (
     Column("run_id", pl.UInt64, "", "the run, drawn at random by its ping"),
@@ -95,14 +100,20 @@ RUN_COLUMNS = (
 STATISTICS = ("mean", "std", "min", *(p.name for p in PERCENTILES), "max")
 """Statistics of a metric in the summary, in column order: `<metric>_<statistic>_ns`."""
 
+
+def _meaning_of(metric: Metric, statistic: str) -> str:
+    """Return what a statistic of a metric is, and of a tail what it is not."""
+    is_tail = statistic == "max" or statistic.startswith("p9")
+    warning = f"; {metric.tail}" if metric.tail and is_tail else ""
+    return f"{statistic} of {metric.name}; null if not supported{warning}"
+
+
 SUMMARY_COLUMNS = (
     PARAMETER_COLUMNS[:_FIRST_PARAMETERS]
     + COUNT_COLUMNS
     + tuple(
-        Column(
-            f"{metric}_{statistic}_ns", pl.Float64, "ns", f"{statistic} of {metric}; null if not supported"
-        )
-        for metric in METRICS
+        Column(f"{name}_{statistic}_ns", pl.Float64, "ns", _meaning_of(metric, statistic))
+        for name, metric in METRICS.items()
         for statistic in STATISTICS
     )
     + PARAMETER_COLUMNS[_FIRST_PARAMETERS:_PARAMETERS_BEFORE_RUNS]

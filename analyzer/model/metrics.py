@@ -27,12 +27,14 @@ class Metric:
         formula: expression over the stamps, i64, null where a stamp is missing and never 0; a difference is taken on
             one device's clock only.
         meaning: the formula in words.
+        tail: what its largest values must not be taken for; empty where they are what the name says.
     """
 
     name: str
     label: str
     formula: pl.Expr
     meaning: str
+    tail: str = ""
 
     @property
     def column(self) -> Column:
@@ -54,6 +56,7 @@ METRICS: Mapping[str, Metric] = {
             "Latency",
             _latency,
             "(rtt - intermediate) // 2, the mean of both ways: its tail is no one-way tail",
+            tail="the mean of both ways of a message, so this tail lies below that of one way (outbound_ns, return_ns)",
         ),
         Metric("response", "Response", _t2 - _t0, "T2 - T0"),
     )

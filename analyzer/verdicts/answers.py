@@ -235,7 +235,7 @@ class Lead:
 
 @dataclass(frozen=True, slots=True)
 class Headline:
-    """The answers for one link, domain mode and data type in one line.
+    """The answers for one pair of devices, link, set of conditions, domain mode and data type in one line.
 
     Attributes:
         connectivity: the link.
@@ -245,6 +245,10 @@ class Headline:
         leads: contenders that lead clearly somewhere, most cases first.
         inconclusive: cases without a clear leader.
         only_one: cases with one contender only, not among `cases`.
+        ping_device: device of the ping.
+        relay_device: device of the relay, None without its trace.
+        conditions: what surrounded the runs, as in `setting`.
+        within_one_run: inconclusive cases in which a contender has fewer than three runs.
     """
 
     connectivity: str
@@ -254,22 +258,47 @@ class Headline:
     leads: tuple[Lead, ...]
     inconclusive: int
     only_one: int
+    ping_device: str = ""
+    relay_device: str | None = None
+    conditions: str = ""
+    within_one_run: int = 0
 
 
 def find_headlines(answers: Sequence[CaseAnswer]) -> tuple[Headline, ...]:
-    """Summarize answers by link, domain mode and data type, in the order of the answers."""
-    headlines = []
-    for key in dict.fromkeys((a.connectivity, a.domain_mode, a.data_type) for a in answers):
-        cases = [a for a in answers if (a.connectivity, a.domain_mode, a.data_type) == key]
-        won = Counter(a.leaders[0].name for a in cases if a.clarity is Clarity.CLEAR)
-        leads = [Lead(name, count) for name, count in won.items()]
-        headlines.append(
-            Headline(
-                *key,
-                cases=sum(a.clarity is not Clarity.ONLY_ONE for a in cases),
-                leads=tuple(sorted(leads, key=lambda lead: (-lead.cases, lead.name))),
-                inconclusive=sum(a.clarity is Clarity.INCONCLUSIVE for a in cases),
-                only_one=sum(a.clarity is Clarity.ONLY_ONE for a in cases),
-            ),
-        )
-    return tuple(headlines)
+    """Summarize answers, each pair of devices and link for itself, in the order of the answers."""
+    of_key: dict[tuple[str | None, ...], list[CaseAnswer]] = {}
+    for answer in answers:
+        of_key.setdefault(_headline_key(answer), []).append(answer)
+    return tuple(_headline(cases) for cases in of_key.values())
+
+
+def _headline_key(answer: CaseAnswer) -> tuple[str | None, ...]:
+    return (
+        answer.connectivity,
+        answer.domain_mode,
+        answer.data_type,
+        answer.ping_device,
+        answer.relay_device,
+        answer.conditions,
+    )
+
+
+def _headline(cases: Sequence[CaseAnswer]) -> Headline:
+    """Summarize the answers of one key."""
+    first, compared = cases[0], [case for case in cases if case.clarity is not Clarity.ONLY_ONE]
+    unclear = [case for case in compared if case.clarity is Clarity.INCONCLUSIVE]
+    won = Counter(case.leaders[0].name for case in compared if case.clarity is Clarity.CLEAR)
+    leads = [Lead(name, count) for name, count in won.items()]
+    return Headline(
+        connectivity=first.connectivity,
+        domain_mode=first.domain_mode,
+        data_type=first.data_type,
+        cases=len(compared),
+        leads=tuple(sorted(leads, key=lambda lead: (-lead.cases, lead.name))),
+        inconclusive=len(unclear),
+        only_one=len(cases) - len(compared),
+        ping_device=first.ping_device,
+        relay_device=first.relay_device,
+        conditions=first.conditions,
+        within_one_run=sum(case.basis == Basis.WITHIN_RUN.value for case in unclear),
+    )

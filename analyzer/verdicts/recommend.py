@@ -5,7 +5,7 @@ finished. Lost messages count as infinitely late, so the question is whether the
 below the deadline, and its confidence interval from the runs (`analyzer/run_statistics/between_runs.py`) gives the answer:
 the setting meets the deadline if the upper end does, it misses it if the lower end does, and otherwise these traces cannot
 tell. With fewer than three runs, and where the size and rate were not measured, it is `likely` at best. A reply that was
-lost makes its message count as lost.
+lost makes its message count as lost. Plain sockets are no candidate where a middleware is one.
 """
 
 from __future__ import annotations
@@ -158,11 +158,17 @@ def recommend_settings(
         for setting, part in parts_of(roundtrips.filter(wanted), SETTING_COLUMNS)
         if (candidate := _candidate(setting, part, _Wanted(job, confidence, unfinished))) is not None
     ]
+    candidates = _without_floor(candidates)
     candidates.sort(key=Candidate.order)
     if candidates:
         best = candidates[0]
         candidates = [replace(c, tied=c is best or _is_tied(c, best)) for c in candidates]
     return Recommendation(job, tuple(candidates))
+
+
+def _without_floor(candidates: list[Candidate]) -> list[Candidate]:
+    """Leave out plain sockets, the floor beneath every middleware, unless there is nothing else."""
+    return [one for one in candidates if one.setting["backend"] != "socket"] or candidates
 
 
 def _is_tied(one: Candidate, best: Candidate) -> bool:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
+from dds_trace.analyzer.model.setting import condition_of
 from dds_trace.analyzer.statistics.intervals import RUNS_TO_TELL
 from dds_trace.tracefile.units.counts import counted
 from dds_trace.tracefile.units.durations import format_duration
@@ -23,9 +24,11 @@ from .groups import (
 from .verdicts import (
     CLEARLY,
     MODES,
+    WITHIN_ONE_RUN,
     DataVerdict,
     cells_label,
     contender_labels,
+    place_label,
     verdicts_info,
 )
 
@@ -72,8 +75,9 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values) -> Conclusio
     verdicts = verdicts_info(answers, groups.vendors)
     bridges = _bridge_remarks(known.bridge_costs, groups.vendors) if known else []
     remarks = (*_unknown_remarks(metric), *_level_remarks(groups, values, metric), *bridges, _losses(values))
+    rule = CLEARLY if any(one.within_one_run < one.cells for one in verdicts) else WITHIN_ONE_RUN
     return Conclusion(
-        _headline(verdicts, groups, values, answers), metric, verdicts, remarks, CLEARLY if verdicts else ""
+        _headline(verdicts, groups, values, answers), metric, verdicts, remarks, rule if verdicts else ""
     )
 
 
@@ -89,21 +93,31 @@ def _headline(
         names = sorted(set(contender_labels(answers, groups.vendors).values()))
         return f"{_and(names)} were not measured under equal conditions, so no choice can be made from this."
     if not any(verdict.wins for verdict in verdicts):
-        cells = sum(verdict.cells for verdict in verdicts)
-        where = "the one cell" if cells == 1 else f"any of the {cells} cells"
-        said = f"Inconclusive: no choice was clearly faster than the others in {where} compared."
-        fewest = min(answer.fewest_runs for answer in answers if len(answer.contenders) > 1)
-        return (
-            said
-            if fewest >= RUNS_TO_TELL
-            else f"{said} That takes {RUNS_TO_TELL} runs of each, there {_are(fewest)}."
-        )
+        return f"{_no_winner(verdicts, answers)} Measured on {_places_words(verdicts)}."
     modes = dict.fromkeys(verdict.mode for verdict in verdicts)
     return " ".join(_mode_sentence(mode, [one for one in verdicts if one.mode == mode]) for mode in modes)
 
 
-def _are(runs: int) -> str:
-    return f"{'is' if runs == 1 else 'are'} {runs}"
+def _no_winner(verdicts: Sequence[DataVerdict], answers: Sequence[CaseAnswer]) -> str:
+    """Say that no choice can be made, and whether more runs are what that takes."""
+    cells = sum(verdict.cells for verdict in verdicts)
+    few = sum(verdict.within_one_run for verdict in verdicts)
+    where = "the one cell" if cells == 1 else f"any of the {cells} cells"
+    if few < cells:
+        said = f"Inconclusive: no choice was clearly faster than the others in {where} compared."
+        return f"{said} {few} of them had fewer than {RUNS_TO_TELL} runs of each." if few else said
+    fewest = min(answer.fewest_runs for answer in answers if len(answer.contenders) > 1)
+    there = "is" if fewest == 1 else "are"
+    return f"Inconclusive in {where} compared: telling apart takes {RUNS_TO_TELL} runs of each, there {there} {fewest}."
+
+
+_MOST_PLACES = 4
+"""Most devices and links that a sentence names; the table below it names all of them."""
+
+
+def _places_words(verdicts: Iterable[DataVerdict]) -> str:
+    places = list(dict.fromkeys(verdict.place for verdict in verdicts))
+    return "; ".join(places) if len(places) <= _MOST_PLACES else f"{len(places)} pairs of devices and links"
 
 
 _MOST_WAYS = 3
@@ -132,21 +146,57 @@ _IN_WAY = {"same domain": "in the same domain", "different domains": "across dom
 
 
 def _mode_sentence(mode: str, verdicts: list[DataVerdict]) -> str:
-    """Name the fastest contender of one domain mode, over all kinds of data."""
+    """Name the fastest contender of one domain mode, over all kinds of data; devices and links each for themselves."""
+    where = "In the same domain" if mode == MODES["same"] else f"Across {mode}"
+    of_place: dict[str, list[DataVerdict]] = {}
+    for verdict in verdicts:
+        of_place.setdefault(verdict.place, []).append(verdict)
+    everywhere = {_sole_winner(of_one) for of_one in of_place.values()}
+    winner = everywhere.pop() if len(everywhere) == 1 else ""
+    if len(of_place) == 1:
+        return f"{where}, {_wins_words(verdicts)}, on {verdicts[0].place}."
+    if winner:
+        shown = f" ({_places_words(verdicts)})" if len(of_place) <= _MOST_PLACES else ""
+        return (
+            f"{where}, {_wins_words(verdicts)}, on each of {len(of_place)} pairs of devices and links{shown}."
+        )
+    if len(of_place) <= _MOST_PLACES:
+        said = "; ".join(f"{_wins_words(of_one)} on {place}" for place, of_one in of_place.items())
+        return f"{where}: {said}."
+    return f"{where}, {_wins_words(verdicts)}, over {len(of_place)} pairs of devices and links, each compared for itself."
+
+
+def _sole_winner(verdicts: Iterable[DataVerdict]) -> str:
+    """Return the contender that wins every cell; empty where no one does."""
+    cells = sum(verdict.cells for verdict in verdicts)
+    return next((name for name, count in _wins(verdicts).items() if count == cells), "")
+
+
+def _wins(verdicts: Iterable[DataVerdict]) -> Counter[str]:
     wins: Counter[str] = Counter()
     for verdict in verdicts:
         wins.update({win.contender: win.cells for win in verdict.wins})
+    return wins
+
+
+def _wins_words(verdicts: Sequence[DataVerdict]) -> str:
+    """Count who is fastest in how many cells, as in `Zenoh was clearly fastest in 2 of 4 cells (2 inconclusive)`."""
     cells = sum(verdict.cells for verdict in verdicts)
-    where = "In the same domain" if mode == MODES["same"] else f"Across {mode}"
+    wins = _wins(verdicts).most_common()
     if not wins:
-        return f"{where}: inconclusive in all {cells_label(cells)}."
-    (name, count), *others = wins.most_common()
-    if count == cells:
-        return f"{where}, {name} was clearly fastest in {'the one cell' if cells == 1 else f'all {cells} cells'}."
-    rest = [f"{other} in {n}" for other, n in others[:3]]
+        return f"inconclusive in {'the one cell' if cells == 1 else f'all {cells_label(cells)}'}"
+    (name, count), *others = wins
     inconclusive = sum(verdict.inconclusive for verdict in verdicts)
+    rest = [f"{other} in {n}" for other, n in others]
     rest += [f"{inconclusive} inconclusive"] if inconclusive else []
-    return f"{where}, {name} was clearly fastest in {count} of {cells_label(cells)} ({', '.join(rest)})."
+    share = (
+        f"{count} of {cells_label(cells)}"
+        if count < cells
+        else "the one cell"
+        if cells == 1
+        else f"all {cells} cells"
+    )
+    return f"{name} was clearly fastest in {share}" + (f" ({', '.join(rest)})" if rest else "")
 
 
 def _level_remarks(groups: Groups, values: Values, metric: str) -> list[str]:
@@ -179,12 +229,20 @@ def _place(groups: Groups, index: int, labels: Sequence[str]) -> str:
 
 
 def _bridge_remarks(costs: pl.DataFrame, vendors: VendorLabels) -> list[str]:
-    """State what each vendor and bridge adds to the median latency when messages cross to another domain."""
+    """State what each vendor and bridge adds to the median latency across domains, on each pair of devices and link."""
     ways: dict[str, list[dict[str, Any]]] = {}
     known = (pl.col("statistic") == "p50") & (pl.col("metric") == "latency")
-    for row in costs.filter(known & pl.col("difference_ns").is_not_null()).iter_rows(named=True):
-        ways.setdefault(way_label(row, vendors), []).append(row)
+    told = list(costs.filter(known & pl.col("difference_ns").is_not_null()).iter_rows(named=True))
+    places = [_place_of_cost(row) for row in told]
+    for row, place in zip(told, places, strict=True):
+        where = f", on {place}" if len(set(places)) > 1 else ""
+        ways.setdefault(f"{way_label(row, vendors)}{where}", []).append(row)
     return [_bridge_remark(way, rows) for way, rows in ways.items()]
+
+
+def _place_of_cost(row: Mapping[str, Any]) -> str:
+    conditions = condition_of(str(row["setting"]))
+    return place_label(row["ping_device"], row["relay_device"], row["connectivity"], conditions)
 
 
 # DataVerdict of `dds_trace.analyzer.verdicts.compare` on a bridge -> words, in the order of the sentence.

@@ -87,7 +87,7 @@ class Book:
     @cached_property
     def advice(self) -> Advice | None:
         """Recommendation in words; None without a job."""
-        return recommendation_info(self.analysis.details.recommendation)
+        return recommendation_info(self.analysis.details.recommendation, self.groups.vendors)
 
     @cached_property
     def findings(self) -> tuple[FindingKind, ...]:

@@ -18,10 +18,18 @@ from dds_trace.tracefile.units.sizes import format_size
 from dds_trace.tracefile.visible import visible
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from dds_trace.analyzer.analysis import Analysis
     from dds_trace.analyzer.model.names import Rule
+
+LATENCY_MEANING = (
+    "Latency is (round trip - time in the relay) / 2, each of the two measured on one device's own clock. It is the mean of a "
+    "message's two ways, so its tail is not that of one way: a message that was slow one way only counts with half of the delay. "
+    "Where the slow moments of the two ways do not coincide, the p99 of one way is higher than that of the latency: in simulations "
+    "the latter lay 23 to 48 % below. Read tails of one way from outbound and return with their clock bound, deadlines from the response."
+)
+"""What the latency is and what its tail is not, in words."""
 
 METRIC_LABELS = {name: METRICS[name].label for name in ("latency", *METRICS)}
 """Metric -> label, in the order of the page's menu: the latency first."""
@@ -190,6 +198,20 @@ def _setting_label_of(series: Iterable[Series]) -> Callable[[Series], str]:
     return label
 
 
+def setting_labels(settings: Sequence[Mapping[str, Any]], vendors: VendorLabels) -> list[str]:
+    """Label settings by everything in which any two of them differ: it is what a reader has to set.
+
+    Args:
+        settings: values of `SETTING_COLUMNS`.
+        vendors: labels of the vendors.
+    """
+    unknown = dict.fromkeys(SERIES_COLUMNS)
+    series = [_series({**unknown, **setting}, vendors) for setting in settings]
+    parts = (*_LABEL_PARTS, (where_it_varies, _setting_label_of(series)))
+    told = [(where_it_varies if word not in _FOLLOWING else rule, word) for rule, word in parts]
+    return tell_apart(series, lambda one: one.vendor_label, told)
+
+
 def vendor_labels(analysis: Analysis) -> VendorLabels:
     """Collect the labels of the vendors: those of `VENDORS`, and those that the sessions name."""
     named = {session.vendor: session.extra.get("vendor_label") for session in analysis.sessions}
@@ -242,16 +264,25 @@ def _history_label(series: Series) -> str:
 
 
 def device_label(series: Series) -> str:
+    """Name the devices of a series as `device_pair` does."""
+    return device_pair(series.ping_device, series.relay_device)
+
+
+def device_pair(ping_device: str, relay_device: str | None) -> str:
     """Name the ping's device, and the relay's if it is known and differs."""
-    if series.relay_device is None or series.relay_device == series.ping_device:
-        return visible(series.ping_device)
-    return f"{visible(series.ping_device)} → {visible(series.relay_device)}"
+    if relay_device is None or relay_device == ping_device:
+        return visible(ping_device)
+    return f"{visible(ping_device)} → {visible(relay_device)}"
 
 
 def _backend_label(series: Series) -> str:
     if series.relay_backend is None or series.relay_backend == series.backend:
         return visible(series.backend)
     return f"{visible(series.backend)} → {visible(series.relay_backend)}"
+
+
+def _rmw_label(series: Series) -> str:
+    return visible(series.rmw or "no rmw")
 
 
 _LABEL_PARTS: tuple[tuple[Rule, Callable[[Series], str]], ...] = (
@@ -264,10 +295,13 @@ _LABEL_PARTS: tuple[tuple[Rule, Callable[[Series], str]], ...] = (
     (where_it_helps, device_label),
     (where_it_helps, lambda s: visible(s.connectivity)),
     (where_it_helps, lambda s: f"domains {s.ping_domain_id} → {s.relay_domain_id}"),
-    (where_it_helps, lambda s: visible(s.rmw or "no rmw")),
+    (where_it_helps, _rmw_label),
     (where_it_helps, lambda s: visible(", ".join(s.further))),
 )
 """Parts of a series label behind the vendor."""
+
+_FOLLOWING = (_backend_label, _rmw_label)
+"""Parts that mostly follow the vendor, so that they are told of a setting only where nothing else tells it apart."""
 
 
 def known_first(values: Iterable[str], known: Iterable[str]) -> list[str]:

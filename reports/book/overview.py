@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
 from typing import TYPE_CHECKING
 
+from dds_trace.analyzer.model.setting import condition_of
 from dds_trace.tracefile.units.counts import counted
 from dds_trace.tracefile.units.rates import format_rate
 from dds_trace.tracefile.units.sizes import format_size
@@ -20,6 +21,7 @@ from .groups import (
     known_first,
 )
 from .recording import floor_words, recorder_words
+from .verdicts import conditions_label
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -72,6 +74,7 @@ def overview_info(
     facts = (
         Fact("Devices", _devices(analysis, groups)),
         Fact("Link", _listed(sorted({visible(one.connectivity) for one in groups.series}))),
+        Fact("Conditions", _conditions(groups)),
         Fact("Middleware", _listed(_vendors(analysis, groups))),
         Fact("Domains", _listed(list(dict.fromkeys(domain_label(one) for one in groups.series)))),
         Fact("Messages", _messages(analysis)),
@@ -96,6 +99,12 @@ def _devices(analysis: Analysis, groups: Groups) -> str:
     if groups.series:
         return _listed(dict.fromkeys(device_label(one) for one in groups.series))
     return _listed(sorted({f"{visible(one.device)} ({visible(one.role)})" for one in analysis.sessions}))
+
+
+def _conditions(groups: Groups) -> str:
+    """List what surrounded the runs, each set of conditions once; empty where nothing did."""
+    told = {conditions_label(condition_of(one.setting)) for one in groups.series}
+    return "; ".join(sorted(told - {""}))
 
 
 def _vendors(analysis: Analysis, groups: Groups) -> list[str]:

@@ -13,16 +13,18 @@ from dds_trace.tracefile.units.sizes import format_size
 from dds_trace.tracefile.visible import visible
 
 from ..text import format_ratio
-from .groups import data_type_label
+from .groups import METRIC_LABELS, data_type_label, setting_labels
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Sequence
 
     from dds_trace.analyzer import Recommendation
-    from dds_trace.analyzer.model.parameters import ParameterValue
+    from dds_trace.analyzer.verdicts.job import Job
     from dds_trace.analyzer.verdicts.recommend import Candidate
 
-COLUMNS = ("Setting", "Does it", "Latency", "95 % interval", "Received", "Of those", "Rests on", "Why")
+    from .groups import VendorLabels
+
+COLUMNS = ("Setting", "Does it", "Time", "95 % interval", "Received", "Of those", "Rests on", "Why")
 """Headings of `Advice.rows`; `Of those` is the figure of the messages that came back."""
 
 
@@ -41,52 +43,62 @@ class Advice:
     rows: tuple[tuple[str, ...], ...]
 
 
-def recommendation_info(recommendation: Recommendation | None) -> Advice | None:
+def recommendation_info(recommendation: Recommendation | None, vendors: VendorLabels) -> Advice | None:
     """Put a recommendation into words; None without one."""
     if recommendation is None:
         return None
-    job = recommendation.job
+    candidates = recommendation.candidates
+    names = setting_labels([candidate.setting for candidate in candidates], vendors)
+    return Advice(
+        asked=_asked(recommendation.job),
+        said=_said(recommendation, names),
+        rows=tuple(_row(candidate, name) for candidate, name in zip(candidates, names, strict=True)),
+    )
+
+
+_JUDGED_BY = {"response": "from planned send to reply", "latency": "by the latency, the mean of both ways"}
+"""Metric of a job -> what the deadline is for, in words; any other metric by its label."""
+
+
+def _asked(job: Job) -> str:
+    judged_by = _JUDGED_BY.get(
+        job.metric, f"by the {METRIC_LABELS.get(job.metric, visible(job.metric)).lower()}"
+    )
     asked = (
         f"{data_type_label(job.data_type)} {format_size(job.payload_bytes)} at {format_rate(job.rate_hz)}: "
-        f"{format_ratio(job.reliability)} of the messages within the deadline of {format_duration(job.deadline_ns)}"
+        f"{format_ratio(job.reliability)} of the messages within the deadline of {format_duration(job.deadline_ns)}, {judged_by}"
     )
     if job.domain_mode is not None:
-        asked += f", {visible(job.domain_mode)} domain" + ("s" if job.domain_mode == "different" else "")
-    varying = _varying(recommendation.candidates)
-    return Advice(
-        asked=f"{asked}.",
-        said=_said(recommendation, varying),
-        rows=tuple(_row(candidate, varying) for candidate in recommendation.candidates),
+        asked += f"; {visible(job.domain_mode)} domain" + ("s" if job.domain_mode == "different" else "")
+    return f"{asked}."
+
+
+def _said(recommendation: Recommendation, names: Sequence[str]) -> str:
+    """Return which settings meet the deadline, in one sentence."""
+    candidates, deadline = (
+        recommendation.candidates,
+        f"the deadline of {format_duration(recommendation.job.deadline_ns)}",
     )
-
-
-def _said(recommendation: Recommendation, varying: list[str]) -> str:
-    if not recommendation.candidates:
+    if not candidates:
         return "The traces say nothing of such messages."
-    best = [_name(candidate.setting, varying) for candidate in recommendation.best]
+    named = list(zip(candidates, names, strict=True))
+    best = [name for candidate, name in named if candidate in recommendation.best]
     if best:
-        told = "meets it" if len(best) == 1 else "meet it, and these traces do not tell them apart"
-        return f"{', '.join(best)} {told}."
-    likely = [_name(c.setting, varying) for c in recommendation.candidates if c.fit.value == "likely"]
+        told = (
+            f"meets {deadline}"
+            if len(best) == 1
+            else f"meet {deadline}, and these traces do not tell them apart"
+        )
+        return f"{'; '.join(best)} {told}."
+    likely = [name for candidate, name in named if candidate.fit.value == "likely"]
     if likely:
-        return f"Nothing is shown to meet it; likely: {', '.join(likely)}."
+        return f"Nothing is shown to meet {deadline}; likely to meet it: {'; '.join(likely)}."
     if recommendation.is_conclusive:
-        return "Every setting that was measured misses it."
-    return "Inconclusive: no setting is shown to meet it."
+        return f"Every setting that was measured misses {deadline}."
+    return f"Inconclusive: no setting is shown to meet {deadline}."
 
 
-def _varying(candidates: tuple[Candidate, ...]) -> list[str]:
-    """Return the parameters that tell candidates apart, and always those of middleware and bridge."""
-    always = {"vendor", "bridge"}
-    names = list(candidates[0].setting) if candidates else []
-    return [name for name in names if name in always or len({c.setting[name] for c in candidates}) > 1]
-
-
-def _name(setting: Mapping[str, ParameterValue], varying: list[str]) -> str:
-    return " ".join(f"{name}={visible(setting[name])}" for name in varying if setting[name] is not None)
-
-
-def _row(candidate: Candidate, varying: list[str]) -> tuple[str, ...]:
+def _row(candidate: Candidate, name: str) -> tuple[str, ...]:
     rests = "a guess"
     if candidate.measured:
         rests = counted(candidate.runs, "run")
@@ -95,7 +107,7 @@ def _row(candidate: Candidate, varying: list[str]) -> tuple[str, ...]:
         if candidate.episodes is not None:
             rests += f", {counted(candidate.episodes, 'episode')}"
     return (
-        _name(candidate.setting, varying),
+        name,
         candidate.fit.value,
         _time(candidate.latency_ns),
         f"{_time(candidate.lower_ns)} to {_time(candidate.upper_ns)}",

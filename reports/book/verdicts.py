@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING
 
 from dds_trace.analyzer import find_headlines
 from dds_trace.analyzer.model.names import tell_apart, where_alike
+from dds_trace.analyzer.model.setting import parse_setting
+from dds_trace.analyzer.statistics.intervals import RUNS_TO_TELL
 from dds_trace.tracefile.units.counts import counted
 from dds_trace.tracefile.visible import visible
 
-from .groups import DATA_TYPES, data_type_label
+from .groups import DATA_TYPES, data_type_label, device_pair
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -30,6 +32,12 @@ CLEARLY = (
     "messages count as infinitely late, and who receives significantly less never leads. With fewer than three runs, and where the "
     "tests do not tell, the answer is inconclusive. Plain sockets are the floor beneath every middleware and no contender."
 )
+
+WITHIN_ONE_RUN = (
+    f"A cell is one data type, size and rate. With fewer than {RUNS_TO_TELL} runs of each nothing is told apart: runs of equal "
+    "settings differ by more than the messages within one run can show."
+)
+"""The rule of a campaign whose every comparison has too few runs."""
 
 MODES = {"same": "same domain", "different": "different domains"}
 
@@ -60,11 +68,13 @@ class DataVerdict:
     """Result for one kind of data, over all cells in which at least two contenders were measured.
 
     Attributes:
-        data: data type, domain mode, and the link if several were measured, as in `Binary, same domain`.
+        data: data type and domain mode, as in `Binary, same domain`.
         mode: domain mode in words.
         cells: number of compared cells.
         wins: winners, the one with most cells first.
         inconclusive: number of cells without a clear winner.
+        place: devices, link and conditions, as in `pi-3 → pi-4, wired`: each is judged for itself.
+        within_one_run: cells among the inconclusive ones in which a contender has fewer than three runs.
     """
 
     data: str
@@ -72,10 +82,14 @@ class DataVerdict:
     cells: int
     wins: tuple[WinCount, ...]
     inconclusive: int
+    place: str = ""
+    within_one_run: int = 0
 
     @property
     def sentence(self) -> str:
-        """DataVerdict in one sentence."""
+        """The verdict in one sentence."""
+        if self.within_one_run == self.cells:
+            return f"not told apart: fewer than {RUNS_TO_TELL} runs of each."
         if not self.wins:
             return f"inconclusive in all {cells_label(self.cells)}." if self.cells > 1 else "inconclusive."
         parts = [
@@ -88,19 +102,17 @@ class DataVerdict:
 
 
 def verdicts_info(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> tuple[DataVerdict, ...]:
-    """Give one verdict per kind of data with two contenders, in the usual order of data types and domain modes."""
+    """Give one verdict per kind of data, devices and link with two contenders, in the usual order."""
     contenders = {one.name: one for answer in answers for one in answer.contenders}
     labels = contender_labels(answers, vendors)
-    several_links = len({answer.connectivity for answer in answers}) > 1
     verdicts = []
     for headline in sorted(find_headlines(answers), key=_order):
         if not headline.cases:
             continue
         mode = MODES.get(headline.domain_mode, visible(headline.domain_mode))
-        link = [visible(headline.connectivity)] if several_links else []
         verdicts.append(
             DataVerdict(
-                data=", ".join([data_type_label(headline.data_type), mode, *link]),
+                data=f"{data_type_label(headline.data_type)}, {mode}",
                 mode=mode,
                 cells=headline.cases,
                 wins=tuple(
@@ -108,9 +120,34 @@ def verdicts_info(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> tuple
                     for lead in headline.leads
                 ),
                 inconclusive=headline.inconclusive,
+                place=place_label(
+                    headline.ping_device, headline.relay_device, headline.connectivity, headline.conditions
+                ),
+                within_one_run=headline.within_one_run,
             )
         )
     return tuple(verdicts)
+
+
+_CONDITION_WORDS = {
+    "link": "emulated link {}",
+    "flows": "{} runs at once",
+    "relays": "{} relays",
+    "data": "data from {}",
+}
+"""Key of a condition -> its words."""
+
+
+def conditions_label(conditions: str) -> str:
+    """Put conditions of a setting into words: `emulated link wifi-54(loss=1), 2 runs at once`; empty for none."""
+    told = parse_setting(conditions).items()
+    return visible(", ".join(_CONDITION_WORDS.get(key, f"{key} {{}}").format(value) for key, value in told))
+
+
+def place_label(ping_device: str, relay_device: str | None, connectivity: str, conditions: str = "") -> str:
+    """Name where something was measured, as in `pi-3 → pi-4, wired, 2 runs at once`."""
+    parts = (device_pair(ping_device, relay_device), visible(connectivity), conditions_label(conditions))
+    return ", ".join(part for part in parts if part)
 
 
 def contender_labels(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> dict[str, str]:
@@ -142,7 +179,9 @@ def _value(column: str, setting: Mapping[str, ParameterValue]) -> str:
     return visible(f"depth {value}" if column == "depth" else value)
 
 
-def _order(headline: Headline) -> tuple[int, str, bool, str]:
+def _order(headline: Headline) -> tuple[object, ...]:
     known = [*DATA_TYPES, headline.data_type]
     place = known.index(headline.data_type)
-    return place, headline.data_type, headline.domain_mode != "same", headline.connectivity
+    relay = headline.relay_device
+    where = headline.connectivity, headline.ping_device, relay is None, relay or "", headline.conditions
+    return place, headline.data_type, headline.domain_mode != "same", *where

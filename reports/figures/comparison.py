@@ -32,7 +32,7 @@ def vendor_comparison_figure(info: VendorComparison) -> Figure | LeftOut:
     """Draw marks over cells: sizes, and within each size the rates."""
     name, title = "vendor_comparison", "Vendors against each other, per data type"
     how_to_read = (
-        "Marks above one another sent the same messages: the lowest was fastest there, and every mark of the campaign "
+        "Marks above one another sent the same messages: the lowest took the least time, and every mark of the campaign "
         "is in this figure."
     )
     if not info.panels:

@@ -22,7 +22,7 @@ from dds_trace.tracefile.units.sizes import format_size
 from dds_trace.tracefile.visible import visible
 
 from ..book.findings import severity_counts
-from ..book.groups import METRIC_LABELS, STATISTIC_LABELS, data_type_label
+from ..book.groups import LATENCY_MEANING, METRIC_LABELS, STATISTIC_LABELS, data_type_label
 from ..book.recommendation import COLUMNS
 from ..figures import FIGURES, Figure, LeftOut, Scope
 from ..text import json_island
@@ -51,10 +51,6 @@ SCRIPTS = (
 )
 """Scripts of the page, each behind those that it needs."""
 LIVE_SCRIPT = "live.js"
-
-FORMULA = (
-    "Latency is (round trip - time in the relay) / 2, each of the two measured on one device's own clock."
-)
 
 
 def render(book: Book) -> str:
@@ -88,7 +84,7 @@ def _render(book: Book, scripts: Iterable[str], version: str = "") -> str:
         script=Markup(script),  # noqa: S704 - our own files
         island=Markup(json_island(_island(book, [figure for _, figure in drawn]))),  # noqa: S704 - `json_island` escapes
         overview=book.overview,
-        formula=FORMULA,
+        formula=LATENCY_MEANING,
         answer=_answer(book),
         advice=book.advice,
         advice_columns=COLUMNS,
@@ -184,5 +180,5 @@ def _answer(book: Book) -> dict[str, object]:
         ]
         if verdict.inconclusive:
             parts.append({"name": "inconclusive", "cells": verdict.inconclusive, "light": "", "dark": ""})
-        verdicts.append({"data": verdict.data, "parts": parts})
+        verdicts.append({"data": verdict.data, "place": verdict.place, "parts": parts})
     return {"headline": answer.headline, "verdicts": verdicts, "remarks": answer.remarks, "rule": answer.rule}

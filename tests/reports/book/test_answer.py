@@ -6,9 +6,11 @@ from roundtrip_frames import rows_by_group
 
 from dds_trace.analyzer.details import details_not_requested
 from dds_trace.analyzer.verdicts.answers import find_answers
+from dds_trace.reports import load_reporter
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.overview import Fact
 from dds_trace.reports.book.verdicts import DataVerdict, WinCount
+from dds_trace.reports.text import markdown
 
 # 0 to 19 in an order in which neighbours are no more alike than others, so that 20 messages count as 20.
 MIXED = random.Random(1).sample(range(20), 20)
@@ -22,10 +24,17 @@ def test_a_clear_winner_is_named():
     answer = Book(make_analysis(Measured(SLOW), Measured(FAST, **ZENOH))).answer
     assert answer.verdicts == (
         DataVerdict(
-            "Binary, same domain", "same domain", 1, (WinCount("Zenoh", "zenoh", 1),), inconclusive=0
+            "Binary, same domain",
+            "same domain",
+            1,
+            (WinCount("Zenoh", "zenoh", 1),),
+            inconclusive=0,
+            place="pi-one → pi-two, wired",
         ),
     )
-    assert answer.headline == "In the same domain, Zenoh was clearly fastest in the one cell."
+    assert answer.headline == (
+        "In the same domain, Zenoh was clearly fastest in the one cell, on pi-one → pi-two, wired."
+    )
     assert "by a test of their runs" in answer.rule
 
 
@@ -35,9 +44,9 @@ def test_overlap_is_inconclusive():
     answer = Book(make_analysis(Measured(slightly_slower), Measured(FAST, **ZENOH))).answer
     assert answer.verdicts[0].inconclusive == 1
     assert answer.verdicts[0].sentence == "inconclusive."
-    assert (
-        answer.headline
-        == "Inconclusive: no choice was clearly faster than the others in the one cell compared."
+    assert answer.headline == (
+        "Inconclusive: no choice was clearly faster than the others in the one cell compared. "
+        "Measured on pi-one → pi-two, wired."
     )
 
 
@@ -46,9 +55,11 @@ def test_fewer_than_three_runs_are_told_and_nobody_is_faster():
     one_run = find_answers(rows_by_group(held.load_roundtrips()))
     answer = Book(replace(held, details=replace(held.details, answers=one_run))).answer
     assert answer.headline == (
-        "Inconclusive: no choice was clearly faster than the others in the one cell compared. "
-        "That takes 3 runs of each, there is 1."
+        "Inconclusive in the one cell compared: telling apart takes 3 runs of each, there is 1. "
+        "Measured on pi-one → pi-two, wired."
     )
+    assert answer.verdicts[0].sentence == "not told apart: fewer than 3 runs of each."
+    assert "fastest" not in answer.rule
 
 
 def test_lost_messages_are_infinitely_late():
@@ -136,8 +147,77 @@ def test_counts_over_cells():
             Measured(FAST, rate_hz=80.0), Measured(FAST, rate_hz=80.0, **ZENOH),
         )).answer  # fmt: skip
     assert answer.headline == (
-        "In the same domain, Zenoh was clearly fastest in 2 of 4 cells (Fast DDS in 1, 1 inconclusive)."
+        "In the same domain, Zenoh was clearly fastest in 2 of 4 cells (Fast DDS in 1, 1 inconclusive), "
+        "on pi-one → pi-two, wired."
     )
+
+
+DEVICES = {"fast": 1, "pi": 9, "zero": 80}
+
+
+def on_three_devices(shares, **more):
+    """Groups of two middlewares on devices of unlike speed; `shares` of the time that Zenoh takes of Fast DDS's."""
+    return [
+        Measured(
+            [int(ns * speed * part) for ns in SLOW], ping_device=device, relay_device=device, **sides, **more
+        )
+        for (device, speed), share in zip(DEVICES.items(), shares, strict=True)
+        for part, sides in ((1.0, {}), (share, ZENOH))
+    ]
+
+
+def test_who_is_faster_on_each_device_is_said_to_be_so_in_every_report():
+    # Pooled, the devices' unlike speeds would hide the 20 % (Simpson).
+    book = Book(make_analysis(*on_three_devices([0.8] * 3)))
+    assert book.answer.headline == (
+        "In the same domain, Zenoh was clearly fastest in all 3 cells, on each of 3 pairs of devices and links "
+        "(fast, wired; pi, wired; zero, wired)."
+    )
+    assert [(one.place, one.wins[0].contender) for one in book.answer.verdicts] == [
+        ("fast, wired", "Zenoh"),
+        ("pi, wired", "Zenoh"),
+        ("zero, wired", "Zenoh"),
+    ]
+    for kind in ("html", "md", "terminal"):
+        text = " ".join(load_reporter(kind).render(book).split())
+        assert all(verdict.place in text for verdict in book.answer.verdicts), kind
+        assert "on each of 3 pairs of devices and links" in text, kind
+
+
+def test_unlike_answers_of_devices_are_told_one_by_one():
+    answer = Book(make_analysis(*on_three_devices([0.8, 0.8, 1.25]))).answer
+    assert answer.headline == (
+        "In the same domain: Zenoh was clearly fastest in the one cell on fast, wired; Zenoh was clearly fastest in the one "
+        "cell on pi, wired; Fast DDS was clearly fastest in the one cell on zero, wired."
+    )
+
+
+def test_conditions_stand_beside_devices_and_link_in_every_report():
+    alone = [Measured(SLOW), Measured(FAST, **ZENOH)]
+    setting = "flows=2,link=wifi-54(loss_percent=1)"
+    together = [Measured(SLOW, setting=setting), Measured(FAST, setting=setting, **ZENOH)]
+    book = Book(make_analysis(*alone, *together))
+    place = "pi-one → pi-two, wired, 2 runs at once, emulated link wifi-54(loss_percent=1)"
+    assert [one.place for one in book.answer.verdicts] == ["pi-one → pi-two, wired", place]
+    assert Fact("Conditions", "2 runs at once, emulated link wifi-54(loss_percent=1)") in book.overview.facts
+    for kind in ("html", "terminal"):
+        assert place in " ".join(load_reporter(kind).render(book).split()), kind
+    assert markdown(place) in load_reporter("md").render(book)
+
+
+def test_a_bridge_has_its_price_on_each_device():
+    price = [
+        Measured([int(ns * speed) for ns in times], ping_device=device, relay_device=device, **way)
+        for device, speed in DEVICES.items()
+        for times, way in ((FAST, {}), (SLOW, BRIDGED))
+    ]
+    remarks = [
+        one for one in Book(make_analysis(*price)).answer.remarks if one.startswith("Fast DDS, via builtin")
+    ]
+    assert [one.split(": median")[0] for one in remarks] == [
+        f"Fast DDS, via builtin, on {device}, wired" for device in DEVICES
+    ]
+    assert all(one.endswith("clearly slower.") for one in remarks)
 
 
 def test_without_a_relay_the_round_trip_is_compared_and_said_so():

@@ -9,24 +9,29 @@ from roundtrip_frames import in_runs, steady
 from dds_trace.analyzer.verdicts.job import Job
 from dds_trace.analyzer.verdicts.recommend import recommend_settings
 from dds_trace.reports.book.book import Book
+from dds_trace.reports.book.groups import VENDORS, VendorLabels
 from dds_trace.reports.book.recommendation import recommendation_info
 from dds_trace.reports.html.page import render as render_html
 from dds_trace.reports.markdown import render as render_markdown
+from dds_trace.reports.terminal import render as render_terminal
+from dds_trace.reports.terminal import render_advice
 
 JOB = Job("binary", 33_000, 10.0, 50 * MS, 0.99, metric="latency")
 MIXED = [MS + (n * 37 % 101) * 1000 for n in range(1500)]
 
 
 def advised(frame):
-    return recommendation_info(recommend_settings(frame, JOB))
+    return recommendation_info(recommend_settings(frame, JOB), VendorLabels(VENDORS))
 
 
 def test_the_job_is_told_with_its_deadline_and_what_meets_it():
     advice = advised(
         pl.concat([in_runs(MIXED), in_runs([None, MS] * 500, vendor="zenoh", run_id=2, spread=0.0)])
     )
-    assert advice.asked == "Binary 33 KB at 10 Hz: 99 % of the messages within the deadline of 50 ms."
-    assert advice.said == "vendor=fastdds bridge=none meets it."
+    assert advice.asked == (
+        "Binary 33 KB at 10 Hz: 99 % of the messages within the deadline of 50 ms, by the latency, the mean of both ways."
+    )
+    assert advice.said == "Fast DDS meets the deadline of 50 ms."
     good, lossy = advice.rows
     assert good[1] == "meets"
     assert good[6].startswith("3 runs, ")
@@ -36,7 +41,7 @@ def test_the_job_is_told_with_its_deadline_and_what_meets_it():
 
 def test_one_run_is_not_said_to_meet_it():
     advice = advised(steady(MIXED))
-    assert advice.said == "Nothing is shown to meet it; likely: vendor=fastdds bridge=none."
+    assert advice.said == "Nothing is shown to meet the deadline of 50 ms; likely to meet it: Fast DDS."
     assert "within one run" in advice.rows[0][6]
 
 
@@ -50,5 +55,36 @@ def test_it_stands_on_top_of_the_page_and_of_markdown():
         assert "within the deadline of 50 ms" in text
         assert text.index("within the deadline") < text.index("What was measured")
     markdown = render_markdown(book)
-    assert markdown.index("meets it") < markdown.index(book.answer.headline[:10])
-    assert recommendation_info(None) is None
+    assert markdown.index("meets the deadline of 50 ms") < markdown.index(book.answer.headline[:10])
+    assert recommendation_info(None, VendorLabels(VENDORS)) is None
+
+
+def test_settings_are_told_in_words_by_what_sets_them_apart():
+    apart = {"domain_mode": "different", "relay_domain_id": 10, "bridge": "builtin"}
+    frame = pl.concat(
+        [
+            in_runs(MIXED),
+            in_runs(MIXED, vendor="zenoh", relay_vendor="zenoh", run_id=2, ping_device="laptop"),
+            in_runs(MIXED, run_id=3, setting="tuned=true", **apart),
+        ]
+    )
+    assert {row[0] for row in advised(frame).rows} == {
+        "Fast DDS, same domain, ping-pi → relay-pi, nothing else set",
+        "Zenoh, same domain, laptop → relay-pi, nothing else set",
+        "Fast DDS, via builtin, ping-pi → relay-pi, tuned",
+    }
+
+
+def test_the_terminal_tells_it_first_and_within_80_columns():
+    analysis = make_analysis(Measured([MS, MS]))
+    frame = pl.concat([in_runs(MIXED), in_runs([None, MS] * 500, vendor="zenoh", run_id=2, spread=0.0)])
+    recommendation = recommend_settings(frame, replace(JOB, metric="response"))
+    book = Book(replace(analysis, details=replace(analysis.details, recommendation=recommendation)))
+    alone, whole = render_advice(book), render_terminal(book)
+    assert alone.strip("\n") in whole
+    assert whole.index("meets the deadline of 50 ms") < whole.index(book.answer.headline[:10])
+    assert max(map(len, alone.splitlines())) <= 80
+    assert "from planned send to reply" in " ".join(alone.split())
+    assert "vendor=" not in alone
+    assert "received 50 %" in alone
+    assert render_advice(Book(analysis)) == ""

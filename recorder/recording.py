@@ -15,8 +15,8 @@ from dds_trace.tracefile import HOST_TOPIC, NoEchoError, NotAppliedError, TraceS
 from dds_trace.tracefile.writing.destination import discard
 
 from .backends import open_node
-from .backends.domains import check_domain
 from .bridges.asked import open_asked_bridge
+from .domains import check_domain
 from .host.clock import SystemClock
 from .host.kernel_clock import read_adjtimex
 from .host.privileges import apply_privileges
@@ -248,7 +248,7 @@ class _Recording:
     ) -> None:
         data_type = ping.plan.payload.data_type
         self.watch.note(f"waiting for an echo of {data_type.topic} in domain {node.options.domain_id}")
-        came, waited_s = False, 0.0
+        came, waited_s, settings = False, 0.0, ""
         while not came and waited_s < asked.wait_s and not self.stop.is_set() and node.error is None:
             slice_s = min(HOPELESS_S, asked.wait_s - waited_s)
             came = ping.wait_for_echo(slice_s, self.stop, asked.relays)
@@ -256,13 +256,16 @@ class _Recording:
             _raise_error_of(node)
             if bridge is not None:
                 bridge.check()
+            if (
+                not came
+            ):  # not at the end alone: after 20 s Fast DDS has forgotten a side that cannot be reached
+                settings = read_back.explain(ping.probes) or settings
             if look_for_relays(node, data_type).is_hopeless:
                 break
         if not came and not self.stop.is_set():
             answers = (
                 f"{ping.echoing_relays} of {asked.relays} relays answer; " if ping.echoing_relays else ""
             )
-            settings = read_back.explain(ping.probes)
             raise NoEchoError(
                 answers
                 + explain_silence(node, ping.plan, waited_s)

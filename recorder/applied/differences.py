@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING
 
+from ..domains import domain_port_range
 from .carried import SHARED_MEMORY, UNKNOWN, is_excluded, payload_path
 from .vendors import SEGMENT, TransportFacts, vendor_facts
 
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
     from .memory import SharedMemory
     from .sockets import Socket
 
-DOMAIN_PORTS, FIRST_PORT = 250, 7400
-"""DDS-RTPS 2.5, 9.6.2.3: a domain's ports are 7400 + 250 x domain and those above."""
 KERNELS_PORT = 32_768
 """First of the ports that Linux chooses itself, unless `net.ipv4.ip_local_port_range` says otherwise."""
 GRANTED_PER_ASKED = 2
@@ -124,11 +123,9 @@ def _contradiction(
 def _receive_buffer(asked: Asked, applied: Applied, _traffic: Traffic | None) -> Difference | None:
     """Compare the smallest receive buffer of the domain's UDP sockets with the asked one."""
     sockets = _udp_sockets(applied)
-    first = FIRST_PORT + DOMAIN_PORTS * asked.domain_id
-    last = min(
-        first + DOMAIN_PORTS, applied.latest.limits.get("net.ipv4.ip_local_port_range.min", KERNELS_PORT)
-    )
-    of_domain = [each for each in sockets if first <= each.local_port < last]
+    ports = domain_port_range(asked.domain_id)
+    kernels_port = applied.latest.limits.get("net.ipv4.ip_local_port_range.min", KERNELS_PORT)
+    of_domain = [each for each in sockets if each.local_port in ports and each.local_port < kernels_port]
     # A socket that only sends is not enlarged, and has a port that the kernel chose. Where no port tells the receiving
     # ones, the largest speaks for all.
     buffers = [each.receive_buffer_bytes for each in of_domain] or [
@@ -217,16 +214,19 @@ def _memory_namespace(asked: Asked, applied: Applied, traffic: Traffic | None) -
             f"{elsewhere[0]} is mapped, but it is not the file of that name in this process's /dev/shm",
         )
     # Fast DDS sends to a receiver of this host through the receiver's port in /dev/shm, and creates a port that it does not
-    # find there. Nobody serves such a port: the receiver serves the file of that name in its own mount namespace.
+    # find there. Nobody serves such a port: the receiver serves the file of that name in its own mount namespace. Only ports
+    # of the domain tell: those from 7000 on are of all domains of a machine, so that another domain's participant may send to
+    # one of ours there, and its segment is mapped. A segment whose owner has died may be that of the receiver.
     in_vain = traffic is not None and traffic.sent > 0 and traffic.received == 0
-    unserved = [each.name for each in memory if each.is_unserved_port]
-    if in_vain and unserved and not any(each.is_foreign_segment for each in memory):
+    ports = domain_port_range(asked.domain_id)
+    unserved = [each.name for each in memory if each.is_unserved_port and each.port_number in ports]
+    if in_vain and unserved and not any(each.is_foreign_segment and not each.is_served for each in memory):
         return Difference(
             Setting.MEMORY_NAMESPACE,
             asked.transport,
             unserved[0],
             f"messages for a receiver on this host go to {unserved[0]} in /dev/shm, where nobody reads them: "
-            "the other side has a /dev/shm of its own (a container?); share it, or ask for UDP",
+            "the other side has a /dev/shm of its own (a container?), or has just left; share it, or ask for UDP",
         )
     return None
 

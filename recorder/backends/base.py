@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 from dds_trace.tracefile import BackendUnavailableError, OptionError
 
 from ..choices import Discovery, ExecutorKind, Transport
+from ..domains import check_domain_id, first_port
 from ..host.environment import MiddlewareEnvironment
-from .domains import check_domain_id, first_port
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -8,8 +8,8 @@ from enum import Enum
 
 from dds_trace.tracefile import OptionError, Qos
 
-from ..backends.domains import LAST_DOMAIN
 from ..choices import Discovery, Transport
+from ..domains import LAST_DOMAIN
 from ..payloads import data_types
 
 

@@ -6,7 +6,7 @@ import json
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from ..backends.domains import first_port
+from ..domains import domain_port_range
 from .packets.packet_filter import PortRange
 
 if TYPE_CHECKING:
@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 
 def domain_ports(domain_id: int) -> PortRange:
     """Return the UDP ports of a DDS domain (DDSI-RTPS 2.5, section 9.6.2.3)."""
-    return PortRange(first_port(domain_id), first_port(domain_id + 1) - 1)
+    ports = domain_port_range(domain_id)
+    return PortRange(ports[0], ports[-1])
 
 
 @dataclass(frozen=True, slots=True)

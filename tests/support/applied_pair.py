@@ -6,13 +6,18 @@ import json
 import os
 import subprocess
 import sys
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
 from dds_trace.recorder.applied import Applied, Asked, Traffic
 from dds_trace.recorder.applied.vendors import BUFFER_BYTES
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 LIMIT_BYTES = min(int(Path(f"/proc/sys/net/core/{name}").read_text()) for name in ("rmem_max", "wmem_max"))
 needs_large_buffers = pytest.mark.skipif(
@@ -78,7 +83,8 @@ def run_pair(
     """Send messages there and back; what ping and relay read back.
 
     Args:
-        attempts: messages until the first echo, two a second, after which the ping gives up.
+        attempts: messages until the first echo, two a second, after which the ping gives up; earlier if a setting explains
+            that none comes.
         environment: replaces what the product sets for rclpy, None to leave that as it is.
         zenoh_memory: zenoh's shared memory on or off, None for its default.
         asked: fields of `Asked` that differ from what the options say.
@@ -115,6 +121,29 @@ def run_pair(
             relaying.kill()
     assert (pinging.returncode, relaying.returncode) == (0, 0)
     return _report(said.splitlines()[-1]), _report(answered.splitlines()[-1])
+
+
+@contextmanager
+def relaying(backend: str, domain_id: int) -> Iterator[subprocess.Popen[str]]:
+    """A relay that serves, of the product's defaults under localhost discovery; it is killed behind the block."""
+    given = {
+        "role": "relay",
+        "backend": backend,
+        "domain_id": domain_id,
+        "transport": "default",
+        "tuned": False,
+        "discovery": "localhost",
+        "payload_bytes": PAYLOAD_BYTES,
+        "environment": None,
+        "zenoh_memory": None,
+        "asked": {},
+    }
+    with _side(given, None) as relay:
+        try:
+            assert relay.stdout.readline().strip() == "ready"
+            yield relay
+        finally:
+            relay.kill()
 
 
 def _side(

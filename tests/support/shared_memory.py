@@ -33,8 +33,9 @@ def files_in_use() -> set[str]:
 
 def remove_orphans(found_before: set[Path]) -> list[Path]:
     """Remove what came since `found_before` and no process uses any more; what was removed."""
+    came = middleware_files() - found_before  # first: what another test makes during the look is in use
     used = files_in_use()
-    orphans = [path for path in middleware_files() - found_before if str(path) not in used]
+    orphans = [path for path in came if str(path) not in used]
     for path in orphans:
         path.unlink(missing_ok=True)
     return orphans

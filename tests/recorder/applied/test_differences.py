@@ -170,8 +170,28 @@ def test_a_port_that_nobody_serves_while_nothing_comes_back():
     assert "fastrtps_port7413" in found.words
     assert differences(asked, waiting) == ()
     assert differences(asked, waiting, Traffic(20, 1, 100_000)) == ()
-    with_peer = applied(memory=(*memory, segment("fastrtps_00000000000000bb", is_own=False)))
-    assert differences(asked, with_peer, Traffic(20, 0, 100_000)) == ()
+
+
+def test_a_port_that_nobody_serves_has_other_reasons():
+    in_vain = Traffic(20, 0, 100_000)
+    unserved = port(7413, is_own=False, is_served=False)
+    foreign = segment("fastrtps_00000000000000bb", is_own=False)
+
+    def settings(*memory, domain_id=0):
+        return [
+            each.setting for each in differences(Asked("fastdds", domain_id), applied(memory=memory), in_vain)
+        ]
+
+    assert settings(unserved) == [Setting.MEMORY_NAMESPACE]
+    # Another domain's participant has sent to a port that all domains share.
+    assert settings(unserved, replace(foreign, is_served=True)) == [Setting.MEMORY_NAMESPACE]
+    # The receiver was here, and has died.
+    assert settings(unserved, replace(foreign, is_served=False, is_abandoned=True)) == []
+    assert settings(replace(unserved, is_abandoned=True)) == []
+    # Another domain's port, or one that all domains share.
+    assert settings(unserved, domain_id=1) == []
+    assert settings(port(7001, is_own=False, is_served=False)) == []
+    assert settings(port(7413, is_own=False, is_served=None)) == []
 
 
 def test_a_mapped_file_that_is_not_the_one_here():

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import fcntl
 import mmap
 import os
 
 import pytest
+from applied_pair import relaying
 
 from dds_trace.recorder.applied.libraries import Library, parse_libraries
 from dds_trace.recorder.applied.memory import SHM, parse_maps, read_memory
 from dds_trace.recorder.applied.vendors import PORT, SEGMENT, memory_owner
+from dds_trace.recorder.domains import domain_port_range
 
 MAPS = """\
 7f0000000000-7f0000100000 rw-s 00000000 00:1b 710                        /dev/shm/fastrtps_8624f4c58b8ae239
@@ -104,12 +107,54 @@ def test_a_segment_is_own_while_its_lock_is_open(segment):
     )
     lock = segment.with_name(segment.name + "_el")
     try:
-        with lock.open("w"):
+        with lock.open("w") as file:
+            fcntl.flock(file, fcntl.LOCK_EX)
             assert (seen(segment).is_own, seen(segment).is_served) == (True, True)
             assert not seen(segment).is_foreign_segment
-        assert (seen(segment).is_own, seen(segment).is_served) == (False, True)  # another process's
     finally:
         lock.unlink()
+
+
+@pytest.mark.parametrize(("suffix", "lock"), [("_el", fcntl.LOCK_EX), ("_sl", fcntl.LOCK_SH)])
+def test_a_file_is_served_while_its_lock_is_held_and_abandoned_while_it_only_exists(
+    tmp_path, segment, suffix, lock
+):
+    def state():
+        read = seen(segment, tmp_path)
+        return read.is_served, read.is_abandoned
+
+    assert state() == (False, False)
+    path = tmp_path / (segment.name + suffix)
+    path.touch()
+    assert state() == (False, True)
+    with path.open() as file:
+        fcntl.flock(file, lock)
+        assert state() == state() == (True, False)
+    with path.open() as file:  # the look has left no lock behind
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def test_of_a_lock_that_cannot_be_opened_nothing_is_known(tmp_path, segment):
+    (tmp_path / (segment.name + "_el")).symlink_to(tmp_path / (segment.name + "_el"))  # ELOOP, for root too
+    assert (seen(segment, tmp_path).is_served, seen(segment, tmp_path).is_abandoned) == (None, False)
+
+
+@pytest.mark.middleware
+def test_the_port_of_a_killed_fast_dds_is_served_no_more(domain_id):
+    pytest.importorskip("rclpy")
+    with relaying("ros2", domain_id) as relay:
+        name = next(
+            each.name
+            for each in read_memory(relay.pid)
+            if each.role == PORT and each.port_number in domain_port_range(domain_id)
+        )
+        with (SHM / name).open("r+b") as file, mmap.mmap(file.fileno(), 0):
+            alive = seen(SHM / name)
+            assert (alive.is_served, alive.is_abandoned, alive.is_unserved_port) == (True, False, False)
+            relay.kill()
+            relay.wait()
+            killed = seen(SHM / name)
+            assert (killed.is_served, killed.is_abandoned, killed.is_unserved_port) == (False, True, False)
 
 
 def test_a_removed_file_is_a_remainder(segment):

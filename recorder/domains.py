@@ -49,7 +49,7 @@ def check_domain(domain_id: int, proc: Path = _PROC) -> list[str]:
         warnings.append(
             f"domain {domain_id - 1} is full on this machine: its next participants use ports of domain {domain_id}"
         )
-    last_port = first_port(domain_id) + _DOMAIN_GAIN - 1
+    last_port = domain_port_range(domain_id)[-1]
     ephemeral = first_ephemeral_port(proc)
     if ephemeral is not None and last_port >= ephemeral:
         warnings.append(
@@ -62,6 +62,11 @@ def check_domain(domain_id: int, proc: Path = _PROC) -> list[str]:
 def first_port(domain_id: int) -> int:
     """Return the first of the 250 ports of a domain."""
     return _PORT_BASE + _DOMAIN_GAIN * domain_id
+
+
+def domain_port_range(domain_id: int) -> range:
+    """Return the 250 ports of a domain."""
+    return range(first_port(domain_id), first_port(domain_id + 1))
 
 
 def participants_in(domain_id: int, ports: set[int]) -> list[int]:

@@ -4,7 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from dds_trace.recorder.backends.domains import bound_udp_ports, check_domain, first_port, participants_in
+from dds_trace.recorder.domains import (
+    bound_udp_ports,
+    check_domain,
+    domain_port_range,
+    first_port,
+    participants_in,
+)
 from dds_trace.tracefile import OptionError
 
 HEAD = "  sl  local_address rem_address   st tx_queue rx_queue tr tm->when retrnsmt   uid  timeout inode\n"
@@ -54,6 +60,7 @@ def test_a_full_neighbour_domain_gives_a_warning(proc):
 def test_other_ports_are_no_participants(proc):
     found = bound_udp_ports(proc(7400 + 1250, 7400 + 1250 + 11, 53, ipv6=[7400 + 1250 + 14]))
     assert first_port(5) == 8650
+    assert (domain_port_range(5)[0], domain_port_range(5)[-1]) == (8650, 8899)
     assert participants_in(5, found) == [2]
 
 

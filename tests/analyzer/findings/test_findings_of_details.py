@@ -4,6 +4,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from trace_files import (
     WALL_ANCHOR_NS,
@@ -95,6 +96,23 @@ def test_a_slew_is_one_finding_and_not_a_step_for_each_second(tmp_path):
     rate_ppm, within_ppm = map(float, re.search(r"at (\d+) ppm \(within ([\d.]+)\)", found[0].what).groups())
     assert abs(rate_ppm - 5000) <= within_ppm < 500
     assert "slewed" not in findings(tmp_path, details=False)
+
+
+@pytest.mark.parametrize(("ppm", "way"), [(550, MS // 10), (600, MS), (1000, 5 * MS)])
+def test_a_slew_close_to_the_fits_limit_is_one_finding_too(tmp_path, ppm, way):
+    # Its segments drift by nearly 500 ppm each, and its steps lie farther apart than a window.
+    noise = np.random.default_rng(1).exponential(0.3, (1200, 2))
+    slewed = [
+        Message(m.sequence, t0=m.t0, t1=m.t1, t3=arrived + gain, t4=arrived + gain, t2=arrived + back)
+        for m, (there, back_again) in zip(drawn(count=1200), noise, strict=True)
+        for arrived, back in [(m.t1 + int(way * (1 + there)), int(way * (1 + back_again)))]
+        for gain in [min(max(m.t1 - 200 * PERIOD, 0), 600 * PERIOD) * ppm // 10**6]
+    ]
+    write_pair(tmp_path, slewed)
+    found = [f for f in analyze(tmp_path).findings if f.code.startswith(("slewed", "clock", "suspend"))]
+    assert [(f.code, f.where) for f in found] == [("slewed", "beta against alpha")]
+    rate_ppm = float(re.search(r"at (\d+) ppm", found[0].what)[1])
+    assert abs(rate_ppm - ppm) <= 0.05 * ppm
 
 
 def sampled(raw_ppm):

@@ -27,7 +27,7 @@ LATENCY_MEANING = (
     "Latency is (round trip - time in the relay) / 2, each of the two measured on one device's own clock. It is the mean of a "
     "message's two ways, so its tail is not that of one way: a message that was slow one way only counts with half of the delay. "
     "Where the slow moments of the two ways do not coincide, the p99 of one way is higher than that of the latency: in simulations "
-    "the latter lay 23 to 48 % below. Read tails of one way from outbound and return with their clock bound, deadlines from the response."
+    "of such ways the latter lay 20 to 50 % below. Read tails of one way from outbound and return with their clock bound, deadlines from the response."
 )
 """What the latency is and what its tail is not, in words."""
 

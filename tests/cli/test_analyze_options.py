@@ -1,14 +1,19 @@
 """Options of `dds-analyze` beside the reports."""
 
+import json
+import shlex
+from pathlib import Path
+
 import polars as pl
 import pytest
-from trace_files import Message, write_pair
+from trace_files import Message, run, write_pair
 
 from dds_trace.analyzer.exports.tables import EXPORTERS
 from dds_trace.cli.analyze import ExportKind, main
 from dds_trace.tracefile import read_trace
 
 MS = 1_000_000
+ROOT = Path(__file__).parents[2]
 TIMELINE = [
     Message(
         s,
@@ -82,3 +87,71 @@ def test_wrong_values_are_one_line(runs, capsys, option, value, said):
 
 def test_a_deadline_is_taken(runs):
     assert run_main(runs, "--deadline", "20ms") == 0
+
+
+def freshness(folder, capsys, *arguments):
+    """Deadline, judged and missed messages of the only run, as the JSON report has them."""
+    assert run_main(folder, *arguments, "--report", "json") == 0
+    capsys.readouterr()
+    (row,) = json.loads((folder / "analysis" / "report.json").read_text())["freshness"]
+    return row["deadline_ns"], row["judged"], row["missed"]
+
+
+@pytest.mark.parametrize(
+    ("deadline", "expected"),
+    [
+        ("20ms", (20 * MS, 120, 0)),
+        ("1.5ms", (1_500_000, 120, 120)),  # a response takes 2 ms, a latency half of it
+        ("1.5ms metric=response", (1_500_000, 120, 120)),
+        (" 1500us  metric=rtt ", (1_500_000, 120, 120)),
+        ("1.5ms metric=latency", (1_500_000, 120, 0)),
+        ("1.5ms metric=outbound", (1_500_000, 0, 0)),  # 1 ms, wrong by at most 1 ms: none can be told
+        ("3ms metric=return", (3 * MS, 120, 0)),
+    ],
+)
+def test_a_deadline_is_for_the_response_or_for_the_metric_that_is_named(runs, capsys, deadline, expected):
+    assert freshness(runs, capsys, "--deadline", deadline) == expected
+
+
+@pytest.mark.parametrize(
+    ("deadline", "said"),
+    [
+        ("", "20ms"),
+        ("20", "20ms"),
+        ("-20ms", "20ms"),
+        ("metric=rtt", "20ms"),
+        ("20ms latency", "metric="),
+        ("20ms metric=rtt metric=latency", "metric="),
+        ("20ms metric=", "no metric ''"),
+        ("20ms metric=latnecy", "rtt, intermediate, latency, response, outbound, return"),
+    ],
+)
+def test_a_deadline_that_cannot_be_meant_is_one_line(runs, capsys, deadline, said):
+    assert run_main(runs, f"--deadline={deadline}") == 2
+    shown = capsys.readouterr().err
+    assert said in shown
+    assert shown.count("\n") == 1
+    assert not (runs / "analysis").exists()
+
+
+def test_the_line_of_the_readme_ranks_what_was_measured(tmp_path, capsys):
+    (line,) = [word for word in (ROOT / "README.md").read_text().split("`") if "--recommend" in word]
+    command, folder, *options = shlex.split(line)
+    assert (command, folder, options[0]) == ("dds-analyze", "runs/", "--recommend")
+    measured = run(payload_bytes=502_000, rate_hz=20.0, planned_messages=120, published=120)
+    write_pair(tmp_path / "runs", TIMELINE, runs=[measured])
+    assert run_main(tmp_path / "runs", *options) == 0
+    shown = capsys.readouterr().out
+    assert "deadline of 50 ms" in shown
+    assert "99 % of the messages" in " ".join(
+        shown.split()
+    )  # the reliability that the line leaves to its default
+
+
+def test_a_recommendation_is_printed_once_in_80_columns(runs, capsys):
+    job = "data=binary size=33KB rate=10 deadline=50ms reliability=0.9"
+    for kinds in ([], ["--report", "md"], ["--report", "terminal", "--report", "html"]):
+        assert run_main(runs, "--recommend", job, *kinds) == 0
+        shown = capsys.readouterr().out.splitlines()
+        assert sum("Asked:" in line for line in shown) == 1
+        assert max(len(line) for line in shown if not line.startswith("Wrote")) <= 80

@@ -1,5 +1,6 @@
 import base64
 import hashlib
+import html
 import json
 import re
 import unicodedata
@@ -16,6 +17,7 @@ from dds_trace.analyzer.details import details_not_requested
 from dds_trace.analyzer.verdicts.recommend import recommend_settings
 from dds_trace.reports import REPORT_MODULES, document, load_reporter, write_reports
 from dds_trace.reports.book.book import Book
+from dds_trace.reports.book.groups import LATENCY_MEANING
 from dds_trace.reports.figures import FIGURES, Figure
 from dds_trace.tracefile.errors import OptionError, OutputError
 
@@ -56,6 +58,12 @@ def test_an_unknown_kind_is_an_option_error(tmp_path):
 def test_a_missing_folder_is_an_output_error(tmp_path):
     with pytest.raises(OutputError, match="cannot write the md report"):
         write_reports(EVERY_ANALYSIS["empty folder"](), ["md"], tmp_path / "gone")
+
+
+@pytest.mark.parametrize("kind", ["html", "md"])
+def test_the_page_and_markdown_say_what_the_tail_of_the_latency_is_not(kind):
+    text = html.unescape(load_reporter(kind).render(Book(EVERY_ANALYSIS["small campaign"]())))
+    assert LATENCY_MEANING in text.replace("\\", "")
 
 
 # JSON

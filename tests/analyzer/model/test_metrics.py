@@ -1,8 +1,11 @@
 """The four formulas, by hand."""
 
+import numpy as np
 import polars as pl
+import pytest
 
 from dds_trace.analyzer.model.metrics import with_metrics
+from dds_trace.reports.book.groups import LATENCY_MEANING
 
 STAMPS = ("scheduled_ns", "publish_ns", "receive_ns", "relay_in_ns", "relay_out_ns")
 
@@ -37,3 +40,30 @@ def test_a_missing_stamp_makes_null_never_0():
 def test_times_since_boot_do_not_lose_nanoseconds():
     day = 86_400 * 10**9
     assert metrics(900 * day, 900 * day + 1, 900 * day + 4, 5, 6) == (3, 1, 1, 4)
+
+
+RANDOM = np.random.default_rng(1)
+WAYS = {
+    "exponential": lambda count: RANDOM.exponential(1e6, count),
+    "lognormal": lambda count: RANDOM.lognormal(0, 1, count) * 1e6,
+    "Pareto": lambda count: (1 + RANDOM.pareto(2.5, count)) * 1e6,
+    "2 % ten times as slow": lambda count: np.where(RANDOM.random(count) < 0.02, 1e7, 1e6),
+}
+
+
+def p99s(there, back):
+    """p99 of the way out, and p99 of the latency, of messages with these two ways."""
+    zero = np.zeros(len(there), np.int64)
+    stamps = {"scheduled_ns": zero, "publish_ns": zero, "receive_ns": (there + back).astype(np.int64)}
+    frame = with_metrics(pl.DataFrame({**stamps, "relay_in_ns": zero, "relay_out_ns": zero}))
+    return np.quantile(there, 0.99), np.quantile(frame["latency_ns"].to_numpy(), 0.99)
+
+
+@pytest.mark.parametrize("kind", WAYS)
+def test_the_tail_of_the_latency_lies_below_that_of_one_way_as_reports_say(kind):
+    there, back = WAYS[kind](200_000), WAYS[kind](200_000)
+    one_way, latency = p99s(there, back)
+    assert "20 to 50 % below" in LATENCY_MEANING
+    assert 0.20 <= 1 - latency / one_way <= 0.50
+    one_way, latency = p99s(there, there)  # slow both ways at once: nothing is hidden
+    assert latency == pytest.approx(one_way, rel=0.01)

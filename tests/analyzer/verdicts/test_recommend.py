@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import polars as pl
 import pytest
-from roundtrip_frames import MS, in_runs, steady
+from roundtrip_frames import MS, S, in_runs, roundtrips, steady
 
 from dds_trace.analyzer.verdicts.job import Job
 from dds_trace.analyzer.verdicts.recommend import Fit, recommend_settings
@@ -171,3 +172,101 @@ def test_a_deadline_is_for_the_response_unless_the_job_names_another_metric():
         for named in ({}, {"metric": "latency"})
     )
     assert (of_response, of_latency) == (Fit.MISSES, Fit.MEETS)
+
+
+# What reports of failing settings once recommended: each drawn as it was found.
+
+
+def blocked(seconds=50, rate_hz=100):
+    """A sender that stands still for 300 ms in every 2 s and then sends what was due; one way takes 1 ms."""
+    rows = []
+    for number in range(seconds * rate_hz):
+        planned = number * S // rate_hz
+        place = planned % (2 * S)  # 10 us apart, those that were due are sent when the block ends
+        sent = planned if place > 300 * MS else planned - place + 300 * MS + place // 1000
+        rows.append({"scheduled_ns": planned, "publish_ns": sent, "relay_in_ns": sent + MS,
+                     "relay_out_ns": sent + MS, "receive_ns": sent + 2 * MS})  # fmt: skip
+    return pl.concat(roundtrips(rows, run_id=number, rate_hz=float(rate_hz)) for number in range(1, 4))
+
+
+def test_a_sender_that_is_blocked_300_ms_in_every_2_s_does_not_meet_5_ms():
+    job = Job("binary", 33_000, 100.0, 5 * MS, 0.99)
+    (candidate,) = recommend_settings(blocked(), job).candidates
+    assert candidate.rate_held > 0.98  # what was due is sent afterwards: the rate shows nothing
+    assert candidate.fit is Fit.MISSES
+    assert candidate.latency_ns > 250 * MS
+    by_latency = replace(job, metric="latency")
+    assert recommend_settings(blocked(), by_latency).candidates[0].fit is Fit.MEETS  # which never sees it
+
+
+def test_25_hz_where_100_were_asked_is_not_the_job():
+    slow = in_runs(noisy(MS), period_ns=40 * MS, rate_hz=100.0)
+    (candidate,) = recommend_settings(slow, Job("binary", 33_000, 100.0, 20 * MS, 0.9)).candidates
+    assert (candidate.fit, candidate.reason) == (Fit.MISSES, "sent 25 Hz where 100 Hz were asked")
+
+
+@pytest.mark.parametrize(("share", "fit"), [(0.99, Fit.MEETS), (0.97, Fit.MISSES)])
+def test_a_rate_is_held_from_98_percent_on(share, fit):
+    frame = in_runs(noisy(MS), period_ns=round(10 * MS / share), rate_hz=100.0)
+    assert recommend_settings(frame, Job("binary", 33_000, 100.0, 20 * MS, 0.9)).candidates[0].fit is fit
+
+
+def test_400_kb_are_not_guessed_where_502_kb_lose_60_percent():
+    lossy = [None if i % 5 < 3 else MS for i in range(200)]
+    sizes = (33_000, 145_000, 294_000, 502_000, 1_000_000)
+    frame = pl.concat(
+        in_runs(lossy if size == 502_000 else noisy(size * 10), payload_bytes=size, rate_hz=10.0, run_id=size)
+        for size in sizes
+    )
+    job = Job("binary", 400_000, 10.0, 50 * MS, 0.9)
+    (candidate,) = recommend_settings(frame, job).candidates
+    assert (candidate.fit, candidate.latency_ns) == (Fit.INCONCLUSIVE, None)
+    assert candidate.reason == (
+        "not measured, and not guessed: 502000 B at 10 Hz is later than the deadline and loses 60.00%"
+    )
+    # Without the losses it would be a guess, and a guess does not meet a deadline, however many runs it rests on.
+    healthy = pl.concat(
+        in_runs(noisy(size * 10), payload_bytes=size, rate_hz=10.0, run_id=size) for size in sizes
+    )
+    (guessed,) = recommend_settings(healthy, job).candidates
+    assert (guessed.fit, guessed.measured) == (Fit.LIKELY, False)
+    assert recommend_settings(healthy, job).best == ()
+
+
+@pytest.mark.parametrize("failing", ["slow sender", "unfinished run"])
+def test_a_neighbour_that_did_not_do_its_own_job_forbids_a_guess_too(failing):
+    sizes = (10_000, 20_000, 40_000, 80_000, 160_000)
+    frame = pl.concat(
+        in_runs(
+            noisy(size * 10),
+            payload_bytes=size,
+            run_id=size,
+            period_ns=200 * MS if failing == "slow sender" and size == 40_000 else 100 * MS,
+        )
+        for size in sizes
+    )
+    cut = (
+        [Run(4_000_000, "binary", 40_000, 10.0, 500, 0, state="started")]
+        if failing == "unfinished run"
+        else []
+    )
+    (candidate,) = recommend_settings(frame, Job("binary", 30_000, 10.0, 50 * MS, 0.9), runs=cut).candidates
+    assert candidate.fit is Fit.INCONCLUSIVE
+    assert candidate.reason.startswith("not measured, and not guessed: 40000 B at 10 Hz ")
+
+
+def test_sockets_are_recommended_only_where_there_is_nothing_else():
+    floor = in_runs(noisy(MS), vendor="socket", backend="socket", run_id=2)
+    both = recommend_settings(pl.concat([in_runs(noisy(10 * MS)), floor]), JOB)
+    assert [one.setting["vendor"] for one in both.candidates] == ["fastdds"]
+    assert both.is_conclusive
+    alone = recommend_settings(floor, JOB)
+    assert [(one.setting["vendor"], one.fit) for one in alone.candidates] == [("socket", Fit.MEETS)]
+
+
+def test_losses_stand_beside_a_setting_that_meets_all_the_same():
+    lossy = [None if i % 50 == 7 else ns for i, ns in enumerate(noisy(5 * MS, 400))]
+    (candidate,) = recommend_settings(in_runs(lossy), JOB).candidates
+    assert candidate.fit is Fit.MEETS  # 98 % come back, 90 % are asked for
+    assert candidate.received_ratio == pytest.approx(0.98)
+    assert candidate.survivors_ns < 6 * MS

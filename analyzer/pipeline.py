@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
+from dds_trace.tracefile import OutputError
+
 from .analysis import Analysis
 from .details import collect_details
 from .engines.batches import groups_in_parts, plan_batches
@@ -39,9 +41,6 @@ if TYPE_CHECKING:
 
 OUTPUT_FOLDER = "analysis"
 """Folder of the results by default, below the analyzed folder."""
-
-CACHE_FOLDER = "cache"
-"""Folder of the events kept for the next analysis, below the folder of the results."""
 
 
 def default_output(path: Path) -> Path:
@@ -75,8 +74,8 @@ def analyze(
         path: a folder (looked through to its depths), one trace file, or one rosbag2 folder.
         out: folder for `roundtrips.parquet` and `summary.parquet`; None writes nothing. It is never looked
             into for traces, nor is `analysis/` in `path`.
-        cache: keep the events of every trace below `out`, so that the next analysis with the same `out` reads
-            only traces that are new; a third to a half of the bytes that they take in memory.
+        cache: keep the events of every trace in the user's cache (`$XDG_CACHE_HOME/dds-trace`), so that the next analysis
+            reads only traces that are new; a third to a half of the bytes that they take in memory.
         cluster: address of a Dask scheduler (`tcp://host:8786`) whose workers do the work; they read the traces
             themselves, so `path` must be the same for them, or in object storage (`s3://...`). Keeps no cache.
         sketch: percentiles from histograms, off by `histogram.RELATIVE_ERROR` at most, and no rows: neither
@@ -92,14 +91,15 @@ def analyze(
     Raises:
         MissingEventsError: there is no trace, or no published message in any.
         TraceFormatError: `path` is one file, and it is no trace.
-        OutputError: the results cannot be written.
+        OutputError: the results cannot be written, or `out` is the default folder and a symbolic link.
     """
     folder, target = Path(path), Path(out) if out is not None else None
-    engine: Engine
-    if cluster is not None:
-        engine = ClusterEngine(cluster)
-    else:
-        engine = LocalEngine(target / CACHE_FOLDER if target and cache else None)
+    if target is not None and target == default_output(folder) and target.is_symlink():
+        # Whoever made the folder of traces chose where it leads, not whoever analyzes them.
+        raise OutputError(
+            f"{target} is a link to {target.readlink()}; give that folder, or another, with --out"
+        )
+    engine: Engine = ClusterEngine(cluster) if cluster is not None else LocalEngine(cache=cache)
     try:
         wanted = Wanted(
             rows=not sketch,

@@ -125,13 +125,15 @@ def _print_or_write(text: str, out: Path | None) -> None:
         OutputError: it cannot be written.
     """
     from dds_trace.tracefile import OutputError
+    from dds_trace.tracefile.files import replacing
 
     if out is None:
         sys.stdout.write(text)
         return
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_text(text, encoding="utf-8")
+        with replacing(out) as draft:
+            draft.write_text(text, encoding="utf-8")
     except OSError as err:
         raise OutputError(f"{out}: cannot be written ({err.strerror or err}); give another --out") from err
     print(f"Wrote {out}")

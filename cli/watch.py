@@ -32,7 +32,7 @@ def watch_command(
         Path | None,
         typer.Option(
             metavar="FOLDER",
-            help="Where files and the cache go. [dim]Default: analysis/ in the folder of the traces[/dim]",
+            help="Where files go. [dim]Default: analysis/ in the folder of the traces[/dim]",
             show_default=False,
         ),
     ] = None,

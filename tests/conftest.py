@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 import tempfile
+import uuid
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -50,6 +51,15 @@ class DomainLease:
         """Give all domains back."""
         for descriptor in self._held:
             os.close(descriptor)
+
+
+@pytest.fixture(autouse=True)
+def own_base_folders(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of the caches and keys of the test: no test reads what another left, or touches the user's own."""
+    folder = tmp_path_factory.getbasetemp() / f"xdg-{uuid.uuid4().hex}"
+    monkeypatch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
+    monkeypatch.setenv("XDG_STATE_HOME", str(folder / "state"))
+    return folder
 
 
 @pytest.fixture

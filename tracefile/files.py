@@ -1,10 +1,11 @@
-"""Files that are written: replaced whole or not at all, and what a failure means."""
+"""Files that are written: replaced whole or not at all, and what a failure means; files that are read: regular ones."""
 
 from __future__ import annotations
 
 import errno
 import os
 import secrets
+import stat
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,7 @@ from .errors import OutputError
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
+    from typing import BinaryIO
 
 
 @contextmanager
@@ -44,6 +46,24 @@ def replacing(path: Path, *, fsync: bool = False) -> Iterator[Path]:
     finally:
         with suppress(OSError):  # it took its place, or was never written
             draft.unlink()
+
+
+def open_regular(path: Path, *, follow_links: bool = True) -> BinaryIO:
+    """Open a regular file for reading; a pipe would wait for a writer, and a device may never end.
+
+    Args:
+        path: the file.
+        follow_links: whether `path` may be a symbolic link to it.
+
+    Raises:
+        OSError: as `open`; the file is no regular file.
+    """
+    flags = os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK | (0 if follow_links else os.O_NOFOLLOW)
+    descriptor = os.open(path, flags)
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise OSError(errno.EINVAL, "no regular file", str(path))
+    return os.fdopen(descriptor, "rb")
 
 
 def _flush_to_disk(path: Path) -> None:

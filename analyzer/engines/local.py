@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from dds_trace.tracefile.threads import in_order
 
+from ..loading.cache import TraceCache
 from ..loading.campaign import load_campaign
 from ..loading.shelf import TraceShelf
 from .batches import work_at
@@ -42,11 +43,11 @@ class LocalEngine:
     """This machine as an `Engine`.
 
     Args:
-        cache: folder that keeps events for the next analysis, or None.
+        cache: whether the user's cache keeps events for the next analysis.
     """
 
-    def __init__(self, cache: Path | None) -> None:
-        self._shelf = TraceShelf(cache)
+    def __init__(self, *, cache: bool) -> None:
+        self._shelf = TraceShelf(TraceCache.open() if cache else None)
 
     def load(self, path: Path, skip: Collection[Path], progress: Progress | None) -> Campaign:
         """Read every trace that is not in the cache."""

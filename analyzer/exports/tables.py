@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from polars.exceptions import PolarsError
 
 from dds_trace.tracefile import OutputError
+from dds_trace.tracefile.files import replacing
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -42,7 +43,8 @@ def export_tables(analysis: Analysis, kind: str, folder: Path) -> list[Path]:
         path = folder / f"{name}.{kind}"
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            EXPORTERS[kind](rows, path)
+            with replacing(path) as draft:
+                EXPORTERS[kind](rows, draft)
         except (OSError, PolarsError) as err:
             raise OutputError(f"{path} cannot be written ({err}); give another folder with --out") from err
         written.append(path)

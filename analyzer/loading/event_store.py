@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dds_trace.tracefile import EVENT_DTYPE, EventColumns
-from dds_trace.tracefile.files import replacing
+from dds_trace.tracefile.files import open_regular, replacing
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
     from pathlib import Path
     from typing import BinaryIO, TypeVar
 
@@ -26,6 +26,14 @@ if TYPE_CHECKING:
     """How a column is kept (`constant`, `counting`, `array`), and its value, first value, or offset in the file."""
 
 _FIELDS = EVENT_DTYPE.names or ()
+
+_KEPT: Mapping[str, Callable[[np.dtype[Any], int, int], tuple[int, int]]] = {
+    "constant": lambda dtype, _count, _file_bytes: (np.iinfo(dtype).min, np.iinfo(dtype).max),
+    "counting": lambda dtype, count, _file_bytes: (np.iinfo(dtype).min, np.iinfo(dtype).max - count + 1),
+    "array": lambda dtype, count, file_bytes: (0, file_bytes - count * dtype.itemsize),
+}
+"""How a column is kept -> function of its dtype, the number of events and the bytes of the file that returns the least and
+the greatest value (or offset in the file) that it may have."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,9 +50,37 @@ class StoredEvents:
     count: int
     columns: Mapping[str, Column]
 
+    def check(self, file_bytes: int) -> None:
+        """Check that the file has room for every column, and that every value fits its column.
+
+        Args:
+            file_bytes: size of the file.
+
+        Raises:
+            ValueError, TypeError, LookupError: a column is not as `write_events` describes it.
+        """
+        if not (isinstance(self.count, int) and self.count > 0):
+            raise ValueError(f"{self.count!r} events")
+        for name in _FIELDS:
+            how, value = self.columns[name]
+            if not isinstance(value, int):
+                raise TypeError(f"{name} is kept at {value!r}")
+            dtype = EVENT_DTYPE[name]
+            low, high = _KEPT[how](dtype, self.count, file_bytes)
+            if not low <= value <= high:
+                raise ValueError(f"{name} is kept as {how} {value}, which is not from {low} to {high}")
+
+    def arrays(self, events: EventColumns) -> list[NDArray[np.integer]]:
+        """Return the columns of these events that are in the file; `columns` says all of the others."""
+        return [getattr(events, name) for name in _FIELDS if self.columns[name][0] == "array"]
+
     def load(self) -> EventColumns:
-        """Read the events."""
-        with self.file.open("rb") as stream:
+        """Read the events.
+
+        Raises:
+            OSError: the file cannot be read, or has become shorter.
+        """
+        with open_regular(self.file, follow_links=False) as stream:
             return EventColumns(
                 **{
                     name: _read_column(stream, EVENT_DTYPE[name], self.count, *self.columns[name])

@@ -1,41 +1,38 @@
 """Events of traces, kept until their batch is worked at: in memory, or in files of our own.
 
-Read traces are put into the cache folder of an analysis by what is in them, so that the next analysis reads only
-new ones. An entry is two files: `KEY.json`, the trace without its events, and `KEY.events` (see
-`analyzer/loading/event_store.py`). KEY is the SHA-1 of the trace's files, those beside it that belong to it included.
+Read traces are put into the user's cache by what is in them (`analyzer/loading/cache.py`), so that the next analysis reads
+only new ones.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
-import os
 import tempfile
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
 
 from dds_trace.tracefile import OutputError, Run, Session, Stage, Trace, TraceFormatError, read_trace
-from dds_trace.tracefile.files import replacing
 
 from .event_store import StoredEvents, write_events
 from .events import EventPart, split_trace
-from .remote import is_remote, local_copy, remote_key
+from .remote import local_copy
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
+    from dds_trace.tracefile import EventColumns
     from dds_trace.tracefile.format.json_fields import JsonObject
 
+    from .cache import TraceCache
     from .events import EventKey
 
 MOST_HELD_EVENTS = 24_000_000
 """Events that stay in memory, 56 bytes each; those of further traces wait in files."""
 
-_FORMAT = 1
-"""Version of an entry; an entry of another version, or without a field of this one, is not used. 1: the first."""
-
-_BLOCK_BYTES = 1 << 20
+_FORMAT = 2
+"""Version of an entry; an entry of another version, or without a field of this one, is not used. 1: the first; 2: seals of the events."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,96 +71,122 @@ def load_trace(path: Path, position: int) -> LoadedTrace:
     return LoadedTrace(replace(trace, events={}), split_trace(trace, position))
 
 
+@dataclass(frozen=True, slots=True)
+class _KeptEvents:
+    """Events of one stage, run and relay in the cache; read from their trace again where it no longer has them as written.
+
+    Attributes:
+        cache: the cache that has the file; closed or not.
+        stored: their place.
+        seal: their seal.
+        label: stage, run and relay.
+        trace: path of their trace.
+    """
+
+    cache: TraceCache
+    stored: StoredEvents
+    seal: str
+    label: EventKey
+    trace: Path
+
+    def load(self) -> EventColumns:
+        """Read the events.
+
+        Raises:
+            TraceFormatError: they are gone, and the trace no longer has them.
+        """
+        with suppress(OSError):
+            events = self.stored.load()
+            if self.cache.seal_of(*self.stored.arrays(events)) == self.seal:
+                return events
+        part = load_trace(self.trace, 0).parts.get(self.label)
+        if part is None or part.count != self.stored.count:
+            raise TraceFormatError(self.trace, "changed while it was analyzed; analyze again")
+        return part.load()
+
+
 class TraceShelf:
     """Reads traces and keeps their events.
 
     Args:
-        cache: folder that keeps events for the next analysis; None keeps nothing.
+        cache: the open cache that keeps events for the next analysis, closed with the shelf; None keeps nothing.
     """
 
-    def __init__(self, cache: Path | None = None) -> None:
+    def __init__(self, cache: TraceCache | None = None) -> None:
         self._cache = cache
         self._left = MOST_HELD_EVENTS
         self._spill: tempfile.TemporaryDirectory[str] | None = None
-        self._used: set[str] = set()
 
     def load(self, path: Path, position: int) -> LoadedTrace:
         """Load one trace, from the cache if it is there.
 
         Raises:
             TraceFormatError: it is no trace.
-            OutputError: the cache, or the folder for temporary files, cannot be written.
+            OutputError: the events do not fit into memory, and the folder for temporary files cannot be written.
         """
-        key = content_key(path) if self._cache else ""
+        key = self._cache.key_of(path) if self._cache else ""
         if self._cache and (known := _known(self._cache, key, path, position)):
-            self._used.add(key)
             return known
         loaded = load_trace(path, position)
-        held = loaded.events <= self._left
-        try:
-            if self._cache:
-                self._used.add(key)
-                stored = self._store(self._cache, key, loaded)
-                loaded = loaded if held else stored
-            elif not held:
-                if self._spill is None:
-                    self._spill = tempfile.TemporaryDirectory(prefix="dds-analyze-")
-                loaded = self._store(Path(self._spill.name), str(position), loaded)
-        except OSError as err:
-            raise OutputError(
-                f"events of {path} cannot be kept ({err}); give another folder with --out, "
-                "or a larger one with TMPDIR"
-            ) from err
-        if held:
+        kept = None
+        if self._cache:
+            with suppress(OSError):  # a full disk costs the cache, not the analysis
+                kept = _keep(self._cache, key, loaded)
+        if loaded.events <= self._left:
             self._left -= loaded.events
-        return loaded
+            return loaded
+        return kept or self._spilled(loaded, position)
 
     def close(self) -> None:
-        """Remove temporary files, and entries of the cache for traces that are no longer there."""
+        """Remove temporary files and close the cache."""
         if self._spill is not None:
             self._spill.cleanup()
-        if self._cache and self._cache.is_dir():
-            for entry in self._cache.iterdir():
-                if entry.name.split(".")[0] not in self._used:
-                    entry.unlink(missing_ok=True)
+        if self._cache is not None:
+            self._cache.close()
 
-    @staticmethod
-    def _store(folder: Path, key: str, loaded: LoadedTrace) -> LoadedTrace:
-        """Write an entry; the description last, so that it never names events that are not there."""
-        folder.mkdir(parents=True, exist_ok=True)
-        events = folder / f"{key}.events"
-        written = write_events(events, {label: part.load() for label, part in loaded.parts.items()})
-        parts = {label: replace(part, events=written[label]) for label, part in loaded.parts.items()}
-        with replacing(folder / f"{key}.json") as draft:
-            draft.write_text(json.dumps(_to_dict(LoadedTrace(loaded.trace, parts))))
-        return LoadedTrace(loaded.trace, parts)
+    def _spilled(self, loaded: LoadedTrace, position: int) -> LoadedTrace:
+        """Put the events into a temporary file."""
+        try:
+            if self._spill is None:
+                self._spill = tempfile.TemporaryDirectory(prefix="dds-analyze-")
+            return _stored(Path(self._spill.name) / f"{position}.events", loaded)
+        except OSError as err:
+            raise OutputError(
+                f"events of {loaded.trace.path} cannot be kept ({err}); give a larger folder with TMPDIR"
+            ) from err
 
 
-def content_key(path: Path) -> str:
-    """Hash a trace's content: the file and those beside it under its name (a ring), or the files of a folder.
+def _stored(file: Path, loaded: LoadedTrace) -> LoadedTrace:
+    """Write the events into a file of ours; return the trace with their places."""
+    written = write_events(file, {label: part.load() for label, part in loaded.parts.items()})
+    parts = {label: replace(part, events=written[label]) for label, part in loaded.parts.items()}
+    return LoadedTrace(loaded.trace, parts)
+
+
+def _keep(cache: TraceCache, key: str, loaded: LoadedTrace) -> LoadedTrace:
+    """Write an entry; the description last, so that it never names events that are not there.
 
     Raises:
-        TraceFormatError: it cannot be read.
+        OSError: it cannot be written.
     """
-    digest = hashlib.sha1(usedforsecurity=False)
-    if is_remote(path):
-        digest.update(remote_key(path).encode())
-        return digest.hexdigest()
-    try:
-        files = path.rglob("*") if path.is_dir() else path.parent.glob("*")
-        own = sorted(
-            file for file in files if file.is_file() and (path.is_dir() or file.name.startswith(path.name))
-        )
-        for file in own:
-            digest.update(
-                f"{os.path.relpath(file, path.parent)[len(path.name) :]}\0{file.stat().st_size}\0".encode()
-            )
-            with file.open("rb") as stream:
-                while block := stream.read(_BLOCK_BYTES):
-                    digest.update(block)
-    except OSError as err:
-        raise TraceFormatError(path, f"cannot be read ({err.strerror})") from err
-    return digest.hexdigest()
+    stored = _stored(cache.events_path(key), loaded)
+    seals = [
+        cache.seal_of(*part.events.arrays(whole.load()))
+        for part, whole in zip(stored.parts.values(), loaded.parts.values(), strict=True)
+        if isinstance(part.events, StoredEvents)
+    ]
+    cache.write_text(key, json.dumps(_to_dict(stored, seals)))
+    return _sealed(stored, cache, seals)
+
+
+def _sealed(loaded: LoadedTrace, cache: TraceCache, seals: Sequence[str]) -> LoadedTrace:
+    """Return the trace with events that are checked when they are loaded."""
+    parts = {
+        label: replace(part, events=_KeptEvents(cache, part.events, seal, label, loaded.trace.path))
+        for (label, part), seal in zip(loaded.parts.items(), seals, strict=True)
+        if isinstance(part.events, StoredEvents)
+    }
+    return LoadedTrace(loaded.trace, parts)
 
 
 class _Entry(TypedDict):
@@ -171,6 +194,7 @@ class _Entry(TypedDict):
 
     format: int
     bytes: int
+    seals: list[str]
     sessions: list[str]
     runs: list[str]
     host_samples: list[JsonObject]
@@ -182,23 +206,25 @@ class _Entry(TypedDict):
     parts: list[tuple[str, int, int, int, int, int, dict[str, tuple[str, int]]]]
 
 
-def _known(folder: Path, key: str, path: Path, position: int) -> LoadedTrace | None:
+def _known(cache: TraceCache, key: str, path: Path, position: int) -> LoadedTrace | None:
     """Return the entry of this content; None if the cache has none that can be used."""
     try:
-        entry: _Entry = json.loads((folder / f"{key}.json").read_text())
-        if entry["format"] != _FORMAT or (folder / f"{key}.events").stat().st_size != entry["bytes"]:
+        entry: _Entry = json.loads(cache.read_text(key))
+        file = cache.events_path(key)
+        if entry["format"] != _FORMAT or file.stat().st_size != entry["bytes"]:
             return None
-        return _from_dict(entry, folder / f"{key}.events", path, position)
-    except (OSError, ValueError, KeyError, TypeError, TraceFormatError):
+        return _sealed(_from_dict(entry, file, path, position), cache, entry["seals"])
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError, TraceFormatError):
         return None
 
 
-def _to_dict(loaded: LoadedTrace) -> _Entry:
+def _to_dict(loaded: LoadedTrace, seals: list[str]) -> _Entry:
     trace = loaded.trace
     stored = [part.events for part in loaded.parts.values() if isinstance(part.events, StoredEvents)]
     return {
         "format": _FORMAT,
         "bytes": stored[0].file.stat().st_size if stored else 0,
+        "seals": seals,
         "sessions": [session.to_json() for session in trace.sessions],
         "runs": [run.to_json() for run in trace.runs],
         "host_samples": [dict(sample) for sample in trace.host_samples],
@@ -218,6 +244,7 @@ def _from_dict(entry: _Entry, file: Path, path: Path, position: int) -> LoadedTr
     parts = {}
     for stage, run_id, relay_id, count, first_ns, last_ns, columns in entry["parts"]:
         events = StoredEvents(file, count, {name: (how, value) for name, (how, value) in columns.items()})
+        events.check(entry["bytes"])
         parts[Stage(stage), run_id, relay_id] = EventPart(position, count, first_ns, last_ns, events)
     trace = Trace(
         path=path,

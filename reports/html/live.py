@@ -42,7 +42,7 @@ class WatchOptions:
 
     Attributes:
         folder: folder with traces at any depth.
-        out: folder for the files and the cache of the analysis; None for its default place.
+        out: folder for the files of the analysis; None for its default place.
         cache: whether to keep events there, so that of a folder that grew only new traces are read; if False,
             nothing is written.
     """

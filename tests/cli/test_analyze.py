@@ -36,7 +36,6 @@ def test_a_folder_gives_a_table_and_two_files(runs, capsys):
     assert shown.err == ""
     assert pl.read_parquet(runs / "analysis" / "roundtrips.parquet")["latency_ns"].to_list() == [85] * 12
     assert sorted(path.name for path in (runs / "analysis").iterdir()) == [
-        "cache",
         "roundtrips.parquet",
         "summary.parquet",
     ]

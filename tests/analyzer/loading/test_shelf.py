@@ -62,34 +62,6 @@ def test_a_file_that_was_moved_is_known_and_one_that_changed_is_not(tmp_path, fi
     assert files_read == ["ping1.mcap"]  # the relay saw the same
 
 
-def test_what_is_no_longer_there_leaves_the_cache(tmp_path):
-    runs, out = tmp_path / "runs", tmp_path / "out"
-    write_runs(runs, range(2))
-    analyze(runs, out=out, cache=True)
-    assert len(list((out / "cache").iterdir())) == 8
-    (runs / "ping1.mcap").unlink()
-    (runs / "relay1.mcap").unlink()
-    analyze(runs, out=out, cache=True)
-    assert len(list((out / "cache").iterdir())) == 4
-
-
-@pytest.mark.parametrize("damage", ["cut", "garbage", "format"])
-def test_a_damaged_entry_is_not_used(tmp_path, files_read, damage):
-    runs, out = tmp_path / "runs", tmp_path / "out"
-    write_runs(runs, range(1))
-    first = analyze(runs, out=out, cache=True)
-    files_read.clear()
-    for entry in (out / "cache").iterdir():
-        if damage == "cut" and entry.suffix == ".events":
-            entry.write_bytes(entry.read_bytes()[:-1])
-        elif damage == "garbage" and entry.suffix == ".json":
-            entry.write_text("{")
-        elif damage == "format" and entry.suffix == ".json":
-            entry.write_text(entry.read_text().replace('"format": 1', '"format": 99'))
-    assert_same_results(analyze(runs, out=out, cache=True), first)
-    assert len(files_read) == 2
-
-
 def test_small_memory_changes_nothing(tmp_path, monkeypatch):
     """Events in temporary files, groups in parts, rows in a file: the numbers are those of the whole."""
     runs = tmp_path / "runs"

@@ -1,0 +1,260 @@
+"""The cache of read traces: in the user's own cache folder, sealed with a key that only this user has.
+
+    $XDG_CACHE_HOME/dds-trace/traces/KEY.json     the seal of the entry, then the trace without its events as JSON
+    $XDG_CACHE_HOME/dds-trace/traces/KEY.events   its events (`analyzer/loading/event_store.py`)
+    $XDG_STATE_HOME/dds-trace/cache-key           32 random bytes
+
+KEY is the HMAC-SHA-256 of the trace's content. The seal is the HMAC of KEY and of the JSON, which holds the HMACs of the
+events. So an entry that somebody else wrote, or that was written for another trace, or that a disk has damaged, is not
+used: the trace is read again. The key is not kept beside the entries, because caches are copied (a CI server restores
+them) and what comes with a copy must not vouch for it.
+
+Only regular files that are named as entries are removed, and only from this folder, never through a link.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import hmac
+import os
+import re
+import secrets
+import shutil
+import stat
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dds_trace.tracefile import TraceFormatError
+from dds_trace.tracefile.files import open_regular, replacing
+from dds_trace.tracefile.format.ring import ring_path
+
+from .remote import is_remote, remote_key
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from typing import Any
+
+    from numpy.typing import NDArray
+
+MOST_BYTES = 8 << 30
+"""Size of the whole cache after an analysis, if a tenth of its disk is not less; entries that were not used for the longest
+time are removed."""
+
+MOST_TEXT_BYTES = 256 << 20
+"""Largest JSON of an entry; a trace with more descriptions than that is read anew each time."""
+
+_NAME = re.compile(r"([0-9a-f]{64})\.(json|events)(\.[0-9a-f]{8}\.part)?")
+"""Names of the files of an entry, and of their drafts."""
+
+_KEY_BYTES = 32
+_SEAL_BYTES = 64  # hexadecimal digits
+_BLOCK_BYTES = 4 << 20
+_DIGEST = "sha256"  # the quickest of hashlib on machines whose processor has instructions for it
+
+
+class TraceCache:
+    """The open cache of this user.
+
+    Attributes:
+        folder: the folder of the entries, in which only this user can write.
+    """
+
+    def __init__(self, folder: Path, descriptor: int, secret: bytes) -> None:
+        """Take an open folder; see `open`."""
+        self.folder = folder
+        self._descriptor = descriptor
+        self._secret = secret
+        self._pool = ThreadPoolExecutor(len(os.sched_getaffinity(0)), thread_name_prefix="cache")
+
+    @classmethod
+    def open(cls) -> TraceCache | None:
+        """Open the cache, made if it is missing.
+
+        Returns:
+            None where there can be none: no home folder, no right to write, or a folder that is a link or somebody else's.
+        """
+        try:
+            above = _own_folder(_base("XDG_CACHE_HOME", ".cache") / "dds-trace")
+            os.close(above)
+            secret = _own_secret(_base("XDG_STATE_HOME", ".local/state") / "dds-trace")
+            folder = _base("XDG_CACHE_HOME", ".cache") / "dds-trace" / "traces"
+            descriptor = _own_folder(folder)
+        except (OSError, RuntimeError):  # RuntimeError: this user has no home
+            return None
+        with suppress(OSError):  # a file system without locks: nothing is ever removed there
+            fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        return cls(folder, descriptor, secret)
+
+    def key_of(self, path: Path) -> str:
+        """Return the key of a trace's content: its file and the ring beside it, or the files of a rosbag2 folder.
+
+        Raises:
+            TraceFormatError: it cannot be read.
+        """
+        digest = self._hash(b"trace")
+        if is_remote(path):
+            digest.update(remote_key(path).encode())
+            return digest.hexdigest()
+        try:
+            for file in sorted(path.iterdir()) if path.is_dir() else [path, ring_path(path)]:
+                if file.is_file():
+                    with open_regular(file) as stream:
+                        size = os.fstat(stream.fileno()).st_size
+                        # Behind the trace's own name, so that one that was moved or renamed is known.
+                        digest.update(os.fsencode(file)[len(os.fsencode(path)) :] + b"\0%d\0" % size)
+                        for of_block in self._block_digests(stream.fileno(), size):
+                            digest.update(of_block)
+        except OSError as err:
+            raise TraceFormatError(path, f"cannot be read ({err.strerror})") from err
+        return digest.hexdigest()
+
+    def events_path(self, key: str) -> Path:
+        """Return the path of the events of an entry."""
+        return self.folder / f"{key}.events"
+
+    def seal_of(self, *columns: NDArray[Any]) -> str:
+        """Return the seal of the columns in the file of an entry; the JSON, which has a seal itself, says the others."""
+        digest = self._hash(b"events")
+        for column in columns:
+            digest.update(np.ascontiguousarray(column).data)
+        return digest.hexdigest()
+
+    def write_text(self, key: str, text: str) -> None:
+        """Write the JSON of an entry, which makes it one; its events are there already.
+
+        Raises:
+            OSError: it cannot be written, or is too large for an entry.
+        """
+        encoded = text.encode()
+        if len(encoded) > MOST_TEXT_BYTES:
+            raise OSError(f"{len(encoded)} bytes of descriptions are too many to keep")
+        with replacing(self.folder / f"{key}.json") as draft:
+            draft.write_bytes(self._seal(key, encoded) + encoded)
+
+    def read_text(self, key: str) -> bytes:
+        """Return the JSON of an entry as it was written, and note that the entry was used.
+
+        Raises:
+            OSError: there is no such entry.
+            ValueError: this user did not write it, or not so, or for another trace.
+        """
+        path = self.folder / f"{key}.json"
+        with open_regular(path, follow_links=False) as stream:
+            if os.fstat(stream.fileno()).st_size > _SEAL_BYTES + MOST_TEXT_BYTES:
+                raise ValueError("larger than an entry is")
+            seal, text = stream.read(_SEAL_BYTES), stream.read(MOST_TEXT_BYTES)
+            if not hmac.compare_digest(seal, self._seal(key, text)):
+                raise ValueError("not sealed by this user")
+            os.utime(stream.fileno())
+        return text
+
+    def close(self) -> None:
+        """Close the cache; unless another analysis has it open, remove what is too much."""
+        self._pool.shutdown()
+        try:
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            self._shrink()
+        except OSError:
+            pass  # another analysis reads entries: the last to close removes
+        finally:
+            os.close(self._descriptor)
+
+    def _shrink(self) -> None:
+        """Remove drafts, halves of entries, and entries beyond the size of the cache, those used last being kept."""
+        entries: dict[str, dict[str, os.stat_result]] = {}
+        for name in os.listdir(self._descriptor):  # noqa: PTH208 - a path might lead elsewhere by now
+            matched = _NAME.fullmatch(name)
+            if matched is None:
+                continue
+            status = os.stat(name, dir_fd=self._descriptor, follow_symlinks=False)
+            if not stat.S_ISREG(status.st_mode):
+                continue
+            if matched[3]:
+                os.unlink(name, dir_fd=self._descriptor)
+            else:
+                entries.setdefault(matched[1], {})[matched[2]] = status
+        left = min(MOST_BYTES, shutil.disk_usage(self._descriptor).total // 10)
+        whole = {key: files for key, files in entries.items() if len(files) == 2}
+        for key in sorted(whole, key=lambda key: whole[key]["json"].st_mtime_ns, reverse=True):
+            left -= sum(status.st_size for status in whole[key].values())
+            if left >= 0:
+                del entries[key]
+        for key, files in entries.items():
+            for ending in files:
+                os.unlink(f"{key}.{ending}", dir_fd=self._descriptor)
+
+    def _block_digests(self, descriptor: int, size: int) -> Iterator[bytes]:
+        """Yield the SHA-256 of each block of a file; those of a large one are made on all cores."""
+
+        def digest_of(offset: int) -> bytes:
+            return hashlib.sha256(os.pread(descriptor, _BLOCK_BYTES, offset)).digest()
+
+        offsets = range(0, size, _BLOCK_BYTES)
+        return map(digest_of, offsets) if len(offsets) < 2 else self._pool.map(digest_of, offsets)
+
+    def _hash(self, purpose: bytes) -> hmac.HMAC:
+        return hmac.new(self._secret, purpose + b"\0", _DIGEST)
+
+    def _seal(self, key: str, text: bytes) -> bytes:
+        digest = self._hash(b"entry")
+        digest.update(key.encode() + b"\0")
+        digest.update(text)
+        return digest.hexdigest().encode()
+
+
+def _base(variable: str, default: str) -> Path:
+    """Return a base folder of the XDG specification; a relative path in the variable is ignored, as it demands.
+
+    Raises:
+        RuntimeError: this user has no home.
+    """
+    named = Path(os.environ.get(variable, ""))
+    return named if named.is_absolute() else Path.home() / default
+
+
+def _own_folder(folder: Path) -> int:
+    """Return a descriptor of a folder that is this user's alone, made if it is missing.
+
+    Raises:
+        OSError: it is a link, somebody else's, or cannot be made.
+    """
+    with suppress(FileExistsError):
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700)
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    try:
+        status = os.fstat(descriptor)
+        if status.st_uid != os.geteuid():
+            raise PermissionError(f"{folder} is not ours")
+        if status.st_mode & 0o077:
+            os.fchmod(descriptor, 0o700)
+    except OSError:
+        os.close(descriptor)
+        raise
+    return descriptor
+
+
+def _own_secret(folder: Path) -> bytes:
+    """Return this user's secret, made if it is missing or damaged.
+
+    Raises:
+        OSError: the folder is not this user's, or cannot be written.
+    """
+    os.close(_own_folder(folder))
+    path = folder / "cache-key"
+    with suppress(OSError), open_regular(path, follow_links=False) as stream:
+        status = os.fstat(stream.fileno())
+        secret = stream.read(_KEY_BYTES + 1)
+        if len(secret) == _KEY_BYTES and status.st_uid == os.geteuid() and not status.st_mode & 0o077:
+            return secret
+    secret = secrets.token_bytes(_KEY_BYTES)
+    with replacing(path) as draft:
+        descriptor = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+        with os.fdopen(descriptor, "wb") as stream:
+            stream.write(secret)
+    return secret

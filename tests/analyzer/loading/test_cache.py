@@ -1,0 +1,275 @@
+"""The cache of read traces: what is in it is ours, whole, and of the trace that is asked for; nothing else is touched."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+
+import pytest
+from campaigns import assert_same_results, write_runs
+
+import dds_trace.analyzer.loading.cache
+import dds_trace.analyzer.loading.shelf
+from dds_trace.analyzer import analyze
+from dds_trace.analyzer.loading.cache import TraceCache
+from dds_trace.tracefile import read_trace
+
+
+@pytest.fixture
+def runs(tmp_path):
+    write_runs(tmp_path / "runs", range(1))
+    return tmp_path / "runs"
+
+
+@pytest.fixture
+def traces(own_base_folders):
+    """Folder of the entries."""
+    return own_base_folders / "cache/dds-trace/traces"
+
+
+@pytest.fixture
+def files_read(monkeypatch):
+    """Names of the traces that are read from here on."""
+    names = []
+
+    def reading(path):
+        names.append(path.name)
+        return read_trace(path)
+
+    monkeypatch.setattr(dds_trace.analyzer.loading.shelf, "read_trace", reading)
+    return names
+
+
+def names_in(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_foreign_files_in_a_folder_called_cache_stay(runs, tmp_path):
+    """`dds-analyze base --out proj` removed `proj/cache/important.sqlite` once."""
+    important = tmp_path / "proj/cache/important.sqlite"
+    important.parent.mkdir(parents=True)
+    important.write_text("mine")
+    for _ in range(2):
+        analyze(runs, out=tmp_path / "proj", cache=True)
+    assert important.read_text() == "mine"
+    assert names_in(important.parent) == ["important.sqlite"]
+
+
+def test_a_folder_of_somebody_with_a_link_in_the_place_of_the_old_cache(runs, tmp_path):
+    home = tmp_path / "home"
+    home.mkdir()
+    (home / "thesis.tex").write_text("mine")
+    (runs / "analysis").mkdir()
+    (runs / "analysis/cache").symlink_to(home)
+    analyze(runs, out=runs / "analysis", cache=True)
+    assert names_in(home) == ["thesis.tex"]
+
+
+def test_foreign_names_links_and_folders_among_the_entries_stay(runs, traces, tmp_path, monkeypatch):
+    monkeypatch.setattr(dds_trace.analyzer.loading.cache, "MOST_BYTES", 0)
+    analyze(runs, cache=True)
+    assert names_in(traces) == []
+    key, target = "ab" * 32, tmp_path / "target"
+    target.write_text("somebody else's")
+    (traces / "notes.json").write_text("{}")
+    (traces / f"{key}.json.bak").write_text("{}")
+    (traces / f"{key}.json").symlink_to(target)
+    (traces / f"{key}.events").mkdir()
+    (traces / f"{'cd' * 32}.events.12345678.part").write_text("left by a killed analysis")
+    (traces / f"{'ef' * 32}.json").write_text("left without its events")
+    analyze(runs, cache=True)
+    assert names_in(traces) == sorted(["notes.json", f"{key}.json.bak", f"{key}.json", f"{key}.events"])
+    assert target.read_text() == "somebody else's"
+
+
+@pytest.mark.parametrize("linked", ["cache/dds-trace", "cache/dds-trace/traces", "state/dds-trace"])
+def test_a_linked_folder_is_not_used(runs, own_base_folders, tmp_path, linked):
+    target = tmp_path / "target"
+    target.mkdir()
+    (target / f"{'ab' * 32}.json").write_text("mine")
+    (own_base_folders / linked).parent.mkdir(parents=True)
+    (own_base_folders / linked).symlink_to(target)
+    assert TraceCache.open() is None
+    analyze(runs, cache=True)
+    assert names_in(target) == [f"{'ab' * 32}.json"]
+
+
+def test_a_folder_of_somebody_else_is_not_used(monkeypatch):
+    TraceCache.open().close()
+    us = os.geteuid()
+    monkeypatch.setattr(os, "geteuid", lambda: us + 1)
+    assert TraceCache.open() is None
+
+
+def test_folder_and_key_are_for_this_user_alone(runs, own_base_folders, traces):
+    (own_base_folders / "cache/dds-trace").mkdir(parents=True)
+    (own_base_folders / "cache/dds-trace").chmod(0o777)
+    analyze(runs, cache=True)
+    for folder in (traces, traces.parent, own_base_folders / "state/dds-trace"):
+        assert folder.stat().st_mode & 0o777 == 0o700
+    assert (own_base_folders / "state/dds-trace/cache-key").stat().st_mode & 0o777 == 0o600
+
+
+def test_the_least_recently_used_entries_leave_a_cache_that_is_full(tmp_path, traces, monkeypatch):
+    for number in range(3):
+        write_runs(tmp_path / f"runs{number}", [number])
+        analyze(tmp_path / f"runs{number}", cache=True)
+    sizes = {path.name: path.stat().st_size for path in traces.iterdir()}
+    assert len(sizes) == 12
+    for path in traces.iterdir():
+        os.utime(path, (1, 1))
+    monkeypatch.setattr(dds_trace.analyzer.loading.cache, "MOST_BYTES", sum(sizes.values()) // 3 + 64)
+    analyze(tmp_path / "runs1", cache=True)
+    assert len(names_in(traces)) == 4
+    for path in traces.glob("*.json"):
+        assert path.stat().st_mtime > 1
+
+
+def test_entries_stay_while_another_analysis_has_them_open(runs, traces, monkeypatch):
+    other = TraceCache.open()
+    monkeypatch.setattr(dds_trace.analyzer.loading.cache, "MOST_BYTES", 0)
+    analyze(runs, cache=True)
+    assert len(names_in(traces)) == 4
+    other.close()
+    assert names_in(traces) == []
+
+
+def test_events_that_are_gone_in_the_middle_are_read_from_their_trace(runs, traces, files_read):
+    cache = TraceCache.open()
+    shelf = dds_trace.analyzer.loading.shelf.TraceShelf(cache)
+    shelf.load(runs / "ping0.mcap", 0)
+    known = shelf.load(runs / "ping0.mcap", 0)
+    files_read.clear()
+    shutil.rmtree(traces)
+    for part in known.parts.values():
+        assert len(part.load()) == part.count
+    assert set(files_read) == {"ping0.mcap"}
+    shelf.close()
+
+
+def flip_a_bit(path):
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+
+
+def cut(path):
+    path.write_bytes(path.read_bytes()[:-1])
+
+
+def lengthen(path):
+    path.write_bytes(path.read_bytes() + b" ")
+
+
+def make_a_pipe(path):
+    path.unlink()
+    os.mkfifo(path)
+
+
+def make_a_link(path):
+    path.rename(path.with_suffix(".moved"))
+    path.symlink_to(path.with_suffix(".moved"))
+
+
+@pytest.mark.parametrize("ending", ["json", "events"])
+@pytest.mark.parametrize("damage", [flip_a_bit, cut, lengthen, make_a_pipe, make_a_link])
+def test_a_damaged_entry_is_read_anew(runs, traces, files_read, ending, damage):
+    first = analyze(runs, cache=True)
+    files_read.clear()
+    for path in list(traces.glob(f"*.{ending}")):
+        damage(path)
+    assert_same_results(analyze(runs, cache=True), first)
+    assert set(files_read) == {"ping0.mcap", "relay0.mcap"}
+
+
+def test_an_entry_of_another_trace_is_not_believed(tmp_path, runs, traces, files_read):
+    first = analyze(runs, cache=True)
+    keys = {path.stem for path in traces.iterdir()}
+    write_runs(tmp_path / "forged", range(1), latency_ns=9999)
+    analyze(tmp_path / "forged", cache=True)
+    forged = sorted({path.stem for path in traces.iterdir()} - keys)
+    for ending in ("json", "events"):
+        for key in keys:
+            shutil.copy(traces / f"{forged[0]}.{ending}", traces / f"{key}.{ending}")
+    files_read.clear()
+    assert_same_results(analyze(runs, cache=True), first)
+    assert set(files_read) == {"ping0.mcap", "relay0.mcap"}
+
+
+def test_an_entry_that_another_user_sealed_is_not_believed(runs, own_base_folders, files_read):
+    """A CI server restores caches that a stranger's pull request wrote."""
+    first = analyze(runs, cache=True)
+    (own_base_folders / "state/dds-trace/cache-key").unlink()
+    files_read.clear()
+    assert_same_results(analyze(runs, cache=True), first)
+    assert set(files_read) == {"ping0.mcap", "relay0.mcap"}
+
+
+@pytest.mark.parametrize("key", [b"", b"short", b"x" * 32, None])
+def test_a_key_that_is_damaged_or_open_to_others_is_made_anew(runs, own_base_folders, key):
+    path = own_base_folders / "state/dds-trace/cache-key"
+    path.parent.mkdir(parents=True)
+    if key is None:
+        os.mkfifo(path)
+    else:
+        path.write_bytes(key)
+        path.chmod(0o644)
+    analyze(runs, cache=True)
+    assert path.stat().st_size == 32
+    assert path.stat().st_mode & 0o777 == 0o600
+    assert path.read_bytes() != key
+
+
+def forge(cache, traces, change):
+    """Change the JSON of every entry and seal it again, as only this user can."""
+    for path in traces.glob("*.json"):
+        entry = json.loads(cache.read_text(path.stem))
+        change(entry)
+        cache.write_text(path.stem, json.dumps(entry))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda entry: entry.update(format=99),
+        lambda entry: entry.update(parts=3),
+        lambda entry: entry.update(bytes=10**400),
+        lambda entry: entry["parts"][0].__setitem__(3, 10**15),
+        lambda entry: entry["parts"][0].__setitem__(3, -1),
+        lambda entry: entry["parts"][0].__setitem__(3, "5"),
+        lambda entry: entry["parts"][0][6].update(monotonic_ns=["array", 1 << 40]),
+        lambda entry: entry["parts"][0][6].update(monotonic_ns=["array", -8]),
+        lambda entry: entry["parts"][0][6].update(run_id=["constant", 1 << 70]),
+        lambda entry: entry["parts"][0][6].update(run_id=["elsewhere", 1]),
+        lambda entry: entry["parts"][0][6].update(sequence=["counting", 2**64 - 2]),
+        lambda entry: entry["parts"][0][6].clear(),
+        lambda entry: entry["seals"].pop(),
+        lambda entry: entry.clear(),
+    ],
+)
+def test_lengths_and_values_are_checked_before_they_are_used(runs, traces, files_read, change):
+    first = analyze(runs, cache=True)
+    cache = TraceCache.open()
+    forge(cache, traces, change)
+    cache.close()
+    files_read.clear()
+    assert_same_results(analyze(runs, cache=True), first)
+    assert set(files_read) == {"ping0.mcap", "relay0.mcap"}
+
+
+def test_a_disk_that_is_full_costs_the_cache_and_not_the_analysis(runs, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    whole = analyze(runs)
+    monkeypatch.setattr(TraceCache, "write_text", full)
+    assert_same_results(analyze(runs, cache=True), whole)
+
+
+def test_a_user_without_a_home_has_no_cache(runs, monkeypatch):
+    whole = analyze(runs)
+    monkeypatch.setenv("XDG_CACHE_HOME", "not/absolute")
+    monkeypatch.setenv("HOME", "/dev/null/nowhere")
+    assert TraceCache.open() is None
+    assert_same_results(analyze(runs, cache=True), whole)

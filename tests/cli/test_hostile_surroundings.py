@@ -1,0 +1,66 @@
+"""Links and foreign files where `dds-analyze` writes: links are replaced, their targets and all else stay."""
+
+import pytest
+from trace_files import Message, write_pair
+
+from dds_trace.cli.analyze import main
+
+TIMELINE = [Message(s, t0=1000 * s, t1=1000 * s + 5, t3=900, t4=930, t2=1000 * s + 205) for s in range(12)]
+OUTPUTS = (
+    *("roundtrips.parquet", "summary.parquet", "report.html", "report.md", "report.json"),
+    *("roundtrips.csv", "summary.csv", "roundtrips.arrow", "summary.arrow"),
+    *("latency.derived.mcap", "latency.derived.foxglove.json"),
+)
+
+
+def run_main(*arguments):
+    """Run the command; its exit code."""
+    with pytest.raises(SystemExit) as ended:
+        main([str(argument) for argument in arguments])
+    return ended.value.code or 0
+
+
+@pytest.fixture
+def runs(tmp_path):
+    write_pair(tmp_path / "runs", TIMELINE)
+    return tmp_path / "runs"
+
+
+@pytest.fixture
+def targets(tmp_path):
+    """A folder of somebody with a file for each output."""
+    folder = tmp_path / "targets"
+    folder.mkdir()
+    for name in (*OUTPUTS, "report.xml"):
+        (folder / name).write_text("mine")
+    return folder
+
+
+def test_no_output_is_written_through_a_link(runs, tmp_path, targets):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "foreign").mkdir()
+    for name in OUTPUTS:
+        (out / name).symlink_to(targets / name)
+    kinds = [word for kind in ("html", "md", "json") for word in ("--report", kind)]
+    assert run_main(runs, "--out", out, *kinds, "--export", "csv", "--export", "arrow", "--derived-mcap") == 0
+    assert {path.read_text() for path in targets.iterdir()} == {"mine"}
+    assert sorted(path.name for path in out.iterdir()) == sorted((*OUTPUTS, "foreign"))
+    assert not any(path.is_symlink() for path in out.iterdir())
+
+
+def test_the_report_of_a_comparison_is_not_written_through_a_link(runs, tmp_path, targets):
+    (tmp_path / "report.xml").symlink_to(targets / "report.xml")
+    assert run_main("compare", runs, runs, "--report", "junit", "--out", tmp_path / "report.xml") in range(
+        10, 20
+    )
+    assert (targets / "report.xml").read_text() == "mine"
+    assert "<testsuite" in (tmp_path / "report.xml").read_text()
+
+
+def test_a_link_in_the_place_of_the_default_folder_is_refused(runs, targets, capsys):
+    (runs / "analysis").symlink_to(targets)
+    assert run_main(runs, "--report", "html") == 6
+    assert "is a link to" in capsys.readouterr().err
+    assert {path.read_text() for path in targets.iterdir()} == {"mine"}
+    assert run_main(runs, "--report", "html", "--out", targets) == 0

@@ -217,7 +217,7 @@ class _Recording:
     @contextmanager
     def _open_trace(self, session: Session) -> Iterator[TraceSink]:
         """Open a sink that is closed whatever happens."""
-        sink = TraceSink(self.options.destination, session)
+        sink = TraceSink(self.options.destination, session, clock_ns=self.clock.monotonic_ns)
         try:
             yield sink
         finally:

@@ -50,7 +50,8 @@ def settled(run: Run, published: Published, t2: EventColumns) -> NDArray[np.bool
     """Return for each counted message whether its fate is known.
 
     A ping that was killed cannot tell whether the replies to its last messages would have come: a message without a reply
-    is in flight where less time is left before the last T1 or T2 than the slowest reply of the run took.
+    is in flight where less time is left before the last T1 or T2 than the slowest reply of the run took. So is always the
+    last one: its T1 is kept before it leaves, and the ping may have died in between.
     """
     known = np.ones(len(published), np.bool_)
     if run.state == "finished" or not len(published):
@@ -60,6 +61,7 @@ def settled(run: Run, published: Published, t2: EventColumns) -> NDArray[np.bool
     rtts_ns = receive_ns[replied] - published.publish_ns[replied]
     longest_ns = int(rtts_ns.max()) if len(rtts_ns) else _PATIENCE_NS
     known &= replied | (published.publish_ns <= _last_ns(published, t2) - longest_ns)
+    known[-1] = replied[-1]
     return known
 
 

@@ -24,7 +24,7 @@ ReceivedT_contra = TypeVar("ReceivedT_contra", contravariant=True)
 _RUN = slice(4, 20)
 _SEQUENCE = slice(21, 37)
 _RELAY = slice(38, 46)
-_TIME = struct.Struct("<iI")  # builtin_interfaces/Time
+_pack_time_into = struct.Struct("<iI").pack_into  # builtin_interfaces/Time
 
 
 class Stamp(NamedTuple):
@@ -88,8 +88,9 @@ class RawStampPlace:
 
     def write_time(self, message: bytearray, wall_ns: int) -> None:
         """Write the wall clock into the buffer's `header.stamp`."""
-        if self._time is not None:
-            _TIME.pack_into(message, self._time, wall_ns // 1_000_000_000, wall_ns % 1_000_000_000)
+        offset = self._time
+        if offset is not None:
+            _pack_time_into(message, offset, wall_ns // 1_000_000_000, wall_ns % 1_000_000_000)
 
     def read(self, message: RawMessage) -> Stamp | None:
         """Return the stamp, from its 46 bytes alone."""

@@ -183,7 +183,7 @@ class Ping(Generic[SentT, ReceivedT]):
         self._record = sink.record
         sharpen_sleep()
         with steady_interpreter():
-            self._send(stop)
+            self._send(sink, stop)
             ended_ns = self._now()
             self._drain()
         self._ended = True
@@ -193,8 +193,8 @@ class Ping(Generic[SentT, ReceivedT]):
         sink.write_run(finished)
         return finished
 
-    def _send(self, stop: threading.Event) -> None:
-        run_id, record, now = self.run_id, self._record, self._now
+    def _send(self, sink: TraceSink, stop: threading.Event) -> None:
+        run_id, stamp = self.run_id, sink.stamp
         write_time, publish = self._stamps.write_time, self._publisher.publish
         publish_times_ns, sizes = self._replies.publish_ns, self._replies.payload_bytes
         wall_offset_ns = self._clock.anchor().offset_ns
@@ -202,10 +202,12 @@ class Ping(Generic[SentT, ReceivedT]):
         due = self._planned(stop) if feed is None else self._arriving(feed, stop)
         for sequence, (message, payload_bytes, scheduled_ns) in enumerate(due):
             sizes[sequence] = payload_bytes
-            publish_times_ns[sequence] = publish_ns = now()
+            # Kept before the message leaves: a relay that answers one of a killed ping finds its T1.
+            publish_times_ns[sequence] = publish_ns = stamp(
+                T1, run_id, sequence, scheduled_ns, 0, 0, payload_bytes
+            )
             write_time(message, publish_ns + wall_offset_ns)
             publish(message)
-            record(T1, run_id, sequence, publish_ns, scheduled_ns, 0, 0, payload_bytes, 0)
             self._published = sequence + 1
 
     def _planned(self, stop: threading.Event) -> Iterator[tuple[SentT, int, int]]:

@@ -10,6 +10,7 @@ from dds_trace.recorder.backends.node import Middleware, NodeOptions, TopicView
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from dds_trace.recorder.host.clock import Clock
     from dds_trace.tracefile import Qos, Run
 
 
@@ -77,11 +78,30 @@ class FakeNode:
 class ListSink:
     """A `TraceSink` that keeps events as tuples: stage, run_id, sequence, monotonic_ns ... as `record` takes them."""
 
+    clock: Clock
     events: list[tuple[int, ...]] = field(default_factory=list)
     runs: list[Run] = field(default_factory=list)
 
     def record(self, *event: int) -> None:
         self.events.append(event)
+
+    def stamp(
+        self,
+        stage: int,
+        run_id: int,
+        sequence: int,
+        scheduled_ns: int = 0,
+        source_ns: int = 0,
+        received_ns: int = 0,
+        payload_bytes: int = 0,
+        relay_id: int = 0,
+    ) -> int:
+        monotonic_ns = self.clock.monotonic_ns()
+        self.record(
+            *(stage, run_id, sequence, monotonic_ns, scheduled_ns),
+            *(source_ns, received_ns, payload_bytes, relay_id),
+        )
+        return monotonic_ns
 
     def write_run(self, run: Run) -> None:
         self.runs.append(run)

@@ -52,11 +52,14 @@ def fields_of(thread: int, sequence: int) -> tuple[int, int, int, int, int, int]
 
 
 def _record(sink: TraceSink, told: memoryview, thread: int, last: int) -> None:
-    record, now = sink.record, time.monotonic_ns
+    record, stamp, now = sink.record, sink.stamp, time.monotonic_ns
     for sequence in range(last):
         source, received, scheduled, payload, relay, stage = fields_of(thread, sequence)
         told[BEGUN] = sequence + 1
-        record(stage, RUN_ID, sequence, now(), scheduled, source, received, payload, relay)
+        if sequence % 2:
+            stamp(stage, RUN_ID, sequence, scheduled, source, received, payload, relay)
+        else:
+            record(stage, RUN_ID, sequence, now(), scheduled, source, received, payload, relay)
         told[STAMPED] = sequence + 1
 
 

@@ -18,11 +18,12 @@ A slot is one event and its mark:
     0       56 bytes  the event without its CDR header (`EVENT_DTYPE`)
     56      uint64    ticket + (stage << 56); stage 1..4, the key of its topic
 
-Tickets count the events of a session: 0, 1, 2 ... Ticket t lies in slot t modulo slots. The mark is packed
+Tickets count the events of a session: 0, 1, 2 ... Ticket t lies in slot t modulo slots. The mark is stored
 last and the packer zeroes a slot first, so a slot is an event exactly if its mark names a stage and the ticket
-belongs there. Events go to the trace in order of their tickets, in whole chunks; if the complete chunks of the
-trace hold n events then these are tickets 0..n-1, and what the ring adds is every ticket from n on. There is
-no counter that would have to agree with the file: a kill between a chunk and its bookkeeping neither doubles
+belongs there. An event that is stamped while it is packed (`TraceSink.stamp`) gets its time and its mark in two
+stores behind all else. Events go to the trace in order of their tickets, in whole chunks; if the complete chunks
+of the trace hold n events then these are tickets 0..n-1, and what the ring adds is every ticket from n on. There
+is no counter that would have to agree with the file: a kill between a chunk and its bookkeeping neither doubles
 nor loses an event.
 """
 
@@ -60,6 +61,10 @@ DROPPED_AT = 32
 SLOT_BYTES = 64
 SLOT_STRUCT = struct.Struct("<QQqqqqIIQ")
 """A slot as it is packed: the event's eight fields, then the mark."""
+
+SLOT_WORDS = SLOT_BYTES // 8
+TIME_WORD, MARK_WORD = 2, 7
+"""Positions of the monotonic time and of the mark among the words of a slot."""
 
 SLOT_DTYPE = np.dtype(
     {
@@ -108,12 +113,14 @@ class Ring:
         memory: the mapped file, to pack into (packing into a memoryview of it costs 0.1 us more).
         slots_at: offset of the first slot.
         slots: the slots as an array of `SLOT_DTYPE`.
+        words: the slots as int64 words of this machine's byte order, little-endian wherever a ROS 2 runs; each is
+            stored by one instruction, and in a third of the time of a `struct`.
 
     Raises:
         OSError: the file cannot be made whole (disk full, read-only folder).
     """
 
-    __slots__ = ("_descriptor", "memory", "path", "slots", "slots_at")
+    __slots__ = ("_descriptor", "memory", "path", "slots", "slots_at", "words")
 
     def __init__(self, path: Path, slot_count: int, session: Session) -> None:
         self.path = path
@@ -143,6 +150,7 @@ class Ring:
         self.memory[: len(RING_MAGIC)] = RING_MAGIC
         self.slots_at = slots_at
         self.slots: Slots = np.frombuffer(self.memory, SLOT_DTYPE, slot_count, slots_at)
+        self.words = memoryview(self.memory)[slots_at : slots_at + slot_count * SLOT_BYTES].cast("q")
 
     def pending(self, first: int, end: int) -> Slots:
         """Return the slots of tickets `first` up to `end`, or fewer if the ring wraps around; no copy."""
@@ -160,6 +168,7 @@ class Ring:
             delete: whether to delete the file, because every event is in the trace.
         """
         self.slots = self.slots[:0].copy()
+        self.words.release()
         with suppress(BufferError):  # the traceback of a failed write may still hold an array of slots
             self.memory.close()
         if delete:

@@ -1,9 +1,10 @@
 """`TraceSink`, which keeps the events of a recording node.
 
-The hot path packs an event into a ring file (`dds_trace.tracefile.format.ring`) and returns. A thread of the sink's own moves
-what is in the ring to the trace, a chunk every `chunk_seconds` or whenever a quarter of the ring is used. A
-slot is used again only after its chunk is in the file, so at every instant an event is in the file or in the
-ring, and a process killed at any instruction loses none (`dds_trace.tracefile.recovery.recover`).
+The hot path packs an event into a ring file (`dds_trace.tracefile.format.ring`) and returns. The event of a message that is
+about to leave (T1, T4) is stamped in the ring as well, so that no message is on its way without it. A thread of the sink's
+own moves what is in the ring to the trace, a chunk every `chunk_seconds` or whenever a quarter of the ring is used. A slot
+is used again only after its chunk is in the file, so at every instant an event is in the file or in the ring, and a process
+killed at any instruction loses none (`dds_trace.tracefile.recovery.recover`).
 """
 
 from __future__ import annotations
@@ -22,7 +23,16 @@ from ..errors import OutputError
 from ..files import output_error
 from ..format.bag_metadata import METADATA_NAME, write_metadata
 from ..format.events import RUN_TOPIC, SESSION_TOPIC
-from ..format.ring import SLOT_BYTES, SLOT_STRUCT, STAGE_MARKS, Ring, ring_path
+from ..format.ring import (
+    MARK_WORD,
+    SLOT_BYTES,
+    SLOT_STRUCT,
+    SLOT_WORDS,
+    STAGE_MARKS,
+    TIME_WORD,
+    Ring,
+    ring_path,
+)
 from ..threads import run_in_background
 from .destination import ClosedTrace, make_room
 from .writer import MAX_CHUNK_EVENTS, TraceWriter
@@ -47,7 +57,7 @@ class TraceSink:
     Args:
         destination: the file or folder, and how it is written.
         session: the recording process, in state `open`; its description is in the file when this returns.
-        clock_ns: the monotonic clock of the events' time stamps.
+        clock_ns: the monotonic clock of the events' time stamps, which `stamp` reads.
 
     Raises:
         OutputExistsError: the destination exists already and `force` was not given.
@@ -79,6 +89,7 @@ class TraceSink:
             raise (err if isinstance(err, OutputError) else output_error(ring_path(trace), err)) from err
 
         self._memory = self._ring.memory
+        self._words = self._ring.words
         self._slots_at = self._ring.slots_at
         self._slot_count = destination.ring_slots
         self._head = 0  # ticket of the next event; all below are packed
@@ -144,6 +155,54 @@ class TraceSink:
                 self._drop()
             else:
                 self._head = head + 1
+
+    def stamp(
+        self,
+        stage: int,
+        run_id: int,
+        sequence: int,
+        scheduled_ns: int = 0,
+        source_ns: int = 0,
+        received_ns: int = 0,
+        payload_bytes: int = 0,
+        relay_id: int = 0,
+    ) -> int:
+        """Read the clock, keep the event of this instant, and return its time stamp; arguments as for `record`.
+
+        What is known before is packed before, so that only two stores lie between the clock and the return: a process
+        that is killed at any instruction behind the return, where the message leaves, has left its event.
+        """
+        now = self._clock_ns
+        with self._record_lock:
+            head = self._head
+            if head >= self._attention and not self._has_room(head):
+                return now()
+            slot = head % self._slot_count
+            try:
+                mark = STAGE_MARKS[stage] + head
+                _pack_into(
+                    self._memory,
+                    self._slots_at + slot * SLOT_BYTES,
+                    run_id,
+                    sequence,
+                    0,
+                    scheduled_ns,
+                    source_ns,
+                    received_ns,
+                    payload_bytes,
+                    relay_id,
+                    0,  # no mark: not an event yet
+                )
+            except (struct.error, LookupError, TypeError):
+                self._drop()
+                return now()
+            words, following = self._words, head + 1
+            time_at = slot * SLOT_WORDS + TIME_WORD
+            mark_at = slot * SLOT_WORDS + MARK_WORD
+            words[time_at] = monotonic_ns = now()
+            words[mark_at] = mark
+            self._head = following
+        return monotonic_ns
 
     def _has_room(self, head: int) -> bool:
         """Wake the draining thread and return whether there is a free slot; the caller holds the record lock."""

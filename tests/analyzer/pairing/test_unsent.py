@@ -58,3 +58,11 @@ def test_a_killed_ping_does_not_know_the_fate_of_its_last_messages():
     killed = run(state="started")
     assert settled(killed, published(5), t2).tolist() == [True, True, True, True, False]
     assert settled(run(), published(5), t2).all()
+
+
+def test_the_last_message_of_a_killed_ping_may_never_have_left():
+    # T2 of 3 comes 200 ms behind T1 of 4, longer than any reply took: 4 would count as lost, were it not the last.
+    t2 = replies((0, 150 * MS), (1, 250 * MS), (2, 350 * MS), (3, 450 * MS), (3, 600 * MS))
+    assert settled(run(state="started"), published(5), t2).tolist() == [True, True, True, True, False]
+    t2 = replies((0, 150 * MS), (4, 500 * MS))  # answered, so it left; 1, 2 and 3 are lost
+    assert settled(run(state="started"), published(5), t2).tolist() == [True, True, True, True, True]

@@ -50,7 +50,8 @@ class ObjectFakeNode(FakeNode):
 
 
 def test_a_ping_and_a_relay_of_message_objects_record_all_four_stages():
-    clock, node, sink = FakeClock(1_000_000_000_000), ObjectFakeNode(), ListSink()
+    clock, node = FakeClock(1_000_000_000_000), ObjectFakeNode()
+    sink = ListSink(clock)
     Relay(node, sink, RELAY, data_types=[IMU], qos=Qos(), serialization=Serialization.TYPED, clock=clock)
     plan = RunPlan(IMU.make(None, 1), 100.0, 3, serialization=Serialization.TYPED)
     ping = open_ping(node, plan, clock)
@@ -85,7 +86,8 @@ class OneArrival:
 
 
 def test_messages_of_a_live_source_become_objects_too():
-    clock, node, sink = FakeClock(1_000_000_000_000), ObjectFakeNode(), ListSink()
+    clock, node = FakeClock(1_000_000_000_000), ObjectFakeNode()
+    sink = ListSink(clock)
     (message,) = IMU.make(None, 5).messages
     payload = Payload(IMU, (message,), 296, feed=OneArrival(Message(bytearray(message.data), 296)))
     ping = open_ping(node, RunPlan(payload, 100.0, 2, serialization=Serialization.TYPED), clock)

@@ -25,7 +25,8 @@ class Link:
     """A relay behind a link: answers each message after `delay_ns(sequence)`, or never where that is None."""
 
     def __init__(self, plan, *, delay_ns=lambda _: 3 * MS, publish_ns=lambda _: 0, relays=(RELAY,)):
-        self.clock, self.node, self.sink = FakeClock(START_NS), FakeNode(), ListSink()
+        self.clock, self.node = FakeClock(START_NS), FakeNode()
+        self.sink = ListSink(self.clock)
         self.ping = open_ping(self.node, plan, self.clock)
         self.topic = plan.payload.data_type.topic
         self._delay_ns, self._publish_ns, self._relays = delay_ns, publish_ns, relays
@@ -101,6 +102,15 @@ def test_the_message_carries_stamp_and_send_time():
     seconds, nanoseconds = divmod(t1 + link.clock.wall_offset_ns, 1_000_000_000)
     assert link.sent[1][4:12] == struct.pack("<iI", seconds, nanoseconds)
     assert link.sent[1][16:62] == stamp_text(run.run_id, 1)
+
+
+def test_the_event_is_kept_before_the_message_leaves():
+    """A ping that is killed while it hands a message over leaves no T3 without its T1."""
+    link, kept = Link(plan(messages=3)), []
+    publisher = link.node.publishers[link.topic]
+    publisher.on_publish = lambda _: kept.append([event[1] for event in link.sink.of_stage(1)])
+    link.run()
+    assert kept == [[0], [0, 1], [0, 1, 2]]
 
 
 def test_the_run_is_described_at_start_and_end():
@@ -254,7 +264,8 @@ def test_endpoints_are_taken_off_at_the_end():
 
 @pytest.mark.parametrize("size", [4, 2675])
 def test_strings_have_no_time_and_their_own_place(size):
-    clock, node, sink = FakeClock(START_NS), FakeNode(), ListSink()
+    clock, node = FakeClock(START_NS), FakeNode()
+    sink = ListSink(clock)
     ping = open_ping(node, RunPlan(STRING.make(size, 1), 10.0, 1), clock)
     node.publishers["string_data"].on_publish = lambda message: node.deliver("string_data_relay", message)
     ping.run(sink, NEVER)

@@ -1,0 +1,88 @@
+"""A sink that is killed at one instruction after the other: bytecode n of a method, for n = 0, stride, 2 stride ...
+
+    python instruction_kills.py FOLDER METHOD STRIDE
+
+`METHOD` is a key of `ACTIONS`. For each n a child of this process opens a sink in `FOLDER/n`, keeps `BEFORE` events, and
+runs the action; the tracing hook of the interpreter counts the bytecodes of the package `tracefile` and kills the child at
+the n-th. The first child that gets through ends the series. Printed: JSON, [n, whether it was killed] of each child.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from trace_files import ping_session, run
+
+import dds_trace.tracefile.writing.sink
+from dds_trace.tracefile import TraceDestination, TraceSink
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import FrameType
+
+BEFORE = 5
+RING_SLOTS = 16
+STAMPED_NS = 7_000
+PACKAGE = str(Path(dds_trace.tracefile.writing.sink.__file__).parents[1])
+
+ACTIONS: dict[str, Callable[[TraceSink], object]] = {
+    "record": lambda sink: sink.record(1, 1, BEFORE, STAMPED_NS, 3, 0, 0, 9, 0),
+    "stamp": lambda sink: sink.stamp(1, 1, BEFORE, 3, 0, 0, 9, 0),
+    "write_run": lambda sink: sink.write_run(run(state="started")),
+    "close": lambda sink: sink.close(),
+}
+
+
+def kill_at(number: int) -> Callable[[FrameType, str, Any], Any]:
+    """A tracing hook that kills this process before bytecode `number` of the package."""
+    left = number
+
+    def trace(frame: FrameType, event: str, _argument: object) -> Any:
+        nonlocal left
+        if not frame.f_code.co_filename.startswith(PACKAGE):
+            return None
+        frame.f_trace_opcodes = True
+        if event == "opcode":
+            if left == 0:
+                os.kill(os.getpid(), signal.SIGKILL)
+            left -= 1
+        return trace
+
+    return trace
+
+
+def play(trace: Path, action: Callable[[TraceSink], object], number: int) -> None:
+    """Keep events, then act until killed."""
+    destination = TraceDestination(trace, ring_slots=RING_SLOTS, chunk_seconds=3600.0)
+    sink = TraceSink(destination, ping_session(state="open"), clock_ns=lambda: STAMPED_NS)
+    for sequence in range(BEFORE):
+        sink.record(1, 1, sequence, 1000 + sequence)
+    sys.settrace(kill_at(number))
+    action(sink)
+    sys.settrace(None)
+
+
+def main(folder: str, method: str, stride: str) -> None:
+    """Fork one child after the other."""
+    told, killed, number = [], True, 0
+    while killed:
+        trace = Path(folder) / f"{number}" / "a.mcap"
+        pid = os.fork()
+        if not pid:
+            play(trace, ACTIONS[method], number)
+            os._exit(0)
+        status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+        assert status in (0, -signal.SIGKILL), status
+        killed = status != 0
+        told.append([number, killed])
+        number += int(stride)
+    print(json.dumps(told))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,131 @@
+"""A sink is killed at every instruction, and each of its writes fails in every way: no event that was kept is lost."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import subprocess
+import sys
+
+import instruction_kills
+import pytest
+from instruction_kills import BEFORE, STAMPED_NS
+from trace_files import ping_session, run
+
+from dds_trace.tracefile import Stage, TraceDestination, TraceSink, read_trace
+from dds_trace.tracefile.format.ring import ring_path
+from dds_trace.tracefile.recovery.recover import recover
+
+
+def kept_after_kills(folder, method, stride):
+    """Kill at each instruction of `method`: sequences and times that trace and ring hold then, and the last child's."""
+    command = [sys.executable, instruction_kills.__file__, folder, method, stride]
+    told = json.loads(subprocess.run([str(part) for part in command], check=True, capture_output=True).stdout)
+    kept = []
+    for number, _ in told:
+        events = read_trace(folder / f"{number}" / "a.mcap").events[Stage.T1]
+        kept.append(list(zip(events.sequence.tolist(), events.monotonic_ns.tolist(), strict=True)))
+    assert [killed for _, killed in told] == [True] * (len(told) - 1) + [False]
+    return kept
+
+
+EARLIER = [(sequence, 1000 + sequence) for sequence in range(BEFORE)]
+WITH_THE_NEW_ONE = [*EARLIER, (BEFORE, STAMPED_NS)]
+
+
+@pytest.mark.parametrize("method", ["record", "stamp"])
+def test_killed_at_every_instruction_of_an_event(tmp_path, method):
+    kept = kept_after_kills(tmp_path, method, 1)
+    is_kept = [events == WITH_THE_NEW_ONE for events in kept]
+    assert all(events in (EARLIER, WITH_THE_NEW_ONE) for events in kept)
+    assert len(kept) > 30
+    assert is_kept == sorted(is_kept)  # once it is whole it stays
+    assert is_kept[-1]
+
+
+@pytest.mark.parametrize("method", ["write_run", "close"])
+def test_killed_at_instructions_of_a_chunk(tmp_path, method):
+    kept = kept_after_kills(tmp_path, method, 23)
+    assert len(kept) > 40
+    assert all(events == EARLIER for events in kept)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("method", ["write_run", "close"])
+def test_killed_at_every_instruction_of_a_chunk(tmp_path, method):
+    kept = kept_after_kills(tmp_path, method, 1)
+    assert all(events == EARLIER for events in kept)
+
+
+CALLS = ["fstat", "pwritev", "fsync"]
+FAULTS = [errno.ENOSPC, errno.EIO, errno.EROFS, errno.ENOENT, errno.EDQUOT]
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=errno.errorcode.get)
+@pytest.mark.parametrize("name", CALLS)
+@pytest.mark.parametrize("failing", range(6))
+def test_every_call_of_the_system_fails_once(tmp_path, monkeypatch, name, fault, failing):
+    """The calls of a second chunk, a description, the closed session and the summary, one after the other."""
+    path = tmp_path / "a.mcap"
+    destination = TraceDestination(path, ring_slots=64, chunk_seconds=3600.0, fsync=True)
+    sink = TraceSink(destination, ping_session(state="open"), clock_ns=lambda: 0)
+    real, left = getattr(os, name), [failing]
+
+    def call(*arguments):
+        left[0] -= 1
+        if left[0] == -1:
+            raise OSError(fault, os.strerror(fault))
+        return real(*arguments)
+
+    monkeypatch.setattr(f"dds_trace.tracefile.writing.writer.os.{name}", call)
+    for sequence in range(30):
+        sink.record(1, 1, sequence, 1000 + sequence)
+        if sequence in (10, 20):
+            sink.write_run(run(state="started"))
+    closed = sink.close()
+    monkeypatch.undo()
+    assert closed.dropped_events == 0
+    assert closed.events + closed.ring_events == 30
+    assert (closed.error is not None) == (left[0] < 0)
+    assert read_trace(path).events[Stage.T1].sequence.tolist() == list(range(30))
+    if ring_path(path).exists():
+        recover(path)
+        assert read_trace(path).events[Stage.T1].sequence.tolist() == list(range(30))
+
+
+def test_a_clock_that_jumps_changes_no_event(tmp_path):
+    """A monotonic clock that steps back (a virtual machine): stamps stay as read, log times never run backwards."""
+    times_ns = [5_000, 9_000_000_000, 10, 7_000]
+    readings = iter([0, *times_ns])
+    sink = TraceSink(
+        TraceDestination(tmp_path / "a.mcap", chunk_seconds=3600.0),
+        ping_session(state="open"),
+        clock_ns=lambda: next(readings, 7_000),
+    )
+    assert [sink.stamp(1, 1, sequence) for sequence in range(4)] == times_ns
+    assert sink.close().error is None
+    trace = read_trace(tmp_path / "a.mcap")
+    assert trace.events[Stage.T1].monotonic_ns.tolist() == times_ns
+    assert trace.truncated is None
+
+
+@pytest.mark.parametrize("values", [(5, 1, 0), (1, -1, 0), (1, 1 << 64, 0), (1, 1, 0, 1 << 63), (1, None, 0)])
+def test_an_event_out_of_range_is_dropped_and_still_stamped(tmp_path, values):
+    sink = TraceSink(TraceDestination(tmp_path / "a.mcap"), ping_session(state="open"), clock_ns=lambda: 42)
+    assert sink.stamp(*values) == 42
+    assert sink.stamp(1, 1, 0) == 42
+    closed = sink.close()
+    assert (closed.events, closed.dropped_events) == (1, 1)
+    assert sink.stamp(1, 1, 1) == 42  # closed: dropped
+
+
+def test_a_full_ring_stamps_without_keeping(tmp_path):
+    destination = TraceDestination(tmp_path / "a.mcap", ring_slots=8, chunk_seconds=3600.0)
+    sink = TraceSink(destination, ping_session(state="open"), clock_ns=lambda: 42)
+    sink._write_lock.acquire()  # the draining thread stands still
+    assert [sink.stamp(1, 1, sequence) for sequence in range(10)] == [42] * 10
+    sink._write_lock.release()
+    closed = sink.close()
+    assert (closed.events, closed.dropped_events) == (8, 2)

@@ -1,0 +1,65 @@
+"""What was measured in the same passes of a sweep is compared pass by pass, from the traces on."""
+
+from __future__ import annotations
+
+import pytest
+from trace_files import Message, ping_session, relay_session, run, write_pair
+
+from dds_trace import analyze
+
+MS = 1_000_000
+MESSAGES = 60
+PASS_FACTORS = (1.0, 1.3, 0.8, 1.6, 1.1)
+"""The machine's speed in each pass: it varies by far more than the 10 % that lie between the ways."""
+
+
+def record(folder, *, labelled):
+    """Fast DDS, Cyclone DDS 10 % quicker, and Fast DDS through a bridge 10 % slower, in each of five passes."""
+    ways = (("fastdds", "none", 1.0), ("cyclonedds", "none", 0.9), ("fastdds", "builtin", 1.1))
+    number = 0
+    for place, factor in enumerate(PASS_FACTORS, 1):
+        for vendor, bridge, share in ways:
+            number += 1
+            start = number * 100_000 * MS
+            messages = []
+            for s in range(MESSAGES):
+                t, way = start + s * 100 * MS, int(10 * MS * factor * share) + (s * 37 % 101) * 1000
+                messages.append(Message(s, t0=t, t1=t, t3=t + way, t4=t + way, t2=t + 2 * way))
+            domain_id = 5 if bridge == "none" else 10
+            write_pair(
+                folder / str(number),
+                messages,
+                ping=ping_session(vendor=vendor, session_id=50 + number),
+                relay=relay_session(
+                    vendor=vendor, session_id=500 + number, relay_id=900 + number, domain_id=domain_id
+                ),
+                runs=[
+                    run(
+                        run_id=70 + number,
+                        bridge=bridge,
+                        relay_domain_id=domain_id,
+                        planned_messages=MESSAGES,
+                        published=MESSAGES,
+                        labels={"pass": str(place)} if labelled else {},
+                        extra={"session_id": f"{50 + number:016x}"},
+                    )
+                ],
+            )
+    return analyze(folder).details
+
+
+@pytest.mark.parametrize(
+    ("labelled", "clarity", "verdict", "pairs"),
+    [(True, "clear", "worse", 5), (False, "inconclusive", "inconclusive", 0)],
+)
+def test_answers_and_bridge_costs_are_paired_where_runs_tell_their_pass(
+    tmp_path, labelled, clarity, verdict, pairs
+):
+    details = record(tmp_path, labelled=labelled)
+    (answer,) = (one for one in details.answers if one.domain_mode == "same")
+    assert (answer.clarity.value, answer.fewest_runs) == (clarity, 5)
+    (cost,) = details.bridge_costs.filter(statistic="p50", metric="latency").iter_rows(named=True)
+    assert (cost["verdict"], cost["pairs"]) == (verdict, pairs)
+    spread = details.intervals.filter(metric="latency", percentile="p50")
+    assert spread["between"].min() > 0.2  # of the logarithms of 0.8 to 1.6
+    assert spread["within"].max() < 0.01

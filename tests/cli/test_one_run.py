@@ -1,0 +1,120 @@
+"""Of one or two runs nobody is called better or worse: in no output, however large the difference is."""
+
+from __future__ import annotations
+
+import html
+import re
+
+import pytest
+from trace_files import Message, ping_session, relay_session, run, write_pair
+
+from dds_trace import analyze
+from dds_trace.cli.analyze import main
+
+MS = 1_000_000
+MESSAGES = 300
+JUDGED = re.compile(
+    r"\b(better|worse|faster|fastest|slower|slowest|quicker|quickest|wins|winner)\b(?!\":)", re.IGNORECASE
+)
+WAYS = {  # vendor, bridge, one way: two middlewares in one domain, and one of them through a bridge
+    "fastdds": ("fastdds", "none", MS),
+    "cyclonedds": ("cyclonedds", "none", 4 * MS),
+    "bridged": ("fastdds", "builtin", 9 * MS),
+}
+
+
+def record(folder, runs, slower=1.0):
+    """Runs of every way of `WAYS`, one after the other and 1 % apart."""
+    number = 0
+    for name, (vendor, bridge, way_ns) in WAYS.items():
+        for repeat in range(runs):
+            start = number * 1000 * 100 * MS
+            messages = []
+            for s in range(MESSAGES):
+                t, way = (
+                    start + s * 100 * MS,
+                    int(way_ns * slower * (1 + 0.01 * repeat)) + (s * 37 % 101) * 1000,
+                )
+                messages.append(Message(s, t0=t, t1=t, t3=t + way, t4=t + way, t2=t + 2 * way))
+            domain_id = 5 if bridge == "none" else 10
+            write_pair(
+                folder / f"{name}-{repeat}",
+                messages,
+                ping=ping_session(vendor=vendor, session_id=50 + number, rmw=None),
+                relay=relay_session(
+                    vendor=vendor,
+                    session_id=500 + number,
+                    relay_id=900 + number,
+                    domain_id=domain_id,
+                    rmw=None,
+                ),
+                runs=[
+                    run(
+                        run_id=70 + number,
+                        bridge=bridge,
+                        relay_domain_id=domain_id,
+                        planned_messages=MESSAGES,
+                        published=MESSAGES,
+                        extra={"session_id": f"{50 + number:016x}"},
+                    )
+                ],
+            )
+            number += 1
+    return folder
+
+
+def run_main(*arguments):
+    with pytest.raises(SystemExit) as ended:
+        main([str(argument) for argument in arguments])
+    return ended.value.code or 0
+
+
+def without_program(page):
+    """The page without the scripts that draw it; its data and its words stay."""
+    kept = re.sub(r"<script>.*?</script>|<style>.*?</style>", "", page, flags=re.DOTALL)
+    return html.unescape(re.sub(r"<[^>]+>", " ", kept))
+
+
+def every_output(folder, slow, capsys):
+    """What every report of a campaign says, and every report of its comparison with a slower one: name -> text."""
+    job = "data=binary size=33KB rate=10 deadline=50ms reliability=0.9"
+    kinds = [part for kind in ("html", "md", "json", "terminal") for part in ("--report", kind)]
+    assert run_main(folder, *kinds, "--recommend", job, "--deadline", "20ms", "--no-cache") == 0
+    outputs = {"terminal": capsys.readouterr().out}
+    files = {path.suffix[1:]: path.read_text() for path in (folder / "analysis").glob("report.*")}
+    outputs |= files | {"html": without_program(files["html"])}
+    assert run_main(folder, "--report", "json", "--recommend", job) == 0
+    outputs["recommend"] = capsys.readouterr().out
+    for kind in ("terminal", "md", "junit"):
+        run_main("compare", folder, slow, "--fail-if", "default", "--report", kind)
+        outputs[f"compare {kind}"] = "".join(capsys.readouterr())
+    analysis = analyze(folder)
+    outputs["notebook"] = getattr(analysis, "_repr_html_", analysis.__repr__)()
+    return outputs
+
+
+@pytest.mark.parametrize("runs", [1, 2])
+def test_no_output_tells_apart_what_rests_on_one_or_two_runs(tmp_path, capsys, runs):
+    outputs = every_output(record(tmp_path / "runs", runs), record(tmp_path / "slow", runs, slower=3), capsys)
+    assert set(outputs) == {
+        "terminal", "html", "md", "json", "recommend", "compare terminal", "compare md", "compare junit", "notebook"
+    }  # fmt: skip
+    for name, text in outputs.items():
+        assert len(text) > 200, name
+        judged = [text[max(0, m.start() - 60) : m.end() + 30] for m in JUDGED.finditer(text)]
+        assert judged == [], f"{name} with {runs} runs"
+        assert "regressed" not in text, name
+    for name in ("terminal", "html", "md"):
+        words = " ".join(outputs[name].split())
+        assert f"telling apart takes 3 runs of each, there {'is 1' if runs == 1 else 'are 2'}" in words, name
+    assert "likely" in outputs["recommend"]
+    assert "meets" not in outputs["recommend"]
+
+
+def test_with_three_runs_the_same_outputs_do_tell(tmp_path, capsys):
+    outputs = every_output(record(tmp_path / "runs", 3), record(tmp_path / "slow", 3, slower=3), capsys)
+    for name in ("terminal", "html", "md", "json", "compare terminal", "compare md"):
+        assert JUDGED.search(outputs[name]), name
+    assert "regressed" in outputs["compare terminal"]
+    assert "failure" in outputs["compare junit"]
+    assert "meets the deadline of 50 ms" in outputs["recommend"]

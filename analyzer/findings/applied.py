@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 
 from dds_trace.tracefile.units.counts import counted
 
-from ..model.applied import kernel_counts, kernel_limits, socket_drops, words_not_applied
+from ..model.applied import kernel_counts, kernel_limits, may_be_cut, socket_drops, words_not_applied
 from ..model.finding import Finding, Severity
+from .evidence import SMALLER_DATAGRAMS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from dds_trace.tracefile import Session
 
@@ -57,8 +58,16 @@ def dropped_datagrams(evidence: Evidence) -> Iterator[Finding]:
 
 
 def lost_fragments(evidence: Evidence) -> Iterator[Finding]:
-    """Report hosts whose kernel could not put datagrams together, or take them apart, while messages were under way."""
-    for session, groups in _sessions(evidence):
+    """Report hosts whose kernel could not put datagrams together, or take them apart, while messages were under way.
+
+    The kernel counts for all programs of a network namespace. So only groups whose messages were cut into fragments are
+    named; of those with a capture the check of its counts says it (`wire.lost_fragments`).
+    """
+    captured = set(evidence.details.wire["group"])
+    for session, cut in _sessions(evidence, may_be_cut):
+        groups = tuple(group for group in cut if group not in captured)
+        if not groups:
+            continue
         rises = kernel_counts(session)
         failed, late = rises.get("ReasmFails", 0), rises.get("ReasmTimeout", 0)
         unsent = rises.get("FragFails", 0)
@@ -75,8 +84,7 @@ def lost_fragments(evidence: Evidence) -> Iterator[Finding]:
                 "fragments_lost",
                 evidence.session_name(session),
                 f"In its network namespace, all programs together, {' and '.join(filter(None, said))}.",
-                f"One lost fragment loses its whole datagram{_bounds(session)}: send smaller datagrams (Cyclone DDS "
-                "MaxMessageSize, Fast DDS maxMessageSize), or raise net.ipv4.ipfrag_high_thresh.",
+                f"One lost fragment loses its whole datagram{_bounds(session)}: {SMALLER_DATAGRAMS}.",
                 groups,
             )
 
@@ -89,11 +97,14 @@ def _bounds(session: Session) -> str:
     return f", whose other fragments wait for {time_s} s in at most {thresh:,} B"
 
 
-def _sessions(evidence: Evidence) -> list[tuple[Session, tuple[int, ...]]]:
-    """Return each session with the groups that it took part in."""
+def _sessions(
+    evidence: Evidence, concerns: Callable[[Session, int], bool] = lambda _session, _payload_bytes: True
+) -> list[tuple[Session, tuple[int, ...]]]:
+    """Return each session with the groups that it took part in, with messages that concern it or the other side."""
     groups: dict[int, dict[int, None]] = defaultdict(dict)
     for exchange, group in zip(evidence.grouping.exchanges, evidence.exchange_groups(), strict=True):
-        for session in (exchange.ping, exchange.relay):
-            if session is not None:
+        sides = [session for session in (exchange.ping, exchange.relay) if session is not None]
+        if any(concerns(session, exchange.run.payload_bytes) for session in sides):
+            for session in sides:
                 groups[session.session_id][group] = None
     return [(each, tuple(groups[each.session_id])) for each in evidence.campaign.sessions.values()]

@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     from ..pairing.exchanges import Exchange, Exchanges
     from ..pairing.rows import RowStore
 
+SMALLER_DATAGRAMS = "send smaller datagrams (Cyclone DDS MaxMessageSize, Fast DDS maxMessageSize), or raise net.ipv4.ipfrag_high_thresh"
+"""What to set where IP fragments are lost."""
+
 _MOST_FILES = 2
 """Files that a session's name lists: those of a long sweep would fill a screen."""
 

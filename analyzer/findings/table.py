@@ -76,6 +76,8 @@ CHECKS: tuple[Check, ...] = (
     applied.dropped_datagrams,
     applied.lost_fragments,
     wire.incomplete_captures,
+    wire.shared_counts,
+    wire.lost_fragments,
     wire.retransmission_storms,
     wire.heartbeat_bound_recoveries,
     wire.discovery_traffic,

@@ -6,7 +6,7 @@ the rows by run, sequence and relay. A message's repeats are those of its way ou
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import Counter
 from dataclasses import dataclass, field
 from statistics import median
 from typing import TYPE_CHECKING, NamedTuple
@@ -41,6 +41,7 @@ class _Sums:
     runs: int = 0
     duration_s: float = 0.0
     payload_bytes: float = 0.0
+    shared_counts: int = 0
     matches_ns: list[float] = field(default_factory=list)
     counters: Counter[str] = field(default_factory=Counter)
     bytes: Counter[str] = field(default_factory=Counter)
@@ -91,8 +92,9 @@ def wire_frames(
             run = runs[run_id]
             _add_ping(sums, counts[run_id])
             sums.payload_bytes += run.published * run.payload_bytes * (1 + returned * relays[run_id])
-            for of_relay in of_relays.get(run_id, ()):
-                _add_counters(sums, of_relay)
+        for of_relay, run_ids in of_relays:
+            if run_ids & group_runs.keys():
+                _add_relay(sums, of_relay, is_shared=not run_ids <= group_runs.keys())
         joined = _joined(of_rows, records)
         frame.append(_row(group, sums, joined))
         total = sum(sums.bytes.values())
@@ -109,17 +111,17 @@ def wire_frames(
     )
 
 
-def _counts_of_relays(traces: Iterable[Trace]) -> dict[int, list[JsonObject]]:
-    """Return run -> counts of relays that served it; those of several runs count for each of them."""
-    counts: dict[int, dict[tuple[Json, Json], JsonObject]] = defaultdict(dict)
+def _counts_of_relays(traces: Iterable[Trace]) -> list[tuple[JsonObject, frozenset[int]]]:
+    """Return the counts of relays' captures, each once, with the runs whose messages were seen meanwhile."""
+    counts: dict[tuple[Json, Json], tuple[JsonObject, frozenset[int]]] = {}
     for trace in traces:
         for text in trace.wire:
-            of_relay = _object(text.get("counts"))
-            run_ids = text.get("run_ids")
-            for run_id in run_ids if of_relay and isinstance(run_ids, list) else ():
+            of_relay, run_ids = _object(text.get("counts")), text.get("run_ids")
+            if of_relay and isinstance(run_ids, list):
                 # Traces may be copies of each other.
-                counts[int(str(run_id), 16)][text.get("session_id"), of_relay.get("begin_ns")] = of_relay
-    return {run_id: list(of_run.values()) for run_id, of_run in counts.items()}
+                served = frozenset(int(str(run_id), 16) for run_id in run_ids)
+                counts[text.get("session_id"), of_relay.get("begin_ns")] = of_relay, served
+    return list(counts.values())
 
 
 def _records(traces: Iterable[Trace]) -> pl.DataFrame:
@@ -165,6 +167,15 @@ def _add_ping(sums: _Sums, counts: JsonObject) -> None:
     _add_counters(sums, counts)
 
 
+def _add_relay(sums: _Sums, counts: JsonObject, *, is_shared: bool) -> None:
+    """Add what a relay's capture counted; of several groups together nobody knows whose it was, but for what it missed."""
+    if is_shared:
+        sums.shared_counts += 1
+        sums.counters["kernel_drops"] += int(_number(counts.get("kernel_drops")))
+    else:
+        _add_counters(sums, counts)
+
+
 def _add_counters(sums: _Sums, counts: JsonObject) -> None:
     """Add what is counted on each device by itself."""
     of_kernel = _object(counts.get("ip"))
@@ -182,6 +193,7 @@ def _row(group: int, sums: _Sums, joined: pl.DataFrame) -> tuple[object, ...]:
     values: dict[str, object] = {
         "group": group,
         "runs": sums.runs,
+        "shared_counts": sums.shared_counts,
         "complete": not sums.counters["kernel_drops"],
         "total_bytes": total,
         "payload_bytes": round(sums.payload_bytes),

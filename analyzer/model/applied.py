@@ -16,6 +16,13 @@ SHARED_MEMORY, UNKNOWN = "shm", "unknown"
 """Values of `payload_path` beside the names of interfaces."""
 
 
+_HEADERS_BYTES = 512
+"""Octets that surround a payload in its datagrams: IP, UDP, RTPS submessages, the stamped header of ours, generously."""
+
+_LARGEST_PACKET_BYTES = 65_535
+"""Octets of an IP packet at most (RFC 791): an interface with that MTU, such as `lo`, cuts none."""
+
+
 def words_not_applied(session: Session) -> tuple[str, ...]:
     """Return a sentence, without a full stop, for each setting that was asked for and not applied."""
     listed = session.extra.get("not_applied")
@@ -70,6 +77,15 @@ def kernel_counts(session: Session) -> dict[str, int]:
         for name, (then, now) in rises.items()
         if then is not None and now is not None and now >= then
     }
+
+
+def may_be_cut(session: Session, payload_bytes: int) -> bool:
+    """Tell whether the kernel may have cut datagrams of such a message into IP fragments; an unknown path may."""
+    path = payload_path(session)
+    if path == SHARED_MEMORY:
+        return False
+    mtu_bytes = _integer(_object(session.host.get("mtu")), path) if path is not None else None
+    return mtu_bytes is None or min(payload_bytes + _HEADERS_BYTES, _LARGEST_PACKET_BYTES) > mtu_bytes
 
 
 def kernel_limits(session: Session) -> dict[str, int]:

@@ -24,6 +24,7 @@ WIRE_SCHEMA: dict[str, type[pl.DataType]] = {
     "reassembly_failed": pl.UInt64,
     "udp_receive_buffer_full": pl.UInt64,
     "tcp_again_bytes": pl.UInt64,
+    "shared_counts": pl.UInt32,
 }
 """A row per group with counts. `runs` with counts; `complete` whether the kernel dropped no packet of any capture
 (`kernel_drops`); `total_bytes` on the ping's interfaces, both ways, headers from Ethernet's on; `payload_bytes` of all
@@ -31,7 +32,8 @@ messages and replies of the runs, the warm-up included; `again_bytes_share` of t
 with a record, of which `again_messages` were sent again, on either way, half of them after `resent_after_p50_ns` and
 `waited_heartbeats_p50` heartbeats of their writer; `requests` for something again; `match_p50_ns` from a participant's first
 announcement to the first echo, median of the runs; `discovery_*` SPDP, SEDP and liveliness; `reassembly_failed` and
-`udp_receive_buffer_full` datagrams of both devices; `tcp_again_bytes` TCP payload sent again."""
+`udp_receive_buffer_full` datagrams of both devices; `tcp_again_bytes` TCP payload sent again; `shared_counts` of a relay's
+capture that are of other groups' runs as well, and of which nothing but `kernel_drops` counts here."""
 
 WIRE_CLASS_SCHEMA: dict[str, type[pl.DataType]] = {
     "group": pl.UInt32,

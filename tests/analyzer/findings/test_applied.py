@@ -179,6 +179,50 @@ def test_lost_fragments_are_found(tmp_path):
     assert "wait for 30 s in at most 4,194,304 B" in finding.action
 
 
+@pytest.mark.parametrize(
+    ("path", "mtu", "payload_bytes", "is_blamed"),
+    [
+        ("eth0", {"eth0": 1500}, 33_000, True),
+        ("eth0", {"eth0": 1500}, 900, False),  # one packet holds it, so that others' datagrams failed
+        ("eth0", {"eth0": 9000}, 8_000, False),
+        ("lo", {"lo": 65_536}, 4_000_000, False),  # which takes the largest datagram there is
+        ("shm", {}, 33_000, False),
+        ("unknown", {"eth0": 1500}, 900, True),
+        (None, {}, 900, True),  # an older recorder does not tell
+    ],
+)
+def test_fragments_of_others_are_not_blamed_on_a_run_that_sent_none(
+    tmp_path, path, mtu, payload_bytes, is_blamed
+):
+    fields = instants((), (), {"ReasmFails": 5}, {"ReasmFails": 25})
+    fields["applied"]["path"] = path
+    host = {"mtu": mtu}
+    write_pair(
+        tmp_path,
+        messages(MS),
+        ping=ping_session(extra=fields, host=host),
+        relay=relay_session(extra=fields, host=host),
+        runs=[run(planned_messages=COUNT, published=COUNT, payload_bytes=payload_bytes)],
+    )
+    assert bool(of_code(analyze(tmp_path), "fragments_lost")) is is_blamed
+
+
+@pytest.mark.parametrize(("kernel_drops", "code"), [(0, "fragments_lost"), (1, "wire_incomplete")])
+def test_a_captured_run_is_judged_by_its_own_counts_alone(tmp_path, kernel_drops, code):
+    counts = {"kernel_drops": kernel_drops, "ip": {"reassembly_failed": 3}}
+    fields = instants((), (), {"ReasmFails": 5}, {"ReasmFails": 25})
+    write_pair(
+        tmp_path,
+        messages(MS),
+        ping=ping_session(extra=fields),
+        relay=relay_session(extra=fields),
+        runs=[run(planned_messages=COUNT, published=COUNT, extra={"wire": counts})],
+    )
+    found = [f for f in analyze(tmp_path).findings if f.code in {"fragments_lost", "wire_incomplete"}]
+    assert [(f.code, f.groups) for f in found] == [(code, (0,))]
+    assert "3 datagrams that could not be put together" in found[0].what
+
+
 def test_a_count_that_began_anew_is_no_finding(tmp_path):
     record(tmp_path, ping=instants((), (), {"ReasmFails": 9}, {"ReasmFails": 2}))
     assert of_code(analyze(tmp_path), "fragments_lost") == []

@@ -101,6 +101,40 @@ def test_what_the_relays_capture_counted_is_added_once(tmp_path):
     assert (row["kernel_drops"], row["complete"]) == (7, False)
 
 
+def two_runs(tmp_path, run_ids, **of_second):
+    """Two runs of a ping with a capture each, and counts of the relay's capture over `run_ids`."""
+    described = [
+        run(run_id=number, planned_messages=4, published=4, extra={"wire": COUNTS}, **changes)
+        for number, changes in ((1, {}), (2, of_second))
+    ]
+    sent, relayed = {}, {}
+    for each in described:
+        for held, made in ((sent, ping_events), (relayed, relay_events)):
+            for stage, events in made(MESSAGES, run_id=each.run_id, payload_bytes=each.payload_bytes).items():
+                held[stage] = held.get(stage, []) + events
+    counts = of_relay(kernel_drops=1) | {"run_ids": [f"{number:016x}" for number in run_ids]}
+    write_trace(tmp_path / "ping.mcap", ping_session(), described, sent)
+    write_trace(tmp_path / "relay.mcap", relay_session(), (), relayed, wire=[counts])
+    return analyze(tmp_path)
+
+
+def test_a_relays_counts_over_two_runs_of_a_group_are_added_once(tmp_path):
+    (row,) = two_runs(tmp_path, (1, 2)).details.wire.to_dicts()
+    assert (row["requests"], row["reassembly_failed"]) == (2 + 2 + 3, 1 + 1 + 4)
+    assert (row["kernel_drops"], row["shared_counts"]) == (1, 0)
+
+
+@pytest.mark.parametrize("run_ids", [(1, 2), (1, 99)], ids=["of two groups", "of an unknown run"])
+def test_a_relays_counts_over_runs_of_two_groups_are_nobodys(tmp_path, run_ids):
+    analysis = two_runs(tmp_path, run_ids, payload_bytes=500)
+    first, second = analysis.details.wire.sort("payload_bytes", descending=True).to_dicts()
+    # What the capture missed, it missed of each; requests and lost datagrams may be the other's.
+    assert (first["requests"], first["reassembly_failed"], first["kernel_drops"]) == (2, 1, 1)
+    assert [each["shared_counts"] for each in (first, second)] == [1, int(2 in run_ids)]
+    shared = {f.groups for f in analysis.findings if f.code == "wire_counts_shared"}
+    assert shared == ({(0,), (1,)} if 2 in run_ids else {(first["group"],)})
+
+
 def test_repeats_of_both_ways_are_joined_to_the_messages(tmp_path):
     ping = texts(
         record(0),
@@ -128,7 +162,7 @@ def test_on_loopback_both_captures_have_a_message_and_it_counts_once(tmp_path):
 def test_without_the_wire_the_frames_are_empty(tmp_path):
     details = analyze(folder_of(tmp_path, counts=None)).details
     assert (details.wire.height, details.wire_classes.height, details.wire_repeats.height) == (0, 0, 0)
-    assert details.wire.width == 19
+    assert details.wire.width == 20
 
 
 @pytest.mark.parametrize("counts", [7, [], {"classes": 3, "ip": [], "duration_s": "long"}, {"classes": [1]}])
@@ -159,6 +193,51 @@ def test_repeats_that_are_a_load_of_their_own_are_a_storm(tmp_path):
     assert "retransmission_storm" not in finding(tmp_path)  # a fifth is the limit
 
 
+def many_again(tmp_path, again, count=40, **changes):
+    """Findings of a run of `count` messages, of which the first `again` were sent twice, with few bytes."""
+    messages = [Message(s, t0=s, t1=s, t3=s + 10, t4=s + 10, t2=s + 20) for s in range(count)]
+    counts = {**COUNTS, "classes": COUNTS["classes"][:2], "requests": 0, "ip": {}, **changes}
+    described = run(
+        planned_messages=count,
+        published=count,
+        extra={"session_id": f"{PING_SESSION_ID:016x}", "wire": counts},
+    )
+    wire = texts(*(record(s, repeats=int(s < again), resent_after_ns=MS) for s in range(count)))
+    write_trace(tmp_path / "ping.mcap", ping_session(), [described], ping_events(messages), wire=wire)
+    write_trace(tmp_path / "relay.mcap", relay_session(), (), relay_events(messages))
+    return {each.code: each for each in analyze(tmp_path).findings}
+
+
+def test_many_messages_sent_again_are_a_storm_though_their_bytes_are_few(tmp_path):
+    storm = many_again(tmp_path, 6)["retransmission_storm"]
+    assert storm.what == "0 % of the bytes on the wire were sent again, 6 of 40 messages."
+    assert storm.effect == pytest.approx(6 / 40)
+    assert "retransmission_storm" not in many_again(tmp_path, 4)  # a tenth is the limit
+    assert "retransmission_storm" not in many_again(tmp_path, 4, count=10)  # four are few
+
+
+@pytest.mark.parametrize(
+    ("kernel", "words"),
+    [
+        ({"udp_receive_buffer_full": 7, "reassembly_failed": 9}, "7 datagrams found a full receive buffer"),
+        ({"reassembly_failed": 9}, "9 datagrams that could not be put together from IP fragments, so send"),
+        ({}, "neither kernel counted a lost datagram, so look at the link: lower the rate"),
+    ],
+)
+def test_what_to_set_against_a_storm_goes_by_what_the_kernels_counted(tmp_path, kernel, words):
+    assert words in many_again(tmp_path, 20, ip=kernel)["retransmission_storm"].action
+
+
+def test_fragments_that_were_lost_while_a_run_was_captured(tmp_path):
+    found = finding(tmp_path)["fragments_lost"]
+    assert found.what == (
+        "While its messages were under way, the kernels of both sides counted 1 datagram that could not be put together "
+        "from IP fragments."
+    )
+    assert "Cyclone DDS MaxMessageSize" in found.action
+    assert "fragments_lost" not in finding(tmp_path, ip={"reassembly_failed": 0})
+
+
 def test_discovery_out_of_proportion(tmp_path):
     classes = [*COUNTS["classes"], {"name": "liveliness", "packets": 1, "bytes": 100_000}]
     found = finding(tmp_path, classes=classes)["discovery_traffic"]
@@ -182,4 +261,7 @@ def test_a_capture_with_drops_is_the_only_finding_about_the_wire(tmp_path):
     classes = [{"name": "data_again", "packets": 1, "bytes": 100}]
     found = finding(tmp_path, classes=classes, kernel_drops=1)
     assert found["wire_incomplete"].what.startswith("The capture of the wire missed 1 packet that")
-    assert "retransmission_storm" not in found
+    assert found["wire_incomplete"].what.endswith(
+        "The kernel counted 1 datagram that could not be put together from IP fragments."
+    )
+    assert not {"retransmission_storm", "fragments_lost", "discovery_traffic"} & set(found)

@@ -21,6 +21,8 @@ SHM = Path("/dev/shm")  # noqa: S108 - POSIX shared memory of Linux, shm_overvie
 # Address range, permissions, offset, device, inode, path; proc_pid_maps(5).
 _MAPPING = re.compile(r"^(\w+)-(\w+) \S+ \w+ (\w+):(\w+) (\d+) +(?:/dev/shm/|/(?=SYSV))(.+)$", re.MULTILINE)
 _DELETED = " (deleted)"
+_LOOKS = 3
+"""Looks until a file that is mapped and not here is believed: one that is removed between maps and folder is a remainder."""
 _PORT_NUMBER = re.compile(r"\d+$")
 _LOCK = "_el"
 """Suffix of the file by whose lock Fast DDS tells the others that a segment, or the port of one receiver, is in use."""
@@ -98,16 +100,21 @@ def read_memory(pid: int | None = None, folder: Path = SHM) -> tuple[SharedMemor
         None where the process cannot be looked at: nothing is known.
     """
     process = Path("/proc") / str(os.getpid() if pid is None else pid)
-    try:
-        mapped = parse_maps((process / "maps").read_text(errors="replace"))
-    except OSError:
-        return None
-    opened = set(_opened_names(process))
-    return tuple(
-        _shared_memory(name, owner, found, opened, folder)
-        for name, found in sorted(mapped.items())
-        if (owner := memory_owner(name)) is not None
-    )
+    memory: tuple[SharedMemory, ...] = ()
+    for _ in range(_LOOKS):
+        try:
+            mapped = parse_maps((process / "maps").read_text(errors="replace"))
+        except OSError:
+            return None
+        opened = set(_opened_names(process))
+        memory = tuple(
+            _shared_memory(name, owner, found, opened, folder)
+            for name, found in sorted(mapped.items())
+            if (owner := memory_owner(name)) is not None
+        )
+        if all(each.is_here for each in memory):
+            break
+    return memory
 
 
 def parse_maps(text: str) -> dict[str, _Mapped]:

@@ -163,6 +163,15 @@ def test_a_removed_file_is_a_remainder(segment):
     assert (read.is_deleted, read.is_here, read.is_in_use, read.owner_uid) == (True, True, False, None)
 
 
+def test_a_file_that_is_removed_during_the_look_is_a_remainder(segment, monkeypatch):
+    def remove(_):
+        segment.unlink(missing_ok=True)
+        return iter(())
+
+    monkeypatch.setattr("dds_trace.recorder.applied.memory._opened_names", remove)
+    assert (seen(segment).is_here, seen(segment).is_deleted) == (True, True)
+
+
 def test_a_file_of_the_same_name_in_another_dev_shm_is_not_the_mapped_one(segment, tmp_path):
     assert not seen(segment, tmp_path).is_here
     (tmp_path / segment.name).write_bytes(b"x")

@@ -194,6 +194,9 @@ SETTING_COLUMNS = names_of(
 )
 """Parameters of a recommendation: the choice, and the domains, link and devices for which it holds."""
 
+PLACE_COLUMNS = names_of(KeyPart.DEVICES, KeyPart.LINK)
+"""Parameters that say where something was measured; settings of unlike places are no alternatives."""
+
 CASE_COLUMNS = (
     *names_of(KeyPart.LINK),
     *names_of(KeyPart.DOMAIN_MODE),

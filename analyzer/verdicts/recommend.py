@@ -20,7 +20,8 @@ import polars as pl
 from dds_trace.tracefile.units.counts import counted
 from dds_trace.tracefile.units.durations import SECOND_NS
 
-from ..model.parameters import SETTING_COLUMNS
+from ..model.parameters import PLACE_COLUMNS, SETTING_COLUMNS
+from ..model.setting import condition_of
 from ..run_statistics.between_runs import interval_of_runs
 from ..run_statistics.deciding import runs_to_settle_value
 from ..run_statistics.runs import Statistic
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 
     from dds_trace.tracefile import Run
 
+    from ..model.parameters import ParameterValue
     from ..statistics.intervals import Interval, Range
     from .cases import Setting
     from .interpolation import SizeAndRate
@@ -72,7 +74,8 @@ class Candidate:
         margin_ns: deadline less upper end, negative if that is later; None if it is unknown or infinite.
         messages: published messages of the job's size and rate, 0 for a guess.
         held_out: measurements that a guess's error comes from, 0 for a measured candidate.
-        tied: whether the interval overlaps that of the best candidate, so that these traces do not tell the two apart.
+        tied: whether the interval overlaps that of the best candidate on the same devices and link, under the same
+            conditions, so that these traces do not tell the two apart.
         reason: one sentence: why the fit is not `meets`, or what a guess rests on; empty otherwise.
         received_ratio: share of the messages whose reply came back; None for a guess.
         survivors_ns: the `reliability` quantile of the messages that came back; None for a guess and where they are
@@ -127,14 +130,17 @@ class Recommendation:
 
     @property
     def best(self) -> tuple[Candidate, ...]:
-        """Candidates that meet the deadline and cannot be told apart from the first; empty if no candidate meets it."""
+        """Candidates that meet the deadline and cannot be told apart from the first at their place; empty if none meets it."""
         return tuple(c for c in self.candidates if c.fit is Fit.MEETS and c.tied)
 
     @property
     def is_conclusive(self) -> bool:
-        """Whether one candidate alone is best, or every candidate surely misses the deadline."""
-        return len(self.best) == 1 or (
-            bool(self.candidates) and all(c.fit is Fit.MISSES and c.measured for c in self.candidates)
+        """Whether at every place one candidate alone is best, or every candidate surely misses the deadline."""
+        at_places = _by_place(self.candidates).values()
+        return bool(at_places) and all(
+            len([c for c in at_place if c.fit is Fit.MEETS and c.tied]) == 1
+            or all(c.fit is Fit.MISSES and c.measured for c in at_place)
+            for at_place in at_places
         )
 
 
@@ -158,12 +164,24 @@ def recommend_settings(
         for setting, part in parts_of(roundtrips.filter(wanted), SETTING_COLUMNS)
         if (candidate := _candidate(setting, part, _Wanted(job, confidence, unfinished))) is not None
     ]
-    candidates = _without_floor(candidates)
-    candidates.sort(key=Candidate.order)
-    if candidates:
-        best = candidates[0]
-        candidates = [replace(c, tied=c is best or _is_tied(c, best)) for c in candidates]
-    return Recommendation(job, tuple(candidates))
+    judged: list[Candidate] = []
+    for at_place in _by_place(candidates).values():
+        held = sorted(_without_floor(at_place), key=Candidate.order)
+        judged += (replace(c, tied=c is held[0] or _is_tied(c, held[0])) for c in held)
+    return Recommendation(job, tuple(sorted(judged, key=Candidate.order)))
+
+
+def place_of(setting: Setting) -> tuple[ParameterValue, ...]:
+    """Return devices, link and conditions of a setting: candidates of unlike places are no alternatives."""
+    return *(setting[name] for name in PLACE_COLUMNS), condition_of(str(setting["setting"]))
+
+
+def _by_place(candidates: Iterable[Candidate]) -> dict[tuple[ParameterValue, ...], list[Candidate]]:
+    """Part candidates by their places, each part in the order in which they come."""
+    places: dict[tuple[ParameterValue, ...], list[Candidate]] = {}
+    for candidate in candidates:
+        places.setdefault(place_of(candidate.setting), []).append(candidate)
+    return places
 
 
 def _without_floor(candidates: list[Candidate]) -> list[Candidate]:

@@ -6,6 +6,9 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from dds_trace.analyzer.model.parameters import PLACE_COLUMNS
+from dds_trace.analyzer.model.setting import choice_of
+from dds_trace.analyzer.verdicts.recommend import Fit, place_of
 from dds_trace.tracefile.units.counts import counted
 from dds_trace.tracefile.units.durations import format_duration
 from dds_trace.tracefile.units.rates import format_rate
@@ -14,11 +17,13 @@ from dds_trace.tracefile.visible import visible
 
 from ..text import format_ratio
 from .groups import METRIC_LABELS, data_type_label, setting_labels
+from .verdicts import place_label
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from dds_trace.analyzer import Recommendation
+    from dds_trace.analyzer.verdicts.cases import Setting
     from dds_trace.analyzer.verdicts.job import Job
     from dds_trace.analyzer.verdicts.recommend import Candidate
 
@@ -48,12 +53,34 @@ def recommendation_info(recommendation: Recommendation | None, vendors: VendorLa
     if recommendation is None:
         return None
     candidates = recommendation.candidates
-    names = setting_labels([candidate.setting for candidate in candidates], vendors)
+    names = setting_labels([_choice(candidate.setting) for candidate in candidates], vendors)
+    places = [_place(candidate) for candidate in candidates]
+    several = len(set(places)) > 1
+    named = [f"{name}, on {place}" if several else name for name, place in zip(names, places, strict=True)]
+    at_place: dict[str, list[tuple[Candidate, str]]] = {}
+    for candidate, name, place in zip(candidates, names, places, strict=True):
+        at_place.setdefault(place, []).append((candidate, name))
+    deadline = f"the deadline of {format_duration(recommendation.job.deadline_ns)}"
+    said = [
+        f"{f'On {place}: ' if several else ''}{_said(told, deadline, opens=not several)}"
+        for place, told in at_place.items()
+    ]
     return Advice(
         asked=_asked(recommendation.job),
-        said=_said(recommendation, names),
-        rows=tuple(_row(candidate, name) for candidate, name in zip(candidates, names, strict=True)),
+        said=" ".join(said) or "The traces say nothing of such messages.",
+        rows=tuple(_row(candidate, name) for candidate, name in zip(candidates, named, strict=True)),
     )
+
+
+def _choice(setting: Setting) -> Setting:
+    """Return a setting without its place, which is told apart."""
+    return {**setting, **dict.fromkeys(PLACE_COLUMNS, ""), "setting": choice_of(str(setting["setting"]))}
+
+
+def _place(candidate: Candidate) -> str:
+    ping_device, relay_device, connectivity, conditions = place_of(candidate.setting)
+    relay = None if relay_device is None else str(relay_device)
+    return place_label(str(ping_device), relay, str(connectivity), str(conditions))
 
 
 _JUDGED_BY = {"response": "from planned send to reply", "latency": "by the latency, the mean of both ways"}
@@ -73,29 +100,30 @@ def _asked(job: Job) -> str:
     return f"{asked}."
 
 
-def _said(recommendation: Recommendation, names: Sequence[str]) -> str:
-    """Return which settings meet the deadline, in one sentence."""
-    candidates, deadline = (
-        recommendation.candidates,
-        f"the deadline of {format_duration(recommendation.job.deadline_ns)}",
-    )
-    if not candidates:
-        return "The traces say nothing of such messages."
-    named = list(zip(candidates, names, strict=True))
-    best = [name for candidate, name in named if candidate in recommendation.best]
+def _said(told: Sequence[tuple[Candidate, str]], deadline: str, *, opens: bool) -> str:
+    """Return which settings of one place meet the deadline, in one sentence.
+
+    Args:
+        told: candidates with their names, best first.
+        deadline: the deadline in words.
+        opens: whether the words open a sentence.
+    """
+    best = [name for candidate, name in told if candidate.fit is Fit.MEETS and candidate.tied]
     if best:
-        told = (
+        verb = (
             f"meets {deadline}"
             if len(best) == 1
             else f"meet {deadline}, and these traces do not tell them apart"
         )
-        return f"{'; '.join(best)} {told}."
-    likely = [name for candidate, name in named if candidate.fit.value == "likely"]
+        return f"{'; '.join(best)} {verb}."
+    likely = [name for candidate, name in told if candidate.fit is Fit.LIKELY]
     if likely:
-        return f"Nothing is shown to meet {deadline}; likely to meet it: {'; '.join(likely)}."
-    if recommendation.is_conclusive:
-        return f"Every setting that was measured misses {deadline}."
-    return f"Inconclusive: no setting is shown to meet {deadline}."
+        said = f"nothing is shown to meet {deadline}; likely to meet it: {'; '.join(likely)}."
+    elif all(candidate.fit is Fit.MISSES and candidate.measured for candidate, _ in told):
+        said = f"every setting that was measured misses {deadline}."
+    else:
+        said = f"inconclusive: no setting is shown to meet {deadline}."
+    return said[0].upper() + said[1:] if opens else said
 
 
 def _row(candidate: Candidate, name: str) -> tuple[str, ...]:

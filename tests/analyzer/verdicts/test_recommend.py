@@ -11,7 +11,7 @@ import pytest
 from roundtrip_frames import MS, S, in_runs, roundtrips, steady
 
 from dds_trace.analyzer.verdicts.job import Job
-from dds_trace.analyzer.verdicts.recommend import Fit, recommend_settings
+from dds_trace.analyzer.verdicts.recommend import Fit, place_of, recommend_settings
 from dds_trace.tracefile import Run
 
 JOB = Job("binary", 33_000, 10.0, 20 * MS, 0.9, metric="latency")
@@ -270,3 +270,21 @@ def test_losses_stand_beside_a_setting_that_meets_all_the_same():
     assert candidate.fit is Fit.MEETS  # 98 % come back, 90 % are asked for
     assert candidate.received_ratio == pytest.approx(0.98)
     assert candidate.survivors_ns < 6 * MS
+
+
+def test_devices_links_and_conditions_are_no_alternatives():
+    # Each place has its own best, and ties are ties within a place.
+    frame = pl.concat(
+        in_runs(noisy(centre_ns), vendor=vendor, run_id=10 * number + first, spread=0.01, **place)
+        for number, place in enumerate(
+            ({}, {"ping_device": "laptop"}, {"connectivity": "wireless"}, {"setting": "flows=2"}), 1
+        )
+        for first, (vendor, centre_ns) in enumerate(
+            {"fastdds": number * 2 * MS, "zenoh": number * 3 * MS}.items()
+        )
+    )
+    ranking = recommend_settings(frame, JOB)
+    assert len(ranking.candidates) == 8
+    assert len({place_of(one.setting) for one in ranking.best}) == len(ranking.best) == 4
+    assert {one.setting["vendor"] for one in ranking.best} == {"fastdds"}
+    assert ranking.is_conclusive

@@ -145,7 +145,8 @@ def _print_table(comparison: "Comparison", results: "list[GateResult]") -> None:
     from rich.text import Text
 
     from dds_trace.analyzer import group_words, varying_columns
-    from dds_trace.reports.comparison import comparison_notes, result_line, runs_of_row
+    from dds_trace.reports.changes import episodes_words, received_words, runs_words
+    from dds_trace.reports.comparison import comparison_notes, result_line
     from dds_trace.tracefile.visible import MAX_FINDING_CHARACTERS, visible
 
     console = Console(width=None if sys.stdout.isatty() else 200)
@@ -154,6 +155,7 @@ def _print_table(comparison: "Comparison", results: "list[GateResult]") -> None:
         "metric",
         "base ms",
         "new ms",
+        "tail rests on",
         "received",
         "change",
         "interval",
@@ -169,10 +171,11 @@ def _print_table(comparison: "Comparison", results: "list[GateResult]") -> None:
             f"{row['metric']} {row['statistic']}",
             _with_survivors(row["base_ns"], row["base_survivors_ns"]),
             _with_survivors(row["new_ns"], row["new_survivors_ns"]),
-            f"{_share(row['base_received_ratio'])} -> {_share(row['new_received_ratio'])}",
+            " -> ".join(filter(None, (episodes_words(row, side) for side in ("base", "new")))),
+            received_words(row),
             _percent(row["ratio"]),
             f"{low} to {high}" if low and high else "unknown",
-            runs_of_row(row),
+            runs_words(row),
             _percent(row["smallest_ratio"]),
             row["verdict"],
         )
@@ -187,10 +190,6 @@ def _with_survivors(value_ns: float | None, survivors_ns: float | None) -> str:
     if value_ns is None or value_ns != float("inf"):
         return _ms(value_ns)
     return "lost" if survivors_ns is None else f"lost (survivors {_ms(survivors_ns)})"
-
-
-def _share(value: float | None) -> str:
-    return "unknown" if value is None else f"{value:.2%}"
 
 
 def _ms(value_ns: float | None) -> str:

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET  # written, never parsed
 
 from dds_trace.analyzer.model.names import group_words
-from dds_trace.analyzer.statistics.intervals import RUNS_TO_TELL, Basis
+from dds_trace.analyzer.statistics.intervals import RUNS_TO_TELL
 from dds_trace.analyzer.verdicts.compare import FAMILY
 from dds_trace.analyzer.verdicts.gate import Against, GateOutcome
 from dds_trace.analyzer.verdicts.gates import overall_outcome, varying_columns
-from dds_trace.tracefile.units.counts import counted
 from dds_trace.tracefile.units.durations import format_ms
 from dds_trace.tracefile.visible import MAX_FINDING_CHARACTERS, visible
 
+from .changes import episodes_words, received_words, runs_words
 from .text import markdown
 
 if TYPE_CHECKING:
@@ -100,14 +100,6 @@ def result_line(result: GateResult) -> str:
     return f"{result.outcome.value}: {result.gate.text} ({where})" + (f": {visible(why)}" if why else "")
 
 
-def runs_of_row(row: Mapping[str, Any]) -> str:
-    """Return on how many runs a row of a comparison rests, as in `5 and 5`, `5 pairs` or `1 and 1, within one run`."""
-    if row["pairs"]:
-        return f"{row['pairs']} pairs"
-    said = f"{row['base_runs']} and {row['new_runs']}"
-    return said if row["basis"] == Basis.BETWEEN_RUNS.value else f"{said}, {row['basis']}"
-
-
 def _why(result: GateResult) -> str:
     """Return the reason of a result, with the smallest change that could have been found."""
     found = (
@@ -150,38 +142,31 @@ def _markdown_row(row: dict[str, Any], names: Sequence[str]) -> str:
     change = None if row["ratio"] is None else row["ratio"] - 1
     ends = [None if row[end] is None else row[end] - 1 for end in ("ratio_low", "ratio_high")]
     below = "" if row["superiority"] is None else f"{row['superiority']:.0%}"
-    received = " -> ".join(_share(row[f"{side}_received_ratio"]) for side in ("base", "new"))
     smallest = "" if row["smallest_ratio"] is None else _percent(row["smallest_ratio"] - 1)
     cells = (
         markdown(group_words(row, names)),
         f"{row['metric']} {row['statistic']}",
-        _with_survivors(row["base_ns"], row["base_survivors_ns"], row["base_episodes"], row["statistic"]),
-        _with_survivors(row["new_ns"], row["new_survivors_ns"], row["new_episodes"], row["statistic"]),
-        received,
+        _with_survivors(row, "base"),
+        _with_survivors(row, "new"),
+        received_words(row),
         _percent(change),
         _interval(*map(_percent, ends)),
         below,
-        runs_of_row(row),
+        runs_words(row),
         smallest,
         row["verdict"],
     )
     return f"| {' | '.join(cells)} |"
 
 
-def _with_survivors(
-    value_ns: float | None, survivors_ns: float | None, episodes: int | None, statistic: str
-) -> str:
-    """Write a time, beside a lost one that of the survivors, and of a tail the episodes it rests on."""
+def _with_survivors(row: Mapping[str, Any], side: str) -> str:
+    """Write the time of a side, beside a lost one that of the survivors, and of a tail the episodes it rests on."""
+    value_ns, survivors_ns = row[f"{side}_ns"], row[f"{side}_survivors_ns"]
     said = _ms(value_ns)
     if value_ns is not None and math.isinf(value_ns) and survivors_ns is not None:
         said += f" (survivors {_ms(survivors_ns)})"
-    if statistic.startswith("p9") and said and episodes is not None:
-        said += f" ({counted(episodes, 'episode')})"
-    return said
-
-
-def _share(value: float | None) -> str:
-    return "unknown" if value is None else f"{value:.2%}"
+    episodes = episodes_words(row, side)
+    return f"{said} ({episodes})" if episodes else said
 
 
 def _measured(result: GateResult, value: float | None) -> str:

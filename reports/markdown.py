@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from dds_trace.tracefile.files import replacing
 from dds_trace.tracefile.units.counts import counted
 from dds_trace.tracefile.units.durations import format_duration
+from dds_trace.tracefile.units.quantities import MISSING
 from dds_trace.tracefile.units.rates import format_rate
 from dds_trace.tracefile.units.sizes import format_size
 
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from .book.book import Book
-    from .book.numbers import Intervals
+    from .book.numbers import Intervals, Values
     from .figures.bridge_cost import Cost
 
 FILE_NAME = "report.md"
@@ -28,7 +29,8 @@ MOST_GROUPS = 150
 """Most groups listed, because a comment on a pull request is read and not searched."""
 COST_STATISTICS = ("p50", "p90", "p99")
 HOW_TO_READ_COSTS = (
-    "Latency through the bridge less that of the same domain, its 95 % interval, and the ratio of the two; a lost message is "
+    "Latency through the bridge less that of the same domain, its 95 % interval, and the ratio of the two, with the runs and the "
+    "shares received of the same domain and of the bridge; a lost message is "
     "infinitely late. Without an interval the samples show no more than the difference, and from fewer than three runs a way "
     "the interval holds within one run."
 )
@@ -112,8 +114,8 @@ def _groups(book: Book) -> str:
                 format_size(cell.payload_bytes),
                 format_rate(cell.rate_hz),
                 groups.labels[group.series],
-                format_ratio(values.plain["received_ratio"][group.index]),
-                intervals.basis(metric, "p50", group.index),
+                _received(values, group.index),
+                _runs(book, group.index),
                 *(
                     _with_interval(values.times_ns[metric][name], ends, name, group.index)
                     + _episodes_words(intervals, metric, name, group.index)
@@ -134,11 +136,25 @@ def _groups(book: Book) -> str:
     return "\n\n".join([table, *notes])
 
 
+def _received(values: Values, group: int) -> str:
+    """Format the share received of what was sent, and what was due and never left: `99.5 %, 120 unsent`."""
+    unsent = values.plain["unsent"][group]
+    return format_ratio(values.plain["received_ratio"][group]) + (f", {unsent:.0f} unsent" if unsent else "")
+
+
+def _runs(book: Book, group: int) -> str:
+    """Return the runs of a group, with what its intervals rest on; without intervals their number alone."""
+    basis, runs = (
+        book.intervals.basis(book.values.default_metric, "p50", group),
+        book.values.plain["runs"][group],
+    )
+    return basis if basis != MISSING or runs is None else f"{runs:.0f}"
+
+
 def _episodes_words(intervals: Intervals, metric: str, name: str, group: int) -> str:
     """Say on how many episodes a tail rests, as in ` (rests on 12 episodes)`; nothing of a median."""
-    of_groups = intervals.episodes.get(metric, {}).get(name, ())
-    episodes = of_groups[group] if of_groups else None
-    return "" if episodes is None or name == "p50" else f" (rests on {counted(episodes, 'episode')})"
+    episodes = intervals.tail_episodes(metric, name, group)
+    return "" if episodes is None else f" (rests on {counted(episodes, 'episode')})"
 
 
 def _with_interval(
@@ -167,6 +183,7 @@ def _bridge_costs(book: Book) -> str:
                 format_size(cell.payload_bytes),
                 format_rate(cell.rate_hz),
                 groups.labels[group.series],
+                *_sides(bridged.costs),
                 *(_added(bridged.costs.get(name)) for name in COST_STATISTICS),
                 format_duration(None)
                 if bridged.bridge_cpu_percent is None
@@ -174,13 +191,19 @@ def _bridge_costs(book: Book) -> str:
             )
         )
     names = (f"Added, {STATISTIC_LABELS[name]}" for name in COST_STATISTICS)
-    table = _table(("Data", "Size", "Rate", "Series", *names, "Bridge CPU"), rows)
+    table = _table(("Data", "Size", "Rate", "Series", "Runs", "Received", *names, "Bridge CPU"), rows)
     left = len(cells) - len(rows)
     notes = [
         HOW_TO_READ_COSTS,
         *([f"{counted(left, 'more cell is', 'more cells are')} in the JSON report."] if left else []),
     ]
     return "\n\n".join([table, *notes]) if rows else ""
+
+
+def _sides(costs: Mapping[str, Cost]) -> tuple[str, str]:
+    """Return the runs of both ways and the shares that they received, which are the same of every statistic."""
+    first = next(iter(costs.values()))
+    return first.runs, first.received
 
 
 def _added(cost: Cost | None) -> str:

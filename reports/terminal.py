@@ -12,6 +12,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from dds_trace.analyzer.statistics.intervals import EPISODES_TO_TELL, RUNS_TO_TELL
 from dds_trace.tracefile.units.durations import format_duration
 from dds_trace.tracefile.units.quantities import MISSING
 from dds_trace.tracefile.units.rates import format_rate
@@ -28,13 +29,26 @@ if TYPE_CHECKING:
 
     from .book.book import Book
     from .book.groups import Groups
-    from .book.numbers import Values
+    from .book.numbers import Intervals, Values
 
 WIDTH = 80
-SPARK_CELLS = 16
+SPARK_CELLS = 12
 _BLOCKS = " ▁▂▃▄▅▆▇█"
 _COLORS = {"error": "red", "warning": "yellow", "info": "blue"}
-_COLUMNS = (("Size", 8), ("Rate", 7), ("Recv", 9), ("p50", 8), ("p99", 8), ("max", 8))
+_COLUMNS = (
+    ("Size", 7),
+    ("Rate", 7),
+    ("Runs", 4),
+    ("Recv", 9),
+    ("p50", 7),
+    ("p99", 7),
+    ("Epi.", 4),
+    ("max", 7),
+)
+_NOTES = (
+    f"Runs: with a *, what is said holds within one run; it takes {RUNS_TO_TELL} to tell more. Epi.: the episodes that "
+    f"p99 rests on; with fewer than {EPISODES_TO_TELL} nothing is known of how late it may be."
+)
 
 
 def render(book: Book) -> str:
@@ -128,6 +142,7 @@ class _Shown:
 
     groups: Groups
     values: Values
+    intervals: Intervals
     metric: str
     curves: Sequence[tuple[int, ...]]
     ends_ns: tuple[int, int]
@@ -139,7 +154,12 @@ def _tables(book: Book) -> list[RenderableType]:
     curves = book.curves.values_ns[values.default_metric]
     known = [value for curve in curves for value in curve if value > 0]
     shown = _Shown(
-        groups, values, values.default_metric, curves, (min(known, default=1), max(known, default=1))
+        groups,
+        values,
+        book.intervals,
+        values.default_metric,
+        curves,
+        (min(known, default=1), max(known, default=1)),
     )
     tables: list[RenderableType] = []
     for place, label in enumerate(groups.labels):
@@ -147,7 +167,7 @@ def _tables(book: Book) -> list[RenderableType]:
     if known:
         low, high = (format_duration(end) for end in shown.ends_ns)
         note = f"{METRIC_LABELS[shown.metric]}. Each sparkline spans {low} to {high} (log scale): where the messages lie."
-        tables.append(Text(note, style="dim"))
+        tables += [Text(note, style="dim"), Text(_NOTES, style="dim")]
     return tables
 
 
@@ -165,11 +185,26 @@ def _table(shown: _Shown, series: int) -> Table:
             Text(visible(cell.data_type)),
             format_size(cell.payload_bytes),
             format_rate(cell.rate_hz),
+            _runs(shown, group.index),
             format_ratio(shown.values.plain["received_ratio"][group.index]),
-            *(format_duration(times[name][group.index]) for name in ("p50", "p99", "max")),
+            *(format_duration(times[name][group.index]) for name in ("p50", "p99")),
+            _episodes(shown, group.index),
+            format_duration(times["max"][group.index]),
             Text(_sparkline(shown.curves[group.index], shown.ends_ns)),
         )
     return table
+
+
+def _runs(shown: _Shown, group: int) -> str:
+    """Return the runs of a group, with a star where they are too few to tell more than of one run."""
+    runs = shown.values.plain["runs"][group]
+    return MISSING if runs is None else f"{runs:.0f}" + ("*" if runs < RUNS_TO_TELL else "")
+
+
+def _episodes(shown: _Shown, group: int) -> str:
+    """Return the episodes that the p99 of a group rests on; a dash where no message lies beyond it."""
+    episodes = shown.intervals.tail_episodes(shown.metric, "p99", group)
+    return MISSING if episodes is None else str(episodes)
 
 
 def _sparkline(curve: Sequence[int], ends: tuple[int, int]) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import polars as pl
 
 from dds_trace.analyzer.model.setting import condition_of
-from dds_trace.analyzer.statistics.intervals import RUNS_TO_TELL
+from dds_trace.analyzer.statistics.intervals import RUNS_TO_TELL, Basis
 from dds_trace.tracefile.units.counts import counted
 from dds_trace.tracefile.units.durations import format_duration
 from dds_trace.tracefile.visible import visible
@@ -273,7 +273,7 @@ def _added_words(rows: list[dict[str, Any]]) -> str:
         between = (
             ""
             if low is None or high is None
-            else f" (95 %: {format_added_ns(low)} to {format_added_ns(high)})"
+            else f" (95 %{_within(rows[0])}: {format_added_ns(low)} to {format_added_ns(high)})"
         )
         return f"median {format_added_ns(added[0])}{between} against the same domain in the one cell compared; {said}."
     verdicts = Counter(row["verdict"] for row in rows)
@@ -281,6 +281,10 @@ def _added_words(rows: list[dict[str, Any]]) -> str:
     counts[0] += f" of {cells_label(len(rows))}"
     ends = f"{format_added_ns(added[0])} to {format_added_ns(added[-1])}"
     return f"median {ends} against the same domain; {', '.join(counts)}."
+
+
+def _within(row: Mapping[str, Any]) -> str:
+    return f", {row['basis']}" if row["basis"] == Basis.WITHIN_RUN.value else ""
 
 
 def way_label(row: Mapping[str, Any], vendors: VendorLabels) -> str:
@@ -301,9 +305,10 @@ def _unknown_remarks(metric: str) -> list[str]:
 def _losses(values: Values) -> str:
     published = round(sum(count or 0 for count in values.plain["published"]))
     received = sum(count or 0 for count in values.plain["received"])
+    unsent = _unsent(values)
     lost = published - received
     if lost == 0:
-        return "Every message came back."
+        return f"Every message {'that left ' if unsent else ''}came back.{unsent}"
     touched = sum(
         (a or 0) > (b or 0) for a, b in zip(values.plain["published"], values.plain["received"], strict=True)
     )
@@ -311,7 +316,17 @@ def _losses(values: Values) -> str:
     groups = f"{format_count(touched)} of {counted(count, 'group', text=format_count(count))}"
     share = format_ratio(lost / published)
     messages = counted(published, "message", text=format_count(published))
-    return f"{format_count(lost)} of {messages} ({share}) did not come back, in {groups}."
+    return f"{format_count(lost)} of {messages} ({share}) did not come back, in {groups}.{unsent}"
+
+
+def _unsent(values: Values) -> str:
+    """Say how many messages were due and never left, behind a sentence; empty if none was."""
+    counts = [round(count or 0) for count in values.plain["unsent"]]
+    if not any(counts):
+        return ""
+    of_groups = counted(len(counts), "group", text=format_count(len(counts)))
+    said = counted(sum(counts), "more message was", "more messages were", text=format_count(sum(counts)))
+    return f" {said} due and never left, in {sum(map(bool, counts))} of {of_groups}; verdicts count them as lost."
 
 
 def _and(names: Iterable[str]) -> str:

@@ -32,6 +32,9 @@ COUNTS = (
     "lost_unknown",
     "duplicates",
     "reordered",
+    "runs",
+    "planned",
+    "unsent",
 )
 
 
@@ -106,6 +109,11 @@ class Intervals:
     is_between: Ends
     runs: tuple[int, ...]
 
+    def tail_episodes(self, metric: str, percentile: str, group: int) -> int | None:
+        """Return the episodes that a tail rests on; None of a median, and where no message lies beyond."""
+        of_groups = self.episodes.get(metric, {}).get(percentile, ())
+        return of_groups[group] if of_groups and percentile != "p50" else None
+
     def basis(self, metric: str, percentile: str, group: int) -> str:
         """Return on how many runs an interval rests, as in `5` or `1, within one run`; a dash without an interval."""
         is_between = self.is_between.get(metric, {}).get(percentile, ())
@@ -157,10 +165,13 @@ class Curves:
         values_ns: metric -> for each group the values that these shares of messages do not exceed. A tuple ends at
             the last level that the sample supports (level q needs 1 / (1 - q) messages); it is empty if the metric was
             not measured.
+        shares: for each group the share of the messages planned that came back, of those that were due: published, or due
+            and never left. None without such a message.
     """
 
     levels: tuple[float, ...]
     values_ns: Mapping[str, tuple[tuple[int, ...], ...]]
+    shares: tuple[float | None, ...] = ()
 
 
 def any_curve(analysis: Analysis) -> bool:
@@ -183,7 +194,15 @@ def curves_info(analysis: Analysis) -> Curves:
             own = slice(start, start + buckets)
             curves[metric][group] = _curve(values_ns[own], counts[own])
         start += buckets
-    return Curves(LEVELS, {metric: tuple(per_group) for metric, per_group in curves.items()})
+    counts_of = analysis.summary.select("received", "published", "unsent").fill_null(0).iter_rows()
+    return Curves(
+        LEVELS,
+        {metric: tuple(per_group) for metric, per_group in curves.items()},
+        tuple(
+            received / (published + unsent) if published + unsent else None
+            for received, published, unsent in counts_of
+        ),
+    )
 
 
 def _curve(values_ns: np.ndarray, counts: np.ndarray) -> tuple[int, ...]:

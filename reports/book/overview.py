@@ -119,7 +119,9 @@ def _messages(analysis: Analysis) -> str:
     published, received = (int(analysis.summary[name].sum()) for name in ("published", "received"))
     runs = len(analysis.runs)
     came_back = "all came back" if published == received else f"{format_count(received)} came back"
-    return f"{format_count(published)} in {counted(runs, 'run', text=format_count(runs))}, {came_back}"
+    unsent = int(analysis.summary["unsent"].sum())
+    never = f", {format_count(unsent)} more never left" if unsent else ""
+    return f"{format_count(published)} in {counted(runs, 'run', text=format_count(runs))}, {came_back}{never}"
 
 
 def _sent(groups: Groups) -> str:

@@ -9,6 +9,7 @@ from dds_trace.analyzer.model.parameters import BRIDGED_COLUMNS
 
 from ..book.groups import data_type_label
 from ..book.numbers import whole_ns
+from ..changes import received_words, runs_words
 from .figure import Figure, LeftOut, figure_maker
 
 if TYPE_CHECKING:
@@ -19,13 +20,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """Difference of one statistic in ns, with the ends of its interval if the samples support them."""
+    """Difference of one statistic in ns, with the ends of its interval if the samples support them.
+
+    Attributes:
+        received: shares received in the same domain and through the bridge, as in `100.00% -> 98.50%`.
+        runs: what the interval rests on, as in `5 and 5` or `1 and 1, within one run`.
+    """
 
     difference_ns: int
     low_ns: int | None
     high_ns: int | None
     ratio: float | None
     verdict: str
+    received: str
+    runs: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +82,7 @@ def bridge_cost_info(book: Book) -> BridgeCost:
         if group is not None and row["metric"] == "latency" and difference_ns is not None:
             ends = (whole_ns(row["difference_low_ns"]), whole_ns(row["difference_high_ns"]))
             costs.setdefault(group, {})[row["statistic"]] = Cost(
-                difference_ns, *ends, row["ratio"], row["verdict"]
+                difference_ns, *ends, row["ratio"], row["verdict"], received_words(row), runs_words(row)
             )
     loads = book.bridge_loads
     panels: dict[str, list[BridgedCell]] = {}

@@ -1,4 +1,8 @@
-"""How the values of a group are spread: the tail on an axis of rarity, and the body as the share of messages in time."""
+"""How the values of a group are spread: the tail on an axis of rarity, and the body as the share of messages in time.
+
+The share is of the messages planned: one that was lost, or was due and never left, is infinitely late, and the curve ends
+at the share received. That of the survivors, which came back, stands beside it. The tail is of the survivors.
+"""
 
 from __future__ import annotations
 
@@ -30,8 +34,8 @@ def percentile_curve_figure(info: DistributionCurves) -> Figure | LeftOut:
     if not info.any_drawn:
         return LeftOut(name, title, "no group has two messages that came back.")
     how_to_read = (
-        "Each step to the right is ten times rarer: read off how late the worst message in 10, 100 or 1,000 was; "
-        "a curve ends where the sample does."
+        "Each step to the right is ten times rarer: read off how late the worst message in 10, 100 or 1,000 of the survivors "
+        "(the messages that came back) was; a curve ends where the sample does."
     )
     return Figure(name, title, how_to_read, "percentile_curve", {})
 
@@ -42,8 +46,9 @@ def ecdf_figure(info: DistributionCurves) -> Figure | LeftOut:
     if not info.any_drawn:
         return LeftOut(name, title, "no group has two messages that came back.")
     how_to_read = (
-        "Pick a deadline on the horizontal axis: the curve says which share of the messages that came back met it; "
-        "a steep curve is a predictable one."
+        "Pick a deadline on the horizontal axis: the curve says which share of the messages planned met it; as one that was lost, "
+        "or was due and never left, never does, it ends at the share received, and where that is less than all the curve of the "
+        "survivors (the messages that came back) stands beside."
     )
     return Figure(name, title, how_to_read, "ecdf", {})
 

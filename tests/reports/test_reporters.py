@@ -18,6 +18,7 @@ from dds_trace.analyzer.verdicts.recommend import recommend_settings
 from dds_trace.reports import REPORT_MODULES, document, load_reporter, write_reports
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.groups import LATENCY_MEANING
+from dds_trace.reports.book.numbers import intervals_info
 from dds_trace.reports.figures import FIGURES, Figure
 from dds_trace.tracefile.errors import OptionError, OutputError
 
@@ -168,7 +169,42 @@ def test_a_sparkline_shows_where_the_messages_lie():
     (fast_line,) = (line for line in text.splitlines() if "10 Hz" in line and "binary" in line)
     (slow_line,) = (line for line in text.splitlines() if "20 Hz" in line and "binary" in line)
     assert fast_line.endswith("1 ms █")
-    assert slow_line.endswith("100 ms                █")
+    assert slow_line.endswith("100 ms            █")
+
+
+HALF_SENT = [Measured([MS + 1000 * (n * 7 % 60) for n in range(300)], unsent=300)]
+
+
+def test_the_terminal_says_what_its_numbers_rest_on():
+    text = load_reporter("terminal").render(Book(make_analysis(*HALF_SENT)))
+    (heading,) = (line.split() for line in text.splitlines() if line.startswith("Data"))
+    (row,) = (line.split() for line in text.splitlines() if line.startswith("binary"))
+    cells = dict(zip(["Data", "Size", "", "Rate", "", "Runs"], row, strict=False))
+    assert heading == ["Data", "Size", "Rate", "Runs", "Recv", "p50", "p99", "Epi.", "max", "Distribution"]
+    assert cells["Runs"] == "1*"
+    episodes = intervals_info(make_analysis(*HALF_SENT)).tail_episodes("latency", "p99", 0)
+    assert row[row.index("ms", row.index("ms") + 1) + 1] == str(episodes)
+    assert "with a *, what is said holds within one run" in text.replace("\n", " ")
+
+
+@pytest.mark.parametrize("kind", ["terminal", "md", "html"])
+def test_messages_that_never_left_are_told(kind):
+    text = " ".join(load_reporter(kind).render(Book(make_analysis(*HALF_SENT))).split())
+    assert (
+        "Every message that left came back. 300 more messages were due and never left, in 1 of 1 group"
+        in text
+    )
+    assert "all came back, 300 more never left" in text
+
+
+def test_markdown_counts_unsent_messages_beside_those_received():
+    text = load_reporter("md").render(Book(make_analysis(*HALF_SENT)))
+    assert "| 100 %, 300 unsent | 1, within one run |" in text
+
+
+def test_markdown_without_intervals_still_has_the_runs():
+    bare = replace(make_analysis(*HALF_SENT), details=details_not_requested())
+    assert "| 100 %, 300 unsent | 1 |" in load_reporter("md").render(Book(bare))
 
 
 def test_rich_markup_in_a_trace_stays_text():
@@ -224,7 +260,7 @@ def test_markdown_has_intervals_costs_of_bridges_and_clocks():
     costs = text.split("## What a bridge costs")[1]
     (cost,) = (line for line in costs.splitlines() if line.startswith("| Binary | 33 KB"))
     assert cost == (
-        "| Binary | 33 KB | 10 Hz | Fast DDS, via builtin "
+        "| Binary | 33 KB | 10 Hz | Fast DDS, via builtin | 3 and 3 | 100.00% -&#62; 100.00% "
         "| +1 ms &#91;+889 µs, +1.11 ms&#93;, x1.95 | "
         "+1 ms &#91;+886 µs, +1.12 ms&#93;, x1.92 | +1 ms &#91;+886 µs, +1.12 ms&#93;, x1.91 | 30 % |"
     )

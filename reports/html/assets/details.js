@@ -116,7 +116,7 @@ Object.assign(KINDS, {
           const trace = marks(line, cells, {
             x: (cell) => places.indexOf(DATA.groups.cell[cell.group]) + (lines.length > 1 ? 0.4 * (place / (lines.length - 1) - 0.5) : 0),
             y: (cell) => cell.costs[statistic].difference_ns / unit.factor, mode: "markers", size: 8,
-            hover: (cell) => { const cost = cell.costs[statistic]; return groupHover(cell.group, `${label}: ${signed(cost.difference_ns, formatNs)} (95 %: ${formatNs(cost.low_ns)} to ${formatNs(cost.high_ns)})`, ...[cpu(cell)].filter(Boolean)); },
+            hover: (cell) => { const cost = cell.costs[statistic]; return groupHover(cell.group, `${label}: ${signed(cost.difference_ns, formatNs)} (95 %: ${formatNs(cost.low_ns)} to ${formatNs(cost.high_ns)})`, `Runs: ${cost.runs}`, `Received: ${cost.received}`, ...[cpu(cell)].filter(Boolean)); },
           });
           trace.error_y = errorBars(cells.map((cell) => cell.costs[statistic].difference_ns), cells.map((cell) => [cell.costs[statistic].low_ns, cell.costs[statistic].high_ns]), unit.factor, trace.marker.color);
           return trace;
@@ -129,8 +129,8 @@ Object.assign(KINDS, {
     return {
       ...gridOf(panels, width, { yTitle: `Added latency, ${label} (${unit.label})`, minWidth: Math.min(width, Math.max(300, most * 18)) }),
       series, missing, foot: `${instead ? `Compared: the ${label} of the latency, as only percentiles are. ` : ""}Numbers below the axis: rate in Hz, and under it the size.`,
-      columns: [...GROUP_COLUMNS, { label: `Added, ${label}`, unit: "ns", format: (value) => signed(value, formatNs) }, LOW, HIGH, { label: "Ratio", unit: "ratio", format: digits }, { label: "Verdict" }, { label: "Bridge CPU", unit: "% of a processor", format: digits }],
-      rows: all.map((cell) => { const cost = cell.costs[statistic]; return groupRow(cell.group, cost.difference_ns, cost.low_ns, cost.high_ns, cost.ratio, { worse: "slower", better: "faster" }[cost.verdict] || cost.verdict, cell.bridge_cpu_percent); }),
+      columns: [...GROUP_COLUMNS, { label: `Added, ${label}`, unit: "ns", format: (value) => signed(value, formatNs) }, LOW, HIGH, { label: "Runs" }, { label: "Received" }, { label: "Ratio", unit: "ratio", format: digits }, { label: "Verdict" }, { label: "Bridge CPU", unit: "% of a processor", format: digits }],
+      rows: all.map((cell) => { const cost = cell.costs[statistic]; return groupRow(cell.group, cost.difference_ns, cost.low_ns, cost.high_ns, cost.runs, cost.received, cost.ratio, { worse: "slower", better: "faster" }[cost.verdict] || cost.verdict, cell.bridge_cpu_percent); }),
     };
   },
 

@@ -23,6 +23,11 @@ function sampleHover(group) {
   return `${formatCount(received[group])} of ${counted(published[group], "message")} came back`;
 }
 
+/** The shares received of two groups, base first: `100 % -> 98.5 %`. */
+function receivedWords(base, other) {
+  return [base, other].map((group) => formatRatio(DATA.values.plain.received_ratio[group])).join(" -> ");
+}
+
 /** The points of a plan's lines that pass the filters and have a value. */
 function collected(plan, valueOf) {
   const found = { panels: [], series: new Set(), groups: [], missing: 0 };
@@ -64,8 +69,12 @@ const INTERVALS = () => Boolean(DATA.intervals.low_ns[view.metric]?.[view.statis
 
 function intervalHover(group) {
   const [low, high] = intervalOf(group);
-  return low === null && high === null ? [] : [`95 %: ${formatNs(low)} to ${formatNs(high)}`];
+  return low === null && high === null ? [] : [`95 %: ${formatNs(low)} to ${formatNs(high)}`, restsOn(group)];
 }
+
+/** The columns of the interval of the chosen statistic, none where it has none, and a group's cells of them. */
+const intervalColumns = () => (INTERVALS() ? [LOW, HIGH, { label: "Interval" }] : []);
+const intervalCells = (group) => (INTERVALS() ? [...intervalOf(group), restsOn(group)] : []);
 
 /** The axis of times in one unit, on the chosen scale. */
 function timeAxis() {
@@ -96,8 +105,8 @@ const KINDS = {
     return {
       ...gridOf(panels, width, { yTitle: `${statisticLabel()} (${unit.label})`, below: 46 }),
       series: found.series, missing: found.missing,
-      columns: [...GROUP_COLUMNS, { label: statisticLabel(), unit: "ns", format: formatNs }, ...(INTERVALS() ? [LOW, HIGH] : [])],
-      rows: points.map((point) => groupRow(point.group, point.value, ...(INTERVALS() ? intervalOf(point.group) : []))),
+      columns: [...GROUP_COLUMNS, { label: statisticLabel(), unit: "ns", format: formatNs }, ...intervalColumns()],
+      rows: points.map((point) => groupRow(point.group, point.value, ...intervalCells(point.group))),
     };
   },
 
@@ -132,8 +141,8 @@ const KINDS = {
     return {
       ...gridOf(panels, width, { yTitle: `${label} (${unit.label})`, minWidth: Math.min(width, Math.max(300, most * 17)), height: percent ? 150 : 230 }),
       series: found.series, missing: found.missing, foot: "Numbers below the axis: rate in Hz, and under it the size.",
-      columns: [...GROUP_COLUMNS, { label, unit: percent ? "ratio" : "ns", format }, ...(intervals ? [LOW, HIGH] : [])],
-      rows: points.map((point) => groupRow(point.group, point.value, ...(intervals ? intervalOf(point.group) : []))),
+      columns: [...GROUP_COLUMNS, { label, unit: percent ? "ratio" : "ns", format }, ...(intervals ? intervalColumns() : [])],
+      rows: points.map((point) => groupRow(point.group, point.value, ...(intervals ? intervalCells(point.group) : []))),
     };
   },
 
@@ -152,7 +161,7 @@ const KINDS = {
       for (const pair of pairs) {
         const [same, different] = [statisticOf(pair.same), statisticOf(pair.different)];
         values.push(same, different);
-        found.rows.push(groupRow(pair.different, same, different, different - same, different / same));
+        found.rows.push(groupRow(pair.different, same, different, different - same, different / same, receivedWords(pair.same, pair.different)));
       }
     }
     const unit = axisUnit(values);
@@ -200,7 +209,7 @@ const KINDS = {
     Object.assign(drawn.layout, { barmode: "group", bargap: 0.25, bargroupgap: 0.05 });
     return {
       ...drawn, series: found.series, missing: found.missing,
-      columns: [...GROUP_COLUMNS, { label: "Same domain", unit: "ns", format: formatNs }, { label: "Different domains", unit: "ns", format: formatNs }, { label: "Difference", unit: "ns", format: (value) => signed(value, formatNs) }, { label: "Ratio", unit: "ratio", format: digits }],
+      columns: [...GROUP_COLUMNS, { label: "Same domain", unit: "ns", format: formatNs }, { label: "Different domains", unit: "ns", format: formatNs }, { label: "Difference", unit: "ns", format: (value) => signed(value, formatNs) }, { label: "Ratio", unit: "ratio", format: digits }, { label: "Received" }],
       rows: found.rows,
     };
   },
@@ -353,38 +362,53 @@ function percentileMarks(group, factor) {
   return [trace];
 }
 
-/** Both figures of a distribution: by rarity, or by share. */
+/** Both figures of a distribution: the tail of the survivors by rarity, or the share of the messages planned in time. */
 function distribution(width, byRarity) {
   const cell = shownCell();
-  const curves = DATA.curves.values_ns[view.metric];
-  const levels = DATA.curves.levels;
+  const { values_ns: { [view.metric]: curves }, levels, shares } = DATA.curves;
   const inCell = passingGroups().filter((group) => DATA.groups.cell[group] === cell);
   const groups = inCell.filter((group) => curves[group].length > 1);
   const unit = axisUnit(groups.flatMap((group) => curves[group]));
-  const rarities = [[2, "p50"], [10, "p90"], [100, "p99"], [1000, "p99.9"], [10000, "p99.99"]];
-  const deepest = Math.max(...groups.map((group) => 1 / (1 - levels[curves[group].length - 1])));
+  // A curve by share ends at the slowest message that came back, at the share that came back.
+  const last = (group) => Math.max(curves[group][curves[group].length - 1], DATA.values.times_ns[view.metric].max[group] ?? 0);
+  const pointsOf = (group) => [...curves[group].map((value, place) => ({ value, level: levels[place] })), ...(byRarity ? [] : [{ value: last(group), level: 1 }])];
   const title = (text) => ({ text: plain(text), font: { size: 11, color: theme().soft }, standoff: 4 });
   const valueTitle = `${labelOf("metric")} (${unit.label})`;
-  const panel = {
-    title: cell === null ? "" : DATA.cells[cell].label,
-    traces: groups.map((group) => {
-      const points = curves[group].map((value, place) => ({ value: value / unit.factor, level: levels[place] }));
-      const trace = marks(DATA.groups.series[group], points, {
-        x: (point) => (byRarity ? 1 / (1 - point.level) : point.value), y: (point) => (byRarity ? point.value : 100 * point.level), mode: "lines",
-        hover: (point) => groupHover(group, `p${digits(100 * point.level)}: ${formatNs(point.value * unit.factor)}`, sampleHover(group)),
-      });
-      trace.line.width = 2.2;
-      return trace;
-    }).concat(byRarity ? groups.flatMap((group) => percentileMarks(group, unit.factor)) : []),
-    x: () => (byRarity
-      ? { type: "log", range: [0, Math.log10(Math.max(deepest, 10)) + 0.05], tickmode: "array", tickvals: rarities.map(([x]) => x), ticktext: rarities.map(([, name]) => name), title: title("Percentile") }
-      : { ...timeAxis(), rangemode: "normal", title: title(valueTitle) }),
-    y: byRarity ? timeAxis() : { type: "linear", range: [-2, 102], nticks: 6 },
-  };
+  const cellTitle = cell === null ? "" : DATA.cells[cell].label;
+  const lines = (x, y, said) => groups.map((group) => {
+    const trace = marks(DATA.groups.series[group], pointsOf(group), {
+      x: (point) => x(point, group), y: (point) => y(point, group), mode: "lines",
+      hover: (point) => groupHover(group, said(point, group), sampleHover(group)),
+    });
+    trace.line.width = 2.2;
+    return trace;
+  });
+  const common = { series: new Set(groups.map((group) => DATA.groups.series[group])), missing: inCell.length - groups.length };
+  if (byRarity) {
+    const rarities = [[2, "p50"], [10, "p90"], [100, "p99"], [1000, "p99.9"], [10000, "p99.99"]];
+    const deepest = Math.max(...groups.map((group) => 1 / (1 - levels[curves[group].length - 1])));
+    const panel = {
+      title: cellTitle, y: timeAxis(),
+      traces: lines((point) => 1 / (1 - point.level), (point) => point.value / unit.factor, (point) => `p${digits(100 * point.level)}: ${formatNs(point.value)}`).concat(groups.flatMap((group) => percentileMarks(group, unit.factor))),
+      x: () => ({ type: "log", range: [0, Math.log10(Math.max(deepest, 10)) + 0.05], tickmode: "array", tickvals: rarities.map(([x]) => x), ticktext: rarities.map(([, name]) => name), title: title("Percentile of the survivors") }),
+    };
+    return {
+      ...gridOf(groups.length ? [panel] : [], width, { yTitle: valueTitle, height: 300, below: 46 }), ...common,
+      columns: [...GROUP_COLUMNS, { label: "Percentile", unit: "%", format: digits }, { label: labelOf("metric"), unit: "ns", format: formatNs }],
+      rows: groups.flatMap((group) => pointsOf(group).map(({ value, level }) => groupRow(group, Math.round(level * 1e8) / 1e6, value))),
+    };
+  }
+  const byShare = (of, shareOf) => ({
+    title: `${of}, ${cellTitle}`, share: "share", y: { type: "linear", range: [-2, 102], nticks: 6 },
+    traces: lines((point) => point.value / unit.factor, (point, group) => 100 * point.level * shareOf(group), (point, group) => `${formatRatio(point.level * shareOf(group))} of the ${of.toLowerCase()} within ${formatNs(point.value)}`),
+    x: () => ({ ...timeAxis(), rangemode: "normal", title: title(valueTitle) }),
+  });
+  const panels = [byShare("Messages planned", (group) => shares[group])];
+  if (groups.some((group) => shares[group] < 1)) panels.push(byShare("Survivors", () => 1));
+  const percent = (value) => Math.round(value * 1e8) / 1e6;
   return {
-    ...gridOf(groups.length ? [panel] : [], width, { yTitle: byRarity ? valueTitle : "Messages that came back (%)", height: 300, below: 46 }),
-    series: new Set(groups.map((group) => DATA.groups.series[group])), missing: inCell.length - groups.length,
-    columns: [...GROUP_COLUMNS, { label: "Percentile", unit: "%", format: digits }, { label: labelOf("metric"), unit: "ns", format: formatNs }],
-    rows: groups.flatMap((group) => curves[group].map((value, place) => groupRow(group, Math.round(levels[place] * 1e8) / 1e6, value))),
+    ...gridOf(groups.length ? panels : [], width, { yTitle: "Messages (%)", minWidth: 240, height: 300, below: 46 }), ...common,
+    columns: [...GROUP_COLUMNS, { label: "Share of planned", unit: "%", format: digits }, { label: "Share of survivors", unit: "%", format: digits }, { label: labelOf("metric"), unit: "ns", format: formatNs }],
+    rows: groups.flatMap((group) => pointsOf(group).map(({ value, level }) => groupRow(group, percent(level * shares[group]), percent(level), value))),
   };
 }

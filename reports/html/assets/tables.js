@@ -60,19 +60,21 @@ const groupsSorting = { column: -1, descending: false };
 function showGroups() {
   const { times_ns: times, plain: values } = DATA.values;
   const shown = ["p50", "p90", "p99", "p99_9", "max"].filter((key) => DATA.statistics.some((one) => one.key === key));
+  const rested = (key) => key !== "max" && Boolean(DATA.intervals.low_ns[view.metric]?.[key]);
   const bounded = (key) => ["p50", "p99"].includes(key) && Boolean(DATA.intervals.low_ns[view.metric]?.[key]);
   const columns = [
     ...GROUP_COLUMNS,
-    { label: "Sent", format: formatCount }, { label: "Received", unit: "ratio", format: formatRatio },
+    { label: "Runs", format: formatCount }, { label: "Planned", format: formatCount }, { label: "Sent", format: formatCount }, { label: "Unsent", format: formatCount }, { label: "Received", unit: "ratio", format: formatRatio },
     ...shown.flatMap((key) => {
       const label = DATA.statistics.find((one) => one.key === key).label;
-      return [{ label: `${labelOf("metric")} ${label}`, unit: "ns", format: formatNs }, ...(bounded(key) ? [{ ...LOW, label: `${label} 95 % low` }, { ...HIGH, label: `${label} 95 % high` }, { label: `${label} interval` }] : [])];
+      return [{ label: `${labelOf("metric")} ${label}`, unit: "ns", format: formatNs }, ...(bounded(key) ? [{ ...LOW, label: `${label} 95 % low` }, { ...HIGH, label: `${label} 95 % high` }] : []), ...(rested(key) ? [{ label: `${label} interval` }] : [])];
     }),
     { label: "Transfer rate", unit: "bytes/s", format: formatBytesPerS }, { label: "Achieved rate", unit: "Hz", format: formatHz },
     { label: "Duplicates", format: formatCount }, { label: "Reordered", format: formatCount },
   ];
   const rows = passingGroups().map((group) => groupRow(
-    group, values.published[group], values.received_ratio[group], ...shown.flatMap((key) => [times[view.metric][key][group], ...(bounded(key) ? [...intervalOf(group, key), restsOn(group, key)] : [])]),
+    group, values.runs[group], values.planned[group], values.published[group], values.unsent[group], values.received_ratio[group],
+    ...shown.flatMap((key) => [times[view.metric][key][group], ...(bounded(key) ? intervalOf(group, key) : []), ...(rested(key) ? [restsOn(group, key)] : [])]),
     values.transfer_rate_bytes_per_s[group], values.achieved_rate_hz[group], values.duplicates[group], values.reordered[group],
   ));
   showTable(document.getElementById("groups-table"), "All groups that pass the filters", columns, rows, groupsSorting);

@@ -228,6 +228,13 @@ def test_curves_are_the_inverse_of_the_histogram():
     assert max(at) == 0.99, "p99.9 of 100 messages is not known"
 
 
+def test_the_share_received_is_of_the_messages_planned():
+    # Group 0: 3 of 4 published came back, 2 more never left. Group 1: nothing is missing.
+    lossy = Measured([MS, MS, 2 * MS, "lost_return"], unsent=2)
+    shares = curves_info(make_analysis(lossy, Measured([MS, MS], rate_hz=20.0))).shares
+    assert shares == (0.5, 1.0)
+
+
 def test_levels_are_ascending_and_hold_the_named_percentiles():
     levels = curves_info(make_analysis()).levels
     assert list(levels) == sorted(set(levels))

@@ -6,7 +6,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from analyses import EVERY_ANALYSIS, HOSTILE
+from analyses import EVERY_ANALYSIS, HOSTILE, MS, Measured, make_analysis
 from campaigns import write_runs
 
 from dds_trace.reports import load_reporter
@@ -217,6 +217,67 @@ def test_metric_and_statistic_change_the_numbers(reader, pages):
     tab.locator("#choose-statistic").select_option("p99_9")
     reader.draw_all()
     assert "too few messages" in tab.locator("#figure-vendor_comparison .note").inner_text()
+
+
+@pytest.fixture(scope="module")
+def lossy_page(tmp_path_factory):
+    """A base of 40 messages, all back; through a bridge 30 of 40 sent came back and 10 more never left."""
+    ramp = [MS + 10_000 * number for number in range(40)]
+    bridged = [*ramp[:30], *["lost_return"] * 10]
+    analysis = make_analysis(
+        Measured(ramp), Measured(bridged, bridge="builtin", domain_mode="different", unsent=10)
+    )
+    path = tmp_path_factory.mktemp("lossy") / "lossy.html"
+    path.write_text(load_reporter("html").render(Book(analysis)), encoding="utf-8")
+    return path.as_uri()
+
+
+def drawn(reader, name):
+    """Columns and rows of the table of a figure, as dictionaries."""
+    return reader.tab.evaluate(
+        "n => { const d = blocks.find(b => b.name === n).drawn;"
+        " return d.rows.map(row => Object.fromEntries(d.columns.map((c, place) => [c.label, row[place]]))); }",
+        name,
+    )
+
+
+def test_the_ecdf_is_of_the_messages_planned_and_the_survivors_stand_beside(reader, lossy_page):
+    reader.open(lossy_page)
+    reader.draw_all()
+    ends = {row["Series"]: row for row in drawn(reader, "ecdf")}  # the last row of each curve
+    shares = {name: (row["Share of planned"], row["Share of survivors"]) for name, row in ends.items()}
+    assert shares == {"Fast DDS, same domain": (100, 100), "Fast DDS, via builtin": (60, 100)}
+    titles = reader.tab.locator("#figure-ecdf .annotation-text").all_text_contents()
+    assert [title.split(", ")[0] for title in titles] == ["Messages planned", "Survivors"]
+    medians = {
+        row["Series"]: row["Latency"] for row in drawn(reader, "ecdf") if row["Share of planned"] == 30
+    }
+    assert medians == {"Fast DDS, same domain": 1_110_000, "Fast DDS, via builtin": 1_140_000}
+    assert reader.complaints == []
+
+
+def test_tables_say_what_their_numbers_rest_on_and_what_was_received(reader, lossy_page):
+    tab = reader.open(lossy_page)
+    reader.draw_all()
+    heads = tab.locator("#groups-table thead th").all_inner_texts()
+    rows = {
+        cells[3]: dict(zip(heads, cells, strict=True))
+        for line in tab.locator("#groups-table tbody tr").all()
+        for cells in [line.locator("td").all_inner_texts()]
+    }
+    bridged = rows["Fast DDS, via builtin"]
+    counts = ("Runs", "Planned", "Sent", "Unsent", "Received")
+    assert [bridged[name] for name in counts] == ["1", "50", "40", "10", "75 %"]
+    for tail in ("p90", "p99", "p99.9"):
+        assert bridged[f"{tail} interval"].startswith("rests on 1 run (within one run)"), tail
+    assert "episode" in bridged["p90 interval"]
+    (cost,) = drawn(reader, "bridge_cost")
+    assert (cost["Received"], cost["Runs"]) == ("100.00% -> 75.00%", "3 and 3")
+    (pair,) = drawn(reader, "domain_difference")
+    assert pair["Received"] == "100 % -> 75 %"
+    (of_size,) = {row["Interval"] for row in drawn(reader, "vendor_comparison")}
+    assert of_size == "rests on 1 run (within one run)"
+    assert reader.complaints == []
 
 
 def test_tables_sort_by_number(reader, pages):

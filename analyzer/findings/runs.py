@@ -14,7 +14,7 @@ from .evidence import exchange_name, percent, some
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from ..pairing.exchanges import Unplaced
+    from ..pairing.exchanges import Exchange, Unplaced
     from .evidence import Evidence
 
 
@@ -261,18 +261,29 @@ def unlike_payloads(evidence: Evidence) -> Iterator[Finding]:
 
 
 def restarted_relays(evidence: Evidence) -> Iterator[Finding]:
-    """Report runs in which several relays of one device took part: one that was restarted, or two at once."""
-    relays: dict[tuple[int, str], list[int]] = defaultdict(list)
+    """Report runs in which relays of one device took part one after the other: one was started anew.
+
+    Relays that all answered at one time were meant to be there together, and `relays` in the setting of their group
+    counts them.
+    """
+    relays: dict[tuple[int, str], list[Exchange]] = defaultdict(list)
     for exchange in evidence.grouping.exchanges:
         if exchange.took_part and exchange.relay is not None:
-            relays[exchange.run.run_id, exchange.relay.device].append(exchange.relay_id)
-    for (run_id, device), ids in relays.items():
-        if len(ids) > 1:
-            listed = some(f"{relay_id:08x}" for relay_id in ids)
+            relays[exchange.run.run_id, exchange.relay.device].append(exchange)
+    for (run_id, device), exchanges in relays.items():
+        if len(exchanges) > 1 and not _answered_together(exchanges):
+            listed = some(f"{exchange.relay_id:08x}" for exchange in exchanges)
             yield Finding(
                 Severity.WARNING,
                 "relay_restarted",
                 evidence.run_name(run_id),
-                f"{len(ids)} relays on {device} took part ({listed}): the relay was started anew, or two ran at once.",
+                f"{len(exchanges)} relays on {device} took part ({listed}), but never all at once: the relay was started anew.",
                 "Every message has a row for each, lost with all but one: repeat the run with one relay throughout.",
             )
+
+
+def _answered_together(exchanges: list[Exchange]) -> bool:
+    """Return whether there was a time at which every relay had answered and was to answer again."""
+    spans = [exchange.replied_ns for exchange in exchanges]
+    known = [span for span in spans if span is not None]
+    return len(known) == len(spans) and max(first for first, _ in known) < min(last for _, last in known)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import defaultdict
 from typing import TYPE_CHECKING
 
+import polars as pl
+
 from dds_trace.tracefile.units.counts import counted
 from dds_trace.tracefile.units.durations import format_ms
 
@@ -29,6 +31,10 @@ _LATE_SHARE = 0.01
 
 _LATE_MESSAGES = 3
 """Late messages at least: one hiccup of a short run is no habit."""
+
+
+_SAMPLES_NS = 2_000_000_000
+"""Time without a sample of the host, which is taken once a second, from which on the sampling thread stood still, too."""
 
 
 def schedule_not_held(evidence: Evidence) -> Iterator[Finding]:
@@ -77,3 +83,49 @@ def late_sends(evidence: Evidence) -> Iterator[Finding]:
                 (group,),
                 effect=late / messages,
             )
+
+
+def stand_stills(evidence: Evidence) -> Iterator[Finding]:
+    """Report runs whose ping sent nothing for a second or longer though messages were due, with what the host tells of it."""
+    stood = evidence.sending.unique(["group", "run_id"], maintain_order=True).filter(pl.col("still") > 0)
+    sessions = {exchange.run.run_id: exchange.ping for exchange in evidence.grouping.exchanges}
+    for row in stood.iter_rows(named=True):
+        times = "" if row["still"] == 1 else f", {row['still']} times in all"
+        samples = evidence.details.host_samples.filter(session_id=sessions[row["run_id"]].session_id)
+        yield Finding(
+            Severity.WARNING,
+            "stood_still",
+            evidence.run_name(row["run_id"]),
+            f"The ping sent nothing for {row['still_ns'] / 1e9:.1f} s though messages were due, until "
+            f"{row['still_end_ns'] / 1e9:.1f} s of its clock{times}; 99 % of all left at most "
+            f"{format_ms(row['late_p99_ns'])} ms late{_host_meanwhile(samples, row['still_ns'], row['still_end_ns'])}.",
+            "Latency leaves that time out, response (T2 - T0) holds it. Repeat the run; a stopped process, a paused machine "
+            "and a publish that blocks look alike to a subscriber.",
+            (row["group"],),
+            effect=min(row["still_ns"] / max(row["elapsed_ns"] or 0, row["still_ns"]), 1.0),
+        )
+
+
+def _host_meanwhile(samples: pl.DataFrame, still_ns: int, end_ns: int) -> str:
+    """Tell what the host's samples say of the time in which a ping stood still; empty without samples around it."""
+    timed = samples.drop_nulls("monotonic_ns").sort("monotonic_ns")
+    before = timed.filter(pl.col("monotonic_ns") <= end_ns - still_ns).tail(1).to_dicts()
+    after = timed.filter(pl.col("monotonic_ns") >= end_ns).head(1).to_dicts()
+    if not before or not after:
+        return ""
+    lasted_ns, stolen_ns, waited_us = (
+        after[0][name] - before[0][name] if None not in (after[0][name], before[0][name]) else 0
+        for name in ("monotonic_ns", "cpu_steal_ns", "cpu_pressure_us")
+    )
+    told = []
+    if timed["monotonic_ns"].is_between(end_ns - still_ns, end_ns).any():
+        told.append("the sampling thread of its process went on")
+    elif still_ns >= _SAMPLES_NS:
+        told.append("its whole process did nothing, as no sample of the host was taken")
+    if stolen_ns > 0:
+        told.append(f"the hypervisor gave {stolen_ns / 1e9:.2g} s of processor time to others")
+    if waited_us > 0:
+        told.append(
+            f"some task waited for a processor in {percent(min(waited_us * 1000, lasted_ns), lasted_ns)} of that time"
+        )
+    return f". Meanwhile {', and '.join(told)}" if told else ""

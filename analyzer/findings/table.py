@@ -53,6 +53,7 @@ CHECKS: tuple[Check, ...] = (
     groups.duplicates,
     groups.reordering,
     sending.schedule_not_held,
+    sending.stand_stills,
     sending.late_sends,
     runs.missing_schedule,
     runs.unlike_domains,

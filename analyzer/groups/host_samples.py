@@ -38,6 +38,8 @@ HOST_SAMPLE_SCHEMA: dict[str, type[pl.DataType]] = {
     "sampling_cpu_ns": pl.Float64,
     "monotonic_raw_ns": pl.Int64,
     "cpu_free_processors": pl.Float64,
+    "cpu_steal_ns": pl.Float64,
+    "cpu_pressure_us": pl.Float64,
 }
 
 
@@ -51,7 +53,8 @@ def host_sample_frame(traces: Sequence[Trace]) -> pl.DataFrame:
         `wifi_signal_dbm` the weakest interface; `udp_receive_errors` datagrams that the kernel threw away for want
         of buffer since the session's first sample; `sampling_cpu_ns` what taking the sample before this one cost;
         `monotonic_raw_ns` CLOCK_MONOTONIC_RAW at `monotonic_ns`; `cpu_free_processors` how many processors' time
-        nobody used.
+        nobody used; `cpu_steal_ns` time since boot that a hypervisor gave to others; `cpu_pressure_us` time since boot
+        in which some task waited for a processor.
     """
     rows: dict[tuple[int, float], dict[str, object]] = {}
     for trace in traces:
@@ -131,6 +134,8 @@ def _row(sample: Mapping[str, object]) -> dict[str, float | None]:
         "udp_receive_errors": _number(_object(sample.get("udp")).get("RcvbufErrors")),
         "sampling_cpu_ns": _number(sample.get("sampling_cpu_ns")),
         "monotonic_raw_ns": None if raw_ns is None else int(raw_ns),
+        "cpu_steal_ns": _number(host.get("steal_ns")),
+        "cpu_pressure_us": _number(_object(host.get("pressure_us")).get("cpu")),
         "cpu_free_processors": sum(100 - percent for percent in busy) / 100 if busy else None,
     }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,6 +20,10 @@ LATE_NS = 5_000_000
 """T1 - T0 from which on a send is late. A wake-up takes well under 1 ms, and one that misses its timer tick 4 ms at 250 Hz:
 what is later waited for a blocked publish, or for a processor."""
 
+STILL_NS = 1_000_000_000
+"""Time without a message, though one was due, from which on a ping stood still: ten times what a reliable writer blocks by
+default (`max_blocking_time`, 100 ms in the DDS specification), and no scheduler keeps a ready thread waiting so long."""
+
 _LAST_SHARE = 10
 """The last tenth of a run tells how far it fell behind: its median, so that one late message says nothing."""
 
@@ -33,6 +38,10 @@ SENDING_SCHEMA: dict[str, type[pl.DataType]] = {
     "behind_ns": pl.Int64,
     "late": pl.UInt64,
     "late_max_ns": pl.Int64,
+    "late_p99_ns": pl.Float64,
+    "still": pl.UInt32,
+    "still_ns": pl.Int64,
+    "still_end_ns": pl.Int64,
 }
 
 
@@ -43,13 +52,18 @@ def sending_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
         Columns of `SENDING_SCHEMA`. `messages` published; `elapsed_ns`: time from the first to the
         last ones at the asked rate, and `behind_ns` by how much later they were sent; null below three messages or
         without a rate;
-        `late`: messages with T1 - T0 above `LATE_NS`; `late_max_ns`: the largest T1 - T0, null without T0.
+        `late`: messages with T1 - T0 above `LATE_NS`, but for those that a stand-still held up; `late_max_ns`,
+        `late_p99_ns`: the largest T1 - T0, and its 99th percentile, null without T0; `still`: times that the ping stood
+        still for `STILL_NS` or longer, the longest of which took `still_ns` and ended at `still_end_ns`, ping's
+        monotonic clock; null without one.
     """
     rows: list[dict[str, object]] = []
     for number, exchange in enumerate(batch.exchanges):
         first, after = roundtrips.bounds[number : number + 2].tolist()
         part = roundtrips.measured.slice(first, after - first)
-        waited_ns = (part["publish_ns"] - part["scheduled_ns"]).drop_nulls()
+        planned = part.select("scheduled_ns", "publish_ns").drop_nulls()
+        waited_ns = planned["publish_ns"] - planned["scheduled_ns"]
+        stood = find_stand_stills(planned["scheduled_ns"].to_numpy(), planned["publish_ns"].to_numpy())
         elapsed_ns, late_ns = held_schedule(part["publish_ns"].to_numpy(), exchange.run.rate_hz)
         rows.append(
             {
@@ -59,11 +73,48 @@ def sending_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
                 "messages": len(part),
                 "elapsed_ns": elapsed_ns,
                 "behind_ns": late_ns,
-                "late": int((waited_ns > LATE_NS).sum()),
+                "late": np.count_nonzero((waited_ns.to_numpy() > LATE_NS) & ~stood.held_up),
                 "late_max_ns": waited_ns.max(),
+                "late_p99_ns": waited_ns.quantile(0.99, "linear"),
+                "still": len(stood.lasted_ns),
+                "still_ns": max(stood.lasted_ns, default=None),
+                "still_end_ns": stood.longest_end_ns,
             }
         )
     return pl.DataFrame(rows, schema=SENDING_SCHEMA)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StandStills:
+    """The times in which a ping sent nothing though a message was due.
+
+    Attributes:
+        lasted_ns: how long each took.
+        longest_end_ns: when the longest one ended, ping's monotonic clock; None without one.
+        held_up: whether each message was due before the end of one of them, bool.
+    """
+
+    lasted_ns: tuple[int, ...]
+    longest_end_ns: int | None
+    held_up: NDArray[np.bool_]
+
+
+def find_stand_stills(scheduled_ns: Int64, sent_ns: Int64) -> StandStills:
+    """Return the times of `STILL_NS` or longer in which nothing was sent though a message was due.
+
+    Args:
+        scheduled_ns: T0 of each message.
+        sent_ns: T1 of each message, in order.
+    """
+    held_up = np.zeros(len(sent_ns), np.bool_)
+    due_ns = scheduled_ns.copy()
+    due_ns[1:] = np.maximum(due_ns[1:], sent_ns[:-1])
+    stood = np.flatnonzero(sent_ns - due_ns >= STILL_NS)
+    for position in stood.tolist():
+        held_up[position:] |= scheduled_ns[position:] <= sent_ns[position]
+    lasted_ns = (sent_ns - due_ns)[stood]
+    longest_end_ns = int(sent_ns[stood[lasted_ns.argmax()]]) if len(stood) else None
+    return StandStills(tuple(lasted_ns.tolist()), longest_end_ns, held_up)
 
 
 def held_schedule(sent_ns: Int64, rate_hz: float) -> tuple[int | None, int | None]:

@@ -50,6 +50,7 @@ class Exchange:
         counts: events of T1, T2, T3 and T4 in all traces; copies count.
         relays: number of relays that took part in the run.
         flows: number of runs of the ping's machine in the middle of this one, which counts.
+        replied_ns: first and last T2 of the relay, ping's monotonic clock; None without a reply.
     """
 
     run: Run
@@ -61,6 +62,7 @@ class Exchange:
     counts: tuple[int, int, int, int]
     relays: int = 1
     flows: int = 1
+    replied_ns: tuple[int, int] | None = None
 
     @property
     def took_part(self) -> bool:
@@ -174,8 +176,19 @@ def find_exchanges(campaign: Campaign) -> Exchanges:
             counts = (_count(t1), _count(t2), _count(t3), _count(t4))
             first_ns, last_ns = _first_ns(t1), max(part.last_ns for part in t1)
             start_ns, end_ns = ping.wall_ns(first_ns), ping.wall_ns(last_ns)
+            replied_ns = (_first_ns(t2), max(part.last_ns for part in t2)) if t2 else None
             held.append(
-                Exchange(run, ping, relay_id, relay, start_ns, end_ns, counts, relays=len(relays) or 1)
+                Exchange(
+                    run,
+                    ping,
+                    relay_id,
+                    relay,
+                    start_ns,
+                    end_ns,
+                    counts,
+                    relays=len(relays) or 1,
+                    replied_ns=replied_ns,
+                )
             )
     if not held:
         raise MissingEventsError(_nothing_to_pair(campaign, unplaced))

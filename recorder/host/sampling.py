@@ -34,7 +34,9 @@ class HostSampler:
 
     A sample is a JSON object:
         `monotonic_ns` and at the same instant `monotonic_raw_ns`, which NTP does not slew; `host` (`cpu_percent`, `cpu_percent_each`, `cpu_mhz`, `memory_used_bytes`,
-        `memory_available_bytes`, `load_1min`, `temperature_c`); `network` (interface -> `sent_bytes`,
+        `memory_available_bytes`, `load_1min`, `temperature_c`, `steal_ns`: time since boot that a hypervisor gave to
+        others, all processors together, and `pressure_us` of `cpu`, `io`, `memory`: time since boot in which some task
+        waited for it); `network` (interface -> `sent_bytes`,
         `received_bytes`, `sent_packets`, `received_packets`, `dropped`, `errors`: totals since boot);
         `udp` (kernel totals such as `RcvbufErrors`); `wifi` (interface -> `signal_dbm` ...);
         `processes` (name -> `pid`, `cpu_percent` of one core, `memory_bytes` resident, `threads`,
@@ -138,7 +140,20 @@ def _host_load() -> dict[str, Json]:
         "memory_available_bytes": memory.available,
         "load_1min": os.getloadavg()[0],
         "temperature_c": _temperature_c(),
+        "steal_ns": round(getattr(psutil.cpu_times(), "steal", 0.0) * 1e9),
+        "pressure_us": _pressure_us(),
     }
+
+
+def _pressure_us() -> dict[str, Json]:
+    """Read the kernel's pressure stall information (`/proc/pressure`, Linux 4.20); empty where there is none."""
+    totals: dict[str, Json] = {}
+    for resource in ("cpu", "io", "memory"):
+        some = (read_text(f"/proc/pressure/{resource}") or "").partition("\n")[0]
+        total = some.rpartition("total=")[2]
+        if total.isdigit():
+            totals[resource] = int(total)
+    return totals
 
 
 def _cpu_mhz() -> float | None:

@@ -9,6 +9,7 @@ import pytest
 from trace_files import (
     PING_SESSION_ID,
     RELAY_ID,
+    RUN_ID,
     Message,
     event,
     ping_events,
@@ -254,6 +255,69 @@ def test_a_few_late_sends_are_no_habit(tmp_path):
     assert "late_sends" not in findings(tmp_path)
     write_pair(tmp_path, sent_late(lambda _: 4 * MS))  # a missed timer tick
     assert findings(tmp_path) == {}
+
+
+def test_a_ping_that_stood_still_is_a_finding_of_its_own(tmp_path):
+    # From the 30th to the 35th second nothing leaves; what was due then leaves at once: 5 % of all messages.
+    write_pair(tmp_path, sent_late(lambda s: 35_000 * MS - s * PERIOD + 10 * s if 300 <= s <= 350 else 50))
+    found = findings(tmp_path)
+    assert set(found) == {"stood_still"}
+    assert found["stood_still"].what == (
+        "The ping sent nothing for 5.0 s though messages were due, until 35.0 s of its clock; 99 % of all left at most "
+        "4001.003 ms late."
+    )
+    assert (found["stood_still"].groups, found["stood_still"].where) == (
+        (0,),
+        f"run {RUN_ID:016x} (ping.mcap)",
+    )
+    assert found["stood_still"].effect == pytest.approx(0.05, rel=0.01)
+
+
+def test_a_second_without_a_message_that_was_due_is_no_stand_still(tmp_path):
+    write_pair(
+        tmp_path, sent_late(lambda s: 850 * MS - (s - 300) * PERIOD + 10 * s if 300 <= s < 309 else 50)
+    )
+    assert findings(tmp_path) == {}
+    slow = [replace(m, t0=m.t0 * 30, t1=m.t1 * 30, t3=m.t3 * 30, t4=m.t4 * 30, t2=m.t2 * 30) for m in sound()]
+    write_pair(
+        tmp_path, slow, runs=[described(slow, rate_hz=1 / 3)]
+    )  # three seconds between two that are due
+    assert "stood_still" not in findings(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [
+        (range(40), ". Meanwhile the sampling thread of its process went on."),
+        (
+            [*range(30), *range(36, 40)],
+            (
+                ". Meanwhile its whole process did nothing, as no sample of the host was taken, and the hypervisor gave "
+                "3.5 s of processor time to others, and some task waited for a processor in 80 % of that time."
+            ),
+        ),
+        (range(30), " ms late."),
+    ],
+    ids=["went on", "stopped", "no sample behind it"],
+)
+def test_the_host_tells_what_a_stand_still_was(tmp_path, seconds, words):
+    messages = sent_late(lambda s: 35_000 * MS - s * PERIOD + 10 * s if 300 <= s <= 350 else 50)
+    write_pair(tmp_path, messages)
+    is_stopped = 31 not in seconds
+    host = [
+        {
+            "monotonic_ns": second * 10**9 - 10,
+            "host": {
+                "steal_ns": 3_500_000_000 * (second > 30) * is_stopped,
+                "pressure_us": {"cpu": 5_600_000 * (second > 30) * is_stopped},
+            },
+        }
+        for second in seconds
+    ]
+    write_trace(
+        tmp_path / "ping.mcap", ping_session(), [described(messages)], ping_events(messages), host=host
+    )
+    assert findings(tmp_path)["stood_still"].what.endswith(words)
 
 
 @pytest.mark.parametrize(

@@ -334,6 +334,24 @@ def test_restarted_relay(tmp_path):
     assert "2 relays on beta took part (00000002; 0000beef)" in findings(tmp_path)["relay_restarted"].what
 
 
+def test_three_relays_on_purpose_are_no_restart(tmp_path):
+    ping = {Stage.T1: [], Stage.T2: []}
+    for relay_id in (1, 2, 3):
+        of_relay = ping_events(drawn(), relay_id=relay_id)
+        ping[Stage.T1] = of_relay[Stage.T1]
+        ping[Stage.T2] += of_relay[Stage.T2]
+        write_trace(
+            tmp_path / f"relay{relay_id}.mcap",
+            relay_session(session_id=relay_id, relay_id=relay_id),
+            (),
+            relay_events(drawn(), relay_id=relay_id),
+        )
+    write_trace(tmp_path / "ping.mcap", ping_session(), [run(planned_messages=200, published=200)], ping)
+    analysis = analyze(tmp_path)
+    assert {"relays=3"} == set(analysis.load_roundtrips()["setting"])
+    assert "relay_restarted" not in {finding.code for finding in analysis.findings}
+
+
 def test_every_code_is_in_the_documentation():
     written = "".join(
         path.read_text() for path in Path(dds_trace.analyzer.findings.__file__).parent.glob("*.py")

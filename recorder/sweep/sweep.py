@@ -101,8 +101,7 @@ def run_search(
         open_station(searched, folder, held, show=progress.note, command=command) as station,
     ):
         runner = Runner(searched, folder, station, progress)
-        runner.resume()
-        station.device.prepare()
+        runner.prepare()
         progress.begin(0, 0)
         try:
             return folder, list(find_max_rates(searched, runner))

@@ -51,9 +51,8 @@ def test_no_output_is_written_through_a_link(runs, tmp_path, targets):
 
 def test_the_report_of_a_comparison_is_not_written_through_a_link(runs, tmp_path, targets):
     (tmp_path / "report.xml").symlink_to(targets / "report.xml")
-    assert run_main("compare", runs, runs, "--report", "junit", "--out", tmp_path / "report.xml") in range(
-        10, 20
-    )
+    report = tmp_path / "report.xml"
+    assert run_main("compare", runs, runs, "--report", "junit", "--out", report) == 0
     assert (targets / "report.xml").read_text() == "mine"
     assert "<testsuite" in (tmp_path / "report.xml").read_text()
 

@@ -40,7 +40,7 @@ def holding_folder(folder: Path, waiting: Callable[[str], None]) -> Iterator[int
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        lock = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
+        lock = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
     except OSError as err:
         raise OutputError(f"{folder}: {err.strerror}; give another --out") from err
     try:

@@ -15,13 +15,13 @@ import time
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import BackendUnavailableError, TraceError, TraceFormatError
+from dds_trace.tracefile import BackendUnavailableError, OutputError, TraceError, TraceFormatError
 from dds_trace.tracefile.units.counts import counted
 
 from ..plan.commands import half_arguments, ping_arguments, relay_arguments
 from ..plan.schedule import Estimate
+from ..station.devices import TRACE_ENDINGS, clear_parts, make_parts, remove_files
 from ..station.programs import Program
-from ..station.station import PARTS
 from .relay import HOPELESS_EXIT_CODES, CellFailedError, GroupRelay
 from .result import read_result
 from .split import CellPart, split_relay_trace
@@ -61,8 +61,7 @@ class Runner:
     def __init__(self, plan: Plan, folder: Path, station: Station, progress: SweepProgress) -> None:
         self.plan = plan
         self.folder = folder
-        self._parts = folder / PARTS
-        self._parts.mkdir(parents=True, exist_ok=True)
+        self._parts = make_parts(folder)
         self._station = station
         self._progress = progress
         self.state = SweepState(folder / "state.json", plan.name, plan.digest)
@@ -80,7 +79,7 @@ class Runner:
         self._progress.begin(len(cells), done)
         try:
             if done < len(cells):
-                self._station.device.prepare()
+                self._prepare_device()
             for group in groups:
                 self.run_group(group, cells)
         finally:
@@ -90,7 +89,12 @@ class Runner:
     def prepare(self) -> None:
         """Take up what an interrupted sweep left, and check that relays can be started."""
         self.resume()
+        self._prepare_device()
+
+    def _prepare_device(self) -> None:
+        """Check that relays can be started, and remove what an interrupted sweep left on the device."""
         self._station.device.prepare()
+        self._station.device.clear(self.state.segments)
 
     def reasons(self, cells: Iterable[Cell]) -> dict[str, str]:
         """Return for each of these cells without a complete recording its name and the reason."""
@@ -104,8 +108,8 @@ class Runner:
         """Take apart the segments that an interrupted sweep left, and delete its unfinished cells."""
         for segment in self.state.segments:
             self._collect(segment)
-        for path in self._parts.iterdir():
-            path.unlink()
+        if foreign := clear_parts(self._parts):
+            self._progress.note(f"{self._parts} holds {', '.join(foreign)}, which no sweep wrote; left alone")
 
     def run_group(self, group: CellGroup, all_cells: list[Cell]) -> None:
         """Run the cells of a group that are not complete.
@@ -186,8 +190,7 @@ class Runner:
         try:
             return self._attempt(cell, relay, draft)
         finally:  # a whole trace has moved to its final name
-            for left in self._parts.glob(f"{draft.name}*"):
-                left.unlink()
+            remove_files(self._parts, draft.name, (*TRACE_ENDINGS, ".log"))
 
     def _attempt(self, cell: Cell, relay: GroupRelay, draft: Path) -> tuple[CellResult, LinkReport | None]:
         self._report_link()  # from here on, traffic counts for this attempt
@@ -227,7 +230,10 @@ class Runner:
                 f"{counted(link['ping']['sent_bytes'], 'byte')} of {result.sent_bytes} did",
                 hopeless=True,
             )
-        draft.replace(self.ping_path(cell.name))
+        try:
+            draft.replace(self.ping_path(cell.name))
+        except OSError as err:
+            raise OutputError(f"{self.ping_path(cell.name)}: {err.strerror}; give another --out") from err
         self._estimate.measured(cell, time.monotonic() - began_s)
         return result, link
 
@@ -248,7 +254,7 @@ class Runner:
             if device.keeps_traces or counts.get(int(cell.run_id, 16)) or nothing_came:
                 self.state[name] = replace(cell, status=Status.COMPLETE, segment="")
             else:
-                self.ping_path(name).unlink(missing_ok=True)
+                remove_files(self.folder, self.ping_path(name).name, ("",))
                 self.state[name] = replace(
                     cell, status=Status.FAILED, segment="", reason="the relay's part of it is lost"
                 )

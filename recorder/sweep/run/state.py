@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import asdict, dataclass, replace
 from enum import Enum
 from typing import TYPE_CHECKING
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING
 from dds_trace.tracefile import OptionError, OutputError, TraceFormatError
 from dds_trace.tracefile.files import replacing
 
+from ..station.devices import is_segment_name
 from .result import CellResult
 
 if TYPE_CHECKING:
@@ -108,6 +110,8 @@ class SweepState:
                 )
                 for name, cell in held["cells"].items()
             }
+            for name, state in self._cells.items():
+                _check_names(name, state)
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as err:
             raise TraceFormatError(
                 self.path,
@@ -141,6 +145,22 @@ class SweepState:
             "cells": cells,
         }
         replace_text(self.path, json.dumps(document, indent=1))
+
+
+def _check_names(name: str, cell: CellState) -> None:
+    """Check what becomes part of a path: a state file may come with a folder from somebody else.
+
+    Raises:
+        ValueError: a name is none that a sweep gives.
+    """
+    if not re.fullmatch(r"[\w+-][\w.+-]*", name):
+        raise ValueError(f"{name!r} is no name of a cell")
+    if cell.segment and not is_segment_name(cell.segment):
+        raise ValueError(f"{cell.segment!r} is no name of a relay's trace")
+    if cell.run_id and not re.fullmatch(r"[0-9a-f]{1,16}", cell.run_id):
+        raise ValueError(f"{cell.run_id!r} is no run id")
+    if bool(cell.segment) > bool(cell.run_id):
+        raise ValueError(f"{name} has a relay's trace and no run")
 
 
 def replace_text(path: Path, text: str) -> None:

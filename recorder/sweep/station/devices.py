@@ -2,14 +2,76 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from typing import TYPE_CHECKING, Protocol
+
+from dds_trace.tracefile import OutputError
+from dds_trace.tracefile.format.ring import RING_SUFFIX
 
 from .programs import Program
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Collection, Sequence
     from pathlib import Path
+
+
+PARTS = ".parts"
+"""Folder below that of the sweep for traces that are not yet those of a cell."""
+
+TRACE_ENDINGS = ("", RING_SUFFIX)
+"""What follows a segment's name in the names of its trace and of the ring beside it."""
+
+LOG_ENDINGS = (".log", ".half.log")
+"""What follows it in the names of the logs of the relay and of the half beside it."""
+
+_SEGMENT = r"\d{1,6}-\d{1,15}-\d{1,6}\.mcap"
+_CELL_TRACE = r"[\w+-][\w.+-]*\.ping\.mcap"
+_OWN_NAME = re.compile(
+    rf"({_SEGMENT}({'|'.join(map(re.escape, (*TRACE_ENDINGS, *LOG_ENDINGS)))})|{_CELL_TRACE}(\.ring|\.log)?)"
+    r"(\.[0-9a-f]{8}\.part)?"
+)
+"""Names of the files that a sweep makes below `PARTS`, and of their drafts."""
+
+
+def is_segment_name(name: str) -> bool:
+    """Return whether a text is the name of a relay's trace of one start: GROUP-MILLISECONDS-START.mcap."""
+    return re.fullmatch(_SEGMENT, name, re.ASCII) is not None
+
+
+def make_parts(folder: Path) -> Path:
+    """Make the folder for parts below that of a sweep, and return its path.
+
+    Raises:
+        OutputError: it cannot be made, or something else is there: a link would lead what is written and removed elsewhere.
+    """
+    parts = folder / PARTS
+    try:
+        parts.mkdir(parents=True, exist_ok=True)
+    except OSError as err:
+        raise OutputError(f"{parts}: {err.strerror}; give another --out") from err
+    if parts.is_symlink():
+        raise OutputError(f"{parts} is a link; remove it, or give another --out")
+    return parts
+
+
+def clear_parts(parts: Path) -> list[str]:
+    """Remove every file of a sweep in its folder for parts, and return the names of what is not a sweep's and stays."""
+    foreign = []
+    for path in sorted(parts.iterdir()):
+        if _OWN_NAME.fullmatch(path.name) and (path.is_symlink() or path.is_file()):
+            path.unlink()
+        else:
+            foreign.append(path.name)
+    return foreign
+
+
+def remove_files(folder: Path, name: str, endings: Collection[str]) -> None:
+    """Remove the files NAME + ENDING in a folder; one that is not there is no error, and a folder of that name stays."""
+    for ending in endings:
+        path = folder / f"{name}{ending}"
+        if path.is_symlink() or path.is_file():
+            path.unlink(missing_ok=True)
 
 
 class StartedProgram(Protocol):
@@ -58,6 +120,13 @@ class RelayDevice(Protocol):
     def discard(self, segment: str) -> None:
         """Remove the trace `segment`; all of it is in the cells' files."""
 
+    def clear(self, kept: Collection[str]) -> None:
+        """Remove what an interrupted sweep left on the device, but for the segments `kept`.
+
+        Raises:
+            BackendUnavailableError: the device cannot be reached.
+        """
+
 
 class LocalDevice:
     """This machine.
@@ -94,8 +163,10 @@ class LocalDevice:
 
     def discard(self, segment: str) -> None:
         """Remove trace and log."""
-        for path in self._folder.glob(f"{segment}*"):
-            path.unlink()
+        remove_files(self._folder, segment, (*TRACE_ENDINGS, *LOG_ENDINGS))
+
+    def clear(self, kept: Collection[str]) -> None:
+        """Remove nothing: the sweep itself clears the folder for parts."""
 
 
 class PrintedDevice:
@@ -132,6 +203,9 @@ class PrintedDevice:
 
     def discard(self, segment: str) -> None:
         """Remove nothing: no trace is on this machine."""
+
+    def clear(self, kept: Collection[str]) -> None:
+        """Remove nothing: the device is the person's."""
 
 
 def printed_command(arguments: Sequence[str], number: int | str) -> str:

@@ -12,17 +12,21 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import BackendUnavailableError, OptionError
+from dds_trace.tracefile import BackendUnavailableError, OptionError, OutputError
 
 from ...bridges.process.supervise import program_environment
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from typing import BinaryIO
 
 STOP_PATIENCE_S = 60.0
 """Time for a recorder to wait for late replies, close its trace and stop its bridge."""
 
 LAST_WORDS_BYTES = 4096
+MOST_LOG_BYTES = 64 << 20
+"""Largest log of a program on another device; one that sends more is ended."""
+
 _REASON = re.compile(r"dds-\w+: ")
 
 
@@ -66,6 +70,7 @@ class Program:
 
     Raises:
         BackendUnavailableError: there is no such program.
+        OutputError: the log cannot be made.
     """
 
     def __init__(
@@ -81,9 +86,10 @@ class Program:
         self._stops_by_input = stops_by_input
         if shutil.which(command[0]) is None:
             raise BackendUnavailableError(f"{command[0]} is not installed or not on the PATH")
-        with log.open("wb") as output:
+        limit = _writing_at_most(MOST_LOG_BYTES) if stops_by_input else []
+        with _new_file(log) as output:
             self._process = subprocess.Popen(
-                [*_dying_with_us(), *command],
+                [*_dying_with_us(), *limit, *command],
                 stdin=subprocess.PIPE if stops_by_input else subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
@@ -128,6 +134,25 @@ class Program:
         begins = [number for number, line in enumerate(lines) if _REASON.match(line)]
         reason = lines[begins[-1] :] if begins else lines[-1:]
         return _REASON.sub("", "; ".join(reason)) or "it said nothing"
+
+
+def _new_file(path: Path) -> BinaryIO:
+    """Open a new file in place of what is there: where that is a link, what it points to is left alone.
+
+    Raises:
+        OutputError: it cannot be made.
+    """
+    try:
+        path.unlink(missing_ok=True)
+        return path.open("xb")
+    except OSError as err:
+        raise OutputError(f"{path}: {err.strerror}; give another --out") from err
+
+
+def _writing_at_most(size: int) -> list[str]:
+    """Return the words before a command that let the kernel end it when a file that it writes becomes larger."""
+    prlimit = shutil.which("prlimit")  # util-linux too
+    return [prlimit, f"--fsize={size}", "--"] if prlimit else []
 
 
 def _dying_with_us() -> list[str]:

@@ -2,25 +2,44 @@
 
 from __future__ import annotations
 
+import hashlib
+import os
+import platform
+import re
+import select
 import shlex
 import shutil
 import subprocess
+import tempfile
+import time
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import BackendUnavailableError, OptionError, __version__
+from dds_trace.tracefile.files import replacing
+from dds_trace.tracefile.units.counts import counted
 
-from .devices import log_path
+from .devices import LOG_ENDINGS, TRACE_ENDINGS, log_path, remove_files
 from .programs import Program
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-    from typing import IO
+    from collections.abc import Collection, Sequence
+    from typing import IO, BinaryIO
 
     from ..plan.plan import DeviceSettings
     from .devices import StartedProgram
 
 SSH_TIMEOUT_S = 60.0
+MOST_TRACE_BYTES = 1 << 30
+"""Largest trace that is fetched: a hundred million events, and as much as a link of 150 Mbit/s carries in that time."""
+
+MOST_ANSWER_BYTES = 1 << 16
+_COPY_BYTES = 1 << 18
+_LOOK_S = 0.2
+_WAIT_FOR_END = (
+    "for i in $(seq 100); do kill -0 $(cat {pid}) 2>/dev/null || break; sleep 0.2; done; rm -f {pid}"
+)
+"""Shell commands that wait up to 20 s for the end of the program whose id is in the file {pid}, which they remove."""
 
 
 class SshDevice:
@@ -28,6 +47,7 @@ class SshDevice:
 
     The shell there ends the relay when its standard input closes: because this machine closes it, or because the
     connection or this machine is gone. The traces lie there in `~/.cache/dds-trace/SWEEP/` until they are fetched.
+    The device is not trusted: no name and no number of bytes that it sends is taken for granted.
 
     Args:
         settings: the device of the plan; its `ssh` is set.
@@ -42,7 +62,7 @@ class SshDevice:
         self._host = settings.ssh
         self._ssh = [
             *("ssh", "-o", "BatchMode=yes", "-o", "ConnectTimeout=10", "-o", "ServerAliveInterval=5"),
-            *(*settings.ssh_options, settings.ssh),
+            *(*settings.ssh_options, "--", settings.ssh),  # whatever it begins with, it is a host
         ]
         # The folder is not quoted, so that the shell there expands its ~.
         path = f"PATH={settings.path}:$PATH" if settings.path else ":"
@@ -53,7 +73,7 @@ class SshDevice:
 
     def prepare(self) -> None:
         """Make the folder there and compare versions."""
-        answer = self._run(f"mkdir -p {self._remote} && dds-sweep --version").split()
+        answer = self._run(f"umask 077; mkdir -p {self._remote} && dds-sweep --version").split()
         there = answer[-1] if answer else "nothing"
         if there != __version__:
             raise OptionError(
@@ -86,46 +106,107 @@ class SshDevice:
         """Copy the trace here, with the ring beside it if its relay was killed."""
         pid = self._pid_file(segment)
         # Where the connection broke, the relay there may still be closing its trace.
-        self._run(
-            f"for i in $(seq 100); do kill -0 $(cat {pid}) 2>/dev/null || break; sleep 0.2; done; rm -f {pid}"
-        )
-        names = self._run(f"cd {self._remote} && ls -d {shlex.quote(segment)}* 2>/dev/null || true").split()
-        for name in names:
-            with (self._folder / name).open("wb") as file:
-                self._call(f"cat {self._remote}/{shlex.quote(name)}", file)
-        return self._folder / segment if segment in names else None
+        self._run(_WAIT_FOR_END.format(pid=pid))
+        fetched = [ending for ending in TRACE_ENDINGS if self._fetch(segment + ending)]
+        return self._folder / segment if "" in fetched else None
+
+    def _fetch(self, name: str) -> bool:
+        """Copy one file here, in place of what is there under its name; return whether the device has it."""
+        quoted = f"{self._remote}/{shlex.quote(name)}"
+        if self._run(f"test ! -f {quoted} || echo there").strip() != "there":
+            return False
+        with replacing(self._folder / name) as draft, draft.open("xb") as file:
+            self._call(f"cat {quoted}", file, MOST_TRACE_BYTES)
+        return True
 
     def discard(self, segment: str) -> None:
         """Remove trace and log, here and there."""
-        self._run(f"rm -f {self._remote}/{shlex.quote(segment)}*")
-        for path in self._folder.glob(f"{segment}*"):
-            path.unlink()
+        names = (f"{self._remote}/{shlex.quote(segment + ending)}" for ending in TRACE_ENDINGS)
+        self._run(f"rm -f {' '.join(names)}")
+        remove_files(self._folder, segment, (*TRACE_ENDINGS, *LOG_ENDINGS))
+
+    def clear(self, kept: Collection[str]) -> None:
+        """Remove the traces there that no cell waits for, once the relays that a killed sweep left have closed them."""
+        names = " ".join(shlex.quote(name) for name in kept) or "''"
+        ended = _WAIT_FOR_END.format(pid='"$pid"')
+        self._run(
+            f"cd {self._remote} || exit; "
+            f'for pid in pid-*; do [ -f "$pid" ] || continue; {ended}; done; '
+            'for name in *.mcap *.mcap.ring; do [ -f "$name" ] || continue; '
+            f'for keep in {names}; do case "$name" in "$keep"|"$keep".ring) continue 2;; esac; done; '
+            'rm -f -- "$name"; done'
+        )
 
     def _pid_file(self, segment: str) -> str:
         return f"{self._remote}/pid-{shlex.quote(segment)}"
 
     def _run(self, script: str) -> str:
-        return self._call(script, subprocess.PIPE).decode(errors="replace")
+        with tempfile.TemporaryFile() as file:
+            self._call(script, file, MOST_ANSWER_BYTES)
+            file.seek(0)
+            return file.read().decode(errors="replace")
 
-    def _call(self, script: str, output: int | IO[bytes]) -> bytes:
+    def _call(self, script: str, output: BinaryIO, most_bytes: int) -> None:
+        """Run a script there.
+
+        Args:
+            script: commands for the shell.
+            output: file for what they print.
+            most_bytes: size that the file may have.
+
+        Raises:
+            BackendUnavailableError: the device cannot be reached, a command failed, or more came.
+        """
         if shutil.which("ssh") is None:
             raise BackendUnavailableError("ssh is not installed; apt install openssh-client")
-        try:
-            done = subprocess.run(
+        with tempfile.TemporaryFile() as errors:
+            process = subprocess.Popen(
                 [*self._ssh, f"{self._setup} {script}"],
                 stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=subprocess.PIPE,
-                timeout=SSH_TIMEOUT_S,
-                check=True,
+                stdout=subprocess.PIPE,
+                stderr=errors,
             )
-        except subprocess.CalledProcessError as err:
-            lines = err.stderr.decode(errors="replace").strip().splitlines() or [f"status {err.returncode}"]
-            raise BackendUnavailableError(
-                f"{self._host}: {lines[-1]}; try it by hand: ssh {self._host}"
-            ) from err
-        except subprocess.TimeoutExpired as err:
-            raise BackendUnavailableError(
-                f"{self._host}: no answer within {SSH_TIMEOUT_S:g} s; look at the device and its network"
-            ) from err
-        return done.stdout or b""
+            try:
+                assert process.stdout is not None
+                fault = _copy(process.stdout, output, errors, most_bytes)
+                code = process.wait(1.0) if fault is None else None
+            except subprocess.TimeoutExpired:
+                code = fault = None
+            finally:
+                process.kill()
+                process.communicate()
+            errors.seek(0)
+            said = errors.read(MOST_ANSWER_BYTES).decode(errors="replace").strip().splitlines()
+        if fault is not None:
+            raise BackendUnavailableError(f"{self._host}: {fault}; look at the device and its network")
+        if code != 0:
+            lines = said or [f"status {code}"]
+            raise BackendUnavailableError(f"{self._host}: {lines[-1]}; try it by hand: ssh {self._host}")
+
+
+def _copy(source: IO[bytes], output: BinaryIO, errors: BinaryIO, most_bytes: int) -> str | None:
+    """Copy what a program prints up to its end; return the reason why that cannot be awaited, or None."""
+    deadline_s, copied = time.monotonic() + SSH_TIMEOUT_S, 0
+    os.set_blocking(source.fileno(), False)
+    while (left_s := deadline_s - time.monotonic()) > 0:
+        if max(copied, os.fstat(errors.fileno()).st_size) > most_bytes:
+            return f"sent more than {counted(most_bytes, 'byte')}"
+        if not select.select([source], [], [], min(left_s, _LOOK_S))[0]:
+            continue
+        data = os.read(source.fileno(), _COPY_BYTES)
+        if not data:
+            return None
+        output.write(data)
+        copied += len(data)
+    return f"no end of its answer within {SSH_TIMEOUT_S:g} s"
+
+
+def folder_there(plan: str, folder: Path) -> str:
+    """Return the name of a sweep's folder on the device: that of the plan, and a mark of this machine and folder.
+
+    So what one sweep clears away there is not another's, of another machine or folder, whose plan has the same name.
+    """
+    machine = Path("/etc/machine-id")
+    known = machine.read_text() if machine.is_file() else platform.node()
+    mark = hashlib.sha256(f"{known}\0{folder.resolve()}".encode(errors="surrogateescape")).hexdigest()[:8]
+    return f"{re.sub(r'[^A-Za-z0-9._-]', '-', plan).lstrip('.-')}-{mark}"

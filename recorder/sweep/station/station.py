@@ -7,10 +7,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .devices import LocalDevice, PrintedDevice
+from .devices import LocalDevice, PrintedDevice, make_parts
 from .namespaces import NamespacePair
 from .programs import environment_program, local_program
-from .ssh import SshDevice
+from .ssh import SshDevice, folder_there
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -18,9 +18,6 @@ if TYPE_CHECKING:
     from ..plan.link import LinkReport
     from ..plan.plan import Plan
     from .devices import RelayDevice
-
-PARTS = ".parts"
-"""Folder below that of the sweep for traces that are not yet those of a cell."""
 
 ECHO_WAIT_S = 20.0
 PERSON_WAIT_S = 3600.0
@@ -79,7 +76,7 @@ def open_station(
         OptionError, BackendUnavailableError: as `NamespacePair`; an environment of the plan has no `dds-record`.
     """
     own = list(command or local_program("dds-record"))
-    parts = folder / PARTS
+    parts = make_parts(folder)
     others = {
         environment: environment_program(Path(environment).expanduser().absolute(), "dds-record")
         for environment in dict.fromkeys(cell.environment for cell in plan.cells)
@@ -88,7 +85,13 @@ def open_station(
     if plan.by_hand:
         yield Station(own, PrintedDevice(show), held, PERSON_WAIT_S, plan.relay.reached_at)
     elif plan.relay.ssh is not None:
-        yield Station(own, SshDevice(plan.relay, parts, plan.name), held, ECHO_WAIT_S, plan.relay.reached_at)
+        yield Station(
+            own,
+            SshDevice(plan.relay, parts, folder_there(plan.name, folder)),
+            held,
+            ECHO_WAIT_S,
+            plan.relay.reached_at,
+        )
     elif plan.namespaces:
         with ExitStack() as stack:
             pair = stack.enter_context(NamespacePair(plan.link))

@@ -41,12 +41,12 @@ def test_state_comes_back_as_it_was_left(tmp_path):
     state = open_state(tmp_path)
     assert state["a"].status is Status.PENDING
     state["a"] = CellState(Status.RUNNING, attempts=1)
-    state["b"] = CellState(Status.RECORDED, run_id="ff", segment="s.mcap", result=RESULT, link=LINK)
+    state["b"] = CellState(Status.RECORDED, run_id="ff", segment="1-17-1.mcap", result=RESULT, link=LINK)
     again = open_state(tmp_path)
     assert again["a"] == state["a"]
     assert again["b"] == state["b"]
-    assert again.segments == ["s.mcap"]
-    assert list(again.in_segment("s.mcap")) == ["b"]
+    assert again.segments == ["1-17-1.mcap"]
+    assert list(again.in_segment("1-17-1.mcap")) == ["b"]
     assert [again[name].done for name in "abc"] == [False, True, False]
 
 
@@ -62,6 +62,38 @@ def test_other_settings_of_the_plan_are_not_mixed_in(tmp_path):
 def test_file_that_is_no_state(tmp_path, text):
     (tmp_path / "state.json").write_text(text)
     with pytest.raises(TraceFormatError, match=r"state\.json"):
+        open_state(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "cell"),
+    [
+        ("../../important", CellState(Status.RECORDED, run_id="ff", segment="1-17-1.mcap")),
+        ("/etc/important", CellState(Status.RECORDED, run_id="ff", segment="1-17-1.mcap")),
+        (".hidden", CellState()),
+        ("", CellState()),
+        ("a", CellState(Status.RECORDED, run_id="ff", segment="../../home/thesis")),
+        ("a", CellState(Status.RECORDED, run_id="ff", segment="*")),
+        ("a", CellState(Status.RECORDED, run_id="ff", segment="-rf.mcap")),
+        ("a", CellState(Status.RECORDED, run_id="ff", segment="1-17-1.mcap; reboot")),
+        ("a", CellState(Status.RECORDED, run_id="ff", segment="1-17-1.mcap\n")),
+        ("a", CellState(Status.RECORDED, run_id="no hex", segment="1-17-1.mcap")),
+        ("a", CellState(Status.RECORDED, segment="1-17-1.mcap")),
+    ],
+)
+def test_names_that_no_sweep_gives_are_refused(tmp_path, name, cell):
+    open_state(tmp_path)[name] = cell
+    with pytest.raises(TraceFormatError, match="not the state of a sweep"):
+        open_state(tmp_path)
+
+
+@pytest.mark.parametrize("value", [5, ["a"], {}, {"b": 1}])
+def test_names_of_another_type_are_refused(tmp_path, value):
+    open_state(tmp_path)["a"] = CellState(Status.RECORDED, run_id="ff", segment="1-17-1.mcap")
+    held = json.loads((tmp_path / "state.json").read_text())
+    held["cells"]["a"]["run_id"] = value
+    (tmp_path / "state.json").write_text(json.dumps(held))
+    with pytest.raises(TraceFormatError, match="not the state of a sweep"):
         open_state(tmp_path)
 
 

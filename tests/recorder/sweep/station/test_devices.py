@@ -9,6 +9,7 @@ import loopback_sshd
 import pytest
 
 from dds_trace.recorder.sweep.plan.plan import DeviceSettings
+from dds_trace.recorder.sweep.station import programs, ssh
 from dds_trace.recorder.sweep.station.devices import LocalDevice, PrintedDevice
 from dds_trace.recorder.sweep.station.programs import Program
 from dds_trace.recorder.sweep.station.ssh import SshDevice
@@ -51,7 +52,7 @@ def remote(server, tmp_path):
     (tmp_path / "bin").mkdir()
     (tmp_path / "parts").mkdir()
 
-    def make(record=RECORD, version=__version__, destination=server.destination):
+    def make(record=RECORD, version=__version__, destination=server.destination, shell=""):
         for name, text in (
             ("dds-record", record),
             ("dds-bridge", HALF),
@@ -62,7 +63,7 @@ def remote(server, tmp_path):
         settings = DeviceSettings(
             ssh=destination,
             ssh_options=server.options,
-            setup=f"HOME={tmp_path / 'home'}",
+            setup=f"HOME={tmp_path / 'home'}{shell}",
             path=str(tmp_path / "bin"),
         )
         return SshDevice(settings, tmp_path / "parts", "my sweep")
@@ -128,6 +129,86 @@ def test_ring_of_a_killed_relay_is_fetched_with_its_trace(remote, tmp_path):
         (there(tmp_path) / name).write_text(name)
     assert device.collect("1-1.mcap") == tmp_path / "parts/1-1.mcap"
     assert (tmp_path / "parts/1-1.mcap.ring").read_text() == "1-1.mcap.ring"
+
+
+def names_in(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+HAS_EVERYTHING = "; test() { return 1; }"
+"""A shell that claims to have every file that it is asked for."""
+
+
+def test_hostile_device_makes_no_names_and_writes_through_no_link(remote, tmp_path):
+    evil = "; ls() { echo ../../evil; echo 1-1.mcap.sh; }; cat() { echo evil; }"
+    device = remote(shell=HAS_EVERYTHING + evil)
+    (tmp_path / "important").write_text("mine")
+    (tmp_path / "parts/1-1.mcap").symlink_to(tmp_path / "important")
+    assert device.collect("1-1.mcap") == tmp_path / "parts/1-1.mcap"
+    assert names_in(tmp_path / "parts") == ["1-1.mcap", "1-1.mcap.ring"]
+    assert (tmp_path / "important").read_text() == "mine"
+    assert names_in(tmp_path) == ["bin", "home", "important", "parts"]
+
+
+@pytest.mark.parametrize("endless", ["yes", "yes >&2"])
+def test_endless_answer_of_a_device_is_cut_and_leaves_nothing(remote, tmp_path, monkeypatch, endless):
+    monkeypatch.setattr(ssh, "MOST_TRACE_BYTES", 1 << 20)
+    device = remote(shell=f"{HAS_EVERYTHING}; cat() {{ case $1 in *pid-*) ;; *) {endless} ;; esac; }}")
+    with pytest.raises(BackendUnavailableError, match=r"sent more than [0-9]+ bytes"):
+        device.collect("1-1.mcap")
+    assert list((tmp_path / "parts").iterdir()) == []
+
+
+def test_device_that_never_ends_its_answer_is_given_up(remote, monkeypatch):
+    monkeypatch.setattr(ssh, "SSH_TIMEOUT_S", 0.5)
+    with pytest.raises(BackendUnavailableError, match=r"no end of its answer within 0\.5 s"):
+        remote(shell="; dds-sweep() { sleep 600; }").prepare()
+
+
+def test_endless_log_of_a_device_ends_its_program(remote, monkeypatch):
+    monkeypatch.setattr(programs, "MOST_LOG_BYTES", 1 << 20)
+    device = remote(record="#!/bin/sh\nexec yes\n")
+    device.prepare()
+    relay = device.start([], "1-1.mcap")
+    wait_for(lambda: relay.exit_code is not None)
+    assert relay.log.stat().st_size <= 1 << 20
+    relay.stop()
+
+
+def test_host_that_looks_like_an_option_is_a_host(remote, tmp_path):
+    device = remote(destination=f"-oProxyCommand=touch {tmp_path / 'pwned'}")
+    with pytest.raises(BackendUnavailableError):
+        device.prepare()
+    assert not (tmp_path / "pwned").exists()
+
+
+def test_leftovers_of_a_killed_sweep_are_removed_and_nothing_else(remote, tmp_path):
+    device = remote()
+    device.prepare()
+    left = ["1-1-1.mcap", "1-1-1.mcap.ring", "1-1-2.mcap", "-rf.mcap"]
+    kept = ["1-1-3.mcap", "1-1-3.mcap.ring", "notes.txt"]
+    for name in (*left, *kept):
+        (there(tmp_path) / name).write_text(name)
+    (there(tmp_path) / "a folder.mcap").mkdir()
+    (there(tmp_path) / "pid-1-1-1.mcap").write_text("999999999")
+    device.clear(["1-1-3.mcap"])
+    assert names_in(there(tmp_path)) == sorted([*kept, "a folder.mcap"])
+    device.clear([])
+    assert names_in(there(tmp_path)) == ["a folder.mcap", "notes.txt"]
+
+
+def test_folder_there_is_of_this_sweep_alone_and_leads_nowhere_else(tmp_path):
+    names = {ssh.folder_there(plan, tmp_path / at) for plan in ("plan", "../../bin") for at in "ab"}
+    assert len(names) == 4
+    assert not any("/" in name or name.startswith((".", "-")) for name in names)
+    assert ssh.folder_there("plan", tmp_path) == ssh.folder_there("plan", tmp_path)
+
+
+def test_local_device_removes_its_own_files_alone(tmp_path):
+    for name in ("1-1-1.mcap", "1-1-1.mcap.ring", "1-1-1.mcap.log", "1-1-1.mcap.bak", "1-1-11.mcap"):
+        (tmp_path / name).write_text("x")
+    LocalDevice(tmp_path, []).discard("1-1-1.mcap")
+    assert names_in(tmp_path) == ["1-1-1.mcap.bak", "1-1-11.mcap"]
 
 
 def test_relay_that_fails_on_the_other_device_gives_its_reason(remote):

@@ -270,7 +270,9 @@ def test_a_ping_that_stood_still_is_a_finding_of_its_own(tmp_path):
         (0,),
         f"run {RUN_ID:016x} (ping.mcap)",
     )
-    assert found["stood_still"].effect == pytest.approx(0.05, rel=0.01)
+    assert found["stood_still"].effect == pytest.approx(
+        5 / 94.95, rel=1e-3
+    )  # to the middle of the last tenth
 
 
 def test_a_second_without_a_message_that_was_due_is_no_stand_still(tmp_path):

@@ -68,6 +68,7 @@ class Details:
         wire_repeats: the same by how often messages were sent again, with their times.
         answers: the fastest contenders for each kind of message; rows as for `bridge_costs`.
         deadline_ns: the deadline that `freshness` judges; None for none.
+        deadline_metric: metric that it is for.
         recommendation: settings for the `job` of the analysis; None without a job.
         requested: False if the analysis was made with `details=False`: every frame is then empty.
     """
@@ -89,6 +90,7 @@ class Details:
     deadline_ns: int | None = None
     recommendation: Recommendation | None = None
     requested: bool = True
+    deadline_metric: str = "response"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,6 +179,7 @@ class Analysis:
             outputs={kind: str(path) for kind, path in self.outputs.items()},
             answers=self.details.answers,
             deadline_ns=self.details.deadline_ns,
+            deadline_metric=self.details.deadline_metric,
             recommendation=self.details.recommendation,
             requested=self.details.requested,
             unsent={f"{run_id:016x}": count for run_id, count in self.unsent.items()},
@@ -241,6 +244,7 @@ def load_analysis(folder: str | os.PathLike[str]) -> Analysis:
             **{name: frames[name] for name in DETAIL_FRAMES},
             answers=content.answers,
             deadline_ns=content.deadline_ns,
+            deadline_metric=content.deadline_metric,
             recommendation=content.recommendation,
             requested=content.requested,
         ),

@@ -82,6 +82,7 @@ def collect_details(
         **wire_frames(campaign.traces, campaign.runs, grouping, rows)._asdict(),
         answers=find_answers(judged, passes=passes),
         deadline_ns=wanted.deadline_ns,
+        deadline_metric=wanted.deadline_metric,
         recommendation=_recommendation(judged, wanted, campaign.runs.values()),
     )
 

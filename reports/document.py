@@ -63,6 +63,7 @@ def _document(book: Book) -> dict[str, object]:
         **{name: _rows(getattr(details, name)) if details.requested else None for name in DETAIL_FRAMES},
         "answers": details.answers if details.requested else None,
         "deadline_ns": details.deadline_ns,
+        "deadline_metric": details.deadline_metric,
         "recommendation": details.recommendation,
     }
 

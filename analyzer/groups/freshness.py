@@ -51,6 +51,7 @@ FRESHNESS_SCHEMA = {
     "outages": pl.UInt32,
     "outage_longest_ns": pl.Int64,
     "recovery_longest_ns": pl.Int64,
+    "unsure": pl.UInt64,
 }
 
 
@@ -93,7 +94,8 @@ def summarize_freshness(
 
     Returns:
         Sorted by run and relay. `messages` published; `judged` those whose fate against the deadline is known, and the
-        unsent ones (a reply without the relay's trace has no latency and is not judged); `missed`, `missed_ratio` of the judged,
+        unsent ones; `unsure` the others, of which it cannot be told (a one-way time whose clock bound holds the deadline, a
+        reply without the relay's trace, which has no latency); `missed`, `missed_ratio` of the judged,
         `longest_missed` in a row and `longest_missed_ns` from the first one's planned time to the next in
         time; `age_*`: information that went to the relay and back, at the ping, exact on one clock; `relay_age_*`:
         at the relay, on the ping's clock, wrong by at most `clock_bound_ns`; `outages` of at least
@@ -253,6 +255,7 @@ def _deadline(run: _Run, deadline_ns: int | None, unsent: int) -> dict[str, obje
     return {
         "deadline_ns": deadline_ns,
         "judged": all_judged,
+        "unsure": int((~judged).sum()),
         "missed": all_missed,
         "missed_ratio": all_missed / all_judged if all_judged else None,
         "longest_missed": max(longest_run(missed), ending + unsent if unsent else 0),

@@ -60,6 +60,7 @@ class Content:
     outputs: Mapping[str, str]
     answers: tuple[CaseAnswer, ...]
     deadline_ns: int | None
+    deadline_metric: str
     recommendation: Recommendation | None
     requested: bool
     unsent: Mapping[str, int]

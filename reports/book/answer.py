@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from dds_trace.analyzer import Analysis, CaseAnswer
+    from dds_trace.analyzer.analysis import Details
 
     from .groups import Groups, VendorLabels
     from .numbers import Values
@@ -74,7 +75,13 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values) -> Conclusio
     answers = known.answers if known else ()
     verdicts = verdicts_info(answers, groups.vendors)
     bridges = _bridge_remarks(known.bridge_costs, groups.vendors) if known else []
-    remarks = (*_unknown_remarks(metric), *_level_remarks(groups, values, metric), *bridges, _losses(values))
+    remarks = (
+        *_deadline_remarks(analysis.details, groups),
+        *_unknown_remarks(metric),
+        *_level_remarks(groups, values, metric),
+        *bridges,
+        _losses(values),
+    )
     rule = CLEARLY if any(one.within_one_run < one.cells for one in verdicts) else WITHIN_ONE_RUN
     return Conclusion(
         _headline(verdicts, groups, values, answers), metric, verdicts, remarks, rule if verdicts else ""
@@ -291,6 +298,43 @@ def way_label(row: Mapping[str, Any], vendors: VendorLabels) -> str:
     """Name the vendor and bridge of a row of `bridge_costs`, as in `Fast DDS, via builtin`."""
     way = "different domains" if row["bridge"] == "none" else f"via {visible(row['bridge'])}"
     return f"{vendors.of_pair(row['vendor'], row['relay_vendor'])}, {way}"
+
+
+def _deadline_remarks(details: Details, groups: Groups) -> list[str]:
+    """State how many messages missed the deadline, of how many it cannot be told, and where most missed it."""
+    if details.deadline_ns is None or not details.freshness.height:
+        return []
+    counts = ("missed", "judged", "unsure")
+    by_group = details.freshness.group_by("group").agg(pl.col(*counts).sum()).sort("group")
+    missed, judged, unsure = (int(by_group[name].sum()) for name in counts)
+    label = _DEADLINE_LABELS.get(details.deadline_metric) or METRIC_LABELS[details.deadline_metric].lower()
+    share = f" ({format_ratio(missed / judged)})" if missed else ""
+    said = (
+        f"Deadline of {format_duration(details.deadline_ns)} for the {label}: "
+        f"{format_count(missed)} of {counted(judged, 'message', text=format_count(judged))} missed it{share}"
+    )
+    if missed and len(by_group) > 1:
+        worst = max(by_group.filter(pl.col("judged") > 0).iter_rows(named=True), key=_missed_ratio)
+        where = group_labels(groups)[worst["group"]]
+        said += f", the largest share in {where} ({format_ratio(_missed_ratio(worst))})"
+    open_ones = (
+        f" Of {counted(unsure, 'more message', text=format_count(unsure))} it cannot be told."
+        if unsure
+        else ""
+    )
+    return [f"{said}.{open_ones}"]
+
+
+_DEADLINE_LABELS = {
+    "response": "response (planned send to reply)",
+    "outbound": "way out",
+    "return": "way back",
+}
+"""Metric of a deadline -> its label, where it is not that of a figure."""
+
+
+def _missed_ratio(row: Mapping[str, int]) -> float:
+    return row["missed"] / row["judged"]
 
 
 def _unknown_remarks(metric: str) -> list[str]:

@@ -90,27 +90,44 @@ def test_a_deadline_is_taken(runs):
 
 
 def freshness(folder, capsys, *arguments):
-    """Deadline, judged and missed messages of the only run, as the JSON report has them."""
+    """Deadline, messages that surely met it, surely missed it, and of which it cannot be told, of the only run."""
     assert run_main(folder, *arguments, "--report", "json") == 0
     capsys.readouterr()
-    (row,) = json.loads((folder / "analysis" / "report.json").read_text())["freshness"]
-    return row["deadline_ns"], row["judged"], row["missed"]
+    report = json.loads((folder / "analysis" / "report.json").read_text())
+    (row,) = report["freshness"]
+    judged = row["deadline_ns"], row["judged"] - row["missed"], row["missed"], row["unsure"]
+    return judged, report["answer"]["remarks"][0]
 
 
 @pytest.mark.parametrize(
-    ("deadline", "expected"),
+    ("deadline", "expected", "said"),
     [
-        ("20ms", (20 * MS, 120, 0)),
-        ("1.5ms", (1_500_000, 120, 120)),  # a response takes 2 ms, a latency half of it
-        ("1.5ms metric=response", (1_500_000, 120, 120)),
-        (" 1500us  metric=rtt ", (1_500_000, 120, 120)),
-        ("1.5ms metric=latency", (1_500_000, 120, 0)),
-        ("1.5ms metric=outbound", (1_500_000, 0, 0)),  # 1 ms, wrong by at most 1 ms: none can be told
-        ("3ms metric=return", (3 * MS, 120, 0)),
+        (
+            "20ms",
+            (20 * MS, 120, 0, 0),
+            "20 ms for the response (planned send to reply): 0 of 120 messages missed it.",
+        ),
+        # A response takes 2 ms, a latency half of it.
+        ("1.5ms", (1_500_000, 0, 120, 0), "120 of 120 messages missed it (100 %)."),
+        ("1.5ms metric=response", (1_500_000, 0, 120, 0), "for the response"),
+        (" 1500us  metric=rtt ", (1_500_000, 0, 120, 0), "for the round trip: 120 of 120"),
+        ("1.5ms metric=latency", (1_500_000, 120, 0, 0), "for the latency: 0 of 120"),
+        # 1 ms out, wrong by at most 1 ms: none can be told.
+        (
+            "1.5ms metric=outbound",
+            (1_500_000, 0, 0, 120),
+            "for the way out: 0 of 0 messages missed it. Of 120 more",
+        ),
+        ("3ms metric=return", (3 * MS, 120, 0, 0), "for the way back: 0 of 120"),
     ],
 )
-def test_a_deadline_is_for_the_response_or_for_the_metric_that_is_named(runs, capsys, deadline, expected):
-    assert freshness(runs, capsys, "--deadline", deadline) == expected
+def test_a_deadline_is_for_the_response_or_for_the_metric_that_is_named(
+    runs, capsys, deadline, expected, said
+):
+    judged, remark = freshness(runs, capsys, "--deadline", deadline)
+    assert judged == expected
+    assert remark.startswith("Deadline of ")
+    assert said in remark
 
 
 @pytest.mark.parametrize(

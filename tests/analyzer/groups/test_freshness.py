@@ -28,7 +28,7 @@ def test_without_a_deadline_nothing_is_judged():
 def test_a_reply_without_the_relays_trace_is_judged_on_rtt_only():
     frame = roundtrips([{"publish_ns": 0, "receive_ns": 10 * MS}, {"publish_ns": 100 * MS}])
     by_latency = summarize_freshness(frame, deadline_ns=20 * MS, metric="latency_ns").row(0, named=True)
-    assert (by_latency["judged"], by_latency["missed"]) == (1, 1)
+    assert (by_latency["judged"], by_latency["missed"], by_latency["unsure"]) == (1, 1, 1)
     by_rtt = summarize_freshness(frame, deadline_ns=20 * MS, metric="rtt_ns").row(0, named=True)
     assert (by_rtt["judged"], by_rtt["missed"]) == (2, 1)
 
@@ -135,3 +135,4 @@ def test_a_one_way_deadline_is_surely_met_surely_missed_or_cannot_be_told():
     frame = roundtrips({"publish_ns": 0, "sequence": n, **row} for n, row in enumerate([*ways, *lost]))
     row = summarize_freshness(frame, deadline_ns=20 * MS, metric="outbound_ns").row(0, named=True)
     assert (row["messages"], row["judged"], row["missed"]) == (6, 3, 2)
+    assert row["unsure"] == 3  # 19 and 21 ms, and the one lost on its way back

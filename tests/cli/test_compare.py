@@ -1,5 +1,6 @@
 """`dds-analyze compare` as it is typed: outcomes, exit codes, formats."""
 
+from dataclasses import replace
 from xml.etree import ElementTree as ET
 
 import pytest
@@ -30,17 +31,21 @@ def record(folder, runs=3, **how):
     """Runs of one group, each in a folder of its own, 1 % slower and faster in turn."""
     first = how.get("first", 0)
     count, vendor, slower = how.get("count", 600), how.get("vendor", "fastdds"), how.get("slower", 1)
+    sent = how.get("sent", count)
     for number in range(runs):
         write_pair(
             folder / str(number),
-            drawn(slower * (0.99 + 0.01 * number), count, first + number),
+            drawn(slower * (0.99 + 0.01 * number), sent, first + number),
             ping=ping_session(vendor=vendor, session_id=50 + first + number),
             runs=[
                 run(
                     run_id=70 + first + number,
                     planned_messages=count,
-                    published=count,
-                    extra={"session_id": f"{50 + first + number:016x}"},
+                    published=sent,
+                    extra={
+                        "session_id": f"{50 + first + number:016x}",
+                        "ended_ns": ((first + number) * 1000 + count - 1) * PERIOD,
+                    },
                 )
             ],
         )
@@ -114,6 +119,67 @@ def test_a_missing_group_regresses_unless_that_is_allowed(folders, capsys):
     assert run_main("compare", folders / "two", new, "--allow-missing") == 0
     assert run_main("compare", folders / "two", new) == 20
     assert "missing on the new side" in capsys.readouterr().out
+
+
+def dead(folder):
+    """Three runs like those of `record`, to which no reply came back."""
+    for number in range(3):
+        described = run(
+            run_id=70 + number,
+            planned_messages=600,
+            published=600,
+            extra={"session_id": f"{50 + number:016x}"},
+        )
+        silent = [replace(m, t4=None, t2=None) for m in drawn(1, 600, number)]
+        write_pair(folder / str(number), silent, ping=ping_session(session_id=50 + number), runs=[described])
+
+
+def test_a_dead_group_regresses_unless_that_is_allowed(folders, capsys):
+    dead(folders / "dead")
+    assert run_main("compare", folders / "base", folders / "dead", "--allow-missing") == 0
+    capsys.readouterr()
+    assert run_main("compare", folders / "base", folders / "dead") == 20
+    shown = capsys.readouterr()
+    assert "no reply came back on the new side" in shown.out
+    assert "100.00% -> 0.00%" in shown.out
+    assert shown.err == "dds-analyze compare: regressed\n"
+
+
+@pytest.mark.parametrize("side", ["base", "new"])
+def test_a_finding_of_severity_error_makes_a_gate_inconclusive(tmp_path, capsys, side):
+    for name in ("base", "new"):
+        record(tmp_path / name)
+    lossy = tmp_path / side / "0"
+    described = run(run_id=70, planned_messages=600, published=600, extra={"session_id": f"{50:016x}"})
+    write_pair(lossy, drawn(0.99), ping=ping_session(session_id=50, dropped_events=7), runs=[described])
+    gate = ("--fail-if", "latency_p90 > +10%")
+    assert run_main("compare", tmp_path / "base", tmp_path / "new", *gate) == 21
+    assert "a side is not fit to be judged" in capsys.readouterr().out
+    record(tmp_path / side)
+    assert run_main("compare", tmp_path / "base", tmp_path / "new", *gate) == 0
+
+
+def test_a_side_that_stops_sending_regresses(tmp_path, capsys):
+    record(tmp_path / "base", slower=5)
+    record(tmp_path / "new", sent=300)
+    gates = ("--fail-if", "latency_p90 > +10%", "--fail-if", "received_ratio < 99%")
+    assert run_main("compare", tmp_path / "base", tmp_path / "new", *gates) == 20
+    shown = capsys.readouterr().out
+    assert "100.00% -> 50.00%" in shown
+    assert shown.count("regressed: ") == 2
+
+
+@pytest.mark.parametrize("report", ["terminal", "md"])
+def test_tables_say_what_the_tails_rest_on_and_what_was_received(folders, capsys, report):
+    assert run_main("compare", folders / "base", folders / "same", "--report", report) == 0
+    shown = capsys.readouterr().out
+    assert "100.00% -> 100.00%" in shown
+    tails = [line for line in shown.splitlines() if "latency p9" in line]
+    medians = [line for line in shown.splitlines() if "latency p50" in line]
+    assert tails
+    assert all("episode" in line for line in tails if "p99.9" not in line and "p99_9" not in line)
+    assert medians
+    assert not any("episode" in line for line in medians)
 
 
 def test_junit_into_a_file(folders, capsys):

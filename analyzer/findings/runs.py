@@ -115,6 +115,24 @@ def unfinished_runs(evidence: Evidence) -> Iterator[Finding]:
             )
 
 
+def unpublished_runs(evidence: Evidence) -> Iterator[Finding]:
+    """Report runs that planned messages and published none: no row stands for them, so no verdict counts them.
+
+    Where the run has ended this is an error, so that no gate passes without it; one that was only begun may be going on.
+    """
+    known = {exchange.run.run_id for exchange in evidence.grouping.exchanges}
+    known |= {unplaced.run_id for unplaced in evidence.exchanges.unplaced}
+    for run_id, run in evidence.campaign.runs.items():
+        if run_id not in known and run.published == 0 and run.planned_messages > 0:
+            yield Finding(
+                Severity.ERROR if run.state == "finished" else Severity.WARNING,
+                "unpublished_run",
+                evidence.run_name(run_id),
+                f"None of {counted(run.planned_messages, 'planned message')} left, and no group has the run.",
+                "See what stopped the ping before its first message, and repeat the run or take its trace away.",
+            )
+
+
 def repeated_publications(evidence: Evidence) -> Iterator[Finding]:
     """Report messages with more than one T1."""
     for run_id, (_, counts) in evidence.counts_by_run().items():

@@ -42,6 +42,7 @@ CHECKS: tuple[Check, ...] = (
     runs.relays_without_trace,
     runs.gaps_of_relays,
     runs.unfinished_runs,
+    runs.unpublished_runs,
     runs.repeated_publications,
     runs.orphan_events,
     groups.losses,

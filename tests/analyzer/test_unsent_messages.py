@@ -21,6 +21,7 @@ from dds_trace.analyzer import (
     parse_job,
 )
 from dds_trace.analyzer.analysis import load_analysis
+from dds_trace.analyzer.model.finding import Severity
 from dds_trace.analyzer.verdicts.answers import Clarity
 from dds_trace.analyzer.verdicts.gate import GateOutcome
 from dds_trace.analyzer.verdicts.recommend import Fit
@@ -187,3 +188,25 @@ def test_what_was_under_way_when_the_ping_was_killed_is_neither_lost_nor_unsent(
         "20 messages were published, 600 planned; 2 messages were under way at its end."
     )
     assert finding.groups == (0,)
+
+
+@pytest.mark.parametrize(
+    ("state", "severity", "outcome"),
+    [
+        ("finished", Severity.ERROR, GateOutcome.INCONCLUSIVE),
+        ("started", Severity.WARNING, GateOutcome.PASSED),
+    ],
+)
+def test_a_run_of_which_nothing_left_is_told(tmp_path, state, severity, outcome):
+    record(tmp_path / "runs", "whole")
+    silent = run(
+        run_id=500, state=state, planned_messages=DUE, published=0, extra={"session_id": f"{99:016x}"}
+    )
+    write_pair(tmp_path / "runs" / "silent", [], ping=ping_session(session_id=99), runs=[silent])
+    analysis = analyze(tmp_path / "runs", details=False)
+    (finding,) = (one for one in analysis.findings if one.code == "unpublished_run")
+    assert finding.severity is severity
+    assert finding.where == "run 00000000000001f4 (silent/ping.mcap)"
+    assert finding.what == "None of 600 planned messages left, and no group has the run."
+    (result,) = judge_gates(compare(analysis, analysis), parse_gates(["latency_p90 > +10%"]))
+    assert result.outcome is outcome

@@ -69,7 +69,8 @@ const INTERVALS = () => Boolean(DATA.intervals.low_ns[view.metric]?.[view.statis
 
 function intervalHover(group) {
   const [low, high] = intervalOf(group);
-  return low === null && high === null ? [] : [`95 %: ${formatNs(low)} to ${formatNs(high)}`, restsOn(group)];
+  const ends = low === null && high === null ? "" : `95 %: ${formatNs(low)} to ${formatNs(high)}`;
+  return [ends, restsOn(group)].filter(Boolean);
 }
 
 /** The columns of the interval of the chosen statistic, none where it has none, and a group's cells of them. */

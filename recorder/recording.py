@@ -11,7 +11,14 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import HOST_TOPIC, NoEchoError, NotAppliedError, TraceSink
+from dds_trace.tracefile import (
+    HOST_TOPIC,
+    BridgeError,
+    NoEchoError,
+    NotAppliedError,
+    RelayLostError,
+    TraceSink,
+)
 from dds_trace.tracefile.writing.destination import discard
 
 from .backends import open_node
@@ -23,7 +30,7 @@ from .host.privileges import apply_privileges
 from .host.sampling import HostSampler
 from .host.steady import collect_young, steady_interpreter
 from .payloads import open_payload, served_data_types
-from .roles.echo import explain_silence, look_for_relays
+from .roles.echo import explain_silence, find_loss, look_for_relays
 from .roles.floor import measured_cost, measured_floor
 from .roles.ping import open_ping
 from .roles.plan import check_serialization, plan_run
@@ -61,12 +68,21 @@ ALL_RELAYS_S = 3.0
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """The result of a recording; `run` is None for a relay and for a ping that was stopped before its echo."""
+    """The result of a recording.
 
-    trace: ClosedTrace
+    Attributes:
+        trace: the closed trace; None for a ping that was stopped before its echo, which writes none.
+        session: the session as it began.
+        progress: what the role did.
+        run: the run of a ping.
+        error: the reason why a ping's run ended before its plan, or with nobody left to answer; None at a regular end.
+    """
+
+    trace: ClosedTrace | None
     session: Session
     progress: PingProgress | RelayProgress
     run: Run | None = None
+    error: BridgeError | RelayLostError | None = None
 
 
 def record(options: RecordOptions, stop: threading.Event, watch: Watch) -> Recorded:
@@ -152,19 +168,24 @@ class _Recording:
             read_back.read_begin()
             read_back.tell()
             session = self._describe("ping", node, read_back)
+            if (
+                self.stop.is_set()
+            ):  # before the trace is made: a file without a message would block the next try
+                return Recorded(None, session, ping.progress())
             sink = stack.enter_context(self._open_trace(session))
             wire.begin(ping.run_id)
             with _sampled(sink, wire, bridge):
-                run = None if self.stop.is_set() else self._run(ping, node, sink)
-            if run is not None:
-                run = wire.write_run(run, sink)
+                run, error = self._run(ping, node, sink, bridge)
+            run = wire.write_run(run, sink)
             read_back.read_end(ping.traffic)
             if bridge is not None:
                 bridge.stop()  # so that its description says how it ended
-            described: JsonObject = {} if bridge is None else {"bridge": bridge.describe()}
+            described: JsonObject = {"error": None if error is None else str(error)}
+            if bridge is not None:
+                described = {**described, "bridge": bridge.describe()}
             trace = sink.close(**described, **read_back.fields(), **self._clock_at_end())
             read_back.tell(trace.path)
-            return Recorded(trace, session, ping.progress(), run)
+            return Recorded(trace, session, ping.progress(), run, error)
 
     def _measure_costs(self) -> None:
         """Measure the costs of recording, before there is a node that could be disturbed."""
@@ -278,21 +299,32 @@ class _Recording:
         if came and not ping.wait_for_echo(ALL_RELAYS_S, self.stop, relays):
             self.watch.note(f"{ping.echoing_relays} of {relays} relays in sight answer")
 
-    def _run(self, ping: AnyPing, node: Node, sink: TraceSink) -> Run:
-        """Run the ping on a thread of its own; this one looks at it now and then."""
-        end_ns, enough = self._end_ns(), threading.Event()
+    def _run(
+        self, ping: AnyPing, node: Node, sink: TraceSink, bridge: RunningBridge | None
+    ) -> tuple[Run, BridgeError | RelayLostError | None]:
+        """Run the ping on a thread of its own; this one looks at it now and then, and ends it when it has no hope.
+
+        Returns:
+            The finished run, and the reason if it had to end or ended with nobody left to answer.
+        """
+        end_ns, enough, hopeless = self._end_ns(), threading.Event(), threading.Event()
+        error: BridgeError | RelayLostError | None = None
         with ThreadPoolExecutor(1, thread_name_prefix="ping") as pool:
-            future = pool.submit(ping.run, sink, enough)
+            future = pool.submit(ping.run, sink, enough, hopeless)
             while not future.done():
                 left_s = LOOK_S if enough.is_set() else max(self._left_s(end_ns), 0)
                 wait([future], timeout=min(LOOK_S, left_s))
+                error = error or _find_failure(ping, node, bridge, ended=False)
+                if error is not None:
+                    enough.set()
+                    hopeless.set()
                 if self.stop.is_set() or node.error is not None or self._left_s(end_ns) <= 0:
                     enough.set()
                 self._note_disk(sink)
                 self.watch.progress(ping.progress())
             run = future.result()
         _raise_error_of(node)
-        return run
+        return run, error or _find_failure(ping, node, bridge, ended=True)
 
     def _watch_relay(
         self, relay: Relay, node: Node, sink: TraceSink, read_back: ReadBack, wire: WireRecord
@@ -332,6 +364,18 @@ def _sampled(sink: TraceSink, wire: WireRecord, bridge: RunningBridge | None = N
     """Return a sampler that writes the load of this host, this process and its helpers once a second within a block."""
     processes = {**wire.processes, **({} if bridge is None else bridge.processes)}
     return HostSampler(partial(sink.write_json, HOST_TOPIC), processes)
+
+
+def _find_failure(
+    ping: AnyPing, node: Node, bridge: RunningBridge | None, *, ended: bool
+) -> BridgeError | RelayLostError | None:
+    """Return the reason why nobody answers a ping any more: its bridge has ended, or the relay is lost."""
+    if bridge is not None:
+        try:
+            bridge.check()
+        except BridgeError as died:
+            return died
+    return find_loss(node, ping.plan.payload.data_type, ping.silence, ended=ended)
 
 
 def _raise_error_of(node: Node) -> None:

@@ -78,6 +78,18 @@ class NotAppliedError(TraceError):
     exit_code = 11  # 10 is dds-sweep's: some cells have no recording
 
 
+class RelayLostError(TraceError):
+    """Relay that answered a ping and then, in the middle of its run, no more."""
+
+    exit_code = 12
+
+
+class LossesError(TraceError):
+    """Run that lost a greater share of its messages than `--fail-if-lost` allows."""
+
+    exit_code = 13
+
+
 class BridgeError(TraceError):
     """Bridge whose program ended, never came up, or cannot be started; the text holds the program's last line."""
 

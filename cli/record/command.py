@@ -29,6 +29,7 @@ def main_command(
     messages: words.Messages = None,
     warmup: words.Warmup = None,
     wait: words.Wait = None,
+    fail_if_lost: words.FailIfLost = None,
     relays: words.Relays = None,
     domain: words.Domain = None,
     bridge: words.Bridge = None,
@@ -88,6 +89,7 @@ def main_command(
         default_domain,
         parse_durations,
         parse_pairs,
+        parse_percentage,
         refuse_others,
     )
 
@@ -110,6 +112,7 @@ def main_command(
         "--messages": messages,
         "--warmup": warmup,
         "--wait": wait,
+        "--fail-if-lost": fail_if_lost,
         "--relays": relays,
         "--bridge": bridge,
         "--relay-domain": relay_domain,
@@ -121,6 +124,7 @@ def main_command(
     }
     of_relay = {"--relay-id": relay_id, "--type": types or None}
     refuse_others(role.value, of_relay if role is choices.Role.PING else of_ping)
+    allowed = None if fail_if_lost is None else parse_percentage("--fail-if-lost", fail_if_lost)
     is_bridged = bridge not in (None, "none")
     if domain is None:
         domain = BRIDGED_PING_DOMAIN if is_bridged else default_domain()
@@ -174,7 +178,7 @@ def main_command(
         strict=strict,
         wire=wire,
     )
-    print_result(record_until_stopped(options), as_json=as_json)
+    print_result(record_until_stopped(options), as_json=as_json, fail_if_lost=allowed)
 
 
 def main() -> None:

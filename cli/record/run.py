@@ -13,14 +13,16 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from dds_trace.recorder import RelayProgress, record
+from dds_trace.recorder import PingProgress, RelayProgress, record
+from dds_trace.tracefile import LossesError, OutputError
 from dds_trace.tracefile.units.counts import counted
 from dds_trace.tracefile.units.durations import format_duration
 
 if TYPE_CHECKING:
     from types import TracebackType
 
-    from dds_trace.recorder import PingProgress, Recorded, RecordOptions
+    from dds_trace.recorder import Recorded, RecordOptions
+    from dds_trace.tracefile import TraceError
 
 
 def describe_progress(progress: PingProgress | RelayProgress) -> str:
@@ -86,36 +88,70 @@ def record_until_stopped(options: RecordOptions) -> Recorded:
         return record(options, stop, watch)
 
 
-def print_result(recorded: Recorded, *, as_json: bool) -> None:
-    """Print the result of a recording.
+def print_result(recorded: Recorded, *, as_json: bool, fail_if_lost: float | None = None) -> None:
+    """Print the result of a recording, and raise what was wrong with it.
+
+    Args:
+        recorded: the result.
+        as_json: whether it is printed for a script.
+        fail_if_lost: largest share of lost messages, 0 to 1, that is no error; None for any.
 
     Raises:
         OutputError: not all of the trace could be written.
+        BridgeError: the bridge died in the middle of the run.
+        RelayLostError: the relay did.
+        LossesError: more messages were lost than `fail_if_lost` allows.
     """
     trace = recorded.trace
+    error = _fault(recorded, fail_if_lost)
     if as_json:
-        print(json.dumps(_result(recorded)))
+        print(json.dumps(_result(recorded, error)))
+    elif trace is None:
+        print("stopped before the first echo; nothing was written")
     else:
         print(f"Wrote {trace.path}")
         print(
             f"{describe_progress(recorded.progress)}; {counted(trace.events, 'event')}, {trace.dropped_events} dropped"
         )
-    if trace.error is not None:
-        raise trace.error
+    if error is not None:
+        raise error
 
 
-def _result(recorded: Recorded) -> dict[str, object]:
+def _fault(recorded: Recorded, fail_if_lost: float | None) -> TraceError | None:
+    """Return the worst that happened to a recording, None if all is well."""
+    trace, progress = recorded.trace, recorded.progress
+    if trace is not None and trace.error is not None:
+        if not trace.ring_events:
+            return trace.error
+        return OutputError(
+            f"{trace.error}; {counted(trace.ring_events, 'event waits', 'events wait')} in the ring beside it: make "
+            f"room or copy both files to another disk, then `dds-record --recover {trace.path}`"
+        )
+    if recorded.error is not None:
+        return recorded.error
+    if fail_if_lost is None or not isinstance(progress, PingProgress) or not progress.sent:
+        return None
+    share = progress.lost / progress.sent
+    if share <= fail_if_lost:
+        return None
+    return LossesError(
+        f"{progress.lost} of {counted(progress.sent, 'message')} lost, {share:.2%}; --fail-if-lost allows "
+        f"{fail_if_lost:.2%}"
+    )
+
+
+def _result(recorded: Recorded, error: TraceError | None) -> dict[str, object]:
     """Return the JSON object of `--json`."""
     session, run, trace = recorded.session, recorded.run, recorded.trace
     return {
-        "path": str(trace.path),
+        "path": None if trace is None else str(trace.path),
         "role": session.role,
         "session_id": f"{session.session_id:016x}",
         "run_id": None if run is None else f"{run.run_id:016x}",
         "relay_id": session.relay_id,
-        "events": trace.events,
-        "dropped_events": trace.dropped_events,
-        "bytes": trace.bytes,
-        "error": None if trace.error is None else str(trace.error),
+        "events": 0 if trace is None else trace.events,
+        "dropped_events": 0 if trace is None else trace.dropped_events,
+        "bytes": 0 if trace is None else trace.bytes,
+        "error": None if error is None else str(error),
         **asdict(recorded.progress),
     }

@@ -55,6 +55,26 @@ def refuse_others(role: str, others: Mapping[str, object]) -> None:
         )
 
 
+def parse_percentage(option: str, text: str) -> float:
+    """Return the share, 0 to 1, that a text like `1%` or `0.5 %` means.
+
+    Args:
+        option: name of the option, for errors.
+        text: its value.
+
+    Raises:
+        OptionError: the text is no percentage from 0 to 100.
+    """
+    number = text.strip().removesuffix("%").strip()
+    try:
+        share = float(number) / 100
+    except ValueError:
+        share = -1.0
+    if not text.strip().endswith("%") or not 0 <= share <= 1:
+        raise OptionError(f"{option} {text!r}: write a percentage from 0% to 100%, for example 1%")
+    return share
+
+
 def parse_durations(**texts: str | None) -> dict[str, int]:
     """Return the given durations in ns, without those that are None."""
     return {name: parse_duration(text) for name, text in texts.items() if text is not None}

@@ -50,6 +50,14 @@ Fsync = Annotated[
 Duration = Annotated[
     float | None, _role("--duration", metavar="SECONDS", help="End then. A relay goes on until stopped.")
 ]
+FailIfLost = Annotated[
+    str | None,
+    _role(
+        "--fail-if-lost",
+        metavar="PERCENT",
+        help="Of a ping: end with exit code 13 if more of its messages are lost, 1% say.",
+    ),
+]
 AsJson = Annotated[bool, _role("--json", metavar="", help="Print the result as JSON.")]
 Data = Annotated[
     str | None,

@@ -1,11 +1,13 @@
-"""The explanation of a missing echo: what a ping looked for, what it sees, and what to try."""
+"""The explanation of a missing echo or reply: what a ping looked for, what it sees, and what to try."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from dds_trace.tracefile import RelayLostError
 from dds_trace.tracefile.units.counts import counted
+from dds_trace.tracefile.units.durations import SECOND_NS
 
 from ..backends import load_backend, load_backends
 from ..payloads import data_types
@@ -14,6 +16,7 @@ if TYPE_CHECKING:
     from ..backends.node import Endpoint, Node
     from ..payloads.base import DataType
     from .plan import RunPlan
+    from .replies import Silence
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +51,24 @@ def look_for_relays(node: Node, data_type: DataType) -> Sight:
         tuple(endpoint for endpoint in back.publishers if endpoint.node_name != own),
         there.incompatible + back.incompatible,
         there.unassignable + back.unassignable,
+    )
+
+
+def find_loss(node: Node, data_type: DataType, silence: Silence, *, ended: bool) -> RelayLostError | None:
+    """Return the error of a relay that answers no more, None while it may still come back.
+
+    Args:
+        node: node of the ping.
+        data_type: data type of its run.
+        silence: messages behind the last answered one.
+        ended: whether the run has ended; before, a relay is lost only once it is out of sight too, since a link that fails
+            for some seconds is something to measure.
+    """
+    if not silence.is_lasting or (not ended and look_for_relays(node, data_type).publishers):
+        return None
+    return RelayLostError(
+        f"the relay of {data_type.topic} is lost: no reply to the last {counted(silence.messages, 'message')} "
+        f"({silence.duration_ns / SECOND_NS:.1f} s); look at what the relay said last, and at the link to it"
     )
 
 

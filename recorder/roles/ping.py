@@ -15,7 +15,7 @@ from ..host.steady import steady_interpreter
 from ..payloads.stamp import PROBE_RUN_ID, SentT
 from .lanes import ObjectLane, RawLane
 from .progress import PingProgress
-from .replies import Replies
+from .replies import Replies, Silence
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -167,16 +167,26 @@ class Ping(Generic[SentT, ReceivedT]):
         return Traffic(self._published, self._replies.received, sum(sizes) // max(len(sizes), 1))
 
     @property
+    def silence(self) -> Silence:
+        """The messages behind the last answered one, so far."""
+        replies, published = self._replies, self._published
+        first = replies.highest + 1
+        since_ns = replies.publish_ns[first] if first < published else self._now()
+        until_ns = replies.publish_ns[published - 1] if self._ended and published else self._now()
+        return Silence(published - first, max(until_ns - since_ns, 0), first, replies.received)
+
+    @property
     def echoing_relays(self) -> int:
         """Number of relays that have sent a probe back."""
         return len(self._echoes)
 
-    def run(self, sink: TraceSink, stop: threading.Event) -> Run:
+    def run(self, sink: TraceSink, stop: threading.Event, hopeless: threading.Event | None = None) -> Run:
         """Send the plan on this thread, collect the replies, and return the run as it was finished.
 
         Args:
             sink: trace that keeps the events and the run's description.
             stop: ends the sending early; replies are waited for all the same.
+            hopeless: ends the wait for replies too.
         """
         description = self.plan.describe(self.run_id)
         sink.write_run(description)
@@ -185,7 +195,7 @@ class Ping(Generic[SentT, ReceivedT]):
         with steady_interpreter():
             self._send(sink, stop)
             ended_ns = self._now()
-            self._drain()
+            self._drain(hopeless or threading.Event())
         self._ended = True
         feed = self.plan.payload.feed
         skipped = {} if feed is None else {"skipped_messages": feed.skipped}
@@ -236,14 +246,14 @@ class Ping(Generic[SentT, ReceivedT]):
             self._stamps.write(message, self.run_id, sequence)
             yield message, taken.payload_bytes, arrival_ns
 
-    def _drain(self) -> None:
+    def _drain(self, hopeless: threading.Event) -> None:
         replies = self._replies
-        began_ns, patience = self._now(), threading.Event()  # a wait that nobody cuts short
-        while not replies.are_complete(self._published):
+        began_ns = self._now()
+        while not replies.are_complete(self._published) and not hopeless.is_set():
             quiet_ns = self._now() - max(began_ns, replies.last_ns)
             if quiet_ns > max(DRAIN_NS, 2 * max(self._longest_echo_ns, replies.longest_rtt_ns)):
                 break
-            self._clock.wait_until(self._now() + LOOK_NS, patience)
+            self._clock.wait_until(self._now() + LOOK_NS, hopeless)
 
     def progress(self) -> PingProgress:
         """Return the progress of the run; any thread may ask."""

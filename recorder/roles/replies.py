@@ -2,9 +2,43 @@
 
 from __future__ import annotations
 
+import math
 from array import array
+from dataclasses import dataclass
+
+from dds_trace.tracefile.units.durations import SECOND_NS
 
 from .progress import rtt_percentiles_ns
+
+SILENCE_NS = 3 * SECOND_NS
+"""Shortest silence that can mean a lost relay."""
+CHANCE = 1e-6
+"""Probability of a silence by losses like those before it, below which it means a lost relay."""
+
+
+@dataclass(frozen=True, slots=True)
+class Silence:
+    """The end of a run, or of what it has sent so far, that no relay answered.
+
+    Attributes:
+        messages: messages sent behind the last answered one.
+        duration_ns: time since the first of them was sent; until the last one was, once the run has ended.
+        before: messages sent before them.
+        answered: messages with a reply among those.
+    """
+
+    messages: int
+    duration_ns: int
+    before: int
+    answered: int
+
+    @property
+    def is_lasting(self) -> bool:
+        """Whether it took longer and more messages than losses like those before it explain."""
+        if self.duration_ns < SILENCE_NS or self.messages <= 0:
+            return False
+        loss = (self.before - self.answered + 1) / (self.before + 2)  # Laplace's rule of succession
+        return self.messages * math.log(loss) < math.log(CHANCE)
 
 
 class Replies:

@@ -26,6 +26,7 @@ FOLDER = Path(os.environ["STAND_IN_FOLDER"])
 FAILURES = {
     "fail": (8, "no echo\n  saw: nobody"),
     "unavailable": (7, "the middleware of this cell is not installed"),
+    "bridge dies": (9, "the bridge builtin was killed by signal 9 (SIGKILL)"),
     "die": (1, "the relay's middleware gave up"),
 }
 """Behaviour -> exit code and last words."""
@@ -44,14 +45,17 @@ def main():
         code, words = FAILURES[behaviour]
         print(f"dds-record: {words}", file=sys.stderr)
         return code
-    if behaviour in {"ok", "loses"}:  # a real ping ends well only after the relay's echo
+    if behaviour == "killed":
+        print("a first line", flush=True)
+        os.kill(os.getpid(), signal.SIGKILL)
+    if behaviour in {"ok", "loses", "silent"}:  # a real ping ends well only after the relay's echo
         wait_for((FOLDER / "waiting-relay").exists)
     if behaviour in UNTIL_STOPPED:
         (FOLDER / f"waiting-{cell}").touch()
         wait_for(lambda: told_to_stop)
         (FOLDER / f"waiting-{cell}").unlink()
     shutil.copy(FOLDER / "traces" / trace, sys.argv[sys.argv.index("--out") + 1])
-    return 0
+    return 12 if behaviour == "silent" else 0
 
 
 def wait_for(condition):
@@ -74,7 +78,8 @@ def begin(cell):
         json.dump(script, file)
     with (FOLDER / "starts.jsonl").open("a") as starts:
         starts.write(json.dumps({"cell": cell, "arguments": sys.argv[1:]}) + "\n")
-    return behaviour, f"ok-{number}.mcap" if behaviour == "ok" else f"{behaviour}.mcap"
+    copied = {"ok": f"ok-{number}", "silent": "loses"}
+    return behaviour, f"{copied.get(behaviour, behaviour)}.mcap"
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from dds_trace.tracefile import BackendUnavailableError, BridgeError
 
 from ..base import load_bridge, split_halves
 from ..options import Half
-from .supervise import SupervisedProgram, program_environment
+from .supervise import SupervisedProgram, describe_end, killing_signal, program_environment
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -85,12 +85,15 @@ class RunningBridge:
 
     @property
     def failure(self) -> str | None:
-        """One line with the program that ended by itself and the last line of its log; None while all run."""
+        """One line with the program that ended by itself and how: its signal, or its last line; None while all run."""
         failed = self._failed_half()
         if failed is None or failed.program.report is None:
             return None
-        code, last = failed.program.report.exit_code, failed.program.last_line()
-        return f"the bridge {self.name} ended with status {code}: {last}"
+        code = failed.program.report.exit_code
+        end = describe_end(code, failed.program.last_line())
+        return f"the bridge {self.name} " + (
+            f"was {end}" if killing_signal(code) else f"ended with status {code}: {end}"
+        )
 
     def check(self) -> None:
         """Raise if a program has ended by itself; cheap enough to call between two messages.

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import signal
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -30,6 +31,9 @@ LAST_LINES = 40
 
 LAST_LINES_BYTES = 8 * 1024
 """Most bytes of those lines together."""
+
+OUTSIDE_SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+"""Signals that come from others: the log of a program that one of them ended says nothing about its end."""
 
 _WHEELS_GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 
@@ -187,6 +191,32 @@ class SupervisedProgram:
                 else GuardReport(self._stopping, 128 - self._guard.returncode, left_behind=0, log_bytes=0)
             )
         return self._report
+
+
+def killing_signal(exit_code: int) -> signal.Signals | None:
+    """Return the signal that ended a program, None if it ended by itself.
+
+    Args:
+        exit_code: its exit code, or -signal as `subprocess` tells, or 128 + signal as a shell and the guard tell.
+    """
+    try:
+        return signal.Signals(-exit_code if exit_code < 0 else exit_code - 128)
+    except ValueError:
+        return None
+
+
+def describe_end(exit_code: int, last_words: str) -> str:
+    """Return how a program ended: `killed by signal 9 (SIGKILL)`, or what it said last.
+
+    Args:
+        exit_code: as for `killing_signal`.
+        last_words: the last line of its log, which is kept where it may explain the end.
+    """
+    number = killing_signal(exit_code)
+    if number is None:
+        return last_words
+    killed = f"killed by signal {number.value} ({number.name})"
+    return killed if number in OUTSIDE_SIGNALS else f"{killed}: {last_words}"
 
 
 def program_environment(extra: Mapping[str, str], *, foreign: bool) -> dict[str, str]:

@@ -15,7 +15,13 @@ import time
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import BackendUnavailableError, OutputError, TraceError, TraceFormatError
+from dds_trace.tracefile import (
+    BackendUnavailableError,
+    OutputError,
+    RelayLostError,
+    TraceError,
+    TraceFormatError,
+)
 from dds_trace.tracefile.units.counts import counted
 
 from ..plan.commands import half_arguments, ping_arguments, relay_arguments
@@ -43,6 +49,9 @@ START_ALLOWANCE_S = 40.0
 """Time for a ping to start, with its bridge; the wait for an echo and the schedule come on top."""
 
 POLL_S = 0.2
+
+ENDED_CODES = (0, RelayLostError.exit_code)
+"""Exit codes of a ping whose trace counts: where the relay still runs, its silence is the loss that the cell measures."""
 
 
 class Runner:
@@ -215,7 +224,9 @@ class Runner:
             cut_off = program.exit_code is None
         finally:  # also at Ctrl-C: the cell is begun anew another time
             code = program.stop()
-        if code != 0 and not cut_off:
+        if not cut_off:
+            relay.check()  # it may have ended behind the last look
+        if code not in ENDED_CODES and not cut_off:
             raise CellFailedError(program.last_words(), hopeless=code in HOPELESS_EXIT_CODES)
         try:
             result = read_result(draft)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import BackendUnavailableError, OptionError, OutputError
 
-from ...bridges.process.supervise import program_environment
+from ...bridges.process.supervise import describe_end, program_environment
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -104,7 +104,7 @@ class Program:
 
     @property
     def failure(self) -> str | None:
-        """Reason of its end that it printed, None while it runs."""
+        """Reason of its end, None while it runs."""
         return None if self.exit_code is None else self.last_words()
 
     def wait(self, timeout_s: float) -> int | None:
@@ -126,14 +126,18 @@ class Program:
         return self._process.wait()
 
     def last_words(self) -> str:
-        """Return the reason of its end: our programs print last their name, a colon and the reason, over one line or more."""
+        """Return the reason of its end: the signal that killed it, or what it printed.
+
+        Our programs print last their name, a colon and the reason, over one line or more.
+        """
         with self.log.open("rb") as file:
             file.seek(max(0, self.log.stat().st_size - LAST_WORDS_BYTES))
             text = file.read().decode(errors="replace").replace("\r", "\n")
         lines = [line.strip() for line in text.splitlines() if line.strip()]
         begins = [number for number, line in enumerate(lines) if _REASON.match(line)]
         reason = lines[begins[-1] :] if begins else lines[-1:]
-        return _REASON.sub("", "; ".join(reason)) or "it said nothing"
+        said = _REASON.sub("", "; ".join(reason)) or "it said nothing"
+        return said if self.exit_code is None else describe_end(self.exit_code, said)
 
 
 def _new_file(path: Path) -> BinaryIO:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from typer.testing import CliRunner
 
 from dds_trace.cli.record import command
 from dds_trace.cli.record.run import print_result
+from dds_trace.cli.record.values import parse_percentage
 from dds_trace.recorder import (
     DEFAULT_MESSAGES,
     DEFAULT_WARMUP,
@@ -28,7 +30,9 @@ from dds_trace.recorder.backends.qos import RANKS
 from dds_trace.recorder.bridges import BRIDGE_MODULES
 from dds_trace.tracefile import (
     BackendUnavailableError,
+    BridgeError,
     ClosedTrace,
+    LossesError,
     OptionError,
     OutputError,
     OutputExistsError,
@@ -343,3 +347,51 @@ def test_a_trace_that_could_not_be_written_whole_is_an_error_after_the_counts(ca
     with pytest.raises(OutputError, match="disk full"):
         print_result(recorded(OutputError("disk full")), as_json=True)
     assert json.loads(capsys.readouterr().out)["error"] == "disk full"
+
+
+def test_a_bridge_that_died_is_an_error_after_the_counts(capsys):
+    ended = replace(recorded(), error=BridgeError("the bridge builtin was killed by signal 9 (SIGKILL)"))
+    with pytest.raises(BridgeError, match="killed by signal 9"):
+        print_result(ended, as_json=True)
+    told = json.loads(capsys.readouterr().out)
+    assert (told["error"], told["events"]) == ("the bridge builtin was killed by signal 9 (SIGKILL)", 4)
+
+
+@pytest.mark.parametrize(
+    ("lost", "allowed", "fails"), [(1, 0.01, False), (2, 0.01, True), (100, None, False)]
+)
+def test_losses_above_the_limit_are_an_error(capsys, lost, allowed, fails):
+    ended = replace(recorded(), progress=PingProgress(100, 100, 100 - lost, lost))
+    if not fails:
+        print_result(ended, as_json=False, fail_if_lost=allowed)
+        return
+    with pytest.raises(
+        LossesError, match=r"2 of 100 messages lost, 2\.00%; --fail-if-lost allows 1\.00%"
+    ) as error:
+        print_result(ended, as_json=False, fail_if_lost=allowed)
+    assert error.value.exit_code == 13
+    assert capsys.readouterr().out.startswith("Wrote x.mcap")
+
+
+def test_events_that_wait_in_the_ring_are_counted_with_the_way_to_get_them():
+    ended = recorded(OutputError("x.mcap: cannot write the trace: the disk is full"))
+    ended = replace(ended, trace=replace(ended.trace, ring_events=7))
+    with pytest.raises(
+        OutputError,
+        match=r"the disk is full; 7 events wait in the ring .*`dds-record --recover x\.mcap`$",
+    ):
+        print_result(ended, as_json=False)
+
+
+def test_without_a_trace_nothing_is_called_written(capsys):
+    print_result(replace(recorded(), trace=None, run=None), as_json=False)
+    assert capsys.readouterr().out == "stopped before the first echo; nothing was written\n"
+    print_result(replace(recorded(), trace=None, run=None), as_json=True)
+    assert json.loads(capsys.readouterr().out)["path"] is None
+
+
+@pytest.mark.parametrize("text", ["1", "x%", "-1%", "101%", "nan%", "inf%", ""])
+def test_a_limit_of_losses_is_a_percentage(text):
+    with pytest.raises(OptionError, match="write a percentage from 0% to 100%"):
+        parse_percentage("--fail-if-lost", text)
+    assert parse_percentage("--fail-if-lost", "0.5 %") == 0.005

@@ -12,8 +12,10 @@ from dds_trace.recorder.backends.node import Endpoint, Middleware, NodeOptions, 
 from dds_trace.recorder.choices import Discovery
 from dds_trace.recorder.payloads import BINARY, header_data_type
 from dds_trace.recorder.payloads.base import Message, Payload
-from dds_trace.recorder.roles.echo import explain_silence, look_for_relays
+from dds_trace.recorder.roles.echo import explain_silence, find_loss, look_for_relays
 from dds_trace.recorder.roles.plan import RunPlan
+from dds_trace.recorder.roles.replies import Silence
+from dds_trace.tracefile import RelayLostError
 
 IMAGE = "sensor_msgs/msg/Image"
 
@@ -122,3 +124,26 @@ def test_a_relay_of_an_unassignable_type_is_named_and_no_firewall(node, plan):
     assert line in text
     assert "try: install the same version of sensor_msgs on both sides" in text
     assert "firewall" not in text
+
+
+LASTING = Silence(messages=40, duration_ns=4_000_000_000, before=100, answered=100)
+
+
+def test_a_relay_that_is_silent_and_out_of_sight_is_lost(node):
+    see(node)
+    error = find_loss(node, BINARY, LASTING, ended=False)
+    assert isinstance(error, RelayLostError)
+    assert str(error).startswith(
+        "the relay of binary_image is lost: no reply to the last 40 messages (4.0 s); look at"
+    )
+
+
+def test_a_silent_relay_in_sight_may_come_back_until_the_run_has_ended(node):
+    see(node, answering=[Endpoint("relay", IMAGE)])
+    assert find_loss(node, BINARY, LASTING, ended=False) is None
+    assert find_loss(node, BINARY, LASTING, ended=True) is not None
+
+
+def test_a_short_silence_is_no_loss_of_a_relay(node):
+    see(node)
+    assert find_loss(node, BINARY, replace(LASTING, duration_ns=1), ended=True) is None

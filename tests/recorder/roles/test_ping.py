@@ -14,6 +14,7 @@ from dds_trace.recorder.payloads import BINARY, IMU, STRING
 from dds_trace.recorder.payloads.stamp import RAW_HEADER_STAMP, stamp_text
 from dds_trace.recorder.roles.ping import DRAIN_NS, LEAD_NS, open_ping
 from dds_trace.recorder.roles.plan import RunPlan
+from dds_trace.recorder.roles.replies import Silence
 
 MS = 1_000_000
 START_NS = 1_000_000_000_000
@@ -270,3 +271,16 @@ def test_strings_have_no_time_and_their_own_place(size):
     node.publishers["string_data"].on_publish = lambda message: node.deliver("string_data_relay", message)
     ping.run(sink, NEVER)
     assert [event[6] for event in sink.of_stage(2)] == [size]
+
+
+def test_the_silence_of_a_run_is_what_was_sent_behind_the_last_answered_message():
+    link = Link(plan(messages=6, rate_hz=1.0), delay_ns=lambda n: 3 * MS if n in (0, 1) else None)
+    link.run()
+    assert link.ping.silence == Silence(messages=4, duration_ns=3000 * MS, before=2, answered=2)
+
+
+def test_a_hopeless_run_waits_for_no_reply():
+    link, hopeless = Link(plan(messages=3), delay_ns=lambda _: None), threading.Event()
+    link.clock.at(START_NS + LEAD_NS + 40 * MS, hopeless.set)
+    link.ping.run(link.sink, NEVER, hopeless)
+    assert link.clock.now_ns <= START_NS + LEAD_NS + 60 * MS

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dds_trace.recorder.roles.replies import Replies
+import pytest
+
+from dds_trace.recorder.roles.replies import Replies, Silence
 
 
 def sent(*publish_ns):
@@ -39,3 +41,25 @@ def test_it_is_complete_when_every_relay_that_answered_has_answered_all():
     assert replies.are_complete(2)
     replies.note(1, 8, 2200)
     assert not replies.are_complete(2)
+
+
+SECOND_NS = 1_000_000_000
+
+
+@pytest.mark.parametrize(
+    ("messages", "seconds", "before", "answered", "is_lasting"),
+    [
+        (0, 60, 100, 100, False),  # the last message was answered
+        (100, 2.9, 100, 100, False),  # too short
+        (4, 4, 100, 100, True),  # not one of 100 was lost before
+        (2, 4, 100, 100, False),  # two in a row may be chance
+        (10, 10, 100, 10, False),  # 90 % lost: ten in a row are nothing special
+        (150, 10, 100, 10, True),
+        (10, 10, 0, 0, False),  # nothing was answered, and not much was sent
+        (20, 10, 0, 0, True),
+    ],
+)
+def test_a_silence_is_lasting_if_the_losses_before_it_do_not_explain_it(
+    messages, seconds, before, answered, is_lasting
+):
+    assert Silence(messages, int(seconds * SECOND_NS), before, answered).is_lasting is is_lasting

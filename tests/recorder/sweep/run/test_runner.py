@@ -269,3 +269,23 @@ def test_messages_that_went_past_the_link_are_no_measurement_of_it(desk, link):
         (FIRST, SECOND), "its messages did not cross the link: 2000 bytes of 165000 did"
     )
     assert desk.traces == []
+
+
+def test_silence_of_a_relay_that_still_runs_is_the_cells_loss(desk):
+    desk.script(**{FIRST: ["silent"]})
+    assert desk.sweep().missing == {}
+    assert desk.started[FIRST] == 1
+
+
+def test_ping_that_is_killed_says_so_and_is_tried_again(desk):
+    desk.script(**{FIRST: ["killed"]})
+    assert desk.sweep().missing == {}
+    assert (FIRST, "failed: killed by signal 9 (SIGKILL)", False) in desk.heard.ended_cells
+    assert desk.started[FIRST] == 2
+
+
+def test_bridge_that_dies_each_time_makes_a_failed_cell(desk):
+    desk.script(**{FIRST: ["bridge dies", "bridge dies"]})
+    assert desk.sweep().missing == {FIRST: "the bridge builtin was killed by signal 9 (SIGKILL)"}
+    assert desk.started[FIRST] == 2
+    assert desk.traces == files_of(SECOND)

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from dds_trace.recorder.sweep.station.programs import environment_program
+from dds_trace.recorder.sweep.station.programs import Program, environment_program
 from dds_trace.tracefile import OptionError
 
 GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
@@ -43,3 +43,18 @@ def test_library_path_of_the_users_is_left_alone(environment, monkeypatch):
 def test_folder_without_the_command_is_refused(tmp_path):
     with pytest.raises(OptionError, match="no bin/dds-record; install dds-trace there"):
         environment_program(tmp_path, "dds-record")
+
+
+@pytest.mark.parametrize(
+    ("script", "words"),
+    [
+        ("echo first line; kill -9 $$", "killed by signal 9 (SIGKILL)"),
+        ("echo first line; kill -6 $$", "killed by signal 6 (SIGABRT): first line"),
+        ("echo 'dds-record: no echo'; exit 8", "no echo"),
+        ("exit 3", "it said nothing"),
+    ],
+)
+def test_end_of_a_program_in_words(tmp_path, script, words):
+    program = Program(["sh", "-c", script], tmp_path / "log")
+    assert program.wait(60) is not None
+    assert program.failure == program.last_words() == words

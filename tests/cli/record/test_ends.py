@@ -1,0 +1,92 @@
+"""Ends of real recordings that nobody wished for: a killed bridge, a killed relay, Ctrl-C before anything came."""
+
+from __future__ import annotations
+
+import json
+import signal
+import time
+from importlib.util import find_spec
+
+import psutil
+import pytest
+from processes import PATIENCE_S, ping, relay, running
+from record_reader import last_json
+
+pytestmark = pytest.mark.middleware
+
+LONG = ("--data", "imu", "--messages", 100_000, "--warmup", 0, "--rate", 50)
+SOCKET = ("--backend", "socket", "--discovery", "localhost")
+
+
+def wait_for_chunks(path):
+    """Wait until messages are in the file: the run goes on."""
+    deadline = time.monotonic() + PATIENCE_S
+    while not path.exists() or path.stat().st_size < 4000:
+        assert time.monotonic() < deadline, f"nothing came into {path}"
+        time.sleep(0.05)
+
+
+@pytest.mark.skipif(find_spec("rclpy") is None, reason="no ROS 2 here")
+def test_a_bridge_that_is_killed_ends_the_run_with_the_reason(domains, tmp_path):
+    near, far, out = domains.take(), domains.take(), tmp_path / "ping.mcap"
+    arguments = (*LONG, "--bridge", "builtin", "--relay-domain", far, "--depth", 1000, "--json")
+    with (
+        relay(far, tmp_path / "relay.mcap", "--depth", 1000),
+        running("dds-record", "--role", "ping", "--domain", near, "--out", out, *arguments) as command,
+    ):
+        wait_for_chunks(out)
+        guard = next(
+            child
+            for child in psutil.Process(command.pid).children()
+            if "guard.py" in " ".join(child.cmdline())
+        )
+        (program,) = guard.children()
+        program.kill()
+        done = command.finish()
+    reason = "the bridge builtin was killed by signal 9 (SIGKILL)"
+    assert done.status == 9
+    assert reason in done.stderr
+    told, session, run = json.loads(done.stdout), last_json(out, "session"), last_json(out, "run")
+    assert told["error"].startswith(reason)
+    assert session["error"] == told["error"]
+    assert (session["state"], session["bridge"]["state"]) == ("closed", "died")
+    assert run["state"] == "finished"
+    assert 0 < run["published"] < 100_000
+
+
+def test_a_relay_that_is_killed_ends_the_run_with_the_reason(domain_id, tmp_path):
+    out = tmp_path / "ping.mcap"
+    with (
+        relay(domain_id, tmp_path / "relay.mcap", *SOCKET) as other,
+        running(
+            "dds-record", "--role", "ping", "--domain", domain_id, "--out", out, *SOCKET, *LONG
+        ) as command,
+    ):
+        wait_for_chunks(out)
+        other.send_signal(signal.SIGKILL)
+        done = command.finish()
+    assert done.status == 12
+    assert "the relay of imu_data is lost: no reply to the last" in done.stderr
+    assert last_json(out, "session")["error"].startswith("the relay of imu_data is lost")
+    assert 0 < last_json(out, "run")["published"] < 100_000
+
+
+def test_losses_within_the_limit_are_no_error(domain_id, tmp_path):
+    with relay(domain_id, tmp_path / "relay.mcap", *SOCKET):
+        done = ping(
+            *(domain_id, tmp_path / "ping.mcap", *SOCKET, "--data", "imu", "--messages", 5, "--warmup", 0),
+            *("--fail-if-lost", "0%"),
+        )
+    assert done.status == 0, done.stderr
+    assert last_json(tmp_path / "ping.mcap", "session")["error"] is None
+
+
+def test_ctrl_c_before_the_first_echo_leaves_no_file(domain_id, tmp_path):
+    out = tmp_path / "traces" / "ping.mcap"
+    with running(
+        "dds-record", "--role", "ping", "--domain", domain_id, "--out", out, *SOCKET, *LONG
+    ) as command:
+        command.wait_for_line("waiting for an echo")
+        done = command.stop(signal.SIGINT)
+    assert (done.status, done.stdout) == (0, "stopped before the first echo; nothing was written\n")
+    assert list(tmp_path.iterdir()) == []

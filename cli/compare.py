@@ -146,10 +146,11 @@ def _print_table(comparison: "Comparison", results: "list[GateResult]") -> None:
 
     from dds_trace.analyzer import group_words, varying_columns
     from dds_trace.reports.changes import episodes_words, received_words, runs_words
-    from dds_trace.reports.comparison import comparison_notes, result_line
+    from dds_trace.reports.comparison import comparison_notes, environments_of_rows, result_line
     from dds_trace.tracefile.visible import MAX_FINDING_CHARACTERS, visible
 
     console = Console(width=None if sys.stdout.isatty() else 200)
+    environments = environments_of_rows(comparison)
     table = Table(
         "group",
         "metric",
@@ -162,9 +163,10 @@ def _print_table(comparison: "Comparison", results: "list[GateResult]") -> None:
         "runs",
         "found from",
         "verdict",
+        *(["environment"] if environments else []),
     )
     names = varying_columns(comparison)
-    for row in comparison.rows.iter_rows(named=True):
+    for number, row in enumerate(comparison.rows.iter_rows(named=True)):
         low, high = _percent(row["ratio_low"]), _percent(row["ratio_high"])
         cells = (
             visible(group_words(row, names), MAX_FINDING_CHARACTERS),
@@ -178,6 +180,7 @@ def _print_table(comparison: "Comparison", results: "list[GateResult]") -> None:
             runs_words(row),
             _percent(row["smallest_ratio"]),
             row["verdict"],
+            *(visible(name, MAX_FINDING_CHARACTERS) for name in environments[number : number + 1]),
         )
         table.add_row(*map(Text, cells))
     console.print(table)

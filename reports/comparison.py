@@ -14,6 +14,7 @@ from dds_trace.analyzer.statistics.intervals import RUNS_TO_TELL
 from dds_trace.analyzer.verdicts.compare import FAMILY
 from dds_trace.analyzer.verdicts.gate import Against, GateOutcome
 from dds_trace.analyzer.verdicts.gates import overall_outcome, varying_columns
+from dds_trace.analyzer.verdicts.sides import UNKNOWN
 from dds_trace.tracefile.units.durations import format_ms
 from dds_trace.tracefile.visible import MAX_FINDING_CHARACTERS, visible
 
@@ -43,14 +44,20 @@ def comparison_markdown(comparison: Comparison, results: Sequence[GateResult] = 
         lines += ["The two sides have no group in common: there is nothing to compare.", ""]
     else:
         names = varying_columns(comparison)
+        environments = environments_of_rows(comparison)
+        further = (" environment |", "---|") if environments else ("", "")
         lines += [
-            "| group | metric | base | new | received | change | interval | new is below base | runs | found from | verdict |",
-            "|---|---|---:|---:|---:|---:|---:|---:|---|---:|---|",
+            "| group | metric | base | new | received | change | interval | new is below base | runs | found from | verdict |"
+            + further[0],
+            "|---|---|---:|---:|---:|---:|---:|---:|---|---:|---|" + further[1],
         ]
-        lines += [_markdown_row(row, names) for row in comparison.rows.iter_rows(named=True)]
+        rows = [_markdown_row(row, names) for row in comparison.rows.iter_rows(named=True)]
+        lines += (
+            [f"{row} {markdown(environments[n])} |" for n, row in enumerate(rows)] if environments else rows
+        )
         lines += ["", *_explanations(comparison), ""]
     lines += [f"- {markdown(note)}" for note in comparison_notes(comparison)]
-    if comparison.environment or comparison.errors:
+    if comparison_notes(comparison):
         lines.append("")
     for title, groups in (
         ("Only in the base", comparison.only_base),
@@ -83,14 +90,27 @@ def _explanations(comparison: Comparison) -> list[str]:
 
 
 def comparison_notes(comparison: Comparison) -> list[str]:
-    """Return what makes the sides unlike or unfit: unlike environments, and findings of severity error."""
+    """Return what makes the sides unlike or unfit: what was asked for, environments, and findings of severity error."""
     return [
+        *(f"Measured in turns: {visible(text, MAX_FINDING_CHARACTERS)}" for text in comparison.asked),
         *(f"Unlike environments: {visible(text, MAX_FINDING_CHARACTERS)}" for text in comparison.environment),
         *(
             f"Finding of severity error: {visible(text, MAX_FINDING_CHARACTERS)}"
             for text in comparison.errors
         ),
     ]
+
+
+def environments_of_rows(comparison: Comparison) -> list[str]:
+    """Return for each row of a comparison whether the sides' environments are alike; empty if nothing is known of any."""
+    match = comparison.options.match
+    of_group = {
+        tuple(row[name] for name in match): row["environment"]
+        for row in comparison.delivery.iter_rows(named=True)
+    }
+    if set(of_group.values()) <= {UNKNOWN}:
+        return []
+    return [of_group[row] for row in comparison.rows.select(match).iter_rows()]
 
 
 def result_line(result: GateResult) -> str:

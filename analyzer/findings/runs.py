@@ -193,7 +193,8 @@ def relays_without_trace(evidence: Evidence) -> Iterator[Finding]:
     """Report runs in which no relay took part, and relays whose events or description are missing."""
     unrecorded: dict[tuple[int, bool], list[int]] = defaultdict(list)
     undescribed: dict[int, list[int]] = defaultdict(list)
-    for exchange in evidence.grouping.exchanges:
+    exchanges = evidence.grouping.exchanges
+    for exchange, group in zip(exchanges, evidence.exchange_groups(), strict=True):
         if not exchange.took_part:
             yield Finding(
                 Severity.ERROR,
@@ -201,6 +202,7 @@ def relays_without_trace(evidence: Evidence) -> Iterator[Finding]:
                 evidence.run_name(exchange.run.run_id),
                 "No relay took part: no reply came, and no trace of a relay knows the run.",
                 "Start the relay first, in the same domain or behind the bridge, and add its trace.",
+                (group,),
             )
         elif not exchange.relay_recorded:
             unrecorded[exchange.relay_id, exchange.relay is not None].append(exchange.run.run_id)

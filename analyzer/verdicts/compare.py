@@ -23,8 +23,16 @@ from ..run_statistics.superiority import probability_of_superiority
 from ..statistics.families import benjamini_hochberg_adjusted
 from ..statistics.percentiles import PERCENTILES
 from .matching import known_key, match_groups, pair_keys, unmatched
-from .sides import SideError, environment_differences, errors_of
+from .sides import (
+    UNKNOWN,
+    SideError,
+    difference_sentences,
+    environment_differences,
+    environment_of_group,
+    errors_of,
+)
 from .strata import replaced_devices, with_devices
+from .turns import asked_differences, own_groups, partner_keys, with_partners
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -109,7 +117,10 @@ class ChangeRow:
 
 @dataclass(frozen=True, slots=True)
 class DeliveryRow:
-    """The columns of `Comparison.delivery` behind the match columns: messages of one matched group on both sides."""
+    """The columns of `Comparison.delivery` behind the match columns: messages of one matched group on both sides.
+
+    `environment` is `same`, `unlike:` with the fields of the fingerprints that differ, or `unknown` without a fingerprint.
+    """
 
     base_published: int
     base_received_ratio: float | None
@@ -127,6 +138,7 @@ class DeliveryRow:
     base_runs: int
     new_runs: int
     is_dead: bool
+    environment: str
 
 
 _DTYPES = {
@@ -158,8 +170,11 @@ class Comparison:
         changes: of each row of `rows`, with what gates judge by.
         deliveries: of each row of `delivery`, likewise.
         environment: differences between the environments of the two sides, a sentence each.
+        asked: in what groups that were measured in turns were asked for unlike things, a sentence for each.
         errors: findings of severity error of either side.
         barred: groups (match columns) of either side in which a setting was not applied; no gate passes or fails on one.
+        known: group (match columns) of either side -> the match columns of its rows above, in which a relay without a
+            trace has what the other side knows.
     """
 
     rows: pl.DataFrame
@@ -171,7 +186,9 @@ class Comparison:
     deliveries: tuple[DeliveryChange, ...] = ()
     environment: tuple[str, ...] = ()
     errors: tuple[SideError, ...] = ()
-    barred: pl.DataFrame = field(default_factory=pl.DataFrame)
+    barred: frozenset[Key] = frozenset()
+    asked: tuple[str, ...] = ()
+    known: Mapping[Key, Key] = field(default_factory=dict)
 
 
 class ComparedSide(Protocol):
@@ -206,26 +223,45 @@ def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | Non
 
     Args:
         base: an `Analysis`; `analyze(folder, details=False)` has all that is compared.
-        new: the analysis of the other side.
+        new: the analysis of the other side; sides whose cells were measured in turns are compared cell by cell and
+            pass by pass, whatever each was asked for (`turns`).
         options: how to compare; None for the defaults.
     """
+    options = options or CompareOptions()
+    match = options.match
+    before, after = base.load_messages(), new.load_messages()
+    partners = partner_keys(before, after, base.runs, new.runs, match)
+    of_partners = own_groups(after, partners, match)
+    names = replaced_devices(base.summary, new.summary)
     found = compare_roundtrips(
-        base.load_messages(),
-        new.load_messages(),
-        options,
+        before,
+        with_partners(after, partners, match) if partners else after,
+        replace(options, paired=options.paired or bool(partners)),
         passes=pass_numbers([*base.runs, *new.runs]),
     )
-    match = found.options.match
-    names = replaced_devices(base.summary, new.summary)
-    groups_of_new = with_devices(new.summary, names).select(match)
-    barred = [base.barred_groups.select(match), with_devices(new.barred_groups, names).select(match)]
+
+    def groups_of(side: pl.DataFrame, side_names: Mapping[str, str]) -> list[Key]:
+        """Return the match columns under which groups of a side were compared."""
+        keys = zip(
+            side.select(match).rows(), with_devices(side, side_names).select(match).rows(), strict=True
+        )
+        renamed = [of_partners.get(own, key) for own, key in keys]
+        return [found.known.get(key, key) for key in renamed]
+
+    barred = {*groups_of(base.barred_groups, {}), *groups_of(new.barred_groups, names)}
+    differences = environment_differences(base.sessions, new.sessions, names)
+    environments = [
+        environment_of_group(group, differences) for group in found.delivery.iter_rows(named=True)
+    ]
     return replace(
         found,
-        barred=pl.concat(barred).unique(maintain_order=True),
-        environment=environment_differences(base.sessions, new.sessions),
+        delivery=found.delivery.with_columns(pl.Series("environment", environments, pl.String)),
+        barred=frozenset(barred),
+        environment=difference_sentences(differences),
+        asked=asked_differences(of_partners, match),
         errors=(
-            *errors_of("base", base.findings, base.summary.select(match)),
-            *errors_of("new", new.findings, groups_of_new),
+            *errors_of("base", base.findings, groups_of(base.summary, {})),
+            *errors_of("new", new.findings, groups_of(new.summary, names)),
         ),
     )
 
@@ -268,12 +304,14 @@ def compare_groups(
         passes: run_id -> pass of the sweep; needed where `options.paired`.
     """
     pairs = pair_keys(before, after, options.match)
+    known: dict[Key, Key] = {}
     labels: list[dict[str, ParameterValue]] = []
     deliveries: list[tuple[DeliveryRow, DeliveryChange]] = []
     rows: list[tuple[dict[str, ParameterValue], ChangeRow, Change]] = []
     for key, partner in pairs.items():
         base, new = before[key], after[partner]
-        labels.append(dict(zip(options.match, known_key(key, partner, options.match), strict=True)))
+        known[key] = known[partner] = known_key(key, partner, options.match)
+        labels.append(dict(zip(options.match, known[key], strict=True)))
         deliveries.append(_delivery(base, new, options.confidence))
         rows += (
             (labels[-1], *changed)
@@ -297,6 +335,7 @@ def compare_groups(
         options=options,
         changes=tuple(change for _, __, change in rows),
         deliveries=tuple(change for _, change in deliveries),
+        known=known,
     )
 
 
@@ -319,6 +358,7 @@ def _delivery(base: MatchedGroup, new: MatchedGroup, confidence: float) -> tuple
         base_runs=change.base.runs,
         new_runs=change.new.runs,
         is_dead=new.is_dead and not base.is_dead,
+        environment=UNKNOWN,
     )
     return row, change
 

@@ -191,9 +191,8 @@ def _judge(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator
     by_chance = {
         place for place, p in zip(beyond, adjusted.tolist(), strict=False) if p > (1 - confidence) / 2 + 1e-12
     }
-    barred = set(comparison.barred.iter_rows())
     for place, (one, outcome) in enumerate(zip(judged, outcomes, strict=True)):
-        is_barred = one.group in barred
+        is_barred = one.group in comparison.barred
         reason = _reason(comparison, one, outcome, len(judged) if place in by_chance else 0)
         yield GateResult(
             gate=gate,

@@ -93,8 +93,8 @@ def match_groups(roundtrips: pl.DataFrame, match: Sequence[str]) -> dict[Key, Ma
             *match, maintain_order=True
         )
     }
-    for key in [key for key in parts if not _knows_relay(key, match)]:
-        alike = [other for other in parts if _knows_relay(other, match) and _agree(key, other, match)]
+    for key in [key for key in parts if not knows_relay(key, match)]:
+        alike = [other for other in parts if knows_relay(other, match) and _agree(key, other, match)]
         if len(alike) != 1:
             continue
         part = parts.pop(key)
@@ -132,21 +132,21 @@ def pair_keys(
 
 def known_key(key: Key, other: Key, match: Sequence[str]) -> Key:
     """Return a key with what the other one knows in place of nulls; of two settings that of the key that has a relay."""
-    is_silent = not _knows_relay(key, match)
+    is_silent = not knows_relay(key, match)
     return tuple(
         theirs if own is None or (name == SETTING and is_silent) else own
         for name, own, theirs in zip(match, key, other, strict=True)
     )
 
 
-def _knows_relay(key: Key, match: Sequence[str]) -> bool:
+def knows_relay(key: Key, match: Sequence[str]) -> bool:
     """Tell whether the relay of a key left a trace."""
     return all(value is not None for name, value in zip(match, key, strict=True) if name in RELAY_COLUMNS)
 
 
 def _agree(key: Key, other: Key, match: Sequence[str]) -> bool:
     """Tell whether two keys agree in every column but what one of them does not know of its relay."""
-    is_silent = not (_knows_relay(key, match) and _knows_relay(other, match))
+    is_silent = not (knows_relay(key, match) and knows_relay(other, match))
     return all(_equal(name, one, two, is_silent) for name, one, two in zip(match, key, other, strict=True))
 
 

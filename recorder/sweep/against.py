@@ -114,6 +114,8 @@ def run_against(
         TraceError: no cell can be recorded at all; failures of single cells are in the outcome.
     """
     turns = take_turns(base, new)
+    partners = {own.name: of_base.name for own, of_base in zip(new.cells, base.cells, strict=True)}
+    new = replace(new, partners=partners)
     cells = {side: [turn.group.cells[0] for turn in turns if turn.side == side] for side in (BASE, NEW)}
     with ExitStack() as stack:
         runners = {}

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 PASS_LABEL = "pass"  # noqa: S105 - no password: the pass of a sweep
 """Label of a run with the number of its pass, by which an analysis compares two sides pass by pass."""
 
+AGAINST_LABEL = "against"
+"""Label of a run with the name of the cell that it takes turns with, by which an analysis compares two plans cell by cell."""
+
 
 def relay_arguments(plan: Plan, need: RelayNeed) -> list[str]:
     """Return the arguments of the relay that serves every cell with this need, without `--out`."""
@@ -53,6 +56,7 @@ def ping_arguments(plan: Plan, cell: Cell, wait_s: float, relay_address: str | N
         wait_s: longest time that the ping waits for an echo.
         relay_address: address of the relay's device, None on one machine.
     """
+    partner = plan.partners.get(replace(cell, repeat=1).name)
     domain = plan.run.ping_domain if cell.crosses_domains else plan.run.domain
     return [
         *("--role", "ping", "--domain", str(domain)),
@@ -64,6 +68,7 @@ def ping_arguments(plan: Plan, cell: Cell, wait_s: float, relay_address: str | N
         *("--wait", f"{wait_s:g}"),
         *("--label", f"sweep={plan.name}", "--label", f"cell={replace(cell, repeat=1).name}"),
         *("--label", f"{PASS_LABEL}={cell.repeat}"),
+        *(("--label", f"{AGAINST_LABEL}={partner}") if partner else ()),
         *(("--setting", f"environment={environment_name(cell.environment)}") if cell.environment else ()),
         *(("--label", f"link={plan.link}", "--setting", f"link={plan.link.setting}") if plan.link else ()),
         *_common_arguments(plan, plan.ping),

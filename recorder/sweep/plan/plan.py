@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING
 
@@ -162,6 +162,7 @@ class Plan:
         link: emulated link between the namespaces, None for a bare veth.
         connectivity: the sessions' `connectivity`; None lets each device look it up.
         by_hand: whether a person starts the relay, on another device.
+        partners: name of a cell, without its pass -> name of the cell of another plan that it takes turns with.
     """
 
     name: str
@@ -176,6 +177,7 @@ class Plan:
     connectivity: str | None = "loopback"
     by_hand: bool = False
     search: Search = Search()
+    partners: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def discovery(self) -> str:

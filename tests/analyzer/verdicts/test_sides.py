@@ -1,0 +1,108 @@
+"""Environments of two sides: within one device and link, for each group of a comparison, and in its tables."""
+
+from __future__ import annotations
+
+import pytest
+from trace_files import Message, ping_session, relay_session, run, write_pair
+
+from dds_trace.analyzer import analyze, compare
+from dds_trace.analyzer.verdicts.sides import (
+    Stratum,
+    difference_sentences,
+    environment_differences,
+    environment_of_group,
+)
+from dds_trace.reports.comparison import comparison_markdown
+
+OLD, NEWER = '"6.1"', '"6.6"'
+
+
+def ping(device="pi", kernel="6.1", link="wired", **host):
+    return ping_session(device=device, connectivity=link, host={"kernel": kernel, **host})
+
+
+def relay(device="robot", kernel="6.1", link="wired"):
+    return relay_session(device=device, connectivity=link, host={"kernel": kernel})
+
+
+def group(ping_device="pi", relay_device="robot", link="wired"):
+    return {
+        "vendor": ping().vendor,
+        "relay_vendor": relay().vendor,
+        "ping_device": ping_device,
+        "relay_device": relay_device,
+        "connectivity": link,
+    }
+
+
+def test_two_devices_that_change_places_are_not_alike():
+    """Over both devices each side has both kernels: pooled, nothing would differ."""
+    base = [ping("a", "6.1"), ping("b", "6.6")]
+    new = [ping("a", "6.6"), ping("b", "6.1")]
+    found = environment_differences(base, new)
+    assert {
+        stratum.device: [(one.field, set(one.base), set(one.new)) for one in unlike]
+        for stratum, unlike in found.items()
+    } == {"a": [("kernel", {OLD}, {NEWER})], "b": [("kernel", {NEWER}, {OLD})]}
+    assert len(difference_sentences(found)) == 2
+
+
+def test_a_device_is_compared_over_one_link_at_a_time():
+    base = [ping(link="wired", kernel="6.1"), ping(link="wireless", kernel="6.6")]
+    new = [ping(link="wired", kernel="6.1"), ping(link="wireless", kernel="6.1")]
+    found = environment_differences([*base, relay()], [*new, relay()])
+    assert [stratum.connectivity for stratum, unlike in found.items() if unlike] == ["wireless"]
+    assert environment_of_group(group(link="wired"), found) == "same"
+    assert environment_of_group(group(link="wireless"), found) == "unlike: ping kernel"
+
+
+def test_what_was_asked_for_and_what_one_side_does_not_know_is_no_difference():
+    base = ping(middleware={"tuned": "true"}, wifi={"wlan0": 1}, governor="performance")
+    new = ping(middleware={"tuned": "false"}, wifi={"wlan0": 2})
+    ((stratum, unlike),) = environment_differences([base], [new]).items()
+    assert stratum == Stratum("ping", base.vendor, "pi", "wired")
+    assert unlike == []
+
+
+def test_a_device_that_replaced_the_only_one_is_held_against_it():
+    found = environment_differences([ping("old")], [ping("spare", "6.6")], {"ping_device": "old"})
+    assert difference_sentences(found) == (
+        f"kernel differs (ping of {ping().vendor} on old, wired): base {OLD}, new {NEWER}.",
+    )
+
+
+@pytest.mark.parametrize("unknown", [{"ping_device": "other"}, {"relay_device": None}])
+def test_without_a_fingerprint_of_both_roles_nothing_is_said(unknown):
+    sessions = [ping(), relay()]
+    found = environment_differences(sessions, sessions)
+    assert environment_of_group(group(), found) == "same"
+    assert environment_of_group(group(**unknown), found) == "unknown"
+
+
+def record(folder, first, kernel):
+    """Three runs of one group on one device."""
+    for number in range(first, first + 3):
+        start = number * 10_000_000_000
+        messages = [
+            Message(s, t0=t, t1=t, t3=t + 400_000, t4=t + 410_000, t2=t + 810_000 + s)
+            for s in range(30)
+            for t in [start + s * 100_000_000]
+        ]
+        write_pair(
+            folder / str(number),
+            messages,
+            ping=ping_session(session_id=50 + number, host={"kernel": kernel}),
+            relay=relay_session(host={"kernel": "6.1"}),
+            runs=[run(run_id=70 + number, extra={"session_id": f"{50 + number:016x}"})],
+        )
+
+
+def test_the_tables_say_of_each_group_in_what_its_environments_differ(tmp_path):
+    record(tmp_path / "base", 1, "6.1")
+    record(tmp_path / "new", 11, "6.6")
+    found = compare(*(analyze(tmp_path / side, details=False) for side in ("base", "new")))
+    assert found.delivery["environment"].to_list() == ["unlike: ping kernel"]
+    text = comparison_markdown(found)
+    row = next(line for line in text.splitlines() if "latency p50" in line)
+    assert row.endswith("| unlike: ping kernel |")
+    assert "Unlike environments: kernel differs (ping of" in text

@@ -130,7 +130,7 @@ def main() -> int:
     )
     options = parser.parse_args()
     analysis = analyze(options.folder, details=False)
-    roundtrips = analysis.load_roundtrips()
+    roundtrips = analysis.load_messages()
     found: dict[tuple[str, str], Counts] = {}
     for group, rows in enumerate(roundtrips.partition_by(*PARAMETER_NAMES, maintain_order=True)):
         name = group_words(analysis.summary.row(group, named=True), ("vendor", "payload_bytes", "rate_hz"))

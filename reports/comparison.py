@@ -95,8 +95,8 @@ def comparison_notes(comparison: Comparison) -> list[str]:
         *(f"Measured in turns: {visible(text, MAX_FINDING_CHARACTERS)}" for text in comparison.asked),
         *(f"Unlike environments: {visible(text, MAX_FINDING_CHARACTERS)}" for text in comparison.environment),
         *(
-            f"Finding of severity error: {visible(text, MAX_FINDING_CHARACTERS)}"
-            for text in comparison.errors
+            f"Finding of severity error: {visible(error.text, MAX_FINDING_CHARACTERS)}"
+            for error in comparison.errors
         ),
     ]
 

@@ -112,3 +112,5 @@ def test_a_finding_about_a_silent_relay_is_about_the_group_that_it_is_compared_w
     assert outcomes[33_000].outcome is GateOutcome.PASSED
     assert outcomes[1000].outcome is GateOutcome.INCONCLUSIVE
     assert "a side is not fit to be judged: new: " in outcomes[1000].reason
+    notes = comparison_notes(found)
+    assert any(note.startswith("Finding of severity error: new: no_relay (run ") for note in notes)

@@ -1,0 +1,166 @@
+"""`dds-sweep --against` as it is typed, and `dds-analyze compare` on what it leaves: real recordings on the socket backend."""
+
+from __future__ import annotations
+
+import html
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import loopback_sshd
+import pytest
+from namespaces import needs_namespaces
+
+from dds_trace.tracefile import read_trace
+
+pytestmark = [pytest.mark.middleware, pytest.mark.timeout(300)]
+
+RUN = """
+[run]
+messages = 20
+warmup = 2
+settle_seconds = 0
+repeats = {repeats}
+order = "alternating"
+domain = {domain}
+[axes]
+backend = "socket"
+rate = 200
+"""
+
+
+@pytest.fixture
+def plan(tmp_path, domain_id):
+    def write(name, size, more="", *, repeats=3):
+        path = tmp_path / f"{name}.toml"
+        path.write_text(RUN.format(domain=domain_id, repeats=repeats) + f'size = "{size}"\n' + more)
+        return path
+
+    return write
+
+
+def command(module, *arguments):
+    return subprocess.run(
+        [sys.executable, "-m", f"dds_trace.cli.{module}", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def starts_of(folder):
+    """(time of the first message, side, pass) of each run, in the order of time."""
+    held = [
+        (trace.wall_ns[0], side, int(trace.labels["pass"]))
+        for side in ("base", "new")
+        for trace in map(Started, sorted((folder / side).glob("*.ping.mcap")))
+    ]
+    return [(side, number) for _, side, number in sorted(held)]
+
+
+class Started:
+    """A ping's trace: its labels and when its session began."""
+
+    def __init__(self, path):
+        trace = read_trace(path)
+        self.labels = trace.runs[0].labels
+        self.wall_ns = [session.wall_anchor_ns for session in trace.sessions]
+
+
+def test_another_plan_is_recorded_in_turns_and_compared_cell_by_cell_and_pass_by_pass(plan, tmp_path):
+    """The plans ask for unlike sizes, so no group of one side has the parameters of one of the other."""
+    done = command("sweep", plan("p", "1KB"), "--out", tmp_path / "runs", "--against", plan("q", "2KB"))
+    assert done.returncode == 0, done.stderr
+    folder = tmp_path / "runs/p-against-q"
+    assert starts_of(folder) == [
+        ("base", 1),
+        ("new", 1),
+        ("new", 2),
+        ("base", 2),
+        ("base", 3),
+        ("new", 3),
+    ]
+    printed = next(line for line in done.stdout.splitlines() if line.startswith("Compare: "))
+    words = printed.removeprefix("Compare: dds-analyze ").split()
+    assert words == ["compare", str(folder / "base"), str(folder / "new"), "--paired"]
+    for options in (words, words[:-1]):  # in turns is pass by pass, said or not
+        compared = command("analyze", *options, "--report", "md")
+        assert compared.returncode == 0, compared.stderr
+        shown = html.unescape(compared.stdout)
+        row = next(line for line in shown.splitlines() if "rtt p50" in line)
+        assert "payload_bytes=1000" in row
+        assert "| 3 pairs |" in row
+        (asked,) = [line for line in shown.splitlines() if line.startswith("- Measured in turns: ")]
+        assert asked.endswith("the new side has payload_bytes 2000 instead of 1000.")
+
+
+def test_another_environment_is_compared_pass_by_pass(plan, tmp_path):
+    program = tmp_path / "venv/bin/dds-record"
+    program.parent.mkdir(parents=True)
+    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m dds_trace.cli.record "$@"\n')
+    program.chmod(0o755)
+    done = command("sweep", plan("p", "1KB"), "--out", tmp_path, "--against", tmp_path / "venv", "--json")
+    assert done.returncode == 0, done.stderr
+    sides = json.loads(done.stdout)
+    compared = command("analyze", "compare", sides["base"], sides["new"], "--report", "md")
+    assert compared.returncode == 0, compared.stderr
+    row = next(line for line in compared.stdout.splitlines() if "rtt p50" in line)
+    assert "| 3 pairs |" in row
+    assert row.endswith("| same |")  # the same machine, program and Python
+    assert "Measured in turns" not in compared.stdout  # both were asked for the same
+
+
+def test_plans_of_unlike_length_are_refused_in_one_line_before_anything_is_recorded(plan, tmp_path):
+    two = plan("q", "2KB", 'reliability = ["reliable", "best_effort"]\n')
+    done = command("sweep", plan("p", "1KB"), "--out", tmp_path / "runs", "--against", two)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.endswith(
+        ": the base has 1 cell and the new side 2; give plans whose cells stand in the same order, one for one\n"
+    )
+    assert done.stderr.count("\n") == 1
+    assert not (tmp_path / "runs").exists()
+
+
+@needs_namespaces("tc", "iproute2")
+def test_both_sides_have_namespaces_of_their_own(plan, tmp_path):
+    network = "[network]\nnamespaces = true\n"
+    done = command(
+        "sweep", plan("p", "1KB", network, repeats=1), "--out", tmp_path, "--against", "SAME", "--json"
+    )
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    assert result["missing"] == {"base": {}, "new": {}}
+    assert result["false_alarms"]["deals"] == 1
+    (links,) = {
+        read_trace(path).sessions[0].connectivity
+        for side in ("base", "new")
+        for path in Path(result[side]).glob("*.ping.mcap")
+    }
+    assert links == "wired"
+
+
+def test_a_relay_over_ssh_serves_both_sides(plan, tmp_path):
+    if missing := loopback_sshd.missing_program():
+        pytest.skip(f"{missing} is not installed")
+    for name in ("home", "sshd"):
+        (tmp_path / name).mkdir()
+    with loopback_sshd.sshd(tmp_path / "sshd") as server:
+        robot = (
+            '[devices]\nconnectivity = "loopback"\n[devices.relay]\nname = "robot"\n'
+            f"ssh = {json.dumps(server.destination)}\nssh_options = {json.dumps(server.options)}\n"
+            f'setup = "export HOME={tmp_path / "home"}"\npath = "{Path(sys.executable).parent}"\n'
+        )
+        base = plan("p", "1KB", robot, repeats=1)
+        base.write_text(base.read_text().replace("[run]", '[run]\ndiscovery = "localhost"'))
+        done = command("sweep", base, "--out", tmp_path, "--against", "SAME", "--json")
+        refused = command("sweep", base, "--out", tmp_path / "no", "--against", tmp_path / "sshd")
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    assert {
+        read_trace(path).sessions[0].device
+        for side in ("base", "new")
+        for path in Path(result[side]).glob("*.relay.mcap")
+    } == {"robot"}
+    assert refused.returncode == 2
+    assert refused.stderr.count("\n") == 1

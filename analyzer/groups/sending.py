@@ -28,6 +28,7 @@ _LAST_SHARE = 10
 """The last tenth of a run tells how far it fell behind: its median, so that one late message says nothing."""
 
 _LEAST_MESSAGES = 3
+"""Messages of that tenth at least, so that their median leaves one late message out."""
 
 SENDING_SCHEMA: dict[str, type[pl.DataType]] = {
     "group": pl.UInt32,

@@ -1,5 +1,6 @@
 """Findings that rest on clocks, load, sizes, bridges and relays, each brought about by a drawn timeline."""
 
+import ast
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -362,3 +363,47 @@ def test_every_code_is_in_the_documentation():
     documented = set(re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE))
     assert len(codes) > 30
     assert codes <= documented
+
+
+@pytest.mark.parametrize(
+    ("boot_ids", "codes"),
+    [(("one", "two"), set()), (("one", "one"), {"clock_step"}), ((None, None), {"clock_step"})],
+    ids=["rebooted", "same boot", "older recorder"],
+)
+def test_a_relays_reboot_between_two_runs_is_no_step(tmp_path, boot_ids, codes):
+    # The relay's clock counts from its boot: 100 s of difference between the runs, in an order that a boot alone explains.
+    ping, runs = {Stage.T1: [], Stage.T2: []}, []
+    for number, (boot_id, ahead) in enumerate(zip(boot_ids, (0, -100_000 * MS), strict=True), 1):
+        first = (number - 1) * 300
+        moved = [replace(m, sequence=m.sequence - first) for m in drawn(ahead=ahead, first=first)]
+        for stage, events in ping_events(moved, run_id=number, relay_id=number).items():
+            ping[stage] += events
+        runs.append(run(run_id=number, planned_messages=200, published=200))
+        extra = {} if boot_id is None else {"boot_id": boot_id}
+        relay = relay_session(session_id=number, relay_id=number, extra=extra)
+        events = relay_events(moved, run_id=number, relay_id=number)
+        write_trace(tmp_path / f"relay{number}.mcap", relay, (), events)
+    write_trace(tmp_path / "ping.mcap", ping_session(extra={"boot_id": "other"}), runs, ping)
+    found = {f.code for f in analyze(tmp_path).findings}
+    assert {code for code in found if code.startswith(("clock", "suspend", "slew"))} == codes
+
+
+def thresholds():
+    """Every number that a check compares with, and the string behind it."""
+    room = Path(dds_trace.analyzer.findings.__file__).parent
+    others = [room.parent / name for name in ("clocks/slews.py", "groups/sending.py", "groups/shapes.py")]
+    for path in [*room.glob("*.py"), *others, room.parent / "pairing" / "flows.py"]:
+        body = ast.parse(path.read_text()).body
+        for statement, after in zip(body, [*body[1:], None], strict=True):
+            if isinstance(statement, ast.Assign) and any(
+                isinstance(node, ast.Constant) and isinstance(node.value, int | float)
+                for node in ast.walk(statement.value)
+            ):
+                is_text = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
+                yield f"{path.name}: {ast.unparse(statement)}", after.value.value if is_text else ""
+
+
+def test_every_threshold_of_a_check_stands_with_its_reason():
+    told = dict(thresholds())
+    assert len(told) > 20
+    assert [name for name, reason in told.items() if len(str(reason).split()) < 8] == []

@@ -254,18 +254,19 @@ def waits_in_readers(evidence: Evidence) -> Iterator[Finding]:
         if role is None or not rate_hz:
             continue
         if median_ns * rate_hz >= 1e9:
-            share, waited_ns = "Half of the messages", median_ns
+            words, share, waited_ns = "Half of the messages", 0.5, median_ns
         elif p99_ns is not None and p99_ns >= max(_TAIL_PERIODS * 1e9 / rate_hz, _TAIL_NS):
-            share, waited_ns = "One message in a hundred", p99_ns
+            words, share, waited_ns = "One message in a hundred", 0.01, p99_ns
         else:
             continue
         yield Finding(
             Severity.WARNING,
             "waits_in_reader",
             names[group],
-            f"{share} waited {format_ms(waited_ns)} ms or longer between the middleware of the {role} and its "
+            f"{words} waited {format_ms(waited_ns)} ms or longer between the middleware of the {role} and its "
             f"callback, {waited_ns * rate_hz / 1e9:.1f} periods.",
             f"This is the {role}'s program, not the link: look at its CPU and at --executor, and record anew with a "
             "fresh process.",
             (group,),
+            effect=share,
         )

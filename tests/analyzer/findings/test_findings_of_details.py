@@ -288,7 +288,7 @@ def test_messages_that_wait_in_a_reader_for_later_ones(tmp_path):
         "Half of the messages waited 600.000 ms or longer between the middleware of the relay and its callback, "
         "6.0 periods."
     )
-    assert (found.where, found.groups) == ("binary 33000 B at 10 Hz", (0,))
+    assert (found.where, found.groups, found.effect) == ("binary 33000 B at 10 Hz", (0,), 0.5)
 
 
 def test_a_tail_that_waits_in_a_reader(tmp_path):

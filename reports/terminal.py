@@ -20,7 +20,6 @@ from dds_trace.tracefile.units.sizes import format_size
 from dds_trace.tracefile.visible import visible
 
 from .book.groups import METRIC_LABELS
-from .book.recommendation import COLUMNS
 from .text import format_ratio
 
 if TYPE_CHECKING:
@@ -108,13 +107,9 @@ def _advice(book: Book) -> list[RenderableType]:
         return []
     grid = Table.grid(padding=(0, 1, 0, 0))
     grid.add_column(no_wrap=True)
-    for row in advice.rows:
-        told = dict(zip(COLUMNS, row, strict=True))
-        grid.add_row(Text(told["Does it"], style=_FIT_COLORS.get(told["Does it"], "")), Text(told["Setting"]))
-        numbers = (
-            f"{told['Time']} (95 %: {told['95 % interval']}), received {told['Received']}, {told['Rests on']}"
-        )
-        grid.add_row(Text(), Text(f"{numbers}. {told['Why']}".strip(), style="dim"))
+    for setting, fit, numbers in advice.brief_rows:
+        grid.add_row(Text(fit, style=_FIT_COLORS.get(fit, "")), Text(setting))
+        grid.add_row(Text(), Text(numbers, style="dim"))
     return [Text(advice.said, style="bold"), Text(f"Asked: {advice.asked}"), grid, Text()]
 
 

@@ -20,7 +20,7 @@ from .groups import METRIC_LABELS, data_type_label, setting_labels
 from .verdicts import place_label
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from dds_trace.analyzer import Recommendation
     from dds_trace.analyzer.verdicts.cases import Setting
@@ -46,6 +46,18 @@ class Advice:
     asked: str
     said: str
     rows: tuple[tuple[str, ...], ...]
+
+    @property
+    def brief_rows(self) -> tuple[tuple[str, str, str], ...]:
+        """The rows for narrow places: setting, whether it does the job, and all numbers in one text."""
+        return tuple(_brief(dict(zip(COLUMNS, row, strict=True))) for row in self.rows)
+
+
+def _brief(told: Mapping[str, str]) -> tuple[str, str, str]:
+    numbers = f"{told['Time']} (95 %: {told['95 % interval']}), received {told['Received']}"
+    if told["Time"] == "lost":
+        numbers += f" (those in {told['Of those']})"
+    return told["Setting"], told["Does it"], f"{numbers}; {told['Rests on']}. {told['Why']}".strip()
 
 
 def recommendation_info(recommendation: Recommendation | None, vendors: VendorLabels) -> Advice | None:
@@ -115,15 +127,21 @@ def _said(told: Sequence[tuple[Candidate, str]], deadline: str, *, opens: bool) 
             if len(best) == 1
             else f"meet {deadline}, and these traces do not tell them apart"
         )
-        return f"{'; '.join(best)} {verb}."
+        return f"{_and(best)} {verb}."
     likely = [name for candidate, name in told if candidate.fit is Fit.LIKELY]
     if likely:
-        said = f"nothing is shown to meet {deadline}; likely to meet it: {'; '.join(likely)}."
+        said = f"nothing is shown to meet {deadline}; likely to meet it: {_and(likely)}."
     elif all(candidate.fit is Fit.MISSES and candidate.measured for candidate, _ in told):
         said = f"every setting that was measured misses {deadline}."
     else:
         said = f"inconclusive: no setting is shown to meet {deadline}."
     return said[0].upper() + said[1:] if opens else said
+
+
+def _and(names: Sequence[str]) -> str:
+    """Join names, which hold commas themselves."""
+    *first, last = names
+    return f"{'; '.join(first)} and {last}" if first else last
 
 
 def _row(candidate: Candidate, name: str) -> tuple[str, ...]:

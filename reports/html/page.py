@@ -23,7 +23,6 @@ from dds_trace.tracefile.visible import visible
 
 from ..book.findings import severity_counts
 from ..book.groups import LATENCY_MEANING, METRIC_LABELS, STATISTIC_LABELS, data_type_label
-from ..book.recommendation import COLUMNS
 from ..figures import FIGURES, Figure, LeftOut, Scope
 from ..text import json_island
 from .filters import filters_info
@@ -87,7 +86,6 @@ def _render(book: Book, scripts: Iterable[str], version: str = "") -> str:
         formula=LATENCY_MEANING,
         answer=_answer(book),
         advice=book.advice,
-        advice_columns=COLUMNS,
         findings=book.findings,
         severities=severity_counts(book.findings),
         campaign_figures=[figure for scope, figure in drawn if scope is Scope.CAMPAIGN],

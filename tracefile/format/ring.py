@@ -238,9 +238,48 @@ def read_ring(path: Path, events_in_trace: int) -> RingContents | None:
         raise TraceFormatError(path, "the ring file is shorter than its header says")
     session = _session(content[RING_HEADER.size : RING_HEADER.size + text_bytes], path)
     every = np.frombuffer(content, SLOT_DTYPE, slot_count, slots_at)
+    return _pending(every, slot_count, events_in_trace, session, dropped, recording=recording)
+
+
+def salvage_ring(path: Path, events_in_trace: int, session: Session | None) -> RingContents | None:
+    """Read what is whole of a ring that `read_ring` refuses: one that was cut off, or whose description is damaged.
+
+    Args:
+        path: the ring file.
+        events_in_trace: as for `read_ring`.
+        session: the session of the trace beside it, for a ring that names none; None without a trace.
+
+    Returns:
+        None if not even the places of its slots are known, or nobody describes its session.
+
+    Raises:
+        OSError: the file cannot be read.
+    """
+    with path.open("rb") as stream:
+        recording = _is_locked(stream.fileno())
+        content = stream.read()
+    if len(content) < RING_HEADER.size:
+        return None
+    _, version, slot_bytes, slot_count, slots_at, dropped, text_bytes = RING_HEADER.unpack_from(content)
+    if (version, slot_bytes) != (RING_VERSION, SLOT_BYTES) or not 0 < slots_at <= len(content):
+        return None
+    try:
+        session = _session(content[RING_HEADER.size : min(RING_HEADER.size + text_bytes, slots_at)], path)
+    except TraceFormatError:
+        if session is None:
+            return None
+    whole = min(slot_count, (len(content) - slots_at) // SLOT_BYTES)
+    every = np.frombuffer(content, SLOT_DTYPE, whole, slots_at)
+    return _pending(every, slot_count, events_in_trace, session, dropped, recording=recording)
+
+
+def _pending(
+    every: Slots, slot_count: int, events_in_trace: int, session: Session, dropped: int, *, recording: bool
+) -> RingContents:
+    """Return the events among the first slots of a ring of `slot_count` that the trace has not."""
     tickets = every["mark"] & TICKET_MASK
     is_event = (every["stage"] >= 1) & (every["stage"] <= len(Stage))
-    is_event &= tickets % max(slot_count, 1) == np.arange(slot_count, dtype=np.uint64)
+    is_event &= tickets % max(slot_count, 1) == np.arange(len(every), dtype=np.uint64)
     pending = np.flatnonzero(is_event & (tickets >= events_in_trace))
     pending = pending[np.argsort(tickets[pending])]
     end = int(tickets[pending[-1]]) + 1 if len(pending) else events_in_trace

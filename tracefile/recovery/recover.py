@@ -12,16 +12,17 @@ from ..files import output_error
 from ..format.bag_metadata import write_metadata
 from ..format.descriptions import Session
 from ..format.events import SESSION_TOPIC
-from ..format.ring import read_ring, ring_path
+from ..format.ring import RING_SUFFIX, read_ring, ring_path, salvage_ring
 from ..mcapfile.file import RecordFile
 from ..units.counts import counted
 from ..writing.writer import TraceWriter
 from .salvage import Salvage, SalvagedText
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
-    from ..format.ring import RingContents
+    from ..format.ring import RingContents, Slots
 
 KILLED_SUFFIX = ".killed"
 """Added to the name of a trace that was recovered."""
@@ -44,6 +45,7 @@ class RecoveryReport:
         dropped_events: number of events that the recorder could not keep while it ran.
         torn_bytes: number of bytes at the file's end that were no complete record.
         damaged_chunks: number of chunks left out because their content is not what was written.
+        ring_fault: the damage of the ring, of which whole slots alone were used, in words; None of a whole one.
     """
 
     path: Path
@@ -55,18 +57,22 @@ class RecoveryReport:
     dropped_events: int = 0
     torn_bytes: int = 0
     damaged_chunks: int = 0
+    ring_fault: str | None = None
 
     def lines(self) -> list[str]:
         """Return the report as lines for a terminal."""
         if self.recovered is None:
-            return [
+            whole = (
                 f"{self.path} is closed and whole ({counted(self.file_events, 'event')}); nothing to recover"
-            ]
+            )
+            fault = f"the damaged ring beside it is left as it is: {self.ring_fault}"
+            return [whole, fault] if self.ring_fault else [whole]
         torn = counted(self.torn_bytes, "byte")
         return [
             f"{counted(self.file_events, 'event')} in the file, {self.ring_events} more in the ring",
             f"{counted(self.missing_events, 'event')} missing, {self.dropped_events} dropped while recording",
             f"{torn} of an unfinished record and {counted(self.damaged_chunks, 'damaged chunk')} left out",
+            *([f"only whole slots of the ring were used: {self.ring_fault}"] if self.ring_fault else []),
             *(f"The original is kept as {original}" for original in self.originals),
         ]
 
@@ -74,8 +80,12 @@ class RecoveryReport:
 def recover(path: Path, destination: Path | None = None) -> RecoveryReport:
     """Make a closed trace of a cut off one and its ring, without changing a byte of either.
 
+    What is whole is used: the ring alone where the file is gone, the file alone where the ring is, and of a damaged ring
+    its whole slots.
+
     Args:
-        path: a `.mcap` file, or a rosbag2 folder of ours, that was not closed.
+        path: a `.mcap` file, or a rosbag2 folder of ours, that was not closed; the file may be gone if its ring is there,
+            which may be named as well.
         destination: the new `.mcap` file. Without it the new file takes the old one's name, so that a folder of
             traces can be analyzed as it is, and the old one is kept as `NAME.mcap.killed`, its ring as
             `NAME.mcap.killed.ring`. A kill at any moment of the recovery leaves a readable trace.
@@ -86,25 +96,29 @@ def recover(path: Path, destination: Path | None = None) -> RecoveryReport:
         OutputExistsError: `destination` exists already.
         OutputError: the new file cannot be written.
     """
+    if path.name.endswith(RING_SUFFIX):
+        path = path.with_name(path.name.removesuffix(RING_SUFFIX))
     trace = path / f"{path.name}_0.mcap" if path.is_dir() else path
     if destination is not None and destination.exists():
         raise OutputExistsError(f"{destination} is there already; choose another name")
     killed = _inspect(trace)
     if killed.is_whole:
         # Killed between the footer and the deletion of the ring: every event is in the file.
-        ring_path(trace).unlink(missing_ok=True)
-        return RecoveryReport(path, None, file_events=killed.file.events)
+        if killed.ring_fault is None:
+            ring_path(trace).unlink(missing_ok=True)
+        return RecoveryReport(path, None, file_events=killed.file.events, ring_fault=killed.ring_fault)
     ring = killed.ring
     report = RecoveryReport(
         path=path,
         recovered=destination or path,
-        originals=(trace,) if ring is None else (trace, ring_path(trace)),
+        originals=tuple(each for each in (trace, ring_path(trace)) if each.exists()),
         file_events=killed.file.events,
         ring_events=len(ring.slots) if ring else 0,
         missing_events=killed.file.tickets - killed.file.events + (ring.missing_events if ring else 0),
         dropped_events=max(killed.session.dropped_events, ring.dropped_events if ring else 0),
         torn_bytes=killed.file.torn_bytes,
         damaged_chunks=killed.file.damaged_chunks,
+        ring_fault=killed.ring_fault,
     )
     unfinished = destination or trace.with_name(trace.name + UNFINISHED_SUFFIX)
     try:
@@ -121,13 +135,25 @@ def recover(path: Path, destination: Path | None = None) -> RecoveryReport:
 
 
 @dataclass(frozen=True, slots=True)
+class _FileCounts:
+    """The counts of a `Salvage` behind its last item; all 0 of a file that is gone."""
+
+    closed: bool = False
+    events: int = 0
+    tickets: int = 0
+    torn_bytes: int = 0
+    damaged_chunks: int = 0
+
+
+@dataclass(frozen=True, slots=True)
 class _KilledTrace:
-    """Trace read once: the counts of its file, its session, its ring."""
+    """Trace read once: the counts of its file, its session, its ring and what is damaged of it."""
 
     trace: Path
-    file: Salvage
+    file: _FileCounts
     session: Session
     ring: RingContents | None
+    ring_fault: str | None
 
     @property
     def is_whole(self) -> bool:
@@ -141,15 +167,11 @@ def _inspect(trace: Path) -> _KilledTrace:
         TraceFormatError: as for `recover`.
         OptionError: as for `recover`.
     """
-    with closing(RecordFile(trace)) as file:
-        salvage = Salvage(file)
-        sessions = [
-            Session.from_json(item.text, trace)
-            for item in salvage
-            if isinstance(item, SalvagedText) and item.topic == SESSION_TOPIC
-        ]
     beside = ring_path(trace)
-    ring = read_ring(beside, salvage.tickets) if beside.exists() else None
+    counts, sessions = _FileCounts(), list[Session]()
+    if trace.exists() or not beside.exists():
+        counts, sessions = _read_file(trace)
+    ring, fault = _read_beside(beside, counts.tickets, sessions[-1] if sessions else None)
     if ring is not None and ring.recording:
         raise OptionError(f"{trace} is still being recorded; stop the recorder first")
     if ring is not None and sessions and sessions[-1].session_id != ring.session.session_id:
@@ -158,9 +180,45 @@ def _inspect(trace: Path) -> _KilledTrace:
         )
     if ring is None and not sessions:
         raise TraceFormatError(
-            trace, "ends before its session description and has no ring: it holds no event"
+            trace, "ends before its session description and has no whole ring: it holds no event"
         )
-    return _KilledTrace(trace, salvage, sessions[-1] if sessions or ring is None else ring.session, ring)
+    return _KilledTrace(
+        trace, counts, sessions[-1] if sessions or ring is None else ring.session, ring, fault
+    )
+
+
+def _read_file(trace: Path) -> tuple[_FileCounts, list[Session]]:
+    """Return the counts of a trace's file and the sessions in it."""
+    with closing(RecordFile(trace)) as file:
+        salvage = Salvage(file)
+        sessions = [
+            Session.from_json(item.text, trace)
+            for item in salvage
+            if isinstance(item, SalvagedText) and item.topic == SESSION_TOPIC
+        ]
+    counts = _FileCounts(
+        salvage.closed, salvage.events, salvage.tickets, salvage.torn_bytes, salvage.damaged_chunks
+    )
+    return counts, sessions
+
+
+def _read_beside(
+    ring: Path, events_in_trace: int, session: Session | None
+) -> tuple[RingContents | None, str | None]:
+    """Return the content of a ring and its damage in words; None and None if there is no ring, or an empty one."""
+    if not ring.exists():
+        return None, None
+    try:
+        return read_ring(ring, events_in_trace), None
+    except TraceFormatError as damaged:
+        return salvage_ring(ring, events_in_trace, session), damaged.what
+
+
+def _salvaged(trace: Path) -> Iterator[Slots | SalvagedText]:
+    """Yield the content of a trace's file, nothing if it is gone."""
+    if trace.exists():
+        with closing(RecordFile(trace)) as file:
+            yield from Salvage(file)
 
 
 def _write(unfinished: Path, killed: _KilledTrace, report: RecoveryReport) -> TraceWriter:
@@ -175,8 +233,8 @@ def _write(unfinished: Path, killed: _KilledTrace, report: RecoveryReport) -> Tr
         dropped_events=report.dropped_events,
         extra={**killed.session.extra, "recovered": counts},
     )
-    with TraceWriter(unfinished, killed.session) as writer, closing(RecordFile(killed.trace)) as file:
-        for item in Salvage(file):
+    with TraceWriter(unfinished, killed.session) as writer:
+        for item in _salvaged(killed.trace):
             if isinstance(item, SalvagedText):
                 writer.write_text(item.topic, item.text, item.log_time_ns)
             else:
@@ -194,21 +252,24 @@ def _take_place(trace: Path, unfinished: Path) -> tuple[Path, ...]:
     The ring is renamed last: beside the new file it adds nothing, because that has all its events.
 
     Returns:
-        The old file and its ring, by their new names.
+        The old file and its ring, those of them that there were, by their new names.
     """
     with unfinished.open("rb") as stream:
         os.fsync(stream.fileno())
     kept = trace.with_name(trace.name + KILLED_SUFFIX)
     number = 1
-    while kept.exists():
+    while kept.exists() or ring_path(kept).exists():
         number += 1
         kept = trace.with_name(f"{trace.name}{KILLED_SUFFIX}{number}")
-    try:
-        os.link(trace, kept)
-    except OSError:  # a file system without hard links (FAT): for a moment only the kept name is there
-        trace.rename(kept)
+    originals: tuple[Path, ...] = ()
+    if trace.exists():
+        try:
+            os.link(trace, kept)
+        except OSError:  # a file system without hard links (FAT): for a moment only the kept name is there
+            trace.rename(kept)
+        originals = (kept,)
     unfinished.replace(trace)
     ring = ring_path(trace)
     if not ring.exists():
-        return (kept,)
-    return (kept, ring.rename(ring_path(kept)))
+        return originals
+    return (*originals, ring.rename(ring_path(kept)))

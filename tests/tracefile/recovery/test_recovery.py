@@ -266,3 +266,88 @@ def test_a_file_of_another_program_is_left_alone(tmp_path):
     with pytest.raises(TraceFormatError, match="a camera driver"):
         recover(path)
     assert [p.name for p in tmp_path.iterdir()] == ["bag.mcap"]
+
+
+def test_the_ring_alone_gives_what_it_holds(tmp_path):
+    trace = killed(tmp_path)  # a large ring still holds every event
+    trace.unlink()
+    ring = ring_path(trace).read_bytes()
+    report = recover(trace)
+    assert (report.file_events, report.ring_events, report.missing_events) == (0, EVENTS, 0)
+    assert [original.name for original in report.originals] == ["a.mcap.killed.ring"]
+    assert report.originals[0].read_bytes() == ring
+    assert sequences(trace) == list(range(EVENTS))
+
+
+def test_a_small_ring_alone_says_what_is_missing(tmp_path):
+    trace = killed(tmp_path, ring_slots=SMALL_RING)
+    trace.unlink()
+    report = recover(ring_path(trace), tmp_path / "whole.mcap")  # its own name will do
+    assert (report.ring_events, report.missing_events) == (SMALL_RING, EVENTS - SMALL_RING)
+    assert sequences(tmp_path / "whole.mcap") == list(range(EVENTS - SMALL_RING, EVENTS))
+    assert ring_path(trace).exists()
+
+
+def test_a_bag_whose_file_is_gone_gets_one_from_its_ring(tmp_path):
+    trace = killed(tmp_path, name="bag") / "bag_0.mcap"
+    trace.unlink()
+    assert recover(trace.parent).ring_events == EVENTS
+    assert sequences(trace.parent) == list(range(EVENTS))
+
+
+DAMAGED_HEADERS = [
+    (0, b"NOTARING", "no ring file", EVENTS),
+    (16, b"\0\0\0\0\0\1\0\0", "shorter than its header says", EVENTS),
+    (40, b"\0\0\0\0\0\1\0\0", "shorter than its header says", EVENTS),
+    (48, b"[", "names no session", EVENTS),
+    (8, b"\7", "ring of version 7", EVENTS - PART),  # nobody knows where its slots are
+    (24, b"\0\0\0\0\0\1\0\0", "shorter than its header says", EVENTS - PART),
+]
+
+
+@pytest.mark.parametrize(("offset", "value", "fault", "events"), DAMAGED_HEADERS)
+def test_beside_a_damaged_ring_all_that_is_whole_is_kept(tmp_path, offset, value, fault, events):
+    trace = killed(tmp_path)
+    data = bytearray(ring_path(trace).read_bytes())
+    data[offset : offset + len(value)] = value
+    ring_path(trace).write_bytes(data)
+    report = recover(trace)
+    assert fault in (report.ring_fault or "")
+    assert any(fault in line for line in report.lines())
+    assert sequences(trace) == list(range(events))
+    assert report.originals[1].read_bytes() == data
+
+
+@pytest.mark.parametrize("slots", [0, 1, 100, EVENTS - 1, LARGE_RING - 1])
+def test_of_a_ring_that_was_cut_off_the_whole_slots_are_used(tmp_path, slots):
+    trace = killed(tmp_path)
+    ring = ring_path(trace)
+    cut = ring.stat().st_size - LARGE_RING * 64 + slots * 64 + 40  # in the middle of a slot
+    ring.write_bytes(ring.read_bytes()[:cut])
+    trace.unlink()
+    report = recover(trace)
+    assert report.ring_fault is not None
+    assert report.ring_events == min(slots, EVENTS)
+    assert sequences(trace) == list(range(min(slots, EVENTS)))
+
+
+def test_a_damaged_ring_alone_whose_session_is_lost_is_an_error(tmp_path):
+    trace = killed(tmp_path)
+    trace.unlink()
+    data = bytearray(ring_path(trace).read_bytes())
+    data[48:49] = b"["
+    ring_path(trace).write_bytes(data)
+    with pytest.raises(TraceFormatError, match="has no whole ring"):
+        recover(trace)
+    assert ring_path(trace).read_bytes() == data
+
+
+def test_a_damaged_ring_beside_a_closed_trace_is_left_alone(tmp_path):
+    trace = killed(tmp_path)
+    ring = ring_path(trace).read_bytes()
+    recover(trace)
+    ring_path(trace).write_bytes(b"NOTARING" + ring[8:-32])
+    report = recover(trace)
+    assert report.recovered is None
+    assert "left as it is" in report.lines()[1]
+    assert ring_path(trace).exists()

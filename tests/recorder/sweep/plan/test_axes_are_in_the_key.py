@@ -108,3 +108,37 @@ def test_discovery_that_is_not_usual_for_the_link_is_in_the_key():
     plan = Plan("plan", (Cell(),))
     beyond = replace(plan.run, discovery=Discovery.SUBNET.value)
     assert key_of(Cell(), run=beyond).setting == "discovery=subnet"
+
+
+@pytest.mark.parametrize(
+    ("option", "setting"),
+    [
+        (("--deadline", "20ms"), "deadline_ns=20000000"),
+        (("--lifespan", "1s"), "lifespan_ns=1000000000"),
+        (("--realtime", "50"), "realtime_priority=50,relay.realtime_priority=default"),
+        (("--setting", "cpu_load=50%"), "cpu_load=50%25"),
+    ],
+)
+def test_options_that_are_no_axis_make_two_groups(option, setting):
+    """A device's own options reach `dds-record` as they are; QoS durations are those of the ping's run."""
+    plain = Plan("plan", (Cell(),))
+    given = replace(plain, ping=replace(plain.ping, options=option))
+    assert key_of(Cell(), ping=given.ping).setting.split(",")[0] == setting.split(",")[0]
+    assert key_of(Cell(), ping=given.ping) != key_of(Cell())
+
+
+def test_no_axis_is_told_by_a_label_alone():
+    """Labels name a run and part no groups: what an axis changes has to be a parameter or a setting."""
+    plain = ping_arguments(Plan("plan", (Cell(),)), Cell(), 5.0, None)
+    for name in AXES:
+        cell = replace(Cell(), **{name: other_value(name)})
+        given = [
+            *ping_arguments(Plan("plan", (cell,)), cell, 5.0, None),
+            *relay_arguments(Plan("plan", (cell,)), cell.relay),
+        ]
+        unlike = [
+            word
+            for word in given
+            if (word not in plain and "=" not in word) or word.startswith("environment=")
+        ]
+        assert unlike, name

@@ -127,9 +127,10 @@ def _groups(book: Book) -> str:
     table = _table(("Data", "Size", "Rate", "Series", "Received", "Runs", *names), rows)
     left = len(groups.groups) - len(rows)
     notes = [f"{counted(left, 'more group is', 'more groups are')} in `summary.parquet`."] if left else []
+    notes.insert(0, "Times are those of the survivors, the messages that came back.")
     if any(ends):
         notes.insert(
-            0,
+            1,
             "In brackets: 95 % confidence intervals, from the runs where there are three or more, else within one run; a dash is "
             "an end that the sample does not support. A tail of fewer than ten episodes has no end.",
         )

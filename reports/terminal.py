@@ -161,7 +161,7 @@ def _tables(book: Book) -> list[RenderableType]:
         tables += [Text(label, style="bold"), _table(shown, place), Text()]
     if known:
         low, high = (format_duration(end) for end in shown.ends_ns)
-        note = f"{METRIC_LABELS[shown.metric]}. Each sparkline spans {low} to {high} (log scale): where the messages lie."
+        note = f"{METRIC_LABELS[shown.metric]} of the survivors, the messages that came back. Each sparkline spans {low} to {high} (log scale): where the messages lie."
         tables += [Text(note, style="dim"), Text(_NOTES, style="dim")]
     return tables
 

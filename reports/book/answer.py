@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from dds_trace.analyzer import Analysis, CaseAnswer
     from dds_trace.analyzer.analysis import Details
 
-    from .groups import Groups, VendorLabels
+    from .groups import Group, Groups, VendorLabels
     from .numbers import Values
 
 
@@ -142,11 +142,19 @@ def _ways(vendor: str, groups: Groups, values: Values) -> str:
         way: " to ".join(dict.fromkeys(format_duration(end) for end in (min(medians_ns), max(medians_ns))))
         for way, medians_ns in ways.items()
     }
-    what = f"{vendor}: median {METRIC_LABELS[metric].lower()}"
+    what = f"{vendor}: median {METRIC_LABELS[metric].lower()}{_of_survivors(groups.groups, values)}"
     if len(spans) == 1:
         return f"{what} {next(iter(spans.values()))}."
     said = [f"{span} {_IN_WAY.get(way, way)}" for way, span in list(spans.items())[:_MOST_WAYS]]
     return f"{what} {_and(said)}."
+
+
+def _of_survivors(groups: Iterable[Group], values: Values) -> str:
+    """Name the messages that a time is of, where any of these groups lost one or never sent it; empty otherwise."""
+    are_whole = all(
+        group.received == group.published and not values.plain["unsent"][group.index] for group in groups
+    )
+    return "" if are_whole else " of the survivors (the messages that came back)"
 
 
 _IN_WAY = {"same domain": "in the same domain", "different domains": "across domains"}
@@ -219,9 +227,8 @@ def _level_remarks(groups: Groups, values: Values, metric: str) -> list[str]:
         if not medians:
             continue
         low, high = ((ns, groups.groups[index]) for ns, index in (medians[0], medians[-1]))
-        first = (
-            f"{data_type_label(data_type)}: median {METRIC_LABELS[metric].lower()} {format_duration(low[0])}"
-        )
+        survivors = _of_survivors((low[1], high[1]), values)
+        first = f"{data_type_label(data_type)}: median {METRIC_LABELS[metric].lower()}{survivors} {format_duration(low[0])}"
         if low[1] == high[1]:
             remarks.append(f"{first} ({_place(groups, low[1].index, labels)}).")
         else:

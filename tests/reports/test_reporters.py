@@ -197,6 +197,15 @@ def test_messages_that_never_left_are_told(kind):
     assert "all came back, 300 more never left" in text
 
 
+@pytest.mark.parametrize("kind", ["terminal", "md", "html"])
+def test_times_of_a_group_with_losses_are_named_those_of_the_survivors(kind):
+    said = "median latency of the survivors (the messages that came back) 1."
+    for measured, is_said in (([*HALF_SENT], True), ([Measured([MS, MS])], False)):
+        text = " ".join(load_reporter(kind).render(Book(make_analysis(*measured))).split())
+        assert (said in text) is is_said
+        assert "of the survivors, the messages that came back." in text
+
+
 def test_markdown_counts_unsent_messages_beside_those_received():
     text = load_reporter("md").render(Book(make_analysis(*HALF_SENT)))
     assert "| 100 %, 300 unsent | 1, within one run |" in text

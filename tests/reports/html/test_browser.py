@@ -1,14 +1,19 @@
 """The page as a reader meets it: Debian's Chromium, headless, driven by Playwright."""
 
 import shutil
+from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
+import polars as pl
 import pytest
 from analyses import EVERY_ANALYSIS, HOSTILE, MS, Measured, make_analysis
 from campaigns import write_runs
+from roundtrip_frames import in_runs
 
+from dds_trace.analyzer.verdicts.job import Job
+from dds_trace.analyzer.verdicts.recommend import recommend_settings
 from dds_trace.reports import load_reporter
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.html.live import Watcher, WatchOptions
@@ -194,6 +199,30 @@ def test_the_first_screen_says_what_was_measured_what_came_out_and_what_is_doubt
         assert box is not None, part
         assert box["y"] + box["height"] <= height, part
     assert tab.evaluate("document.documentElement.scrollWidth") <= width, "nothing sticks out to the side"
+    tab.context.close()
+
+
+def test_a_recommendation_stands_first_and_does_not_stick_out_on_a_phone(chromium, tmp_path):
+    analysis = EVERY_ANALYSIS["small campaign"]()
+    rows = [(ns, 5000 + place * 100) for place, ns in enumerate((MS, 40 * MS))]
+    frame = pl.concat(
+        in_runs(
+            [ns + n * 37 % 101 for n in range(300)],
+            run_id=run_id,
+            setting=f"a_long_setting={run_id},tuned=true",
+        )
+        for ns, run_id in rows
+    )
+    recommendation = recommend_settings(frame, Job("binary", 33_000, 10.0, 50 * MS, 0.9))
+    details = replace(analysis.details, recommendation=recommendation)
+    path = tmp_path / "advice.html"
+    path.write_text(load_reporter("html").render(Book(replace(analysis, details=details))), encoding="utf-8")
+    one = Reader(chromium, viewport={"width": 390, "height": 844})
+    tab = one.open(path.as_uri())
+    assert "the deadline of 50 ms" in tab.locator(".headline").first.inner_text()
+    assert tab.locator(".advice tbody tr").count() == 2
+    assert tab.locator(".advice .fit").all_inner_texts() == ["meets", "misses"]
+    assert tab.evaluate("document.documentElement.scrollWidth") <= 390
     tab.context.close()
 
 

@@ -166,6 +166,8 @@ class _Recording:
             read_back = self._read_back(node)
             self._wait_for_echo(ping, node, asked, bridge, read_back)
             read_back.read_begin()
+            if bridge is not None:
+                read_back.note_bridge(bridge.read_applied())
             read_back.tell()
             session = self._describe("ping", node, read_back)
             if (
@@ -179,6 +181,7 @@ class _Recording:
             run = wire.write_run(run, sink)
             read_back.read_end(ping.traffic)
             if bridge is not None:
+                read_back.note_bridge(bridge.read_applied())
                 bridge.stop()  # so that its description says how it ended
             described: JsonObject = {"error": None if error is None else str(error)}
             if bridge is not None:

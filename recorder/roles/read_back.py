@@ -44,7 +44,8 @@ class ReadBack:
         self._strict = strict
         self._note = note
         self._applied: Applied | None = None
-        self._differences: tuple[Difference, ...] = ()
+        self._own: tuple[Difference, ...] = ()
+        self._of_bridge: tuple[Difference, ...] = ()
         self._told: set[tuple[Setting, str]] = set()
 
     def read_begin(self) -> None:
@@ -54,7 +55,7 @@ class ReadBack:
         """
         if self._applied is None:
             applied = read_applied()
-            self._differences = differences(self.asked, applied)
+            self._own = differences(self.asked, applied)
             self._applied = applied
 
     def read_end(self, traffic: Traffic) -> None:
@@ -65,7 +66,15 @@ class ReadBack:
         """
         if self._applied is not None:
             self._applied = with_path(read_applied(self._applied), traffic)
-            self._differences = differences(self.asked, self._applied, traffic)
+            self._own = differences(self.asked, self._applied, traffic)
+
+    def note_bridge(self, not_applied: tuple[Difference, ...]) -> None:
+        """Take what the programs of the bridge do not use into `tell` and `fields`, in place of what was noted before."""
+        self._of_bridge = not_applied
+
+    @property
+    def _differences(self) -> tuple[Difference, ...]:
+        return self._own + self._of_bridge
 
     def tell(self, trace: Path | None = None) -> None:
         """Say each setting that was not applied and was not told before.

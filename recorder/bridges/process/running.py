@@ -17,6 +17,7 @@ from dds_trace.tracefile import BackendUnavailableError, BridgeError
 
 from ..base import load_bridge, split_halves
 from ..options import Half
+from .read_back import ProgramReadBack
 from .supervise import SupervisedProgram, describe_end, killing_signal, program_environment
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
     from dds_trace.tracefile import Json
 
+    from ...applied import Difference
     from ..base import Bridge
     from ..options import BridgeOptions
 
@@ -43,13 +45,14 @@ class BridgeState(Enum):
 
 @dataclass(frozen=True, slots=True)
 class _RunningHalf:
-    """One of a bridge's programs with the options, configuration and environment of its start."""
+    """One of a bridge's programs with the options, configuration and environment of its start, and what it uses."""
 
     options: BridgeOptions
     version: str
     configuration: str
     environment: Mapping[str, str]
     program: SupervisedProgram
+    read_back: ProgramReadBack
 
     @property
     def half(self) -> Half:
@@ -114,12 +117,18 @@ class RunningBridge:
         """Pid of each program by the name it has in host samples (`bridge`, or `bridge_ping`, `bridge_relay`)."""
         return {half.label: half.program.pid for half in self._halves}
 
+    def read_applied(self) -> tuple[Difference, ...]:
+        """Read what the programs use, before the first message or behind the last one; return what was not applied."""
+        for half in self._halves:
+            half.read_back.read()
+        return tuple(each for half in self._halves for each in half.read_back.not_applied)
+
     def describe(self) -> dict[str, Json]:
         """Return programs, configurations and ends as a JSON object for the trace.
 
         `bridge`, `state` (see `BridgeState`), `ping_domain_id`, `relay_domain_id`, `failure` (a line or null) and
         `programs`: for each `half`, `version`, `command`, `configuration`, `environment` (what was added to it),
-        `log_tail` and, once it has ended,
+        `log_tail`, what was `read_back` (`ProgramReadBack.fields`) and, once it has ended,
         `exit_code`, `asked`, `left_behind`, `log_bytes`.
         """
         return {
@@ -139,6 +148,7 @@ class RunningBridge:
                     "configuration": half.configuration,
                     "environment": dict(half.environment),
                     "log_tail": self.log_tail(half.half),
+                    "read_back": half.read_back.fields(),
                     **(asdict(half.program.report) if half.program.report else {}),
                 }
                 for half in self._halves
@@ -250,7 +260,8 @@ def _start_half(
     added = bridge.environment(program, options)
     variables = program_environment(added, foreign=program != Path(sys.executable))
     started = SupervisedProgram(bridge.command(program, file, options), own, variables, bridge.up_pattern)
-    return _RunningHalf(options, version, text, added, started)
+    read_back = ProgramReadBack(bridge.name, options, started.pid)
+    return _RunningHalf(options, version, text, added, started, read_back)
 
 
 def _free_local_link() -> str:

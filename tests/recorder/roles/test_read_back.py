@@ -6,7 +6,7 @@ import pytest
 from fake_node import FakeNode
 from snapshots import applied, counted, segment, udp
 
-from dds_trace.recorder.applied import Traffic
+from dds_trace.recorder.applied import Difference, Setting, Traffic
 from dds_trace.recorder.backends.node import Middleware, NodeOptions
 from dds_trace.recorder.choices import Transport
 from dds_trace.recorder.roles import read_back
@@ -36,6 +36,22 @@ def test_before_it_is_read_the_session_holds_the_wish_alone(monkeypatch):
     assert list(bench.read_back.fields()) == ["asked"]
     assert bench.read_back.fields()["asked"]["transport"] == "udp"
     assert bench.reads == 0
+
+
+def test_what_a_bridge_does_not_use_is_told_and_kept_beside_the_own(monkeypatch):
+    bench = Bench(monkeypatch, transport=Transport.DEFAULT)
+    of_bridge = Difference(
+        Setting.TUNED, "builtin: 8000000", "212992", "the bridge builtin: asked for buffers"
+    )
+    bench.read_back.read_begin()
+    bench.read_back.note_bridge((of_bridge,))
+    bench.read_back.tell()
+    bench.read_back.read_end(Traffic(1, 1, 1))
+    bench.read_back.note_bridge((of_bridge,))
+    bench.read_back.tell()
+    (note,) = bench.notes
+    assert note.startswith("not applied: the bridge builtin: asked for buffers")
+    assert bench.read_back.fields()["not_applied"] == [of_bridge.to_json()]
 
 
 def test_an_honest_run_tells_nothing(monkeypatch):

@@ -68,7 +68,7 @@ def rising_latency(evidence: Evidence) -> Iterator[Finding]:
             evidence.group_names[group],
             f"In {shapes.height} of {counted(runs, 'run')} the latency rises from the begin to the end, by up to "
             f"{100 * (worst['trend_ratio'] - 1):.3g} % ({evidence.run_name(worst['run_id'])}).",
-            "Look at the timeline: a queue that fills, a processor that gets hot, a link that gets worse. Longer runs "
+            "Look at the timeline: a queue that fills, a processor that gets hot, a link that degrades. Longer runs "
             "will give other percentiles.",
             (group,),
             effect=min(worst["trend_ratio"] - 1, 1.0),

@@ -321,9 +321,9 @@ def _deadline_remarks(details: Details, groups: Groups) -> list[str]:
         f"{format_count(missed)} of {counted(judged, 'message', text=format_count(judged))} missed it{share}"
     )
     if missed and len(by_group) > 1:
-        worst = max(by_group.filter(pl.col("judged") > 0).iter_rows(named=True), key=_missed_ratio)
+        worst = max(by_group.iter_rows(named=True), key=_missed_ratio)
         where = group_labels(groups)[worst["group"]]
-        said += f", the largest share in {where} ({format_ratio(_missed_ratio(worst))})"
+        said += f", the largest share in {where} ({format_ratio(_missed_ratio(worst))} of its messages)"
     open_ones = (
         f" Of {counted(unsure, 'more message', text=format_count(unsure))} it cannot be told."
         if unsure
@@ -341,7 +341,8 @@ _DEADLINE_LABELS = {
 
 
 def _missed_ratio(row: Mapping[str, int]) -> float:
-    return row["missed"] / row["judged"]
+    """Return the share of all messages that surely missed the deadline: of those that cannot be told none."""
+    return row["missed"] / max(1, row["judged"] + row["unsure"])
 
 
 def _unknown_remarks(metric: str) -> list[str]:

@@ -79,7 +79,7 @@ def recommendation_info(recommendation: Recommendation | None, vendors: VendorLa
     ]
     return Advice(
         asked=_asked(recommendation.job),
-        said=" ".join(said) or "The traces say nothing of such messages.",
+        said=" ".join(said) or _NOTHING,
         rows=tuple(_row(candidate, name) for candidate, name in zip(candidates, named, strict=True)),
     )
 
@@ -94,6 +94,8 @@ def _place(candidate: Candidate) -> str:
     relay = None if relay_device is None else str(relay_device)
     return place_label(str(ping_device), relay, str(connectivity), str(conditions))
 
+
+_NOTHING = "The traces say nothing of such messages: their size and rate were not measured, and no measured ones surround them."
 
 _JUDGED_BY = {"response": "from planned send to reply", "latency": "by the latency, the mean of both ways"}
 """Metric of a job -> what the deadline is for, in words; any other metric by its label."""

@@ -236,7 +236,7 @@ def test_the_deadline_is_judged_in_words_and_the_worst_group_is_named():
     details = replace(analysis.details, freshness=pl.concat(parts), deadline_ns=10 * MS)
     assert Book(replace(analysis, details=details)).answer.remarks[0] == (
         "Deadline of 10 ms for the response (planned send to reply): 2 of 13 messages missed it (15.38 %), "
-        "the largest share in Binary 1 KB at 10 Hz (40 %)."
+        "the largest share in Binary 1 KB at 10 Hz (40 % of its messages)."
     )
 
 

@@ -34,6 +34,11 @@ def boot_id_of(session: Session) -> str | None:
     return boot_id if isinstance(boot_id, str) and boot_id else None
 
 
+def machine_of(session: Session) -> str:
+    """Return what names the machine of a session: its boot id, or its device's name where the session tells none."""
+    return boot_id_of(session) or session.device
+
+
 def share_boot(one: Session, other: Session | None) -> bool | None:
     """Return whether two sessions are of one boot of one machine, None where a boot id is missing."""
     ids = boot_id_of(one), boot_id_of(other) if other is not None else None

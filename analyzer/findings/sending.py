@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import polars as pl
@@ -10,6 +11,7 @@ import polars as pl
 from dds_trace.tracefile.units.counts import counted
 from dds_trace.tracefile.units.durations import format_ms
 
+from ..clocks.boots import machine_of
 from ..groups.sending import LATE_NS
 from ..model.finding import Finding, Severity
 from .evidence import percent
@@ -89,16 +91,19 @@ def stand_stills(evidence: Evidence) -> Iterator[Finding]:
     """Report runs whose ping sent nothing for a second or longer though messages were due, with what the host tells of it."""
     stood = evidence.sending.unique(["group", "run_id"], maintain_order=True).filter(pl.col("still") > 0)
     sessions = {exchange.run.run_id: exchange.ping for exchange in evidence.grouping.exchanges}
+    machines = {session.session_id: machine_of(session) for session in evidence.campaign.sessions.values()}
     for row in stood.iter_rows(named=True):
         times = "" if row["still"] == 1 else f", {row['still']} times in all"
-        samples = evidence.details.host_samples.filter(session_id=sessions[row["run_id"]].session_id)
+        ping = sessions[row["run_id"]]
+        of_machine = [each for each, machine in machines.items() if machine == machine_of(ping)]
+        samples = evidence.details.host_samples.filter(pl.col("session_id").is_in(of_machine))
         yield Finding(
             Severity.WARNING,
             "stood_still",
             evidence.run_name(row["run_id"]),
             f"The ping sent nothing for {row['still_ns'] / 1e9:.1f} s though messages were due, until "
             f"{row['still_end_ns'] / 1e9:.1f} s of its clock{times}; 99 % of all left at most "
-            f"{format_ms(row['late_p99_ns'])} ms late{_host_meanwhile(samples, row['still_ns'], row['still_end_ns'])}.",
+            f"{format_ms(row['late_p99_ns'])} ms late{_host_meanwhile(samples, ping.session_id, row['still_ns'], row['still_end_ns'])}.",
             "Latency leaves that time out, response (T2 - T0) holds it. Repeat the run; a stopped process, a paused machine "
             "and a publish that blocks look alike to a subscriber.",
             (row["group"],),
@@ -106,22 +111,28 @@ def stand_stills(evidence: Evidence) -> Iterator[Finding]:
         )
 
 
-def _host_meanwhile(samples: pl.DataFrame, still_ns: int, end_ns: int) -> str:
-    """Tell what the host's samples say of the time in which a ping stood still; empty without samples around it."""
+def _host_meanwhile(samples: pl.DataFrame, ping_id: int, still_ns: int, end_ns: int) -> str:
+    """Tell what the samples of a machine say of the time in which a ping stood still; empty without samples around it."""
     timed = samples.drop_nulls("monotonic_ns").sort("monotonic_ns")
-    before = timed.filter(pl.col("monotonic_ns") <= end_ns - still_ns).tail(1).to_dicts()
-    after = timed.filter(pl.col("monotonic_ns") >= end_ns).head(1).to_dicts()
+    own = timed.filter(session_id=ping_id)
+    before = own.filter(pl.col("monotonic_ns") <= end_ns - still_ns).tail(1).to_dicts()
+    after = own.filter(pl.col("monotonic_ns") >= end_ns).head(1).to_dicts()
     if not before or not after:
         return ""
     lasted_ns, stolen_ns, waited_us = (
         after[0][name] - before[0][name] if None not in (after[0][name], before[0][name]) else 0
         for name in ("monotonic_ns", "cpu_steal_ns", "cpu_pressure_us")
     )
+    others = timed.filter(pl.col("session_id") != ping_id)
     told = []
-    if timed["monotonic_ns"].is_between(end_ns - still_ns, end_ns).any():
+    if _went_on(own, still_ns, end_ns):
         told.append("the sampling thread of its process went on")
-    elif still_ns >= _SAMPLES_NS:
+    elif still_ns >= _SAMPLES_NS and others.is_empty():
         told.append("its whole process did nothing, as no sample of the host was taken")
+    elif still_ns >= _SAMPLES_NS and _went_on(others, still_ns, end_ns):
+        told.append("its whole process did nothing, and other recordings on its machine went on")
+    elif still_ns >= _SAMPLES_NS:
+        told.append("no recording on its machine took a sample of the host either: the machine stood still")
     if stolen_ns > 0:
         told.append(f"the hypervisor gave {stolen_ns / 1e9:.2g} s of processor time to others")
     if waited_us > 0:
@@ -129,3 +140,10 @@ def _host_meanwhile(samples: pl.DataFrame, still_ns: int, end_ns: int) -> str:
             f"some task waited for a processor in {percent(min(waited_us * 1000, lasted_ns), lasted_ns)} of that time"
         )
     return f". Meanwhile {', and '.join(told)}" if told else ""
+
+
+def _went_on(timed: pl.DataFrame, still_ns: int, end_ns: int) -> bool:
+    """Return whether samples were taken through most of the time in which the ping stood still."""
+    inside = timed["monotonic_ns"].filter(timed["monotonic_ns"].is_between(end_ns - still_ns, end_ns))
+    longest_ns = max(after - before for before, after in pairwise([end_ns - still_ns, *inside, end_ns]))
+    return longest_ns < max(still_ns / 2, _SAMPLES_NS) and not inside.is_empty()

@@ -29,9 +29,10 @@ HEARTBEATS_WAITED = 2
 FEWEST_AGAIN = 5
 """Messages sent again that are enough to speak of their median, and more than the first ones behind a match."""
 
-DISCOVERY_SHARE, DISCOVERY_BYTES_PER_MINUTE = 0.25, 100_000
-"""Share of the bytes above which discovery is out of proportion, and bytes a minute below which no link feels it: 13 kbit/s.
-Few messages alone make a large share of little."""
+DISCOVERY_SHARE, DISCOVERY_BYTES = 0.25, 100_000
+"""Share above which discovery is out of proportion, of the bytes on the wire or of the payload, whichever is more: payload in
+shared memory leaves discovery alone on the wire. And bytes a minute, in the first minute of a run at least, below which no
+link feels it: 13 kbit/s. A pair of Fast DDS on one machine announces itself with 64 KB."""
 
 
 class _Row(TypedDict):
@@ -48,6 +49,9 @@ class _Row(TypedDict):
     waited_heartbeats_p50: float | None
     discovery_share: float | None
     discovery_bytes_per_minute: float | None
+    runs: int
+    total_bytes: int
+    payload_bytes: int
     reassembly_failed: int
     udp_receive_buffer_full: int
     shared_counts: int
@@ -172,7 +176,10 @@ def discovery_traffic(evidence: Evidence) -> Iterator[Finding]:
         share, rate = row["discovery_share"], row["discovery_bytes_per_minute"]
         if share is None or rate is None:
             continue
-        if share <= DISCOVERY_SHARE or rate <= DISCOVERY_BYTES_PER_MINUTE:
+        discovery_bytes = share * row["total_bytes"]
+        minutes = max(discovery_bytes / rate, row["runs"]) if rate else 0.0
+        in_proportion = discovery_bytes <= DISCOVERY_SHARE * max(row["total_bytes"], row["payload_bytes"])
+        if in_proportion or discovery_bytes <= DISCOVERY_BYTES * minutes:
             continue
         yield Finding(
             Severity.WARNING,

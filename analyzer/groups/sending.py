@@ -53,8 +53,8 @@ def sending_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
         Columns of `SENDING_SCHEMA`. `messages` published; `elapsed_ns`: time from the first to the
         last ones at the asked rate, and `behind_ns` by how much later they were sent; null below three messages or
         without a rate;
-        `late`: messages with T1 - T0 above `LATE_NS`, but for those that a stand-still held up; `late_max_ns`,
-        `late_p99_ns`: the largest T1 - T0, and its 99th percentile, null without T0; `still`: times that the ping stood
+        `late`: messages with T1 - T0 above `LATE_NS`, but for those that a stand-still held up; `late_max_ns`: the largest
+        T1 - T0 of all that none held up, and `late_p99_ns` the 99th percentile of all, null without T0; `still`: times that the ping stood
         still for `STILL_NS` or longer, the longest of which took `still_ns` and ended at `still_end_ns`, ping's
         monotonic clock; null without one.
     """
@@ -65,6 +65,7 @@ def sending_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
         planned = part.select("scheduled_ns", "publish_ns").drop_nulls()
         waited_ns = planned["publish_ns"] - planned["scheduled_ns"]
         stood = find_stand_stills(planned["scheduled_ns"].to_numpy(), planned["publish_ns"].to_numpy())
+        free_ns = waited_ns.filter(pl.Series(~stood.held_up))
         elapsed_ns, late_ns = held_schedule(part["publish_ns"].to_numpy(), exchange.run.rate_hz)
         rows.append(
             {
@@ -74,8 +75,8 @@ def sending_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
                 "messages": len(part),
                 "elapsed_ns": elapsed_ns,
                 "behind_ns": late_ns,
-                "late": np.count_nonzero((waited_ns.to_numpy() > LATE_NS) & ~stood.held_up),
-                "late_max_ns": waited_ns.max(),
+                "late": int((free_ns > LATE_NS).sum()),
+                "late_max_ns": free_ns.max(),
                 "late_p99_ns": waited_ns.quantile(0.99, "linear"),
                 "still": len(stood.lasted_ns),
                 "still_ns": max(stood.lasted_ns, default=None),
@@ -92,7 +93,7 @@ class StandStills:
     Attributes:
         lasted_ns: how long each took.
         longest_end_ns: when the longest one ended, ping's monotonic clock; None without one.
-        held_up: whether each message was due before the end of one of them, bool.
+        held_up: whether each message left late for one of them, until the ping had caught up, bool.
     """
 
     lasted_ns: tuple[int, ...]
@@ -112,7 +113,8 @@ def find_stand_stills(scheduled_ns: Int64, sent_ns: Int64) -> StandStills:
     due_ns[1:] = np.maximum(due_ns[1:], sent_ns[:-1])
     stood = np.flatnonzero(sent_ns - due_ns >= STILL_NS)
     for position in stood.tolist():
-        held_up[position:] |= scheduled_ns[position:] <= sent_ns[position]
+        on_time = np.flatnonzero(sent_ns[position:] - scheduled_ns[position:] <= LATE_NS)
+        held_up[position : position + int(on_time[0]) if len(on_time) else None] = True
     lasted_ns = (sent_ns - due_ns)[stood]
     longest_end_ns = int(sent_ns[stood[lasted_ns.argmax()]]) if len(stood) else None
     return StandStills(tuple(lasted_ns.tolist()), longest_end_ns, held_up)

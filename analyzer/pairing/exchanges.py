@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from dds_trace.tracefile import MissingEventsError, Stage
 from dds_trace.tracefile.units.counts import counted
 
-from ..clocks.boots import boot_id_of
+from ..clocks.boots import machine_of
 from ..loading.events import merge_parts
 from ..model.environment import environment_of
 from ..model.parameters import Parameters, parameters_of
@@ -76,8 +76,7 @@ class Exchange:
 
     def span(self) -> RunSpan:
         """Return the time that the run took, on the machine that its ping ran on."""
-        machine = boot_id_of(self.ping) or self.ping.device
-        return RunSpan(self.start_ns, self.end_ns, self.run.run_id, machine)
+        return RunSpan(self.start_ns, self.end_ns, self.run.run_id, machine_of(self.ping))
 
     def event_keys(self) -> tuple[EventKey, EventKey, EventKey, EventKey]:
         """Return the keys of its events in the event index, T1 to T4; T1 is shared by all relays of the run."""

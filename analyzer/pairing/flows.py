@@ -28,7 +28,7 @@ class RunSpan:
         start_ns: the first T1, wall clock.
         end_ns: the last T1.
         run_id: the run.
-        machine: boot id of the ping's session, or its device's name where the session tells none.
+        machine: what names the machine of the ping (`boots.machine_of`).
     """
 
     start_ns: int

@@ -287,39 +287,73 @@ def test_a_second_without_a_message_that_was_due_is_no_stand_still(tmp_path):
     assert "stood_still" not in findings(tmp_path)
 
 
+STOPPED = [*range(30), *range(36, 40)]
+
+
 @pytest.mark.parametrize(
-    ("seconds", "words"),
+    ("seconds", "of_relay", "words"),
     [
-        (range(40), ". Meanwhile the sampling thread of its process went on."),
+        (range(40), [], ". Meanwhile the sampling thread of its process went on."),
+        (STOPPED, [], ". Meanwhile its whole process did nothing, as no sample of the host was taken."),
         (
-            [*range(30), *range(36, 40)],
-            (
-                ". Meanwhile its whole process did nothing, as no sample of the host was taken, and the hypervisor gave "
-                "3.5 s of processor time to others, and some task waited for a processor in 80 % of that time."
-            ),
+            STOPPED,
+            range(40),
+            ". Meanwhile its whole process did nothing, and other recordings on its machine went on.",
         ),
-        (range(30), " ms late."),
+        (
+            STOPPED,
+            [*range(32), *range(36, 40)],
+            ". Meanwhile no recording on its machine took a sample of the host either: the machine stood still.",
+        ),
+        (range(30), [], " ms late."),
     ],
-    ids=["went on", "stopped", "no sample behind it"],
+    ids=["sender alone", "process", "process beside others", "machine", "no sample behind it"],
 )
-def test_the_host_tells_what_a_stand_still_was(tmp_path, seconds, words):
+def test_the_host_tells_what_a_stand_still_was(tmp_path, seconds, of_relay, words):
+    assert stood_still(tmp_path, seconds, of_relay).what.endswith(words)
+
+
+def stood_still(folder, seconds, of_relay=(), **host):
+    """Finding of a ping that stood still from the 30th to the 35th second, with samples of both sides at some seconds."""
     messages = sent_late(lambda s: 35_000 * MS - s * PERIOD + 10 * s if 300 <= s <= 350 else 50)
-    write_pair(tmp_path, messages)
-    is_stopped = 31 not in seconds
-    host = [
-        {
-            "monotonic_ns": second * 10**9 - 10,
-            "host": {
-                "steal_ns": 3_500_000_000 * (second > 30) * is_stopped,
-                "pressure_us": {"cpu": 5_600_000 * (second > 30) * is_stopped},
-            },
-        }
-        for second in seconds
-    ]
-    write_trace(
-        tmp_path / "ping.mcap", ping_session(), [described(messages)], ping_events(messages), host=host
+    boot = {"extra": {"boot_id": "one"}}
+    ping, relay = ping_session(**boot), relay_session(**boot)
+    described_run = described(messages)
+    ping_samples, relay_samples = (
+        [
+            {
+                "monotonic_ns": second * 10**9 - 10,
+                "host": {name: before if second <= 30 else after for name, (before, after) in host.items()},
+            }
+            for second in each
+        ]
+        for each in (seconds, of_relay)
     )
-    assert findings(tmp_path)["stood_still"].what.endswith(words)
+    write_trace(folder / "ping.mcap", ping, [described_run], ping_events(messages), host=ping_samples)
+    write_trace(folder / "relay.mcap", relay, (), relay_events(messages), host=relay_samples)
+    return findings(folder)["stood_still"]
+
+
+def test_stolen_time_and_pressure_stand_beside_a_stand_still(tmp_path):
+    found = stood_still(
+        tmp_path,
+        STOPPED,
+        steal_ns=(10**9, 45 * 10**8),
+        pressure_us=({"cpu": 100}, {"cpu": 5_600_100}),
+    )
+    # From the sample at 29 s to that at 36 s.
+    assert found.what.endswith(
+        "the hypervisor gave 3.5 s of processor time to others, and some task waited for a processor in 80 % of that time."
+    )
+
+
+def test_what_a_stand_still_held_up_is_no_late_send(tmp_path):
+    # Caught up at the 45th second only: a hundred messages that were due behind its end left late, too.
+    catching_up = sent_late(
+        lambda s: max(35_000 * MS - s * PERIOD, (450 - s) * 50 * MS) + 10 * s if 300 <= s <= 450 else 50
+    )
+    write_pair(tmp_path, catching_up)
+    assert set(findings(tmp_path)) == {"stood_still"}
 
 
 @pytest.mark.parametrize(

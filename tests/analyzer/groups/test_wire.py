@@ -245,6 +245,21 @@ def test_discovery_out_of_proportion(tmp_path):
     assert "discovery_traffic" not in finding(tmp_path, classes=classes, duration_s=3000.0)
 
 
+def test_discovery_is_held_against_payload_that_went_through_memory(tmp_path):
+    of_shared_memory = [{"name": "spdp", "packets": 9, "bytes": 150_000}]
+    through_memory = {"classes": of_shared_memory, "duration_s": 10.0}
+    # 264 KB of payload left nothing on the wire: a share of 100 % of the bytes there, 57 % of the payload.
+    assert "discovery_traffic" in finding(tmp_path, **through_memory)
+    of_shared_memory[0]["bytes"] = 60_000  # 360 KB a minute, but less than the first minute of a run may take
+    assert "discovery_traffic" not in finding(tmp_path, **through_memory)
+    assert "discovery_traffic" not in {
+        each.code
+        for each in many_again(
+            tmp_path, 0, classes=[{"name": "spdp", "packets": 9, "bytes": 600_000}]
+        ).values()
+    }  # of 2.6 MB
+
+
 def test_too_few_repeats_say_nothing_of_heartbeats(tmp_path):
     assert "heartbeat_bound_recovery" not in finding(tmp_path)
 

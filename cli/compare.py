@@ -146,7 +146,12 @@ def _print_table(comparison: "Comparison", results: "list[GateResult]") -> None:
 
     from dds_trace.analyzer import group_words, varying_columns
     from dds_trace.reports.changes import episodes_words, received_words, runs_words
-    from dds_trace.reports.comparison import comparison_notes, environments_of_rows, result_line
+    from dds_trace.reports.comparison import (
+        comparison_notes,
+        environments_of_rows,
+        family_words,
+        result_line,
+    )
     from dds_trace.tracefile.visible import MAX_FINDING_CHARACTERS, visible
 
     console = Console(width=None if sys.stdout.isatty() else 200)
@@ -184,6 +189,7 @@ def _print_table(comparison: "Comparison", results: "list[GateResult]") -> None:
         )
         table.add_row(*map(Text, cells))
     console.print(table)
+    console.print(Text(family_words(gated=bool(results))), soft_wrap=True)
     for line in [*comparison_notes(comparison), *map(result_line, results)]:
         console.print(Text(line), soft_wrap=True)
 

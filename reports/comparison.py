@@ -13,6 +13,7 @@ from dds_trace.analyzer.model.names import group_words
 from dds_trace.analyzer.statistics.intervals import RUNS_TO_TELL
 from dds_trace.analyzer.verdicts.compare import FAMILY
 from dds_trace.analyzer.verdicts.gate import Against, GateOutcome
+from dds_trace.analyzer.verdicts.gates import FAMILY as GATE_FAMILY
 from dds_trace.analyzer.verdicts.gates import overall_outcome, varying_columns
 from dds_trace.analyzer.verdicts.sides import UNKNOWN
 from dds_trace.tracefile.units.durations import format_ms
@@ -39,7 +40,7 @@ def comparison_markdown(comparison: Comparison, results: Sequence[GateResult] = 
             f"| {_interval(_measured(r, r.low), _measured(r, r.high))} | {r.outcome.value} | {markdown(_why(r))} |"
             for r in results
         ]
-        lines.append("")
+        lines += ["", f"Gates are adjusted for the number of groups ({GATE_FAMILY}).", ""]
     if comparison.rows.is_empty():
         lines += ["The two sides have no group in common: there is nothing to compare.", ""]
     else:
@@ -82,11 +83,17 @@ def _explanations(comparison: Comparison) -> list[str]:
         ),
         (
             f"The run is the unit: with fewer than {RUNS_TO_TELL} runs a side the interval holds within one run and the verdict is "
-            f"inconclusive. Verdicts are adjusted for the number of groups ({FAMILY})."
+            f"inconclusive. {family_words(gated=False)}"
         ),
         "'Found from': the smallest change that these runs would have found with a probability of 80%.",
         "'New is below base': how often a message of the new side takes less than one of the base; 50% is no difference.",
     ]
+
+
+def family_words(*, gated: bool) -> str:
+    """Return how verdicts, and with `gated` the gates, are adjusted for the number of groups."""
+    verdicts = f"Verdicts are adjusted for the number of groups ({FAMILY})"
+    return f"{verdicts}, gates by {GATE_FAMILY}." if gated else f"{verdicts}."
 
 
 def comparison_notes(comparison: Comparison) -> list[str]:
@@ -122,11 +129,11 @@ def result_line(result: GateResult) -> str:
 
 def _why(result: GateResult) -> str:
     """Return the reason of a result, with the smallest change that could have been found."""
-    found = (
-        ""
-        if result.smallest_ratio is None
-        else f"changes from {result.smallest_ratio - 1:+.1%} on are found at 80% power"
-    )
+    found = ""
+    if result.smallest_ratio is not None:
+        found = f"changes from {result.smallest_ratio - 1:+.1%} on are found at 80% power"
+    elif result.smallest_drop is not None:
+        found = f"drops from {100 * result.smallest_drop:.2f} points on are found at 80% power"
     return "; ".join(text for text in (result.reason, found) if text)
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from ..statistics.distributions import student_quantile
 from ..statistics.intervals import Basis, Interval
+from ..statistics.power import smallest_shift
 from .change import Verdict
 from .received import received_interval
 from .two_samples import mover_ends
@@ -26,6 +28,8 @@ class DeliveryChange:
         new: the same of the new side.
         difference: new - base, with `difference_low` and `difference_high`, between -1 and 1.
         basis: between runs only if both sides have three.
+        smallest_drop: the smallest loss of share that these runs would have found with a probability of 80 %, above 0;
+            None within one run. The reach of the interval below the difference is taken for that of Student's t.
     """
 
     base: Interval
@@ -34,6 +38,7 @@ class DeliveryChange:
     difference_low: float | None
     difference_high: float | None
     basis: Basis
+    smallest_drop: float | None = None
 
     def verdict(self, same_within: float = 0.0) -> Verdict:
         """Return better, worse, the same, or that these runs cannot tell; always the latter within one run.
@@ -73,4 +78,10 @@ def change_of_received(
     if len(ends) < len(sides):
         return DeliveryChange(before, after, None, None, None, basis)
     low, high = mover_ends(*ends)
-    return DeliveryChange(before, after, ends[1][0] - ends[0][0], low, high, basis)
+    difference = ends[1][0] - ends[0][0]
+    smallest = None
+    if is_between:
+        degrees = max(1, min(side.runs for side in sides) - 1)
+        error = (difference - low) / student_quantile((1 + confidence) / 2, degrees)
+        smallest = smallest_shift(error, degrees, confidence)
+    return DeliveryChange(before, after, difference, low, high, basis, smallest)

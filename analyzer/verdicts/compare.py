@@ -119,7 +119,7 @@ class ChangeRow:
 class DeliveryRow:
     """The columns of `Comparison.delivery` behind the match columns: messages of one matched group on both sides.
 
-    `environment` is `same`, `unlike:` with the fields of the fingerprints that differ, or `unknown` without a fingerprint.
+    `smallest_drop` of the received ratio would have been found with a probability of 80 %; `environment` is `same`, `unlike:` with the fields of the fingerprints that differ, or `unknown` without a fingerprint.
     """
 
     base_published: int
@@ -139,6 +139,7 @@ class DeliveryRow:
     new_runs: int
     is_dead: bool
     environment: str
+    smallest_drop: float | None
 
 
 _DTYPES = {
@@ -359,6 +360,7 @@ def _delivery(base: MatchedGroup, new: MatchedGroup, confidence: float) -> tuple
         new_runs=change.new.runs,
         is_dead=new.is_dead and not base.is_dead,
         environment=UNKNOWN,
+        smallest_drop=change.smallest_drop,
     )
     return row, change
 

@@ -52,6 +52,7 @@ class GateResult:
         reason: one sentence: why the outcome is inconclusive, and what it takes to decide; or what is missing.
         smallest_ratio: the smallest ratio above 1 that these runs would have found with a probability of 80 %; None
             where that cannot be told.
+        smallest_drop: the same of a received ratio: the smallest loss of share; None of a time.
     """
 
     gate: Gate
@@ -62,6 +63,7 @@ class GateResult:
     high: float | None
     reason: str = ""
     smallest_ratio: float | None = None
+    smallest_drop: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +77,7 @@ class _Judged:
         basis: what the interval has seen vary.
         degrees: degrees of freedom of Student's t behind the interval; None if it is not known.
         wanted: one sentence: what it takes to decide.
-        smallest_ratio: as in `GateResult`.
+        smallest_ratio: as in `GateResult`, like `smallest_drop`.
     """
 
     where: str
@@ -87,6 +89,7 @@ class _Judged:
     degrees: float | None
     wanted: str
     smallest_ratio: float | None
+    smallest_drop: float | None = None
 
     def p_beyond(self, limit: float, confidence: float, *, is_ratio: bool) -> float:
         """Return the probability of an estimate this far beyond a limit if the truth is on it."""
@@ -203,6 +206,7 @@ def _judge(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator
             high=one.high,
             reason=reason,
             smallest_ratio=one.smallest_ratio,
+            smallest_drop=one.smallest_drop,
         )
 
 
@@ -283,6 +287,7 @@ def _received(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Itera
             degrees=max(1, min(side.runs for side in sides) - 1),
             wanted=_wanted_of_received(gate, change),
             smallest_ratio=None,
+            smallest_drop=None if is_alone else change.smallest_drop,
         )
 
 

@@ -99,6 +99,20 @@ def test_without_a_gate_it_shows_and_passes(folders, capsys):
     assert shown.err == ""
 
 
+@pytest.mark.parametrize("report", ["terminal", "md"])
+def test_the_output_names_how_verdicts_and_gates_are_adjusted(folders, capsys, report):
+    sides, gate = (folders / "base", folders / "same"), ("--fail-if", "default")
+    run_main("compare", *sides, "--report", report)
+    shown = capsys.readouterr().out
+    assert "Benjamini-Hochberg over groups" in shown
+    assert "Holm" not in shown
+    run_main("compare", *sides, *gate, "--report", report)
+    shown = capsys.readouterr().out
+    assert "Benjamini-Hochberg over groups" in shown
+    assert "Holm over groups" in shown
+    assert "are found at 80% power" in shown
+
+
 def test_one_run_is_not_called_worse(folders, capsys):
     assert run_main("compare", folders / "base", folders / "one") == 0
     shown = capsys.readouterr().out

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from dds_trace.analyzer import analyze, half_widths
 from dds_trace.tracefile import read_trace
 
 PLAN = """
@@ -74,6 +75,27 @@ def test_until_adds_passes_and_says_which_cells_are_still_too_wide(plan, tmp_pat
     assert again.returncode == 0, again.stderr
     assert json.loads(again.stdout)["too_wide"] == {}
     assert passes_in(tmp_path / "runs/p") == [1, 2, 3]
+
+
+@pytest.mark.middleware
+def test_until_a_tail_is_known_to_five_percent_or_the_passes_are_used_up(plan, tmp_path):
+    """How many passes that takes is the machine's; that the sweep ends for one of the two reasons, and says which, is not."""
+    three = plan(3)
+    three.write_text(three.read_text().replace("messages = 60", "messages = 110"))  # a p99 takes 100
+    options = ("--out", tmp_path / "runs", "--until", "latency_p99:5%", "--max-passes", 4, "--json")
+    done = sweep(three, *options)
+    result = json.loads(done.stdout)
+    folder = tmp_path / "runs/p"
+    passes = passes_in(folder)
+    run_ids = [read_trace(path).runs[0].run_id for path in folder.glob("*.ping.mcap")]
+    rows = analyze(folder, details=False).load_messages()
+    width = half_widths(rows, {CELL: run_ids}, "latency_p99")[CELL]
+    assert passes in ([1, 2, 3], [1, 2, 3, 4])
+    assert (done.returncode, list(result["too_wide"])) == ((0, []) if width <= 5 else (11, [CELL]))
+    if len(passes) == 3:
+        assert width <= 5
+    if width > 5:
+        assert len(passes) == 4
 
 
 @pytest.mark.middleware

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import polars as pl
 import pytest
 from roundtrip_frames import MS, in_runs, steady
 
+from dds_trace.analyzer.statistics.distributions import shift_for_power
 from dds_trace.analyzer.verdicts.compare import CompareOptions, compare_roundtrips
 from dds_trace.analyzer.verdicts.gate import (
     DEFAULT_GATES,
@@ -135,6 +137,37 @@ def test_an_inconclusive_gate_says_how_many_runs_would_decide():
     # Spread 3 % a side, 4.4 % from the limit: smallest_shift(sqrt(2 / n) * 0.0296, 2 (n - 1)) <= 0.0445 from n = 9 on.
     assert result.reason == "about 9 runs a side would decide, there are 3 and 3"
     assert result.smallest_ratio > 1
+
+
+def test_an_inconclusive_tail_says_how_many_messages_it_takes():
+    """Thirty messages a run: a p99 of ninety messages rests on no episode, one of few on too few."""
+    (short,) = results_of(["latency_p99 > +10%"], in_runs([MS] * 30), in_runs([MS] * 30, run_id=2))
+    assert short.reason.startswith("within one run: p99 takes 100 messages, there are 90")
+    slow = [MS + (9 * MS if i % 150 == 0 else i % 7 * 1000) for i in range(150)]
+    (few,) = results_of(["latency_p99 > +10%"], in_runs(slow, runs=4), in_runs(slow, runs=4, run_id=2))
+    assert few.outcome is GateOutcome.INCONCLUSIVE
+    more = int(re.search(r"record about (\d+) more messages a side", few.reason)[1])
+    assert 0 < more < 5000
+
+
+def test_an_inconclusive_received_ratio_says_how_many_runs_and_what_it_could_have_seen():
+    base = pl.concat(
+        steady([None if i < lost else MS for i in range(1000)], run_id=run_id)
+        for run_id, lost in ((1, 8), (2, 10), (3, 12))
+    )
+    new = pl.concat(
+        steady([None if i < lost else MS for i in range(1000)], run_id=run_id)
+        for run_id, lost in ((4, 10), (5, 14), (6, 18))
+    )
+    (result,) = results_of(["received_ratio < -0.5 points"], base, new)
+    assert result.outcome is GateOutcome.INCONCLUSIVE
+    assert result.measured == pytest.approx(-0.004)
+    assert re.fullmatch(r"about \d+ runs a side would decide, there are 3 and 3", result.reason)
+    # A true drop of this size is found in 80 of 100: beyond what the interval reaches, 4.303 errors.
+    reach = result.measured - result.low
+    assert result.smallest_drop == pytest.approx(reach * shift_for_power(2, 0.95, 0.8) / 4.302653, rel=1e-4)
+    (alone,) = results_of(["received_ratio < 99%"], base, new)
+    assert alone.smallest_drop is None
 
 
 def test_a_missing_and_a_dead_group_regress_unless_that_is_allowed():

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from dds_trace.analyzer import analyze, half_widths
+from dds_trace.analyzer import FalseAlarms, analyze, half_widths
+from dds_trace.cli.against import _in_words
 from dds_trace.tracefile import read_trace
 
 PLAN = """
@@ -168,3 +169,10 @@ def test_dry_run_tells_the_most_that_further_passes_take_and_the_turns_of_two_si
     turns = sweep(plan(2), "--dry-run", "--against", "SAME").stdout.splitlines()
     assert turns[:4] == [f"base  {CELL}", f"new   {CELL}", f"new   {CELL}_r2", f"base  {CELL}_r2"]
     assert turns[4].startswith("plan p-against-same: 4 cells of both sides, about ")
+
+
+def test_the_false_alarm_rate_is_printed_in_words():
+    alarms = FalseAlarms(measured=1, of_measured=12, dealt=9, of_dealt=192, deals=16)
+    assert _in_words(alarms) == (
+        "A/A: 1 of 12 verdicts better or worse; with the passes dealt to the two sides in 16 ways: 9 of 192 (4.7%), all false"
+    )

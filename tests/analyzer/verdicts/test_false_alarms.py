@@ -45,6 +45,17 @@ def test_noise_alarms_only_in_the_deal_that_puts_every_slower_run_on_one_side():
     assert (alarms.measured, alarms.dealt, alarms.of_dealt) == (0, 1, 8)
 
 
+def test_by_default_passes_are_compared_as_pairs():
+    """A machine that drifts by a third from pass to pass hides a tenth from two series of runs, and not from pairs."""
+    drift = [1.33**number for number in range(5)]
+    base, new = side(100, drift), side(200, [1.1 * rtt for rtt in drift])
+    unpaired = CompareOptions(metrics=("rtt",), statistics=("p50",), paired=False)
+    assert count_false_alarms(base, new, passes(5), unpaired).measured == 0
+    by_default = count_false_alarms(base, new, passes(5))
+    assert by_default.measured > 0
+    assert by_default.of_measured == 12  # latency and rtt by mean and five percentiles
+
+
 def test_of_many_passes_some_ways_to_deal_them_are_drawn():
     rtts = [1.0, 1.1, 0.9, 1.05, 1.2, 0.95, 1.02, 1.08]
     alarms = count_false_alarms(side(100, rtts), side(200, rtts[::-1]), passes(8), P50)

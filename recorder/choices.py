@@ -28,12 +28,13 @@ class ExecutorKind(Enum):
 
 
 class Transport(Enum):
-    """Transports that Fast DDS may use, and protocol of sockets; other backends know `DEFAULT` alone."""
+    """Transports that Fast DDS and zenoh may use, and protocol of sockets; other backends know `DEFAULT` alone."""
 
     DEFAULT = "default"
     UDP = "udp"
     SHM = "shm"
     LARGE_DATA = "large-data"
+    TCP = "tcp"
 
 
 class Role(Enum):

@@ -333,7 +333,7 @@ class _Recording:
         self, relay: Relay, node: Node, sink: TraceSink, read_back: ReadBack, wire: WireRecord
     ) -> None:
         end_ns, noted, quiet, relayed = self._end_ns(), set[str](), 0, 0
-        while (left_s := self._left_s(end_ns)) > 0 and not self.stop.wait(min(LOOK_S, left_s)):
+        while (left_s := self._left_s(end_ns)) > 0 and not read_back.wait(self.stop, min(LOOK_S, left_s)):
             _raise_error_of(node)
             self._note_disk(sink)
             try:

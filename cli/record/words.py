@@ -228,7 +228,7 @@ Transport = Annotated[
     _middleware(
         "--transport",
         metavar="KIND",
-        help="Of Fast DDS: default, udp, shm or large-data; of socket: default (TCP), udp.",
+        help="Of Fast DDS: default, udp, shm or large-data; of zenoh: default, shm, tcp; of socket: default (TCP), udp.",
     ),
 ]
 Tuned = Annotated[

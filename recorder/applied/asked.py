@@ -43,7 +43,7 @@ class Asked:
     Attributes:
         vendor: middleware, as in the session.
         domain_id: DDS domain, which tells the ports.
-        transport: `default`, `udp`, `shm` or `large-data`; of a profile file what its transports amount to.
+        transport: `default`, `udp`, `shm`, `large-data` or `tcp`; of a profile file what its transports amount to.
         tuned: whether `--tuned` was given.
         discovery: `localhost` or `subnet`.
         receive_buffer_bytes: receive buffer that sockets are set to, 0 for the system's default.
@@ -100,7 +100,8 @@ def asked_settings(
         settings: `Middleware.settings` of the node, whose CYCLONEDDS_URI includes the recorder's own part; the user's own
             counts where it has none (rmw_cyclonedds).
     """
-    asked = Asked(vendor, domain_id, transport, tuned, discovery)
+    shared_memory = vendor_facts(vendor).shared_memory.get(transport)
+    asked = Asked(vendor, domain_id, transport, tuned, discovery, shared_memory=shared_memory)
     if tuned:
         facts = vendor_facts(vendor).tuned
         asked = replace(

@@ -57,6 +57,7 @@ class VendorFacts:
         locks_own_files: holds a lock file `NAME_el` open for each file of its own while it uses it.
         libraries: pattern of a library's file name -> Python distribution that may carry it, empty if none does.
         transports: transport -> what must be seen.
+        shared_memory: transport -> whether it asks for shared memory or for none, where a link is open either way.
         tuned: what `--tuned` sets.
     """
 
@@ -65,6 +66,7 @@ class VendorFacts:
     locks_own_files: bool = False
     libraries: Mapping[str, str] = field(default_factory=dict)
     transports: Mapping[str, TransportFacts] = field(default_factory=dict)
+    shared_memory: Mapping[str, bool] = field(default_factory=dict)
     tuned: TunedFacts = TunedFacts()
 
 
@@ -111,6 +113,7 @@ VENDORS: Mapping[str, VendorFacts] = {
             "zenoh",
             # On one machine zenoh moves messages of 3 KB and more through these although its link is TCP.
             memory={SEGMENT: re.compile(r"\d+\.zenoh")},
+            shared_memory={"shm": True, "tcp": False},
             libraries={r"(lib)?zenohc?\.": "eclipse-zenoh", r"librmw_zenoh_cpp\.so": ""},
         ),
         VendorFacts(

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from dds_trace.tracefile import OptionError
 
-from ..choices import Discovery
+from ..choices import Discovery, Transport
 from ..host.environment import ConfigurationVariable, MiddlewareEnvironment
 from .base import Backend, Meeting
 from .node import Endpoint, Middleware, TopicView
@@ -37,6 +37,16 @@ KEY_PREFIX = "dds_trace"
 LOOK_S = 2.0
 """Longest wait for what others report of their endpoints."""
 PUBLISHER, SUBSCRIPTION = "publisher", "subscription"
+_SHARED_MEMORY: dict[Transport, dict[str, Any]] = {
+    Transport.DEFAULT: {},
+    # Without the threshold what is smaller than 3 KB stays on the link.
+    Transport.SHM: {
+        "enabled": True,
+        "transport_optimization": {"enabled": True, "message_size_threshold": 1},
+    },
+    Transport.TCP: {"enabled": False},
+}
+"""Transport -> `transport/shared_memory` of zenoh's configuration; empty for its default, which is on."""
 
 
 class ZenohNode(OpenNode):
@@ -65,6 +75,7 @@ class ZenohNode(OpenNode):
                 "discovery": options.discovery.value,
                 "listen": " ".join(configuration["listen"]["endpoints"]),
                 "connect": " ".join(configuration["connect"]["endpoints"]),
+                "transport": options.transport.value,
                 "multicast": str(configuration["scouting"]["multicast"]["enabled"]).lower(),
                 "tuned": "nothing to tune: zenoh's TCP sizes its buffers itself"
                 if options.tuned
@@ -193,12 +204,13 @@ class _ZenohSubscription:
 
 
 def zenoh_configuration(options: NodeOptions) -> dict[str, Any]:
-    """Return `mode`, `listen`, `connect` and `scouting` of zenoh's configuration for one role.
+    """Return `mode`, `listen`, `connect`, `scouting` and, if asked for, `transport` of zenoh's configuration for one role.
 
     Raises:
         OptionError: the ping does not know where the relay is.
     """
     multicast = MULTICAST in options.peers
+    shared_memory = _SHARED_MEMORY[options.transport]
     listen, connect = [], []
     if options.listens:
         host = "127.0.0.1" if options.discovery is Discovery.LOCALHOST else "0.0.0.0"  # noqa: S104 - the subnet was asked for
@@ -217,6 +229,7 @@ def zenoh_configuration(options: NodeOptions) -> dict[str, Any]:
             "retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2},
         },
         "scouting": {"multicast": {"enabled": multicast}, "gossip": {"enabled": False}},
+        **({"transport": {"shared_memory": shared_memory}} if shared_memory else {}),
     }
 
 
@@ -240,6 +253,7 @@ BACKEND = Backend(
         "port {port}"
     ),
     relay_port=9,
+    transports=tuple(_SHARED_MEMORY),
     environment=MiddlewareEnvironment(
         configuration=(
             ConfigurationVariable("ZENOH_CONFIG"),

@@ -9,6 +9,7 @@ from dds_trace.tracefile import NotAppliedError
 from ..applied import Asked, asked_settings, differences, read_applied, with_path
 
 if TYPE_CHECKING:
+    import threading
     from collections.abc import Callable, Mapping
     from pathlib import Path
 
@@ -16,6 +17,9 @@ if TYPE_CHECKING:
 
     from ..applied import Applied, Difference, Setting, Traffic
     from ..backends.node import Node
+
+NEWS_S = 0.02
+"""Time between two looks at whether there is something to tell, before a relay's first probe."""
 
 
 class ReadBack:
@@ -76,6 +80,24 @@ class ReadBack:
     def _differences(self) -> tuple[Difference, ...]:
         return self._own + self._of_bridge
 
+    def wait(self, stop: threading.Event, seconds: float) -> bool:
+        """Wait for `stop`, but no longer than until there is something to `tell`; return whether `stop` is set.
+
+        A relay reads its beginning on the thread that answers the first probe, and a ping's first message comes a fifth of a
+        second behind the last echo: until then looks are frequent.
+        """
+        left_s = seconds
+        while self._applied is None and left_s > 0:
+            slice_s = min(NEWS_S, left_s)
+            if stop.wait(slice_s):
+                return True
+            left_s -= slice_s
+        return stop.wait(0 if self._untold() else max(left_s, 0))
+
+    def _untold(self) -> list[Difference]:
+        # At the end a setting that was told at the beginning may have other words, but it is the same news.
+        return [each for each in self._differences if (each.setting, each.asked) not in self._told]
+
     def tell(self, trace: Path | None = None) -> None:
         """Say each setting that was not applied and was not told before.
 
@@ -85,8 +107,7 @@ class ReadBack:
         Raises:
             NotAppliedError: there is one, and the recording is strict.
         """
-        # At the end a setting that was told at the beginning may have other words, but it is the same news.
-        untold = [each for each in self._differences if (each.setting, each.asked) not in self._told]
+        untold = self._untold()
         self._told.update((each.setting, each.asked) for each in untold)
         if untold and self._strict:
             kept = (

@@ -42,7 +42,7 @@ BACKEND = Backend(
     ),
     speaks_dds=True,
     has_ros=True,
-    transports=tuple(Transport),
+    transports=(Transport.DEFAULT, Transport.UDP, Transport.SHM, Transport.LARGE_DATA),
     environment=MiddlewareEnvironment(
         settings=(
             "RMW_IMPLEMENTATION",

@@ -1,4 +1,4 @@
-"""Runs whose settings are applied raise no difference, on any backend: one of each, and fifty-one for `just test-slow`."""
+"""Runs whose settings are applied raise no difference, on any backend: one of each, and fifty-seven for `just test-slow`."""
 
 from __future__ import annotations
 
@@ -56,6 +56,8 @@ HONEST = [
     Honest("cyclonedds", tuned=True),
     Honest("zenoh", paths=MEMORY),
     Honest("zenoh", tuned=True, paths=MEMORY),
+    Honest("zenoh", "shm", paths=("shm",)),
+    Honest("zenoh", "tcp", paths=("lo",)),
     Honest("socket"),
     Honest("socket", "udp", max_bytes=145_000),  # more datagrams than the system's buffer holds are lost
     Honest("socket", "udp", tuned=True),
@@ -84,7 +86,7 @@ def subnet():
 
 @pytest.fixture
 def run(domain_id, request):
-    def honest(case, payload_bytes):
+    def honest(case, payload_bytes, **more):
         if find_spec(PACKAGES.get(case.backend, "json")) is None:
             pytest.skip(f"{case.backend} is not installed")
         options = {
@@ -92,6 +94,7 @@ def run(domain_id, request):
             "tuned": case.tuned,
             "discovery": case.discovery,
             "payload_bytes": min(payload_bytes, case.max_bytes),
+            **more,
         }
         if case.discovery == "subnet":
             return run_pair(case.backend, domain_id, **options, prefix=request.getfixturevalue("subnet"))
@@ -119,12 +122,17 @@ def test_what_is_applied_is_no_difference(run, case):
     assert_honest(case, run(case, SIZES_BYTES[-1]))
 
 
+def test_zenoh_sends_small_messages_through_shared_memory_too_if_asked(run):
+    case = Honest("zenoh", "shm", paths=("shm",))
+    assert_honest(case, run(case, 1000, messages=1500, period_s=0.0))
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 @needs_namespaces("ip", "iproute2")
 @needs_large_buffers
 def test_fifty_honest_runs_raise_none(run):
     runs = list(product(SIZES_BYTES, HONEST))
-    assert len(runs) == 51
+    assert len(runs) == 57
     for payload_bytes, case in runs:
         assert_honest(case, run(case, payload_bytes))

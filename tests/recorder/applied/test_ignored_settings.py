@@ -177,6 +177,15 @@ def test_7_zenohs_shared_memory(domain_id, is_on, words):
         assert side.at_begin == side.at_end == []
 
 
+@needs_zenoh
+def test_7_the_other_side_of_zenoh_has_its_shared_memory_off(domain_id):
+    ping, relay = run_pair("zenoh", domain_id, transport="shm", relay={"transport": "tcp"})
+    assert (ping.asked.shared_memory, relay.asked.shared_memory) == (True, False)
+    assert ping.settings == ["memory_namespace"]
+    assert relay.settings == []
+    assert ping.applied.path == relay.applied.path == "lo"
+
+
 @needs_root
 @needs_zenoh
 def test_8_zenoh_with_a_dev_shm_of_another_namespace(domain_id):

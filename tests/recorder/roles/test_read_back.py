@@ -38,6 +38,33 @@ def test_before_it_is_read_the_session_holds_the_wish_alone(monkeypatch):
     assert bench.reads == 0
 
 
+class Stop:
+    """An event that is never set, and what happens at its third wait."""
+
+    def __init__(self, third=lambda: None):
+        self.waits, self.third = [], third
+
+    def wait(self, seconds):
+        self.waits.append(seconds)
+        if len(self.waits) == 3:
+            self.third()
+        return False
+
+
+def test_a_relay_learns_of_its_first_probe_at_once(monkeypatch):
+    bench, quiet = Bench(monkeypatch), Stop()
+    assert not bench.read_back.wait(quiet, 0.5)
+    assert sum(quiet.waits) == pytest.approx(0.5)
+    bench.seen = applied(sockets=(udp(8660),), memory=(segment(),))
+    probed = Stop(bench.read_back.read_begin)
+    assert not bench.read_back.wait(probed, 0.5)
+    assert probed.waits == [read_back.NEWS_S] * 3 + [0]
+    bench.read_back.tell()
+    told = Stop()
+    assert not bench.read_back.wait(told, 0.5)
+    assert told.waits == [0.5]
+
+
 def test_what_a_bridge_does_not_use_is_told_and_kept_beside_the_own(monkeypatch):
     bench = Bench(monkeypatch, transport=Transport.DEFAULT)
     of_bridge = Difference(

@@ -69,7 +69,7 @@ class ZenohBridgeDds:
     def environment(self, program: Path, options: BridgeOptions) -> Mapping[str, str]:
         """Return the settings of the Cyclone DDS inside."""
         del program
-        return zenoh_environment(options)
+        return zenoh_environment(options, names_loopback=True)
 
 
 BRIDGE = ZenohBridgeDds()

@@ -8,6 +8,7 @@ zenoh's router: `zenohd` with `libzenoh_plugin_ros2dds.so` beside it, which is w
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -74,7 +75,12 @@ class ZenohBridgeRos2dds:
     def environment(self, program: Path, options: BridgeOptions) -> Mapping[str, str]:
         """Return the settings of the Cyclone DDS inside."""
         del program
-        return zenoh_environment(options)
+        return zenoh_environment(options, names_loopback=is_before_iron())
 
 
 BRIDGE = ZenohBridgeRos2dds()
+
+
+def is_before_iron() -> bool:
+    """Tell whether the bridge takes ROS 2 for one without discovery ranges: it then names the loopback interface itself."""
+    return "" < os.environ.get("ROS_DISTRO", "") < "iron"

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..backends.cyclone_settings import cyclone_settings
+from ..backends.cyclone_settings import cyclone_loopback, cyclone_settings
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -31,10 +31,17 @@ def zenoh_link(options: BridgeOptions, mode: str) -> dict[str, object]:
     }
 
 
-def zenoh_environment(options: BridgeOptions) -> Mapping[str, str]:
-    """Return the settings that let the Cyclone DDS in a zenoh bridge meet ROS 2 nodes, and those of the log."""
+def zenoh_environment(options: BridgeOptions, *, names_loopback: bool) -> Mapping[str, str]:
+    """Return the settings that let the Cyclone DDS in a zenoh bridge meet ROS 2 nodes, and those of the log.
+
+    Args:
+        options: of the bridge.
+        names_loopback: whether the bridge itself keeps its Cyclone DDS on the loopback interface; named twice, Cyclone
+            DDS does not start.
+    """
     log = {"RUST_LOG": "z=info", "NO_COLOR": "1"}
-    settings = cyclone_settings(options.discovery, tuned=options.tuned)
+    loopback = "" if names_loopback else cyclone_loopback(options.discovery)
+    settings = ",".join(filter(None, (loopback, cyclone_settings(options.discovery, tuned=options.tuned))))
     return {**log, "CYCLONEDDS_URI": settings} if settings else log
 
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
         OutputError,
         OutputExistsError,
         RelayLostError,
+        StoppedError,
         TraceError,
         TraceFormatError,
     )
@@ -69,6 +70,7 @@ __all__ = [
     "Run",
     "Session",
     "Stage",
+    "StoppedError",
     "Trace",
     "TraceDestination",
     "TraceError",

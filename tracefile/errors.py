@@ -72,6 +72,12 @@ class NoEchoError(TraceError):
     exit_code = 8
 
 
+class StoppedError(TraceError):
+    """Recording that was stopped (Ctrl-C, SIGTERM) before it had a message to send."""
+
+    exit_code = 130  # as a shell has it of a program that Ctrl-C ended
+
+
 class NotAppliedError(TraceError):
     """The middleware does not use a setting that was asked for, and the recording is strict about it."""
 

@@ -157,8 +157,11 @@ def _read_manifest(folder: Path) -> Manifest:
         raise TraceFormatError(folder, what) from err
     except (ValueError, RecursionError) as err:
         raise TraceFormatError(path, f"the manifest of a saved analysis is damaged ({err})") from err
-    for saved in checked.files.values():
-        if not _FILE_NAME.fullmatch(saved.file):
+    for name, saved in checked.files.items():
+        stem, _, ending = name.partition(".")
+        if not (
+            _FILE_NAME.fullmatch(saved.file) and re.sub("-[0-9a-f]{8}", "", saved.file) == f"{stem}.{ending}"
+        ):
             raise TraceFormatError(path, f"the manifest names {saved.file!r}, which no saved analysis has")
     return checked
 

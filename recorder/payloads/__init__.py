@@ -66,16 +66,17 @@ def open_payload(
         seed: seed of random content.
         open_node: opens a node beside that of the ping, for a live source.
         wait_s: longest wait for a live source, in seconds.
-        stop: ends that wait.
+        stop: ends that wait, and the making or reading of the data.
 
     Raises:
+        StoppedError: `stop` was set before there was a message.
         OptionError: there is no such data, or it has a size of its own and another was asked for.
         BackendUnavailableError: reading it takes a package that is not installed.
     """
     kind, colon, where = data.partition(":")
     source = PAYLOADS.get(kind)
     if not colon or not isinstance(source, Source):
-        return nullcontext(find_data_type(data).make(size_bytes, seed))
+        return nullcontext(find_data_type(data).make(size_bytes, seed, stop))
     if size_bytes is not None:
         raise OptionError(
             f"--size {size_bytes}: the messages of {data} have sizes of their own; leave --size out"

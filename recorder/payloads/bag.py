@@ -7,12 +7,13 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import BackendUnavailableError, OptionError
+from dds_trace.tracefile import BackendUnavailableError, OptionError, StoppedError
 
-from .base import DataType, Message, Payload, Source, check_held_bytes
+from .base import DataType, Message, Payload, Source, check_held_bytes, check_stop
 from .header import recognize_data_type
 
 if TYPE_CHECKING:
+    import threading
     from collections.abc import Iterator, Mapping
 
     from rosbags.highlevel import AnyReader
@@ -26,14 +27,18 @@ NAMED_FIELD = 2
 """rosbags' mark of a field that is a message itself."""
 
 
-def load_payload(where: str, own_types: Mapping[str, DataType]) -> Payload:
+def load_payload(
+    where: str, own_types: Mapping[str, DataType], stop: threading.Event | None = None
+) -> Payload:
     """Read the messages of `PATH#TOPIC` as CDR, each with room for the stamp, and the mean rate of their recording.
 
     Args:
         where: path of the bag and topic in it.
         own_types: data types that are made up here, by the name of their message type.
+        stop: ends the reading once it is set.
 
     Raises:
+        StoppedError: `stop` was set.
         OptionError: no bag, no such topic in it, a type that cannot carry the stamp, or too much data.
         BackendUnavailableError: rosbags is not installed.
     """
@@ -43,12 +48,16 @@ def load_payload(where: str, own_types: Mapping[str, DataType]) -> Payload:
             f"--data bag:{where}: write bag:PATH#TOPIC, for example bag:drive.mcap#/camera/image"
         )
     path = Path(name)
+    if path.exists() and not (path.is_file() or path.is_dir()):  # a pipe would wait for a writer
+        raise OptionError(f"--data bag:{where}: {path} is neither a file nor a folder")
     with _opened(path) as reader:
         connections = _connections_of(reader, topic, path)
         type_name = connections[0].msgtype
         stamped = _Stamper(reader, type_name, path, own_types)
         messages, times_ns, held_bytes = [], [], 0
         for _, time_ns, data in reader.messages(connections):
+            check_stop(stop)
+            check_held_bytes(held_bytes + len(data), path)
             message = stamped(data)
             messages.append(message)
             times_ns.append(time_ns)
@@ -80,7 +89,7 @@ def _opened(path: Path) -> Iterator[AnyReader]:
         # Bags of sqlite3 before ROS 2 Iron hold no definitions; the stock types have hardly changed since.
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
             yield reader
-    except (OptionError, BackendUnavailableError):
+    except (OptionError, BackendUnavailableError, StoppedError):
         raise
     except FileNotFoundError as err:
         raise OptionError(f"--data bag:{path}: there is no such file or folder") from err
@@ -136,7 +145,7 @@ def _store_of_ros2(ros1: Typestore) -> Typestore:
 
 
 def _open(where: str, surroundings: Surroundings) -> AbstractContextManager[Payload]:
-    return nullcontext(load_payload(where, surroundings.own_types))
+    return nullcontext(load_payload(where, surroundings.own_types, surroundings.stop))
 
 
 BAG = Source(name="bag", usage="bag:PATH#TOPIC", open=_open)

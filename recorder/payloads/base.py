@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
-from dds_trace.tracefile import OptionError
+from dds_trace.tracefile import OptionError, StoppedError
 
 from .stamp import SentT
 
@@ -85,6 +85,23 @@ class Form(Generic[SentT, ReceivedT]):
     payload_bytes_of: Callable[[ReceivedT], int]
 
 
+class Maker(Protocol):
+    """Function that makes up a payload."""
+
+    def __call__(self, size_bytes: int | None, seed: int, stop: threading.Event | None = None, /) -> Payload:
+        """Make up a payload.
+
+        Args:
+            size_bytes: application bytes of a message; None for the type's default.
+            seed: seed of its random content.
+            stop: ends the work once it is set.
+
+        Raises:
+            OptionError: there is no payload of that size.
+            StoppedError: `stop` was set.
+        """
+
+
 @dataclass(frozen=True, slots=True)
 class DataType:
     """One kind of data: its names, the place of the stamp in its messages, and how a payload is made up.
@@ -96,7 +113,7 @@ class DataType:
         raw: its serialized messages.
         objects: its message objects, None for a type that travels serialized alone.
         object_stamp: place of the stamp in a message object, also in one that others made.
-        make: makes up the payload for a size in bytes (None: the type's default) and a seed of its random content.
+        make: makes up the payload.
     """
 
     name: str
@@ -105,7 +122,7 @@ class DataType:
     raw: Form[bytearray, RawMessage]
     objects: Form[RosMessage, RosMessage] | None
     object_stamp: HeaderStampPlace | StringStampPlace
-    make: Callable[[int | None, int], Payload]
+    make: Maker
 
     @property
     def relay_topic(self) -> str:
@@ -153,6 +170,16 @@ class Source:
     name: str
     usage: str
     open: Callable[[str, Surroundings], AbstractContextManager[Payload]]
+
+
+def check_stop(stop: threading.Event | None) -> None:
+    """End the making of a payload once the recording is to stop.
+
+    Raises:
+        StoppedError: `stop` is set.
+    """
+    if stop is not None and stop.is_set():
+        raise StoppedError("stopped before there was anything to send; nothing is recorded")
 
 
 def check_held_bytes(held_bytes: int, path: Path) -> None:

@@ -8,37 +8,48 @@ from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import OptionError
 
-from .base import DataType, Form, Message, Payload
+from .base import MAX_HELD_BYTES, DataType, Form, Message, Payload, check_stop
 from .cdr import CdrWriter
 from .stamp import HEADER_STAMP, RAW_HEADER_STAMP, stamp_text
 
 if TYPE_CHECKING:
+    import threading
+    from collections.abc import Iterable, Iterator
+
     from ..backends.node import RawMessage, RosMessage
 
 DEFAULT_BYTES = 33_000
-MAX_BYTES = (1 << 32) - 1  # width, step and the length of `data` are uint32
+MAX_BYTES = MAX_HELD_BYTES  # within the four bytes of width, step and the length of `data`
+_PIECE_BYTES = 1 << 20  # a multiple of four, so that pieces join to what one draw gives
 _UINT32 = struct.Struct("<I")
 _ENCODING_OFFSET = (
     72  # of its length: encapsulation 4, time 8, frame_id with our stamp 4 + 47 + 1, height, width
 )
 
 
-def make_payload(size_bytes: int | None, seed: int) -> Payload:
+def make_payload(size_bytes: int | None, seed: int, stop: threading.Event | None = None, /) -> Payload:
     """Make up one image of `size_bytes` random bytes (33 KB by default).
 
     Raises:
         OptionError: an image cannot have that size.
+        StoppedError: `stop` was set.
     """
     size = DEFAULT_BYTES if size_bytes is None else size_bytes
     if not 1 <= size <= MAX_BYTES:
         raise OptionError(f"--size {size}: a binary payload has 1 to {MAX_BYTES} bytes")
-    data = random.Random(seed).randbytes(size)  # noqa: S311 - reproducible noise, no secret
-    return Payload(BINARY, (image_message(data),), size)
+    return Payload(BINARY, (image_message(size, _noise(size, seed, stop)),), size)
 
 
-def image_message(data: bytes) -> Message:
-    """Return an image of one row that holds `data`, 1 to `MAX_BYTES` bytes."""
-    size = len(data)
+def _noise(size: int, seed: int, stop: threading.Event | None) -> Iterator[bytes]:
+    """Yield the bytes of `random.Random(seed).randbytes(size)`, which draws 256 MiB at the most, in pieces."""
+    draw = random.Random(seed)  # noqa: S311 - reproducible noise, no secret
+    for begin in range(0, size, _PIECE_BYTES):
+        check_stop(stop)
+        yield draw.randbytes(min(_PIECE_BYTES, size - begin))
+
+
+def image_message(size: int, pieces: Iterable[bytes]) -> Message:
+    """Return an image of one row that holds the `size` bytes of `pieces`, 1 to `MAX_BYTES`."""
     writer = CdrWriter()
     writer.header(stamp_text(0, 0))
     writer.uint32(1)  # height
@@ -46,7 +57,7 @@ def image_message(data: bytes) -> Message:
     writer.string(b"mono8")
     writer.uint8(0)  # is_bigendian
     writer.uint32(size)  # step
-    writer.octets(data)
+    writer.pieces(size, pieces)
     return Message(writer.message(), size)
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import struct
 from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import CDR_HEADER
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
 
 class CdrWriter:
@@ -34,15 +35,20 @@ class CdrWriter:
         self._align(8)
         self._data += struct.pack(f"<{len(values)}d", *values)
 
-    def string(self, text: bytes) -> None:
-        """Append the length with the terminating zero, the characters, and the zero."""
-        self.uint32(len(text) + 1)
-        self._data += text + b"\0"
+    def string(self, text: bytes, more_bytes: int = 0, more: Iterable[bytes] = ()) -> None:
+        """Append the length with the terminating zero, the characters of `text` and of `more`, and the zero."""
+        self.pieces(len(text) + more_bytes + 1, itertools.chain((text,), more))
+        self._data += b"\0"
 
     def octets(self, data: bytes) -> None:
         """Append a sequence of bytes: its length, then the bytes."""
-        self.uint32(len(data))
-        self._data += data
+        self.pieces(len(data), (data,))
+
+    def pieces(self, size: int, pieces: Iterable[bytes]) -> None:
+        """Append a sequence of `size` bytes that comes in pieces, so that a large one is held once."""
+        self.uint32(size)
+        for piece in pieces:
+            self._data += piece
 
     def header(self, frame_id: bytes) -> None:
         """Append a `std_msgs/Header` whose stamp is zero."""

@@ -2,30 +2,39 @@
 
 from __future__ import annotations
 
+import os
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import OptionError
+from dds_trace.tracefile.files import open_regular
 
-from .base import Payload, Source, check_held_bytes
+from .base import Payload, Source, check_held_bytes, check_stop
 from .binary import BINARY, image_message
 
 if TYPE_CHECKING:
+    import threading
+    from collections.abc import Iterator
+    from typing import BinaryIO
+
     from .base import Message, Surroundings
 
+_PIECE_BYTES = 1 << 20
 
-def load_payload(where: str) -> Payload:
+
+def load_payload(where: str, stop: threading.Event | None = None) -> Payload:
     """Return one image for each file at `where`, in the order of their names; hidden files are left out.
 
     Raises:
-        OptionError: there is no file, one that is empty, or more than is held in memory.
+        OptionError: there is no regular file, one that is empty, or more than is held in memory.
+        StoppedError: `stop` was set.
     """
     path = Path(where)
     try:
         files = _files(path)
         check_held_bytes(sum(file.stat().st_size for file in files), path)
-        messages = tuple(map(_message, files))
+        messages = tuple(_message(file, stop) for file in files)
     except OSError as err:
         raise OptionError(
             f"--data file:{where}: {err.strerror or err}; name a file or a folder of files"
@@ -44,15 +53,32 @@ def _files(path: Path) -> list[Path]:
     return files
 
 
-def _message(file: Path) -> Message:
-    data = file.read_bytes()
-    if not data:
-        raise OptionError(f"--data file:{file}: the file is empty, there is nothing to send")
-    return image_message(data)
+def _message(file: Path, stop: threading.Event | None) -> Message:
+    with open_regular(file) as stream:
+        size = os.fstat(stream.fileno()).st_size
+        check_held_bytes(size, file)
+        if not size:
+            raise OptionError(f"--data file:{file}: the file is empty, there is nothing to send")
+        return image_message(size, _pieces(stream, size, stop))
 
 
-def _open(where: str, _surroundings: Surroundings) -> AbstractContextManager[Payload]:
-    return nullcontext(load_payload(where))
+def _pieces(stream: BinaryIO, size: int, stop: threading.Event | None) -> Iterator[bytes]:
+    """Yield the first `size` bytes of a file, which may grow meanwhile.
+
+    Raises:
+        OSError: it has become shorter.
+    """
+    while size:
+        check_stop(stop)
+        piece = stream.read(min(_PIECE_BYTES, size))
+        if not piece:
+            raise OSError("the file became shorter while it was read")
+        size -= len(piece)
+        yield piece
+
+
+def _open(where: str, surroundings: Surroundings) -> AbstractContextManager[Payload]:
+    return nullcontext(load_payload(where, surroundings.stop))
 
 
 FILE = Source(name="file", usage="file:PATH", open=_open)

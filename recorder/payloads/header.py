@@ -12,6 +12,7 @@ from .base import DataType, Form
 from .stamp import HEADER_STAMP, RAW_HEADER_STAMP
 
 if TYPE_CHECKING:
+    import threading
     from collections.abc import Mapping
 
     from ..backends.node import RawMessage
@@ -47,7 +48,9 @@ def payload_bytes_of(message: RawMessage) -> int:
     return max(len(message) + -len(message) % 4 - HEADER_BYTES, 0)
 
 
-def _refuse_to_make(type_name: str, _size_bytes: int | None, _seed: int) -> Payload:
+def _refuse_to_make(
+    type_name: str, _size_bytes: int | None, _seed: int, _stop: threading.Event | None = None, /
+) -> Payload:
     raise OptionError(
         f"messages of {type_name} cannot be made up; give --data bag:PATH#TOPIC or topic:/NAME instead"
     )

@@ -12,6 +12,8 @@ from .cdr import CdrWriter
 from .stamp import HEADER_STAMP, RAW_HEADER_STAMP, stamp_text
 
 if TYPE_CHECKING:
+    import threading
+
     from ..backends.node import RawMessage, RosMessage
 
 # orientation, angular velocity and linear acceleration, each with its 3 x 3 covariance
@@ -19,7 +21,7 @@ FIELDS = (4, 9, 3, 9, 3, 9)
 PAYLOAD_BYTES = 8 * sum(FIELDS)
 
 
-def make_payload(size_bytes: int | None, seed: int) -> Payload:
+def make_payload(size_bytes: int | None, seed: int, _stop: threading.Event | None = None, /) -> Payload:
     """Make up one message of random numbers; its size is 296 bytes.
 
     Raises:

@@ -7,35 +7,55 @@ import string
 import struct
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from dds_trace.tracefile import OptionError
 
-from .base import DataType, Form, Message, Payload
+from .base import MAX_HELD_BYTES, DataType, Form, Message, Payload, check_stop
 from .cdr import CdrWriter
 from .stamp import RAW_STRING_STAMP, STAMP_BYTES, STRING_STAMP, stamp_text
 
 if TYPE_CHECKING:
+    import threading
+    from collections.abc import Iterator
+
     from ..backends.node import RawMessage, RosMessage
 
 PAPER_BYTES = (4, 91, 1405, 2675)
 DEFAULT_BYTES = PAPER_BYTES[1]
-MAX_BYTES = (1 << 32) - 2 - STAMP_BYTES  # the length of `data` is uint32 and counts a terminating zero
-_ALPHABET = (string.ascii_letters + string.digits).encode()
+MAX_BYTES = MAX_HELD_BYTES  # within the four bytes of the length of `data`
+_ALPHABET = np.frombuffer((string.ascii_letters + string.digits).encode(), np.uint8)
+_PIECE_BYTES = 1 << 20
 _UINT32 = struct.Struct("<I")
 
 
-def make_payload(size_bytes: int | None, seed: int) -> Payload:
+def make_payload(size_bytes: int | None, seed: int, stop: threading.Event | None = None, /) -> Payload:
     """Make up one string of `size_bytes` characters behind the stamp (91 by default; the paper's: 4, 91, 1405, 2675).
 
     Raises:
         OptionError: a string cannot have that size.
+        StoppedError: `stop` was set.
     """
     size = DEFAULT_BYTES if size_bytes is None else size_bytes
     if not 0 <= size <= MAX_BYTES:
         raise OptionError(f"--size {size}: a string payload has 0 to {MAX_BYTES} bytes")
-    letters = bytes(random.Random(seed).choices(_ALPHABET, k=size))  # noqa: S311 - reproducible noise, no secret
     writer = CdrWriter()
-    writer.string(stamp_text(0, 0) + letters)
+    writer.string(stamp_text(0, 0), size, _letters(size, seed, stop))
     return Payload(STRING, (Message(writer.message(), size),), size)
+
+
+def _letters(size: int, seed: int, stop: threading.Event | None) -> Iterator[bytes]:
+    """Yield the letters of `random.Random(seed).choices(alphabet, k=size)` in pieces, ten times as quickly.
+
+    Python and numpy draw the same numbers from the same state of the Mersenne Twister.
+    """
+    *words, position = random.Random(seed).getstate()[1]  # noqa: S311 - reproducible noise, no secret
+    draw = np.random.RandomState()
+    draw.set_state(("MT19937", np.array(words, np.uint32), position, 0, 0.0))
+    for begin in range(0, size, _PIECE_BYTES):
+        check_stop(stop)
+        places = draw.random_sample(min(_PIECE_BYTES, size - begin)) * len(_ALPHABET)
+        yield _ALPHABET[places.astype(np.intp)].tobytes()
 
 
 def payload_bytes_of(message: RawMessage) -> int:

@@ -95,7 +95,7 @@ def test_a_toy_backend_is_offered_and_explains_itself(toy_backend, tmp_path):
         record(lonely, threading.Event(), Notes())
 
 
-def make_toy(size_bytes, seed):
+def make_toy(size_bytes, seed, _stop=None, /):
     """A header and as many random bytes as asked for."""
     writer = CdrWriter()
     writer.header(stamp_text(0, 0))

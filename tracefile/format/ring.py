@@ -41,6 +41,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from ..errors import TraceFormatError
+from ..files import open_regular
 from .descriptions import Session
 from .events import EVENT_DTYPE, Stage
 
@@ -222,7 +223,7 @@ def read_ring(path: Path, events_in_trace: int) -> RingContents | None:
         TraceFormatError: the file is no ring, or one of another version.
         OSError: the file cannot be read.
     """
-    with path.open("rb") as stream:
+    with open_regular(path) as stream:
         recording = _is_locked(stream.fileno())
         content = stream.read()
     if len(content) < RING_HEADER.size or not any(content[: len(RING_MAGIC)]):

@@ -31,6 +31,18 @@ if TYPE_CHECKING:
 BLOCK_BYTES = 2 << 20
 """Size up to which small chunks are handled together, so that their number costs no more than their bytes."""
 
+BLOCK_STEPS = 60
+"""Time that a block costs beside its records, in those of stepping over one."""
+
+CHUNK_STEPS = 40
+"""Time that a chunk costs beside its records, in those of stepping over one."""
+
+LARGEST_FILE_RATIO = 200
+"""Most bytes that all chunks up to a place in a file may unpack to, for a byte of the file up to there."""
+
+_UNSUSPECTED_FILE_BYTES = 256 << 20
+_WALKED = MESSAGES_AND_CHANNELS | {Opcode.CHUNK, Opcode.DATA_END, Opcode.FOOTER}
+_FIRST_STRETCH_BYTES = 4096
 _BLOCK_CHUNKS = 1000
 _KEPT_BYTES = 4 * BLOCK_BYTES  # memory that grew beyond this for one large chunk is not kept
 
@@ -47,6 +59,7 @@ class Block:
         events: the events of each channel, copied out of `data`.
         notes: one line for each chunk that was left out.
         memory: the memory that holds `data`; None if `data` has its own.
+        chunks: number of its chunks, damaged ones included.
     """
 
     data: Buffer
@@ -56,6 +69,12 @@ class Block:
     events: list[ChannelEvents]
     notes: list[str] = field(default_factory=list)
     memory: UnpackMemory | None = None
+    chunks: int = 0
+
+    @property
+    def steps(self) -> int:
+        """Time that the block costs, in those of stepping over one record; events cost next to nothing."""
+        return BLOCK_STEPS + CHUNK_STEPS * self.chunks + self.scan.steps
 
     def offset(self, position: int) -> int:
         """Return the offset in the file of the byte at `position` of `data`, or of the chunk that holds it."""
@@ -80,6 +99,8 @@ class BlockJobs:
     truncated: str | None = None
     _chunks: list[PackedChunk] = field(default_factory=list)
     _chunks_bytes: int = 0
+    _unpacked_bytes: int = 0
+    _stretch_bytes: int = _FIRST_STRETCH_BYTES
     _at: int = 0
     _chunk_offsets: list[int] | None = None
     _free: list[UnpackMemory] = field(default_factory=list)
@@ -122,7 +143,7 @@ class BlockJobs:
         """Return the header at `_at`, or behind damage there; None at the end of all that can be read."""
         while True:
             try:
-                return self.file.header_at(self._at)
+                return self.file.header_at(self._at, _WALKED)
             except TornRecordError as torn:
                 resumed_at = self._behind(torn)
             if resumed_at is None:
@@ -137,9 +158,11 @@ class BlockJobs:
                 f"the {name} record of {counted(header.length, 'byte')} at byte {header.offset} is left out"
             )
             return
-        size = max(header.end - header.offset, min(BLOCK_BYTES, self.file.size - header.offset))
+        # Twice what the stretch before had: where each record outside is alone, little is read in vain.
+        size = max(header.end - header.offset, min(self._stretch_bytes, self.file.size - header.offset))
         data = self.file.read(header.offset, size)
         scan = scan_records(data, 0, len(data), only=True)
+        self._stretch_bytes = min(max(2 * scan.end, _FIRST_STRETCH_BYTES), BLOCK_BYTES)
         self._at = header.offset + scan.end
         yield len(data), partial(_outside_block, data, scan, header.offset)
 
@@ -149,6 +172,14 @@ class BlockJobs:
         except DamagedChunkError as err:
             self.notes.append(_left_out(header.offset, err))
             return
+        if not (chunk.unpacked_bytes or chunk.packed_bytes or chunk.crc):
+            return
+        unpacked_bytes = self._unpacked_bytes + chunk.unpacked_bytes
+        if unpacked_bytes > max(_UNSUSPECTED_FILE_BYTES, LARGEST_FILE_RATIO * header.end):
+            why = f"with it the file unpacks to more than {LARGEST_FILE_RATIO} times its size"
+            self.notes.append(_left_out(header.offset, why))
+            return
+        self._unpacked_bytes = unpacked_bytes
         if self._chunks_bytes + chunk.unpacked_bytes > BLOCK_BYTES or len(self._chunks) == _BLOCK_CHUNKS:
             yield from self._chunks_so_far()
         self._chunks.append(chunk)
@@ -183,7 +214,9 @@ class BlockJobs:
             scan.extend(of_chunk)
             places.append((start, chunk.offset))
             start = stop
-        return Block(data, scan, places, True, split_by_channel(scan.events(data)), notes, memory)
+        return Block(
+            data, scan, places, True, split_by_channel(scan.events(data)), notes, memory, len(chunks)
+        )
 
     def _memory(self) -> UnpackMemory:
         try:

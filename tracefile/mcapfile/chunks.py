@@ -62,7 +62,7 @@ class PackedChunk:
         Raises:
             DamagedChunkError: its fields are not as MCAP has them, or claim more than a chunk may hold.
         """
-        content = RecordContent(file.read(header.content, min(_HEADER_BYTES, header.length)))
+        content = RecordContent(file.peek(header.content, min(_HEADER_BYTES, header.length)))
         try:
             content.read(16)  # first and last log time
             unpacked_bytes, crc = content.read8(), content.read4()

@@ -14,11 +14,14 @@ from ..units.counts import counted
 from .records import parse_record, record_name
 
 if TYPE_CHECKING:
+    from collections.abc import Container
     from pathlib import Path
 
     from .records import ParsedRecord
 
     R = TypeVar("R", bound=ParsedRecord)
+
+_AHEAD_BYTES = 4096  # many small records at once; beside a chunk it costs no more than a record's header
 
 MAX_RECORD_BYTES = 64 << 20
 """Longest record, packed or unpacked, that is held in memory as a whole; writers' chunks have 0.7 to 8 MB."""
@@ -75,6 +78,7 @@ class RecordFile(AbstractContextManager["RecordFile"]):
 
     def __init__(self, path: Path, shown_as: Path | None = None) -> None:
         self.path = shown_as or path
+        self._ahead, self._ahead_at = b"", 0
         try:
             self._descriptor = os.open(
                 path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK
@@ -124,22 +128,45 @@ class RecordFile(AbstractContextManager["RecordFile"]):
         except OSError as err:
             raise TraceFormatError(self.path, f"cannot be read ({err.strerror})", offset) from err
 
-    def header_at(self, offset: int) -> RecordHeader:
-        """Return the header of the record that begins at `offset`.
+    def peek(self, offset: int, size: int) -> bytes:
+        """Return `size` bytes from `offset` on, read ahead for the next call; only for the one thread that walks headers.
+
+        Raises:
+            TraceFormatError: as for `read`.
+        """
+        at = offset - self._ahead_at
+        if at < 0 or at + size > len(self._ahead):
+            self._ahead = self.read(offset, max(size, min(_AHEAD_BYTES, self.size - offset)))
+            self._ahead_at, at = offset, 0
+        return self._ahead[at : at + size]
+
+    def header_at(self, offset: int, wanted: Container[int] | None = None) -> RecordHeader:
+        """Return the header of the record that begins at `offset`, or of the first behind it of a wanted kind.
+
+        Args:
+            offset: offset of a record.
+            wanted: opcodes of the records that are not stepped over; None for all.
 
         Raises:
             TornRecordError: no record begins there, or the file ends before the record does.
         """
-        if offset + RECORD_HEADER.size > self.size:
-            raise TornRecordError(
-                offset, "no footer" if offset >= self.size else "a record's header is cut off"
-            )
-        opcode, length = RECORD_HEADER.unpack(self.read(offset, RECORD_HEADER.size))
-        if opcode == 0:
-            raise TornRecordError(offset, "no record, but a zero byte")
-        if length > self.size - offset - RECORD_HEADER.size:
-            raise TornRecordError(offset, f"a {record_name(opcode)} record is cut off")
-        return RecordHeader(opcode, offset, length)
+        while True:
+            if offset + RECORD_HEADER.size > self.size:
+                raise TornRecordError(
+                    offset, "no footer" if offset >= self.size else "a record's header is cut off"
+                )
+            at = offset - self._ahead_at
+            if at < 0 or at + RECORD_HEADER.size > len(self._ahead):
+                self.peek(offset, RECORD_HEADER.size)
+                at = 0
+            opcode, length = RECORD_HEADER.unpack_from(self._ahead, at)
+            if opcode == 0:
+                raise TornRecordError(offset, "no record, but a zero byte")
+            if length > self.size - offset - RECORD_HEADER.size:
+                raise TornRecordError(offset, f"a {record_name(opcode)} record is cut off")
+            if wanted is None or opcode in wanted:
+                return RecordHeader(opcode, offset, length)
+            offset += RECORD_HEADER.size + length
 
     def parse(self, kind: type[R], header: RecordHeader) -> R:
         """Read and parse a record of the class `kind`.

@@ -65,11 +65,13 @@ class Scan:
         runs: (byte offset, count) of each unbroken run of event-shaped records.
         others: (opcode, byte offset of the content, its length) of each other record of a wanted kind, in order.
         end: byte offset behind the last record: the end of the buffer, or the first byte that begins no record.
+        steps: number of records that were stepped over one by one.
     """
 
     runs: list[tuple[int, int]] = field(default_factory=list)
     others: list[tuple[int, int, int]] = field(default_factory=list)
     end: int = 0
+    steps: int = 0
 
     def extend(self, behind: Scan) -> None:
         """Append the scan of the bytes that lie directly behind."""
@@ -84,6 +86,7 @@ class Scan:
         self.runs += behind.runs[1:] if joins else behind.runs
         self.others += behind.others
         self.end = behind.end
+        self.steps += behind.steps
 
     def places(self, data: Buffer, channel_id: int) -> list[tuple[int, int]]:
         """Return (byte offset, length) of the content of each event-shaped record of one channel."""
@@ -128,7 +131,9 @@ def scan_records(
     """
     scan = Scan()
     at = start
+    steps = 0
     while at < stop:
+        steps += 1
         count = _count_events(data, at, stop)
         if count:
             scan.runs.append((at, count))
@@ -144,7 +149,7 @@ def scan_records(
         elif only:
             break
         at = content + length
-    scan.end = at
+    scan.end, scan.steps = at, steps
     return scan
 
 

@@ -28,6 +28,10 @@ if TYPE_CHECKING:
     from ..mcapfile.blocks import Block
 
 _BLOCKS_AHEAD = 8  # blocks that are made before they are asked for
+_ROOM_OPCODES = frozenset({Opcode.CHUNK, Opcode.MESSAGE})
+_UNSUSPECTED_STEPS = 2_000_000
+_STEP_BYTES = 4  # a recorded message that is no event takes more than that, packed as it may be
+_ROOM_CHUNKS = 100_000  # chunks that are looked at before the first is unpacked
 _BYTES_AHEAD = 32 << 20  # their bytes together: much larger chunks are unpacked one after the other
 
 
@@ -97,9 +101,17 @@ class McapSource:
         """
         if self._is_of_others():
             return
+        steps_left = _UNSUSPECTED_STEPS + self._file.size // _STEP_BYTES
         for block in in_order(self._jobs, self._pool, _BLOCKS_AHEAD, _BYTES_AHEAD):
             yield from self._batches_of(block)
+            steps_left -= block.steps
             self._jobs.take_back(block)
+            if steps_left < 0:
+                self._jobs.truncated = (
+                    f"is read up to byte {block.places[-1][1]}: it has more small records than a recorder writes into "
+                    "so few bytes"
+                )
+                break
         yield Batch(notes=self._closing_notes(), truncated=self._jobs.truncated)
 
     def _batches_of(self, block: Block) -> Iterator[Batch]:
@@ -186,10 +198,13 @@ class McapSource:
 
     def _room_for_events(self) -> int:
         """Return the number of events that the file's chunks, or its bytes outside of chunks, have room for."""
-        room, at = 0, len(MAGIC)
+        room, at, chunks = 0, len(MAGIC), 0
         while True:
             try:
-                header = self._file.header_at(at)
+                header = self._file.header_at(at, _ROOM_OPCODES)
+                chunks += 1
+                if chunks > _ROOM_CHUNKS:
+                    return room // EVENT_RECORD_BYTES
                 if header.opcode == Opcode.CHUNK:
                     room += PackedChunk.at(self._file, header).unpacked_bytes
             except DamagedChunkError:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from ..errors import TraceFormatError
+from ..files import open_regular
 from ..format.events import EVENT_SCHEMA_NAME, STAGE_OF_TOPIC, Stage
 from ..units.counts import counted
 from .source import TOPIC_PREFIX, Batch, Text, event_batch, unpack_message
@@ -131,7 +132,7 @@ class SqliteSource:
 
 def _missing_bytes(path: Path) -> int:
     """Return the number of bytes that the file lacks by its header (https://www.sqlite.org/fileformat.html, 1.3)."""
-    with path.open("rb") as stream:
+    with open_regular(path) as stream:
         header = stream.read(_HEADER.size)
         size = stream.seek(0, os.SEEK_END)
     if len(header) < _HEADER.size:

@@ -99,7 +99,7 @@ def recover(path: Path, destination: Path | None = None) -> RecoveryReport:
     if path.name.endswith(RING_SUFFIX):
         path = path.with_name(path.name.removesuffix(RING_SUFFIX))
     trace = path / f"{path.name}_0.mcap" if path.is_dir() else path
-    if destination is not None and destination.exists():
+    if destination is not None and os.path.lexists(destination):
         raise OutputExistsError(f"{destination} is there already; choose another name")
     killed = _inspect(trace)
     if killed.is_whole:
@@ -258,7 +258,7 @@ def _take_place(trace: Path, unfinished: Path) -> tuple[Path, ...]:
         os.fsync(stream.fileno())
     kept = trace.with_name(trace.name + KILLED_SUFFIX)
     number = 1
-    while kept.exists() or ring_path(kept).exists():
+    while os.path.lexists(kept) or os.path.lexists(ring_path(kept)):
         number += 1
         kept = trace.with_name(f"{trace.name}{KILLED_SUFFIX}{number}")
     originals: tuple[Path, ...] = ()

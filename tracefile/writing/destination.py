@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -96,7 +97,7 @@ def make_room(destination: TraceDestination) -> None:
         OutputError: the folder cannot be made, or a file cannot be removed.
     """
     ours = _files_of(destination)
-    existing = [path for path in (destination.path, *ours) if path.exists()]
+    existing = [path for path in (destination.path, *ours) if os.path.lexists(path)]  # a dangling link too
     if existing and not destination.force:
         raise OutputExistsError(f"{existing[0]} is there already; choose another name or use --force")
     try:

@@ -190,6 +190,10 @@ def test_a_zero_anywhere_in_the_manifest_is_refused(saved):
             "names '../content.json'",
         ),
         (
+            {"files": {"content.json": {"file": "notes-12345678.json", "bytes": 0, "sha256": ""}}},
+            "names 'notes-12345678.json'",
+        ),
+        (
             {"files": {"content.json": {"file": 7, "bytes": 0, "sha256": ""}}},
             "Manifest.files.content.json.file is 7",
         ),

@@ -234,6 +234,14 @@ def test_an_existing_destination_is_refused(tmp_path):
         recover(trace, trace)
 
 
+def test_a_dangling_link_in_the_place_of_the_destination_is_refused_and_stays(tmp_path):
+    trace, link = killed(tmp_path), tmp_path / "new.mcap"
+    link.symlink_to(tmp_path / "not mounted")
+    with pytest.raises(OutputExistsError):
+        recover(trace, link)
+    assert link.is_symlink()
+
+
 def test_the_ring_of_another_recording_is_not_mixed_in(tmp_path):
     trace = killed(tmp_path)
     write_trace(trace, ping_session(session_id=77, state="open"), truncate_at=-50)

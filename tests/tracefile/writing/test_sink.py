@@ -336,6 +336,18 @@ def test_the_ring_of_a_killed_recorder_is_not_overwritten(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]
 
 
+def test_links_are_refused_without_force_and_never_written_through(tmp_path):
+    path, target = tmp_path / "a.mcap", tmp_path / "target"
+    path.symlink_to(target)
+    with pytest.raises(OutputExistsError, match="--force"):
+        open_sink(path)
+    assert path.is_symlink()
+    target.write_text("mine")
+    open_sink(path, force=True).close()
+    assert target.read_text() == "mine"
+    assert not path.is_symlink()
+
+
 def test_a_folder_is_a_rosbag2_bag(tmp_path):
     folder = tmp_path / 'bag "of" today'
     sink = open_sink(folder)

@@ -307,10 +307,8 @@ def test_a_ping_that_is_stopped_before_its_echo(domain_id, tmp_path):
         command.wait_for_line("waiting for an echo")
         done = command.stop()
     assert done.status == 0, done.stderr
-    assert "sent 0/1010" in done.stdout
-    trace = Read(tmp_path / "ping.mcap")
-    assert trace.sessions[-1]["state"] == "closed"
-    assert trace.runs == []
+    assert done.stdout == "stopped before the first echo; nothing was written\n"
+    assert list(tmp_path.iterdir()) == []  # so that the next try finds its place free
 
 
 def test_a_bridge_joins_two_domains(domains, tmp_path):

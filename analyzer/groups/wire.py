@@ -43,6 +43,8 @@ class _Sums:
     payload_bytes: float = 0.0
     shared_counts: int = 0
     matches_ns: list[float] = field(default_factory=list)
+    tcp_rtts_ns: list[float] = field(default_factory=list)
+    tcp_windows: list[float] = field(default_factory=list)
     counters: Counter[str] = field(default_factory=Counter)
     bytes: Counter[str] = field(default_factory=Counter)
     packets: Counter[str] = field(default_factory=Counter)
@@ -158,6 +160,9 @@ def _add_ping(sums: _Sums, counts: JsonObject) -> None:
     sums.duration_s += _number(counts.get("duration_s"))
     if (match_ns := _number(counts.get("match_ns"))) > 0:
         sums.matches_ns.append(match_ns)
+    for connection in _connections(counts):
+        sums.tcp_rtts_ns.append(_number(connection.get("rtt_us")) * 1000)
+        sums.tcp_windows.append(_number(connection.get("congestion_window")))
     classes = counts.get("classes")
     for each in classes if isinstance(classes, list) else ():
         of_class = _object(each)
@@ -183,6 +188,16 @@ def _add_counters(sums: _Sums, counts: JsonObject) -> None:
         sums.counters[name] += int(_number(counts.get(name)))
     for name in ("reassembly_failed", "udp_receive_buffer_full"):
         sums.counters[name] += int(_number(of_kernel.get(name)))
+    sums.counters["tcp_retransmitted_segments"] += sum(
+        int(_number(each.get("retransmitted_segments"))) for each in _connections(counts)
+    )
+
+
+def _connections(counts: JsonObject) -> list[JsonObject]:
+    """Return the TCP connections that sent payload during a run."""
+    listed = counts.get("tcp")
+    connections = [_object(each) for each in listed] if isinstance(listed, list) else []
+    return [each for each in connections if _number(each.get("bytes_sent")) > 0]
 
 
 def _row(group: int, sums: _Sums, joined: pl.DataFrame) -> tuple[object, ...]:
@@ -204,6 +219,8 @@ def _row(group: int, sums: _Sums, joined: pl.DataFrame) -> tuple[object, ...]:
         "resent_after_p50_ns": repeated["resent_after_ns"].median(),
         "waited_heartbeats_p50": repeated["waited_heartbeats"].median(),
         "match_p50_ns": median(sums.matches_ns) if sums.matches_ns else None,
+        "tcp_rtt_p50_ns": median(sums.tcp_rtts_ns) if sums.tcp_rtts_ns else None,
+        "tcp_congestion_window_p50": median(sums.tcp_windows) if sums.tcp_windows else None,
         "discovery_share": discovery / total if total else None,
         "discovery_bytes_per_minute": discovery * 60 / sums.duration_s if sums.duration_s else None,
         **{
@@ -214,6 +231,7 @@ def _row(group: int, sums: _Sums, joined: pl.DataFrame) -> tuple[object, ...]:
                 "reassembly_failed",
                 "udp_receive_buffer_full",
                 "tcp_again_bytes",
+                "tcp_retransmitted_segments",
             )
         },
     }

@@ -25,6 +25,9 @@ WIRE_SCHEMA: dict[str, type[pl.DataType]] = {
     "udp_receive_buffer_full": pl.UInt64,
     "tcp_again_bytes": pl.UInt64,
     "shared_counts": pl.UInt32,
+    "tcp_retransmitted_segments": pl.UInt64,
+    "tcp_rtt_p50_ns": pl.Float64,
+    "tcp_congestion_window_p50": pl.Float64,
 }
 """A row per group with counts. `runs` with counts; `complete` whether the kernel dropped no packet of any capture
 (`kernel_drops`); `total_bytes` on the ping's interfaces, both ways, headers from Ethernet's on; `payload_bytes` of all
@@ -32,7 +35,9 @@ messages and replies of the runs, the warm-up included; `again_bytes_share` of t
 with a record, of which `again_messages` were sent again, on either way, half of them after `resent_after_p50_ns` and
 `waited_heartbeats_p50` heartbeats of their writer; `requests` for something again; `match_p50_ns` from a participant's first
 announcement to the first echo, median of the runs; `discovery_*` SPDP, SEDP and liveliness; `reassembly_failed` and
-`udp_receive_buffer_full` datagrams of both devices; `tcp_again_bytes` TCP payload sent again; `shared_counts` of a relay's
+`udp_receive_buffer_full` datagrams of both devices; `tcp_again_bytes` TCP payload sent again, in
+`tcp_retransmitted_segments` by the kernel's `TCP_INFO`, with medians of the smoothed round-trip times and of the congestion windows
+(segments) of the ping's connections at the end of its runs, null without TCP; `shared_counts` of a relay's
 capture that are of other groups' runs as well, and of which nothing but `kernel_drops` counts here."""
 
 WIRE_CLASS_SCHEMA: dict[str, type[pl.DataType]] = {

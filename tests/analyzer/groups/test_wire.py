@@ -101,6 +101,29 @@ def test_what_the_relays_capture_counted_is_added_once(tmp_path):
     assert (row["kernel_drops"], row["complete"]) == (7, False)
 
 
+def test_how_tcp_connections_fared(tmp_path):
+    def connection(retransmitted, rtt_us, window, sent=1):
+        return {
+            "retransmitted_segments": retransmitted,
+            "rtt_us": rtt_us,
+            "congestion_window": window,
+            "bytes_sent": sent,
+        }
+
+    counts = {**COUNTS, "tcp": [connection(3, 200, 10), connection(1, 400, 20), connection(50, 9, 9, sent=0)]}
+    (row,) = analyze(
+        folder_of(tmp_path, relay_wire=[of_relay(tcp=[connection(2, 900, 99)])], counts=counts)
+    ).details.wire.to_dicts()
+    assert row["tcp_retransmitted_segments"] == 3 + 1 + 2
+    assert (row["tcp_rtt_p50_ns"], row["tcp_congestion_window_p50"]) == (300_000, 15)
+
+
+def test_without_tcp_nothing_is_said_of_its_connections(tmp_path):
+    (row,) = analyze(folder_of(tmp_path)).details.wire.to_dicts()
+    assert row["tcp_retransmitted_segments"] == 0
+    assert (row["tcp_rtt_p50_ns"], row["tcp_congestion_window_p50"]) == (None, None)
+
+
 def two_runs(tmp_path, run_ids, **of_second):
     """Two runs of a ping with a capture each, and counts of the relay's capture over `run_ids`."""
     described = [
@@ -162,7 +185,7 @@ def test_on_loopback_both_captures_have_a_message_and_it_counts_once(tmp_path):
 def test_without_the_wire_the_frames_are_empty(tmp_path):
     details = analyze(folder_of(tmp_path, counts=None)).details
     assert (details.wire.height, details.wire_classes.height, details.wire_repeats.height) == (0, 0, 0)
-    assert details.wire.width == 20
+    assert details.wire.width == 23
 
 
 @pytest.mark.parametrize("counts", [7, [], {"classes": 3, "ip": [], "duration_s": "long"}, {"classes": [1]}])

@@ -13,6 +13,7 @@ there are cosines.
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +34,9 @@ a correlation of 0.95 in 97 and 96, in bursts of 20 that hold one message in twe
 EPISODE_GAP_SHARE = 0.05
 """Two rare events closer than this share of their mean distance are one episode. Independent events are counted one
 in twenty too few; events in a burst of which every second message is slow are still one."""
+
+LEAST_GAP = 1.5
+"""Messages that the least gap between episodes has: with one, the jitter of a sender would cut a burst in pieces."""
 
 _CELLS = (
     1024  # neighbours are added up in at most this many cells: the twelfth cosine has 170 of them a period
@@ -94,6 +98,33 @@ def _cosines(cells: int) -> Float64:
     return np.asarray(waves)
 
 
+def positions_of(places: NDArray[np.intp], messages: int, sent_ns: Int64 | None = None) -> Float64:
+    """Return when events happened, float64, in mean distances of the messages since the first one; shape (events,).
+
+    Args:
+        places: of the messages that count, 0 ... messages - 1, rising, shape (events,).
+        messages: length of the series.
+        sent_ns: when each message of the series was sent, int64 ns, rising; None where they are equally far apart.
+    """
+    if sent_ns is None or not len(places):
+        return places.astype(np.float64)
+    step = float(sent_ns[-1] - sent_ns[0]) / max(1, messages - 1)
+    since_ns = (sent_ns[places] - sent_ns[0]).astype(np.float64)
+    return np.asarray(since_ns / (step or 1.0))
+
+
+def episode_ends(positions: Float64, gap: float) -> NDArray[np.intp]:
+    """Return the place in `positions` of the last event of each episode; shape (episodes,).
+
+    Args:
+        positions: of the events, rising, shape (events,).
+        gap: the next event ends an episode if it is farther away.
+    """
+    if not len(positions):
+        return np.empty(0, np.intp)
+    return np.append(np.flatnonzero(np.diff(positions) > gap), len(positions) - 1)
+
+
 def episode_sizes(places: NDArray[np.intp], messages: int, sent_ns: Int64 | None = None) -> Int64:
     """Return the number of events in each episode of a series, in the order of time.
 
@@ -108,16 +139,33 @@ def episode_sizes(places: NDArray[np.intp], messages: int, sent_ns: Int64 | None
         messages: length of the series.
         sent_ns: when each message of the series was sent, int64 ns, rising; None where they are equally far apart.
     """
-    if not len(places):
-        return np.empty(0, np.int64)
-    times = places if sent_ns is None else sent_ns[places]
-    step = 1.0 if sent_ns is None else float(sent_ns[-1] - sent_ns[0]) / max(1, messages - 1)
-    gap = max(EPISODE_GAP_SHARE * messages / len(places), 1 + 1e-9) * step
-    ends = np.flatnonzero(np.diff(times) > gap)
-    return np.diff(np.concatenate([[-1], ends, [len(places) - 1]]))
+    positions = positions_of(places, messages, sent_ns)
+    return sizes_at(positions, gap_of(len(places), messages, EPISODE_GAP_SHARE))
 
 
-def equal_episodes(sizes: Int64) -> int | None:
+def gap_of(events: int, messages: int, share: float) -> float:
+    """Return a share of the events' mean distance in messages, `LEAST_GAP` at least; infinite without an event."""
+    return max(share * messages / events, LEAST_GAP) if events else np.inf
+
+
+def sizes_at(positions: Float64, gap: float) -> Int64:
+    """Return the number of events in each episode at a gap; see `episode_ends`."""
+    return np.diff(episode_ends(positions, gap), prepend=-1)
+
+
+def independent_squares(events: int, messages: int, gap: float) -> float:
+    """Return the mean squared size over the mean size of the episodes that independent events form at a gap.
+
+    An event is followed by another within a gap of g messages with the probability `p = 1 - (1 - share)^g`, so that sizes
+    are geometric: `(1 + p) / (1 - p)`. 1 without an event and with nothing but events.
+    """
+    if not 0 < events < messages:
+        return 1.0
+    followed = 1 - (1 - events / messages) ** math.floor(gap)
+    return (1 + followed) / (1 - followed)
+
+
+def equal_episodes(sizes: Int64, squares: Float64 | None = None) -> int | None:
     """Return how many episodes of equal size make a count vary as much as episodes of these sizes do.
 
     The number of events is a compound Poisson variable: its variance is that of the number of episodes times their
@@ -126,8 +174,13 @@ def equal_episodes(sizes: Int64) -> int | None:
 
     Args:
         sizes: events in each episode, shape (episodes,).
+        squares: what the square of each size is divided by (`independent_squares`), shape (episodes,); None for 1.
 
     Returns:
-        The nearest whole number; None without an event.
+        The nearest whole number, no more than events; None without an event.
     """
-    return round(float(sizes.sum()) ** 2 / float(np.square(sizes).sum())) if len(sizes) else None
+    if not len(sizes):
+        return None
+    events = float(sizes.sum())
+    spread = float((np.square(sizes) / (1.0 if squares is None else squares)).sum())
+    return round(min(events, events**2 / spread))

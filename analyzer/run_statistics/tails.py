@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..statistics.intervals import RUNS_TO_TELL
-from .bursts import episode_sizes, equal_episodes, share_inflation
+from .bursts import equal_episodes, gap_of, independent_squares, positions_of, share_inflation, sizes_at
+from .long_bursts import bursts_to_count, level_below
 from .runs import Statistic
 
 if TYPE_CHECKING:
@@ -26,6 +27,14 @@ LIKELY = 0.95
 _MEDIAN = Statistic(0.5)
 
 
+TAIL_GAP_SHARE = 0.5
+"""Two messages of a tail closer than this share of their mean distance are one episode. Two in five independent ones are,
+which is counted back (`bursts.independent_squares`). With `EPISODE_GAP_SHARE`, an excursion of correlated neighbours that
+comes back twice counts as three: at a correlation of 0.95, p99 of one run of 5000 had both ends in 10 of 100 samples,
+of which 80 % held the truth; with this it has them in 60, of which 92 % do. Of 1000 independent messages 84 in 100 have both
+ends instead of 65, because one pair by chance is not one episode less."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Tail:
     """The messages of one run beyond a quantile of its group.
@@ -34,11 +43,17 @@ class Tail:
         messages: how many.
         sizes: int64, messages in each episode that they came in.
         inflation: variance of their share divided by that of independent messages.
+        squares: mean squared size of an episode over its mean size, of as many independent messages.
+        rows: unbroken rows that they came in; None for as many as there are episodes.
+        bursts: bursts that the whole group's tail rests on, if they are fewer than ten; None where they do not limit it.
     """
 
     messages: int
     sizes: Int64
     inflation: float
+    squares: float = 1.0
+    rows: int | None = None
+    bursts: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,30 +94,65 @@ def tails_of(runs: Sequence[Run], quantile: float) -> list[Tail]:
         quantile: between 0 and 1, both excluded.
     """
     levels = levels_of(runs)
+    beyond = _places_beyond(runs, levels, quantile)
+    positions = _positions(runs, beyond)
+    below = level_below(quantile)
+    bursts = None
+    if below is not None:
+        wider = _positions(runs, _places_beyond(runs, levels, below))
+        bursts = bursts_to_count(wider, positions, sum(map(len, runs)))
+    return [
+        _tail(run, places, of_run, bursts)
+        for run, places, of_run in zip(runs, beyond, positions, strict=True)
+    ]
+
+
+def _places_beyond(runs: Sequence[Run], levels: Levels, quantile: float) -> list[NDArray[np.intp]]:
     threshold = threshold_of(runs, levels, quantile)
-    tails = []
-    for run, level in zip(runs, levels.of_runs, strict=True):
-        places = np.flatnonzero(threshold.is_beyond(levels.relative(run.values, level)))
-        sizes = episode_sizes(places, len(run), run.sent_ns)
-        tails.append(Tail(len(places), sizes, share_inflation(places, len(run))))
-    return tails
+    return [
+        np.flatnonzero(threshold.is_beyond(levels.relative(run.values, level)))
+        for run, level in zip(runs, levels.of_runs, strict=True)
+    ]
+
+
+def _positions(runs: Sequence[Run], places: Sequence[NDArray[np.intp]]) -> list[NDArray[np.float64]]:
+    return [positions_of(of_run, len(run), run.sent_ns) for run, of_run in zip(runs, places, strict=True)]
+
+
+def _tail(run: Run, places: NDArray[np.intp], positions: NDArray[np.float64], bursts: int | None) -> Tail:
+    gap = gap_of(len(places), len(run), TAIL_GAP_SHARE)
+    return Tail(
+        messages=len(places),
+        sizes=sizes_at(positions, gap),
+        inflation=share_inflation(places, len(run)),
+        squares=independent_squares(len(places), len(run), gap),
+        rows=len(sizes_at(positions, gap_of(len(places), len(run), 0))),
+        bursts=bursts,
+    )
 
 
 def episodes_of(tails: Sequence[Tail]) -> int | None:
     """Return how many episodes of equal size the messages beyond a quantile are worth; None without such a message.
 
-    From the sizes of the episodes within the runs; but no more than the runs themselves make likely. If E episodes fall
-    on R runs by chance, the squared coefficient of variation of the messages that each run has beyond is about R / E.
-    Bursts that a gap cut in pieces, or that half of the runs do not have, show there: the limit is the E for which
-    so large a variation still has a probability of 5 % (chi-square with R - 1 degrees, by E. Wilson and M. Hilferty's
-    cube, 1931).
+    From the sizes of the episodes within the runs, as many as independent messages that vary as much; but no more than
+    there are unbroken rows of messages, no more than the bursts where these are few (`long_bursts`), and no more than the
+    runs themselves make likely. If E episodes fall on R runs by chance, the squared coefficient of variation of the
+    messages that each run has beyond is about R / E. Bursts that a gap cut in pieces, or that half of the runs do not have,
+    show there: the limit is the E for which so large a variation still has a probability of 5 % (chi-square with R - 1
+    degrees, by E. Wilson and M. Hilferty's cube, 1931).
 
     Args:
         tails: of all runs of the group.
     """
-    equal = equal_episodes(np.concatenate([tail.sizes for tail in tails]))
+    squares = np.repeat([tail.squares for tail in tails], [len(tail.sizes) for tail in tails])
+    equal = equal_episodes(np.concatenate([tail.sizes for tail in tails]), squares)
+    if equal is None:
+        return None
+    equal = min(equal, sum(len(tail.sizes) if tail.rows is None else tail.rows for tail in tails))
+    if tails[0].bursts is not None:
+        equal = min(equal, tails[0].bursts)
     messages = np.array([tail.messages for tail in tails])
-    if equal is None or len(tails) < RUNS_TO_TELL or not messages.var():
+    if len(tails) < RUNS_TO_TELL or not messages.var():
         return equal
     variation = float(messages.var(ddof=1)) / float(messages.mean()) ** 2
     ninth = 2 / (9 * (len(tails) - 1))

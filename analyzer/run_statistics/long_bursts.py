@@ -35,6 +35,10 @@ goes on by chance, and an interval covers the bursts that are in it."""
 CHANCE = 0.01
 """Probability that independent messages have a row that is taken for a burst."""
 
+BURSTS_TO_TELL = EPISODES_TO_TELL - 1
+"""Bursts that do not limit a tail any more. One less than the episodes it needs, because the shortest are not seen: of bursts
+of twenty messages one in five is no longer than five, which chance makes as well."""
+
 LEAST_PART = 0.1
 """Bursts that hold a smaller part of a tail do not decide it."""
 
@@ -49,7 +53,7 @@ def level_below(quantile: float) -> float | None:
 
 
 def bursts_to_count(below: Sequence[Float64], beyond: Sequence[Float64], messages: int) -> int | None:
-    """Return how many bursts a tail rests on, if they are fewer than `EPISODES_TO_TELL`; None where bursts do not limit it.
+    """Return how many bursts a tail rests on, if they are fewer than `BURSTS_TO_TELL`; None where bursts do not limit it.
 
     A burst is a row of messages longer than independent messages would have with a probability of `CHANCE`. Rows that
     go on by themselves, as those of neighbours that correlate do, are no bursts of their own kind: one of the rows has to
@@ -73,7 +77,7 @@ def bursts_to_count(below: Sequence[Float64], beyond: Sequence[Float64], message
         longest = _longest_row(len(sizes), probability)
         kept = [_joined_rows(of_run, longest, gap, messages) for of_run in rows]
         count, inside = sum(len(first) for first, _ in kept), _inside(kept, beyond)
-        if not 0 < count < EPISODES_TO_TELL or inside < LEAST_PART * sum(map(len, beyond)):
+        if not 0 < count < BURSTS_TO_TELL or inside < LEAST_PART * sum(map(len, beyond)):
             return None
         bursts = count if bursts is None else bursts
     return bursts

@@ -45,7 +45,7 @@ class Tail:
         inflation: variance of their share divided by that of independent messages.
         squares: mean squared size of an episode over its mean size, of as many independent messages.
         rows: unbroken rows that they came in; None for as many as there are episodes.
-        bursts: bursts that the whole group's tail rests on, if they are fewer than ten; None where they do not limit it.
+        bursts: bursts that the whole group's tail rests on, if they are few (`long_bursts`); None where they do not limit it.
     """
 
     messages: int

@@ -57,3 +57,19 @@ def test_a_missed_bar_is_named(coverage):
     verdicts = coverage.Verdicts(pairs=1000, false_verdicts=120, false_gates=10)
     cell = coverage.Cell(scenario, 3, 1000, {0.5: narrow, 0.9: good}, coverage.Intervals(), {0.5: verdicts})
     assert list(cell.missed()) == ["p50 held in 85.0%", "p50: 12.0% false verdicts"]
+
+
+@pytest.mark.parametrize(
+    ("name", "messages", "printed", "is_missed"),
+    [
+        ("independent", 1000, 51, True),  # one sample in twenty has both ends
+        ("independent", 1000, 49, False),
+        ("bursts of 20, 2 %", 5000, 1000, True),  # five bursts on average: one sample in 150 has none
+        ("bursts of 20, 2 %", 4000, 1000, False),
+    ],
+)
+def test_what_cannot_be_known_is_not_asked(coverage, name, messages, printed, is_missed):
+    (scenario,) = (scenario for scenario in coverage.SCENARIOS if scenario.name == name)
+    wrong = coverage.Intervals(samples=1000, printed=printed, held=printed // 2, wrong=printed - printed // 2)
+    cell = coverage.Cell(scenario, 1, messages, {0.99: wrong}, coverage.Intervals(), {})
+    assert bool(list(cell.missed())) == is_missed

@@ -49,9 +49,9 @@ def test_bursts_of_all_runs_count_together():
     assert bursts_to_count(runs, [301.0 + np.arange(8), np.empty(0), np.empty(0)], 3 * MESSAGES) == 2
 
 
-def test_ten_bursts_do_not_limit_a_tail():
-    rows = [(101 + 190 * burst, 8) for burst in range(10)]
-    assert bursts_to_count([below_with(*rows[:9])], [below_with(*rows[:9])], MESSAGES) == 9
+def test_nine_bursts_do_not_limit_a_tail():
+    rows = [(101 + 200 * burst, 8) for burst in range(9)]
+    assert bursts_to_count([below_with(*rows[:8])], [below_with(*rows[:8])], MESSAGES) == 8
     assert bursts_to_count([below_with(*rows)], [below_with(*rows)], MESSAGES) is None
 
 

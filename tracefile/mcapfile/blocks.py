@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 BLOCK_BYTES = 2 << 20
 """Size up to which small chunks are handled together, so that their number costs no more than their bytes."""
 
-BLOCK_STEPS = 60
+BLOCK_STEPS = 120
 """Time that a block costs beside its records, in those of stepping over one."""
 
 CHUNK_STEPS = 40

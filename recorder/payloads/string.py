@@ -7,8 +7,6 @@ import string
 import struct
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from dds_trace.tracefile import OptionError
 
 from .base import MAX_HELD_BYTES, DataType, Form, Message, Payload, check_stop
@@ -24,7 +22,7 @@ if TYPE_CHECKING:
 PAPER_BYTES = (4, 91, 1405, 2675)
 DEFAULT_BYTES = PAPER_BYTES[1]
 MAX_BYTES = MAX_HELD_BYTES  # within the four bytes of the length of `data`
-_ALPHABET = np.frombuffer((string.ascii_letters + string.digits).encode(), np.uint8)
+_ALPHABET = (string.ascii_letters + string.digits).encode()
 _PIECE_BYTES = 1 << 20
 _UINT32 = struct.Struct("<I")
 
@@ -49,13 +47,16 @@ def _letters(size: int, seed: int, stop: threading.Event | None) -> Iterator[byt
 
     Python and numpy draw the same numbers from the same state of the Mersenne Twister.
     """
+    import numpy as np  # noqa: PLC0415 - the help of every command reads this module, and needs no numpy
+
+    alphabet = np.frombuffer(_ALPHABET, np.uint8)
     *words, position = random.Random(seed).getstate()[1]  # noqa: S311 - reproducible noise, no secret
     draw = np.random.RandomState()
     draw.set_state(("MT19937", np.array(words, np.uint32), position, 0, 0.0))
     for begin in range(0, size, _PIECE_BYTES):
         check_stop(stop)
-        places = draw.random_sample(min(_PIECE_BYTES, size - begin)) * len(_ALPHABET)
-        yield _ALPHABET[places.astype(np.intp)].tobytes()
+        places = draw.random_sample(min(_PIECE_BYTES, size - begin)) * len(alphabet)
+        yield alphabet[places.astype(np.intp)].tobytes()
 
 
 def payload_bytes_of(message: RawMessage) -> int:

@@ -133,7 +133,7 @@ def interval_of_runs(runs: Sequence[Run], statistic: Statistic, confidence: floa
     `EPISODES_TO_TELL` episodes.
 
     The cost is one sort of each run and a few passes for each statistic, processor time of 1 M messages in ten runs: 10 ms
-    for the sort and 7 to 11 ms for each statistic, 50 ms more for the first one in memory that is touched anew.
+    for the sort and 7 to 15 ms for each statistic, 50 ms more for the first one in memory that is touched anew.
 
     Args:
         runs: in the order of time.

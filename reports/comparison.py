@@ -97,10 +97,11 @@ def family_words(*, gated: bool) -> str:
 
 
 def comparison_notes(comparison: Comparison) -> list[str]:
-    """Return what makes the sides unlike or unfit: what was asked for, environments, and findings of severity error."""
+    """Return what makes the sides unlike or unfit: what was asked for, environments, order in time, and findings of severity error."""
     return [
         *(f"Measured in turns: {visible(text, MAX_FINDING_CHARACTERS)}" for text in comparison.asked),
         *(f"Unlike environments: {visible(text, MAX_FINDING_CHARACTERS)}" for text in comparison.environment),
+        *([f"Order: {comparison.order}"] if comparison.order else []),
         *(
             f"Finding of severity error: {visible(error.text, MAX_FINDING_CHARACTERS)}"
             for error in comparison.errors

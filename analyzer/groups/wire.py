@@ -163,9 +163,7 @@ def _add_ping(sums: _Sums, counts: JsonObject) -> None:
     for connection in _connections(counts):
         sums.tcp_rtts_ns.append(_number(connection.get("rtt_us")) * 1000)
         sums.tcp_windows.append(_number(connection.get("congestion_window")))
-    classes = counts.get("classes")
-    for each in classes if isinstance(classes, list) else ():
-        of_class = _object(each)
+    for of_class in _classes(counts):
         name = str(of_class.get("name"))
         sums.bytes[name] += int(_number(of_class.get("bytes")))
         sums.packets[name] += int(_number(of_class.get("packets")))
@@ -173,12 +171,26 @@ def _add_ping(sums: _Sums, counts: JsonObject) -> None:
 
 
 def _add_relay(sums: _Sums, counts: JsonObject, *, is_shared: bool) -> None:
-    """Add what a relay's capture counted; of several groups together nobody knows whose it was, but for what it missed."""
+    """Add what a relay's capture counted, as far as it is of this group alone and the ping's capture has not counted it."""
     if is_shared:
         sums.shared_counts += 1
+    if is_shared or _is_local(counts):
         sums.counters["kernel_drops"] += int(_number(counts.get("kernel_drops")))
     else:
         _add_counters(sums, counts)
+
+
+def _is_local(counts: JsonObject) -> bool:
+    """Return whether most bytes went over the loopback interface: ping and relay then have the same packets and kernel."""
+    bytes_by_direction: Counter[str] = Counter()
+    for of_class in _classes(counts):
+        bytes_by_direction[str(of_class.get("direction"))] += int(_number(of_class.get("bytes")))
+    return 2 * bytes_by_direction[Direction.LOCAL.name.lower()] > bytes_by_direction.total()
+
+
+def _classes(counts: JsonObject) -> list[JsonObject]:
+    classes = counts.get("classes")
+    return [_object(each) for each in classes] if isinstance(classes, list) else []
 
 
 def _add_counters(sums: _Sums, counts: JsonObject) -> None:

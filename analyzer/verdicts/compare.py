@@ -30,6 +30,7 @@ from .sides import (
     environment_differences,
     environment_of_group,
     errors_of,
+    recorded_apart,
 )
 from .strata import replaced_devices, with_devices
 from .turns import asked_differences, own_groups, partner_keys, with_partners
@@ -172,6 +173,7 @@ class Comparison:
         deliveries: of each row of `delivery`, likewise.
         environment: differences between the environments of the two sides, a sentence each.
         asked: in what groups that were measured in turns were asked for unlike things, a sentence for each.
+        order: a sentence if one side was recorded wholly before the other, else an empty text.
         errors: findings of severity error of either side.
         barred: groups (match columns) of either side in which a setting was not applied; no gate passes or fails on one.
         known: group (match columns) of either side -> the match columns of its rows above, in which a relay without a
@@ -189,6 +191,7 @@ class Comparison:
     errors: tuple[SideError, ...] = ()
     barred: frozenset[Key] = frozenset()
     asked: tuple[str, ...] = ()
+    order: str = ""
     known: Mapping[Key, Key] = field(default_factory=dict)
 
 
@@ -260,6 +263,7 @@ def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | Non
         barred=frozenset(barred),
         environment=difference_sentences(differences),
         asked=asked_differences(of_partners, match),
+        order=recorded_apart(base.sessions, new.sessions),
         errors=(
             *errors_of("base", base.findings, groups_of(base.summary, {})),
             *errors_of("new", new.findings, groups_of(new.summary, names)),

@@ -137,6 +137,21 @@ def _listed(values: frozenset[str]) -> str:
     return first + (f" and {counted(len(others), 'other')}" if others else "")
 
 
+def recorded_apart(base: Iterable[Session], new: Iterable[Session]) -> str:
+    """Return a sentence if one side was recorded wholly before the other began, by their wall clocks; else an empty text.
+
+    Runs of one side are then alike in what changes with time (other load, temperature), which no spread between them shows.
+    """
+    before, after = ([each.wall_anchor_ns for each in side if each.role == "ping"] for side in (base, new))
+    if not before or not after or (min(before) <= max(after) and min(after) <= max(before)):
+        return ""
+    first, second = ("base", "new side") if max(before) < min(after) else ("new side", "base")
+    return (
+        f"the {first} was recorded before the {second}: a machine that changes with time looks like a change; "
+        "`dds-sweep --against` measures them in turns."
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class SideError:
     """A finding of severity error of one side.

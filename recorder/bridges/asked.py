@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from dds_trace.tracefile import OptionError
+
+from ..backends import load_backend
 from .base import load_bridge
 from .options import BRIDGED_TOPICS, BridgedTopic, BridgeOptions
 from .process.running import open_bridge
@@ -25,14 +28,19 @@ def open_asked_bridge(
         The bridge, or None if the options name none or say that it runs already.
 
     Raises:
-        OptionError: there is no such bridge, or it does not support the options.
+        OptionError: there is no such bridge, or it does not support the options or the backend.
         BackendUnavailableError: its program is not on this machine.
         BridgeError: it did not come up.
     """
     if asked.bridge == "none":
         return None
+    # Also of one that runs already: the trace keeps its name.
+    if load_bridge(asked.bridge).needs_ros_nodes and not load_backend(options.backend).has_ros:
+        raise OptionError(
+            f"--bridge {asked.bridge}: it knows nodes by ros_discovery_info, which those of the backend {options.backend} do "
+            "not publish; use --backend ros2, or zenoh-bridge-dds"
+        )
     if asked.bridge_running:
-        load_bridge(asked.bridge)  # the trace keeps its name, so there must be one
         return None
     node = options.node
     topic = BridgedTopic(data_type.topic, data_type.type_name)

@@ -70,6 +70,10 @@ class Bridge(Protocol):
     def up_pattern(self) -> str | None:
         """Regular expression of the log line that says the bridge serves; None if its log has no such line."""
 
+    @property
+    def needs_ros_nodes(self) -> bool:
+        """Whether it knows nodes by what ROS 2 alone publishes, `ros_discovery_info`; plain DDS programs do not cross it."""
+
     def configuration(self, options: BridgeOptions) -> str:
         """Return the text of the configuration file, from `options` alone."""
 

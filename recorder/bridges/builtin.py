@@ -41,6 +41,7 @@ class BuiltinBridge:
     halves: Halves = Halves.NEVER
     suffix: str = ".json"
     up_pattern: str | None = f"^{UP_LINE}"
+    needs_ros_nodes: bool = False
 
     def configuration(self, options: BridgeOptions) -> str:
         """Return the options as JSON; the program needs nothing else."""

@@ -49,6 +49,7 @@ class BuiltinZenohBridge:
     halves: Halves = Halves.ALWAYS
     suffix: str = ".json"
     up_pattern: str | None = f"^{UP_LINE}"
+    needs_ros_nodes: bool = False
 
     def configuration(self, options: BridgeOptions) -> str:
         """Return the options as JSON; the program needs nothing else."""

@@ -38,6 +38,7 @@ class DdsRouter:
     halves: Halves = Halves.OPTIONAL
     suffix: str = ".yaml"
     up_pattern: str | None = "DDS Router running"
+    needs_ros_nodes: bool = False
 
     def configuration(self, options: BridgeOptions) -> str:
         """Return YAML: the allowed topics with their quality of service, a participant for each domain, and the link."""

@@ -32,6 +32,7 @@ class DomainBridge:
     halves: Halves = Halves.NEVER
     suffix: str = ".yaml"
     up_pattern: str | None = None
+    needs_ros_nodes: bool = False
 
     def configuration(self, options: BridgeOptions) -> str:
         """Return YAML: each topic with its type, its direction and the quality of service of its two ends."""

@@ -36,6 +36,7 @@ class IntegrationService:
     halves: Halves = Halves.NEVER
     suffix: str = ".yaml"
     up_pattern: str | None = None
+    needs_ros_nodes: bool = False
 
     def configuration(self, options: BridgeOptions) -> str:
         """Return YAML: a ROS 2 system for each domain, a route each way, each topic on its route."""

@@ -47,6 +47,7 @@ class RoutingService:
     halves: Halves = Halves.NEVER
     suffix: str = ".xml"
     up_pattern: str | None = "RTI Routing Service .*executing"
+    needs_ros_nodes: bool = False
 
     def configuration(self, options: BridgeOptions) -> str:
         """Return XML: the types, and a domain route with a session each way and a topic route for each topic."""

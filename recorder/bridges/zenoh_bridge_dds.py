@@ -37,6 +37,7 @@ class ZenohBridgeDds:
     halves: Halves = Halves.ALWAYS
     suffix: str = ".json5"
     up_pattern: str | None = None
+    needs_ros_nodes: bool = False
 
     def configuration(self, options: BridgeOptions) -> str:
         """Return JSON, which is JSON5: the domain, the allowed topics, and the addresses at which the halves meet."""

@@ -37,6 +37,7 @@ class ZenohBridgeRos2dds:
     halves: Halves = Halves.ALWAYS
     suffix: str = ".json5"
     up_pattern: str | None = None
+    needs_ros_nodes: bool = True
 
     def configuration(self, options: BridgeOptions) -> str:
         """Return JSON, which is JSON5: the domain, the topics of each direction, and the addresses of the halves."""

@@ -721,7 +721,8 @@ def over_a_lossy_wire() -> Analysis:
     }
     wire = [
         {**counts, "group": 0, "complete": False, "kernel_drops": 3, "bytes_per_payload_byte": 1.5},
-        {**counts, "group": 1, "complete": True, "bytes_per_payload_byte": 1.1, "match_p50_ns": 4e7},
+        {**counts, "group": 1, "complete": True, "bytes_per_payload_byte": 1.1, "match_p50_ns": 4e7}
+        | {"tcp_rtt_p50_ns": None},
     ]
     classes = [
         {"group": group, "wire_class": name, "packets": 5, "bytes": round(100_000 * share), "share": share}

@@ -28,6 +28,7 @@ class ToyBridge:
     halves: Halves = Halves.NEVER
     suffix: str = ".toy"
     up_pattern: str | None = "^bridging toys"
+    needs_ros_nodes: bool = False
 
     def configuration(self, options):
         return options_to_json(options)

@@ -101,6 +101,15 @@ def test_what_the_relays_capture_counted_is_added_once(tmp_path):
     assert (row["kernel_drops"], row["complete"]) == (7, False)
 
 
+def test_over_loopback_one_kernel_counts_for_both_and_the_ping_tells_it(tmp_path):
+    local = [{"name": "data", "direction": "local", "packets": 40, "bytes": 660_000}]
+    both = COUNTS | {"classes": local}
+    wire = [of_relay(classes=local, kernel_drops=7, tcp_again_bytes=9)]
+    (row,) = analyze(folder_of(tmp_path, relay_wire=wire, counts=both)).details.wire.to_dicts()
+    assert (row["requests"], row["reassembly_failed"], row["tcp_again_bytes"]) == (2, 1, 0)
+    assert (row["kernel_drops"], row["complete"]) == (7, False)
+
+
 def test_how_tcp_connections_fared(tmp_path):
     def connection(retransmitted, rtt_us, window, sent=1):
         return {

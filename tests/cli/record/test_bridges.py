@@ -31,6 +31,16 @@ def test_a_bridge_that_runs_already_is_left_alone(domains, tmp_path):
     assert "bridge" not in last_json(out, "session")
 
 
+def test_nodes_without_ros_discovery_info_are_refused_a_bridge_that_needs_it(domain_id, tmp_path):
+    done = ping(
+        *(domain_id, tmp_path / "ping.mcap", "--backend", "socket", *DATA),
+        *("--bridge", "zenoh-bridge-ros2dds", "--relay-domain", domain_id + 1),
+    )
+    assert done.status == 2
+    assert "ros_discovery_info, which those of the backend socket do not publish" in done.stderr
+    assert not (tmp_path / "ping.mcap").exists()
+
+
 @pytest.mark.skipif(find_spec("zenoh") is None, reason="eclipse-zenoh is not installed")
 def test_each_device_has_its_half(domains, tmp_path):
     near, far, out = domains.take(), domains.take(), tmp_path / "ping.mcap"

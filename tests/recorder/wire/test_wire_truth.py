@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import os
+import shutil
+import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from lossy_link import SUPPORT, lossy_link, record_watched, running_session
+from lossy_link import SUPPORT, lossy_link, record_watched, running_session, wait_for
 from namespaces import needs_namespaces
 from record_reader import events_of
 from wire_truth import truth_of
@@ -170,6 +173,54 @@ def test_cyclones_own_statistics_agree(tmp_path, count, size, unit_bytes):
     assert again > 5
     assert again == within(0.01, truth_of(link.log, 0).again)
     assert again * unit_bytes == within(0.01, int(said))
+
+
+@pytest.fixture(scope="module")
+def fastdds_statistics(tmp_path_factory):
+    """The listener for the statistics topics, built by cargo."""
+    if shutil.which("cargo") is None:
+        pytest.skip("no cargo here to build the listener with")
+    folder = SUPPORT / "fastdds_statistics"
+    target = tmp_path_factory.mktemp("target")
+    built = subprocess.run(
+        ["cargo", "build", "--release", "--quiet", "--manifest-path", folder / "Cargo.toml"],
+        env={**os.environ, "CARGO_TARGET_DIR": str(target)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if built.returncode != 0:
+        pytest.skip(f"the listener cannot be built: {built.stderr.splitlines()[-1:]}")
+    return target / "release" / "fastdds-statistics"
+
+
+def test_fast_dds_own_statistics_agree(tmp_path, fastdds_statistics):
+    pytest.importorskip("rclpy")
+    program = Path(sys.executable).with_name("dds-record")
+    names = ("RESENT_DATAS", "DATA_COUNT", "HEARTBEAT_COUNT", "ACKNACK_COUNT", "NACKFRAG_COUNT")
+    variable = "FASTDDS_STATISTICS=" + ";".join(f"{name}_TOPIC" for name in names)
+    both, heard = ("--backend", "ros2", "--domain", 30), tmp_path / "heard"
+    with lossy_link(tmp_path, loss=0.03) as link:
+        relay = (program, "--role", "relay", *both, "--out", tmp_path / "relay.mcap")
+        listener = ("sh", "-c", f'exec "$0" 30 >{heard}', fastdds_statistics)
+        with running_session(link, 1, *relay) as session, running_session(link, 0, *listener):
+            wait_for(session, "serves domain")
+            more = ("--size", "10KB", "--messages", 290, "--warmup", 10, "--rate", 40, "--wait", 60)
+            ping = (program, "--role", "ping", *both, "--out", tmp_path / "ping.mcap", *more)
+            link.watch(0, OPTIONS, tmp_path / "ping", "env", variable, *ping)
+        link.stop()
+    counts = WireCounts.from_dict(json.loads((tmp_path / "ping.json").read_text()))
+    own = {tuple(line.split()[:2]): int(line.split()[2]) for line in heard.read_text().splitlines()[1:]}
+
+    def counted(topic):
+        """Of all writers or readers of user topics, whose ids end in 03 and 04."""
+        return sum(count for (name, entity), count in own.items() if name == topic and entity[-2:] in ("03", "04"))
+
+    again = fragments_again(counts)
+    assert again > 20
+    assert counted("resent_datas") == within(0.01, again)
+    first = sum(one.fragments for one in sent(counts, "data", "data_frag"))
+    assert counted("data_count") == within(0.01, first + again)
 
 
 def test_a_flow_of_100_mbit_s_is_followed_whole(tmp_path):

@@ -77,4 +77,4 @@ fuzz seconds="600": setup
 
 # Draw the stored reports of docs/results/ with their figures again: out/results/*.html
 results: setup
-    {{bin}}/python scripts/stored_report.py open docs/results/*/report.html --out out/results
+    {{bin}}/python scripts/stored_report.py open docs/results/*/report.html.gz --out out/results

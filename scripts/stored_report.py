@@ -1,7 +1,7 @@
-"""HTML reports as `docs/results/` keeps them: without plotly.js, which is most of a page and is installed anyway.
+"""HTML reports as `docs/results/` keeps them: compressed and without plotly.js, most of a page, which is installed anyway.
 
-    python scripts/stored_report.py keep out/sizes/report.html docs/results/sizes/report.html
-    python scripts/stored_report.py open docs/results/*/report.html --out out/results
+    python scripts/stored_report.py keep out/loopback/report.html docs/results/loopback/report.html.gz
+    python scripts/stored_report.py open docs/results/*/report.html.gz --out out/results
 
 `open` puts the installed plotly.js back, so that each page is one file again that works offline.
 """
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import base64
+import gzip
 import hashlib
 import re
 import sys
@@ -72,21 +73,20 @@ def main() -> int:
     given = parser.parse_args()
     try:
         if given.action == "keep":
-            _write(given.stored, keep(given.page.read_text(encoding="utf-8")))
+            kept = keep(given.page.read_text(encoding="utf-8"))
+            given.stored.parent.mkdir(parents=True, exist_ok=True)
+            given.stored.write_bytes(gzip.compress(kept.encode(), mtime=0))
             return 0
         for stored in given.stored:
             page = given.out / f"{stored.parent.name}.html"
-            _write(page, put_back(stored.read_text(encoding="utf-8")))
+            whole = put_back(gzip.decompress(stored.read_bytes()).decode())
+            page.parent.mkdir(parents=True, exist_ok=True)
+            page.write_text(whole, encoding="utf-8", newline="\n")
             print(page)
     except (OSError, ValueError) as err:
         print(f"stored_report: {given.page if given.action == 'keep' else stored}: {err}", file=sys.stderr)
         return 1
     return 0
-
-
-def _write(path: Path, text: str) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text, encoding="utf-8", newline="\n")
 
 
 if __name__ == "__main__":

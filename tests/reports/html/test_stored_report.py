@@ -1,6 +1,7 @@
 """The pages of docs/results: small enough to be kept, and whole again with plotly.js put back."""
 
 import base64
+import gzip
 import hashlib
 import re
 import subprocess
@@ -16,7 +17,7 @@ from dds_trace.reports.html import page
 
 ROOT = Path(__file__).parents[3]
 SCRIPT = ROOT / "scripts" / "stored_report.py"
-STORED = sorted((ROOT / "docs" / "results").glob("*/report.html"))
+STORED = sorted((ROOT / "docs" / "results").glob("*/report.html.gz"))
 
 
 def stored_report(*arguments):
@@ -27,7 +28,7 @@ def stored_report(*arguments):
 
 def test_a_page_comes_back_as_it_was(tmp_path):
     whole = page.write(Book(small_campaign()), tmp_path)
-    kept = tmp_path / "campaign" / "report.html"
+    kept = tmp_path / "campaign" / "report.html.gz"
     assert stored_report("keep", whole, kept).returncode == 0
     assert kept.stat().st_size < whole.stat().st_size - 3_000_000
     done = stored_report("open", kept, "--out", tmp_path / "out")
@@ -38,7 +39,8 @@ def test_a_page_comes_back_as_it_was(tmp_path):
 @pytest.mark.parametrize("action", [("keep", "x.html", "y.html"), ("open", "x.html", "--out", "out")])
 def test_another_page_is_refused(tmp_path, action, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    Path("x.html").write_text("<html></html>")
+    page = b"<html></html>"
+    Path("x.html").write_bytes(gzip.compress(page) if action[0] == "open" else page)
     done = stored_report(*action)
     assert done.returncode == 1
     assert done.stderr.startswith("stored_report: x.html: no page ")

@@ -237,7 +237,9 @@ def _wire_costs(book: Book) -> str:
                 groups.labels[group.series],
                 format_duration(None) if ratio is None else f"{ratio:.3g}",
                 format_ratio(row["again_bytes_share"]),
-                f"{row['again_messages']} of {counted(row['messages'], 'message')}" if row["messages"] else "not seen",
+                f"{row['again_messages']} of {counted(row['messages'], 'message')}"
+                if row["messages"]
+                else "not seen",
                 _tcp_connections(row["tcp_retransmitted_segments"], row["tcp_rtt_p50_ns"]),
                 format_duration(row["match_p50_ns"]),
                 "" if row["complete"] else f"{counted(row['kernel_drops'], 'packet')} dropped by the kernel",
@@ -258,7 +260,9 @@ def _wire_costs(book: Book) -> str:
 
 def _tcp_connections(again: int, rtt_ns: float | None) -> str:
     """Return how TCP connections fared, empty without any (`tcp_retransmitted_segments` and `tcp_rtt_p50_ns`)."""
-    return "" if rtt_ns is None else f"{counted(again, 'segment')} again, round trip {format_duration(rtt_ns)}"
+    return (
+        "" if rtt_ns is None else f"{counted(again, 'segment')} again, round trip {format_duration(rtt_ns)}"
+    )
 
 
 def _clocks(book: Book) -> str:

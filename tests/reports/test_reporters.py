@@ -244,7 +244,14 @@ def test_markdown_has_the_cost_on_the_wire():
     rows = [line.split(" | ")[4:] for line in text.partition("costs on the wire")[2].splitlines()[4:6]]
     assert rows == [
         ["1.1", "25 %", "not seen", "", "40 ms", " |"],
-        ["1.5", "25 %", "not seen", "0 segments again, round trip 0.25 ns", "0.25 ns", "3 packets dropped by the kernel |"],
+        [
+            "1.5",
+            "25 %",
+            "not seen",
+            "0 segments again, round trip 0.25 ns",
+            "0.25 ns",
+            "3 packets dropped by the kernel |",
+        ],
     ]
     assert "on the wire" not in load_reporter("md").render(Book(EVERY_ANALYSIS["one message"]()))
 

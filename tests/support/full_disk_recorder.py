@@ -39,7 +39,9 @@ def main(folder: str, report: str) -> None:
             1, 1, sequence, sequence, source_ns=draw.getrandbits(62), received_ns=draw.getrandbits(62)
         )
         sequence += 1
-        if sequence % 500 == 0:  # returns when all events are in the file, so that none is dropped while there is room
+        if (
+            sequence % 500 == 0
+        ):  # returns when all events are in the file, so that none is dropped while there is room
             sink.write_run(run(state="started"))
     at_error = sequence
     for _ in range(RING_SLOTS + 100):  # the node goes on answering

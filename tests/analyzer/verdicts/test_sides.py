@@ -41,8 +41,12 @@ def pings_at(*seconds):
 
 
 def test_sides_that_were_not_recorded_in_turns_are_told():
-    assert recorded_apart(pings_at(1, 2), pings_at(3, 4)).startswith("the base was recorded before the new side: ")
-    assert recorded_apart(pings_at(3, 4), pings_at(1, 2)).startswith("the new side was recorded before the base: ")
+    assert recorded_apart(pings_at(1, 2), pings_at(3, 4)).startswith(
+        "the base was recorded before the new side: "
+    )
+    assert recorded_apart(pings_at(3, 4), pings_at(1, 2)).startswith(
+        "the new side was recorded before the base: "
+    )
     assert recorded_apart(pings_at(1, 4), pings_at(2, 3)) == ""
     assert recorded_apart([], pings_at(2, 3)) == ""
 

@@ -214,7 +214,9 @@ def test_fast_dds_own_statistics_agree(tmp_path, fastdds_statistics):
 
     def counted(topic):
         """Of all writers or readers of user topics, whose ids end in 03 and 04."""
-        return sum(count for (name, entity), count in own.items() if name == topic and entity[-2:] in ("03", "04"))
+        return sum(
+            count for (name, entity), count in own.items() if name == topic and entity[-2:] in ("03", "04")
+        )
 
     again = fragments_again(counts)
     assert again > 20

@@ -1,0 +1,69 @@
+"""The systemd unit of a relay: its command as systemd would run it, and the exit codes that it knows."""
+
+from __future__ import annotations
+
+import configparser
+import os
+import shlex
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from dds_trace.tracefile import BackendUnavailableError, OptionError, read_trace
+
+UNIT = Path(__file__).parents[2] / "systemd/dds-trace-relay@.service"
+
+
+@pytest.fixture
+def service():
+    """The section `[Service]` of the unit."""
+    parser = configparser.RawConfigParser(delimiters=("=",), comment_prefixes=("#",))
+    parser.optionxform = str
+    parser.read(UNIT)
+    return parser["Service"]
+
+
+def as_run(command, instance):
+    """The words of a command line with specifiers and dollars as systemd.service(5) has them."""
+    kept = command.replace("%%", "\0").replace("%i", instance).replace("\0", "%").replace("$$", "$")
+    return shlex.split(kept)
+
+
+def test_only_what_another_start_may_mend_is_started_again(service):
+    assert service["Restart"] == "on-failure"
+    assert set(map(int, service["RestartPreventExitStatus"].split())) == {
+        OptionError.exit_code,
+        BackendUnavailableError.exit_code,
+    }
+
+
+@pytest.mark.middleware
+def test_its_command_serves_the_domain_of_the_instance_until_sigterm_and_closes_the_trace(
+    service, domain_id, tmp_path
+):
+    setup = tmp_path / "setup.bash"
+    setup.write_text("export RELAY_OPTIONS='--backend socket --discovery localhost'\n")
+    environment = os.environ | {
+        "ROS_SETUP": str(setup),
+        "DDS_RECORD": str(Path(sys.executable).with_name("dds-record")),
+        "STATE_DIRECTORY": str(tmp_path),
+    }
+    relay = subprocess.Popen(
+        as_run(service["ExecStart"], str(domain_id)), env=environment, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        said = next((line for line in relay.stderr if "serves domain" in line), "")
+        assert f"serves domain {domain_id}" in said
+        relay.send_signal(signal.SIGTERM)
+        relay.communicate(timeout=60)
+    finally:
+        relay.kill()
+        relay.communicate()
+    assert relay.returncode == 0
+    (trace,) = tmp_path.glob("*.mcap")
+    assert trace.name.startswith(f"relay-{domain_id}-2")
+    (session,) = {each.session_id: each for each in read_trace(trace).sessions}.values()
+    assert (session.role, session.state, session.domain_id) == ("relay", "closed", domain_id)

@@ -19,7 +19,9 @@ ROOMS = ("analyzer", "cli", "recorder", "reports", "tracefile")
 
 def version() -> str:
     """Return the version of dds-trace."""
-    found = re.search(r'^__version__ = "(.+)"$', (ROOT / "tracefile" / "version.py").read_text(), re.MULTILINE)
+    found = re.search(
+        r'^__version__ = "(.+)"$', (ROOT / "tracefile" / "version.py").read_text(), re.MULTILINE
+    )
     assert found is not None
     return found[1]
 
@@ -51,7 +53,9 @@ setup(
         (f"share/{PACKAGE}/launch", ["launch/ping_relay.launch.py"]),
     ],
     entry_points={
-        "console_scripts": [f"{name} = {PACKAGE}.cli.{name}:main" for name in ("analyze", "bridge", "record", "sweep")]
+        "console_scripts": [
+            f"{name} = {PACKAGE}.cli.{name}:main" for name in ("analyze", "bridge", "record", "sweep")
+        ]
     },
     install_requires=[],  # an old setuptools would refuse to start a command for want of one; see requirements.txt
     zip_safe=False,

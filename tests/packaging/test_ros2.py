@@ -73,7 +73,10 @@ def test_it_holds_every_file_that_the_wheel_holds(told):
     held = set()
     for package in told["packages"]:
         folder = (ROS2 / path).joinpath(*package.split(".")[1:])
-        names = [*folder.glob("*.py"), *(n for glob in told["package_data"].get(package, ()) for n in folder.glob(glob))]
+        names = [
+            *folder.glob("*.py"),
+            *(n for glob in told["package_data"].get(package, ()) for n in folder.glob(glob)),
+        ]
         held |= {f"{package.replace('.', '/')}/{name.relative_to(folder)}" for name in names}
     listed = ["git", "ls-files", "--cached", "--others", "--exclude-standard", *ROOMS]
     ours = subprocess.run(listed, cwd=ROOT, check=True, capture_output=True, text=True).stdout.split()
@@ -152,7 +155,13 @@ def test_one_role_alone_is_started_and_a_launch_ends_with_its_ping(launched):
 
 @pytest.mark.middleware
 def test_its_commands_record_a_ping_and_a_relay(launched, domain_id, tmp_path):
-    given = {"out": str(tmp_path), "domain": str(domain_id), "discovery": "localhost", "rate": "200", "messages": "20"}
+    given = {
+        "out": str(tmp_path),
+        "domain": str(domain_id),
+        "discovery": "localhost",
+        "rate": "200",
+        "messages": "20",
+    }
     relay, ping, _ = (
         action.kwargs.get("cmd", [])[1:]
         for action in launched(

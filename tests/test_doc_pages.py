@@ -1,0 +1,105 @@
+"""The pages of the documentation: links lead somewhere, every figure is explained, and quoted lines are the code's own."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+from analyses import small_campaign
+
+from dds_trace.reports.book.book import Book
+from dds_trace.reports.figures import FIGURES, Scope
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("sample_traces/*.md")])
+ROOMS = ("tracefile", "recorder", "analyzer", "reports", "cli")
+READING, GLOSSARY, TROUBLESHOOTING = (
+    ROOT / "docs" / name for name in ("reading-the-report.md", "glossary.md", "troubleshooting.md")
+)
+
+LINK = re.compile(r"\]\(([^)\s]+)\)")
+HEADING = re.compile(r"^#{1,6} (.+)$", re.MULTILINE)
+FENCE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
+QUOTED = re.findall(r"^> (.+)$", TROUBLESHOOTING.read_text(encoding="utf-8"), re.MULTILINE)
+MEANINGFUL = 12  # characters of the longest fragment of a quoted line: shorter ones are anywhere
+
+
+def prose_of(page):
+    return FENCE.sub("", page.read_text(encoding="utf-8"))
+
+
+def sources_of_rooms():
+    return sorted(path for room in ROOMS for path in (ROOT / room).rglob("*.py"))
+
+
+def anchors_of(page):
+    """The anchors that GitHub gives to the headings of a page."""
+    return {
+        re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+        for heading in HEADING.findall(prose_of(page))
+    }
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_within_the_repository_lead_somewhere(page):
+    dead = []
+    for link in LINK.findall(prose_of(page)):
+        path, _, anchor = link.partition("#")
+        target = (page.parent / path).resolve() if path else page
+        if "://" not in link and (not target.exists() or (anchor and anchor not in anchors_of(target))):
+            dead.append(link)
+    assert dead == []
+
+
+@pytest.mark.parametrize("page", [READING, GLOSSARY, TROUBLESHOOTING], ids=lambda page: page.stem)
+def test_the_readme_leads_to_the_pages_for_readers(page):
+    assert f"docs/{page.name}" in LINK.findall(prose_of(ROOT / "README.md"))
+
+
+def test_every_figure_is_explained_under_its_title_in_the_order_of_the_report():
+    book = Book(small_campaign())
+    shown = [maker.draw(book) for scope in Scope for maker in FIGURES if maker.scope is scope]
+    sections = READING.read_text(encoding="utf-8").split("\n### ")[1:]
+    assert [section.partition("\n")[0] for section in sections] == [
+        f"{figure.title} (`{figure.name}`)" for figure in shown
+    ]
+    for section in sections:
+        told = re.findall(r"^- \*\*(\w+):\*\* ", section, re.MULTILINE)
+        assert told == ["Answers", "Read", "Misleads", "Next"], section
+
+
+@pytest.fixture(scope="module")
+def said_by_the_code():
+    """Every text of the code but docstrings, with … in the place of what an f-string puts in."""
+    texts = []
+    for path in sources_of_rooms():
+        nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+        docstrings = {id(node.value) for node in nodes if isinstance(node, ast.Expr)}
+        for node in nodes:
+            if isinstance(node, ast.JoinedStr):
+                texts.append(
+                    "".join(part.value if isinstance(part, ast.Constant) else "…" for part in node.values)
+                )
+            elif (
+                isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docstrings
+            ):
+                texts.append(node.value)
+    return texts
+
+
+@pytest.mark.parametrize("line", QUOTED)
+def test_a_quoted_line_is_what_the_code_says(line, said_by_the_code):
+    fragments = [fragment.strip() for fragment in line.split("…") if fragment.strip()]
+    assert max(map(len, fragments)) >= MEANINGFUL
+    assert [part for part in fragments if not any(part in text for text in said_by_the_code)] == []
+
+
+@pytest.mark.parametrize("page", [READING, GLOSSARY, TROUBLESHOOTING], ids=lambda page: page.stem)
+def test_names_of_findings_and_columns_are_those_of_the_code(page):
+    """A name in backticks with an underscore is a finding, a figure, a column or a setting; one that was renamed is none."""
+    sources = "\n".join(path.read_text(encoding="utf-8") for path in sources_of_rooms())
+    names = set(re.findall(r"`([a-z]+(?:_[a-z0-9]+)+)`", page.read_text(encoding="utf-8")))
+    assert names
+    assert {name for name in names if not re.search(rf"\b{name}\b", sources)} == set()

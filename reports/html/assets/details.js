@@ -3,11 +3,12 @@
 
 /** Error bars of plotly for values with ends in the same unit; a missing end has no bar. */
 function errorBars(values, ends, factor, color) {
-  const reach = (value, end) => (value === null || end === null || end === undefined ? 0 : Math.abs(end - value) / factor);
+  // A value may lie outside of its interval, which is of the typical run: then nothing reaches from it to the nearer end.
+  const reach = (value, end, way) => (value === null || end === null || end === undefined ? 0 : Math.max(0, way * (end - value)) / factor);
   if (ends.every((one) => !one || (one[0] === null && one[1] === null))) return undefined;
   return {
     type: "data", symmetric: false, color, thickness: 1.1, width: 3,
-    array: values.map((value, place) => reach(value, ends[place] && ends[place][1])), arrayminus: values.map((value, place) => reach(value, ends[place] && ends[place][0])),
+    array: values.map((value, place) => reach(value, ends[place] && ends[place][1], 1)), arrayminus: values.map((value, place) => reach(value, ends[place] && ends[place][0], -1)),
   };
 }
 

@@ -197,7 +197,7 @@ def fastdds_statistics(tmp_path_factory):
 def test_fast_dds_own_statistics_agree(tmp_path, fastdds_statistics):
     pytest.importorskip("rclpy")
     program = Path(sys.executable).with_name("dds-record")
-    names = ("RESENT_DATAS", "DATA_COUNT", "HEARTBEAT_COUNT", "ACKNACK_COUNT", "NACKFRAG_COUNT")
+    names = ("RESENT_DATAS", "HEARTBEAT_COUNT")
     variable = "FASTDDS_STATISTICS=" + ";".join(f"{name}_TOPIC" for name in names)
     both, heard = ("--backend", "ros2", "--domain", 30), tmp_path / "heard"
     with lossy_link(tmp_path, loss=0.03) as link:
@@ -205,7 +205,7 @@ def test_fast_dds_own_statistics_agree(tmp_path, fastdds_statistics):
         listener = ("sh", "-c", f'exec "$0" 30 >{heard}', fastdds_statistics)
         with running_session(link, 1, *relay) as session, running_session(link, 0, *listener):
             wait_for(session, "serves domain")
-            more = ("--size", "10KB", "--messages", 290, "--warmup", 10, "--rate", 40, "--wait", 60)
+            more = ("--size", "10KB", "--messages", 790, "--warmup", 10, "--rate", 50, "--wait", 60)
             ping = (program, "--role", "ping", *both, "--out", tmp_path / "ping.mcap", *more)
             link.watch(0, OPTIONS, tmp_path / "ping", "env", variable, *ping)
         link.stop()
@@ -218,11 +218,12 @@ def test_fast_dds_own_statistics_agree(tmp_path, fastdds_statistics):
             count for (name, entity), count in own.items() if name == topic and entity[-2:] in ("03", "04")
         )
 
+    # One of them may still have been on its way to the listener when the ping ended.
     again = fragments_again(counts)
-    assert again > 20
+    assert again > 100
     assert counted("resent_datas") == within(0.01, again)
-    first = sum(one.fragments for one in sent(counts, "data", "data_frag"))
-    assert counted("data_count") == within(0.01, first + again)
+    heartbeats = sum(one.submessages for one in sent(counts, "heartbeat"))
+    assert counted("heartbeat_count") == within(0.01, heartbeats)
 
 
 def test_a_flow_of_100_mbit_s_is_followed_whole(tmp_path):

@@ -12,7 +12,7 @@ use rustdds::{
 };
 use serde::{Deserialize, Serialize};
 
-const TOPICS: [&str; 5] = ["resent_datas", "data_count", "heartbeat_count", "acknack_count", "nackfrag_count"];
+const TOPICS: [&str; 2] = ["resent_datas", "heartbeat_count"];
 
 #[derive(Clone, Debug, Deserialize, Serialize)]
 struct EntityCount {

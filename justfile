@@ -22,12 +22,13 @@ demo: setup
     {{bin}}/dds-sweep plans/quick.toml --out out/demo
     {{bin}}/dds-analyze out/demo --report terminal --report html
 
-# Lint, format, types, import directions
+# Lint, format, types, import directions, the Dockerfile
 check: setup
     {{bin}}/ruff check .
     {{bin}}/ruff format --check .
     {{bin}}/mypy
     {{bin}}/lint-imports
+    @if test -x {{bin}}/hadolint; then {{bin}}/hadolint docker/Dockerfile; else echo 'no hadolint for this machine: docker/ is unchecked'; fi
 
 # Mend what ruff can mend
 fix: setup

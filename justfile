@@ -70,11 +70,13 @@ coverage *args: setup
 real-aa *args: setup
     {{bin}}/python benchmarks/real_aa.py {{args}}
 
-# Fuzz the trace reader, guided by coverage (atheris), for so many seconds
-fuzz seconds="600": setup
+# Fuzz what reads the bytes of strangers, guided by coverage (atheris), for so many seconds a target of tests/fuzz/fuzz.py
+fuzz seconds="600" *targets="reader descriptions plan bag ring cache watch": setup
     uv pip install --quiet --python {{bin}}/python -e '.[fuzz]'
     export TMPDIR=$(mktemp -d -p /dev/shm dds-trace-fuzz-XXXXXX); trap 'rm -r "$TMPDIR"' EXIT; \
-        {{bin}}/python tests/fuzz/fuzz_reader.py "$(mktemp -d)" -max_total_time={{seconds}}
+        finds=; for target in {{targets}}; do \
+            {{bin}}/python tests/fuzz/fuzz.py $target "$(mktemp -d)" -max_total_time={{seconds}} || finds+=" $target"; \
+        done; test -z "$finds" || { echo "finds:$finds"; exit 1; }
 
 # Draw the stored reports of docs/results/ with their figures again: out/results/*.html
 results: setup

@@ -59,11 +59,11 @@ class StoredEvents:
         Raises:
             ValueError, TypeError, LookupError: a column is not as `write_events` describes it.
         """
-        if not (isinstance(self.count, int) and self.count > 0):
+        if type(self.count) is not int or self.count <= 0:  # True is an int
             raise ValueError(f"{self.count!r} events")
         for name in _FIELDS:
             how, value = self.columns[name]
-            if not isinstance(value, int):
+            if type(value) is not int:
                 raise TypeError(f"{name} is kept at {value!r}")
             dtype = EVENT_DTYPE[name]
             low, high = _KEPT[how](dtype, self.count, file_bytes)

@@ -10,13 +10,11 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
-from mcap.exceptions import McapError
 from mcap.records import Channel, Message, Schema
 from mcap.stream_reader import StreamReader
-from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.highlevel import AnyReader
 from rosbags.interfaces import MessageDefinitionFormat
 from rosbags.typesys import Stores, get_typestore
-from zstandard import ZstdError
 
 from dds_trace.tracefile.errors import MissingEventsError, TraceFormatError
 from dds_trace.tracefile.format.bag_metadata import METADATA_NAME
@@ -27,19 +25,8 @@ if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
 
-_UNREADABLE = (
-    AnyReaderError,
-    EOFError,
-    KeyError,
-    McapError,
-    MemoryError,
-    OSError,
-    RuntimeError,
-    ValueError,
-    ZstdError,
-    struct.error,
-)
-"""Exceptions of mcap, rosbags and the decompressors for damaged bytes."""
+LATEST_NS = 2**63 - 1
+"""Latest time of a message; MCAP can hold twice that."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +110,7 @@ def _mcap_messages(path: Path) -> Iterator[RecordedMessage]:
     with path.open("rb") as file:
         try:
             yield from _mcap_stream(file)
-        except _UNREADABLE as err:
+        except Exception as err:  # mcap and the codecs below it raise many kinds on damaged bytes
             raise TraceFormatError(path, f"the recording cannot be read on: {err}", file.tell()) from err
 
 
@@ -136,8 +123,8 @@ def _mcap_stream(file: BinaryIO) -> Iterator[RecordedMessage]:
             topic, stamp_of = topics[record.channel_id]
             yield RecordedMessage(
                 topic=topic,
-                log_ns=record.log_time,
-                publish_ns=record.publish_time,
+                log_ns=_checked(record.log_time),
+                publish_ns=_checked(record.publish_time),
                 stamp_ns=stamp_of(record.data) if topic.has_stamp else None,
                 payload_bytes=len(record.data),
             )
@@ -169,9 +156,20 @@ def _bag_messages(path: Path) -> Iterator[RecordedMessage]:
             for connection, log_ns, data in reader.messages():
                 topic = topics[id(connection.owner), connection.id]
                 stamp_ns = _STAMP_READERS[encoding](bytes(data[:24])) if topic.has_stamp else None
-                yield RecordedMessage(topic, log_ns, None, stamp_ns, len(data))
-    except _UNREADABLE as err:
+                yield RecordedMessage(topic, _checked(log_ns), None, stamp_ns, len(data))
+    except Exception as err:  # so do rosbags and SQLite
         raise TraceFormatError(path, f"the recording cannot be read on: {err}") from err
+
+
+def _checked(time_ns: int) -> int:
+    """Return a time that fits into 64 bits with a sign, which no clock leaves before the year 2262.
+
+    Raises:
+        ValueError: it does not.
+    """
+    if not -LATEST_NS <= time_ns <= LATEST_NS:
+        raise ValueError(f"{time_ns} ns is no time")
+    return time_ns
 
 
 def _connection_has_stamp(connection: Connection) -> bool:

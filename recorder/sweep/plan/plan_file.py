@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     AxisValue: TypeAlias = str | int | float | bool | None
     AxisValues: TypeAlias = dict[str, list[AxisValue]]
 
+LONGEST_S = 1e9
+"""Longest time that a plan may ask for, thirty years: sums of it are finite."""
+
 INSTALLED = "installed"
 """Value of `backend` that stands for every middleware of this machine."""
 
@@ -39,11 +42,13 @@ def read_plan(path: Path, installed: FindInstalled = tuple, *, by_hand: bool = F
         OptionError: the file cannot be read, is no TOML, or has a wrong key or value.
     """
     try:
-        text = path.read_text()
+        text = path.read_text(encoding="utf-8")
     except OSError as err:
         raise OptionError(
             f"{path}: {err.strerror}; give the path of a plan such as plans/quick.toml"
         ) from err
+    except UnicodeDecodeError as err:
+        raise OptionError(f"{path}: {err}; a plan is UTF-8 text") from err
     return parse_plan(text, path.stem, str(path), installed, by_hand=by_hand)
 
 
@@ -174,6 +179,16 @@ def _check(plan: Plan, where: str) -> None:
             "[run] counts messages, repeats and attempts; give at least warmup 0, repeats 1 and attempts 1",
         ),
         (any(cell.rate <= 0 for cell in plan.cells), "a rate is above zero; give messages a second"),
+        (
+            not all(
+                0 <= seconds <= LONGEST_S for seconds in (run.seconds, run.settle_seconds, run.cutoff_seconds)
+            ),
+            f"[run] seconds, settle_seconds and cutoff_seconds are from 0 to {LONGEST_S:g}",
+        ),
+        (
+            any(cell.rate > 0 and run.planned_seconds(cell.rate) > LONGEST_S for cell in plan.cells),
+            f"a run takes more than {LONGEST_S:g} s; give fewer messages or a higher rate",
+        ),
         (
             run.discovery not in (None, "localhost", "subnet"),
             "[run] discovery is localhost or subnet; give one of them",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 import sys
 from dataclasses import dataclass, fields, replace
 from enum import Enum
@@ -24,6 +25,9 @@ if TYPE_CHECKING:
 
 _T = TypeVar("_T")
 _D = TypeVar("_D")
+
+LARGEST = 2**63 - 1
+"""Largest whole number of a plan, as TOML has it."""
 
 _KIND_NAMES = {
     str: "a text",
@@ -91,10 +95,14 @@ class TomlTable:
         """Return `value` as a `kind`; a whole number passes as a float, but a bool is no number.
 
         Raises:
-            OptionError: it is of another type.
+            OptionError: it is of another type, no finite number, or a whole number beyond `LARGEST`.
         """
+        if isinstance(value, int) and not -LARGEST <= value <= LARGEST:
+            raise OptionError(f"{self.where}: {key} is beyond {LARGEST}; give a smaller number")
         if kind is float and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
+        if isinstance(value, float) and not math.isfinite(value):
+            raise OptionError(f"{self.where}: {key} is {value}; give a finite number")
         if not isinstance(value, kind) or (kind is not bool and isinstance(value, bool)):
             raise OptionError(f"{self.where}: {key} is {value!r}, not {_KIND_NAMES[kind]}")
         return value

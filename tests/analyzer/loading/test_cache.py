@@ -237,6 +237,7 @@ def forge(cache, traces, change):
         lambda entry: entry.update(bytes=10**400),
         lambda entry: entry["parts"][0].__setitem__(3, 10**15),
         lambda entry: entry["parts"][0].__setitem__(3, -1),
+        lambda entry: entry["parts"][0].__setitem__(3, True),
         lambda entry: entry["parts"][0].__setitem__(3, "5"),
         lambda entry: entry["parts"][0][6].update(monotonic_ns=["array", 1 << 40]),
         lambda entry: entry["parts"][0][6].update(monotonic_ns=["array", -8]),

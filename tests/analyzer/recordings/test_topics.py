@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import struct
+import zlib
 
 import numpy as np
 import pytest
@@ -227,3 +229,31 @@ def test_no_allocation_by_a_size_that_a_file_claims(tmp_path):
     (tmp_path / "huge.mcap").write_bytes(huge)
     with pytest.raises(TraceFormatError, match=r"huge\.mcap"):
         list(iter_messages(tmp_path / "huge.mcap"))
+
+
+def test_a_damaged_bag_is_named_whatever_its_reader_raises(tmp_path):
+    """Found by fuzzing (`tests/fuzz/fuzz_bag.py`): rosbags holds a chunk's first byte against an assertion."""
+    packed = (
+        "c-rk*&2AGh5O(@UyP}YmB6?$`N>m&m%}>(=Y1L8*6%GhNq+SqO8GAOdx@!lox3ql|cnTy=+_)hw+_~`x@B$Tfvdt!Gsv-zTR"
+        "Q{xq*JJzB$m^Le>#RI`(%8Pg<L;L3t~n17LQ~pA+nZd}E#njp{I-a_FE>yJSG5trxlcsGl{cZgdE;s&d@uFobpO4c=UyOu`|"
+        "4U)SXfwCSXfwCSXfwCTol~SzW=8?pY<YYONe78xW@&DIqi$t5qQTl2pL<+7F?Q3uLeAGPvB@%qRog`U{P{?a@ezEdWUWBV&J"
+        "imeiS$3!lNiz)&7XC$4TT>akWIM6k{l^m4iwUtZ(3AxkRf$eVqU)eVou!b#S-|K81jBrc9i%qFuI!fGJ3~)oGk2hzOKC?2bK"
+        "6umZ{Td{;;YTw$};2||HYwer0FqTlTkv5zIgoWKyxE)XST*~Pq>gjo9f5DLQ7VL#FE*!gTB<DeH{LLdZrDzXv7{hZ#I;XH2a"
+        "+;fL^)kzpv<&qo2D@U;i^f->%POK#3O*fD@0-w>p6w6t!@??|TgWgl`O}IzBr`P`^tn_7`6Vt6Me<lX<XWrz8-dGR)Xn=8S="
+        "MXY8rnSwa2^KP{4}v}qduRx6-xz$@?DoEIqOqdKx7BTCx5mq#Px+S8c6n_4zqsFbin-s}@6UF>hp;+IAIt^ul}rst3oD($2P"
+        "3_iPMj2=MyJN~=|sI=B2dG{YHdTyLXFg3(ps$yWTQ-QrAUi6(HT0?sZ|s!JUR_?qtfu?NVFgfMIl=@HLKfwkeyYhlrXz2UpB"
+        "6kYfGylI_@5~cbey1y4(Pr>0R!l`(*Xl>ao@1Khop>q+Zc1%$fd5vDo`7&irRLpYImoYvxzG!czGIrEEbPaOw}p-e9##36Oc"
+        "trS=nT_ty^"
+    )
+    (tmp_path / "hostile.bag").write_bytes(zlib.decompress(base64.b85decode(packed)))
+    with pytest.raises(TraceFormatError, match=r"hostile\.bag"):
+        list(iter_messages(tmp_path / "hostile.bag"))
+
+
+@pytest.mark.parametrize("times", [(2**64 - 1, 1), (1, 2**63)], ids=["log", "publish"])
+def test_a_time_beyond_the_year_2262_ends_the_reading(tmp_path, times):
+    """Found by fuzzing: an OverflowError."""
+    write_mcap(tmp_path / "x.mcap", [("/a", 1, 1, b"{}"), ("/a", *times, b"{}")])
+    report = analyze_topics(tmp_path)
+    assert report.topics["messages"].to_list() == [1]
+    assert "is no time" in report.sources[0].detail

@@ -154,6 +154,32 @@ def test_wrong_key_or_value_is_named_with_the_nearest_remedy(text, message):
     assert str(raised.value).startswith("plan.toml")
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[run]\ncutoff_seconds = inf\n",
+        "[run]\nsettle_seconds = -1\n",
+        "[run]\nseconds = nan\n",
+        "[run]\nsettle_seconds = 1e300\n",
+        "[axes]\nrate = inf\n",
+        "[axes]\nrate = 1e-300\n",
+        f"[axes]\nrate = 1{'0' * 400}\n",
+        "[link]\nrate_mbit_s = nan\n",
+        f"[run]\nmessages = 1{'0' * 400}\n",
+    ],
+)
+def test_times_and_rates_without_end_are_refused(text):
+    """Found by fuzzing: an estimate of the time that is left was no number."""
+    with pytest.raises(OptionError, match=r"plan\.toml"):
+        parse_plan(text + '[[matrix]]\ndata = "imu"\n', "plan", "plan.toml")
+
+
+def test_a_plan_that_is_no_utf8_is_named(tmp_path):
+    (tmp_path / "plan.toml").write_bytes(b'name = "\xf0\x04"\n')
+    with pytest.raises(OptionError, match=r"plan\.toml.*UTF-8"):
+        read_plan(tmp_path / "plan.toml")
+
+
 def test_missing_file_is_a_clear_error(tmp_path):
     with pytest.raises(OptionError, match=r"none\.toml: No such file"):
         read_plan(tmp_path / "none.toml")

@@ -1,0 +1,110 @@
+"""Fuzz target `cache`: whatever lies in the cache, a trace is loaded as if there were none."""
+
+from __future__ import annotations
+
+import json
+import os
+from typing import TYPE_CHECKING
+
+from fuzz_shapes import changed, changed_fields, shaped, shaped_seeds
+from trace_files import Message, ping_events, ping_session, run, write_trace
+
+from dds_trace.analyzer.loading.cache import TraceCache
+from dds_trace.analyzer.loading.shelf import TraceShelf, load_trace
+from dds_trace.tracefile import TraceError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from dds_trace.analyzer.loading.shelf import LoadedTrace
+
+
+class Target:
+    """Entries of strangers, damaged entries, and entries with hostile values under our own seal."""
+
+    def __init__(self, folder: Path) -> None:
+        os.environ["XDG_CACHE_HOME"] = str(folder / "cache")
+        os.environ["XDG_STATE_HOME"] = str(folder / "state")
+        self._trace = write_trace(
+            folder / "t.mcap", ping_session(), [run()], ping_events([Message(n, t1=n * n) for n in range(12)])
+        )
+        self._expected = load_trace(self._trace, 0)
+        shelf, cache = opened()
+        self._key = cache.key_of(self._trace)
+        shelf.load(self._trace, 0)
+        self._json = cache.folder / f"{self._key}.json"
+        self._events = cache.events_path(self._key)
+        self._good_json, self._good_events = self._json.read_bytes(), self._events.read_bytes()
+        self._entry = json.loads(cache.read_text(self._key))
+        shelf.close()
+        self._shapes = (self._stranger, self._changed_json, self._changed_events, self._sealed)
+
+    def try_input(self, data: bytes) -> None:
+        """Load the trace beside the entry that the bytes stand for.
+
+        Only an entry under our own seal may say what the trace does not: who has the key is the user himself.
+        """
+        self._json.write_bytes(self._good_json)
+        self._events.write_bytes(self._good_events)
+        sealed = shaped(self._shapes, data)
+        shelf, _ = opened()
+        loaded = shelf.load(self._trace, 0)
+        try:
+            found = content_of(loaded)
+        except TraceError:
+            if not sealed:
+                raise
+            return
+        finally:
+            shelf.close()
+        if not sealed and found != content_of(self._expected):
+            raise AssertionError("an entry was believed that this user did not write")
+
+    def seeds(self) -> dict[str, bytes]:
+        """Good entries."""
+        return shaped_seeds(
+            self._shapes,
+            {
+                self._stranger: self._good_json[64:],
+                self._changed_json: bytes(3),
+                self._changed_events: bytes(3),
+                self._sealed: bytes(3),
+            },
+        )
+
+    def _stranger(self, data: bytes) -> bool:
+        """The bytes are the JSON, behind a seal of nobody."""
+        self._json.write_bytes(b"0" * 64 + data)
+        return False
+
+    def _changed_json(self, data: bytes) -> bool:
+        """The bytes are changes to the sealed JSON."""
+        self._json.write_bytes(changed(self._good_json, data))
+        return False
+
+    def _changed_events(self, data: bytes) -> bool:
+        """The bytes are changes to the events, and where they are cut off."""
+        kept = len(self._good_events) - data[-1] if data else 0
+        self._events.write_bytes(changed(self._good_events, data[:-1])[:kept])
+        return False
+
+    def _sealed(self, data: bytes) -> bool:
+        """The bytes are changes to the values of the JSON, which is then sealed as we do."""
+        shelf, cache = opened()
+        cache.write_text(self._key, json.dumps(changed_fields(self._entry, data)))
+        shelf.close()
+        return True
+
+
+def opened() -> tuple[TraceShelf, TraceCache]:
+    """Return a shelf with the cache, open."""
+    cache = TraceCache.open()
+    if cache is None:
+        raise OSError("no cache can be opened")
+    return TraceShelf(cache), cache
+
+
+def content_of(loaded: LoadedTrace) -> tuple[str, dict[str, list[int]]]:
+    """Return a trace's descriptions, and the times of its events by stage, run and relay."""
+    times = {str(label): part.load().monotonic_ns.tolist() for label, part in loaded.parts.items()}
+    return repr(loaded.trace), times

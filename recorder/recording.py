@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 
     from dds_trace.tracefile import ClosedTrace, Json, JsonObject, Run, Session
 
+    from .applied import Difference
     from .backends.node import Node
     from .bridges import RunningBridge
     from .options import PingOptions, RecordOptions
@@ -272,7 +273,8 @@ class _Recording:
     ) -> None:
         data_type = ping.plan.payload.data_type
         self.watch.note(f"waiting for an echo of {data_type.topic} in domain {node.options.domain_id}")
-        came, waited_s, settings = False, 0.0, ""
+        came, waited_s = False, 0.0
+        not_applied: tuple[Difference, ...] = ()
         while not came and waited_s < asked.wait_s and not self.stop.is_set() and node.error is None:
             slice_s = min(HOPELESS_S, asked.wait_s - waited_s)
             came = ping.wait_for_echo(slice_s, self.stop, asked.relays)
@@ -283,18 +285,14 @@ class _Recording:
             if (
                 not came
             ):  # not at the end alone: after 20 s Fast DDS has forgotten a side that cannot be reached
-                settings = read_back.explain(ping.probes) or settings
+                not_applied = read_back.explain(ping.probes) or not_applied
             if look_for_relays(node, data_type).is_hopeless:
                 break
         if not came and not self.stop.is_set():
             answers = (
                 f"{ping.echoing_relays} of {asked.relays} relays answer; " if ping.echoing_relays else ""
             )
-            raise NoEchoError(
-                answers
-                + explain_silence(node, ping.plan, waited_s)
-                + (f"\n  not applied: {settings}" if settings else "")
-            )
+            raise NoEchoError(answers + explain_silence(node, ping.plan, waited_s, not_applied))
         if came and bridge is not None:
             bridge.mark_ready()
         # One that was found later may need a moment more; behind a bridge nobody sees how many there are.

@@ -86,7 +86,7 @@ _ADVICE = {
 }
 
 
-def output_error(path: Path, err: OSError) -> OutputError:
+def output_error(path: Path, err: OSError, what: str = "the trace") -> OutputError:
     """Return the error that tells a user what a failed write means and what to do, by the system's error number."""
     advice = _ADVICE.get(err.errno or 0, f"{err.strerror}; check the disk")
-    return OutputError(f"{path}: cannot write the trace: {advice}")
+    return OutputError(f"{path}: cannot write {what}: {advice}")

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from ..loading.campaign import Campaign
     from ..loading.events import Copies, EventIndex, EventKey, EventPart
+    from ..model.source import Source
 
     Parts = tuple[EventPart, ...]
     """The traces that hold events of one stage, run and relay."""
@@ -253,12 +254,26 @@ def _flaws(run: Run, ping: Session, relay: Session | None) -> Iterator[str]:
 
 
 def _nothing_to_pair(campaign: Campaign, unplaced: Iterable[Unplaced]) -> str:
-    reasons = {
-        f"{counted(events.events, 'event')} of run {events.run_id:016x} in {campaign.names(events.traces)}"
-        for events in unplaced
-    }
-    reason = f": {'; '.join(sorted(reasons))}" if reasons else ""
+    """Return why no message of a campaign has a row: the bad field of a description, the file that is no trace, or what is missing."""
+    unplaced = list(unplaced)
+    unread = [f"{each.path} was not used: {each.detail}" for each in campaign.sources if _is_unread(each)]
+    reasons = sorted({_in_words(campaign, events) for events in unplaced}) + unread
+    advice = "add the trace of the ping"
+    if any(events.detail for events in unplaced):
+        advice = "no measurement has that number, so record the run again"
+    elif unread:
+        advice = "replace that file, or record the run again"
+    reason = f": {'; '.join(reasons)}" if reasons else ""
     return (
         f"{campaign.folder}: {counted(len(campaign.traces), 'trace')}, but no published message (T1) with its run and session "
-        f"description{reason}; add the trace of the ping"
+        f"description{reason}; {advice}"
     )
+
+
+def _in_words(campaign: Campaign, unplaced: Unplaced) -> str:
+    named = f"{counted(unplaced.events, 'event')} of run {unplaced.run_id:016x} in {campaign.names(unplaced.traces)}"
+    return f"{named}, whose description is impossible ({unplaced.detail})" if unplaced.detail else named
+
+
+def _is_unread(source: Source) -> bool:
+    return source.status == "skipped" and source.path.endswith(".mcap")

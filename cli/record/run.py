@@ -123,6 +123,8 @@ def _fault(recorded: Recorded, fail_if_lost: float | None) -> TraceError | None:
     if trace is not None and trace.error is not None:
         if not trace.ring_events:
             return trace.error
+        if isinstance(trace.error.__cause__, FileNotFoundError):  # the ring was in that folder, too
+            return OutputError(f"{trace.error}; {counted(trace.events + trace.ring_events, 'event')} went with it")
         return OutputError(
             f"{trace.error}; {counted(trace.ring_events, 'event waits', 'events wait')} in the ring beside it: make "
             f"room or copy both files to another disk, then `dds-record --recover {trace.path}`"

@@ -9,10 +9,12 @@ from dds_trace.tracefile import RelayLostError
 from dds_trace.tracefile.units.counts import counted
 from dds_trace.tracefile.units.durations import SECOND_NS
 
+from ..applied import Setting
 from ..backends import load_backend, load_backends
 from ..payloads import data_types
 
 if TYPE_CHECKING:
+    from ..applied import Difference
     from ..backends.node import Endpoint, Node
     from ..payloads.base import DataType
     from .plan import RunPlan
@@ -72,8 +74,17 @@ def find_loss(node: Node, data_type: DataType, silence: Silence, *, ended: bool)
     )
 
 
-def explain_silence(node: Node, plan: RunPlan, waited_s: float) -> str:
-    """Return the message of a `NoEchoError`: looked for, saw, try."""
+def explain_silence(
+    node: Node, plan: RunPlan, waited_s: float, not_applied: tuple[Difference, ...] = ()
+) -> str:
+    """Return the message of a `NoEchoError`: looked for, saw, try, and the settings that were not applied.
+
+    Args:
+        node: node of the ping.
+        plan: its run.
+        waited_s: time that it waited.
+        not_applied: settings that the ping's process is seen not to use.
+    """
     options, middleware, data_type = node.options, node.middleware, plan.payload.data_type
     sight = look_for_relays(node, data_type)
     through = (
@@ -96,11 +107,12 @@ def explain_silence(node: Node, plan: RunPlan, waited_s: float) -> str:
         f"  looked for: a relay of {data_type.topic} ({data_type.type_name}) in domain {options.domain_id}{through}; "
         f"middleware {middleware.rmw or middleware.vendor}, discovery range {options.discovery.value}{where}\n"
         f"  saw: {'; '.join(saw)}\n"
-        f"  try: {_advice(sight, node, plan)}"
+        f"  try: {_advice(sight, node, plan, not_applied)}"
+        + ("\n  not applied: " + "; ".join(each.words for each in not_applied) if not_applied else "")
     )
 
 
-def _advice(sight: Sight, node: Node, plan: RunPlan) -> str:
+def _advice(sight: Sight, node: Node, plan: RunPlan, not_applied: tuple[Difference, ...]) -> str:
     data_type = plan.payload.data_type
     if sight.incompatible:
         return "give ping and relay the same --reliability, --durability and --deadline"
@@ -112,6 +124,11 @@ def _advice(sight: Sight, node: Node, plan: RunPlan) -> str:
     types = {endpoint.type_name for endpoint in sight.subscriptions} - {data_type.type_name, ""}
     if types:
         return f"another program uses {data_type.topic} with {', '.join(sorted(types))}; stop it"
+    if any(each.setting is Setting.MEMORY_NAMESPACE for each in not_applied):
+        return (
+            "let both sides have one /dev/shm (of containers: --ipc=host, or one volume at /dev/shm), or give both "
+            "--transport udp"
+        )
     if sight.subscriptions:
         return (
             "a relay is in sight, so the messages do not get through: look at firewalls between the devices, try a "

@@ -119,13 +119,13 @@ class ReadBack:
         for each in untold:
             self._note(f"not applied: {each.words}; no answer will rest on this recording")
 
-    def explain(self, traffic: Traffic) -> str:
-        """Return what may keep messages from arriving, by the settings; empty if nothing is seen.
+    def explain(self, traffic: Traffic) -> tuple[Difference, ...]:
+        """Return the settings that may keep messages from arriving; empty if nothing is seen.
 
         Args:
             traffic: messages that were sent in vain.
         """
-        return "; ".join(each.words for each in differences(self.asked, read_applied(), traffic))
+        return differences(self.asked, read_applied(), traffic)
 
     def fields(self) -> JsonObject:
         """Return the session's fields `asked`, and behind `read_begin` `applied` and `not_applied`."""

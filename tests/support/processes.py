@@ -101,9 +101,11 @@ class RunningCommand:
 
 
 @contextmanager
-def running(*arguments: object, environment: dict[str, str] | None = None) -> Iterator[RunningCommand]:
+def running(
+    *arguments: object, environment: dict[str, str] | None = None, prefix: Sequence[str] = ()
+) -> Iterator[RunningCommand]:
     """A command that runs within the block and not after it."""
-    command = RunningCommand(*arguments, environment=environment)
+    command = RunningCommand(*arguments, environment=environment, prefix=prefix)
     try:
         yield command
     finally:

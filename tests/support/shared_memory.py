@@ -6,11 +6,27 @@ theirs, and the machine is left as it was found.
 
 from __future__ import annotations
 
+import os
+import shutil
 from contextlib import suppress
 from pathlib import Path
 
+import pytest
+
 SHM = Path("/dev/shm")
 PATTERNS = ("fastrtps_*", "sem.fastrtps_*", "fastdds_*", "sem.fastdds_*", "*.zenoh")
+
+
+OWN_SHM = (
+    *("unshare", "--mount", "--propagation", "private", "sh", "-c"),
+    *('mount -t tmpfs -o mode=1777 tmpfs /dev/shm && exec "$@"', "sh"),
+)
+"""Becomes the command behind it with a /dev/shm of its own, as a container has one."""
+
+needs_root = pytest.mark.skipif(
+    os.geteuid() != 0 or shutil.which("unshare") is None,
+    reason="a /dev/shm of its own needs root and unshare",
+)
 
 
 def middleware_files() -> set[Path]:

@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import (
     BackendUnavailableError,
-    OutputError,
     RelayLostError,
     TraceError,
     TraceFormatError,
 )
+from dds_trace.tracefile.files import output_error
 from dds_trace.tracefile.units.counts import counted
 
 from ..plan.commands import half_arguments, ping_arguments, relay_arguments
@@ -244,7 +244,7 @@ class Runner:
         try:
             draft.replace(self.ping_path(cell.name))
         except OSError as err:
-            raise OutputError(f"{self.ping_path(cell.name)}: {err.strerror}; give another --out") from err
+            raise output_error(self.ping_path(cell.name), err) from err
         self._estimate.measured(cell, time.monotonic() - began_s)
         return result, link
 

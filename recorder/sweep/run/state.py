@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass, replace
 from enum import Enum
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import OptionError, OutputError, TraceFormatError
-from dds_trace.tracefile.files import replacing
+from dds_trace.tracefile import OptionError, TraceFormatError
+from dds_trace.tracefile.files import output_error, replacing
 
 from ..station.devices import is_segment_name
 from .result import CellResult
@@ -173,6 +173,4 @@ def replace_text(path: Path, text: str) -> None:
         with replacing(path, fsync=True) as draft:
             draft.write_text(text)
     except OSError as err:
-        raise OutputError(
-            f"{path}: {err.strerror}; free some space or give another --out, then run it again"
-        ) from err
+        raise output_error(path, err, "the state of the sweep") from err

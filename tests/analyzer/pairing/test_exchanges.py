@@ -1,5 +1,7 @@
 """Who took part: several relays, pings and runs, restarts, missing traces, and the parameters of each row."""
 
+import json
+
 import pytest
 from trace_files import (
     PING_SESSION_ID,
@@ -21,7 +23,7 @@ from trace_files import (
 from dds_trace.analyzer import analyze
 from dds_trace.analyzer.model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
 from dds_trace.analyzer.model.parameters import PARAMETER_COLUMNS
-from dds_trace.tracefile import MissingEventsError, Qos, Stage
+from dds_trace.tracefile import MissingEventsError, Qos, Run, Stage
 
 TWO = [Message(0, t0=0, t1=10, t3=500, t4=520, t2=140), Message(1, t0=1000, t1=1010)]
 NO_RELAY_COLUMNS = (
@@ -357,6 +359,25 @@ def test_a_run_that_nobody_describes_is_left_out_and_named(tmp_path, runs, sessi
     (finding,) = [f for f in analysis.findings if f.code == code]
     assert finding.severity.value == "error"
     assert "odd.mcap" in finding.where
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "words"),
+    [
+        ("warmup_messages", -1, r"in ping\.mcap, whose description is impossible \(warmup_messages is -1\); no measurement"),
+        ("rate_hz", "fast", r"ping\.mcap was not used: field 'rate_hz' of the run description is 'fast', not a number; repl"),
+        ("qos", {}, r"ping\.mcap was not used: the run\.qos description has no field 'reliability'; replace"),
+    ],
+)
+def test_a_bad_description_alone_says_what_is_bad_in_it(tmp_path, monkeypatch, field, value, words):
+    described = Run.to_json
+    monkeypatch.setattr(
+        Run, "to_json", lambda self: json.dumps({**json.loads(described(self)), field: value})
+    )
+    write_pair(tmp_path, TWO)
+    with pytest.raises(MissingEventsError, match=words) as error:
+        analyze(tmp_path)
+    assert "add the trace of the ping" not in str(error.value)
 
 
 def test_sessions_are_listed_once_and_by_start(tmp_path):

@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 from applied_pair import needs_large_buffers
 from processes import relay, run, running
+from shared_memory import OWN_SHM, needs_root
 
-from dds_trace.tracefile import NotAppliedError, read_trace
+from dds_trace.tracefile import NoEchoError, NotAppliedError, read_trace
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 pytestmark = pytest.mark.middleware
@@ -78,3 +79,18 @@ def test_strict_ends_a_relay_at_the_first_ping_and_leaves_its_place_free(domain_
     assert done.status == NotAppliedError.exit_code, done.stderr
     assert "asked for UDP, shared memory is open" in done.stderr
     assert not out.exists()
+
+
+@needs_root
+def test_two_containers_without_a_common_dev_shm_are_told_so(domain_id, tmp_path):
+    command = ("dds-record", "--domain", domain_id, "--role")
+    with running(*command, "relay", "--out", tmp_path / "relay.mcap", prefix=OWN_SHM) as relaying:
+        relaying.wait_for_line("serves domain")
+        waiting = ("ping", "--wait", 9, "--out", tmp_path / "ping.mcap")
+        with running(*command, *waiting, prefix=OWN_SHM) as pinging:
+            done = pinging.finish()
+    assert done.status == NoEchoError.exit_code, done.stderr
+    advice, settings = done.stderr.splitlines()[-2:]
+    assert advice.startswith("  try: let both sides have one /dev/shm"), done.stderr
+    assert settings.startswith("  not applied: messages for a receiver on this host go to fastrtps_port")
+    assert "firewall" not in done.stderr

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from trace_files import ping_session, run
 from typer.testing import CliRunner
 
 from dds_trace.cli.record import command
@@ -381,6 +383,18 @@ def test_events_that_wait_in_the_ring_are_counted_with_the_way_to_get_them():
         match=r"the disk is full; 7 events wait in the ring .*`dds-record --recover x\.mcap`$",
     ):
         print_result(ended, as_json=False)
+
+
+def test_a_ring_that_was_removed_with_its_folder_is_not_promised(tmp_path):
+    folder = tmp_path / "usb"
+    sink = TraceSink(TraceDestination(folder / "x.mcap"), ping_session(), clock_ns=lambda: 0)
+    shutil.rmtree(folder)
+    sink.write_run(run())
+    trace = sink.close()
+    with pytest.raises(OutputError, match=r"its folder was deleted or moved; record to a folder that stays"):
+        print_result(replace(recorded(), trace=trace), as_json=False)
+    with pytest.raises(OutputError, match=r"a folder that stays; 9 events went with it$"):
+        print_result(replace(recorded(), trace=replace(trace, events=2, ring_events=7)), as_json=False)
 
 
 def test_without_a_trace_nothing_is_called_written(capsys):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 from importlib.util import find_spec
 from itertools import count
 from pathlib import Path
@@ -11,6 +10,7 @@ from pathlib import Path
 import pytest
 from applied_pair import needs_large_buffers, run_pair
 from namespaces import needs_namespaces
+from shared_memory import OWN_SHM, needs_root
 
 from dds_trace.recorder.backends.ros2.fastdds_profile import (
     asked_profile,
@@ -23,16 +23,6 @@ from dds_trace.recorder.sweep.station.emulation import ip
 
 pytestmark = pytest.mark.middleware
 
-OWN_SHM = (
-    *("unshare", "--mount", "--propagation", "private", "sh", "-c"),
-    *('mount -t tmpfs -o mode=1777 tmpfs /dev/shm && exec "$@"', "sh"),
-)
-"""Becomes the command behind it with a /dev/shm of its own, as a container has one."""
-
-needs_root = pytest.mark.skipif(
-    os.geteuid() != 0 or shutil.which("unshare") is None,
-    reason="a /dev/shm of its own needs root and unshare",
-)
 needs_ros2 = pytest.mark.skipif(find_spec("rclpy") is None, reason="no ROS 2 here")
 needs_cyclonedds = pytest.mark.skipif(find_spec("cyclonedds") is None, reason="cyclonedds is not installed")
 needs_zenoh = pytest.mark.skipif(find_spec("zenoh") is None, reason="zenoh is not installed")

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 from fake_node import FakeNode
 
+from dds_trace.recorder.applied import Difference, Setting
 from dds_trace.recorder.backends import BACKEND_MODULES
 from dds_trace.recorder.backends.node import Endpoint, Middleware, NodeOptions, TopicView
 from dds_trace.recorder.choices import Discovery
@@ -124,6 +125,18 @@ def test_a_relay_of_an_unassignable_type_is_named_and_no_firewall(node, plan):
     assert line in text
     assert "try: install the same version of sensor_msgs on both sides" in text
     assert "firewall" not in text
+
+
+def test_sides_without_a_common_dev_shm_are_told_so_and_no_firewall(node, plan):
+    see(node, listening=[Endpoint("relay", IMAGE)], answering=[Endpoint("relay", IMAGE)])
+    words = "messages for a receiver on this host go to fastdds_port8660, where nobody reads them"
+    apart = Difference(Setting.MEMORY_NAMESPACE, "default", "fastdds_port8660", words)
+    *_, advice, settings = explain_silence(node, plan, 3, (apart,)).splitlines()
+    assert advice.startswith("  try: let both sides have one /dev/shm (of containers: --ipc=host")
+    assert "firewall" not in advice
+    assert settings == f"  not applied: {words}"
+    smaller = Difference(Setting.KERNEL_LIMIT, "4000000", "212992", "net.core.rmem_max is 212,992")
+    assert "firewalls" in explain_silence(node, plan, 3, (smaller,))  # explains no silence
 
 
 LASTING = Silence(messages=40, duration_ns=4_000_000_000, before=100, answered=100)

@@ -147,6 +147,7 @@ def test_the_beginning_is_read_once(monkeypatch):
 
 def test_a_setting_may_explain_why_no_echo_comes(monkeypatch):
     bench = Bench(monkeypatch)
-    assert bench.read_back.explain(Traffic(20, 0, 33_000)) == ""
+    assert bench.read_back.explain(Traffic(20, 0, 33_000)) == ()
     bench.seen = applied(memory=(segment(),))
-    assert bench.read_back.explain(Traffic(20, 0, 33_000)).startswith("asked for UDP, ")
+    (difference,) = bench.read_back.explain(Traffic(20, 0, 33_000))
+    assert difference.words.startswith("asked for UDP, ")

@@ -1,7 +1,9 @@
 from __future__ import annotations
 
+import errno
 import json
 import os
+from pathlib import Path
 
 import pytest
 
@@ -118,6 +120,24 @@ def test_interrupted_write_leaves_the_state_before(tmp_path, monkeypatch):
 
 
 def test_folder_that_cannot_be_written_is_a_clear_error(tmp_path):
-    with pytest.raises(OutputError, match="No such file"):
+    with pytest.raises(OutputError, match="its folder was deleted or moved") as gone:
         replace_text(tmp_path / "none" / "state.json", "{}")
     assert list(tmp_path.iterdir()) == []
+    assert "space" not in str(gone.value)
+
+
+@pytest.mark.parametrize(
+    ("number", "words"),
+    [
+        (errno.ENOSPC, "the disk is full; free space"),
+        (errno.EROFS, "the file system is read-only; choose another --out"),
+        (errno.EIO, "Input/output error; check the disk"),
+    ],
+)
+def test_a_state_that_cannot_be_written_says_what_helps(tmp_path, monkeypatch, number, words):
+    def fail(*_arguments):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(Path, "write_text", fail)
+    with pytest.raises(OutputError, match=f"cannot write the state of the sweep: {words}"):
+        replace_text(tmp_path / "state.json", "{}")

@@ -241,13 +241,8 @@ def _show(plan: Plan, as_json: bool, until: Until | None) -> None:
         print(f"relay {group.need.name}" + (f", half of {group.bridge} beside it" if group.bridge else ""))
         for cell in group.cells:
             print(f"  {cell.name}  {plan.run.planned_seconds(cell.rate):.0f} s{_doubt(plan, cell)}")
-    for reason, count in Counter(reason for _, reason in plan.excluded).items():
-        print(f"left out by [[exclude]]: {counted(count, 'cell')}" + (f" ({reason})" if reason else ""))
-    if plan.link is not None:
-        print(f"link: {plan.link}")
-    if plan.by_hand:
-        for line in _relay_commands(plan):
-            print(line)
+    for line in _remarks(plan):
+        print(line)
     print(
         f"plan {plan.name}: {counted(len(cells), 'cell')}, {len(plan.excluded)} left out, "
         f"{counted(len(groups), 'start of a relay', 'starts of a relay')}, "
@@ -258,6 +253,22 @@ def _show(plan: Plan, as_json: bool, until: Until | None) -> None:
             f"until {until.statistic} is known to +-{until.percent:g} % in every cell: {until.max_passes} passes at "
             f"most, about {plan_seconds(plan, passes=until.max_passes)} if every cell takes all of them"
         )
+
+
+def _remarks(plan: Plan) -> list[str]:
+    """Return the lines about the plan as a whole: what it leaves out, warnings, its link, commands for the other device."""
+    from dds_trace.recorder.sweep import depth_warnings
+
+    left_out = Counter(reason for _, reason in plan.excluded).items()
+    return [
+        *(
+            f"left out by [[exclude]]: {counted(count, 'cell')}" + (f" ({reason})" if reason else "")
+            for reason, count in left_out
+        ),
+        *(f"warning: {warning}" for warning in depth_warnings(plan)),
+        *([f"link: {plan.link}"] if plan.link is not None else []),
+        *(_relay_commands(plan) if plan.by_hand else []),
+    ]
 
 
 def _doubt(plan: Plan, cell: Cell) -> str:

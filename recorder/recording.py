@@ -21,7 +21,8 @@ from dds_trace.tracefile import (
 )
 from dds_trace.tracefile.writing.destination import discard
 
-from .backends import open_node
+from .backends import load_backend, open_node
+from .backends.qos import warn_of_depth
 from .bridges.asked import open_asked_bridge
 from .domains import check_domain
 from .host.clock import SystemClock
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
     from .options import PingOptions, RecordOptions
     from .payloads.base import Payload
     from .roles.ping import AnyPing
+    from .roles.plan import RunPlan
     from .roles.progress import PingProgress, RelayProgress, Watch
     from .roles.wire_record import WireRecord
 
@@ -158,6 +160,7 @@ class _Recording:
         with ExitStack() as stack:
             payload = stack.enter_context(self._open_payload(asked, seed))
             plan = plan_run(self.options, asked, payload, session_id=self.session_id, seed=seed)
+            self._warn_of_depth(plan)
             self._measure_costs()
             wire = stack.enter_context(self._open_wire(asked))
             node = stack.enter_context(self._open_node("ping"))
@@ -190,6 +193,12 @@ class _Recording:
             trace = sink.close(**described, **read_back.fields(), **self._clock_at_end())
             read_back.tell(trace.path)
             return Recorded(trace, session, ping.progress(), run, error)
+
+    def _warn_of_depth(self, plan: RunPlan) -> None:
+        if load_backend(self.options.backend).speaks_dds:  # the others keep what their connection keeps
+            warning = warn_of_depth(plan.qos.history, plan.qos.depth, plan.rate_hz)
+            if warning is not None:
+                self.watch.note(warning)
 
     def _measure_costs(self) -> None:
         """Measure the costs of recording, before there is a node that could be disturbed."""

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from types import TracebackType
 
     from dds_trace.recorder import Recorded, RecordOptions
-    from dds_trace.tracefile import TraceError
+    from dds_trace.tracefile import ClosedTrace, TraceError
 
 
 def describe_progress(progress: PingProgress | RelayProgress) -> str:
@@ -121,14 +121,7 @@ def _fault(recorded: Recorded, fail_if_lost: float | None) -> TraceError | None:
     """Return the worst that happened to a recording, None if all is well."""
     trace, progress = recorded.trace, recorded.progress
     if trace is not None and trace.error is not None:
-        if not trace.ring_events:
-            return trace.error
-        if isinstance(trace.error.__cause__, FileNotFoundError):  # the ring was in that folder, too
-            return OutputError(f"{trace.error}; {counted(trace.events + trace.ring_events, 'event')} went with it")
-        return OutputError(
-            f"{trace.error}; {counted(trace.ring_events, 'event waits', 'events wait')} in the ring beside it: make "
-            f"room or copy both files to another disk, then `dds-record --recover {trace.path}`"
-        )
+        return _fault_of(trace, trace.error)
     if recorded.error is not None:
         return recorded.error
     if fail_if_lost is None or not isinstance(progress, PingProgress) or not progress.sent:
@@ -139,6 +132,18 @@ def _fault(recorded: Recorded, fail_if_lost: float | None) -> TraceError | None:
     return LossesError(
         f"{progress.lost} of {counted(progress.sent, 'message')} lost, {share:.2%}; --fail-if-lost allows "
         f"{fail_if_lost:.2%}"
+    )
+
+
+def _fault_of(trace: ClosedTrace, error: OutputError) -> OutputError:
+    """Return the error of a trace that is not whole, with where the rest of its events is."""
+    if not trace.ring_events:
+        return error
+    if isinstance(error.__cause__, FileNotFoundError):  # the ring was in that folder, too
+        return OutputError(f"{error}; {counted(trace.events + trace.ring_events, 'event')} went with it")
+    return OutputError(
+        f"{error}; {counted(trace.ring_events, 'event waits', 'events wait')} in the ring beside it: make "
+        f"room or copy both files to another disk, then `dds-record --recover {trace.path}`"
     )
 
 

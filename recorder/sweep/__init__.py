@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from .plan.cells import Cell, environment_name
     from .plan.commands import half_arguments, relay_arguments
     from .plan.link import PRESETS, Link
-    from .plan.plan import Plan
+    from .plan.plan import Plan, depth_warnings
     from .plan.plan_file import parse_plan, read_plan
     from .plan.schedule import CellGroup, Remaining, plan_seconds, schedule
     from .run.progress import SweepProgress, make_progress
@@ -43,6 +43,7 @@ __all__ = [
     "SweepProgress",
     "Until",
     "against_seconds",
+    "depth_warnings",
     "environment_name",
     "environment_program",
     "half_arguments",

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from dds_trace.tracefile import OptionError
 from dds_trace.tracefile.units.counts import counted
 
+from .plan.plan import depth_warnings
 from .plan.schedule import CellGroup, Remaining, group_by_relay, plan_seconds, schedule_pass
 from .run.lock import holding_folder
 from .run.runner import Runner
@@ -116,6 +117,8 @@ def run_against(
     turns = take_turns(base, new)
     partners = {own.name: of_base.name for own, of_base in zip(new.cells, base.cells, strict=True)}
     new = replace(new, partners=partners)
+    for warning in dict.fromkeys([*depth_warnings(base), *depth_warnings(new)]):
+        progress.note(warning)
     cells = {side: [turn.group.cells[0] for turn in turns if turn.side == side] for side in (BASE, NEW)}
     with ExitStack() as stack:
         runners = {}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from .plan.plan import depth_warnings
 from .plan.schedule import schedule
 from .run.lock import holding_folder
 from .run.runner import Runner
@@ -67,6 +68,8 @@ def run_sweep(
     """
     folder = out / plan.name
     groups = schedule(plan)
+    for warning in depth_warnings(plan):
+        progress.note(warning)
     with (
         holding_folder(folder, progress.note) as held,
         open_station(plan, folder, held, show=progress.note, command=command) as station,

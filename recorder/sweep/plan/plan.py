@@ -9,6 +9,7 @@ from enum import Enum
 from typing import TYPE_CHECKING
 
 from ...backends import Meeting, load_backend
+from ...backends.qos import warn_of_depth
 from ...bridges import load_bridge
 from ...bridges.base import Halves
 
@@ -220,6 +221,27 @@ class Plan:
             "connectivity": self.connectivity,
         }
         return hashlib.sha256(json.dumps(settings, sort_keys=True, default=str).encode()).hexdigest()[:16]
+
+
+def depth_warnings(plan: Plan) -> list[str]:
+    """Return a warning for each history of the plan's cells that holds too few messages at its rate, and the cells it is about."""
+    warned: dict[str, list[str]] = {}
+    for cell in plan.cells:
+        if (warning := depth_warning(cell)) is not None:
+            warned.setdefault(warning, []).append(cell.name)
+    return [
+        f"{warning} (a cell: {names[0]})"
+        if len(names) == 1
+        else f"{warning} ({len(names)} cells: {names[0]} ...)"
+        for warning, names in warned.items()
+    ]
+
+
+def depth_warning(cell: Cell) -> str | None:
+    """Return a warning if the cell's history holds too few messages at its rate; backends without DDS have no such history."""
+    if not load_backend(cell.backend).speaks_dds:
+        return None
+    return warn_of_depth(cell.history, cell.depth, cell.rate)
 
 
 def connects_to_relay(backend: str) -> bool:

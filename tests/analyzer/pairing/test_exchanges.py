@@ -364,8 +364,16 @@ def test_a_run_that_nobody_describes_is_left_out_and_named(tmp_path, runs, sessi
 @pytest.mark.parametrize(
     ("field", "value", "words"),
     [
-        ("warmup_messages", -1, r"in ping\.mcap, whose description is impossible \(warmup_messages is -1\); no measurement"),
-        ("rate_hz", "fast", r"ping\.mcap was not used: field 'rate_hz' of the run description is 'fast', not a number; repl"),
+        (
+            "warmup_messages",
+            -1,
+            r"in ping\.mcap, whose description is impossible \(warmup_messages is -1\); no measurement",
+        ),
+        (
+            "rate_hz",
+            "fast",
+            r"ping\.mcap was not used: field 'rate_hz' of the run description is 'fast', not a number; repl",
+        ),
         ("qos", {}, r"ping\.mcap was not used: the run\.qos description has no field 'reliability'; replace"),
     ],
 )

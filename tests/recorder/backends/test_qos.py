@@ -5,7 +5,13 @@ from __future__ import annotations
 import pytest
 
 from dds_trace.recorder.backends.node import Endpoint
-from dds_trace.recorder.backends.qos import asked_durations, duration_extra, incompatible_pairs, mismatches
+from dds_trace.recorder.backends.qos import (
+    asked_durations,
+    duration_extra,
+    incompatible_pairs,
+    mismatches,
+    warn_of_depth,
+)
 from dds_trace.tracefile import Qos
 
 RELIABLE, BEST_EFFORT = Qos(), Qos(reliability="best_effort")
@@ -51,3 +57,24 @@ def test_pairs_of_ours_are_named_and_others_are_not():
     (line,) = incompatible_pairs("imu_data", [ours, unknown], [theirs], "me")
     assert line.startswith("imu_data: publisher of me and subscription of they differ in reliability")
     assert list(incompatible_pairs("imu_data", [ours], [theirs], "somebody")) == []
+
+
+@pytest.mark.parametrize(
+    ("history", "depth", "rate_hz", "warned"),
+    [
+        ("keep_last", 10, 100, False),
+        ("keep_last", 10, 101, True),
+        ("keep_last", 100, 1000, False),
+        ("keep_last", 1, 10.5, True),
+        ("keep_last", 1, 0.1, False),
+        ("keep_all", 1, 1000, False),
+    ],
+)
+def test_a_depth_below_rate_times_stall_is_warned_of(history, depth, rate_hz, warned):
+    assert (warn_of_depth(history, depth, rate_hz) is not None) == warned
+
+
+def test_the_warning_of_a_depth_says_how_long_it_lasts_and_what_would_do():
+    warning = warn_of_depth("keep_last", 10, 1000)
+    assert warning.startswith("--depth 10 keeps 10 ms of messages at 1000 Hz: ")
+    assert "--depth 100 on both sides keeps 100 ms" in warning

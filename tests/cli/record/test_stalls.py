@@ -1,0 +1,81 @@
+"""Sides that stand still for a while: what is warned of before a run, and what its trace tells behind it."""
+
+from __future__ import annotations
+
+import signal
+import time
+from importlib.util import find_spec
+from typing import TYPE_CHECKING
+
+import pytest
+from processes import PATIENCE_S, relay, running
+
+from dds_trace.analyzer import analyze
+from dds_trace.recorder.host.sampling import HostSampler
+from dds_trace.tracefile import read_trace
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+pytestmark = pytest.mark.middleware
+needs_cyclonedds = pytest.mark.skipif(find_spec("cyclonedds") is None, reason="cyclonedds is not installed")
+WARNING = "--depth 10 keeps 10 ms of messages at 1000 Hz"
+
+
+@pytest.mark.parametrize(
+    ("backend", "depth", "warned"),
+    [
+        pytest.param("cyclonedds", 10, True, marks=needs_cyclonedds),
+        pytest.param("cyclonedds", 100, False, marks=needs_cyclonedds),
+        ("socket", 10, False),  # TCP keeps what does not fit, whatever the depth
+    ],
+)
+def test_a_depth_below_rate_times_stall_is_warned_of_before_the_run(
+    domain_id, tmp_path, backend, depth, warned
+):
+    common = ("--backend", backend, "--depth", depth, "--discovery", "localhost")
+    with relay(domain_id, tmp_path / "relay.mcap", *common):
+        out = ("--out", tmp_path / "ping.mcap", "--domain", domain_id)
+        run = ("--rate", 1000, "--messages", 20)
+        with running("dds-record", "--role", "ping", *out, *common, *run) as pinging:
+            done = pinging.finish()
+    assert done.status == 0, done.stderr
+    before = done.stderr.partition("waiting for an echo")[0]
+    assert (WARNING in before) == warned
+    assert done.stderr.count(WARNING) == warned
+
+
+@pytest.mark.slow
+def test_a_stopped_ping_is_a_finding_with_lateness_and_what_the_host_tells(domain_id, tmp_path):
+    common = ("--backend", "socket", "--discovery", "localhost")
+    with relay(domain_id, tmp_path / "relay.mcap", *common) as relaying:
+        out = ("--out", tmp_path / "ping.mcap", "--domain", domain_id)
+        run = ("--rate", 50, "--messages", 350, "--warmup", 0)
+        with running("dds-record", "--role", "ping", *out, *common, *run) as pinging:
+            _wait_for_samples(tmp_path / "ping.mcap", 2)
+            pinging.send_signal(signal.SIGSTOP)
+            _wait_for_samples(tmp_path / "relay.mcap", 4)
+            pinging.send_signal(signal.SIGCONT)
+            done = pinging.finish()
+        stopped = relaying.stop()
+    assert (done.status, stopped.status) == (0, 0), done.stderr + stopped.stderr
+    host = HostSampler(lambda _sample: None).sample()["host"]
+    for sample in read_trace(tmp_path / "ping.mcap").host_samples:
+        assert sample["host"]["steal_ns"] >= 0
+        assert sample["host"]["pressure_us"].keys() == host["pressure_us"].keys()
+    (found,) = [each for each in analyze(tmp_path).findings if each.code == "stood_still"]
+    assert found.what.startswith("The ping sent nothing for ")
+    assert "99 % of all left at most " in found.what
+    assert "its whole process did nothing, and other recordings on its machine went on" in found.what
+
+
+def _wait_for_samples(path: Path, more: int) -> None:
+    """Wait until the recorder of a trace has taken so many more samples of its host, one a second."""
+    enough, deadline = _samples(path) + more, time.monotonic() + PATIENCE_S
+    while _samples(path) < enough:
+        assert time.monotonic() < deadline, f"{path} has {_samples(path)} of {enough} samples"
+        time.sleep(0.05)
+
+
+def _samples(path: Path) -> int:
+    return len(read_trace(path).host_samples) if path.exists() else 0

@@ -20,6 +20,7 @@ from dds_trace.tracefile.units.durations import parse_duration
 
 from . import compare, watch
 from .errors import run_command
+from .quick_help import command_app, declare_command
 
 if TYPE_CHECKING:
     from dds_trace.analyzer import Analysis
@@ -44,10 +45,10 @@ def _known_kinds(kinds: list[str] | None) -> list[str] | None:
     return kinds
 
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich")
+app = command_app()
 
 
-@app.command(context_settings={"help_option_names": ["-h", "--help"]})
+@declare_command(app)
 def main_command(
     folder: Annotated[
         Path,

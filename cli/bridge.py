@@ -14,6 +14,7 @@ from dds_trace.recorder import choices
 from dds_trace.recorder.bridges import BRIDGE_MODULES
 
 from .errors import run_command
+from .quick_help import command_app, declare_command
 
 if TYPE_CHECKING:
     from typer.models import OptionInfo
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 LOOK_S = 0.2
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich")
+app = command_app()
 
 
 def _option(name: str, *, help: str, metavar: str | None = None) -> OptionInfo:  # noqa: A002 - typer's word
@@ -30,7 +31,7 @@ def _option(name: str, *, help: str, metavar: str | None = None) -> OptionInfo: 
     return option
 
 
-@app.command(context_settings={"help_option_names": ["-h", "--help"]})
+@declare_command(app)
 def main_command(
     name: Annotated[
         str | None, typer.Argument(metavar="[NAME]", help=f"{', '.join(BRIDGE_MODULES)}.", show_default=False)

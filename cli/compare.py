@@ -9,6 +9,8 @@ import typer
 
 from dds_trace.tracefile.units.durations import format_ms
 
+from .quick_help import command_app, declare_command
+
 if TYPE_CHECKING:
     from dds_trace.analyzer import Comparison, GateOutcome, GateResult
 
@@ -28,10 +30,10 @@ class ComparisonReport(str, Enum):
     JUNIT = "junit"
 
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich")
+app = command_app()
 
 
-@app.command(context_settings={"help_option_names": ["-h", "--help"]})
+@declare_command(app)
 def compare_command(
     base: Annotated[Path, typer.Argument(metavar="BASE", help="Traces before.", show_default=False)],
     new: Annotated[Path, typer.Argument(metavar="NEW", help="Traces after.", show_default=False)],

@@ -17,6 +17,7 @@ from dds_trace.tracefile import OptionError, __version__
 from dds_trace.tracefile.units.counts import counted
 
 from .errors import run_command
+from .quick_help import command_app, declare_command
 
 if TYPE_CHECKING:
     from dds_trace.recorder.sweep import Cell, Plan, Until
@@ -27,7 +28,7 @@ INTERRUPTED_EXIT_CODE = 130
 LOOPBACK_MBIT_S = 10_000
 """Rate that hardly any machine carries through a middleware in one direction."""
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich")
+app = command_app()
 
 
 class Printed(str, Enum):
@@ -42,7 +43,7 @@ def _print_version(asked: bool) -> None:
         raise typer.Exit
 
 
-@app.command(context_settings={"help_option_names": ["-h", "--help"]})
+@declare_command(app)
 def main_command(
     plan: Annotated[
         Path, typer.Argument(help="The plan, a TOML file such as plans/quick.toml.", show_default=False)

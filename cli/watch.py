@@ -9,13 +9,15 @@ from typing import Annotated
 
 import typer
 
+from .quick_help import command_app, declare_command
+
 LOOK_SECONDS = 3.0
 """Default time between two looks at the files."""
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich")
+app = command_app()
 
 
-@app.command(context_settings={"help_option_names": ["-h", "--help"]})
+@declare_command(app)
 def watch_command(
     folder: Annotated[
         Path,

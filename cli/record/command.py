@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import typer
-
 from dds_trace.recorder import choices
 
 from ..errors import run_command
+from ..quick_help import command_app, declare_command
 from . import words  # noqa: TC001 - typer reads the annotations
 
 BRIDGED_PING_DOMAIN = 5
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich")
+app = command_app()
 
 
-@app.command(context_settings={"help_option_names": ["-h", "--help"]})
+@declare_command(app)
 def main_command(
     role: words.Role = None,
     out: words.Out = None,

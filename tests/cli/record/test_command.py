@@ -294,7 +294,7 @@ def test_the_recorder_ranks_every_reliability_and_durability():
 def test_help_names_every_bridge_backend_and_default():
     output = CliRunner(env={"COLUMNS": "300", "TERMINAL_WIDTH": "300"}).invoke(command.app, ["--help"]).output
     assert f"Messages to measure. Default: {DEFAULT_MESSAGES}," in output
-    assert f"Messages before, which do not count. Default: {DEFAULT_WARMUP} " in output
+    assert f"Messages before, which do not count. Default: {DEFAULT_WARMUP}\n" in output
     for name in (*BRIDGE_MODULES, *BACKEND_MODULES):
         assert name in output
 

@@ -1,0 +1,142 @@
+"""What each command costs before it does anything: `--help`, and an analysis of the smallest sample.
+
+    python benchmarks/bench_startup.py             fifteen rounds: about a minute
+    python benchmarks/bench_startup.py --rounds 5
+
+Every round starts each command once, one after the other, beside `python -c pass`; a row has the median of its wall and
+CPU time, and the median ratio of its wall time to that of the bare interpreter in the same round. Bytecode is at hand, as pip leaves
+it (`PYTHONPYCACHEPREFIX`, filled by a first round): where `PYTHONDONTWRITEBYTECODE` is set and nothing was compiled, each
+start compiles all libraries anew and takes about twice as long. The exit code is 1 if a bar is missed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from time import perf_counter
+
+BIN = Path(sys.executable).parent
+SAMPLE = Path(__file__).parents[1] / "sample_traces" / "losses"
+HELP_S, ANALYSIS_S = 0.2, 0.8
+BARE = "python -c pass"
+ANALYSIS = "dds-analyze sample_traces/losses"
+
+
+@dataclass(frozen=True, slots=True)
+class Startup:
+    """Medians of one command.
+
+    Attributes:
+        times_bare: median over rounds of its wall time over that of the bare interpreter.
+        bar_s: most wall time; None for what is only compared with.
+    """
+
+    command: str
+    wall_s: float
+    cpu_s: float
+    times_bare: float
+    bar_s: float | None
+
+    @property
+    def passed(self) -> bool:
+        """Whether the median is within the bar."""
+        return self.bar_s is None or self.wall_s <= self.bar_s
+
+
+def commands(folder: Path) -> dict[str, tuple[list[str], float | None]]:
+    """Return name -> (arguments, most seconds) of everything that is started."""
+    subcommands = [
+        "dds-record",
+        "dds-sweep",
+        "dds-bridge",
+        "dds-analyze",
+        "dds-analyze compare",
+        "dds-analyze watch",
+    ]
+    return {
+        BARE: ([sys.executable, "-c", "pass"], None),
+        "import numpy, polars, pyarrow": (
+            [sys.executable, "-c", "import numpy, polars, pyarrow.parquet"],
+            None,
+        ),
+        **{
+            f"{name} --help": ([str(BIN / name.split()[0]), *name.split()[1:], "--help"], HELP_S)
+            for name in subcommands
+        },
+        ANALYSIS: (
+            [str(BIN / "dds-analyze"), str(SAMPLE), "--no-cache", "--out", str(folder / "out")],
+            ANALYSIS_S,
+        ),
+    }
+
+
+def time_start(arguments: list[str], environment: dict[str, str]) -> tuple[float, float]:
+    """Run a command to its end; return its wall and CPU seconds."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    start = perf_counter()
+    subprocess.run(arguments, env=environment, check=True, capture_output=True)
+    wall_s = perf_counter() - start
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return wall_s, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def measure(rounds: int) -> list[Startup]:
+    """Start every command in turn, so many rounds, and return the medians."""
+    with tempfile.TemporaryDirectory(prefix="bench-startup-") as name:
+        started = commands(Path(name))
+        environment = {**os.environ, "PYTHONPYCACHEPREFIX": str(Path(name) / "bytecode")}
+        environment.pop("PYTHONDONTWRITEBYTECODE", None)
+        times: dict[str, list[tuple[float, float]]] = {command: [] for command in started}
+        for turn in range(rounds + 1):
+            for command, (arguments, _) in started.items():
+                taken = time_start(arguments, environment)
+                if turn:  # the first round compiles
+                    times[command].append(taken)
+    return [
+        Startup(
+            command,
+            statistics.median(wall for wall, _ in times[command]),
+            statistics.median(cpu for _, cpu in times[command]),
+            statistics.median(
+                wall / bare for (wall, _), (bare, _) in zip(times[command], times[BARE], strict=True)
+            ),
+            most_s,
+        )
+        for command, (_, most_s) in started.items()
+    ]
+
+
+def main() -> int:
+    """Measure, print, and say by the exit code whether every bar is passed."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--rounds", type=int, default=15)
+    parser.add_argument("--json", action="store_true", help="print JSON in place of the table")
+    options = parser.parse_args()
+    startups = measure(options.rounds)
+    if options.json:
+        print(json.dumps([{**asdict(startup), "passed": startup.passed} for startup in startups], indent=1))
+    else:
+        print(
+            f"{'command':36}{'wall':>9}{'CPU':>9}{'x python':>10}  bar; load average {os.getloadavg()[0]:.1f}"
+        )
+        for startup in startups:
+            bar = "" if startup.bar_s is None else f"<= {startup.bar_s * 1e3:.0f} ms"
+            print(
+                f"{startup.command:36}{startup.wall_s * 1e3:6.0f} ms{startup.cpu_s * 1e3:6.0f} ms"
+                f"{startup.times_bare:10.1f}  {bar}{'' if startup.passed else '  MISSED'}"
+            )
+    return 0 if all(startup.passed for startup in startups) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

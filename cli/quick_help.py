@@ -1,0 +1,71 @@
+"""The frame that every command's app is made in: `--help` and usage errors are written without rich.
+
+Rich and the four libraries that typer's own help imports with it take longer to load than everything else that `--help` does;
+`docs/performance.md` has the figures. The words stay marked as rich has them, [bold] and [dim]: a terminal shows them so, and a
+file or a pipe gets the plain text, because `typer.echo` takes escape sequences off there.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Any
+
+import typer
+from typer.core import TyperCommand
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+WIDEST_COLUMNS = 120
+"""Columns of help on a wide terminal; on a narrower one, its own."""
+
+_HELD = {"[bold]": "\ue000", "[dim]": "\ue001", "[/bold]": "\ue002", "[/dim]": "\ue002", "-": "\ue003"}
+"""What one character stands for while lines are broken: a mark must not count as a word, and no name breaks at its hyphen."""
+
+_SHOWN = str.maketrans({"\ue000": "\x1b[1m", "\ue001": "\x1b[2m", "\ue002": "\x1b[0m", "\ue003": "-"})
+_HOLD = re.compile("|".join(map(re.escape, _HELD)))
+
+
+class QuickHelpCommand(TyperCommand):
+    """A command whose help is written by click's formatter, one section for each panel of options."""
+
+    def get_help(self, ctx: Any) -> str:
+        """Return the help page, broken into lines for the terminal."""
+        return super().get_help(ctx).translate(_SHOWN)
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Write usage, text, arguments and options to the formatter of the help page."""
+        self.format_usage(ctx, formatter)
+        formatter.write_paragraph()
+        with formatter.indentation():
+            formatter.write_text(_held(self.help or ""))
+        for title, rows in self._panels(ctx).items():
+            with formatter.section(title):
+                formatter.write_dl(rows)
+
+    def _panels(self, ctx: Any) -> dict[str, list[tuple[str, str]]]:
+        """Return title -> (name, help) of each parameter, arguments first, in the order they are declared."""
+        panels: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
+        for parameter in self.get_params(ctx):
+            record = parameter.get_help_record(ctx)
+            if record is not None:
+                kind = "Options" if parameter.param_type_name == "option" else "Arguments"
+                title = getattr(parameter, "rich_help_panel", None) or kind
+                panels.setdefault(title, []).append((record[0].rstrip(), _held(record[1])))
+        return {title: rows for title, rows in panels.items() if rows}
+
+
+def command_app() -> typer.Typer:
+    """Return an empty app; `declare_command` gives it its command."""
+    return typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+
+
+def declare_command(app: typer.Typer) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Return the decorator that makes a function the command of an app, with -h and the quick help."""
+    names = {"help_option_names": ["-h", "--help"], "max_content_width": WIDEST_COLUMNS}
+    return app.command(cls=QuickHelpCommand, context_settings=names)
+
+
+def _held(text: str) -> str:
+    """Return a text with its marks and hyphens held by one character each."""
+    return _HOLD.sub(lambda mark: _HELD[mark[0]], text)

@@ -44,6 +44,18 @@ class Role(Enum):
     RELAY = "relay"
 
 
+class FileMode(Enum):
+    """Readers of a trace and its ring: the owner and the group, or the owner alone."""
+
+    GROUP = "0640"
+    OWNER = "0600"
+
+    @property
+    def bits(self) -> int:
+        """The mode as a number."""
+        return int(self.value, 8)
+
+
 class Reliability(Enum):
     """QoS reliability."""
 

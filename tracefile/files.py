@@ -39,10 +39,10 @@ def replacing(path: Path, *, fsync: bool = False) -> Iterator[Path]:
     try:
         yield draft
         if fsync:
-            _flush_to_disk(draft)
+            flush_to_disk(draft)
         draft.replace(path)
         if fsync:
-            _flush_to_disk(path.parent)
+            flush_to_disk(path.parent)
     finally:
         with suppress(OSError):  # it took its place, or was never written
             draft.unlink()
@@ -66,7 +66,31 @@ def open_regular(path: Path, *, follow_links: bool = True) -> BinaryIO:
     return os.fdopen(descriptor, "rb")
 
 
-def _flush_to_disk(path: Path) -> None:
+OWNER_AND_GROUP = 0o640
+"""Mode of a new trace and its ring: the owner writes, the group reads, others do nothing; the umask may take more away."""
+
+
+def create_file(path: Path, mode: int = OWNER_AND_GROUP) -> BinaryIO:
+    """Make a file that does not exist and open it for writing; it never has more rights than `mode`.
+
+    Raises:
+        OSError: as `open`; there is something of that name already, a dangling link too.
+    """
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
+    return os.fdopen(descriptor, "wb")
+
+
+def mode_within(rights: int) -> int:
+    """Return the mode for a file that is made of one with these rights: no more, and none for others."""
+    return rights & OWNER_AND_GROUP | stat.S_IRUSR | stat.S_IWUSR
+
+
+def flush_to_disk(path: Path) -> None:
+    """Have a file, or the names in a folder, on the disk and not only in the page cache.
+
+    Raises:
+        OSError: it cannot be opened or flushed.
+    """
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     try:
         os.fsync(descriptor)

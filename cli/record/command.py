@@ -19,6 +19,7 @@ def main_command(
     out: words.Out = None,
     force: words.Force = False,
     fsync: words.Fsync = False,
+    file_mode: words.FileMode = choices.FileMode.GROUP,
     duration: words.Duration = None,
     as_json: words.AsJson = False,
     data: words.Data = None,
@@ -147,7 +148,7 @@ def main_command(
         settings=parse_pairs("--setting", setting or [], "cpu_load=50%"),
     )
     options = RecordOptions(
-        destination=TraceDestination(out, force=force, fsync=fsync),
+        destination=TraceDestination(out, force=force, fsync=fsync, mode=file_mode.bits),
         node=NodeOptions(
             domain_id=domain,
             discovery=discovery,

@@ -47,6 +47,14 @@ Fsync = Annotated[
     bool,
     _role("--fsync", metavar="", help="Have each second of the trace on the disk, not in its cache."),
 ]
+FileMode = Annotated[
+    choices.FileMode,
+    _role(
+        "--file-mode",
+        metavar="MODE",
+        help="Of trace and ring: 0640 [dim](default: you write, your group reads)[/dim] or 0600.",
+    ),
+]
 Duration = Annotated[
     float | None, _role("--duration", metavar="SECONDS", help="End then. A relay goes on until stopped.")
 ]

@@ -6,7 +6,7 @@ import json
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from ..files import replacing
+from ..files import OWNER_AND_GROUP, create_file, replacing
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -37,7 +37,14 @@ class TopicCount:
     messages: int
 
 
-def write_metadata(trace: Path, topics: Sequence[TopicCount], time_range_ns: tuple[int, int]) -> None:
+def write_metadata(
+    trace: Path,
+    topics: Sequence[TopicCount],
+    time_range_ns: tuple[int, int],
+    *,
+    mode: int = OWNER_AND_GROUP,
+    fsync: bool = False,
+) -> None:
     """Write `metadata.yaml` beside the one MCAP file of a bag.
 
     No QoS profile is offered: nothing was received over these topics, so a player uses its default.
@@ -46,6 +53,8 @@ def write_metadata(trace: Path, topics: Sequence[TopicCount], time_range_ns: tup
         trace: the closed MCAP file.
         topics: its topics.
         time_range_ns: its earliest and latest log time.
+        mode: the most rights that the file has.
+        fsync: whether it is on the disk, not only in the page cache, when this returns.
 
     Raises:
         OSError: the file cannot be written.
@@ -70,8 +79,11 @@ def write_metadata(trace: Path, topics: Sequence[TopicCount], time_range_ns: tup
         count=count,
         topics=per_topic or " []\n",
     )
-    with replacing(trace.with_name(METADATA_NAME)) as draft:
-        draft.write_text(text, encoding="utf-8")
+    with (
+        replacing(trace.with_name(METADATA_NAME), fsync=fsync) as draft,
+        create_file(draft, mode) as file,
+    ):
+        file.write(text.encode())
 
 
 _TOPIC = """

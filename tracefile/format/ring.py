@@ -41,7 +41,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from ..errors import TraceFormatError
-from ..files import open_regular
+from ..files import OWNER_AND_GROUP, open_regular
 from .descriptions import Session
 from .events import EVENT_DTYPE, Stage
 
@@ -108,6 +108,7 @@ class Ring:
         path: the file, which must not exist.
         slot_count: the number of slots.
         session: the recording process, described in the header.
+        mode: the most rights that the file has.
 
     Attributes:
         path: the file.
@@ -123,7 +124,7 @@ class Ring:
 
     __slots__ = ("_descriptor", "memory", "path", "slots", "slots_at", "words")
 
-    def __init__(self, path: Path, slot_count: int, session: Session) -> None:
+    def __init__(self, path: Path, slot_count: int, session: Session, *, mode: int = OWNER_AND_GROUP) -> None:
         self.path = path
         text = json.dumps(
             {
@@ -133,7 +134,7 @@ class Ring:
             },
         ).encode()
         slots_at = -(-(RING_HEADER.size + len(text)) // mmap.PAGESIZE) * mmap.PAGESIZE
-        self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+        self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
         try:
             with suppress(
                 OSError

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from ..errors import OptionError, OutputExistsError, TraceFormatError
-from ..files import output_error
+from ..files import flush_to_disk, mode_within, output_error
 from ..format.bag_metadata import write_metadata
 from ..format.descriptions import Session
 from ..format.events import SESSION_TOPIC
@@ -128,7 +128,8 @@ def recover(path: Path, destination: Path | None = None) -> RecoveryReport:
             return report
         originals = _take_place(trace, unfinished)
         if path != trace:
-            write_metadata(trace, writer.topics, writer.time_range_ns)
+            write_metadata(trace, writer.topics, writer.time_range_ns, mode=killed.mode, fsync=True)
+        flush_to_disk(trace.parent)
     except OSError as err:
         raise output_error(unfinished, err) from err
     return replace(report, originals=originals)
@@ -154,6 +155,12 @@ class _KilledTrace:
     session: Session
     ring: RingContents | None
     ring_fault: str | None
+
+    @property
+    def mode(self) -> int:
+        """Mode of the new file: the rights of the old one, or of its ring where that is all there is."""
+        original = self.trace if self.trace.exists() else ring_path(self.trace)
+        return mode_within(original.stat().st_mode)
 
     @property
     def is_whole(self) -> bool:
@@ -233,7 +240,7 @@ def _write(unfinished: Path, killed: _KilledTrace, report: RecoveryReport) -> Tr
         dropped_events=report.dropped_events,
         extra={**killed.session.extra, "recovered": counts},
     )
-    with TraceWriter(unfinished, killed.session) as writer:
+    with TraceWriter(unfinished, killed.session, mode=killed.mode) as writer:
         for item in _salvaged(killed.trace):
             if isinstance(item, SalvagedText):
                 writer.write_text(item.topic, item.text, item.log_time_ns)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ..errors import OutputExistsError
-from ..files import output_error
+from ..files import OWNER_AND_GROUP, flush_to_disk, output_error
 from ..format.bag_metadata import METADATA_NAME
 from ..format.ring import ring_path
 
@@ -24,9 +24,11 @@ class TraceDestination:
     Attributes:
         path: a `.mcap` file; any other name is a rosbag2 folder NAME with NAME/NAME_0.mcap and its metadata.
         force: whether existing files are overwritten.
-        fsync: whether each chunk is on the disk, not only in the page cache, within `chunk_seconds`.
+        fsync: whether file, folder and each chunk are on the disk, not only in the page cache; chunks are written twice
+            as often then, so that a power loss takes less than `chunk_seconds` wherever a flush takes a quarter of it.
         chunk_seconds: the longest time that an event waits in the ring.
         ring_slots: number of events (64 bytes each) that the ring holds before further ones are dropped.
+        mode: the most rights that trace, ring and metadata have; the umask may take more away.
     """
 
     path: Path
@@ -34,6 +36,12 @@ class TraceDestination:
     fsync: bool = False
     chunk_seconds: float = 1.0
     ring_slots: int = 1 << 16
+    mode: int = OWNER_AND_GROUP
+
+    @property
+    def flush_seconds(self) -> float:
+        """Time from one chunk to the next: with `fsync` an event waits for the end of one flush and for all of the next."""
+        return self.chunk_seconds / 2 if self.fsync else self.chunk_seconds
 
     @property
     def is_bag(self) -> bool:
@@ -103,6 +111,28 @@ def make_room(destination: TraceDestination) -> None:
     try:
         for path in ours:
             path.unlink(missing_ok=True)
-        destination.trace_path.parent.mkdir(parents=True, exist_ok=True)
+        _make_folder(destination.trace_path.parent, destination)
     except OSError as err:
         raise output_error(destination.path, err) from err
+
+
+def _make_folder(folder: Path, destination: TraceDestination) -> None:
+    """Make a folder and those above it; a bag's own lets nobody in who may not read the trace."""
+    if folder.is_dir():
+        return
+    _make_folder(folder.parent, destination)
+    readers = destination.mode & 0o444
+    rights = destination.mode | readers >> 2 if folder == destination.path else 0o777
+    folder.mkdir(rights, exist_ok=True)
+    if destination.fsync:
+        flush_to_disk(folder.parent)
+
+
+def keep_names(destination: TraceDestination) -> None:
+    """With `fsync`, have the names of trace and ring on the disk: content of a file without a name is lost.
+
+    Raises:
+        OSError: the folder cannot be flushed.
+    """
+    if destination.fsync:
+        flush_to_disk(destination.trace_path.parent)

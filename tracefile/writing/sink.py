@@ -34,7 +34,7 @@ from ..format.ring import (
     ring_path,
 )
 from ..threads import run_in_background
-from .destination import ClosedTrace, make_room
+from .destination import ClosedTrace, keep_names, make_room
 from .writer import MAX_CHUNK_EVENTS, TraceWriter
 
 if TYPE_CHECKING:
@@ -79,10 +79,11 @@ class TraceSink:
         self._texts: deque[tuple[str, str, int]] = deque()  # topic, JSON, log time: not yet in the file
         trace = destination.trace_path
         make_room(destination)
-        self._writer = TraceWriter(trace, session, fsync=destination.fsync)
+        self._writer = TraceWriter(trace, session, fsync=destination.fsync, mode=destination.mode)
         try:
             self._writer.write_text(SESSION_TOPIC, session.to_json(), session.wall_ns(clock_ns()))
-            self._ring = Ring(ring_path(trace), destination.ring_slots, session)
+            self._ring = Ring(ring_path(trace), destination.ring_slots, session, mode=destination.mode)
+            keep_names(destination)
         except (OutputError, OSError) as err:
             self._writer.abandon()
             trace.unlink(missing_ok=True)
@@ -282,7 +283,13 @@ class TraceSink:
         try:
             self._writer.finish()
             if self._destination.is_bag:
-                write_metadata(self._writer.path, self._writer.topics, self._writer.time_range_ns)
+                write_metadata(
+                    self._writer.path,
+                    self._writer.topics,
+                    self._writer.time_range_ns,
+                    mode=self._destination.mode,
+                    fsync=self._destination.fsync,
+                )
         except OutputError as err:
             self._error = self._error or err
             self._writer.abandon()
@@ -290,12 +297,12 @@ class TraceSink:
             self._error = self._error or output_error(self._writer.path.with_name(METADATA_NAME), err)
 
     def _drain(self) -> None:
-        """Write a chunk every `chunk_seconds`, or when a quarter of the ring is used; the draining thread runs this."""
+        """Write a chunk every `flush_seconds`, or when a quarter of the ring is used; the draining thread runs this."""
         run_in_background()
         going_on = True
         while going_on:
             with suppress(queue.Empty):
-                going_on = self._wake.get(timeout=self._destination.chunk_seconds)
+                going_on = self._wake.get(timeout=self._destination.flush_seconds)
             with self._write_lock:
                 self._flush()
 

@@ -24,7 +24,7 @@ from mcap.records import (
 )
 
 from ..errors import OutputError
-from ..files import output_error
+from ..files import OWNER_AND_GROUP, output_error
 from ..format.bag_metadata import TopicCount
 from ..format.framing import MAGIC, crc32
 from ..format.string_cdr import encode_string
@@ -70,12 +70,15 @@ class TraceWriter:
         path: the `.mcap` file, which must not exist.
         session: the session whose clock anchor turns monotonic times into log times.
         fsync: whether each chunk is on the disk, not only in the page cache, when its call returns.
+        mode: the most rights that the file has.
 
     Raises:
         OutputError: the file cannot be made; later, by each method: it cannot be written.
     """
 
-    def __init__(self, path: Path, session: Session, *, fsync: bool = False) -> None:
+    def __init__(
+        self, path: Path, session: Session, *, fsync: bool = False, mode: int = OWNER_AND_GROUP
+    ) -> None:
         self.path = path
         self._fsync = fsync
         self._compressor = zstandard.ZstdCompressor(level=ZSTD_LEVEL)
@@ -90,7 +93,7 @@ class TraceWriter:
         for topic in TEXT_TOPICS:
             self._channel(topic, STRING_SCHEMA)
         try:
-            self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+            self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
         except OSError as err:
             raise output_error(path, err) from err
         self._is_open = True

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dds_trace.tracefile import HOST_TOPIC, SESSION_TOPIC, WIRE_TOPIC, TraceFormatError, read_trace
-from dds_trace.tracefile.files import replacing
+from dds_trace.tracefile.files import mode_within, replacing
 from dds_trace.tracefile.writing.event_chunks import slots_in_time
 from dds_trace.tracefile.writing.writer import TraceWriter
 
@@ -68,7 +68,7 @@ def split_relay_trace(segment: Path, parts: list[CellPart]) -> dict[int, int]:
         )
         counts[part.run_id] = len(slots)
         if len(slots):
-            _write(part, trace, slots)
+            _write(part, trace, slots, mode_within(segment.stat().st_mode))
     return counts
 
 
@@ -78,7 +78,7 @@ def wire_of_run(trace: Trace, run_id: int) -> list[JsonObject]:
     return [text for text in trace.wire if name == text.get("run_id") or text.get("run_ids") == [name]]
 
 
-def _write(part: CellPart, trace: Trace, slots: Slots) -> None:
+def _write(part: CellPart, trace: Trace, slots: Slots, mode: int) -> None:
     session = trace.sessions[-1]
     times_ns = slots["monotonic_ns"] + np.int64(session.wall_ns(0))
     samples: list[tuple[int, Mapping[str, object]]] = [
@@ -91,7 +91,7 @@ def _write(part: CellPart, trace: Trace, slots: Slots) -> None:
         samples.append((session.wall_ns(part.link["monotonic_ns"]), part.link))
     samples.sort(key=lambda timed: timed[0])
     before = np.searchsorted(times_ns, [time_ns for time_ns, _ in samples], side="right").tolist()
-    with replacing(part.path) as draft, TraceWriter(draft, session) as writer:
+    with replacing(part.path) as draft, TraceWriter(draft, session, mode=mode) as writer:
         writer.write_text(SESSION_TOPIC, session.to_json(), session.wall_anchor_ns)
         written = 0
         for end, (time_ns, sample) in zip(before, samples, strict=True):

@@ -9,7 +9,7 @@ from enum import Enum
 from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import OptionError, TraceFormatError
-from dds_trace.tracefile.files import output_error, replacing
+from dds_trace.tracefile.files import create_file, output_error, replacing
 
 from ..station.devices import is_segment_name
 from .result import CellResult
@@ -170,7 +170,7 @@ def replace_text(path: Path, text: str) -> None:
         OutputError: it cannot be written.
     """
     try:
-        with replacing(path, fsync=True) as draft:
-            draft.write_text(text)
+        with replacing(path, fsync=True) as draft, create_file(draft) as file:
+            file.write(text.encode())
     except OSError as err:
         raise output_error(path, err, "the state of the sweep") from err

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import BackendUnavailableError, OptionError, OutputError
+from dds_trace.tracefile.files import create_file
 
 from ...bridges.process.supervise import describe_end, program_environment
 
@@ -148,7 +149,7 @@ def _new_file(path: Path) -> BinaryIO:
     """
     try:
         path.unlink(missing_ok=True)
-        return path.open("xb")
+        return create_file(path)
     except OSError as err:
         raise OutputError(f"{path}: {err.strerror}; give another --out") from err
 

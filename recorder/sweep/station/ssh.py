@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import BackendUnavailableError, OptionError, __version__
-from dds_trace.tracefile.files import replacing
+from dds_trace.tracefile.files import create_file, mode_within, replacing
 from dds_trace.tracefile.units.counts import counted
 
 from .devices import LOG_ENDINGS, TRACE_ENDINGS, log_path, remove_files
@@ -111,11 +111,13 @@ class SshDevice:
         return self._folder / segment if "" in fetched else None
 
     def _fetch(self, name: str) -> bool:
-        """Copy one file here, in place of what is there under its name; return whether the device has it."""
+        """Copy one file here with its rights, in place of what is there under its name; return whether the device has it."""
         quoted = f"{self._remote}/{shlex.quote(name)}"
-        if self._run(f"test ! -f {quoted} || echo there").strip() != "there":
+        rights = self._run(f"test ! -f {quoted} || stat -c %a {quoted}").strip()
+        if not re.fullmatch(r"[0-7]{1,4}", rights, re.ASCII):
             return False
-        with replacing(self._folder / name) as draft, draft.open("xb") as file:
+        mode = mode_within(int(rights, 8))
+        with replacing(self._folder / name) as draft, create_file(draft, mode) as file:
             self._call(f"cat {quoted}", file, MOST_TRACE_BYTES)
         return True
 

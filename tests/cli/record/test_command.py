@@ -138,6 +138,12 @@ def test_everything_given(parsed, tmp_path):
     assert ping.labels == {"room": "lab", "x": "a=b"}
 
 
+def test_readers_of_the_trace(parsed):
+    assert parsed().destination.mode == 0o640
+    assert parsed("--file-mode", "0600", role="relay").destination.mode == 0o600
+    assert parsed("--file-mode", "0640").destination.mode == 0o640
+
+
 def test_deadline_and_lifespan_are_durations(parsed):
     assert parsed("--deadline", "20ms").node.qos.extra == {"deadline_ns": 20_000_000}
     assert parsed("--lifespan", "1.5s", role="relay").node.qos.extra == {"lifespan_ns": 1_500_000_000}

@@ -50,6 +50,17 @@ def segment(tmp_path):
     )
 
 
+@pytest.mark.parametrize(("rights", "of_parts"), [(0o600, 0o600), (0o640, 0o640), (0o666, 0o640)])
+def test_a_part_has_the_rights_of_the_whole_and_none_for_others(segment, tmp_path, rights, of_parts):
+    segment.chmod(rights)
+    before = os.umask(0)
+    try:
+        split_relay_trace(segment, [CellPart(FIRST_RUN, tmp_path / "part.mcap")])
+    finally:
+        os.umask(before)
+    assert (tmp_path / "part.mcap").stat().st_mode & 0o777 == of_parts
+
+
 def test_each_part_has_its_run_whole_and_nothing_of_the_other(segment, tmp_path):
     paths = {run_id: tmp_path / f"{run_id}.mcap" for run_id in (FIRST_RUN, SECOND_RUN)}
     counts = split_relay_trace(segment, [CellPart(run_id, path) for run_id, path in paths.items()])

@@ -119,6 +119,15 @@ def test_interrupted_write_leaves_the_state_before(tmp_path, monkeypatch):
     assert open_state(tmp_path)["a"].attempts == 1
 
 
+def test_state_is_for_owner_and_group(tmp_path):
+    before = os.umask(0)
+    try:
+        replace_text(tmp_path / "state.json", "{}")
+    finally:
+        os.umask(before)
+    assert (tmp_path / "state.json").stat().st_mode & 0o777 == 0o640
+
+
 def test_folder_that_cannot_be_written_is_a_clear_error(tmp_path):
     with pytest.raises(OutputError, match="its folder was deleted or moved") as gone:
         replace_text(tmp_path / "none" / "state.json", "{}")

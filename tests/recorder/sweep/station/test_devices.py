@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import stat
 import sys
 import time
 
@@ -97,6 +99,27 @@ def test_relay_is_started_and_stopped_over_ssh_and_its_trace_fetched(remote, tmp
     assert list((tmp_path / "parts").iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    ("there", "here"), [("0600", 0o600), ("0640", 0o640), ("0666", 0o640), ("0000", 0o600)]
+)
+def test_fetched_trace_has_the_rights_that_it_has_on_its_device_and_none_for_others(
+    remote, tmp_path, there, here
+):
+    device = remote(RECORD.replace("exit 0' TERM", f'chmod {there} "$out"; exit 0\' TERM'))
+    device.prepare()
+    relay = device.start([], "1-1.mcap")
+    wait_for((tmp_path / "home/.cache/dds-trace/my sweep/1-1.mcap").exists)
+    relay.stop()
+    if os.geteuid() != 0 and there == "0000":
+        pytest.skip("who may not read a file cannot fetch it")
+    before = os.umask(0)
+    try:
+        fetched = device.collect("1-1.mcap")
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE(fetched.stat().st_mode) == here
+
+
 def test_half_of_a_bridge_runs_beside_the_relay_of_the_other_device(remote, tmp_path):
     device = remote()
     device.prepare()
@@ -135,8 +158,8 @@ def names_in(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
-HAS_EVERYTHING = "; test() { return 1; }"
-"""A shell that claims to have every file that it is asked for."""
+HAS_EVERYTHING = "; test() { return 1; }; stat() { echo 4777; }"
+"""A shell that claims to have every file that it is asked for, with all rights."""
 
 
 def test_hostile_device_makes_no_names_and_writes_through_no_link(remote, tmp_path):

@@ -147,6 +147,6 @@ def test_a_state_that_cannot_be_written_says_what_helps(tmp_path, monkeypatch, n
     def fail(*_arguments):
         raise OSError(number, os.strerror(number))
 
-    monkeypatch.setattr(Path, "write_text", fail)
+    monkeypatch.setattr("dds_trace.recorder.sweep.run.state.create_file", fail)
     with pytest.raises(OutputError, match=f"cannot write the state of the sweep: {words}"):
         replace_text(tmp_path / "state.json", "{}")

@@ -1,13 +1,17 @@
-"""The one place that turns a `TraceError` into a line on stderr and an exit code."""
+"""The one place that turns a `TraceError`, or a package that is missing, into a line on stderr and an exit code."""
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+_EXTRA = re.compile(r"""(?P<package>[\w-]+).*\bextra == ['"](?P<extra>\w+)['"]""")
+"""A requirement of an extra in the metadata of a distribution, such as `polars<3,>=1.30; extra == 'analyze'`."""
 
 
 def run_command(command: Callable[[], object]) -> None:
@@ -18,6 +22,15 @@ def run_command(command: Callable[[], object]) -> None:
     """
     try:
         command()
+    except ModuleNotFoundError as error:
+        extra = _extra_with(error.name or "")
+        if extra is None:
+            raise
+        from dds_trace.tracefile import BackendUnavailableError
+
+        what = f"needs {error.name}, which is not installed: pip install 'dds-trace[{extra}]'"
+        print(f"{Path(sys.argv[0]).name} {what}", file=sys.stderr)
+        sys.exit(BackendUnavailableError.exit_code)
     except Exception as error:
         from dds_trace.tracefile import TraceError  # not loaded before, so that --help is quick
 
@@ -25,3 +38,20 @@ def run_command(command: Callable[[], object]) -> None:
             raise
         print(f"{Path(sys.argv[0]).name}: {error}", file=sys.stderr)
         sys.exit(error.exit_code)
+
+
+def _extra_with(module: str) -> str | None:
+    """Return the extra of ours that brings the package of a module; None if none does.
+
+    The packages of our extras are imported by the names under which they are installed.
+    """
+    from importlib.metadata import (
+        requires,
+    )  # an import that fails is rare, and the module takes a while to load
+
+    package = module.partition(".")[0]
+    for requirement in requires("dds-trace") or ():
+        named = _EXTRA.match(requirement)
+        if named is not None and named["package"].lower() == package:
+            return named["extra"]
+    return None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import random
 import statistics
+from collections import Counter
 from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any
@@ -21,9 +22,9 @@ from dds_trace.analyzer.groups.wire import no_wire_frames
 from dds_trace.analyzer.model.wire import WIRE_CLASS_SCHEMA, WIRE_REPEAT_SCHEMA, WIRE_SCHEMA
 from dds_trace.analyzer.pairing.one_way import KNOT_SCHEMA, SEGMENT_SCHEMA
 from dds_trace.analyzer.pairing.rows import RowStore
+from dds_trace.analyzer.run_statistics.between_runs import interval_of_runs
 from dds_trace.analyzer.run_statistics.runs import Run as Series
 from dds_trace.analyzer.run_statistics.runs import Statistic
-from dds_trace.analyzer.run_statistics.within_run import interval_within
 from dds_trace.analyzer.verdicts.answers import find_answers
 from dds_trace.analyzer.verdicts.bridge_cost import bridge_cost
 from dds_trace.analyzer.verdicts.compare import CompareOptions
@@ -131,6 +132,8 @@ class Measured:
     intermediate_ns: int = 100_000
     late_ns: int = 20_000
     """T1 - T0 of every message."""
+    runs: int = 1
+    """1 or 3: three runs are `messages` as they are, 3 % faster and 3 % slower; intervals then come from the runs."""
 
     @property
     def relayed(self) -> bool:
@@ -236,8 +239,8 @@ def make_analysis(
         for metric in ("rtt", "intermediate", "latency", "response"):
             values = [row[f"{metric}_ns"] for row in rows if row[f"{metric}_ns"] is not None]
             buckets += [
-                {"group": group, "metric": metric, "value_ns": float(value), "count": values.count(value)}
-                for value in sorted(set(values))
+                {"group": group, "metric": metric, "value_ns": float(value), "count": count * one.runs}
+                for value, count in sorted(Counter(values).items())
             ]
         timeline += [
             {
@@ -251,7 +254,9 @@ def make_analysis(
         title=title,
         sources=(Source("ping.mcap", "read", "", 2 * len(roundtrips)),) if ordered else (),
         sessions=_sessions(ordered),
-        runs=tuple(_run(group, one) for group, one in enumerate(ordered)),
+        runs=tuple(
+            _run(group, one, number) for group, one in enumerate(ordered) for number in range(one.runs)
+        ),
         rows=RowStore.of(pl.DataFrame(roundtrips, schema=ROUNDTRIPS)),
         summary=pl.DataFrame(summary, schema=SUMMARY),
         distributions=pl.DataFrame(buckets, schema=DISTRIBUTIONS),
@@ -273,7 +278,7 @@ def _details(ordered: Sequence[Measured], roundtrips: pl.DataFrame, watched: Wat
         )
 
     return Details(
-        intervals=_intervals(rows),
+        intervals=_intervals(rows, ordered),
         one_way=_one_way(rows),
         breakdown=summarize_breakdown(break_down(rows), ["group"]),
         responses=response_against_latency(rows, ["group"]),
@@ -291,25 +296,31 @@ def _details(ordered: Sequence[Measured], roundtrips: pl.DataFrame, watched: Wat
     )
 
 
+RUN_FACTORS = (1.0, 0.97, 1 / 0.97)
+"""Times of three runs of a group against the first of them."""
+
+
 def _three_runs(roundtrips: pl.DataFrame) -> pl.DataFrame:
     """Each run three times, 3 % faster and slower in turn: what verdicts take."""
-    factors = (1.0, 0.97, 1 / 0.97)
     return pl.concat(
         roundtrips.with_columns(
             (pl.col("latency_ns", "rtt_ns") * factor).round().cast(pl.Int64),
             run_id=pl.col("run_id") + (number << 32),
         )
-        for number, factor in enumerate(factors)
+        for number, factor in enumerate(RUN_FACTORS)
     )
 
 
-def _intervals(rows: pl.DataFrame) -> pl.DataFrame:
+def _intervals(rows: pl.DataFrame, ordered: Sequence[Measured]) -> pl.DataFrame:
     found = []
     for (group,), part in rows.group_by(["group"], maintain_order=True):
+        factors = RUN_FACTORS[: ordered[int(str(group))].runs]
         for metric in ("rtt", "intermediate", "latency", "response"):
             values = part[f"{metric}_ns"].drop_nulls().to_numpy()
             for name, quantile in QUANTILES.items() if len(values) else ():
-                interval = interval_within([Series(values)], Statistic(quantile))
+                interval = interval_of_runs(
+                    [Series(values * factor) for factor in factors], Statistic(quantile)
+                )
                 found.append(
                     {
                         "group": group,
@@ -424,17 +435,17 @@ def _summary_row(one: Measured, rows: list[dict[str, Any]]) -> dict[str, Any]:
     sent_s = (rows[-1]["publish_ns"] - rows[0]["publish_ns"]) / 1e9 if len(rows) > 1 else None
     row = {
         **one.parameters(),
-        "published": len(rows),
-        "received": len(received),
-        **{loss: sum(row["outcome"] == loss for row in rows) for loss in LOSSES},
+        "published": len(rows) * one.runs,
+        "received": len(received) * one.runs,
+        **{loss: sum(row["outcome"] == loss for row in rows) * one.runs for loss in LOSSES},
         "duplicates": 0,
         "reordered": 0,
         "received_ratio": len(received) / len(rows) if rows else None,
         "achieved_rate_hz": (len(rows) - 1) / sent_s if sent_s else None,
         "transfer_rate_bytes_per_s": one.payload_bytes * len(received) / span_s if span_s else None,
-        "runs": 1,
-        "planned": len(rows) + one.unsent,
-        "unsent": one.unsent,
+        "runs": one.runs,
+        "planned": (len(rows) + one.unsent) * one.runs,
+        "unsent": one.unsent * one.runs,
         "environment": "0123abcd",
     }
     for metric in ("rtt", "intermediate", "latency", "response"):
@@ -471,9 +482,9 @@ def _sessions(measured: Sequence[Measured]) -> tuple[Session, ...]:
     )
 
 
-def _run(group: int, one: Measured) -> Run:
+def _run(group: int, one: Measured, number: int) -> Run:
     return Run(
-        run_id=0xA000 + group,
+        run_id=0xA000 + group + (number << 32),
         data_type=one.data_type,
         payload_bytes=one.payload_bytes,
         rate_hz=one.rate_hz,

@@ -10,6 +10,7 @@ import polars as pl
 import pytest
 from analyses import EVERY_ANALYSIS, HOSTILE, MS, Measured, make_analysis
 from campaigns import write_runs
+from four_campaigns import CAMPAIGNS
 from roundtrip_frames import in_runs
 
 from dds_trace.analyzer.verdicts.job import Job
@@ -25,6 +26,7 @@ from dds_trace.tracefile.visible import visible
 
 pytestmark = pytest.mark.browser
 
+EVERY_PAGE = {**EVERY_ANALYSIS, **CAMPAIGNS}
 BYTES_PER_S = {"GB/s": 1e9, "MB/s": 1e6, "KB/s": 1e3, "B/s": 1}
 
 FLAGS = (
@@ -65,7 +67,7 @@ def pages(tmp_path_factory):
     def page_of(name):
         if name not in written:
             path = folder / f"{name.replace(' ', '_')}.html"
-            path.write_text(load_reporter("html").render(Book(EVERY_ANALYSIS[name]())), encoding="utf-8")
+            path.write_text(load_reporter("html").render(Book(EVERY_PAGE[name]())), encoding="utf-8")
             written[name] = path.as_uri()
         return written[name]
 
@@ -109,7 +111,7 @@ def reader(chromium):
     one.tab.context.close()
 
 
-@pytest.mark.parametrize("name", EVERY_ANALYSIS)
+@pytest.mark.parametrize("name", EVERY_PAGE)
 def test_every_page_is_drawn_without_a_complaint_or_a_request(reader, pages, name):
     tab = reader.open(pages(name))
     reader.draw_all()
@@ -418,6 +420,14 @@ def test_print_has_every_figure(reader, pages):
         ("small campaign", "light", 420),
         ("hostile strings", "light", 1360),
         ("empty folder", "light", 1360),
+        ("demo", "light", 420),
+        ("lossy machine", "dark", 1360),
+        ("study", "light", 420),
+        *(
+            pytest.param(name, scheme, width, marks=pytest.mark.slow)
+            for name in ("lossy machine", "study", "500 groups")
+            for scheme, width in (("light", 1360), ("dark", 420))
+        ),
     ],
 )
 def test_axe_finds_nothing_against_wcag_aa(chromium, pages, name, scheme, width):

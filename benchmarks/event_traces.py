@@ -1,6 +1,7 @@
 """Large traces for benchmarks, built with numpy in seconds and independent of the recorder's sink.
 
-The content is like a ping's: T1 and T2 alternate, times have jitter, so that it packs about as well as a real trace.
+The content is like a ping's: T1 and T2 alternate, times have jitter, so that it packs about as well as a real trace. The relay
+of such a ping has a device of its own, whose clock is ahead and drifts.
 """
 
 from __future__ import annotations
@@ -41,6 +42,8 @@ MESSAGE_DTYPE = np.dtype(
 STAGES = (Stage.T1, Stage.T2)
 EVENT_CHANNELS = (1, 2)
 RELAY_ID = 0xBEEF
+PERIOD_NS = 1_000_000
+RELAY_AHEAD_NS, RELAY_DRIFT_PPM = 3_000_000, 2
 
 PACKERS: dict[str, Callable[[bytes], bytes]] = {
     "zstd": zstandard.ZstdCompressor().compress,
@@ -59,6 +62,7 @@ def write_event_trace(
     relay: bool = False,
     first_run: int = 0,
     groups: int = 1,
+    period_ns: int = PERIOD_NS,
 ) -> Path:
     """Write a closed, indexed ping trace of `events` events, half T1 and half T2, spread evenly over `runs` runs.
 
@@ -71,6 +75,7 @@ def write_event_trace(
         relay: what the relay of these runs recorded instead, T3 and T4.
         first_run: number of the first run; runs of files that are analyzed together must differ.
         groups: payload sizes that the runs are described with, in turn.
+        period_ns: time from one message to the next, at least a millisecond.
     """
     stages = (Stage.T3, Stage.T4) if relay else STAGES
     random = np.random.default_rng(seed)
@@ -79,22 +84,16 @@ def write_event_trace(
         stream.write(MAGIC + _record(Header("ros2", "dds-trace benchmark")))
         declared = _declarations(stages)
         numbers = range(first_run, first_run if relay else first_run + runs)
-        text = _chunk(stream.tell(), declared + _texts(numbers, seed, groups, relay=relay), compression)
+        texts = _texts(numbers, seed, groups, period_ns, relay=relay)
+        text = _chunk(stream.tell(), declared + texts, compression)
         stream.write(text[0])
         indexes.append(text[1])
         for start in range(0, events, CHUNK_EVENTS):
             count = min(CHUNK_EVENTS, events - start)
-            messages = _messages(start, count, max(1, events // runs), random)
+            messages = _messages(start, count, max(1, events // runs), random, period_ns)
             messages["run_id"] += np.uint64(first_run)
             if relay:
-                messages["relay_id"] = RELAY_ID
-                # Between T1 and T2 of the same message: they lie at 0 to 0.2 ms and at 0.5 to 0.7 ms.
-                time_ns = messages["monotonic_ns"]
-                is_out = time_ns // 500_000 % 2
-                messages["monotonic_ns"] = (
-                    time_ns // 1_000_000 * 1_000_000 + 210_000 + time_ns % 500_000 // 4 + 100_000 * is_out
-                )
-                messages["scheduled_ns"] = 0
+                _become_relayed(messages, period_ns)
             data, chunk_index = _chunk(stream.tell(), messages.tobytes(), compression, messages)
             stream.write(data)
             indexes.append(chunk_index)
@@ -119,9 +118,11 @@ def write_event_trace(
 
 
 def _messages(
-    start: int, count: int, events_per_run: int, random: np.random.Generator
+    start: int, count: int, events_per_run: int, random: np.random.Generator, period_ns: int
 ) -> np.ndarray[Any, Any]:
     number = np.arange(start, start + count)
+    is_reply = number % 2 == 1
+    due_ns = number // 2 * period_ns + 500_000 * is_reply
     messages = np.zeros(count, MESSAGE_DTYPE)
     messages["opcode"] = 5
     messages["length"] = MESSAGE_DTYPE.itemsize - 9
@@ -131,17 +132,26 @@ def _messages(
     messages["run_id"] = 0x5DEECE66D1234567 + number // events_per_run
     messages["sequence"] = number % events_per_run // 2
     jitter = random.integers(0, 200_000, count)
-    messages["monotonic_ns"] = number * 500_000 + jitter
-    is_reply = number % 2 == 1
-    messages["scheduled_ns"] = np.where(is_reply, 0, number * 500_000)
+    messages["monotonic_ns"] = due_ns + jitter
+    messages["scheduled_ns"] = np.where(is_reply, 0, due_ns)
     messages["source_ns"] = np.where(
-        is_reply, START_NS + number * 500_000 + jitter - random.integers(0, 99_000, count), 0
+        is_reply, START_NS + due_ns + jitter - random.integers(0, 99_000, count), 0
     )
     messages["received_ns"] = np.where(is_reply, messages["source_ns"] + random.integers(0, 50_000, count), 0)
     messages["payload_bytes"] = 33_000
     messages["relay_id"] = np.where(is_reply, RELAY_ID, 0)
     messages["log_time"] = messages["publish_time"] = START_NS + messages["monotonic_ns"]
     return messages
+
+
+def _become_relayed(messages: np.ndarray[Any, Any], period_ns: int) -> None:
+    """Make T3 and T4 of T1 and T2, between them: these lie at 0 to 0.2 ms and at 0.5 to 0.7 ms of their period."""
+    time_ns = messages["monotonic_ns"]
+    passed_ns = time_ns % period_ns
+    inside_ns = time_ns - passed_ns + 210_000 + passed_ns % 500_000 // 4 + 100_000 * (passed_ns >= 500_000)
+    messages["monotonic_ns"] = inside_ns + RELAY_AHEAD_NS + inside_ns * RELAY_DRIFT_PPM // 1_000_000
+    messages["relay_id"] = RELAY_ID
+    messages["scheduled_ns"] = 0
 
 
 def _chunk(
@@ -203,11 +213,11 @@ def _declarations(stages: tuple[Stage, Stage]) -> bytes:
     return b"".join(_record(record) for record in [*schemas, *channels])
 
 
-def _texts(runs: range, seed: int, groups: int, *, relay: bool) -> bytes:
+def _texts(runs: range, seed: int, groups: int, period_ns: int, *, relay: bool) -> bytes:
     session = Session(
         session_id=seed,
         role="relay" if relay else "ping",
-        device="bench",
+        device="bench-relay" if relay else "bench-ping",
         backend="ros2",
         vendor="fastdds",
         rmw=None,
@@ -223,7 +233,7 @@ def _texts(runs: range, seed: int, groups: int, *, relay: bool) -> bytes:
             0x5DEECE66D1234567 + number,
             "binary",
             33_000 + number % groups,
-            1000.0,
+            1e9 / period_ns,
             1,
             0,
             qos=Qos(),

@@ -25,15 +25,20 @@ Two assumptions give a slow message the interval of its fast neighbours:
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .lines import DRIFT, Lines, OffsetIntervals, find_stretches, find_windows
+from .lines import DRIFT, OffsetIntervals
+from .stretches import find_stretches
+from .windows import fit_windows
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from .windows import Windows
 
 Int64 = NDArray[np.int64]
 Float64 = NDArray[np.float64]
@@ -138,174 +143,194 @@ class ClockOffsets:
     bound_ns: Int64
 
 
-@dataclass(frozen=True, slots=True)
-class _Best:
-    """The instant of a window at which its lines are closest together.
+@dataclass(frozen=True, slots=True, eq=False)
+class RelayedMessages:
+    """The messages that one fit rests on: all arrays int64, of one length and in any order.
 
     Attributes:
-        time: the instant.
-        offset: middle of the lines at that instant.
-        bound: half of their distance at that instant.
-        slope: smallest and largest slope of the lines.
-        first: middle and half distance at the first message.
-        last: middle and half distance at the last message.
-    """
-
-    time: float
-    offset: float
-    bound: float
-    slope: tuple[float, float]
-    first: tuple[float, float]
-    last: tuple[float, float]
-
-    @classmethod
-    def of(cls, window: OffsetIntervals, lines: Lines) -> _Best:
-        time = np.linspace(window.time[0], window.time[-1], 17)
-        low, high = lines.range_at(time)
-        middle, half = (low + high) / 2, (high - low) / 2
-        best = int(half.argmin())
-        return cls(
-            time=float(time[best]),
-            offset=float(middle[best]),
-            bound=float(half[best]),
-            slope=(float(lines.slope.min()), float(lines.slope.max())),
-            first=(float(middle[0]), float(half[0])),
-            last=(float(middle[-1]), float(half[-1])),
-        )
-
-
-def fit_clock(
-    publish_ns: Int64,
-    relay_in_ns: Int64,
-    relay_out_ns: Int64,
-    receive_ns: Int64,
-    *,
-    ping_device: str = "ping",
-    relay_device: str = "relay",
-    boot: int = 0,
-    relay_boot: str | None = None,
-    same_boot: bool | None = None,
-) -> tuple[ClockFit, ClockOffsets]:
-    """Fit the relay's clock against the ping's, and return the fit with the offset at each message.
-
-    Args:
-        publish_ns: T1 of each message, int64.
+        publish_ns: T1 of each message.
         relay_in_ns: T3.
         relay_out_ns: T4.
-        receive_ns: T2. All arrays have one length and any order.
+        receive_ns: T2.
         ping_device: name of the device of T1 and T2.
         relay_device: name of the device of T3 and T4.
         boot: number of the boot of the ping's device (`boots.ping_boots`).
         relay_boot: the kernel's text for the boot of the relay's device, if known.
         same_boot: whether both sides are of one boot of one machine (`boots.share_boot`); None lets names decide.
+    """
+
+    publish_ns: Int64
+    relay_in_ns: Int64
+    relay_out_ns: Int64
+    receive_ns: Int64
+    ping_device: str = "ping"
+    relay_device: str = "relay"
+    boot: int = 0
+    relay_boot: str | None = None
+    same_boot: bool | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Points:
+    """The messages of one fit in the order of time, as bounds on theta without origins.
+
+    Attributes:
+        points: the bounds, which `fit_windows` narrows; T1 and T2 stand for the instant halfway between them.
+        order: position of each message in the input; None where the input has the order of time.
+        time_origin_ns: what was subtracted from the instants.
+        offset_origin_ns: what was subtracted from the bounds.
+        same_clock: as in `ClockFit`.
+    """
+
+    points: OffsetIntervals
+    order: Int64 | None
+    time_origin_ns: int
+    offset_origin_ns: int
+    same_clock: bool
+
+    @classmethod
+    def of(cls, messages: RelayedMessages, points: OffsetIntervals) -> _Points:
+        """Return the bounds of some messages, at least one, which are put into `points`.
+
+        Raises:
+            ValueError: a message has `rtt < intermediate`.
+        """
+        out_ns = messages.relay_in_ns - messages.publish_ns  # theta's upper end
+        back_ns = messages.relay_out_ns - messages.receive_ns  # its lower end
+        if np.any(back_ns > out_ns):
+            raise ValueError("a message spent more time in the relay than under way: leave it out of the fit")
+        is_one_machine = messages.same_boot
+        if is_one_machine is None:
+            is_one_machine = messages.ping_device == messages.relay_device
+        # Two devices may have one name, and a time namespace another clock on one machine: zero has to agree, too.
+        same_clock = is_one_machine and bool(np.all(out_ns >= 0) and np.all(back_ns <= 0))
+
+        rtt_ns = messages.receive_ns - messages.publish_ns
+        half_way_ns = messages.publish_ns + (rtt_ns >> 1)
+        order = None
+        if np.any(half_way_ns[1:] < half_way_ns[:-1]):
+            order = np.argsort(half_way_ns, kind="stable")
+            out_ns, back_ns, rtt_ns, half_way_ns = (
+                each[order] for each in (out_ns, back_ns, rtt_ns, half_way_ns)
+            )
+        time_origin_ns, offset_origin_ns = int(half_way_ns[0]), int(out_ns[0])
+        slack = DRIFT / 2 * rtt_ns  # the clocks part a little on the way to the middle
+        np.subtract(half_way_ns, time_origin_ns, out=points.time, casting="unsafe")
+        np.subtract(back_ns - offset_origin_ns, slack, out=points.lower)
+        np.add(out_ns - offset_origin_ns, slack, out=points.upper)
+        return cls(points, order, time_origin_ns, offset_origin_ns, same_clock)
+
+    def offsets(self) -> ClockOffsets:
+        """Return the offset at each message, in the order of the input; lines have narrowed the bounds."""
+        low, high = self.points.lower, self.points.upper
+        if self.same_clock:
+            zero = np.zeros(len(low), np.int64)
+            return ClockOffsets(zero, zero)
+        offset_ns = np.rint((low + high) / 2).astype(np.int64) + self.offset_origin_ns
+        bound_ns = np.ceil((high - low) / 2 + 0.5).astype(np.int64)  # half a nanosecond for the rounding
+        if self.order is not None:
+            at = np.empty_like(self.order)
+            at[self.order] = np.arange(len(at))
+            offset_ns, bound_ns = offset_ns[at], bound_ns[at]
+        return ClockOffsets(offset_ns, bound_ns)
+
+
+def fit_clocks(fits: Sequence[RelayedMessages]) -> list[tuple[ClockFit, ClockOffsets]]:
+    """Fit the relay's clock against the ping's, and return each fit with the offset at each message.
+
+    The windows of all fits are worked at together (`windows.fit_windows`); no fit depends on another one.
+
+    Args:
+        fits: messages of each fit.
 
     Raises:
         ValueError: a message has `rtt < intermediate`.
     """
-    if not len(publish_ns):
-        nothing = np.empty(0, np.int64)
-        no_fit = ClockFit(ping_device, relay_device, boot, False, (), (), relay_boot)
-        return no_fit, ClockOffsets(nothing, nothing)
-    out_ns, back_ns = relay_in_ns - publish_ns, relay_out_ns - receive_ns  # theta's upper and lower end
-    if np.any(back_ns > out_ns):
-        raise ValueError("a message spent more time in the relay than under way: leave it out of the fit")
-    one_machine = ping_device == relay_device if same_boot is None else same_boot
-    # Two devices may have one name, and a time namespace another clock on one machine: zero has to agree, too.
-    same_clock = one_machine and bool(np.all(out_ns >= 0) and np.all(back_ns <= 0))
+    edges = np.cumsum([0, *(len(messages.publish_ns) for messages in fits)]).tolist()
+    points = OffsetIntervals(*(np.empty(edges[-1]) for _ in range(3)))
+    held = [
+        _Points.of(messages, points.part(first, after)) if after > first else None
+        for messages, (first, after) in zip(fits, pairwise(edges), strict=True)
+    ]
+    stretches = [
+        [(first + start, first + stop) for start, stop in find_stretches(of_fit.points)] if of_fit else []
+        for of_fit, first in zip(held, edges[:-1], strict=True)
+    ]
+    windows = fit_windows(points, [stretch for of_fit in stretches for stretch in of_fit])
+    fitted = []
+    for messages, of_fit, own in zip(fits, held, stretches, strict=True):
+        names = messages.ping_device, messages.relay_device, messages.boot
+        if of_fit is None:
+            nothing = np.empty(0, np.int64)
+            no_fit = ClockFit(*names, False, (), (), messages.relay_boot)
+            fitted.append((no_fit, ClockOffsets(nothing, nothing)))
+            continue
+        segments, steps = _segments(points.time, windows, own, of_fit)
+        fit = ClockFit(*names, of_fit.same_clock, segments, steps, messages.relay_boot)
+        fitted.append((fit, of_fit.offsets()))
+    return fitted
 
-    rtt_ns = receive_ns - publish_ns
-    half_way_ns = publish_ns + rtt_ns // 2
-    order = np.argsort(half_way_ns, kind="stable")
-    time_origin_ns, offset_origin_ns = int(half_way_ns[order[0]]), int(out_ns[order[0]])
-    # T1 and T2 stand for the instant halfway between them: the clocks part a little on the way there.
-    slack = (DRIFT / 2 * rtt_ns)[order]
-    points = OffsetIntervals(
-        (half_way_ns - time_origin_ns)[order].astype(np.float64),
-        (back_ns - offset_origin_ns)[order] - slack,
-        (out_ns - offset_origin_ns)[order] + slack,
-    )
-    low, high = points.lower.copy(), points.upper.copy()
+
+def _segments(
+    time: Float64, windows: Windows, stretches: Sequence[tuple[int, int]], of_fit: _Points
+) -> tuple[tuple[ClockSegment, ...], tuple[ClockStep, ...]]:
+    """Return the segments of one fit, and the steps between them, with the origins added again."""
     segments: list[ClockSegment] = []
     steps: list[ClockStep] = []
-    before, edge = 0, (0.0, 0.0)
-    for start, stop in find_stretches(points):
-        stretch = points.part(start, stop)
-        best: list[_Best] = []
-        for begin, end, lines in find_windows(stretch, 0, len(stretch)):
-            window = stretch.part(begin, end)
-            lowest, highest = lines.range_at(window.time)
-            low[start + begin : start + end] = np.maximum(lowest, window.lower)
-            high[start + begin : start + end] = np.minimum(highest, window.upper)
-            best.append(_Best.of(window, lines))
-        if not best:  # no line at all: each of its messages keeps its own bound
+    last, before = 0, 0  # the last window, and the message behind it
+    for start, stop in stretches:
+        first, after = np.searchsorted(windows.start, (start, stop)).tolist()
+        if first == after:  # no line at all: each of its messages keeps its own bound
             continue
         if segments:
-            steps.append(_step(points.time[[before - 1, start]], edge, best[0].first, time_origin_ns))
-        segments.append(_segment(stretch, best, time_origin_ns, offset_origin_ns))
-        before, edge = stop, best[-1].last
-    # Only the tightest messages shaped the lines; a message that no line reaches keeps its own bound.
-    alone = low > high
-    low[alone], high[alone] = points.lower[alone], points.upper[alone]
-
-    fit = ClockFit(ping_device, relay_device, boot, same_clock, tuple(segments), tuple(steps), relay_boot)
-    if same_clock:
-        zero = np.zeros(len(publish_ns), np.int64)
-        return fit, ClockOffsets(zero, zero)
-    offset_ns, bound_ns = np.empty(len(order), np.int64), np.empty(len(order), np.int64)
-    offset_ns[order] = np.rint((low + high) / 2).astype(np.int64) + offset_origin_ns
-    bound_ns[order] = np.ceil((high - low) / 2 + 0.5).astype(np.int64)  # half a nanosecond for the rounding
-    return fit, ClockOffsets(offset_ns, bound_ns)
+            edge = time[[before - 1, start]]
+            steps.append(_step(edge, windows.last[last], windows.first[first], of_fit.time_origin_ns))
+        segments.append(_segment(time[start:stop], windows, slice(first, after), of_fit))
+        last, before = after - 1, stop
+    return tuple(segments), tuple(steps)
 
 
-def _segment(
-    points: OffsetIntervals,
-    windows: Sequence[_Best],
-    time_origin_ns: int,
-    offset_origin_ns: int,
-) -> ClockSegment:
-    """Return a segment from the best instants of its windows, with the origins added again."""
-    time = np.array([w.time for w in windows])
-    offset = np.array([w.offset for w in windows])
-    if len(windows) > 1:
-        drift = (offset[-1] - offset[0]) / (time[-1] - time[0])
-        drift_bound = (windows[-1].bound + windows[0].bound) / (time[-1] - time[0])
+def _segment(time: Float64, windows: Windows, held: slice, of_fit: _Points) -> ClockSegment:
+    """Return a segment from the best instants of its windows.
+
+    Args:
+        time: of its messages.
+        windows: those of all fits.
+        held: which of them are the segment's.
+        of_fit: the messages of the fit, for its origins.
+    """
+    at, offset, bound = windows.time[held], windows.offset[held], windows.bound[held]
+    if len(at) > 1:
+        drift = (offset[-1] - offset[0]) / (at[-1] - at[0])
+        drift_bound = (bound[-1] + bound[0]) / (at[-1] - at[0])
     else:
-        gentle, steep = windows[0].slope
+        gentle, steep = windows.steepness[held.start]
         drift, drift_bound = (steep + gentle) / 2, (steep - gentle) / 2
-    knots = tuple(
-        ClockKnot(
-            time_origin_ns + round(w.time),
-            offset_origin_ns + round(w.offset),
-            int(np.ceil(w.bound + 0.5)),
-        )
-        for w in windows
-    )
-    best = min(knots, key=lambda knot: knot.bound_ns)
+    at_ns = (of_fit.time_origin_ns + np.rint(at).astype(np.int64)).tolist()
+    offset_ns = (of_fit.offset_origin_ns + np.rint(offset).astype(np.int64)).tolist()
+    bound_ns = np.ceil(bound + 0.5).astype(np.int64).tolist()
+    knots = tuple(map(ClockKnot, at_ns, offset_ns, bound_ns))
+    best = knots[bound_ns.index(min(bound_ns))]
     return ClockSegment(
-        start_ns=time_origin_ns + int(points.time[0]),
-        end_ns=time_origin_ns + int(points.time[-1]),
-        messages=len(points),
+        start_ns=of_fit.time_origin_ns + int(time[0]),
+        end_ns=of_fit.time_origin_ns + int(time[-1]),
+        messages=len(time),
         at_ns=best.at_ns,
         offset_ns=best.offset_ns,
         bound_ns=best.bound_ns,
         drift_ppb=float(drift * 1e9),
         drift_bound_ppb=float(drift_bound * 1e9),
-        residual_ns=round(float(np.abs(offset - offset[0] - drift * (time - time[0])).max())),
+        residual_ns=round(float(np.abs(offset - offset[0] - drift * (at - at[0])).max())),
         knots=knots,
     )
 
 
-def _step(
-    time: Float64,
-    old: tuple[float, float],
-    new: tuple[float, float],
-    time_origin_ns: int,
-) -> ClockStep:
+def _step(time: Float64, old: Float64, new: Float64, time_origin_ns: int) -> ClockStep:
     """Return the jump between two instants from offset and bound at each."""
     drifted = DRIFT * (time[1] - time[0])
     return ClockStep(
         after_ns=time_origin_ns + int(time[0]),
         before_ns=time_origin_ns + int(time[1]),
-        size_ns=round(new[0] - old[0]),
+        size_ns=round(float(new[0] - old[0])),
         bound_ns=int(np.ceil(old[1] + new[1] + drifted + 0.5)),
     )

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .lines import WINDOW_NS
+from .windows import WINDOW_NS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

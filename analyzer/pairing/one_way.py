@@ -14,8 +14,7 @@ import numpy as np
 import polars as pl
 
 from ..clocks.boots import boot_id_of, share_boot
-from ..clocks.fit import ClockFit, fit_clock
-from .pair import MISSING
+from ..clocks.fit import ClockFit, RelayedMessages, fit_clocks
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -25,6 +24,8 @@ if TYPE_CHECKING:
     from .exchanges import Exchange
 
 ONE_WAY_COLUMNS = ("outbound_ns", "return_ns", "clock_bound_ns")
+
+_FOUR_STAMPS = ("publish_ns", "relay_in_ns", "relay_out_ns", "receive_ns")
 
 _SANE_NS = 1 << 60
 """Stamps beyond (36 years of uptime) are damage; sums and differences of the others fit into an int64."""
@@ -66,44 +67,71 @@ def fit_exchanges(
     rows = int(bounds[-1])
     values = {name: np.zeros(rows, np.int64) for name in ONE_WAY_COLUMNS}
     known = np.zeros(rows, np.bool_)
-    fits: list[ClockFit | None] = []
-    for exchange, first, after in zip(exchanges, bounds[:-1].tolist(), bounds[1:].tolist(), strict=True):
-        t1, t3, t4, t2 = (
-            stamps[name][first:after] for name in ("publish_ns", "relay_in_ns", "relay_out_ns", "receive_ns")
-        )
-        usable = np.flatnonzero(
-            np.logical_and.reduce(
-                [(t != MISSING) & (np.abs(t // 2) < _SANE_NS // 2) for t in (t1, t3, t4, t2)]
-            )
-        )
-        usable = usable[(t2[usable] - t1[usable]) >= (t4[usable] - t3[usable])]
-        if not len(usable):
-            fits.append(None)
+    held: list[_Held] = []
+    for number, (exchange, first, after) in enumerate(
+        zip(exchanges, bounds[:-1].tolist(), bounds[1:].tolist(), strict=True)
+    ):
+        here = slice(first, after)
+        usable = _usable(stamps, here)
+        if usable.all():
+            at: slice | NDArray[np.intp] = here
+        elif usable.any():
+            at = first + np.flatnonzero(usable)
+        else:
             continue
-        t1, t3, t4, t2 = (t[usable] for t in (t1, t3, t4, t2))
-        fit, offsets = fit_clock(
-            t1,
-            t3,
-            t4,
-            t2,
+        known[here] = usable
+        messages = RelayedMessages(
+            publish_ns=stamps["publish_ns"][at],
+            relay_in_ns=stamps["relay_in_ns"][at],
+            relay_out_ns=stamps["relay_out_ns"][at],
+            receive_ns=stamps["receive_ns"][at],
             ping_device=exchange.ping.device,
             relay_device=exchange.relay.device if exchange.relay else "",
             relay_boot=boot_id_of(exchange.relay) if exchange.relay else None,
             same_boot=share_boot(exchange.ping, exchange.relay),
         )
+        held.append(_Held(number, at, messages))
+    fits: list[ClockFit | None] = [None] * len(exchanges)
+    for each, (fit, offsets) in zip(held, fit_clocks([each.messages for each in held]), strict=True):
+        t1, t3, t4, t2 = (getattr(each.messages, name) for name in _FOUR_STAMPS)
         under_way = (t2 - t1) - (t4 - t3)
         outbound = np.clip(t3 - t1 - offsets.offset_ns, 0, under_way)
-        here = first + usable
-        values["outbound_ns"][here] = outbound
-        values["return_ns"][here] = under_way - outbound
-        values["clock_bound_ns"][here] = offsets.bound_ns
-        known[here] = True
-        fits.append(fit)
+        values["outbound_ns"][each.at] = outbound
+        values["return_ns"][each.at] = under_way - outbound
+        values["clock_bound_ns"][each.at] = offsets.bound_ns
+        fits[each.number] = fit
     unknown = None if known.all() else pl.Series(~known)
     columns = (pl.Series(name, of_rows) for name, of_rows in values.items())
     return OneWay(
         tuple(column if unknown is None else column.set(unknown, None) for column in columns), tuple(fits)
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Held:
+    """The messages of an exchange that its clocks are fitted by.
+
+    Attributes:
+        number: position of the exchange.
+        at: rows of the messages.
+        messages: their stamps.
+    """
+
+    number: int
+    at: slice | NDArray[np.intp]
+    messages: RelayedMessages
+
+
+def _usable(stamps: Mapping[str, NDArray[np.int64]], here: slice) -> NDArray[np.bool_]:
+    """Return which rows have all four stamps, none of them damaged, and spent no more time in the relay than under way."""
+    t1, t3, t4, t2 = (stamps[name][here] for name in _FOUR_STAMPS)
+    usable = np.ones(len(t1), np.bool_)
+    for stamp in (t1, t3, t4, t2):
+        if len(stamp) and not (
+            stamp.min() >= -_SANE_NS + 2 and stamp.max() < _SANE_NS
+        ):  # `MISSING` is far below
+            usable &= (stamp >= -_SANE_NS + 2) & (stamp < _SANE_NS)
+    return usable & (t2 - t1 >= t4 - t3)
 
 
 KNOT_SCHEMA: dict[str, type[pl.DataType]] = {
@@ -121,6 +149,9 @@ KNOT_SCHEMA: dict[str, type[pl.DataType]] = {
 }
 
 
+_OF_KNOT = ("at_ns", "offset_ns", "bound_ns")
+
+
 def knots_of(
     exchanges: Sequence[Exchange], groups: Sequence[int], fits: Sequence[ClockFit | None]
 ) -> pl.DataFrame:
@@ -129,26 +160,33 @@ def knots_of(
     `relay_boot` is the boot id of the relay's session, and `same_boot` says whether the ping's is the same; both are null
     where a recorder did not write it.
     """
-    rows: list[dict[str, object]] = [
-        {
-            "group": group,
-            "run_id": exchange.run.run_id,
-            "relay_id": exchange.relay_id,
-            "ping_device": fit.ping_device,
-            "relay_device": fit.relay_device,
-            "messages": segment.messages,
-            "at_ns": knot.at_ns,
-            "offset_ns": knot.offset_ns,
-            "bound_ns": knot.bound_ns,
-            "relay_boot": fit.relay_boot,
-            "same_boot": share_boot(exchange.ping, exchange.relay),
-        }
+    held = [
+        (
+            (
+                group,
+                exchange.run.run_id,
+                exchange.relay_id,
+                fit.ping_device,
+                fit.relay_device,
+                segment.messages,
+                fit.relay_boot,
+                share_boot(exchange.ping, exchange.relay),
+            ),
+            segment.knots,
+        )
         for exchange, group, fit in zip(exchanges, groups, fits, strict=True)
         if fit is not None
         for segment in fit.segments
-        for knot in segment.knots
     ]
-    return pl.DataFrame(rows, schema=KNOT_SCHEMA)
+    of_segment = pl.DataFrame(
+        [values for values, _ in held],
+        schema={name: dtype for name, dtype in KNOT_SCHEMA.items() if name not in _OF_KNOT},
+        orient="row",
+    )
+    knots = [knot for _, of_one in held for knot in of_one]
+    segment = np.repeat(np.arange(len(held)), np.array([len(of_one) for _, of_one in held], np.int64))
+    of_knot = [pl.Series(name, [getattr(knot, name) for knot in knots], pl.Int64) for name in _OF_KNOT]
+    return of_segment[segment].with_columns(of_knot).select(*KNOT_SCHEMA)
 
 
 def fit_devices(knots: pl.DataFrame, boots: Mapping[int, int]) -> tuple[ClockFit, ...]:
@@ -163,26 +201,26 @@ def fit_devices(knots: pl.DataFrame, boots: Mapping[int, int]) -> tuple[ClockFit
     ids = pl.Series(list(boots), dtype=pl.UInt64)
     of_run = pl.Series(list(boots.values()), dtype=pl.Int64)
     boot = pl.col("run_id").replace_strict(ids, of_run, default=0) if boots else pl.lit(0, pl.Int64)
-    fits = []
     keys = ["ping_device", "relay_device", "boot", "relay_boot", "same_boot"]
+    pairs = []
     for part in knots.with_columns(boot=boot).sort(*keys, "at_ns").partition_by(keys, maintain_order=True):
         ping_device, relay_device, of_boot, relay_boot, same_boot = part.select(keys).row(0)
         at_ns, offset_ns, bound_ns = (part[n].to_numpy() for n in ("at_ns", "offset_ns", "bound_ns"))
         # A knot is given as a message without duration, whose interval is that of the knot.
-        fits.append(
-            fit_clock(
-                at_ns,
-                at_ns + offset_ns + bound_ns,
-                at_ns + offset_ns - bound_ns,
-                at_ns,
+        pairs.append(
+            RelayedMessages(
+                publish_ns=at_ns,
+                relay_in_ns=at_ns + offset_ns + bound_ns,
+                relay_out_ns=at_ns + offset_ns - bound_ns,
+                receive_ns=at_ns,
                 ping_device=ping_device,
                 relay_device=relay_device,
                 boot=of_boot,
                 relay_boot=relay_boot,
                 same_boot=same_boot,
-            )[0]
+            )
         )
-    return tuple(fits)
+    return tuple(fit for fit, _ in fit_clocks(pairs))
 
 
 SEGMENT_SCHEMA: dict[str, type[pl.DataType]] = {

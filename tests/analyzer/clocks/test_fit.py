@@ -8,15 +8,22 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from plain_clock_fit import plain_fit
 from roundtrip_frames import MS, S
 
-from dds_trace.analyzer.clocks import lines
-from dds_trace.analyzer.clocks.fit import fit_clock
+from dds_trace.analyzer.clocks import windows
+from dds_trace.analyzer.clocks.fit import RelayedMessages, fit_clocks
 from dds_trace.analyzer.clocks.lines import DRIFT, Lines, OffsetIntervals
 
 START_NS = (
     40 * 24 * 3600 * S
 )  # forty days after boot: an int64 that a float32 or a careless float64 would spoil
+
+
+def fit_clock(*stamps, **names):
+    """One fit alone."""
+    (fitted,) = fit_clocks([RelayedMessages(*stamps, **names)])
+    return fitted
 
 
 @dataclass(frozen=True)
@@ -190,7 +197,7 @@ def wrong_share_of_a_bent_clock():
 
 def test_a_window_whose_halves_disagree_is_widened(monkeypatch):
     assert wrong_share_of_a_bent_clock() < 0.05
-    monkeypatch.setattr(lines, "_is_bent", lambda *_window: False)
+    monkeypatch.setattr(windows, "_are_bent", lambda _points, start, *_: np.zeros(len(start), np.bool_))
     assert wrong_share_of_a_bent_clock() > 0.1
 
 
@@ -198,7 +205,7 @@ def test_a_window_whose_halves_disagree_is_widened(monkeypatch):
 def test_a_straight_clock_is_fitted_as_without_its_halves(monkeypatch, slow_return):
     drawn = [draw(Truth(10**9, 20_000), slow_return=slow_return, seed=seed) for seed in range(10)]
     held = [fit_clock(*each.stamps) for each in drawn]
-    monkeypatch.setattr(lines, "_is_bent", lambda *_window: False)
+    monkeypatch.setattr(windows, "_are_bent", lambda _points, start, *_: np.zeros(len(start), np.bool_))
     for (fit, offsets), each in zip(held, drawn, strict=True):
         alone, unheld = fit_clock(*each.stamps)
         assert fit == alone
@@ -265,10 +272,10 @@ def test_the_corners_of_the_lines_reach_as_far_as_all_lines(messages, drift, see
     time = np.sort(generator.integers(0, 10 * S, messages)).astype(np.float64)
     lower = drift * time - generator.exponential(MS, messages).round()
     points = OffsetIntervals(time, lower, lower + generator.exponential(MS, messages).round() + MS)
-    through = Lines.through(points)
-    if through is None:  # the drift is at its limit, and no line is as steep
+    through = Lines.through(points, np.array([0]), np.array([messages]))
+    if not through.exist[0]:  # the drift is at its limit, and no line is as steep
         return
-    lowest, highest = through.range_at(time)
+    (lowest,), (highest,) = through.range_at(time[None, :])
     centre = time[messages // 2]
     for slope in np.linspace(-DRIFT, DRIFT, 2001):
         low = (points.lower - slope * (time - centre)).max()
@@ -278,3 +285,76 @@ def test_the_corners_of_the_lines_reach_as_far_as_all_lines(messages, drift, see
         ):  # a line of this slope respects every message, so it lies within what the corners reach
             assert (low + slope * (time - centre) >= lowest - 0.01).all()
             assert (high + slope * (time - centre) <= highest + 0.01).all()
+
+
+def drawn_by_chance(seed):
+    """Messages of a clock that drifts, and may jump, bend or stand in gaps; in any order, some at equal instants."""
+    generator = np.random.default_rng(seed)
+    count = int(generator.choice([1, 2, 3, 15, 40, 300, 2000]))
+    t1 = START_NS + np.arange(count, dtype=np.int64) * (S // int(generator.choice([1, 5, 10, 100])))
+    if generator.random() < 0.3:
+        t1 += np.arange(count) // 50 * 20 * S
+    if generator.random() < 0.2:
+        t1 //= 100 * MS
+        t1 *= 100 * MS
+    jitter = generator.choice([0, 1000, 200_000, 2_000_000])
+    outbound, back = (50_000 + generator.exponential(jitter + 1, count).astype(np.int64) for _ in range(2))
+    relay = generator.exponential(100_000, count).astype(np.int64)
+    drift_ppb, jump_ns, bend = (
+        int(generator.choice([0, -400, 20_000])),
+        int(generator.choice([0, 50 * MS])),
+        generator.random() < 0.3,
+    )
+
+    def theta_ns(true_ns):
+        since = true_ns - START_NS
+        offset = 1_234_567 + np.rint(since * (drift_ppb / 1e9)).astype(np.int64)
+        offset += np.where(since > (t1[-1] - START_NS) // 2, jump_ns, 0)
+        return offset + np.clip(since - 5 * S, 0, None) // 10_000 * bend
+
+    arrived, left = t1 + outbound, t1 + outbound + relay
+    t2 = left + back
+    stamps = (t1, arrived + theta_ns(arrived), left + theta_ns(left), t2)
+    fits = stamps[3] - stamps[0] >= stamps[2] - stamps[1]
+    order = generator.permutation(np.flatnonzero(fits)) if generator.random() < 0.3 else np.flatnonzero(fits)
+    return tuple(stamp[order] for stamp in stamps)
+
+
+def test_all_windows_at_once_give_what_one_after_another_gives():
+    """To the nanosecond: a middle that is half a nanosecond rounds either way, by the rounding of the lines."""
+    drawn = [drawn_by_chance(seed) for seed in range(150)]
+    fitted = fit_clocks([RelayedMessages(*stamps) for stamps in drawn])
+    messages = apart = 0
+    for stamps, (fit, offsets) in zip(drawn, fitted, strict=True):
+        offset_ns, bound_ns, segments = plain_fit(*stamps)
+        assert np.abs(offsets.offset_ns - offset_ns).max() <= 1
+        assert np.abs(offsets.bound_ns - bound_ns).max() <= 1
+        messages += len(offset_ns)
+        apart += np.count_nonzero((offsets.offset_ns != offset_ns) | (offsets.bound_ns != bound_ns))
+        knots = [[(k.at_ns, k.offset_ns, k.bound_ns) for k in segment.knots] for segment in fit.segments]
+        assert [len(of_segment) for of_segment in knots] == [len(of_segment) for of_segment in segments]
+        for of_segment, plain in zip(knots, segments, strict=True):
+            assert np.abs(np.array(of_segment) - np.array(plain)).max() <= 1
+    assert messages > 30_000
+    assert apart < messages / 1000
+
+
+def test_a_fit_does_not_depend_on_the_fits_beside_it():
+    drawn = [drawn_by_chance(seed) for seed in range(20)]
+    together = fit_clocks([RelayedMessages(*stamps) for stamps in drawn])
+    for stamps, (fit, offsets) in zip(drawn, together, strict=True):
+        alone, of_alone = fit_clock(*stamps)
+        assert fit == alone
+        assert np.array_equal(offsets.offset_ns, of_alone.offset_ns)
+        assert np.array_equal(offsets.bound_ns, of_alone.bound_ns)
+
+
+def test_windows_are_cut_into_blocks_without_a_trace_of_it(monkeypatch):
+    drawn = [drawn_by_chance(seed) for seed in range(30)]
+    in_one_block = fit_clocks([RelayedMessages(*stamps) for stamps in drawn])
+    monkeypatch.setattr(windows, "_BLOCK_MESSAGES", 1000)
+    monkeypatch.setattr(windows, "_BLOCK_WINDOWS", 5)
+    in_many = fit_clocks([RelayedMessages(*stamps) for stamps in drawn])
+    for (fit, offsets), (other, of_other) in zip(in_one_block, in_many, strict=True):
+        assert fit == other
+        assert np.array_equal(offsets.offset_ns, of_other.offset_ns)

@@ -1,0 +1,93 @@
+"""Convex hulls of many windows at once: the points that all lines of a window must pass below, or above.
+
+Rows of a matrix are windows, and each step is one numpy operation over all of them: a window of ten seconds costs microseconds,
+where a loop over windows costs most of a millisecond.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float64 = NDArray[np.float64]
+Intp = NDArray[np.intp]
+
+CANDIDATES = 32
+"""Messages of a window that constrain its lines, per direction. Fewer constraints can only widen the bound."""
+
+
+def part_edges(start: Intp, stop: Intp) -> Intp:
+    """Cut windows into `CANDIDATES` parts of equal length, or one for each message of a shorter window.
+
+    Args:
+        start: first message of each window, rising; no window reaches into the next.
+        stop: the message behind its last.
+
+    Returns:
+        Shape (windows, parts + 1): edges of the parts; a window that is shorter than others has empty parts at its end.
+    """
+    count = stop - start
+    parts = min(CANDIDATES, int(count.max()))
+    length = count / np.minimum(count, CANDIDATES)
+    inside = (np.arange(parts + 1) * length[:, None]).astype(np.intp)
+    edges: Intp = start[:, None] + np.minimum(inside, count[:, None])
+    return edges
+
+
+def lowest_of_parts(height: Float64, edges: Intp) -> Intp:
+    """Return the first of the lowest points of each part.
+
+    Args:
+        height: of every message.
+        edges: shape (windows, parts + 1), edges of the parts, rising over all of it. An empty part takes the point before it.
+
+    Returns:
+        Shape (windows, parts): indices of messages.
+    """
+    begins = edges.ravel()
+    lengths = np.diff(begins, append=max(len(height), int(begins[-1])))
+    held = lengths > 0
+    first, lengths = begins[held], lengths[held]  # what lies between two windows is a part of its own here
+    lowest = np.minimum.reduceat(height, first)
+    at = np.flatnonzero(height[first[0] :] == np.repeat(lowest, lengths)) + first[0]
+    if len(at) > len(first):  # equal points in a part
+        part = np.repeat(np.arange(len(first)), lengths)[at - first[0]]
+        at = at[np.diff(part, prepend=-1) > 0]
+    place = np.maximum(np.cumsum(held) - 1, 0)
+    lowest_of: Intp = at[place].reshape(edges.shape)[:, :-1]
+    return lowest_of
+
+
+def lower_hulls(time: Float64, height: Float64) -> Intp:
+    """Return the lower convex hull of the points of each row, from left to right.
+
+    From each corner the gentlest slope to a later point leads to the next one (R. A. Jarvis, "On the identification of the
+    convex hull of a finite set of points in the plane", 1973); of points on one line the last is the corner.
+
+    Args:
+        time: shape (rows, points), not falling.
+        height: of the same shape.
+
+    Returns:
+        Shape (rows, corners): columns of the corners, the last column repeated where a row has fewer.
+    """
+    rows, columns = time.shape
+    last = columns - 1
+    corners = [np.zeros(rows, np.intp)]
+    left, corner = np.arange(rows), corners[0]
+    column = np.arange(columns)
+    while last and len(left):
+        at = np.arange(len(left)), corner
+        run, rise = time - time[at][:, None], height - height[at][:, None]
+        # Of two points at one time, the lower one comes next, or none.
+        is_ahead = (column > corner[:, None]) & ((run > 0) | (rise < 0))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slope = np.where(is_ahead, rise / run, np.inf)
+        corner = last - slope[:, ::-1].argmin(axis=1)
+        following = np.full(rows, last)
+        following[left] = corner
+        corners.append(following)
+        goes_on = corner < last
+        if not goes_on.all():
+            left, corner, time, height = left[goes_on], corner[goes_on], time[goes_on], height[goes_on]
+    return np.stack(corners, axis=1)

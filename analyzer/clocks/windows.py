@@ -1,0 +1,239 @@
+"""Windows of time in which the clocks of two devices part along a straight line.
+
+All windows of all fits of a batch are worked at together, level by level: first those of `WINDOW_NS`, then the halves of
+those that no line agrees with or that are bent, until none is left.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .hulls import lowest_of_parts
+from .lines import ROUNDING_NS, Lines, OffsetIntervals
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from .lines import Bools, Boundary, Float64, Intp
+
+WINDOW_NS = 10_000_000_000
+"""Length of a window: crystals wander by well under 0.1 ppm in ten seconds, and 10 Hz gives 100 messages to choose from."""
+
+HALF_MESSAGES = 16
+"""Messages from which on a half of a window is asked: of fewer none may have been fast both ways, and their middle is a guess."""
+
+_BLOCK_MESSAGES = 1 << 18
+_BLOCK_WINDOWS = 1 << 12
+"""Messages and windows that are worked at together, unless one window has more: arrays of two megabytes, which memory that was
+just freed has room for."""
+
+_INSTANTS = 17
+"""Instants of a window at which its bound is looked at, from its first to its last message."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Windows:
+    """Windows whose lines are known; one element a window, or one row.
+
+    Attributes:
+        start: first message.
+        stop: the message behind the last.
+        time: the instant at which the lines are closest together.
+        offset: middle of the lines at that instant.
+        bound: half of their distance at that instant.
+        steepness: shape (windows, 2): smallest and largest slope of the lines.
+        first: shape (windows, 2): middle and half distance of the lines at the first message.
+        last: the same at the last message.
+    """
+
+    start: Intp
+    stop: Intp
+    time: Float64
+    offset: Float64
+    bound: Float64
+    steepness: Float64
+    first: Float64
+    last: Float64
+
+    @classmethod
+    def of(cls, points: OffsetIntervals, start: Intp, stop: Intp, lines: Lines) -> Windows:
+        """Look at windows whose lines are known."""
+        begin, end = points.time[start], points.time[stop - 1]
+        time = np.arange(_INSTANTS) * ((end - begin) / (_INSTANTS - 1))[:, None] + begin[:, None]
+        time[:, -1] = end
+        low, high = lines.range_at(time)
+        middle, half = (low + high) / 2, (high - low) / 2
+        best = np.arange(len(time)), half.argmin(axis=1)
+        return cls(
+            start,
+            stop,
+            time[best],
+            middle[best],
+            half[best],
+            lines.steepness,
+            np.stack([middle[:, 0], half[:, 0]], axis=1),
+            np.stack([middle[:, -1], half[:, -1]], axis=1),
+        )
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[Windows]) -> Windows:
+        """Return the windows of all parts."""
+        if not parts:
+            none, no_pairs = np.empty(0), np.empty((0, 2))
+            no_messages = np.empty(0, np.intp)
+            return cls(no_messages, no_messages, none, none, none, no_pairs, no_pairs, no_pairs)
+        return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
+
+    def take(self, windows: Intp) -> Windows:
+        """Return some of the windows."""
+        return Windows(*(getattr(self, field.name)[windows] for field in fields(self)))
+
+
+def fit_windows(points: OffsetIntervals, stretches: Sequence[tuple[int, int]]) -> Windows:
+    """Fit the lines of every window of some stretches, and narrow the bounds of `points` by them in place.
+
+    A window is at most `WINDOW_NS` long, and halved until a line agrees with it and its halves do (`_are_bent`).
+
+    Args:
+        points: messages of any number of fits, one fit behind the other.
+        stretches: first message of each stretch and the message behind its last, rising; each is of one fit.
+
+    Returns:
+        The windows in order of their messages. Only the tightest messages shape the lines: one that no line reaches keeps its
+        own bounds.
+    """
+    fitted: list[Windows] = []
+    start, stop = _cut(points.time, stretches)
+    for first, after in _blocks(start, stop):
+        begin, end = int(start[first]), int(stop[after - 1])
+        of_block = _fit_levels(points.part(begin, end), start[first:after] - begin, stop[first:after] - begin)
+        of_block = of_block.take(np.argsort(of_block.start))
+        fitted.append(replace(of_block, start=of_block.start + begin, stop=of_block.stop + begin))
+    return Windows.concatenate(fitted)
+
+
+def _cut(time: Float64, stretches: Sequence[tuple[int, int]]) -> tuple[Intp, Intp]:
+    """Cut stretches into windows of at most `WINDOW_NS`; return their starts and stops."""
+    starts: list[Intp] = []
+    stops: list[Intp] = []
+    for start, stop in stretches:
+        cuts = np.array([start, stop])
+        duration = time[stop - 1] - time[start]
+        if duration > WINDOW_NS:
+            edges = np.linspace(time[start], time[stop - 1], int(np.ceil(duration / WINDOW_NS)) + 1)
+            inside = start + np.searchsorted(time[start:stop], edges[1:-1])
+            cuts = np.unique(np.concatenate([cuts, inside]))
+        starts.append(cuts[:-1])
+        stops.append(cuts[1:])
+    return np.concatenate(starts), np.concatenate(stops)
+
+
+def _blocks(start: Intp, stop: Intp) -> Iterator[tuple[int, int]]:
+    """Yield first and after of windows that are worked at together."""
+    first = 0
+    while first < len(start):
+        last = int(np.searchsorted(stop, start[first] + _BLOCK_MESSAGES, side="right"))
+        after = min(max(last, first + 1), first + _BLOCK_WINDOWS)
+        yield first, after
+        first = after
+
+
+def _fit_levels(points: OffsetIntervals, start: Intp, stop: Intp) -> Windows:
+    """Fit windows, and the halves of those that are bent or have no line; narrow the bounds of their messages in place.
+
+    One message without a line, whose stamps contradict each other by more than rounding, is in no window.
+    """
+    fitted: list[Windows] = []
+    origin: Intp | None = None  # of the messages that are left; None while these are all
+    left = points
+    while len(start):
+        lines = Lines.through(left, start, stop)
+        is_whole = lines.exist & ~_are_bent(left, start, stop, lines)
+        if is_whole.any():
+            own, own_start, own_stop = lines.take(is_whole), start[is_whole], stop[is_whole]
+            windows = Windows.of(left, own_start, own_stop, own)
+            here = slice(int(own_start[0]), int(own_stop[-1]))
+            low, high = _narrow(left, own_start, own_stop, own)
+            if origin is None:
+                points.lower[here], points.upper[here] = low, high
+            else:
+                points.lower[origin[here]], points.upper[origin[here]] = low, high
+                windows = replace(windows, start=origin[own_start], stop=origin[own_stop - 1] + 1)
+            fitted.append(windows)
+        halved = ~is_whole & (stop - start > 1)
+        middle = (start[halved] + stop[halved]) // 2
+        start, stop = (
+            np.stack(edges, axis=1).ravel() for edges in ((start[halved], middle), (middle, stop[halved]))
+        )
+        messages = _ranges(start, stop)
+        left = left.take(messages)
+        origin = messages if origin is None else origin[messages]
+        stop = np.cumsum(stop - start)
+        start = np.concatenate([[0], stop[:-1]]).astype(np.intp)[: len(stop)]
+    return Windows.concatenate(fitted)
+
+
+def _ranges(start: Intp, stop: Intp) -> Intp:
+    """Return the numbers from each start to its stop (not included), one range behind the other."""
+    lengths = stop - start
+    numbers: Intp = np.arange(lengths.sum()) + np.repeat(start - (np.cumsum(lengths) - lengths), lengths)
+    return numbers
+
+
+def _are_bent(points: OffsetIntervals, start: Intp, stop: Intp, lines: Lines) -> Bools:
+    """Return which windows have a half that knows an offset which the window's own bound leaves out.
+
+    A clock that bends within the window leaves few lines that respect every message, so the window's bound gets small
+    where it is wrong. The half is asked at the instant of the message that bounds the offset best. It has fewer messages
+    to respect, so its bound is never the smaller one: halving widens.
+    """
+    middle = (start + stop) // 2
+    begins, ends = np.stack([start, middle], axis=1), np.stack([middle, stop], axis=1)
+    is_asked = (ends - begins >= HALF_MESSAGES) & lines.exist[:, None]
+    bent = np.zeros(len(start), np.bool_)
+    if not is_asked.any():
+        return bent
+    width = points.upper - points.lower
+    tightest = begins.copy()
+    tightest[is_asked] = lowest_of_parts(width, np.stack([begins[is_asked], ends[is_asked]], axis=1))[:, 0]
+    low, high = lines.range_at(points.time[tightest])
+    # The middles part by at most the difference of the bounds, and the half's is at most the message's own.
+    is_asked &= width[tightest] > 2 * (high - low)
+    if not is_asked.any():
+        return bent
+    of_half = Lines.through(points, begins[is_asked], ends[is_asked])
+    lowest, highest = (side[:, 0] for side in of_half.range_at(points.time[tightest[is_asked]][:, None]))
+    low, high = low[is_asked], high[is_asked]
+    disagrees = ~of_half.exist | (np.abs((lowest + highest) - (low + high)) > high - low + 2 * ROUNDING_NS)
+    bent[np.nonzero(is_asked)[0][disagrees]] = True
+    return bent
+
+
+def _narrow(points: OffsetIntervals, start: Intp, stop: Intp, lines: Lines) -> tuple[Float64, Float64]:
+    """Return the lowest and the highest offset of each message from the first window to the last, gaps between included."""
+    here = slice(int(start[0]), int(stop[-1]))
+    following = np.append(start[1:], stop[-1])
+    x = points.time[here] - np.repeat(lines.centre, following - start)
+    low = _least(-points.lower[here], lines.below, start, stop, following, x)
+    low, high = np.negative(low, out=low), _least(points.upper[here], lines.above, start, stop, following, x)
+    alone = low > high
+    if alone.any():
+        low, high = np.where(alone, points.lower[here], low), np.where(alone, points.upper[here], high)
+    return low, high
+
+
+def _least(own: Float64, boundary: Boundary, start: Intp, stop: Intp, following: Intp, x: Float64) -> Float64:
+    """Return the lesser of each message's own height and that of its window's boundary."""
+    edges = np.concatenate([start[:, None], boundary.breaks + 1, stop[:, None], following[:, None]], axis=1)
+    lengths = np.diff(edges).ravel()
+    nothing = np.zeros((len(start), 1))  # a message between two windows keeps its own height
+    least = np.repeat(np.concatenate([boundary.slope, nothing], axis=1), lengths)
+    least *= x
+    least += np.repeat(np.concatenate([boundary.height, nothing + np.inf], axis=1), lengths)
+    np.minimum(least, own, out=least)
+    touched = boundary.breaks.ravel() - start[0]
+    least[touched] = own[touched]  # without the rounding of the lines that meet there
+    return least

@@ -106,6 +106,8 @@ def fit_windows(points: OffsetIntervals, stretches: Sequence[tuple[int, int]]) -
         own bounds.
     """
     fitted: list[Windows] = []
+    if not stretches:
+        return Windows.concatenate(fitted)
     start, stop = _cut(points.time, stretches)
     for first, after in _blocks(start, stop):
         begin, end = int(start[first]), int(stop[after - 1])

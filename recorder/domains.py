@@ -8,10 +8,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from dds_trace.tracefile import OptionError
+from dds_trace.tracefile import OptionError, limits
 
-LAST_DOMAIN = 231
-"""Highest domain id: of domain 232 even the first participant has no ports below 65536."""
 PARTICIPANTS_PER_DOMAIN = 120
 _PORT_BASE, _DOMAIN_GAIN, _FIRST_PARTICIPANT = 7400, 250, 10
 _PROC = Path("/proc")
@@ -23,8 +21,7 @@ def check_domain_id(domain_id: int) -> None:
     Raises:
         OptionError: naming the range.
     """
-    if not 0 <= domain_id <= LAST_DOMAIN:
-        raise OptionError(f"--domain {domain_id}: a DDS domain id is 0 to {LAST_DOMAIN}")
+    limits.check(limits.DOMAIN_ID, domain_id, "--domain")
 
 
 def check_domain(domain_id: int, proc: Path = _PROC) -> list[str]:

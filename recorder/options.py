@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import OptionError, OutputExistsError, TraceDestination
+from dds_trace.tracefile import OptionError, OutputExistsError, TraceDestination, limits
 
 from .choices import Serialization
+from .payloads import check_data
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from dds_trace.tracefile.limits import Limit
+
     from .backends.node import NodeOptions
 
-MAX_RELAY_ID = (1 << 32) - 1
-MAX_RATE_HZ = 1e6
 DEFAULT_MESSAGES = 1000
 """Messages of a run by default: what gates were simulated with (docs/coverage.md). With five runs a side that spread by
 5 % they find +20 % of p50 four times in five; p99 rests on ten messages of a run."""
@@ -67,16 +68,12 @@ class PingOptions:
         Raises:
             OptionError: naming the option.
         """
-        if self.rate_hz is not None and not 0 < self.rate_hz <= MAX_RATE_HZ:
-            raise OptionError(
-                f"--rate {self.rate_hz:g}: give more than 0 and at most {MAX_RATE_HZ:.0f} a second"
-            )
-        if self.messages is not None and self.messages < 1:
-            raise OptionError(f"--messages {self.messages}: give at least one message to measure")
-        if self.warmup < 0:
-            raise OptionError(f"--warmup {self.warmup}: give 0 or more")
-        if self.relays < 1:
-            raise OptionError(f"--relays {self.relays}: give at least one relay to wait for")
+        check_fields(self)
+        check_data(self.data)
+        for option, pairs in (("--label", self.labels), ("--setting", self.settings)):
+            for key, value in pairs.items():
+                limits.check(limits.LABEL_KEY, key, option)
+                limits.check(limits.TEXT, value, f"{option} {key}")
         joins_halves = self.bridge_listen is not None or bool(self.bridge_peers)
         if self.bridge == "none" and (self.bridge_running or joins_halves):
             raise OptionError("--bridge-running, --bridge-listen and --bridge-peer need --bridge NAME")
@@ -128,15 +125,61 @@ class RecordOptions:
             OutputExistsError: there is a trace already; known now, and not after the wait for an echo.
         """
         destination = self.destination
+        check_fields(self)
+        limits.check(limits.PATH, str(destination.path), "--out")
         if destination.path.exists() and not destination.force:
             raise OutputExistsError(
                 f"{destination.path} is there already; choose another name or use --force"
             )
-        if self.relay_id is not None and not 1 <= self.relay_id <= MAX_RELAY_ID:
-            raise OptionError(f"--relay-id {self.relay_id}: a relay's id is 1 to {MAX_RELAY_ID}")
-        if self.duration_s is not None and self.duration_s <= 0:
-            raise OptionError(f"--duration {self.duration_s:g}: give more than 0 seconds")
-        if self.node.qos.depth < 1:
-            raise OptionError(f"--depth {self.node.qos.depth}: at least one message must be kept")
         if self.ping is not None:
             self.ping.check()
+
+
+OPTION_LIMITS: Mapping[str, tuple[str, Limit]] = {
+    "size_bytes": ("--size", limits.SIZE_BYTES),
+    "rate_hz": ("--rate", limits.RATE_HZ),
+    "messages": ("--messages", limits.MESSAGES),
+    "warmup": ("--warmup", limits.WARMUP),
+    "wait_s": ("--wait", limits.WAIT_S),
+    "relays": ("--relays", limits.RELAYS),
+    "seed": ("--seed", limits.SEED),
+    "bridge": ("--bridge", limits.NAME),
+    "bridge_listen": ("--bridge-listen", limits.ADDRESS),
+    "bridge_peers": ("--bridge-peer", limits.ADDRESS),
+    "relay_domain_id": ("--relay-domain", limits.DOMAIN_ID),
+    "domain_id": ("--domain", limits.DOMAIN_ID),
+    "rmw": ("--rmw", limits.RMW),
+    "peers": ("--peer", limits.HOST),
+    "depth": ("--depth", limits.DEPTH),
+    "backend": ("--backend", limits.NAME),
+    "relay_id": ("--relay-id", limits.RELAY_ID),
+    "types": ("--type", limits.NAME),
+    "device": ("--device", limits.NAME),
+    "connectivity": ("--connectivity", limits.NAME),
+    "duration_s": ("--duration", limits.LENGTH_S),
+    "cpu_affinity": ("--cpu-affinity", limits.CPUS),
+    "realtime_priority": ("--realtime", limits.REALTIME_PRIORITY),
+}
+"""Field of a record of options -> its option and its validator. Fields that are no option, whose value is an Enum or a flag,
+or that are checked where they are parsed (`data`, `labels`, the durations of a `Qos`) are not here."""
+
+
+def check_fields(options: object) -> None:
+    """Check every field of a record of options, and of the records in it, that `OPTION_LIMITS` names.
+
+    Raises:
+        OptionError: naming the option.
+    """
+    assert is_dataclass(options)
+    for each in fields(options):
+        value = getattr(options, each.name)
+        if each.name in OPTION_LIMITS:
+            option, limit = OPTION_LIMITS[each.name]
+            for one in value if isinstance(value, tuple) else (value,):
+                limits.check(limit, one, option)
+        elif each.name in _RECORDS:
+            check_fields(value)
+
+
+_RECORDS = ("node", "qos")
+"""Fields that hold records of options themselves; that of a ping checks its own."""

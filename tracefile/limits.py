@@ -43,7 +43,7 @@ class Whole:
         """Return what to write instead of `value`, None if it is allowed."""
         if isinstance(value, int) and not isinstance(value, bool) and self.low <= value <= self.high:
             return None
-        return f"{self.what} is a whole number from {self.low} to {self.high}"
+        return f"{self.what} is {self.low} to {self.high}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +70,7 @@ class Real:
         ):
             return None
         low, high = f"{self.low:.15g}", f"{self.high:.15g}"
-        return f"{self.what} is {f'above {low} and at most' if self.is_above else f'from {low} to'} {high}"
+        return f"{self.what} is {f'above {low} and at most' if self.is_above else f'{low} to'} {high}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +98,28 @@ class Words:
         if "\0" in value or self.pattern.fullmatch(value) is None:
             return f"write {self.what}"
         return None
+
+
+@dataclass(frozen=True, slots=True)
+class FilePath:
+    """Paths of outputs that Linux and every library of an analysis can name.
+
+    Attributes:
+        what: the noun of the value, for the error.
+    """
+
+    what: str
+
+    def fault(self, value: object) -> str | None:
+        """Return what to write instead of `value`, None if it is allowed."""
+        fault = Words(self.what, most=4095).fault(value)
+        if fault is not None:
+            return fault
+        parts = str(value).rstrip("/").split("/")
+        if parts[-1] in {"", ".", ".."}:
+            return f"{self.what} ends with a name"
+        longest = max(len(part.encode()) for part in parts)
+        return f"{self.what} has names of at most 255 bytes; one has {longest}" if longest > 255 else None
 
 
 def check(limit: Limit, value: object, where: str) -> None:
@@ -162,7 +184,6 @@ DEPTH = Whole(1, (1 << 31) - 1, "the number of messages that keep_last keeps")
 SEED = Whole(-(1 << 63), (1 << 64) - 1, "a seed")
 REALTIME_PRIORITY = Whole(1, 99, "a SCHED_FIFO priority")
 PORT = Whole(1, 65535, "a port")
-CPU = Whole(0, 8191, "a CPU number")
 REPEATS = Whole(1, MAX_CELLS, "the number of passes")
 ATTEMPTS = Whole(1, 1000, "the number of attempts")
 KNEE_REPEATS = Whole(1, 1000, "the number of runs at the knee")
@@ -187,8 +208,15 @@ FILE_NAME = Words(
     re.compile(r"(?!\.{1,2}\Z)[^/\x00-\x1f\x7f]+"),
     100,
 )
-PATH = Words("a path", re.compile(r".+", re.DOTALL), 4095)
+PATH = FilePath("a path")
+CPUS = Words(
+    "CPU numbers and ranges, such as 3 or 0,2 or 2-3",
+    re.compile(r"\s*\d{1,4}(?:-\d{1,4})?\s*(?:,\s*\d{1,4}(?:-\d{1,4})?\s*)*", re.ASCII),
+)
 RMW = Words("a ROS middleware's name such as rmw_fastrtps_cpp", re.compile(r"\w+", re.ASCII), 255)
+ADDRESS = Words(
+    "HOST:PORT, for example 192.168.0.5:7447", re.compile(r"[\w.:%\[\]-]+:\d{1,5}", re.ASCII), 255
+)
 HOST = Words("a host's name or address", re.compile(r"[\w.:%\[\]-]+", re.ASCII), 255)
 TOPIC_NAME = Words(
     "a ROS topic's name such as /camera/image",

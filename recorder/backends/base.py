@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import BackendUnavailableError, OptionError
+from dds_trace.tracefile import BackendUnavailableError, OptionError, limits
 
 from ..choices import Discovery, ExecutorKind, Transport
 from ..domains import check_domain_id, first_port
@@ -144,8 +144,10 @@ class Backend:
 def _parse_address(text: str, port: int) -> tuple[str, int]:
     """Return the host and port that `HOST` or `HOST:PORT` names; `port` in the first case."""
     host, colon, number = text.rpartition(":")
+    if limits.HOST.fault(text) is not None:
+        raise OptionError(f"--peer {limits.shown(text)}: write HOST or HOST:PORT")
     if not colon:
         return text, port
-    if not host or not number.isdecimal() or not 0 < int(number) < 1 << 16:
+    if limits.ADDRESS.fault(text) is not None or limits.PORT.fault(int(number)) is not None:
         raise OptionError(f"--peer {text}: write HOST or HOST:PORT")
     return host, int(number)

@@ -6,10 +6,9 @@ import re
 from dataclasses import dataclass, field
 from enum import Enum
 
-from dds_trace.tracefile import OptionError, Qos
+from dds_trace.tracefile import OptionError, Qos, limits
 
 from ..choices import Discovery, Transport
-from ..domains import LAST_DOMAIN
 from ..payloads import data_types
 
 
@@ -114,8 +113,10 @@ class BridgeOptions:
 
     def __post_init__(self) -> None:
         for domain_id in (self.ping_domain_id, self.relay_domain_id):
-            if not 0 <= domain_id <= LAST_DOMAIN:
-                raise OptionError(f"there is no domain {domain_id}; choose one from 0 to {LAST_DOMAIN}")
+            fault = limits.DOMAIN_ID.fault(domain_id)
+            if fault is not None:
+                raise OptionError(f"there is no domain {limits.shown(domain_id)}; {fault}")
+        limits.check(limits.DEPTH, self.qos.depth, "--depth")
         if self.ping_domain_id == self.relay_domain_id:
             raise OptionError(
                 f"a bridge joins two domains, both ends are {self.ping_domain_id}; "
@@ -156,7 +157,7 @@ def split_address(address: str) -> tuple[str, int]:
     Raises:
         OptionError: the text has another form, or the port is not 1 to 65535.
     """
-    host, colon, port = address.rpartition(":")
-    if not (colon and host and port.isdigit() and 0 < int(port) < 65536):
-        raise OptionError(f"{address!r} is no address; write HOST:PORT, for example 192.168.0.5:7447")
+    host, _, port = address.rpartition(":")
+    if limits.ADDRESS.fault(address) is not None or limits.PORT.fault(int(port)) is not None:
+        raise OptionError(f"{limits.shown(address)} is no address; write {limits.ADDRESS.what}")
     return host.strip("[]"), int(port)

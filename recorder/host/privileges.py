@@ -9,11 +9,10 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import os
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import OptionError
+from dds_trace.tracefile import OptionError, limits
 
 if TYPE_CHECKING:
     from dds_trace.tracefile import Json
@@ -62,14 +61,11 @@ def parse_cpus(text: str) -> list[int]:
     Raises:
         OptionError: not a list of numbers and ranges.
     """
+    limits.check(limits.CPUS, text, "--cpu-affinity")
     cpus: set[int] = set()
     for part in text.split(","):
-        bounds = re.fullmatch(r"\s*(\d+)(?:-(\d+))?\s*", part)
-        if bounds is None:
-            raise OptionError(
-                f"--cpu-affinity {text!r}: give CPU numbers and ranges, such as 3 or 0,2 or 2-3"
-            )
-        cpus.update(range(int(bounds[1]), int(bounds[2] or bounds[1]) + 1))
+        first, _, last = part.partition("-")
+        cpus.update(range(int(first), int(last or first) + 1))
     if not cpus:
         raise OptionError(f"--cpu-affinity {text!r}: a range goes from the lower CPU number to the higher")
     return sorted(cpus)
@@ -102,9 +98,7 @@ def set_realtime(priority: int) -> None:
     Raises:
         OptionError: no such priority, or the system does not permit it.
     """
-    lowest, highest = os.sched_get_priority_min(os.SCHED_FIFO), os.sched_get_priority_max(os.SCHED_FIFO)
-    if not lowest <= priority <= highest:
-        raise OptionError(f"--realtime {priority}: a SCHED_FIFO priority is {lowest} to {highest}")
+    limits.check(limits.REALTIME_PRIORITY, priority, "--realtime")
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except OSError as err:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import OptionError
+from dds_trace.tracefile import OptionError, limits
 
 from .bag import BAG
 from .base import DataType, Source, Surroundings
@@ -84,6 +84,21 @@ def open_payload(
     return source.open(where, Surroundings(_own_types(), open_node, wait_s, stop))
 
 
+def check_data(data: str) -> None:
+    """Refuse a value of `--data` that names no data, without opening any.
+
+    Raises:
+        OptionError: there is no such data type, or the text behind the colon names nothing.
+    """
+    limits.check(limits.TEXT, data, "--data")
+    kind, colon, where = data.partition(":")
+    source = PAYLOADS.get(kind)
+    if colon and isinstance(source, Source):
+        source.check(where)
+    else:
+        find_data_type(data)
+
+
 def served_data_types(type_names: Iterable[str] = ()) -> tuple[DataType, ...]:
     """Return what a relay serves: the data types that are made up here, and those of further message types.
 
@@ -104,6 +119,7 @@ __all__ = [
     "IMU",
     "PAYLOADS",
     "STRING",
+    "check_data",
     "data_types",
     "find_data_type",
     "header_data_type",

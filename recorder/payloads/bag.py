@@ -42,11 +42,7 @@ def load_payload(
         OptionError: no bag, no such topic in it, a type that cannot carry the stamp, or too much data.
         BackendUnavailableError: rosbags is not installed.
     """
-    name, hash_sign, topic = where.rpartition("#")
-    if not (hash_sign and name and topic):
-        raise OptionError(
-            f"--data bag:{where}: write bag:PATH#TOPIC, for example bag:drive.mcap#/camera/image"
-        )
+    name, topic = split_place(where)
     path = Path(name)
     if path.exists() and not (path.is_file() or path.is_dir()):  # a pipe would wait for a writer
         raise OptionError(f"--data bag:{where}: {path} is neither a file nor a folder")
@@ -73,6 +69,20 @@ def load_payload(
         rate_hz=(len(times_ns) - 1) / span_ns * 1e9 if span_ns > 0 else None,
         source=f"bag:{where}",
     )
+
+
+def split_place(where: str) -> tuple[str, str]:
+    """Return path and topic of `PATH#TOPIC`.
+
+    Raises:
+        OptionError: one of them is missing.
+    """
+    name, hash_sign, topic = where.rpartition("#")
+    if not (hash_sign and name and topic) or "\0" in where:
+        raise OptionError(
+            f"--data bag:{where}: write bag:PATH#TOPIC, for example bag:drive.mcap#/camera/image"
+        )
+    return name, topic
 
 
 @contextmanager
@@ -148,4 +158,4 @@ def _open(where: str, surroundings: Surroundings) -> AbstractContextManager[Payl
     return nullcontext(load_payload(where, surroundings.own_types, surroundings.stop))
 
 
-BAG = Source(name="bag", usage="bag:PATH#TOPIC", open=_open)
+BAG = Source(name="bag", usage="bag:PATH#TOPIC", check=split_place, open=_open)

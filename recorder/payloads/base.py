@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 from dds_trace.tracefile import OptionError, StoppedError
+from dds_trace.tracefile.limits import MAX_HELD_BYTES
 
 from .stamp import SentT
 
@@ -22,8 +23,6 @@ ReceivedT = TypeVar("ReceivedT")
 
 RELAY_SUFFIX = "_relay"
 """End of a topic's name on the way back."""
-MAX_HELD_BYTES = 1 << 30
-"""Most data that a payload may hold: it lies in memory while it is sent, and a small board has 2 GB."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,11 +163,13 @@ class Source:
     Attributes:
         name: text before the colon in `--data`.
         usage: form of the whole value of `--data`, such as `file:PATH`.
+        check: refuses a text behind the colon that names nothing; raises an `OptionError` and opens nothing.
         open: opens the payload for the text behind the colon, for as long as the block lasts.
     """
 
     name: str
     usage: str
+    check: Callable[[str], object]
     open: Callable[[str, Surroundings], AbstractContextManager[Payload]]
 
 

@@ -7,8 +7,9 @@ import struct
 from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import OptionError
+from dds_trace.tracefile.limits import MAX_HELD_BYTES
 
-from .base import MAX_HELD_BYTES, DataType, Form, Message, Payload, check_stop
+from .base import DataType, Form, Message, Payload, check_stop
 from .cdr import CdrWriter
 from .stamp import HEADER_STAMP, RAW_HEADER_STAMP, stamp_text
 

@@ -81,4 +81,14 @@ def _open(where: str, surroundings: Surroundings) -> AbstractContextManager[Payl
     return nullcontext(load_payload(where, surroundings.stop))
 
 
-FILE = Source(name="file", usage="file:PATH", open=_open)
+def check_path(where: str) -> None:
+    """Refuse a text that names no file.
+
+    Raises:
+        OptionError: it is empty, or no path has it; an empty one would mean the current folder with all its files.
+    """
+    if not where or "\0" in where:
+        raise OptionError(f"--data file:{where}: write file:PATH, a file or a folder of files")
+
+
+FILE = Source(name="file", usage="file:PATH", check=check_path, open=_open)

@@ -8,7 +8,7 @@ from collections import deque
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import OptionError, Qos
+from dds_trace.tracefile import OptionError, Qos, limits
 from dds_trace.tracefile.units.counts import counted
 
 from ..backends.node import ObjectNode
@@ -31,6 +31,15 @@ RATE_S = 3.0
 LOOK_S = 0.05
 
 
+def check_name(name: str) -> None:
+    """Refuse a text that is no name of a topic, before a middleware is asked for it.
+
+    Raises:
+        OptionError: it is none.
+    """
+    limits.check(limits.TOPIC_NAME, name, "--data topic:")
+
+
 @contextmanager
 def open_payload(name: str, surroundings: Surroundings) -> Iterator[Payload]:
     """Open the live payload of the topic `name`, on a node of its own, for as long as the block runs.
@@ -44,6 +53,7 @@ def open_payload(name: str, surroundings: Surroundings) -> Iterator[Payload]:
     Raises:
         OptionError: nobody publishes the topic, it is silent, it is ours, or its type cannot carry the stamp.
     """
+    check_name(name)
     topic, where = name.strip("/"), f"--data topic:{name}"
     own_types, stop = surroundings.own_types, surroundings.stop
     own_topics = {data_type.topic for data_type in own_types.values()}
@@ -175,4 +185,4 @@ def _find_publisher(node: Node, topic: str, where: str, deadline_s: float, stop:
     )
 
 
-TOPIC = Source(name="topic", usage="topic:/NAME", open=open_payload)
+TOPIC = Source(name="topic", usage="topic:/NAME", check=check_name, open=open_payload)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import OptionError, Qos, Run
+from dds_trace.tracefile import OptionError, Qos, Run, limits
 from dds_trace.tracefile.units.durations import SECOND_NS
 
 from ..choices import Serialization
@@ -83,6 +83,7 @@ def plan_run(
     if payload.feed is not None and asked.rate_hz is not None:
         raise OptionError("--rate cannot be given with topic:/NAME, whose messages are the schedule")
     rate_hz = asked.rate_hz or payload.rate_hz or DEFAULT_RATE_HZ
+    limits.check(limits.RATE_HZ, rate_hz, f"rate of {asked.data}")
     own_domain_id = options.node.domain_id
     source = {"data_source": payload.source} if payload.source else {"seed": seed}
     running = {"bridge_running": True} if asked.bridge_running else {}
@@ -101,12 +102,18 @@ def plan_run(
 
 
 def count_messages(messages: int | None, duration_s: float | None, rate_hz: float, warmup: int) -> int:
-    """Return the number of messages asked for, or of those that fit the duration behind the warm-up."""
+    """Return the number of messages asked for, or of those that fit the duration behind the warm-up.
+
+    Raises:
+        OptionError: it is more than memory can keep account of.
+    """
     if messages is not None:
         return messages
     if duration_s is None:
         return DEFAULT_MESSAGES
-    return max(round(duration_s * rate_hz) - warmup, 1)
+    fitting = max(round(duration_s * rate_hz) - warmup, 1)
+    limits.check(limits.MESSAGES, fitting, f"--duration {duration_s:g} at {rate_hz:g} Hz are")
+    return fitting
 
 
 def check_serialization(data_types: Iterable[DataType], serialization: Serialization) -> None:

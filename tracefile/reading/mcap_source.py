@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 
     from ..mcapfile.blocks import Block
 
-_BLOCKS_AHEAD = 8  # blocks that are made before they are asked for
+_MOST_BLOCKS_AHEAD = 8
 _ROOM_OPCODES = frozenset({Opcode.CHUNK, Opcode.MESSAGE})
 _UNSUSPECTED_STEPS = 2_000_000
 _STEP_BYTES = 4  # a recorded message that is no event takes more than that, packed as it may be
@@ -102,7 +103,7 @@ class McapSource:
         if self._is_of_others():
             return
         steps_left = _UNSUSPECTED_STEPS + self._file.size // _STEP_BYTES
-        for block in in_order(self._jobs, self._pool, _BLOCKS_AHEAD, _BYTES_AHEAD):
+        for block in in_order(self._jobs, self._pool, _blocks_ahead(), _BYTES_AHEAD):
             yield from self._batches_of(block)
             steps_left -= block.steps
             self._jobs.take_back(block)
@@ -214,3 +215,11 @@ class McapSource:
             if header.opcode == Opcode.MESSAGE:
                 return (room + self._file.size - at) // EVENT_RECORD_BYTES
             at = header.end
+
+
+def _blocks_ahead() -> int:
+    """Return the number of blocks that are made before they are asked for: one a core and one more.
+
+    More of them only push each other out of the caches.
+    """
+    return min(_MOST_BLOCKS_AHEAD, len(os.sched_getaffinity(0)) + 1)

@@ -45,7 +45,11 @@ Out = Annotated[
 Force = Annotated[bool, _role("--force", metavar="", help="Overwrite what is there.")]
 Fsync = Annotated[
     bool,
-    _role("--fsync", metavar="", help="Have each second of the trace on the disk, not in its cache."),
+    _role(
+        "--fsync",
+        metavar="",
+        help="Flush the trace to the disk twice a second: a power loss takes less than the last second.",
+    ),
 ]
 FileMode = Annotated[
     choices.FileMode,

@@ -70,6 +70,10 @@ coverage *args: setup
 real-aa *args: setup
     {{bin}}/python benchmarks/real_aa.py {{args}}
 
+# Sweeps over all backends and bridges while things go wrong, for so many minutes, one line a round (root; tests/chaos/)
+chaos minutes="30" *args: setup
+    {{bin}}/python tests/chaos/chaos.py {{minutes}} {{args}}
+
 # Fuzz what reads the bytes of strangers, guided by coverage (atheris), for so many seconds a target of tests/fuzz/fuzz.py
 fuzz seconds="600" *targets="reader descriptions plan bag ring cache watch": setup
     uv pip install --quiet --python {{bin}}/python -e '.[fuzz]'

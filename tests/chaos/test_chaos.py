@@ -1,4 +1,4 @@
-"""Chaos in small: what a seed draws, what the checks see, and two rounds over plain sockets (`just chaos` plays them by the hour)."""
+"""Chaos in small: what a seed draws, what the checks see, and rounds over plain sockets (`just chaos` plays them by the hour)."""
 
 from __future__ import annotations
 
@@ -118,7 +118,14 @@ def test_dropped_events_and_other_runs_are_seen(tmp_path):
 
 @pytest.mark.middleware
 @needs_namespaces("unshare", "util-linux")
-@pytest.mark.parametrize("seed", [1940, 4547], ids=["loopback", "namespaces"])
+@pytest.mark.parametrize(
+    "seed",
+    [
+        pytest.param(4547, id="kill, outage, full disk"),
+        pytest.param(1940, id="kill, stop", marks=pytest.mark.slow),
+        pytest.param(4244, id="kill the sweep", marks=pytest.mark.slow),
+    ],
+)
 def test_a_round_over_sockets(tmp_path, seed):
     folder = Path(tmp_path)
     line = play_round(seed, folder, ["socket:none"])

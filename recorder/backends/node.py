@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from types import TracebackType
 
 RawMessage: TypeAlias = "bytes | bytearray"
-"""A whole serialized message: 4 bytes of encapsulation, then CDR."""
+"""A whole serialized message: 4 bytes of encapsulation, then CDR. A received `bytearray` is the callback's to change."""
 
 RosMessage: TypeAlias = Any
 """An object of a class that ROS 2 generates from a `.msg` file; such classes have no types."""

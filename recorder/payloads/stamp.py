@@ -35,6 +35,9 @@ class Stamp(NamedTuple):
     relay_id: int
 
 
+_new_stamp = tuple.__new__  # without the Python function of a NamedTuple's own
+
+
 def stamp_text(run_id: int, sequence: int, relay_id: int = 0) -> bytes:
     """Return the 46 characters of a stamp."""
     return b"dt1:%016x:%016x:%08x" % (run_id, sequence, relay_id)
@@ -74,13 +77,14 @@ class RawStampPlace:
         time_offset: offset of `header.stamp`, None where there is no header.
     """
 
-    __slots__ = ("_end", "_relay", "_start", "_time")
+    __slots__ = ("_end", "_last", "_relay", "_start", "_time")
 
     def __init__(self, text_offset: int, time_offset: int | None) -> None:
         self._start = text_offset
         self._end = text_offset + STAMP_BYTES
         self._relay = slice(text_offset + _RELAY.start, text_offset + _RELAY.stop)
         self._time = time_offset
+        self._last = (b"", 0)  # the text of the last run that was read, and its number
 
     def write(self, message: bytearray, run_id: int, sequence: int) -> None:
         """Write the stamp into the buffer."""
@@ -94,15 +98,27 @@ class RawStampPlace:
 
     def read(self, message: RawMessage) -> Stamp | None:
         """Return the stamp, from its 46 bytes alone."""
-        return parse_stamp(message[self._start : self._end])
+        text = message[self._start : self._end]
+        run_text, run_id = self._last
+        if (
+            len(text) == STAMP_BYTES and text.startswith(run_text) and run_text
+        ):  # as a rule one run after the other
+            try:
+                return _new_stamp(Stamp, (run_id, int(text[_SEQUENCE], 16), int(text[_RELAY], 16)))
+            except ValueError:
+                return None
+        stamp = parse_stamp(text)
+        if stamp is not None:
+            self._last = bytes(text[: _RUN.stop]), stamp.run_id
+        return stamp
 
     def reply(self, message: RawMessage, relay_id_text: bytes) -> bytearray | None:
-        """Return a copy with the relay's id in place; the received buffer belongs to the middleware's binding."""
+        """Return the message with the relay's id in place: bytes as a copy, a `bytearray`, which is the callback's, itself."""
         if not message.startswith(STAMP_PREFIX, self._start):
             return None
-        copy = bytearray(message)
-        copy[self._relay] = relay_id_text
-        return copy
+        reply = message if isinstance(message, bytearray) else bytearray(message)
+        reply[self._relay] = relay_id_text
+        return reply
 
 
 class HeaderStampPlace:

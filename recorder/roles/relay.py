@@ -82,7 +82,7 @@ class Relay:
     def _receiver(self, form: Form[SentT, ReceivedT], publisher: Publisher[SentT]) -> Receive[ReceivedT]:
         make_reply, read, payload_bytes_of = form.stamp.reply, form.stamp.read, form.payload_bytes_of
         now, publish = self._clock.monotonic_ns, publisher.publish
-        record, keep_stamped = self._sink.record, self._sink.stamp
+        record_and_stamp, stages = self._sink.record_and_stamp, (T3, T4)
         relay_id, relay_id_text, runs = self.relay_id, b"%08x" % self.relay_id, self._runs
         on_probe = self._on_probe
 
@@ -102,8 +102,7 @@ class Relay:
                 return
             run_id, sequence, _ = stamp
             size = payload_bytes_of(message)
-            record(T3, run_id, sequence, relay_in_ns, 0, source_ns, received_ns, size, relay_id)
-            keep_stamped(T4, run_id, sequence, 0, 0, 0, size, relay_id)
+            record_and_stamp(stages, run_id, sequence, relay_in_ns, source_ns, received_ns, size, relay_id)
             publish(reply)
             runs[run_id] = runs.get(run_id, 0) + 1
             self._payload_bytes += size

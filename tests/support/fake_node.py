@@ -103,6 +103,22 @@ class ListSink:
         )
         return monotonic_ns
 
+    def record_and_stamp(
+        self,
+        stages: tuple[int, int],
+        run_id: int,
+        sequence: int,
+        monotonic_ns: int,
+        source_ns: int,
+        received_ns: int,
+        payload_bytes: int,
+        relay_id: int,
+    ) -> int:
+        self.record(
+            *(stages[0], run_id, sequence, monotonic_ns, 0, source_ns, received_ns, payload_bytes, relay_id)
+        )
+        return self.stamp(stages[1], run_id, sequence, 0, 0, 0, payload_bytes, relay_id)
+
     def write_run(self, run: Run) -> None:
         self.runs.append(run)
 

@@ -63,6 +63,9 @@ SLOT_BYTES = 64
 SLOT_STRUCT = struct.Struct("<QQqqqqIIQ")
 """A slot as it is packed: the event's eight fields, then the mark."""
 
+SLOT_PAIR_STRUCT = struct.Struct("<QQqqqqIIQQQqqqqIIQ")
+"""Two slots that lie one behind the other."""
+
 SLOT_WORDS = SLOT_BYTES // 8
 TIME_WORD, MARK_WORD = 2, 7
 """Positions of the monotonic time and of the mark among the words of a slot."""

@@ -14,17 +14,17 @@ from typing import TYPE_CHECKING, Protocol, TypeAlias
 from dds_trace.tracefile import OptionError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Mapping
 
-    from ..node import RawMessage
+    from ..node import RawMessage, Receive
 
 RETRY_S = 0.2
-"""Time between two attempts to reach a peer, and the longest wait of a round."""
+"""Time between two attempts to reach a peer."""
 
 Address: TypeAlias = tuple[str, int]
 """Host and port."""
-Deliver: TypeAlias = "Callable[[str, bytearray], None]"
-"""Callback that takes the topic and the message of each frame."""
+Receivers: TypeAlias = "Mapping[str, tuple[Receive[RawMessage], ...]]"
+"""Topic -> callbacks that take the message of each of its frames; looked up for each frame."""
 
 
 @dataclass
@@ -61,8 +61,8 @@ class Links(Protocol):
     def send(self, topic: str, message: RawMessage) -> None:
         """Send `message` to all peers that subscribe to `topic`; it is copied when this returns."""
 
-    def poll(self, timeout_s: float) -> None:
-        """Wait for at most `timeout_s`, and hand on what has arrived."""
+    def poll(self) -> None:
+        """Keep the connections up for one round of at most `ROUND_S`; raise the error of a callback."""
 
     def interrupt(self) -> None:
         """End a wait of another thread in `send`."""

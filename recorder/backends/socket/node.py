@@ -13,7 +13,7 @@ from dds_trace.tracefile import OptionError
 from ...choices import Discovery, Transport
 from ..node import Endpoint, Middleware, TopicView
 from ..qos import refuse_durations
-from ..threaded import ROUND_S, NodeSubscription, ThreadedNode
+from ..threaded import NodeSubscription, ThreadedNode
 from .links import Greeting
 from .tcp import TcpLinks
 from .udp import TUNED_BUFFER_BYTES, UdpLinks
@@ -58,11 +58,11 @@ class SocketNode(ThreadedNode):
         self._links: Links
         if options.transport is Transport.UDP:
             buffer_bytes = TUNED_BUFFER_BYTES if options.tuned else None
-            links = UdpLinks(self._own, listen, resolved, self._deliver, buffer_bytes)
+            links = UdpLinks(self._own, listen, resolved, self._receivers, buffer_bytes)
             settings["receive_buffer_bytes"] = str(links.receive_buffer_bytes)
             self._links = links
         else:
-            self._links = TcpLinks(self._own, listen, resolved, self._deliver)
+            self._links = TcpLinks(self._own, listen, resolved, self._receivers)
             if options.tuned:
                 settings["tuned"] = "nothing to tune: the kernel sizes the buffers of TCP itself"
         self._middleware = Middleware("socket", "socket", None, {"kernel": platform.release()}, settings)
@@ -74,7 +74,7 @@ class SocketNode(ThreadedNode):
         _check_qos(qos or self._options.qos, PROTOCOLS[self._options.transport])
         self._own.publishers = {**self._own.publishers, topic: type_name}
         self._links.announce()
-        return _SocketPublisher(topic, self._links.send, self._withdraw_publisher)
+        return _SocketPublisher(partial(self._links.send, topic), partial(self._withdraw_publisher, topic))
 
     def create_subscription(
         self, topic: str, type_name: str, receive: Receive[RawMessage], *, qos: Qos | None = None
@@ -97,11 +97,7 @@ class SocketNode(ThreadedNode):
             self._links.announce()
 
     def _make_round(self) -> Callable[[], None]:
-        return partial(self._links.poll, ROUND_S)
-
-    def _deliver(self, topic: str, message: bytearray) -> None:
-        for receive in self._receivers.get(topic, ()):
-            receive(message)
+        return self._links.poll
 
     def look_at(self, topic: str) -> TopicView:
         """Return the node's own endpoints and those in the greetings of its peers."""
@@ -134,15 +130,8 @@ class SocketNode(ThreadedNode):
 class _SocketPublisher:
     """A publisher of serialized messages."""
 
-    topic: str
-    send: Callable[[str, RawMessage], None]
-    withdraw: Callable[[str], None]
-
-    def publish(self, message: RawMessage, /) -> None:
-        self.send(self.topic, message)
-
-    def close(self) -> None:
-        self.withdraw(self.topic)
+    publish: Callable[[RawMessage], None]
+    close: Callable[[], None]
 
 
 def _without(mapping: dict[str, str], key: str) -> dict[str, str]:

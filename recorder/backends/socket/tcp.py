@@ -15,13 +15,14 @@ import time
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
+from ..threaded import ROUND_S
 from .links import RETRY_S, Greeting, bound_socket
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from ..node import RawMessage
-    from .links import Address, Deliver
+    from .links import Address, Receivers
 
 MAX_MESSAGE_BYTES = 1 << 30
 """Largest message; a header with a greater length is no frame of ours."""
@@ -36,7 +37,7 @@ class TcpLinks:
         own: the node's own greeting, sent to each new peer.
         listen: address at which connections are accepted, None for none.
         peers: addresses to connect to, again and again until it works.
-        deliver: callback that takes the topic and the message of each frame.
+        receivers: the callbacks of each topic.
         prepare: sets options of each connection's socket.
     """
 
@@ -45,11 +46,14 @@ class TcpLinks:
         own: Greeting,
         listen: Address | None,
         peers: Sequence[Address],
-        deliver: Deliver,
+        receivers: Receivers,
         prepare: Callable[[socket.socket], None] = lambda _: None,
     ) -> None:
         self._own = own
-        self._deliver_one = deliver
+        self._receivers = receivers
+        self._heads: dict[
+            str, tuple[int, bytes]
+        ] = {}  # topic -> bytes of its last message, head of that frame
         self._prepare = prepare
         self._delivering = threading.Lock()
         self._error: BaseException | None = None  # of a callback
@@ -71,15 +75,18 @@ class TcpLinks:
     def announce(self) -> None:
         """Send the greeting on every connection."""
         for peer in self._connected:
-            peer.send(b"", self._own.to_bytes())
+            peer.greet(self._own)
 
     def send(self, topic: str, message: RawMessage) -> None:
         """Send a frame; waits while a peer does not read."""
+        length, head = self._heads.get(topic, (-1, b""))
+        if length != len(message):
+            length, head = self._heads[topic] = len(message), _head(topic.encode(), len(message))
         for peer in self._connected:
             if topic in peer.greeting.subscriptions:
-                peer.send(topic.encode(), message)
+                peer.send(head, message)
 
-    def poll(self, timeout_s: float) -> None:
+    def poll(self) -> None:
         """Make and accept connections for one round; raise the error of a callback."""
         if self._error is not None:
             raise self._error
@@ -87,7 +94,7 @@ class TcpLinks:
         for address, next_s in list(self._wanted.items()):
             if now_s >= next_s:
                 self._connect(address)
-        for key, _ in self._selector.select(min(timeout_s, RETRY_S)):
+        for key, _ in self._selector.select(ROUND_S):
             key.data()
 
     def _accept(self) -> None:
@@ -129,7 +136,7 @@ class TcpLinks:
                 connection.close()
                 return
             self._connected += (peer,)
-        peer.send(b"", self._own.to_bytes())
+        peer.greet(self._own)
         name = f"{threading.current_thread().name}-{connection.fileno()}"
         peer.thread = threading.Thread(target=self._serve, args=(peer, address), name=name, daemon=True)
         peer.thread.start()
@@ -137,7 +144,7 @@ class TcpLinks:
     def _serve(self, peer: _TcpPeer, address: Address | None) -> None:
         """Read from one connection until it ends; its thread runs this."""
         try:
-            peer.read(self._deliver)
+            peer.read(self._receivers, self._delivering)
         except BaseException as error:  # noqa: BLE001 - a callback's, for the node's thread; this one has no caller
             self._error = self._error or error
         with self._changing:
@@ -145,11 +152,6 @@ class TcpLinks:
         peer.close()
         if address is not None:
             self._wanted[address] = time.monotonic() + RETRY_S
-
-    def _deliver(self, topic: str, message: bytearray) -> None:
-        with self._delivering:  # several pings at one relay
-            if self._error is None:
-                self._deliver_one(topic, message)
 
     def interrupt(self) -> None:
         """End the connections, so that a thread that waits in `send` goes on, and no callback runs any more."""
@@ -169,6 +171,11 @@ class TcpLinks:
         self._selector.close()
 
 
+def _head(topic: bytes, message_bytes: int) -> bytes:
+    """Return the beginning of a frame, before the message itself."""
+    return _HEADER.pack(message_bytes, len(topic)) + topic
+
+
 class _TcpPeer:
     """One connection: writing whole frames from any thread, reading them on a thread of its own."""
 
@@ -176,52 +183,83 @@ class _TcpPeer:
         self.greeting = Greeting()
         self.thread: threading.Thread | None = None
         self._connection = connection
+        self._send, self._receive = connection.sendmsg, connection.recv_into
         self._writing = threading.Lock()
 
-    def send(self, topic: bytes, message: RawMessage) -> None:
+    def greet(self, own: Greeting) -> None:
+        """Send the own greeting."""
+        text = own.to_bytes()
+        self.send(_head(b"", len(text)), text)
+
+    def send(self, head: bytes, message: RawMessage) -> None:
         """Send a whole frame; on a connection that broke it is lost, and the reader notices."""
-        parts = [_HEADER.pack(len(message), len(topic)) + topic, message]
-        total = len(parts[0]) + len(message)
         with self._writing:
             try:
-                sent = self._connection.sendmsg(parts)
-                if sent < total:  # a signal came in between
-                    self._connection.sendall(b"".join(parts)[sent:])
+                sent = self._send((head, message))
+                if sent < len(head) + len(message):  # a signal came in between
+                    self._connection.sendall((head + message)[sent:])
             except OSError:
                 self.shut_down()
 
-    def read(self, deliver: Deliver) -> None:
+    def read(self, receivers: Receivers, delivering: threading.Lock) -> None:
         """Hand on each frame until the connection ends, or brings something that is no frame of ours.
 
-        The messages of a run are alike, so each read expects a frame like the last one and finds memory made for it: such a
+        The messages of a run are alike, so each read expects a frame like the last one, in memory made beforehand: such a
         frame is one call of the kernel, and nothing is copied.
+
+        Args:
+            receivers: the callbacks of each topic.
+            delivering: held while callbacks run, which other connections have as well.
         """
-        expected, topic, body_bytes = b"", "", 0
+
+        def hand_on(topic: str, message: bytearray) -> None:
+            with delivering:
+                for receive in receivers.get(topic, ()):
+                    receive(message)
+
+        head, topic, message_bytes = b"", "", 0
         while True:
-            head, body = bytearray(len(expected) or _HEADER.size), bytearray(body_bytes)
+            message = bytearray(len(head) + message_bytes or _HEADER.size)
             try:
-                count = self._connection.recvmsg_into((head, body))[0]
+                count = self._receive(message)
             except OSError:
                 return
-            if count >= len(head) and head == expected:
-                missing = len(head) + body_bytes - count
-                if missing and not self._fill(memoryview(body)[-missing:]):
+            if head and count >= len(head) and message.startswith(head):
+                if count < len(message) and not self._fill(memoryview(message)[count:]):
                     return
-                deliver(topic, body)
+                del message[: len(head)]  # moves the buffer's begin and copies nothing
+                hand_on(topic, message)
                 continue
-            if not count:
+            frames = self._read_frames(memoryview(message)[:count])
+            if frames is None:
                 return
-            begun = memoryview(head + body)[:count]
-            while begun:
-                frame = self._read_frame(begun)
-                if frame is None:
-                    return
-                expected, topic, body, begun = frame
-                body_bytes = len(body)
-                if topic:
-                    deliver(topic, body)
-                elif not self._greeted(body):
-                    return
+            head, topic, message_bytes = b"", "", 0
+            for each in frames:
+                head, topic, message_bytes = each[0], each[1], len(each[2])
+                hand_on(topic, each[2])
+
+    def _read_frames(self, begun: memoryview) -> list[tuple[bytes, str, bytearray]] | None:
+        """Read on until no frame is begun; return head, topic and message of each, greetings left out and kept.
+
+        Args:
+            begun: what has arrived.
+
+        Returns:
+            None when the connection has ended, or brought no frame of ours.
+        """
+        frames = []
+        if not begun:
+            return None
+        while begun:
+            frame = self._read_frame(begun)
+            if frame is None:
+                return None
+            head, topic, message, begun = frame
+            if topic:
+                frames.append((head, topic, message))
+            elif not self._greeted(message):
+                return None
+        return frames
 
     def _read_frame(self, begun: memoryview) -> tuple[bytes, str, bytearray, memoryview] | None:
         """Read a frame of which `begun` has arrived; return its head, topic, message, and what is left of `begun`.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import selectors
 import socket
 import struct
 import threading
@@ -11,13 +10,14 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from ..threaded import ROUND_S
 from .links import RETRY_S, Greeting, bound_socket
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from ..node import RawMessage
-    from .links import Address, Deliver
+    from .links import Address, Receivers
 
 TUNED_BUFFER_BYTES = 4_000_000
 """Size of the kernel's buffers that `--tuned` asks for, in each direction."""
@@ -32,6 +32,7 @@ GREETING_S = 1.0
 FORGET_S = 10.0
 """Silence after which a peer is forgotten."""
 
+_TIME = struct.Struct("@ll")  # struct timeval: seconds, microseconds
 _HEADER = struct.Struct("<IHHH")  # message, fragment, fragments, bytes of the name; then name and fragment
 
 
@@ -56,17 +57,17 @@ class UdpLinks:
         own: Greeting,
         listen: Address | None,
         peers: Sequence[Address],
-        deliver: Deliver,
+        receivers: Receivers,
         buffer_bytes: int | None = None,
     ) -> None:
         self._own = own
-        self._deliver = deliver
+        self._receivers = receivers
         self._socket = bound_socket(socket.SOCK_DGRAM, listen or ("", 0))
         if buffer_bytes is not None:
             for option in (socket.SO_SNDBUF, socket.SO_RCVBUF):
                 self._socket.setsockopt(socket.SOL_SOCKET, option, buffer_bytes)
-        self._selector = selectors.DefaultSelector()
-        self._selector.register(self._socket, selectors.EVENT_READ)
+        # Not `settimeout`, with which Python asks the kernel twice for each datagram.
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _TIME.pack(0, round(ROUND_S * 1e6)))
         self._buffer = memoryview(bytearray(1 << 16))
         self._number = 0
         self._numbering = threading.Lock()
@@ -107,7 +108,7 @@ class UdpLinks:
                     with suppress(OSError):  # no way there at the moment: lost, as on the way
                         self._socket.sendmsg([header, part], (), 0, address)
 
-    def poll(self, timeout_s: float) -> None:
+    def poll(self) -> None:
         """Greet now and then, and take what has arrived."""
         now_s = time.monotonic()
         if now_s >= self._next_greeting_s:
@@ -117,11 +118,12 @@ class UdpLinks:
                 if now_s - peer.heard_s > FORGET_S:
                     del self._peers[address]
             self.announce()
-        self._selector.select(min(timeout_s, RETRY_S))
-        with suppress(BlockingIOError):
+        with suppress(BlockingIOError):  # nothing came within `ROUND_S`
             for _ in range(DATAGRAMS_A_ROUND):
-                size, address = self._socket.recvfrom_into(self._buffer, 0, socket.MSG_DONTWAIT)
+                size, address = self._socket.recvfrom_into(self._buffer)
                 self._take(self._buffer[:size], address)
+                if time.monotonic() >= self._next_greeting_s:
+                    break
 
     def _take(self, datagram: memoryview, address: Address) -> None:
         if len(datagram) < _HEADER.size:
@@ -149,6 +151,10 @@ class UdpLinks:
             elif len(peer.unfinished) > MAX_UNFINISHED:
                 del peer.unfinished[next(iter(peer.unfinished))]
 
+    def _deliver(self, topic: str, message: bytearray) -> None:
+        for receive in self._receivers.get(topic, ()):
+            receive(message)
+
     def _greeted(self, greeting: Greeting | None, address: Address) -> None:
         if greeting is None:
             return
@@ -163,5 +169,4 @@ class UdpLinks:
 
     def close(self) -> None:
         """Close the socket; the thread that polls has ended."""
-        self._selector.close()
         self._socket.close()

@@ -44,6 +44,45 @@ def test_killed_at_every_instruction_of_an_event(tmp_path, method):
     assert is_kept[-1]
 
 
+def test_killed_at_every_instruction_of_an_arrival_and_its_departure(tmp_path):
+    kept = kept_after_kills(tmp_path, "record_and_stamp", 1)
+    arrived = [*EARLIER, (BEFORE, 6_000)]
+    states = [EARLIER, arrived, [*arrived, (BEFORE, STAMPED_NS)]]
+    numbers = [states.index(events) for events in kept]
+    assert numbers == sorted(numbers)  # once one of them is whole it stays
+    assert set(numbers) == {0, 1, 2}
+
+
+@pytest.mark.parametrize("slots", [5, 6, 64])
+def test_an_arrival_and_its_departure_are_two_events_wherever_the_ring_ends(tmp_path, slots):
+    def keep(name, act):
+        destination = TraceDestination(tmp_path / name, ring_slots=slots, chunk_seconds=3600.0)
+        sink = TraceSink(destination, ping_session(state="open"), clock_ns=lambda: 42)
+        for sequence in range(9):
+            act(sink, sequence)
+            sink.write_run(run(state="started"))  # drains the ring
+        closed = sink.close()
+        assert closed.dropped_events == 0
+        stages = read_trace(closed.path).events
+        return [(stages[stage].sequence.tolist(), stages[stage].monotonic_ns.tolist()) for stage in Stage]
+
+    def one_by_one(sink, sequence):
+        sink.record(3, 1, sequence, 40, 0, 7, 8, 9, 2)
+        assert sink.stamp(4, 1, sequence, 0, 0, 0, 9, 2) == 42
+
+    def together(sink, sequence):
+        assert sink.record_and_stamp((3, 4), 1, sequence, 40, 7, 8, 9, 2) == 42
+
+    assert keep("together.mcap", together) == keep("apart.mcap", one_by_one)
+
+
+def test_an_arrival_out_of_range_is_dropped_with_its_departure(tmp_path):
+    sink = TraceSink(TraceDestination(tmp_path / "a.mcap"), ping_session(state="open"), clock_ns=lambda: 42)
+    assert sink.record_and_stamp((3, 4), 1, 1 << 64, 40, 0, 0, 9, 2) == 42
+    closed = sink.close()
+    assert (closed.events, closed.dropped_events) == (0, 2)
+
+
 @pytest.mark.parametrize("method", ["write_run", "close"])
 def test_killed_at_instructions_of_a_chunk(tmp_path, method):
     kept = kept_after_kills(tmp_path, method, 23)

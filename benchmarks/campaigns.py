@@ -62,6 +62,10 @@ def write_campaign(folder: Path, shape: Shape) -> list[Path]:
     """Write the traces of a campaign into a new folder."""
     folder.mkdir(parents=True)
     runs_of_pair = max(1, shape.runs // shape.pairs)
+    period_ns = 1_000_000_000 // shape.rate_hz
+    periods_of_pair = (
+        shape.events // shape.pairs // EVENTS_OF_MESSAGE + shape.rate_hz
+    )  # a second between two pings
     return [
         write_event_trace(
             folder / f"{'relay' if relay else 'ping'}{pair}.mcap",
@@ -72,7 +76,8 @@ def write_campaign(folder: Path, shape: Shape) -> list[Path]:
             relay=relay,
             first_run=pair * runs_of_pair,
             groups=shape.groups,
-            period_ns=1_000_000_000 // shape.rate_hz,
+            period_ns=period_ns,
+            first_ns=pair * periods_of_pair * period_ns,
         )
         for pair in range(shape.pairs)
         for relay in (False, True)

@@ -63,6 +63,7 @@ def write_event_trace(
     first_run: int = 0,
     groups: int = 1,
     period_ns: int = PERIOD_NS,
+    first_ns: int = 0,
 ) -> Path:
     """Write a closed, indexed ping trace of `events` events, half T1 and half T2, spread evenly over `runs` runs.
 
@@ -76,6 +77,7 @@ def write_event_trace(
         first_run: number of the first run; runs of files that are analyzed together must differ.
         groups: payload sizes that the runs are described with, in turn.
         period_ns: time from one message to the next, at least a millisecond.
+        first_ns: when the first message was due, monotonic clock of the ping, whole periods.
     """
     stages = (Stage.T3, Stage.T4) if relay else STAGES
     random = np.random.default_rng(seed)
@@ -90,7 +92,7 @@ def write_event_trace(
         indexes.append(text[1])
         for start in range(0, events, CHUNK_EVENTS):
             count = min(CHUNK_EVENTS, events - start)
-            messages = _messages(start, count, max(1, events // runs), random, period_ns)
+            messages = _messages(start, count, max(1, events // runs), random, period_ns, first_ns)
             messages["run_id"] += np.uint64(first_run)
             if relay:
                 _become_relayed(messages, period_ns)
@@ -118,11 +120,16 @@ def write_event_trace(
 
 
 def _messages(
-    start: int, count: int, events_per_run: int, random: np.random.Generator, period_ns: int
+    start: int,
+    count: int,
+    events_per_run: int,
+    random: np.random.Generator,
+    period_ns: int,
+    first_ns: int,
 ) -> np.ndarray[Any, Any]:
     number = np.arange(start, start + count)
     is_reply = number % 2 == 1
-    due_ns = number // 2 * period_ns + 500_000 * is_reply
+    due_ns = first_ns + number // 2 * period_ns + 500_000 * is_reply
     messages = np.zeros(count, MESSAGE_DTYPE)
     messages["opcode"] = 5
     messages["length"] = MESSAGE_DTYPE.itemsize - 9

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
-
-import polars as pl
+from typing import TYPE_CHECKING
 
 from dds_trace.tracefile.units.counts import counted
 from dds_trace.tracefile.units.durations import format_ms
 
-from ..clocks.boots import ping_boots
-from ..clocks.slews import CRYSTAL_PPB, Slew, Stretch, find_slews, slewed_ppm
+from ..clocks.slews import CRYSTAL_PPB, slewed_ppm
 from ..model.finding import Finding, Severity
 
 if TYPE_CHECKING:
@@ -84,17 +81,15 @@ def _steps(evidence: Evidence) -> Iterator[_Step]:
     one relay process went on is sleep: the relay's if its clock fell back, the ping's if it got ahead. (Each fit is
     of one boot of the ping.)
     """
-    for pair in _pairs(evidence):
+    for pair in evidence.device_pairs:
         slewed = {position for slew in pair.slews for position in range(slew.first, slew.after)}
+        at_ns, relay_id = pair.knots["at_ns"], pair.knots["relay_id"]
         for position, fit in enumerate(pair.segments):
             if fit["step_before_ns"] is None:
                 continue
-            before, after = (
-                pair.knots.filter(side)
-                for side in (pl.col("at_ns") < fit["start_ns"], pl.col("at_ns") >= fit["start_ns"])
-            )
+            after = at_ns.search_sorted(fit["start_ns"], side="left")
             size_ns, bound_ns = fit["step_before_ns"], fit["step_bound_ns"]
-            went_on = before.height and after.height and before["relay_id"][-1] == after["relay_id"][0]
+            went_on = 0 < after < len(at_ns) and relay_id[after - 1] == relay_id[after]
             slept = went_on and abs(size_ns) - bound_ns >= _SHORTEST_SLEEP_NS
             asleep = fit["relay_device"] if size_ns < 0 else fit["ping_device"]
             yield _Step(
@@ -110,7 +105,7 @@ def _steps(evidence: Evidence) -> Iterator[_Step]:
 
 def clock_drifts(evidence: Evidence) -> Iterator[Finding]:
     """Report pairs of clocks that surely part faster than crystals do; a slew's segments are its finding's."""
-    for pair in _pairs(evidence):
+    for pair in evidence.device_pairs:
         slewed = {position for slew in pair.slews for position in range(slew.first - 1, slew.after)}
         for position, fit in enumerate(pair.segments):
             if position not in slewed and abs(fit["drift_ppb"]) - fit["drift_bound_ppb"] > CRYSTAL_PPB:
@@ -131,7 +126,7 @@ def slews(evidence: Evidence) -> Iterator[Finding]:
     its CLOCK_MONOTONIC_RAW, which nobody slews.
     """
     seen: set[str] = set()
-    for pair in _pairs(evidence):
+    for pair in evidence.device_pairs:
         ping_device, relay_device = (pair.segments[0][f"{role}_device"] for role in ("ping", "relay"))
         for slew in pair.slews:
             seen |= {ping_device, relay_device}
@@ -160,50 +155,3 @@ def slews(evidence: Evidence) -> Iterator[Finding]:
                 f"Its monotonic clock was slewed at {rate_ppm:.0f} ppm against CLOCK_MONOTONIC_RAW while this was recorded.",
                 "Durations of that time are wrong by that share: let NTP settle before recording if that matters.",
             )
-
-
-@dataclass(frozen=True, slots=True)
-class _Pair:
-    """The fit of two devices and their boots over the whole campaign.
-
-    Attributes:
-        segments: its rows of `Details.clock_fits`.
-        knots: rows of `Details.clock_knots` that it rests on, by time.
-        slews: slews that its steps are.
-    """
-
-    segments: list[dict[str, Any]]
-    knots: pl.DataFrame
-    slews: tuple[Slew, ...]
-
-
-_PAIR = ("ping_device", "relay_device", "boot", "relay_boot")
-
-
-def _pairs(evidence: Evidence) -> Iterator[_Pair]:
-    """Yield each fit in `clock_fits`."""
-    boots = ping_boots(evidence.campaign.sessions.values(), evidence.campaign.runs.values())
-    knots = evidence.details.clock_knots.sort("at_ns")
-    for fits in evidence.details.clock_fits.partition_by(*_PAIR, maintain_order=True):
-        fit = fits.row(0, named=True)
-        own = knots.filter(
-            pl.col("relay_boot").eq_missing(pl.lit(fit["relay_boot"], pl.String)),
-            ping_device=fit["ping_device"],
-            relay_device=fit["relay_device"],
-        )
-        in_boot = [boots.get(run_id, 0) == fit["boot"] for run_id in own["run_id"]]
-        of_boot = own.filter(pl.Series(in_boot, dtype=pl.Boolean))
-        segments = list(fits.iter_rows(named=True))
-        stretches = [
-            Stretch(
-                segment["start_ns"],
-                segment["end_ns"],
-                segment["drift_ppb"],
-                segment["drift_bound_ppb"],
-                segment["step_before_ns"] or 0,
-                segment["step_bound_ns"] or 0,
-            )
-            for segment in segments
-        ]
-        at_ns, offset_ns, bound_ns = (of_boot[n].to_numpy() for n in ("at_ns", "offset_ns", "bound_ns"))
-        yield _Pair(segments, of_boot, tuple(find_slews(stretches, at_ns, offset_ns, bound_ns)))

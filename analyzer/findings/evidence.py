@@ -6,7 +6,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
+from ..clocks.boots import ping_boots
 from ..model.names import name_groups
+from ..pairing.device_pairs import pair_devices
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
     from ..groups.batch import Grouping, Wanted
     from ..groups.summary import Summary
     from ..loading.campaign import Campaign
+    from ..pairing.device_pairs import DevicePair
     from ..pairing.exchanges import Exchange, Exchanges
     from ..pairing.rows import RowStore
 
@@ -69,6 +72,12 @@ class Evidence:
     def group_names(self) -> list[str]:
         """For each group a short name that tells it from the others (`names.name_groups`)."""
         return name_groups(self.grouping.parameters)
+
+    @cached_property
+    def device_pairs(self) -> tuple[DevicePair, ...]:
+        """The clock fits of the campaign, which several checks look at (`device_pairs.pair_devices`)."""
+        boots = ping_boots(self.campaign.sessions.values(), self.campaign.runs.values())
+        return tuple(pair_devices(self.details.clock_fits, self.details.clock_knots, boots))
 
     def exchange_groups(self) -> list[int]:
         """Return the group of each exchange in `grouping`."""

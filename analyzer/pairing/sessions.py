@@ -76,10 +76,11 @@ def find_relay_session(
 
 def _sessions_in(campaign: Campaign, traces: set[int], role: str) -> list[Session]:
     """Return the sessions of a role that any of the traces names, by start."""
+    described = {session.session_id for trace in traces for session in campaign.traces[trace].sessions}
     named = [
         session
-        for session_id, session in campaign.sessions.items()
-        if session.role == role and traces & set(campaign.session_traces[session_id])
+        for session in (campaign.sessions[session_id] for session_id in described)
+        if session.role == role
     ]
     return sorted(named, key=lambda session: (session.wall_anchor_ns, session.session_id))
 

@@ -55,7 +55,7 @@ def long_run_variance(series: NDArray[Any]) -> float:
     n = len(series)
     cells = min(n, _CELLS)
     sums = np.add.reduceat(series.astype(np.float64), _edges(n, cells))
-    return _projected_variance(sums - series.mean() * np.diff(_edges(n, cells), append=n), n)
+    return _projected_variance(sums - series.mean() * _widths(n, cells), n)
 
 
 def share_inflation(places: NDArray[np.intp], messages: int) -> float:
@@ -71,9 +71,8 @@ def share_inflation(places: NDArray[np.intp], messages: int) -> float:
     if messages < 2 * COSINES or not 0 < share < 1:
         return 1.0
     cells = min(messages, _CELLS)
-    edges = _edges(messages, cells)
-    counts = np.diff(np.searchsorted(places, edges), append=len(places))
-    centred = counts - share * np.diff(edges, append=messages)
+    counts = np.bincount(((places + 1) * cells - 1) // messages, minlength=cells)  # by the cells of `_edges`
+    centred = counts - share * _widths(messages, cells)
     return _projected_variance(centred, messages) / (share * (1 - share))
 
 
@@ -87,6 +86,14 @@ def _edges(messages: int, cells: int) -> NDArray[np.int64]:
     edges = np.arange(cells, dtype=np.int64) * messages // cells
     edges.flags.writeable = False
     return edges
+
+
+@lru_cache(maxsize=64)
+def _widths(messages: int, cells: int) -> NDArray[np.int64]:
+    """Return the number of messages in each cell."""
+    widths = np.diff(_edges(messages, cells), append=messages)
+    widths.flags.writeable = False
+    return widths
 
 
 @lru_cache(maxsize=64)
@@ -122,7 +129,7 @@ def episode_ends(positions: Float64, gap: float) -> NDArray[np.intp]:
     """
     if not len(positions):
         return np.empty(0, np.intp)
-    return np.append(np.flatnonzero(np.diff(positions) > gap), len(positions) - 1)
+    return np.append((positions[1:] - positions[:-1] > gap).nonzero()[0], len(positions) - 1)
 
 
 def episode_sizes(places: NDArray[np.intp], messages: int, sent_ns: Int64 | None = None) -> Int64:
@@ -150,7 +157,10 @@ def gap_of(events: int, messages: int, share: float) -> float:
 
 def sizes_at(positions: Float64, gap: float) -> Int64:
     """Return the number of events in each episode at a gap; see `episode_ends`."""
-    return np.diff(episode_ends(positions, gap), prepend=-1)
+    ends = episode_ends(positions, gap)
+    sizes = ends + 1
+    sizes[1:] -= ends[:-1] + 1
+    return sizes
 
 
 def independent_squares(events: int, messages: int, gap: float) -> float:

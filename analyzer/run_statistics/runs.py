@@ -24,6 +24,23 @@ if TYPE_CHECKING:
     Int64 = NDArray[np.int64]
 
 
+@dataclass(frozen=True, slots=True)
+class Levels:
+    """The levels that the runs of a group are compared at.
+
+    Attributes:
+        of_runs: the level of each run.
+        is_ratio: whether values are divided by it, or it is taken off.
+    """
+
+    of_runs: tuple[float, ...]
+    is_ratio: bool
+
+    def relative(self, values: Values, level: float) -> Values:
+        """Return values at a level of 1, or of 0; in the same order."""
+        return values / level if self.is_ratio else values - level
+
+
 class Run:
     """The values of one run in the order of time; what was computed of them is kept.
 
@@ -35,6 +52,7 @@ class Run:
     def __init__(self, values: Values, sent_ns: Int64 | None = None) -> None:
         self.values = values
         self.sent_ns = sent_ns
+        self._relative: tuple[tuple[bool, float], tuple[Values, Values]] | None = None
 
     def __len__(self) -> int:
         return len(self.values)
@@ -43,6 +61,21 @@ class Run:
     def ordered(self) -> Values:
         """The values rising."""
         return np.sort(self.values)
+
+    @cached_property
+    def median(self) -> float:
+        """The median, by the median-unbiased definition."""
+        return Statistic(0.5).of_run(self)
+
+    def relative(self, levels: Levels, level: float) -> tuple[Values, Values]:
+        """Return the values relative to a level, in the order of time and rising.
+
+        Every percentile of a group asks for the same level, which is kept; another one takes its place.
+        """
+        key = levels.is_ratio, level
+        if self._relative is None or self._relative[0] != key:
+            self._relative = key, (levels.relative(self.values, level), levels.relative(self.ordered, level))
+        return self._relative[1]
 
 
 def joined_runs(runs: Sequence[Run]) -> Run:

@@ -11,7 +11,7 @@ import numpy as np
 from .between_runs import Scale, scale_of
 from .bursts import COSINES, long_run_variance
 from .runs import quantile_at
-from .tails import tails_of
+from .tails import inflation_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -69,7 +69,7 @@ def _log_error(run: Run, statistic: Statistic, value: float) -> float | None:
         variance = max(float(run.values.var()), long_run_variance(run.values))
         return math.sqrt(variance / n) / value
     share = statistic.quantile
-    error = math.sqrt(share * (1 - share) * max(1.0, tails_of([run], share)[0].inflation) / n)
+    error = math.sqrt(share * (1 - share) * max(1.0, inflation_of(run, share)) / n)
     steps = [min(max(share + side * error, 0.5 / n), 1 - 0.5 / n) for side in (-1, 1)]
     low, high = (quantile_at(run.ordered, (n + 1 / 3) * step + 1 / 3) for step in steps)
     if low <= 0 or math.isinf(high):

@@ -10,9 +10,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..statistics.intervals import RUNS_TO_TELL
-from .bursts import equal_episodes, gap_of, independent_squares, positions_of, share_inflation, sizes_at
+from .bursts import (
+    LEAST_GAP,
+    episode_ends,
+    equal_episodes,
+    gap_of,
+    independent_squares,
+    positions_of,
+    share_inflation,
+    sizes_at,
+)
 from .long_bursts import bursts_to_count, level_below
-from .runs import Statistic
+from .runs import Levels
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,7 +33,6 @@ if TYPE_CHECKING:
     Int64 = NDArray[np.int64]
 
 LIKELY = 0.95
-_MEDIAN = Statistic(0.5)
 
 
 TAIL_GAP_SHARE = 0.5
@@ -110,7 +118,7 @@ def tails_of(runs: Sequence[Run], quantile: float) -> list[Tail]:
 def _places_beyond(runs: Sequence[Run], levels: Levels, quantile: float) -> list[NDArray[np.intp]]:
     threshold = threshold_of(runs, levels, quantile)
     return [
-        np.flatnonzero(threshold.is_beyond(levels.relative(run.values, level)))
+        threshold.is_beyond(run.relative(levels, level)[0]).nonzero()[0]
         for run, level in zip(runs, levels.of_runs, strict=True)
     ]
 
@@ -126,9 +134,41 @@ def _tail(run: Run, places: NDArray[np.intp], positions: NDArray[np.float64], bu
         sizes=sizes_at(positions, gap),
         inflation=share_inflation(places, len(run)),
         squares=independent_squares(len(places), len(run), gap),
-        rows=len(sizes_at(positions, gap_of(len(places), len(run), 0))),
+        rows=len(episode_ends(positions, LEAST_GAP)) if len(places) else 0,
         bursts=bursts,
     )
+
+
+def inflation_of(run: Run, quantile: float) -> float:
+    """Return what `tails_of` says of the inflation of one run alone, without the rest that it finds out.
+
+    Args:
+        run: at least one message.
+        quantile: between 0 and 1, both excluded.
+    """
+    threshold = threshold_of_run(run.ordered, quantile)
+    return share_inflation(threshold.is_beyond(run.values).nonzero()[0], len(run))
+
+
+def threshold_of_run(ordered: Values, quantile: float) -> Threshold:
+    """Return where the tail of one run begins; see `threshold_of`.
+
+    Args:
+        ordered: its values, rising, at least one.
+        quantile: between 0 and 1, both excluded.
+    """
+    is_upper = quantile >= 0.5
+    messages = len(ordered)
+    position = (messages - 1) * quantile
+    value = ordered[math.floor(position) if is_upper else math.ceil(position)]
+    below, after = int(ordered.searchsorted(value, "left")), int(ordered.searchsorted(value, "right"))
+    if np.isinf(value):
+        counts = (messages - below, messages - below)
+    else:
+        counts = (messages - after, messages - below) if is_upper else (below, after)
+    wanted = messages * (1 - quantile if is_upper else quantile)
+    misfits = [(count in {0, messages}, abs(count - wanted)) for count in counts]
+    return Threshold(float(value), is_upper, is_part=misfits[1] < misfits[0])
 
 
 def episodes_of(tails: Sequence[Tail]) -> int | None:
@@ -160,29 +200,12 @@ def episodes_of(tails: Sequence[Tail]) -> int | None:
     return min(equal, max(1, round(least_likely * len(tails) / variation)))
 
 
-@dataclass(frozen=True, slots=True)
-class Levels:
-    """The levels that the runs of a group are compared at.
-
-    Attributes:
-        of_runs: the level of each run.
-        is_ratio: whether values are divided by it, or it is taken off.
-    """
-
-    of_runs: tuple[float, ...]
-    is_ratio: bool
-
-    def relative(self, values: Values, level: float) -> Values:
-        """Return values at a level of 1, or of 0; in the same order."""
-        return values / level if self.is_ratio else values - level
-
-
 def levels_of(runs: Sequence[Run]) -> Levels:
     """Return the median of each run; to be taken off if one is not above zero. One run alone is left as it is.
 
     A run whose median is infinite is given the middle level of the others.
     """
-    medians = np.array([_MEDIAN.of_run(run) for run in runs])
+    medians = np.array([run.median for run in runs])
     is_finite = np.isfinite(medians)
     if len(runs) == 1 or not is_finite.any():
         return Levels((0.0,) * len(runs), is_ratio=False)
@@ -223,10 +246,7 @@ def _between_quantiles(runs: Sequence[Run], levels: Levels, quantile: float) -> 
     pairs = list(zip(runs, levels.of_runs, strict=True))
     ranks = [quantile * len(run) for run in runs]
     first, last = (
-        [
-            levels.relative(run.ordered[place : place + 1], level)[0]
-            for (run, level), place in zip(pairs, of_runs, strict=True)
-        ]
+        [run.relative(levels, level)[1][place] for (run, level), place in zip(pairs, of_runs, strict=True)]
         for of_runs in (
             [max(math.floor(rank) - 1, 0) for rank in ranks],
             [min(math.ceil(rank), len(run) - 1) for rank, run in zip(ranks, runs, strict=True)],
@@ -235,8 +255,8 @@ def _between_quantiles(runs: Sequence[Run], levels: Levels, quantile: float) -> 
     low, high = min(first), max(last)
     parts, below = [], 0
     for run, level in pairs:
-        relative = levels.relative(run.ordered, level)
-        begin, end = np.searchsorted(relative, low, "left"), np.searchsorted(relative, high, "right")
+        _, relative = run.relative(levels, level)
+        begin, end = relative.searchsorted(low, "left"), relative.searchsorted(high, "right")
         parts.append(relative[begin:end])
         below += int(begin)
     return np.concatenate(parts), below

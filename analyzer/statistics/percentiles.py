@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ Values = NDArray[np.int64 | np.float64]
 """A series or a sample; in float64 a lost message may stand as infinity."""
 
 
+@lru_cache(maxsize=256)
 def minimum_messages(quantile: float) -> int:
     """Return the sample size below which a quantile has no estimate, because the sample holds nothing beyond it.
 

@@ -9,15 +9,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dds_trace.analyzer.run_statistics.runs import Run
+from dds_trace.analyzer.run_statistics.runs import Levels, Run
 from dds_trace.analyzer.run_statistics.tails import (
-    Levels,
     Tail,
     Threshold,
     episodes_of,
+    inflation_of,
     levels_of,
     tails_of,
     threshold_of,
+    threshold_of_run,
 )
 
 
@@ -44,6 +45,18 @@ def test_a_group_has_the_threshold_of_all_its_values(groups, quantile):
     levels = levels_of(runs)
     relative = [levels.relative(run.values, level) for run, level in zip(runs, levels.of_runs, strict=True)]
     assert threshold_of(runs, levels, quantile) == threshold_alone(np.concatenate(relative), quantile)
+
+
+@given(
+    values=st.lists(st.integers(-5, 50) | st.just(math.inf), min_size=1, max_size=60),
+    quantile=st.sampled_from([0.01, 0.1, 0.5, 0.9, 0.99]),
+)
+@settings(deadline=None)
+def test_one_run_alone_has_the_same_threshold_and_inflation_either_way(values, quantile):
+    run = Run(np.array(values, np.float64))
+    assert threshold_of_run(run.ordered, quantile) == threshold_of([run], levels_of([run]), quantile)
+    (tail,) = tails_of([run], quantile)
+    assert inflation_of(run, quantile) == tail.inflation
 
 
 @pytest.mark.parametrize(("quantile", "messages"), [(0.9, 10), (0.99, 10), (0.5, 10), (0.2, 90), (0.05, 90)])

@@ -24,7 +24,10 @@ ReceivedT_contra = TypeVar("ReceivedT_contra", contravariant=True)
 _RUN = slice(4, 20)
 _SEQUENCE = slice(21, 37)
 _RELAY = slice(38, 46)
-_pack_time_into = struct.Struct("<iI").pack_into  # builtin_interfaces/Time
+_SECOND_NS = 1_000_000_000
+_TIME = struct.Struct("<iI")  # builtin_interfaces/Time
+_NANOSECONDS_AT = 4
+_pack_nanoseconds_into = struct.Struct("<I").pack_into
 
 
 class Stamp(NamedTuple):
@@ -59,8 +62,15 @@ class StampPlace(Protocol[SentT, ReceivedT_contra]):
     def write(self, message: SentT, run_id: int, sequence: int) -> None:
         """Write the stamp of a new message, with relay 0."""
 
-    def write_time(self, message: SentT, wall_ns: int) -> None:
-        """Write T1 on the wall clock (ns since 1970) into `header.stamp`, where the message has one."""
+    def write_second(self, message: SentT, wall_ns: int) -> int:
+        """Write the second of `wall_ns` (ns since 1970) into `header.stamp`, and return its beginning.
+
+        Together with `write_nanoseconds` this writes T1, in two steps because the second can be written before T1 is
+        stamped: what lies between stamp and publish counts as latency.
+        """
+
+    def write_nanoseconds(self, message: SentT, nanoseconds: int) -> None:
+        """Write the time since the beginning of the second that was written, which may run into the next one."""
 
     def read(self, message: ReceivedT_contra) -> Stamp | None:
         """Return the stamp, or None if this is not a message of ours."""
@@ -77,24 +87,38 @@ class RawStampPlace:
         time_offset: offset of `header.stamp`, None where there is no header.
     """
 
-    __slots__ = ("_end", "_last", "_relay", "_start", "_time")
+    __slots__ = ("_end", "_last", "_nanoseconds", "_relay", "_start", "_time")
 
     def __init__(self, text_offset: int, time_offset: int | None) -> None:
         self._start = text_offset
         self._end = text_offset + STAMP_BYTES
         self._relay = slice(text_offset + _RELAY.start, text_offset + _RELAY.stop)
         self._time = time_offset
+        self._nanoseconds = None if time_offset is None else time_offset + _NANOSECONDS_AT
         self._last = (b"", 0)  # the text of the last run that was read, and its number
 
     def write(self, message: bytearray, run_id: int, sequence: int) -> None:
         """Write the stamp into the buffer."""
         message[self._start : self._end] = stamp_text(run_id, sequence)
 
-    def write_time(self, message: bytearray, wall_ns: int) -> None:
-        """Write the wall clock into the buffer's `header.stamp`."""
-        offset = self._time
-        if offset is not None:
-            _pack_time_into(message, offset, wall_ns // 1_000_000_000, wall_ns % 1_000_000_000)
+    def write_second(self, message: bytearray, wall_ns: int) -> int:
+        """Write the second into the buffer's `header.stamp`."""
+        second = wall_ns // _SECOND_NS
+        if self._time is not None:
+            _TIME.pack_into(message, self._time, second, 0)
+        return second * _SECOND_NS
+
+    def write_nanoseconds(self, message: bytearray, nanoseconds: int) -> None:
+        """Write the nanoseconds into the buffer's `header.stamp`."""
+        offset = self._nanoseconds
+        if offset is None:
+            return
+        if nanoseconds < _SECOND_NS:
+            _pack_nanoseconds_into(message, offset, nanoseconds)
+        else:
+            at = offset - _NANOSECONDS_AT
+            second, _ = _TIME.unpack_from(message, at)
+            _TIME.pack_into(message, at, second + nanoseconds // _SECOND_NS, nanoseconds % _SECOND_NS)
 
     def read(self, message: RawMessage) -> Stamp | None:
         """Return the stamp, from its 46 bytes alone."""
@@ -128,10 +152,18 @@ class HeaderStampPlace:
         """Write the stamp into `header.frame_id`."""
         message.header.frame_id = stamp_text(run_id, sequence).decode()
 
-    def write_time(self, message: RosMessage, wall_ns: int) -> None:
-        """Write the wall clock into `header.stamp`."""
+    def write_second(self, message: RosMessage, wall_ns: int) -> int:
+        """Write the second into `header.stamp`."""
+        second = message.header.stamp.sec = wall_ns // _SECOND_NS
+        return second * _SECOND_NS
+
+    def write_nanoseconds(self, message: RosMessage, nanoseconds: int) -> None:
+        """Write the nanoseconds into `header.stamp`."""
         stamp = message.header.stamp
-        stamp.sec, stamp.nanosec = divmod(wall_ns, 1_000_000_000)
+        if nanoseconds >= _SECOND_NS:
+            stamp.sec += nanoseconds // _SECOND_NS
+            nanoseconds %= _SECOND_NS
+        stamp.nanosec = nanoseconds
 
     def read(self, message: RosMessage) -> Stamp | None:
         """Return the stamp in `header.frame_id`."""
@@ -157,8 +189,12 @@ class StringStampPlace:
         """Write the stamp before the payload."""
         message.data = stamp_text(run_id, sequence).decode() + message.data[STAMP_BYTES:]
 
-    def write_time(self, message: RosMessage, wall_ns: int) -> None:
-        """Do nothing: a String has no time."""
+    def write_second(self, message: RosMessage, wall_ns: int) -> int:  # noqa: ARG002 - the role's signature
+        """Write nothing: a String has no time."""
+        return wall_ns
+
+    def write_nanoseconds(self, message: RosMessage, nanoseconds: int) -> None:
+        """Write nothing: a String has no time."""
 
     def read(self, message: RosMessage) -> Stamp | None:
         """Return the stamp before the payload."""

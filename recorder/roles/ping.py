@@ -205,19 +205,21 @@ class Ping(Generic[SentT, ReceivedT]):
 
     def _send(self, sink: TraceSink, stop: threading.Event) -> None:
         run_id, stamp = self.run_id, sink.stamp
-        write_time, publish = self._stamps.write_time, self._publisher.publish
+        now, publish = self._now, self._publisher.publish
+        write_second, write_nanoseconds = self._stamps.write_second, self._stamps.write_nanoseconds
         publish_times_ns, sizes = self._replies.publish_ns, self._replies.payload_bytes
         wall_offset_ns = self._clock.anchor().offset_ns
         feed = self.plan.payload.feed
         due = self._planned(stop) if feed is None else self._arriving(feed, stop)
         for sequence, (message, payload_bytes, scheduled_ns) in enumerate(due):
             sizes[sequence] = payload_bytes
+            publish_times_ns[sequence] = before_ns = now()  # for a reply that overtakes the exact one below
+            second_ns = write_second(message, before_ns + wall_offset_ns) - wall_offset_ns
             # Kept before the message leaves: a relay that answers one of a killed ping finds its T1.
-            publish_times_ns[sequence] = publish_ns = stamp(
-                T1, run_id, sequence, scheduled_ns, 0, 0, payload_bytes
-            )
-            write_time(message, publish_ns + wall_offset_ns)
+            publish_ns = stamp(T1, run_id, sequence, scheduled_ns, 0, 0, payload_bytes)
+            write_nanoseconds(message, publish_ns - second_ns)
             publish(message)
+            publish_times_ns[sequence] = publish_ns
             self._published = sequence + 1
 
     def _planned(self, stop: threading.Event) -> Iterator[tuple[SentT, int, int]]:

@@ -76,7 +76,9 @@ def test_messages_of_a_bag_keep_all_but_their_header(tmp_path, plugin):
     for count, message in zip((3, 100, 7), payload.messages, strict=True):
         stamps = data_type.raw.stamp
         stamps.write(message.data, 0xAB, 12)
-        stamps.write_time(message.data, 8_000_000_009)
+        stamps.write_nanoseconds(
+            message.data, 8_000_000_009 - stamps.write_second(message.data, 8_000_000_001)
+        )
         assert stamps.read(message.data) == (0xAB, 12, 0)
         sent, original = ROS2.deserialize_cdr(bytes(message.data), data_type.type_name), points(count)
         assert sent.header.frame_id == stamp_text(0xAB, 12).decode()

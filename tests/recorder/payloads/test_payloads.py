@@ -31,7 +31,8 @@ def test_bytes_equal_those_of_ros(data_type, size):
     message_class = getattr(importlib.import_module(f"{package}.msg"), name)
     ours = data_type.make(size, 3).messages[0].data
     data_type.raw.stamp.write(ours, 0xAB, 12)
-    data_type.raw.stamp.write_time(ours, 1_700_000_000_123_456_789)
+    assert data_type.raw.stamp.write_second(ours, 1_700_000_000_100_000_000) == 1_700_000_000_000_000_000
+    data_type.raw.stamp.write_nanoseconds(ours, 123_456_789)
 
     message = serialization.deserialize_message(bytes(ours), message_class)
     theirs = bytearray(serialization.serialize_message(message))

@@ -59,11 +59,34 @@ def test_text_of_others_is_no_stamp(text):
     assert parse_stamp(text) is None
 
 
+def write_time(place, message, wall_ns):
+    """Both steps, as a ping goes them."""
+    place.write_nanoseconds(message, wall_ns - place.write_second(message, wall_ns - 5))
+
+
+@pytest.mark.parametrize(
+    ("nanoseconds", "written"),
+    [
+        (0, (8, 0)),
+        (999_999_999, (8, 999_999_999)),
+        (1_000_000_000, (9, 0)),
+        (2_500_000_001, (10, 500_000_001)),
+    ],
+)
+def test_a_second_that_ends_between_its_writing_and_the_stamp(nanoseconds, written):
+    raw, header = bytearray(64), SimpleNamespace(stamp=SimpleNamespace(sec=0, nanosec=77))
+    for place, message in ((RAW_HEADER_STAMP, raw), (HEADER_STAMP, SimpleNamespace(header=header))):
+        assert place.write_second(message, 8_999_999_999) == 8_000_000_000
+        place.write_nanoseconds(message, nanoseconds)
+    assert struct.unpack_from("<iI", raw, 4) == written
+    assert (header.stamp.sec, header.stamp.nanosec) == written
+
+
 def test_stamp_and_time_are_written_in_place():
     message = bytearray(header_message(bytes(46)))
     length = len(message)
     RAW_HEADER_STAMP.write(message, 0x0123456789ABCDEF, 0x102)
-    RAW_HEADER_STAMP.write_time(message, 1_700_000_000_000_000_042)
+    write_time(RAW_HEADER_STAMP, message, 1_700_000_000_000_000_042)
     assert len(message) == length
     assert message[4:12] == struct.pack("<iI", 1_700_000_000, 42)
     assert message[16:62] == TEXT[:38] + b"00000000"
@@ -89,7 +112,7 @@ def test_foreign_messages_are_left_alone(message):
 def test_a_string_has_the_stamp_before_its_payload():
     message = bytearray(b"\0\1\0\0" + struct.pack("<I", 46 + 5 + 1) + bytes(46) + b"hello\0")
     RAW_STRING_STAMP.write(message, 1, 2)
-    RAW_STRING_STAMP.write_time(message, 99)  # a String has none
+    write_time(RAW_STRING_STAMP, message, 99)  # a String has none
     assert message[8:] == b"dt1:0000000000000001:0000000000000002:00000000hello\0"
     assert RAW_STRING_STAMP.reply(message, b"00000007")[8:] == (
         b"dt1:0000000000000001:0000000000000002:00000007hello\0"
@@ -101,7 +124,7 @@ def test_message_objects_carry_the_same_stamp():
     image, text = SimpleNamespace(header=header), SimpleNamespace(data="." * 46 + "hello")
     for place, message in ((HEADER_STAMP, image), (STRING_STAMP, text)):
         place.write(message, 1, 2)
-        place.write_time(message, 3_000_000_004)
+        write_time(place, message, 3_000_000_004)
         assert place.read(message) == (1, 2, 0)
         assert place.reply(message, b"00000007") is message
         assert place.read(message) == (1, 2, 7)

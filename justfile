@@ -82,6 +82,10 @@ fuzz seconds="600" *targets="reader descriptions plan bag ring cache watch": set
             {{bin}}/python tests/fuzz/fuzz.py $target "$(mktemp -d)" -max_total_time={{seconds}} || finds+=" $target"; \
         done; test -z "$finds" || { echo "finds:$finds"; exit 1; }
 
+# What a release takes: archives, each extra alone on each Python that is here, wheels for aarch64, a bill of materials in out/dist/
+release-check *args: setup
+    {{bin}}/python scripts/check_release.py {{args}}
+
 # Draw the stored reports of docs/results/ with their figures again: out/results/*.html
 results: setup
     {{bin}}/python scripts/stored_report.py open docs/results/*/report.html.gz --out out/results

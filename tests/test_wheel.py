@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import sysconfig
+import tarfile
 import zipfile
 from pathlib import Path
 
@@ -20,6 +21,15 @@ def wheel(tmp_path_factory):
     build = [sys.executable, "-m", "hatchling", "build", "--target", "wheel", "--directory", str(folder)]
     subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
     (built,) = folder.glob("*.whl")
+    return built
+
+
+@pytest.fixture(scope="module")
+def source_archive(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sdist")
+    build = [sys.executable, "-m", "hatchling", "build", "--target", "sdist", "--directory", str(folder)]
+    subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
+    (built,) = folder.glob("*.tar.gz")
     return built
 
 
@@ -65,6 +75,21 @@ def test_the_wheel_holds_one_import_name_and_every_file_of_the_rooms(wheel):
     ours = subprocess.run(LISTED, cwd=ROOT, check=True, capture_output=True, text=True)
     expected = {f"dds_trace/{name}" for name in ours.stdout.split()}
     assert names == expected | {"dds_trace/__init__.py", "dds_trace/lazy.py", "dds_trace/py.typed"}
+
+
+def test_a_wheel_built_from_the_source_archive_is_the_one_built_from_the_repository(
+    wheel, source_archive, tmp_path
+):
+    # pip and `uv build` make a wheel from the archive, not from a clone.
+    with tarfile.open(source_archive) as archive:
+        archive.extractall(tmp_path, filter="data")
+    (unpacked,) = tmp_path.iterdir()
+    build = [sys.executable, "-m", "hatchling", "build", "--target", "wheel", "--directory", str(tmp_path)]
+    subprocess.run(build, cwd=unpacked, check=True, capture_output=True)
+    (built,) = tmp_path.glob("*.whl")
+    assert {each.filename: each.CRC for each in zipfile.ZipFile(built).infolist()} == {
+        each.filename: each.CRC for each in zipfile.ZipFile(wheel).infolist()
+    }
 
 
 @pytest.mark.parametrize(

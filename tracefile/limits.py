@@ -122,6 +122,15 @@ class FilePath:
         return f"{self.what} has names of at most 255 bytes; one has {longest}" if longest > 255 else None
 
 
+@dataclass(frozen=True, slots=True)
+class Flag:
+    """True or false."""
+
+    def fault(self, value: object) -> str | None:
+        """Return what to write instead of `value`, None if it is allowed."""
+        return None if isinstance(value, bool) else "write true or false"
+
+
 def check(limit: Limit, value: object, where: str) -> None:
     """Refuse a value of an option.
 
@@ -148,8 +157,8 @@ def shown(value: object) -> str:
         return str(value) if digits <= _SHOWN_DIGITS else f"a number of about {digits} digits"
     if isinstance(value, float):
         return f"{value:g}"
-    if isinstance(value, str) and value and value.isprintable() and " " not in value:
-        return visible(value, _SHOWN_CHARACTERS)
+    if isinstance(value, list | dict):  # the text of one may hold an integer that has none
+        return "a list" if isinstance(value, list) else "a table"
     return visible(repr(value), _SHOWN_CHARACTERS)
 
 
@@ -169,8 +178,6 @@ MAX_HELD_BYTES = 1 << 30
 """Most data that a payload may hold: it lies in memory while it is sent, and a small board has 2 GB."""
 MAX_MESSAGES = 100_000_000
 """Most messages of a run; its ledger takes 20 bytes of memory for each."""
-MAX_CELLS = 1_000_000
-"""Most runs of a sweep: at four seconds each they take six weeks."""
 
 DOMAIN_ID = Whole(0, LAST_DOMAIN, "a DDS domain id")
 RELAY_ID = Whole(1, (1 << 32) - 1, "a relay's id")
@@ -184,7 +191,7 @@ DEPTH = Whole(1, (1 << 31) - 1, "the number of messages that keep_last keeps")
 SEED = Whole(-(1 << 63), (1 << 64) - 1, "a seed")
 REALTIME_PRIORITY = Whole(1, 99, "a SCHED_FIFO priority")
 PORT = Whole(1, 65535, "a port")
-REPEATS = Whole(1, MAX_CELLS, "the number of passes")
+REPEATS = Whole(1, 10_000, "the number of passes")
 ATTEMPTS = Whole(1, 1000, "the number of attempts")
 KNEE_REPEATS = Whole(1, 1000, "the number of runs at the knee")
 
@@ -194,17 +201,17 @@ LENGTH_OR_NONE_S = Real(0, YEAR_S, "a length in seconds")
 LOOK_S = Real(0.1, YEAR_S, "the time between two looks in seconds")
 DELAY_MS = Real(0, 3_600_000, "a time in milliseconds")
 DEADLINE_MS = Real(0, 3_600_000, "a deadline in milliseconds", is_above=True)
-PERIOD_S = Real(0, YEAR_S, "a period in seconds")
 LINE_MBIT_S = Real(0, 1e6, "a line rate in Mbit/s")
 PERCENT = Real(0, 100, "a share in percent")
 WIDTH_PERCENT = Real(0, 1000, "half the width of an interval in percent", is_above=True)
 FACTOR = Real(1, 1000, "a factor", is_above=True)
 
+FLAG = Flag()
 TEXT = Words("a text")
 NAME = Words("a name of one line", re.compile(r"[^\x00-\x1f\x7f]*"), 255)
 LABEL_KEY = Words("a key of one line, without =", re.compile(r"[^\x00-\x1f\x7f=]+"), 255)
 FILE_NAME = Words(
-    "a name of a folder: not empty, no slash, no control character, not . or ..",
+    "a name: not empty, no slash, no control character, not . or ..",
     re.compile(r"(?!\.{1,2}\Z)[^/\x00-\x1f\x7f]+"),
     100,
 )

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
+from dds_trace.tracefile import limits
 from dds_trace.tracefile.units.sizes import spell_size
 
 from ...backends import BACKEND_MODULES
@@ -16,6 +17,8 @@ from ...choices import ExecutorKind, Serialization, Transport
 
 if TYPE_CHECKING:
     from collections.abc import Collection
+
+    from dds_trace.tracefile.limits import Limit
 
 _T = TypeVar("_T")
 
@@ -28,6 +31,7 @@ class Axis:
         option: option of `dds-record`, empty for what is not told to it.
         of_relay: whether the relay has to be started with it too.
         kind: type of a plan's value.
+        limit: validator of a value, beside `choices`.
         choices: the allowed values, empty where any value of the type is allowed. The table of backends or bridges
             itself, so that an entry that is added later is allowed.
     """
@@ -35,6 +39,7 @@ class Axis:
     option: str
     of_relay: bool = False
     kind: type[str | int | float | bool] = str
+    limit: Limit = limits.TEXT
     choices: Collection[str] = ()
 
 
@@ -62,17 +67,17 @@ class Cell:
     """
 
     backend: str = _axis("ros2", Axis("--backend", of_relay=True, choices=BACKEND_MODULES))
-    rmw: str | None = _axis(None, Axis("--rmw", of_relay=True))
+    rmw: str | None = _axis(None, Axis("--rmw", of_relay=True, limit=limits.RMW))
     relay_backend: str | None = _axis(None, Axis("--backend", choices=BACKEND_MODULES))
-    relay_rmw: str | None = _axis(None, Axis("--rmw"))
+    relay_rmw: str | None = _axis(None, Axis("--rmw", limit=limits.RMW))
     bridge: str = _axis("none", Axis("--bridge", choices=BRIDGE_MODULES))
     data: str = _axis("binary", Axis("--data"))
-    size: int | None = _axis(None, Axis("--size", kind=int))
-    rate: float = _axis(10.0, Axis("--rate", kind=float))
+    size: int | None = _axis(None, Axis("--size", kind=int, limit=limits.SIZE_BYTES))
+    rate: float = _axis(10.0, Axis("--rate", kind=float, limit=limits.RATE_HZ))
     reliability: str = _axis("reliable", Axis("--reliability", of_relay=True, choices=RANKS["reliability"]))
     durability: str = _axis("volatile", Axis("--durability", of_relay=True, choices=RANKS["durability"]))
     history: str = _axis("keep_last", Axis("--history", of_relay=True, choices=("keep_last", "keep_all")))
-    depth: int = _axis(10, Axis("--depth", of_relay=True, kind=int))
+    depth: int = _axis(10, Axis("--depth", of_relay=True, kind=int, limit=limits.DEPTH))
     serialization: str = _axis(
         "raw", Axis("--serialization", of_relay=True, choices=[kind.value for kind in Serialization])
     )
@@ -82,7 +87,7 @@ class Cell:
     executor: str = _axis(
         "auto", Axis("--executor", of_relay=True, choices=[kind.value for kind in ExecutorKind])
     )
-    tuned: bool = _axis(False, Axis("--tuned", of_relay=True, kind=bool))
+    tuned: bool = _axis(False, Axis("--tuned", of_relay=True, kind=bool, limit=limits.FLAG))
     environment: str = _axis("", Axis("", of_relay=True))
     repeat: int = 1
 

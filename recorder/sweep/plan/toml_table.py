@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import difflib
-import math
 import sys
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 from typing import TYPE_CHECKING, TypeVar
 
-from dds_trace.tracefile import OptionError
+from dds_trace.tracefile import OptionError, limits
+from dds_trace.tracefile.visible import visible
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -21,13 +21,15 @@ if TYPE_CHECKING:
 
     from _typeshed import DataclassInstance
 
+    from dds_trace.tracefile.limits import Limit
+
     _Record = TypeVar("_Record", bound=DataclassInstance)
 
 _T = TypeVar("_T")
 _D = TypeVar("_D")
 
-LARGEST = 2**63 - 1
-"""Largest whole number of a plan, as TOML has it."""
+_WORD = 100
+"""Characters of a wrong word that are compared with the right ones."""
 
 _KIND_NAMES = {
     str: "a text",
@@ -47,23 +49,29 @@ class TomlTable:
         values: the table's keys and values as the TOML parser gives them.
         path: path of the file, for errors.
         key: dotted key of the table in the file, empty for the root.
+        validators: table of the file -> its keys and their validators; a key without one takes any value of its type.
     """
 
     values: Mapping[str, object]
     path: str
     key: str = ""
+    validators: Mapping[str, Mapping[str, Limit]] = field(default_factory=dict)
 
     @classmethod
-    def parse(cls, text: str, path: str) -> TomlTable:
+    def parse(
+        cls, text: str, path: str, validators: Mapping[str, Mapping[str, Limit]] | None = None
+    ) -> TomlTable:
         """Return the root table of a TOML text.
 
         Raises:
-            OptionError: `text` is no TOML.
+            OptionError: `text` is no TOML, or none that this machine can take apart.
         """
         try:
-            return cls(tomllib.loads(text), path)
-        except tomllib.TOMLDecodeError as err:
-            raise OptionError(f"{path}: {err}") from err
+            return cls(tomllib.loads(text), path, validators=validators or {})
+        except RecursionError as err:
+            raise OptionError(f"{path}: a value is nested deeper than any plan needs") from err
+        except ValueError as err:  # TOMLDecodeError, and what an integer of 5000 digits raises
+            raise OptionError(f"{path}: {visible(err)}") from err
 
     @property
     def where(self) -> str:
@@ -72,14 +80,18 @@ class TomlTable:
 
     def table(self, key: str) -> TomlTable:
         """Return the table `key` of this one, empty if it is missing."""
-        return TomlTable(self.take(key, dict, {}), self.path, f"{self.key}.{key}".lstrip("."))
+        return TomlTable(
+            self.take(key, dict, {}), self.path, f"{self.key}.{key}".lstrip("."), self.validators
+        )
 
     def tables(self, key: str) -> list[TomlTable]:
         """Return the tables of an array of tables; a single table counts as an array of one."""
         if isinstance(self.values.get(key), dict):
             return [self.table(key)]
         return [
-            TomlTable(self.check(f"{key} number {number}", table, dict), self.path, f"[{key}]")
+            TomlTable(
+                self.check(f"{key} number {number}", table, dict), self.path, f"[{key}]", self.validators
+            )
             for number, table in enumerate(self.take(key, list, []), 1)
         ]
 
@@ -95,17 +107,16 @@ class TomlTable:
         """Return `value` as a `kind`; a whole number passes as a float, but a bool is no number.
 
         Raises:
-            OptionError: it is of another type, no finite number, or a whole number beyond `LARGEST`.
+            OptionError: it is of another type, or its validator refuses it.
         """
-        if isinstance(value, int) and not -LARGEST <= value <= LARGEST:
-            raise OptionError(f"{self.where}: {key} is beyond {LARGEST}; give a smaller number")
-        if kind is float and isinstance(value, int) and not isinstance(value, bool):
-            value = float(value)
-        if isinstance(value, float) and not math.isfinite(value):
-            raise OptionError(f"{self.where}: {key} is {value}; give a finite number")
-        if not isinstance(value, kind) or (kind is not bool and isinstance(value, bool)):
-            raise OptionError(f"{self.where}: {key} is {value!r}, not {_KIND_NAMES[kind]}")
-        return value
+        is_number = kind is float and isinstance(value, int)
+        if not (is_number or isinstance(value, kind)) or (kind is not bool and isinstance(value, bool)):
+            raise OptionError(f"{self.where}: {key} is {limits.shown(value)}, not {_KIND_NAMES[kind]}")
+        limit = self.validators.get(self.key.strip("[]"), {}).get(key)
+        fault = None if limit is None else limit.fault(value)
+        if fault is not None:
+            raise OptionError(f"{self.where}: {key} is {limits.shown(value)}; {fault}")
+        return kind(value) if is_number else value  # type: ignore[call-arg,return-value]  # float of an int
 
     def choose(self, key: str, value: object, choices: Collection[str]) -> str:
         """Return `value` if it is one of `choices`.
@@ -114,7 +125,8 @@ class TomlTable:
             OptionError: it is none of them; the message has the nearest one, or all.
         """
         if not isinstance(value, str) or value not in choices:
-            raise OptionError(f"{self.where}: {key} is {value!r}{nearest(str(value), choices)}")
+            near = nearest(value[:_WORD] if isinstance(value, str) else "", choices)
+            raise OptionError(f"{self.where}: {key} is {limits.shown(value)}{near}")
         return value
 
     def allow(self, *keys: str) -> None:
@@ -125,7 +137,9 @@ class TomlTable:
         """
         for key in self.values:
             if key not in keys:
-                raise OptionError(f"{self.where}: there is no {key!r}{nearest(key, keys)}")
+                raise OptionError(
+                    f"{self.where}: there is no {limits.shown(key)}{nearest(key[:_WORD], keys)}"
+                )
 
     def fill(self, defaults: _Record) -> _Record:
         """Return a dataclass with the table's values, and with those of `defaults` where a key is missing.

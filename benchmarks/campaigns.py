@@ -10,6 +10,7 @@ from event_traces import write_event_trace
 if TYPE_CHECKING:
     from pathlib import Path
 
+MOST_EVENTS_OF_NEW_RUN = 40_000
 EVENTS_OF_MESSAGE = 4  # T1 and T2 of the ping, T3 and T4 of the relay
 
 
@@ -56,6 +57,26 @@ SHORT_RUNS = Shape(
 )
 MANY_GROUPS = Shape("10,000 groups", 2_000_000, runs=10_000, pairs=1, groups=10_000, rate_hz=10)
 SHAPES = {"study": STUDY, "one_run": ONE_RUN, "short_runs": SHORT_RUNS}
+
+
+def write_new_run(folder: Path, shape: Shape) -> list[Path]:
+    """Write the traces of one more run, like those of the campaign in `folder`, a day after it."""
+    period_ns = 1_000_000_000 // shape.rate_hz
+    return [
+        write_event_trace(
+            folder / f"{'relay' if relay else 'ping'}_new.mcap",
+            min(shape.events // shape.runs, MOST_EVENTS_OF_NEW_RUN) // 2,
+            "zstd",
+            runs=1,
+            seed=1_000_001 + relay,
+            relay=relay,
+            first_run=shape.runs,
+            groups=shape.groups,
+            period_ns=period_ns,
+            first_ns=(int(shape.hours * shape.pairs) + 24) * 3_600_000_000_000,
+        )
+        for relay in (False, True)
+    ]
 
 
 def write_campaign(folder: Path, shape: Shape) -> list[Path]:

@@ -231,10 +231,11 @@ TOPIC_NAME = Words(
     200,
 )
 
-STORED_COUNT = Whole(0, (1 << 63) - 1, "a count")
+# Fields of traces: what the columns of an analysis hold, sums and differences of two included.
+STORED_COUNT = Whole(0, (1 << 48) - 1, "a count")
 STORED_BYTES = Whole(0, (1 << 32) - 1, "a size in bytes")
 STORED_NUMBER = Whole(0, (1 << 31) - 1, "a number")
 STORED_RELAY_ID = Whole(0, (1 << 32) - 1, "a relay's id")
-STORED_TIME_NS = Whole(-(1 << 63), (1 << 63) - 1, "a time in ns")
+STORED_TIME_NS = Whole(-(1 << 62), 1 << 62, "a time in ns")
 STORED_RATE_HZ = Real(0, 1e12, "a rate in messages a second")
 STORED_INTEGER = Whole(-(1 << 63), (1 << 64) - 1, "an integer")

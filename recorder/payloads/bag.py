@@ -158,4 +158,4 @@ def _open(where: str, surroundings: Surroundings) -> AbstractContextManager[Payl
     return nullcontext(load_payload(where, surroundings.own_types, surroundings.stop))
 
 
-BAG = Source(name="bag", usage="bag:PATH#TOPIC", check=split_place, open=_open)
+BAG = Source(name="bag", usage="bag:PATH#TOPIC", open=_open, check=split_place)

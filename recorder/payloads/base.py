@@ -163,14 +163,14 @@ class Source:
     Attributes:
         name: text before the colon in `--data`.
         usage: form of the whole value of `--data`, such as `file:PATH`.
-        check: refuses a text behind the colon that names nothing; raises an `OptionError` and opens nothing.
         open: opens the payload for the text behind the colon, for as long as the block lasts.
+        check: refuses a text behind the colon that names nothing; raises an `OptionError` and opens nothing.
     """
 
     name: str
     usage: str
-    check: Callable[[str], object]
     open: Callable[[str, Surroundings], AbstractContextManager[Payload]]
+    check: Callable[[str], object] = str
 
 
 def check_stop(stop: threading.Event | None) -> None:

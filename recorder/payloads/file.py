@@ -91,4 +91,4 @@ def check_path(where: str) -> None:
         raise OptionError(f"--data file:{where}: write file:PATH, a file or a folder of files")
 
 
-FILE = Source(name="file", usage="file:PATH", check=check_path, open=_open)
+FILE = Source(name="file", usage="file:PATH", open=_open, check=check_path)

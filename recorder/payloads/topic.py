@@ -185,4 +185,4 @@ def _find_publisher(node: Node, topic: str, where: str, deadline_s: float, stop:
     )
 
 
-TOPIC = Source(name="topic", usage="topic:/NAME", check=check_name, open=open_payload)
+TOPIC = Source(name="topic", usage="topic:/NAME", open=open_payload, check=check_name)

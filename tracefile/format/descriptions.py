@@ -9,6 +9,7 @@ import json
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
+from .. import limits
 from .json_fields import FORMAT_VERSION, DescriptionFields
 
 if TYPE_CHECKING:
@@ -136,13 +137,13 @@ class Session:
             backend=take.text("backend"),
             vendor=take.text("vendor"),
             rmw=take.optional("rmw", str),
-            domain_id=take.integer("domain_id"),
-            relay_id=take.optional("relay_id", int),
+            domain_id=take.integer("domain_id", limits.STORED_NUMBER),
+            relay_id=take.optional("relay_id", int, limits.STORED_RELAY_ID),
             connectivity=take.text("connectivity"),
-            wall_anchor_ns=take.integer("wall_anchor_ns"),
-            monotonic_anchor_ns=take.integer("monotonic_anchor_ns"),
+            wall_anchor_ns=take.integer("wall_anchor_ns", limits.STORED_TIME_NS),
+            monotonic_anchor_ns=take.integer("monotonic_anchor_ns", limits.STORED_TIME_NS),
             host=take.mapping("host"),
-            dropped_events=take.integer("dropped_events"),
+            dropped_events=take.integer("dropped_events", limits.STORED_COUNT),
             state=take.text("state"),
             extra=take.rest(),
         )
@@ -218,22 +219,22 @@ class Run:
         return cls(
             run_id=take.hex_id("run_id"),
             data_type=take.text("data_type"),
-            payload_bytes=take.integer("payload_bytes"),
-            rate_hz=take.number("rate_hz"),
-            planned_messages=take.integer("planned_messages"),
-            warmup_messages=take.integer("warmup_messages"),
+            payload_bytes=take.integer("payload_bytes", limits.STORED_BYTES),
+            rate_hz=take.number("rate_hz", limits.STORED_RATE_HZ),
+            planned_messages=take.integer("planned_messages", limits.STORED_COUNT),
+            warmup_messages=take.integer("warmup_messages", limits.STORED_COUNT),
             bridge=take.text("bridge"),
-            relay_domain_id=take.optional("relay_domain_id", int),
+            relay_domain_id=take.optional("relay_domain_id", int, limits.STORED_NUMBER),
             serialization=take.text("serialization"),
             qos=Qos(
                 reliability=qos.text("reliability"),
                 durability=qos.text("durability"),
                 history=qos.text("history"),
-                depth=qos.integer("depth"),
+                depth=qos.integer("depth", limits.STORED_NUMBER),
                 extra=qos.rest(),
             ),
             labels={str(k): str(v) for k, v in take.mapping("labels").items()},
-            published=take.integer("published"),
+            published=take.integer("published", limits.STORED_COUNT),
             state=take.text("state"),
             extra=take.rest(),
         )

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 from ..errors import TraceFormatError
+from ..limits import STORED_INTEGER, shown
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from ..limits import Limit
 
 T = TypeVar("T")
 
@@ -21,6 +25,40 @@ JsonObject: TypeAlias = Mapping[str, Json]
 
 FORMAT_VERSION = 1
 """Version of the descriptions' JSON, written into each. Version 1: first version (2026)."""
+
+
+def parse_json(text: str) -> Json:
+    r"""Return the value of a JSON text from a trace, made fit for every library that an analysis hands it to.
+
+    A lone surrogate, which no encoding has, is spelled out (`\udcff`); numbers keep their values.
+
+    Raises:
+        ValueError: `text` is no JSON, is nested deeper than any description, or has an integer beyond 64 bits.
+    """
+    try:
+        value: Json = json.loads(text, parse_int=_integer)
+        return _encodable(value) if _SURROGATE.search(text) else value
+    except RecursionError as err:
+        raise ValueError("it is nested deeper than any description") from err
+
+
+_SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
+_MAX_DIGITS = 20
+
+
+def _integer(digits: str) -> int:
+    # The length first: int() of a million digits takes seconds, and of more than 4300 it raises an error of its own.
+    if len(digits) > _MAX_DIGITS or STORED_INTEGER.fault(int(digits)) is not None:
+        raise ValueError(f"an integer of {len(digits)} digits does not fit into 64 bits")
+    return int(digits)
+
+
+def _encodable(value: Json) -> Json:
+    if isinstance(value, str):
+        return value.encode(errors="backslashreplace").decode()
+    if isinstance(value, Mapping):
+        return {str(_encodable(key)): _encodable(item) for key, item in value.items()}
+    return [_encodable(item) for item in value] if isinstance(value, Sequence) else value
 
 
 class DescriptionFields:
@@ -47,7 +85,7 @@ class DescriptionFields:
             TraceFormatError: `text` is no JSON object, or of another version.
         """
         try:
-            described = json.loads(text)
+            described = parse_json(text)
         except ValueError as err:
             raise TraceFormatError(path, f"the {what} description is not JSON ({err})") from err
         if not isinstance(described, dict):
@@ -70,16 +108,16 @@ class DescriptionFields:
         """Take a string."""
         return self._take(name, str, "a string")
 
-    def integer(self, name: str) -> int:
-        """Take an integer."""
-        return self._take(name, int, "an integer")
+    def integer(self, name: str, limit: Limit = STORED_INTEGER) -> int:
+        """Take an integer that `limit` allows."""
+        return self._limited(name, self._take(name, int, "an integer"), limit)
 
-    def number(self, name: str) -> float:
-        """Take an integer or a float."""
+    def number(self, name: str, limit: Limit) -> float:
+        """Take an integer or a float that `limit` allows."""
         value = self._pop(name)
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self._wrong(name, value, "a number")
-        return float(value)
+        return float(self._limited(name, value, limit))
 
     def mapping(self, name: str) -> dict[str, Json]:
         """Take an object as it is."""
@@ -96,16 +134,25 @@ class DescriptionFields:
             raise self._wrong(name, text, "16 hex digits")
         return value
 
-    def optional(self, name: str, kind: type[T]) -> T | None:
-        """Take a value of type `kind`, or None where the field is null."""
+    def optional(self, name: str, kind: type[T], limit: Limit | None = None) -> T | None:
+        """Take a value of type `kind` that `limit` allows, or None where the field is null."""
         if name in self._left and self._left[name] is None:
             del self._left[name]
             return None
-        return self._take(name, kind, f"null or {kind.__name__}")
+        value = self._take(name, kind, f"null or {kind.__name__}")
+        return value if limit is None else self._limited(name, value, limit)
 
     def rest(self) -> dict[str, Json]:
         """Return the fields that were not taken."""
         return self._left
+
+    def _limited(self, name: str, value: T, limit: Limit) -> T:
+        fault = limit.fault(value)
+        if fault is not None:
+            raise TraceFormatError(
+                self._path, f"field {name!r} of the {self._what} description is {shown(value)}; {fault}"
+            )
+        return value
 
     def _pop(self, name: str) -> Json:
         if name not in self._left:
@@ -120,5 +167,5 @@ class DescriptionFields:
 
     def _wrong(self, name: str, value: Json, kind_name: str) -> TraceFormatError:
         return TraceFormatError(
-            self._path, f"field {name!r} of the {self._what} description is {value!r}, not {kind_name}"
+            self._path, f"field {name!r} of the {self._what} description is {shown(value)}, not {kind_name}"
         )

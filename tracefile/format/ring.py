@@ -300,7 +300,7 @@ def _pending(
 def _session(text: bytes, path: Path) -> Session:
     try:
         described = json.loads(text)["session"]
-    except (ValueError, KeyError, TypeError) as err:
+    except (ValueError, KeyError, TypeError, RecursionError) as err:
         raise TraceFormatError(path, f"the ring's header names no session ({err})", RING_HEADER.size) from err
     return Session.from_json(json.dumps(described), path)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING
 from ..errors import TraceFormatError
 from ..format.descriptions import Run, Session
 from ..format.events import HOST_TOPIC, RUN_TOPIC, SESSION_TOPIC
+from ..format.json_fields import parse_json
 from ..format.string_cdr import decode_string
 from ..format.wire import WIRE_TOPIC
 
@@ -104,8 +104,8 @@ class TextCollector:
     def _object(self, text: Text) -> JsonObject | None:
         """Return the JSON object of a message; None of one that is none, which is counted."""
         try:
-            value = json.loads(_string(text))
-        except (TraceFormatError, ValueError, RecursionError):
+            value = parse_json(_string(text))
+        except (TraceFormatError, ValueError):
             value = None
         if isinstance(value, dict):
             return value

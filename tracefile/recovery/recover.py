@@ -219,6 +219,8 @@ def _read_beside(
         return read_ring(ring, events_in_trace), None
     except TraceFormatError as damaged:
         return salvage_ring(ring, events_in_trace, session), damaged.what
+    except OSError as err:
+        return None, f"it cannot be read ({err.strerror})"
 
 
 def _salvaged(trace: Path) -> Iterator[Slots | SalvagedText]:

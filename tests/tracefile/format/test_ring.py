@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import random
 import struct
 from typing import TYPE_CHECKING
 
@@ -10,7 +12,7 @@ import pytest
 from trace_files import ping_session
 
 from dds_trace.tracefile import Stage, TraceFormatError
-from dds_trace.tracefile.format.ring import Ring, events_by_stage, read_ring
+from dds_trace.tracefile.format.ring import Ring, events_by_stage, read_ring, salvage_ring
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -27,10 +29,10 @@ def slot(ticket: int, stage: int, sequence: int | None = None) -> bytes:
     )
 
 
-def ring_file(path: Path, *slots: bytes, dropped: int = 0) -> Path:
+def ring_file(path: Path, *slots: bytes, dropped: int = 0, slot_count: int = SLOTS) -> Path:
     """A ring by hand."""
     text = json.dumps({"format": 1, "session": json.loads(ping_session(state="open").to_json())}).encode()
-    header = struct.pack("<8sIIQQQQ", b"DDSRING\n", 1, 64, SLOTS, SLOTS_AT, dropped, len(text)) + text
+    header = struct.pack("<8sIIQQQQ", b"DDSRING\n", 1, 64, slot_count, SLOTS_AT, dropped, len(text)) + text
     path.write_bytes(header.ljust(SLOTS_AT, b"\0") + b"".join(slots).ljust(SLOTS * 64, b"\0"))
     return path
 
@@ -108,6 +110,34 @@ def test_a_mark_in_a_slot_that_is_not_its_own_is_no_event(tmp_path):
 
 def test_a_stage_that_does_not_exist_is_no_event(tmp_path):
     assert tickets(ring_file(tmp_path / "r", slot(0, 1), slot(1, 5), slot(2, 0)), 0) == [0]
+
+
+@pytest.mark.parametrize("high_bit", range(40, 56))
+def test_a_ticket_that_no_session_reaches_is_no_event(tmp_path, high_bit):
+    assert tickets(ring_file(tmp_path / "r", slot(0, 1), slot(1 + (1 << high_bit), 1)), 0) == [0]
+
+
+def test_a_slot_without_a_run_is_no_event(tmp_path):
+    """Zeroing begins with the run; half of it, caught by a power loss, leaves the old mark behind an event of zeros."""
+    path = ring_file(tmp_path / "r", slot(0, 1), bytes(32) + slot(1, 1)[32:], slot(2, 1))
+    assert tickets(path, 0) == [0, 2]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_garbage_of_a_disk_is_no_event(tmp_path, seed):
+    """A sector of noise in place of eight slots: the slots around it count, it does not."""
+    slots = [slot(ticket, 1) for ticket in range(24)]
+    noise = random.Random(seed).randbytes(512)
+    path = ring_file(tmp_path / "r", *slots[:8], noise, *slots[16:], slot_count=24)
+    assert tickets(path, 0) == [*range(8), *range(16, 24)]
+
+
+def test_a_ring_larger_than_any_is_not_read(tmp_path):
+    path = ring_file(tmp_path / "r", slot(0, 1), slot_count=1 << 33)
+    os.truncate(path, SLOTS_AT + (1 << 33) * 64)  # a file of holes: no block of it is on the disk
+    with pytest.raises(TraceFormatError, match="more than any ring"):
+        read_ring(path, 0)
+    assert salvage_ring(path, 0, ping_session()) is None
 
 
 @pytest.mark.parametrize("size", [0, 7, 47])

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import struct
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
@@ -26,9 +28,6 @@ from dds_trace.tracefile.format.ring import ring_path
 from dds_trace.tracefile.mcapfile.file import RecordFile
 from dds_trace.tracefile.reading.reader import read_trace
 from dds_trace.tracefile.recovery.recover import recover
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 EVENTS = 180
 PART = 30
@@ -348,6 +347,38 @@ def test_a_damaged_ring_alone_whose_session_is_lost_is_an_error(tmp_path):
     with pytest.raises(TraceFormatError, match="has no whole ring"):
         recover(trace)
     assert ring_path(trace).read_bytes() == data
+
+
+NO_RINGS = {
+    "pipe": os.mkfifo,
+    "folder": Path.mkdir,
+    "device": lambda path: path.symlink_to("/dev/zero"),
+    "holes": lambda path: (path.touch(), os.truncate(path, 1 << 40)),
+    "text": lambda path: path.write_text("not a ring at all " * 10),
+    "deep": lambda path: path.write_bytes(
+        struct.pack("<8sIIQQQQ", b"DDSRING\n", 1, 64, 1, 8192, 0, 5000).ljust(48)
+        + (b'{"session":' + b"[" * 4989).ljust(8192 + 64 - 48)
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", NO_RINGS)
+@pytest.mark.parametrize("is_alone", [True, False])
+def test_what_lies_in_the_place_of_a_ring_ends_in_one_line(tmp_path, kind, is_alone):
+    trace = killed(tmp_path)
+    ring_path(trace).unlink()
+    NO_RINGS[kind](ring_path(trace))
+    if is_alone:
+        trace.unlink()
+        with pytest.raises(TraceFormatError, match="has no whole ring") as error:
+            recover(trace)
+        assert "\n" not in str(error.value)
+    else:
+        assert len(read_trace(trace).notes) == 1
+        report = recover(trace)
+        assert report.ring_fault is not None
+        assert (report.file_events, report.ring_events) == (EVENTS - PART, 0)
+    assert os.path.lexists(ring_path(trace)) or os.path.lexists(ring_path(report.originals[0]))
 
 
 def test_a_damaged_ring_beside_a_closed_trace_is_left_alone(tmp_path):

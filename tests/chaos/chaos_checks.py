@@ -21,6 +21,10 @@ COMPLETE, INCOMPLETE, FULL, UNAVAILABLE, INTERRUPTED, KILLED = 0, 10, 6, 7, 130,
 OWN_FILES = {"state.json", ".lock", ".parts"}
 DONE = ("complete", "recorded")
 
+KEPT_MEMORY = ("*.zenoh", "lttng-ust-wait-*")
+"""Shared memory that libraries leave at a clean end, too: eclipse-zenoh 1.10 (a session that is opened and closed leaves
+12 KB, one that sent more; the next process removes it), and LTTng, which rclpy brings (one empty page for the user)."""
+
 
 @dataclass(frozen=True, slots=True)
 class Call:
@@ -60,7 +64,7 @@ def untrue_exit(call: Call, folder: Path, cells: int) -> Iterator[str]:
     allowed = {
         COMPLETE: complete == cells,
         INCOMPLETE: complete < cells and all(f"{name}: " in call.output for name in missing),
-        FULL: call.had("full-disk") and "No space left" in call.output,
+        FULL: call.had("full-disk") and "the disk is full" in call.output,
         UNAVAILABLE: any("tap_forwarder" in words for words in call.struck),
         INTERRUPTED: call.had("interrupt") and "same command goes on" in call.output,
         KILLED: call.had("kill", "sweep"),
@@ -99,7 +103,7 @@ def left_memory(killed: bool) -> Iterator[str]:
     Args:
         killed: whether a process was killed, whose middleware then could not remove its own.
     """
-    excused = {path for pattern in PATTERNS for path in SHM.glob(pattern)} if killed else set()
+    excused = {path for pattern in (*KEPT_MEMORY, *(PATTERNS if killed else ())) for path in SHM.glob(pattern)}
     yield from (f"shared memory {path}" for path in sorted(SHM.rglob("*")) if path not in excused)
 
 

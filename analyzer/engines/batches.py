@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from ..groups.measure import Statistics
     from ..loading.events import Copies, EventKey, EventPart
     from ..pairing.exchanges import Exchange
+    from ..pairing.roundtrips import RoundTrips
 
 BATCH_EVENTS = 1_000_000
 """Events of a batch, unless one group alone has more: a hundred megabytes while it is worked at. Of a campaign of few
@@ -112,9 +113,7 @@ def work_at(batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]]) -> Batc
         batch: the batch.
         parts: for each of its `event_keys` the rows of the event index, traces in rising order.
     """
-    merged = {key: merge_parts(parts.get(key, ())) for key in batch.event_keys()}
-    events = {key: columns for key, (columns, _) in merged.items()}
-    roundtrips = pair_exchanges(batch.exchanges, events, details=batch.wanted.details)
+    copies, roundtrips = _pair(batch, parts)
     values = None
     if batch.wanted.rows and not batch.whole:
         exchanges = len(batch.exchanges)
@@ -123,7 +122,17 @@ def work_at(batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]]) -> Batc
         frames=frames_of(batch, roundtrips),
         counts=roundtrips.counts,
         statistics=measure_batch(roundtrips, batch.group_of_exchange),
-        copies={key: copies for key, (_, copies) in merged.items() if copies},
+        copies=copies,
         table=table_of(roundtrips) if batch.wanted.rows else None,
         values=values,
     )
+
+
+def _pair(
+    batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]]
+) -> tuple[dict[EventKey, tuple[Copies, ...]], RoundTrips]:
+    """Pair the events of a batch; the memory of those that were fetched is free when this returns."""
+    merged = {key: merge_parts(parts.get(key, ())) for key in batch.event_keys()}
+    events = {key: columns for key, (columns, _) in merged.items()}
+    copies = {key: of_key for key, (_, of_key) in merged.items() if of_key}
+    return copies, pair_exchanges(batch.exchanges, events, details=batch.wanted.details)

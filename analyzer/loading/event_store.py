@@ -119,7 +119,7 @@ def _read_column(
     stream: BinaryIO, dtype: np.dtype[np.integer], count: int, how: str, value: int
 ) -> NDArray[Any]:
     if how == "constant":
-        return np.full(count, value, dtype)
+        return np.broadcast_to(np.array(value, dtype), count)  # takes no memory
     if how == "counting":
         return np.arange(count, dtype=dtype) + np.array(value, dtype)
     stream.seek(value)

@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 MOST_HELD_EVENTS = 24_000_000
 """Events that stay in memory, 56 bytes each; those of further traces wait in files."""
 
+LARGEST_HELD_EVENTS = 4_000_000
+"""Events of the largest trace that stays in memory: while a batch is worked at, only its own part of a larger one is there."""
+
 _FORMAT = 2
 """Version of an entry; an entry of another version, or without a field of this one, is not used. 1: the first; 2: seals of the events."""
 
@@ -132,7 +135,7 @@ class TraceShelf:
         if self._cache:
             with suppress(OSError):  # a full disk costs the cache, not the analysis
                 kept = _keep(self._cache, key, loaded)
-        if loaded.events <= self._left:
+        if loaded.events <= min(self._left, LARGEST_HELD_EVENTS):
             self._left -= loaded.events
             return loaded
         return kept or self._spilled(loaded, position)

@@ -70,19 +70,29 @@ def new_side(
     return NewSide(environment_name(text), base, command)
 
 
-def show_sides(base: Plan, other: NewSide, *, as_json: bool) -> None:
-    """Print the runs of both sides in their order, and how long they take."""
+def shown_sides(base: Plan, other: NewSide) -> tuple[dict[str, object], list[str]]:
+    """Return the runs of both sides in their order and how long they take, as a JSON object and as lines."""
     from dds_trace.recorder.sweep import against_seconds, take_turns
 
     turns = [(turn.side, turn.group.cells[0].name) for turn in take_turns(base, other.plan)]
     seconds = against_seconds(base, other.plan)
-    if as_json:
-        listed = [{"side": side, "name": name} for side, name in turns]
-        print(json.dumps({"plan": _name(base, other), "seconds": seconds.seconds, "cells": listed}))
-        return
-    for side, name in turns:
-        print(f"{side:4}  {name}")
-    print(f"plan {_name(base, other)}: {counted(len(turns), 'cell')} of both sides, about {seconds}")
+    described: dict[str, object] = {
+        "plan": _name(base, other),
+        "seconds": seconds.seconds,
+        "cells": [{"side": side, "name": name} for side, name in turns],
+    }
+    lines = [f"{side:4}  {name}" for side, name in turns]
+    lines.append(f"plan {_name(base, other)}: {counted(len(turns), 'cell')} of both sides, about {seconds}")
+    return described, lines
+
+
+def side_folders(base: Plan, other: NewSide, out: Path) -> list[tuple[Plan, Path, tuple[str, ...] | None]]:
+    """Return plan, folder and `dds-record` of each side; None is the one of this installation."""
+    from dds_trace.recorder.sweep import BASE, NEW
+
+    folder = out / _name(base, other)
+    sides = [(BASE, base, None), *([] if other.is_same else [(NEW, other.plan, other.command)])]
+    return [(plan, folder / side, command) for side, plan, command in sides]
 
 
 def run_sides(base: Plan, other: NewSide, out: Path, *, as_json: bool) -> int:

@@ -43,6 +43,10 @@ def main_command(
     print_config: Annotated[
         bool, _option("--print-config", help="Print the configuration and run nothing.")
     ] = False,
+    check: Annotated[
+        bool,
+        _option("--check", help="Look whether the program is here and takes these options, and run nothing."),
+    ] = False,
     from_domain: Annotated[int, _option("--from", help="Domain of the ping. [dim]Default: 5[/dim]")] = 5,
     to_domain: Annotated[int, _option("--to", help="Domain of the relay. [dim]Default: 10[/dim]")] = 10,
     topics: Annotated[
@@ -123,7 +127,9 @@ def main_command(
         listen=listen,
         peers=tuple(peer or ()),
     )
-    if print_config:
+    if check:
+        _check(load_bridge(name), options)
+    elif print_config:
         _print_configuration(load_bridge(name), options)
     else:
         _run(name, options)
@@ -164,6 +170,16 @@ def _print_configuration(bridge: Bridge, options: BridgeOptions) -> None:
         if len(parts) > 1:
             print(f"# the {part.half.value}'s half, domain {part.sides()[0].domain_id}", file=sys.stderr)
         print(bridge.configuration(part), end="", flush=True)
+
+
+def _check(bridge: Bridge, options: BridgeOptions) -> None:
+    """Look for the bridge's program and make its configuration; print that it can run."""
+    from dds_trace.recorder.bridges import find_program, split_halves
+
+    program = find_program(bridge)
+    for part in split_halves(bridge, options):
+        bridge.configuration(part)
+    print(f"{bridge.name} can run: {program}")
 
 
 def _run(name: str, options: BridgeOptions) -> None:

@@ -25,7 +25,7 @@ def precision(text: str, max_passes: int | None, plan: Plan) -> Until:
         OptionError: the text is wrong, or the plan has more passes than allowed.
     """
     from dds_trace.analyzer import check_statistic
-    from dds_trace.recorder.sweep import DEFAULT_MAX_PASSES, Until, parse_target
+    from dds_trace.recorder.sweep import DEFAULT_MAX_PASSES, Until, check_runs, parse_target
 
     statistic, percent = parse_target(text)
     check_statistic(statistic)
@@ -34,6 +34,7 @@ def precision(text: str, max_passes: int | None, plan: Plan) -> Until:
         raise OptionError(
             f"--max-passes {most} is below the {plan.run.repeats} passes of the plan; give at least so many"
         )
+    check_runs("--max-passes", len(plan.cells), most)
 
     def measure(folder: Path, runs: Mapping[str, tuple[int, ...]]) -> Mapping[str, float]:
         from dds_trace.analyzer import analyze, half_widths

@@ -6,7 +6,6 @@ import json
 import math
 import signal
 import sys
-from collections import Counter
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -20,13 +19,10 @@ from .errors import run_command
 from .quick_help import command_app, declare_command
 
 if TYPE_CHECKING:
-    from dds_trace.recorder.sweep import Cell, Plan, Until
+    from dds_trace.recorder.sweep import Plan, Until
 
 INTERRUPTED_EXIT_CODE = 130
 """Exit code after Ctrl-C, as shells report it."""
-
-LOOPBACK_MBIT_S = 10_000
-"""Rate that hardly any machine carries through a middleware in one direction."""
 
 app = command_app()
 
@@ -52,7 +48,11 @@ def main_command(
         Path, typer.Option("--out", help="The traces go to OUT/NAME, NAME as the plan has it.")
     ] = Path("runs"),
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Show the cells and how long they take, record nothing.")
+        bool,
+        typer.Option(
+            "--dry-run",
+            help="Show the cells and how long they take, and start each kind of them as far as its first message; record nothing.",
+        ),
     ] = False,
     printed: Annotated[
         Printed | None,
@@ -104,7 +104,8 @@ def main_command(
     """
     from dds_trace.recorder.sweep import installed_middlewares, read_plan
 
-    from .against import new_side, run_sides, show_sides
+    from .against import new_side, run_sides
+    from .dry_run import dry_run as dry_run_of
     from .precision import precision
 
     _refuse_together(
@@ -115,11 +116,7 @@ def main_command(
     target = None if until is None else precision(until, max_passes, asked)
     other = None if against is None else new_side(against, plan, asked, installed_middlewares)
     if dry_run:
-        if other is not None:
-            show_sides(asked, other, as_json=as_json)
-        else:
-            _show(asked, as_json, target)
-        return
+        raise typer.Exit(dry_run_of(asked, out, other, target, max_rate=max_rate, as_json=as_json))
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         if max_rate:
@@ -167,10 +164,12 @@ def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None) -> int:
         run_sweep,
     )
 
+    from .dry_run import relay_commands
+
     console = Console(stderr=True)
     progress = make_progress(console)
     if plan.by_hand:
-        for line in _relay_commands(plan):
+        for line in relay_commands(plan):
             progress.note(line)
     done = run_sweep(plan, out, progress, until=until)
     complete = done.cells - len(done.missing)
@@ -223,79 +222,6 @@ def _search(plan: Plan, out: Path, as_json: bool) -> int:
         for path in written:
             print(f"Wrote {path}")
     return INCOMPLETE_EXIT_CODE if any(highest.answer is RateAnswer.FAILED for highest in answers) else 0
-
-
-def _show(plan: Plan, as_json: bool, until: Until | None) -> None:
-    """Print the cells in the order in which they run."""
-    from dds_trace.recorder.sweep import plan_seconds, schedule
-
-    groups = schedule(plan)
-    cells = [cell for group in groups for cell in group.cells]
-    if as_json:
-        listed = [{"name": cell.name, "seconds": plan.run.planned_seconds(cell.rate)} for cell in cells]
-        shown = {"plan": plan.name, "seconds": plan_seconds(plan).seconds, "cells": listed}
-        if until is not None:
-            shown["most_seconds"] = plan_seconds(plan, passes=until.max_passes).seconds
-        print(json.dumps(shown))
-        return
-    for group in groups:
-        print(f"relay {group.need.name}" + (f", half of {group.bridge} beside it" if group.bridge else ""))
-        for cell in group.cells:
-            print(f"  {cell.name}  {plan.run.planned_seconds(cell.rate):.0f} s{_doubt(plan, cell)}")
-    for line in _remarks(plan):
-        print(line)
-    print(
-        f"plan {plan.name}: {counted(len(cells), 'cell')}, {len(plan.excluded)} left out, "
-        f"{counted(len(groups), 'start of a relay', 'starts of a relay')}, "
-        f"about {plan_seconds(plan)}"
-    )
-    if until is not None:
-        print(
-            f"until {until.statistic} is known to +-{until.percent:g} % in every cell: {until.max_passes} passes at "
-            f"most, about {plan_seconds(plan, passes=until.max_passes)} if every cell takes all of them"
-        )
-
-
-def _remarks(plan: Plan) -> list[str]:
-    """Return the lines about the plan as a whole: what it leaves out, warnings, its link, commands for the other device."""
-    from dds_trace.recorder.sweep import depth_warnings
-
-    left_out = Counter(reason for _, reason in plan.excluded).items()
-    return [
-        *(
-            f"left out by [[exclude]]: {counted(count, 'cell')}" + (f" ({reason})" if reason else "")
-            for reason, count in left_out
-        ),
-        *(f"warning: {warning}" for warning in depth_warnings(plan)),
-        *([f"link: {plan.link}"] if plan.link is not None else []),
-        *(_relay_commands(plan) if plan.by_hand else []),
-    ]
-
-
-def _doubt(plan: Plan, cell: Cell) -> str:
-    """Return the end of a cell's line if its rate cannot be carried, else an empty text."""
-    limit_mbit_s = (plan.link.rate_mbit_s if plan.link else 0) or LOOPBACK_MBIT_S
-    asked_mbit_s = (cell.payload_bit_s or 0) / 1e6
-    if asked_mbit_s <= limit_mbit_s:
-        return ""
-    return (
-        f"  asks {asked_mbit_s:.0f} of {limit_mbit_s:g} Mbit/s: will be cut off after "
-        f"{plan.run.cutoff_seconds:g} s more"
-    )
-
-
-def _relay_commands(plan: Plan) -> list[str]:
-    """Return the commands for a person to start on the other device, in order."""
-    from dds_trace.recorder.sweep import half_arguments, printed_command, relay_arguments, schedule
-
-    lines = []
-    for group in schedule(plan):
-        lines.append(
-            f"relay {group.number}: {printed_command(relay_arguments(plan, group.need), group.number)}"
-        )
-        if group.bridge:
-            lines.append(f"beside it: dds-bridge {' '.join(half_arguments(plan, group))}")
-    return lines
 
 
 def main() -> None:

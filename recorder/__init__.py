@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from .host.recorder_cost import RecorderCost, measure_recorder_cost
     from .options import DEFAULT_MESSAGES, DEFAULT_WARMUP, PingOptions, RecordOptions
     from .recording import Recorded, record
+    from .rehearsal import check_options, rehearse
     from .roles.floor import FloorCost, measure_floor
     from .roles.progress import PingProgress, RelayProgress, Watch
 else:
@@ -31,7 +32,9 @@ __all__ = [
     "Serialization",
     "Transport",
     "Watch",
+    "check_options",
     "measure_floor",
     "measure_recorder_cost",
     "record",
+    "rehearse",
 ]

@@ -88,8 +88,17 @@ class Recorded:
     error: BridgeError | RelayLostError | None = None
 
 
-def record(options: RecordOptions, stop: threading.Event, watch: Watch) -> Recorded:
+def record(
+    options: RecordOptions, stop: threading.Event, watch: Watch, *, rehearses: bool = False
+) -> Recorded:
     """Record as a ping or as a relay until it is done or `stop` is set.
+
+    Args:
+        options: options of the recording.
+        stop: ends it; a rehearsal sets it.
+        watch: receiver of notes and progress.
+        rehearses: whether all is opened as asked and closed again before the first message, without the measurement of
+            what recording costs.
 
     Raises:
         OptionError: an option makes no sense, or not on this machine.
@@ -103,15 +112,18 @@ def record(options: RecordOptions, stop: threading.Event, watch: Watch) -> Recor
     options.check()
     for warning in check_domain(options.node.domain_id):
         watch.note(warning)
-    recording = _Recording(options, stop, watch)
+    recording = _Recording(options, stop, watch, rehearses=rehearses)
     return recording.relay() if options.ping is None else recording.ping(options.ping)
 
 
 class _Recording:
     """One recording in either role, with what both roles need."""
 
-    def __init__(self, options: RecordOptions, stop: threading.Event, watch: Watch) -> None:
+    def __init__(
+        self, options: RecordOptions, stop: threading.Event, watch: Watch, *, rehearses: bool
+    ) -> None:
         self.options = options
+        self.rehearses = rehearses
         self.stop = stop
         self.watch = watch
         self.clock = SystemClock()
@@ -143,9 +155,12 @@ class _Recording:
                 )
                 wire.begin()
                 node.start()
-                self.watch.note(
-                    f"relay {relay_id:08x} serves domain {options.node.domain_id} until it is stopped"
-                )
+                if self.rehearses:
+                    self.stop.set()
+                else:
+                    self.watch.note(
+                        f"relay {relay_id:08x} serves domain {options.node.domain_id} until it is stopped"
+                    )
                 with _sampled(sink, wire):
                     self._watch_relay(relay, node, sink, read_back, wire)
                 wire.write_relay(relay.progress().relayed, self.session_id, sink)
@@ -168,6 +183,8 @@ class _Recording:
             node.start()
             bridge = open_asked_bridge(self.options, asked, payload.data_type, stack)
             read_back = self._read_back(node)
+            if self.rehearses:  # what is applied shows once there is a connection
+                return Recorded(None, self._describe("ping", node, read_back), ping.progress())
             self._wait_for_echo(ping, node, asked, bridge, read_back)
             read_back.read_begin()
             if bridge is not None:
@@ -202,6 +219,8 @@ class _Recording:
 
     def _measure_costs(self) -> None:
         """Measure the costs of recording, before there is a node that could be disturbed."""
+        if self.rehearses:
+            return
         self.costs = {**measured_cost(), **measured_floor(self.options.backend, self.options.node)}
 
     def _open_wire(self, asked: PingOptions | None = None) -> AbstractContextManager[WireRecord]:

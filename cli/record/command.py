@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+import typer  # noqa: TC002 - it reads the annotation
+
 from dds_trace.recorder import choices
 
 from ..errors import run_command
 from ..quick_help import command_app, declare_command
 from . import words  # noqa: TC001 - typer reads the annotations
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from dds_trace.recorder import RecordOptions
 
 BRIDGED_PING_DOMAIN = 5
 
@@ -15,6 +24,7 @@ app = command_app()
 
 @declare_command(app)
 def main_command(
+    context: typer.Context,
     role: words.Role = None,
     out: words.Out = None,
     force: words.Force = False,
@@ -63,6 +73,7 @@ def main_command(
     types: words.Types = None,
     recover_path: words.RecoverPath = None,
     self_test: words.SelfTest = False,
+    check: words.Check = False,
 ) -> None:
     """Record latency of ROS 2 / DDS messages as a ping or as a relay.
 
@@ -83,7 +94,7 @@ def main_command(
     from dds_trace.tracefile.units.sizes import parse_size
 
     from .run import print_result, record_until_stopped
-    from .tools import recover_trace, report_own_cost
+    from .tools import check_start, recover_trace, report_own_cost
     from .values import (
         default_discovery,
         default_domain,
@@ -178,7 +189,13 @@ def main_command(
         strict=strict,
         wire=wire,
     )
-    print_result(record_until_stopped(options), as_json=as_json, fail_if_lost=allowed)
+    take: Callable[[RecordOptions], None] | None = context.obj
+    if take is not None:  # of a sweep, which looks at the options of each cell before it starts any
+        take(options)
+    elif check:
+        check_start(options)
+    else:
+        print_result(record_until_stopped(options), as_json=as_json, fail_if_lost=allowed)
 
 
 def main() -> None:

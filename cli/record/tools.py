@@ -1,17 +1,18 @@
-"""The tools of `dds-record` beside recording: `--recover` and `--self-test`."""
+"""The tools of `dds-record` beside recording: `--recover`, `--self-test` and `--check`."""
 
 from __future__ import annotations
 
+import sys
 from typing import TYPE_CHECKING
 
-from dds_trace.recorder import measure_floor, measure_recorder_cost
+from dds_trace.recorder import measure_floor, measure_recorder_cost, rehearse
 from dds_trace.tracefile import TraceError, recover
 from dds_trace.tracefile.units.durations import format_duration
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from dds_trace.recorder import NodeOptions
+    from dds_trace.recorder import NodeOptions, PingProgress, RecordOptions, RelayProgress
 
 
 def recover_trace(path: Path) -> None:
@@ -24,6 +25,27 @@ def recover_trace(path: Path) -> None:
     if report.recovered is not None:
         print(f"Wrote {report.recovered}")
     print("\n".join(report.lines()))
+
+
+def check_start(options: RecordOptions) -> None:
+    """Start a recording as asked and end it before its first message; print that it can begin.
+
+    Raises:
+        TraceError: as recording would.
+    """
+    rehearse(options, _Notes())
+    print(f"{'a relay' if options.ping is None else 'a ping'} can begin as asked")
+
+
+class _Notes:
+    """A `Watch` whose notes go to stderr."""
+
+    def note(self, text: str) -> None:
+        """Print a line."""
+        print(text, file=sys.stderr)
+
+    def progress(self, progress: PingProgress | RelayProgress) -> None:
+        """Take nothing: a rehearsal has no progress."""
 
 
 def report_own_cost(out: Path | None, backend: str, options: NodeOptions) -> None:

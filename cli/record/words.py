@@ -322,3 +322,11 @@ SelfTest = Annotated[
     bool,
     _tools("--self-test", metavar="", help="Measure what recording itself costs on this machine, and end."),
 ]
+Check = Annotated[
+    bool,
+    _tools(
+        "--check",
+        metavar="",
+        help="Start as asked and end before the first message; keeps no trace. Ends with 0 if recording can begin.",
+    ),
+]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from dds_trace.tracefile import OptionError
 
 from ..backends import load_backend
-from .base import load_bridge
+from .base import load_bridge, split_halves
 from .options import BRIDGED_TOPICS, BridgedTopic, BridgeOptions
 from .process.running import open_bridge
 
@@ -32,10 +32,23 @@ def open_asked_bridge(
         BackendUnavailableError: its program is not on this machine.
         BridgeError: it did not come up.
     """
+    wanted = check_asked_bridge(options, asked, data_type)
+    return None if wanted is None else stack.enter_context(open_bridge(asked.bridge, wanted))
+
+
+def check_asked_bridge(
+    options: RecordOptions, asked: PingOptions, data_type: DataType
+) -> BridgeOptions | None:
+    """Return the options of the bridge that the ping's options name, None if there is none to be started.
+
+    Raises:
+        OptionError: there is no such bridge, or it does not support the options or the backend.
+    """
     if asked.bridge == "none":
         return None
+    bridge = load_bridge(asked.bridge)
     # Also of one that runs already: the trace keeps its name.
-    if load_bridge(asked.bridge).needs_ros_nodes and not load_backend(options.backend).has_ros:
+    if bridge.needs_ros_nodes and not load_backend(options.backend).has_ros:
         raise OptionError(
             f"--bridge {asked.bridge}: it knows nodes by ros_discovery_info, which those of the backend {options.backend} do "
             "not publish; use --backend ros2, or zenoh-bridge-dds"
@@ -55,4 +68,5 @@ def open_asked_bridge(
         listen=asked.bridge_listen,
         peers=asked.bridge_peers,
     )
-    return stack.enter_context(open_bridge(asked.bridge, wanted))
+    split_halves(bridge, wanted)
+    return wanted

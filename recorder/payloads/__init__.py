@@ -99,6 +99,12 @@ def check_data(data: str) -> None:
         find_data_type(data)
 
 
+def is_live(data: str) -> bool:
+    """Return whether `--data` names a running topic, whose messages are part of the surroundings."""
+    kind, colon, _ = data.partition(":")
+    return bool(colon) and kind == TOPIC.name
+
+
 def served_data_types(type_names: Iterable[str] = ()) -> tuple[DataType, ...]:
     """Return what a relay serves: the data types that are made up here, and those of further message types.
 
@@ -123,6 +129,7 @@ __all__ = [
     "data_types",
     "find_data_type",
     "header_data_type",
+    "is_live",
     "open_payload",
     "served_data_types",
 ]

@@ -80,8 +80,7 @@ def plan_run(
         OptionError: the payload cannot be sent like this.
     """
     check_serialization([payload.data_type], options.serialization)
-    if payload.feed is not None and asked.rate_hz is not None:
-        raise OptionError("--rate cannot be given with topic:/NAME, whose messages are the schedule")
+    check_rate(asked, is_live=payload.feed is not None)
     rate_hz = asked.rate_hz or payload.rate_hz or DEFAULT_RATE_HZ
     limits.check(limits.RATE_HZ, rate_hz, f"rate of {asked.data}")
     own_domain_id = options.node.domain_id
@@ -114,6 +113,16 @@ def count_messages(messages: int | None, duration_s: float | None, rate_hz: floa
     fitting = max(round(duration_s * rate_hz) - warmup, 1)
     limits.check(limits.MESSAGES, fitting, f"--duration {duration_s:g} at {rate_hz:g} Hz are")
     return fitting
+
+
+def check_rate(asked: PingOptions, *, is_live: bool) -> None:
+    """Refuse a rate for data that arrives on a live topic.
+
+    Raises:
+        OptionError: there are both.
+    """
+    if is_live and asked.rate_hz is not None:
+        raise OptionError("--rate cannot be given with topic:/NAME, whose messages are the schedule")
 
 
 def check_serialization(data_types: Iterable[DataType], serialization: Serialization) -> None:

@@ -6,17 +6,18 @@ from dds_trace.lazy import contents_page
 
 if TYPE_CHECKING:
     from ..backends import installed_middlewares
-    from .against import AgainstOutcome, against_seconds, run_against, take_turns
+    from .against import BASE, NEW, AgainstOutcome, against_seconds, run_against, take_turns
     from .max_rate_report import COLUMNS, max_rate_rows, write_max_rates
     from .plan.cells import Cell, environment_name
     from .plan.commands import half_arguments, relay_arguments
     from .plan.link import PRESETS, Link
     from .plan.plan import Plan, depth_warnings
-    from .plan.plan_file import parse_plan, read_plan
+    from .plan.plan_file import check_runs, parse_plan, read_plan
     from .plan.schedule import CellGroup, Remaining, plan_seconds, schedule
+    from .rehearsal import rehearse_plan
     from .run.progress import SweepProgress, make_progress
     from .run.result import CellResult, read_result
-    from .search import MaxRate, RateAnswer
+    from .search import MaxRate, RateAnswer, search_plan
     from .station.devices import printed_command
     from .station.programs import environment_program
     from .sweep import INCOMPLETE_EXIT_CODE, TOO_WIDE_EXIT_CODE, SweepOutcome, run_search, run_sweep
@@ -25,9 +26,11 @@ else:
     __getattr__, __dir__ = contents_page(__name__)
 
 __all__ = [
+    "BASE",
     "COLUMNS",
     "DEFAULT_MAX_PASSES",
     "INCOMPLETE_EXIT_CODE",
+    "NEW",
     "PRESETS",
     "TOO_WIDE_EXIT_CODE",
     "AgainstOutcome",
@@ -43,6 +46,7 @@ __all__ = [
     "SweepProgress",
     "Until",
     "against_seconds",
+    "check_runs",
     "depth_warnings",
     "environment_name",
     "environment_program",
@@ -56,11 +60,13 @@ __all__ = [
     "printed_command",
     "read_plan",
     "read_result",
+    "rehearse_plan",
     "relay_arguments",
     "run_against",
     "run_search",
     "run_sweep",
     "schedule",
+    "search_plan",
     "take_turns",
     "write_max_rates",
 ]

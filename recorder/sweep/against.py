@@ -117,8 +117,6 @@ def run_against(
     turns = take_turns(base, new)
     partners = {own.name: of_base.name for own, of_base in zip(new.cells, base.cells, strict=True)}
     new = replace(new, partners=partners)
-    for warning in dict.fromkeys([*depth_warnings(base), *depth_warnings(new)]):
-        progress.note(warning)
     cells = {side: [turn.group.cells[0] for turn in turns if turn.side == side] for side in (BASE, NEW)}
     with ExitStack() as stack:
         runners = {}
@@ -128,6 +126,8 @@ def run_against(
                 open_station(plan, folder / side, held, show=progress.note, command=command)
             )
             runners[side] = Runner(plan, folder / side, station, _SideProgress(progress, side))
+        for warning in dict.fromkeys([*depth_warnings(base), *depth_warnings(new)]):
+            progress.note(warning)
         for runner in runners.values():
             runner.prepare()
         done = sum(runners[side].state[cell.name].done for side in cells for cell in cells[side])

@@ -68,12 +68,12 @@ def run_sweep(
     """
     folder = out / plan.name
     groups = schedule(plan)
-    for warning in depth_warnings(plan):
-        progress.note(warning)
     with (
         holding_folder(folder, progress.note) as held,
         open_station(plan, folder, held, show=progress.note, command=command) as station,
     ):
+        for warning in depth_warnings(plan):
+            progress.note(warning)
         runner = Runner(plan, folder, station, progress)
         runner.run(groups)
         cells = [cell for group in groups for cell in group.cells]

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 from pathlib import Path
 
@@ -128,20 +127,35 @@ def test_quick_plan_is_the_three_kinds_of_data_in_one_domain_and_two():
     }
 
 
-def test_dry_run_of_the_papers_plan_from_the_command_line():
-    """As a user calls it: the whole list, quickly, without any middleware."""
-    done = subprocess.run(
-        [sys.executable, "-m", "dds_trace.cli.sweep", ROOT / "plans/paper.toml", "--dry-run"],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    lines = done.stdout.splitlines()
+@pytest.fixture
+def unrehearsed(monkeypatch):
+    """Leaves the rehearsal of a dry run out, which `test_dry_run.py` is about; what it would refuse may be set."""
+    refused = {}
+    monkeypatch.setattr("dds_trace.recorder.sweep.rehearse_plan", lambda *_, **__: refused)
+    return refused
+
+
+@pytest.mark.usefixtures("unrehearsed")
+def test_dry_run_of_the_papers_plan_from_the_command_line(call):
+    """The whole list, quickly, without any middleware."""
+    code, out, err = call(ROOT / "plans/paper.toml", "--dry-run")
+    lines = out.splitlines()
     assert sum(line.startswith("  ros2-") for line in lines) == 5 * 780
     assert lines[-1].startswith("plan paper: 3900 cells, 0 left out, 15 starts of a relay, about ")
-    assert done.stderr == ""
+    assert (code, err) == (0, "")
 
 
+def test_a_reason_is_told_once_for_all_its_cells(call, plan, unrehearsed):
+    unrehearsed.update(dict.fromkeys(["one", "two", "three"], "not installed"), four="no licence")
+    code, _, err = call(plan, "--dry-run")
+    assert code == 10
+    assert err.splitlines() == [
+        "one and 2 more cells cannot start: not installed",
+        "four cannot start: no licence",
+    ]
+
+
+@pytest.mark.usefixtures("unrehearsed")
 def test_dry_run_names_what_is_left_out_and_what_cannot_be_carried(call, plan):
     code, out, _ = call(plan, "--dry-run")
     assert code == 0
@@ -152,6 +166,7 @@ def test_dry_run_names_what_is_left_out_and_what_cannot_be_carried(call, plan):
     assert "plan small: 3 cells, 1 left out, 1 start of a relay" in out
 
 
+@pytest.mark.usefixtures("unrehearsed")
 def test_dry_run_warns_of_a_history_that_holds_too_few_messages(call, plan):
     _, out, _ = call(plan, "--dry-run")
     assert (
@@ -161,11 +176,13 @@ def test_dry_run_warns_of_a_history_that_holds_too_few_messages(call, plan):
     assert out.count("warning: ") == 1  # 10 Hz are fine
 
 
+@pytest.mark.usefixtures("unrehearsed")
 def test_dry_run_with_the_commands_for_the_other_device(call, plan):
     _, out, _ = call(plan, "--dry-run", "--print", "relay")
     assert "relay 1: dds-record --role relay --domain 10 --discovery subnet --out relay-1.mcap" in out
 
 
+@pytest.mark.usefixtures("unrehearsed")
 def test_dry_run_as_json(call, plan):
     _, out, _ = call(plan, "--dry-run", "--json")
     listed = json.loads(out)

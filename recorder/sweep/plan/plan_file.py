@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import math
+import re
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -28,6 +30,11 @@ if TYPE_CHECKING:
 
 MAX_PLAN_BYTES = 4 << 20
 """Largest file that is read as a plan; ours are a few kilobytes."""
+
+MOST_NAME_BYTES = 200
+"""Longest name of a cell: with `.r1000.relay.mcap.ring.0123abcd.part` behind it, a file's name has 255 bytes at most."""
+
+_OF_PASS = re.compile(r"(.+)_r([1-9][0-9]{0,6})")
 
 INSTALLED = "installed"
 """Value of `backend` that stands for every middleware of this machine."""
@@ -84,22 +91,24 @@ def parse_plan(
         )
         for rule in root.tables("exclude")
     ]
+    run = root.table("run").fill(RunSettings())
+    if not {"messages", "seconds"} & set(root.table("run").values):
+        run = replace(run, messages=DEFAULT_MESSAGES)
+    check_runs(where, len(axes) * len(matrices), run.repeats)
     combined = [{**shared, **own} for shared in axes for own in matrices]
+    check_runs(where, sum(_count_cells(values, installed) for values in combined), run.repeats)
     listed = [cell for values in combined for cell in _cells(values, installed)]
     if not listed:
         raise OptionError(f"{where}: the plan has no cell; give [axes] or [[matrix]] some values")
     cells, excluded = _apply(exclusions, listed)
-    _check_names(cells, where)
+    _check_names(cells, where, run.repeats)
     link = _link(root.table("link"))
     devices = root.table("devices")
     devices.allow("ping", "relay", "connectivity")
     relay = devices.table("relay").fill(DeviceSettings())
     network = root.table("network").fill(_Network())
-    run = root.table("run").fill(RunSettings())
-    if not {"messages", "seconds"} & set(root.table("run").values):
-        run = replace(run, messages=DEFAULT_MESSAGES)
     plan = Plan(
-        name=root.take("name", str, name),
+        name=_folder_name(root, name),
         description=root.take("description", str, ""),
         cells=tuple(cells),
         excluded=tuple(excluded),
@@ -133,6 +142,45 @@ def _connectivity(link: Link | None, namespaces: bool, relay: DeviceSettings, by
     return "wired" if namespaces else "loopback"
 
 
+def check_runs(where: str, cells: int, passes: int) -> None:
+    """Refuse a sweep of more runs than one can take, before there is a cell of it.
+
+    Args:
+        where: place of the error.
+        cells: number of cells, those that are left out included.
+        passes: number of passes over them.
+
+    Raises:
+        OptionError: there are more than `limits.MAX_CELLS`.
+    """
+    if cells * passes > limits.MAX_CELLS:
+        times = f" in {passes:,} passes" if passes > 1 else ""
+        raise OptionError(
+            f"{where}: {cells:,} cells{times} are more than the {limits.MAX_CELLS:,} runs of the largest sweep; give axes fewer "
+            "values, or write a [[matrix]] for each part"
+        )
+
+
+def _count_cells(axes: AxisValues, installed: FindInstalled) -> int:
+    """Return the number of cells that `_cells` yields."""
+    counts = [len(values) for values in axes.values()]
+    if axes.get("backend") == [INSTALLED]:
+        counts = [len(values) for axis, values in axes.items() if axis not in ("backend", "rmw")]
+        counts.append(len(installed()))
+    return math.prod(counts)
+
+
+def _folder_name(root: TomlTable, stem: str) -> str:
+    """Return the name of the sweep's folder below `--out`, which it cannot leave; `stem` where the plan gives none.
+
+    Raises:
+        OptionError: the name is not that of one folder.
+    """
+    name = root.take("name", str, stem)
+    limits.check(limits.FILE_NAME, name, f"{root.where}: the name of the file")
+    return name
+
+
 def _cells(axes: AxisValues, installed: FindInstalled) -> Iterator[Cell]:
     """Yield a cell for every combination of the values; the axis that is written last changes fastest."""
     if axes.get("backend") == [INSTALLED]:
@@ -161,14 +209,30 @@ def _apply(exclusions: list[Exclusion], listed: list[Cell]) -> tuple[list[Cell],
     return kept, excluded
 
 
-def _check_names(cells: list[Cell], where: str) -> None:
+def _check_names(cells: list[Cell], where: str, passes: int) -> None:
+    """Check that each cell of each pass has a file name of its own.
+
+    Raises:
+        OptionError: two have the same, or one is longer than a file's name may be.
+    """
     seen: set[str] = set()
     for cell in cells:
         if cell.name in seen:
             raise OptionError(
                 f"{where}: the cell {cell.name} is there twice; two [[matrix]] overlap, so leave it out of one"
             )
+        if len(cell.name.encode()) > MOST_NAME_BYTES:
+            raise OptionError(
+                f"{where}: the cell {cell.name[:60]}... has a name of {len(cell.name.encode())} bytes, which no file may have; "
+                "give its data or environment a shorter path"
+            )
         seen.add(cell.name)
+    for name in seen:
+        of_pass = _OF_PASS.fullmatch(name)
+        if of_pass is not None and of_pass[1] in seen and 1 < int(of_pass[2]) <= passes:
+            raise OptionError(
+                f"{where}: the cell {name} would be pass {of_pass[2]} of {of_pass[1]}; rename the folder of its environment"
+            )
 
 
 def _check(plan: Plan, where: str) -> None:

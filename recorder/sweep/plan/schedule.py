@@ -157,7 +157,7 @@ class Estimate:
 
 def plan_seconds(plan: Plan, *, passes: int | None = None, relay_starts: int | None = None) -> Remaining:
     """Return the expected time of the plan, or of another number of its passes or of starts of a relay."""
-    groups = schedule(plan if passes is None else replace(plan, run=replace(plan.run, repeats=passes)))
-    estimate = Estimate(plan)
-    runs_s = sum(estimate.remaining(list(group.cells)).seconds for group in groups)
-    return Remaining(runs_s + RELAY_OVERHEAD_S * (len(groups) if relay_starts is None else relay_starts))
+    passes = plan.run.repeats if passes is None else passes
+    pass_s = Estimate(plan).remaining(list(plan.cells)).seconds
+    starts = passes * len(group_by_relay(plan, plan.cells)) if relay_starts is None else relay_starts
+    return Remaining(passes * pass_s + RELAY_OVERHEAD_S * starts)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 from dds_trace.tracefile import OutputError
 from dds_trace.tracefile.format.ring import RING_SUFFIX
 
-from .programs import Program
+from .programs import Program, rehearse_program
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
@@ -96,12 +96,25 @@ class RelayDevice(Protocol):
     def keeps_traces(self) -> bool:
         """Whether the traces stay on the device until a person copies them."""
 
-    def prepare(self) -> None:
-        """Check that relays can be started on the device.
+    def check(self) -> None:
+        """Check that relays can be started on the device, and leave nothing there.
 
         Raises:
             BackendUnavailableError: the device or its `dds-record` cannot be reached.
             OptionError: the device has another version of dds-trace.
+        """
+
+    def rehearse(self, arguments: Sequence[str]) -> str | None:
+        """Start a relay that ends before its first message; return the reason why it cannot start, None if it can."""
+
+    def rehearse_half(self, arguments: Sequence[str]) -> str | None:
+        """Look for the program of the relay's half of a bridge; return the reason why it cannot start, None if it can."""
+
+    def prepare(self) -> None:
+        """Check that relays can be started on the device, and make room for their traces.
+
+        Raises:
+            BackendUnavailableError, OptionError: as `check`.
         """
 
     def start(self, arguments: Sequence[str], segment: str) -> StartedProgram:
@@ -144,8 +157,19 @@ class LocalDevice:
         self._command = command
         self._held = held
 
-    def prepare(self) -> None:
+    def check(self) -> None:
         """Check nothing: this machine runs the sweep itself."""
+
+    def rehearse(self, arguments: Sequence[str]) -> str | None:
+        """Rehearse a relay on this machine."""
+        return rehearse_program([*self._command, *arguments], self._folder)
+
+    def rehearse_half(self, arguments: Sequence[str]) -> str | None:
+        """Raise: on one machine the ping's `dds-record` runs both halves."""
+        raise NotImplementedError
+
+    def prepare(self) -> None:
+        """Prepare nothing: the folder for parts is there."""
 
     def start(self, arguments: Sequence[str], segment: str) -> StartedProgram:
         """Start a relay on this machine."""
@@ -182,8 +206,19 @@ class PrintedDevice:
         self._show = show
         self._running = False
 
-    def prepare(self) -> None:
+    def check(self) -> None:
         """Check nothing: the device cannot be reached from here."""
+
+    def rehearse(self, arguments: Sequence[str]) -> str | None:  # noqa: ARG002 - the role's signature
+        """Return None: the person who starts the relay sees why it does not start."""
+        return None
+
+    def rehearse_half(self, arguments: Sequence[str]) -> str | None:  # noqa: ARG002 - the role's signature
+        """Return None: as of a relay."""
+        return None
+
+    def prepare(self) -> None:
+        """Prepare nothing: the device cannot be reached from here."""
 
     def start(self, arguments: Sequence[str], segment: str) -> StartedProgram:
         """Print the command to start on the device."""

@@ -24,6 +24,10 @@ if TYPE_CHECKING:
 STOP_PATIENCE_S = 60.0
 """Time for a recorder to wait for late replies, close its trace and stop its bridge."""
 
+REHEARSAL_PATIENCE_S = 60.0
+"""Time for a recorder to start and end again, with a bridge that takes up to 20 s to come up."""
+
+REHEARSAL_STOP_S = 10.0
 LAST_WORDS_BYTES = 4096
 MOST_LOG_BYTES = 64 << 20
 """Largest log of a program on another device; one that sends more is ended."""
@@ -139,6 +143,29 @@ class Program:
         reason = lines[begins[-1] :] if begins else lines[-1:]
         said = _REASON.sub("", "; ".join(reason)) or "it said nothing"
         return said if self.exit_code is None else describe_end(self.exit_code, said)
+
+
+def rehearse_program(command: Sequence[str], folder: Path) -> str | None:
+    """Run a `dds-record` with `--check`, which ends before its first message.
+
+    Args:
+        command: the program and its arguments, without `--out`.
+        folder: folder for the log; no trace is written.
+
+    Returns:
+        The reason why it cannot start, None if it can.
+    """
+    trace = folder / "rehearsal.mcap"
+    try:
+        program = Program([*command, "--out", str(trace), "--check"], folder / "rehearsal.log")
+    except BackendUnavailableError as err:
+        return str(err)
+    try:
+        if program.wait(REHEARSAL_PATIENCE_S) is None:
+            return f"it did not start within {REHEARSAL_PATIENCE_S:g} s"
+    finally:
+        code = program.stop(REHEARSAL_STOP_S)
+    return program.last_words() if code else None
 
 
 def _new_file(path: Path) -> BinaryIO:

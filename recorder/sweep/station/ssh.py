@@ -71,9 +71,32 @@ class SshDevice:
         self._folder = folder
         self._remote = f'"$HOME"/.cache/dds-trace/{shlex.quote(sweep)}'
 
+    def check(self) -> None:
+        """Compare versions."""
+        self._compare_versions("")
+
+    def rehearse(self, arguments: Sequence[str]) -> str | None:
+        """Rehearse a relay there."""
+        name = f"dds-trace-rehearsal-{os.getpid()}.mcap"
+        return self._rehearse(f"cd /; dds-record {shlex.join(arguments)} --out {name} --check")
+
+    def rehearse_half(self, arguments: Sequence[str]) -> str | None:
+        """Look there for the program of a half."""
+        return self._rehearse(f"dds-bridge {shlex.join(arguments)} --check")
+
+    def _rehearse(self, command: str) -> str | None:
+        try:
+            self._run(command)
+        except BackendUnavailableError as err:
+            return str(err)
+        return None
+
     def prepare(self) -> None:
         """Make the folder there and compare versions."""
-        answer = self._run(f"umask 077; mkdir -p {self._remote} && dds-sweep --version").split()
+        self._compare_versions(f"umask 077; mkdir -p {self._remote} && ")
+
+    def _compare_versions(self, before: str) -> None:
+        answer = self._run(f"{before}dds-sweep --version").split()
         there = answer[-1] if answer else "nothing"
         if there != __version__:
             raise OptionError(

@@ -58,7 +58,7 @@ class Station:
 def open_station(
     plan: Plan,
     folder: Path,
-    held: int,
+    held: int | None,
     *,
     show: Callable[[str], None],
     command: Sequence[str] | None = None,
@@ -68,7 +68,7 @@ def open_station(
     Args:
         plan: the plan, which names the devices and the link.
         folder: folder of the sweep.
-        held: file descriptor of the folder's lock.
+        held: file descriptor of the folder's lock, None for a rehearsal, which has none.
         show: prints a line, such as a command for a person to start.
         command: `dds-record` on this machine; the installed one if left out.
 

@@ -1,0 +1,169 @@
+"""The rehearsal of a plan: what stands in the way of its cells, found before any of them is recorded."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from dds_trace.tracefile import OutputError, TraceError
+
+from ..payloads import is_live
+from .plan.cells import DEFAULTS
+from .plan.commands import half_arguments, ping_arguments, relay_arguments
+from .plan.schedule import group_by_relay
+from .run.state import SweepState
+from .station.programs import rehearse_program
+from .station.station import open_station
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from .plan.cells import Cell
+    from .plan.plan import Plan
+    from .plan.schedule import CellGroup
+    from .station.station import Station
+
+    CheckArguments = Callable[[Sequence[str]], None]
+    """Function that raises an `OptionError` where `dds-record` would refuse its arguments."""
+
+_TOO_OLD = "No such option: --check"
+"""Part of the refusal of a `dds-record` of another environment that knows no rehearsal."""
+
+
+def rehearse_plan(
+    plan: Plan,
+    folder: Path,
+    check_arguments: CheckArguments,
+    *,
+    note: Callable[[str], None],
+    command: Sequence[str] | None = None,
+) -> dict[str, str]:
+    """Find the cells of a plan that cannot be recorded here.
+
+    The arguments of every cell are checked as `dds-record` checks them. Of cells that differ in size and rate alone one
+    starts and ends before its first message, and so does the relay of each, where it will run: the namespaces of the plan
+    are made, the other device is asked, programs of bridges are started, middleware is loaded. What passes can fail for what
+    surrounds it: the network between two devices, a full disk, other programs.
+
+    Args:
+        plan: the plan.
+        folder: folder of the sweep, which is not made.
+        check_arguments: refuses what `dds-record` would refuse.
+        note: receiver of what could not be rehearsed.
+        command: `dds-record` on this machine; the installed one if left out.
+
+    Returns:
+        Name of each cell, of all passes, that cannot be recorded -> the reason.
+
+    Raises:
+        TraceError: no cell can be recorded at all, as `run_sweep`.
+    """
+    _check_folder(plan, folder)
+    refused: dict[Cell, str] = {}
+    with (
+        tempfile.TemporaryDirectory(prefix="dds-trace-rehearsal-") as made,
+        open_station(plan, Path(made), None, show=note, command=command) as station,
+    ):
+        station.device.check()
+        rehearsal = _Rehearsal(plan, station, Path(made), check_arguments, note)
+        for group in group_by_relay(plan, plan.cells):
+            refused.update(rehearsal.of_group(group))
+    return {
+        replace(cell, repeat=number).name: reason
+        for number in range(1, plan.run.repeats + 1)
+        for cell, reason in refused.items()
+    }
+
+
+def _check_folder(plan: Plan, folder: Path) -> None:
+    """Check that the sweep's folder can be made and goes on with this plan.
+
+    Raises:
+        OutputError: it cannot be made or written.
+        OptionError, TraceFormatError: it holds another sweep.
+    """
+    there = next(each for each in (folder.absolute(), *folder.absolute().parents) if each.exists())
+    if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
+        raise OutputError(f"{there}: not a folder that can be written; give another --out")
+    SweepState(folder / "state.json", plan.name, plan.digest)
+
+
+class _Rehearsal:
+    """The rehearsal of a plan at its station.
+
+    Args:
+        plan: the plan.
+        station: the devices of ping and relay.
+        folder: folder for logs.
+        check_arguments: refuses what `dds-record` would refuse.
+        note: receiver of what could not be rehearsed.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        station: Station,
+        folder: Path,
+        check_arguments: CheckArguments,
+        note: Callable[[str], None],
+    ) -> None:
+        self._plan = plan
+        self._station = station
+        self._folder = folder
+        self._check_arguments = check_arguments
+        self._note = note
+        self._started: dict[Cell, str | None] = {}
+        self._noted: set[str] = set()
+
+    def of_group(self, group: CellGroup) -> dict[Cell, str]:
+        """Rehearse the relay of a group and its pings; return each cell that cannot be recorded with the reason."""
+        reason = self._relay(group)
+        if reason is not None:
+            return dict.fromkeys(group.cells, reason)
+        reasons = {cell: self._ping(cell) for cell in group.cells}
+        return {cell: reason for cell, reason in reasons.items() if reason is not None}
+
+    def _relay(self, group: CellGroup) -> str | None:
+        arguments = relay_arguments(self._plan, group.need)
+        reason = self._refusal(arguments)
+        device = self._station.within(group.need.environment).device
+        if reason is None:
+            reason = self._unless_old(group.need.environment, device.rehearse(arguments))
+        if reason is None and group.bridge is not None:
+            reason = device.rehearse_half(half_arguments(self._plan, group))
+        return None if reason is None else f"its relay: {reason}"
+
+    def _ping(self, cell: Cell) -> str | None:
+        reason = self._refusal(self._ping_arguments(cell))
+        if reason is not None:
+            return reason
+        alike = replace(cell, rate=DEFAULTS["rate"], size=None)
+        if alike not in self._started:
+            sent = replace(cell, data="binary") if is_live(cell.data) else cell
+            command = [*self._station.within(cell.environment).ping_command, *self._ping_arguments(sent)]
+            reason = rehearse_program(command, self._folder)
+            self._started[alike] = self._unless_old(cell.environment, reason)
+        return self._started[alike]
+
+    def _ping_arguments(self, cell: Cell) -> list[str]:
+        return ping_arguments(self._plan, cell, self._station.wait_s, self._station.relay_address)
+
+    def _refusal(self, arguments: Sequence[str]) -> str | None:
+        """Return why `dds-record` refuses arguments, None if it does not."""
+        try:
+            self._check_arguments([*arguments, "--out", str(self._folder / "rehearsal.mcap")])
+        except TraceError as err:
+            return str(err)
+        return None
+
+    def _unless_old(self, environment: str, reason: str | None) -> str | None:
+        """Return a reason, or None for that of an environment whose dds-trace has no rehearsal, which is noted."""
+        if reason is None or not environment or _TOO_OLD not in reason:
+            return reason
+        if environment not in self._noted:
+            self._noted.add(environment)
+            self._note(f"{environment}: its dds-record knows no --check, so nothing was rehearsed with it")
+        return None

@@ -65,11 +65,11 @@ def plan(tmp_path, domains):
         ("rmw = 'rmw_fastrtps_cpp'", "--rmw rmw_fastrtps_cpp: the backend socket has no ROS middleware"),
         ("executor = 'single'", "--executor single: the backend socket has none"),
         ("transport = 'shm'", "--transport shm: the backend socket knows"),
-        ("depth = 0", "--depth 0"),
+        ("[devices.ping]\noptions = ['--depth', '0']", "--depth 0"),
         ("data = 'file:/nowhere/at/all'", "--data file:/nowhere/at/all: No such file"),
-        ("data = 'photos'", "there is no data type 'photos'"),
+        ("[devices.ping]\noptions = ['--data', 'photos']", "there is no data type 'photos'"),
         ("data = 'imu'\nsize = '33KB'", "--size 33000"),
-        ("rate = 1e9", "--rate 1e+09"),
+        ("[devices.ping]\noptions = ['--rate', '1e9']", "--rate 1e+09"),
         ("bridge = 'integration-service'", "integration-service"),
         ("[devices.ping]\noptions = ['--realtme', '50']", "No such option: --realtme"),
         ("[devices.ping]\noptions = ['--cpu-affinity', '4000']", "CPU 4000 is not among those"),
@@ -104,7 +104,7 @@ def test_names_cannot_leave_out(call, tmp_path, name):
     path.write_text(f"name = {json.dumps(name)}\n[axes]\nbackend = 'socket'\n")
     code, _, err = call(path, "--dry-run", "--out", tmp_path / "runs")
     assert code == OptionError.exit_code
-    assert "a name of a folder: not empty, no slash" in err
+    assert "write a name: not empty, no slash" in err
     assert len(err.splitlines()) == 1
 
 

@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 MAX_PLAN_BYTES = 4 << 20
 """Largest file that is read as a plan; ours are a few kilobytes."""
 
+MAX_RUNS = 1_000_000
+"""Most runs of a sweep: at four seconds each they take six weeks."""
+
 MOST_NAME_BYTES = 200
 """Longest name of a cell: with `.r1000.relay.mcap.ring.0123abcd.part` behind it, a file's name has 255 bytes at most."""
 
@@ -151,12 +154,12 @@ def check_runs(where: str, cells: int, passes: int) -> None:
         passes: number of passes over them.
 
     Raises:
-        OptionError: there are more than `limits.MAX_CELLS`.
+        OptionError: there are more than `MAX_RUNS`.
     """
-    if cells * passes > limits.MAX_CELLS:
+    if cells * passes > MAX_RUNS:
         times = f" in {passes:,} passes" if passes > 1 else ""
         raise OptionError(
-            f"{where}: {cells:,} cells{times} are more than the {limits.MAX_CELLS:,} runs of the largest sweep; give axes fewer "
+            f"{where}: {cells:,} cells{times} are more than the {MAX_RUNS:,} runs of the largest sweep; give axes fewer "
             "values, or write a [[matrix]] for each part"
         )
 

@@ -103,7 +103,9 @@ def left_memory(killed: bool) -> Iterator[str]:
     Args:
         killed: whether a process was killed, whose middleware then could not remove its own.
     """
-    excused = {path for pattern in (*KEPT_MEMORY, *(PATTERNS if killed else ())) for path in SHM.glob(pattern)}
+    excused = {
+        path for pattern in (*KEPT_MEMORY, *(PATTERNS if killed else ())) for path in SHM.glob(pattern)
+    }
     yield from (f"shared memory {path}" for path in sorted(SHM.rglob("*")) if path not in excused)
 
 

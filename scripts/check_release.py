@@ -21,6 +21,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
+from dds_trace.recorder.bridges.process.supervise import program_environment
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
@@ -32,6 +34,9 @@ PLATFORMS = ("x86_64-manylinux_2_28", "aarch64-manylinux_2_28")
 SAMPLES = TOP / "sample_traces/same_domain"
 PATIENCE_S = 300.0
 """No check is about time; this ends one that hangs."""
+
+FOREIGN = program_environment({}, foreign=True)
+"""Variables of the programs: without those by which the ROS 2 wheels of this environment would be another's, too."""
 
 NOT_INSTALLED, NO_LICENCE = 7, 7
 """Exit codes (docs/exit-codes.md)."""
@@ -55,7 +60,7 @@ class CheckError(Exception):
     """A check that failed, in words."""
 
 
-def run(command: Sequence[str | Path], *, status: int = 0, says: str = "", **more: object) -> str:
+def run(command: Sequence[str | Path], *, status: int = 0, says: str = "") -> str:
     """Run a command and return what it printed.
 
     Raises:
@@ -67,7 +72,7 @@ def run(command: Sequence[str | Path], *, status: int = 0, says: str = "", **mor
         text=True,
         timeout=PATIENCE_S,
         check=False,
-        **more,  # type: ignore[call-overload]
+        env=FOREIGN,
     )
     said = str(ran.stdout) + str(ran.stderr)
     if ran.returncode != status or says not in said or "Traceback" in said:
@@ -87,6 +92,7 @@ def exchange(backend: str, programs: Path, folder: Path, *data: str) -> None:
         [programs / "dds-record", "--role", "relay", *common, "--out", folder / "relay.mcap"],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
+        env=FOREIGN,
     )
     try:
         ping = ("--role", "ping", *common, *data, "--wait", "60", "--out", folder / "ping.mcap")

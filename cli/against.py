@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import OptionError
+from dds_trace.tracefile import OptionError, limits
 from dds_trace.tracefile.units.counts import counted
 
 if TYPE_CHECKING:
@@ -51,6 +51,7 @@ def new_side(
     """
     from dds_trace.recorder.sweep import environment_name, environment_program, read_plan
 
+    limits.check(limits.FOLDER, text, "--against")
     path = Path(text).expanduser()
     if text == SAME or (path.is_file() and path.samefile(base_path)):
         return NewSide("same", base, is_same=True)

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from dds_trace.reports.reporters import REPORT_MODULES
+from dds_trace.tracefile import limits
 from dds_trace.tracefile.units.durations import parse_duration
 
 from . import compare, watch
@@ -144,6 +145,9 @@ def main_command(
     from dds_trace.analyzer import Severity, analyze, default_output, export_tables, parse_job
     from dds_trace.reports import write_reports
 
+    limits.check(limits.INPUT, str(folder), "FOLDER")
+    limits.check(limits.FOLDER, None if out is None else str(out), "--out")
+    limits.check(limits.SCHEDULER, cluster, "--cluster")
     target = default_output(folder) if out is None else out
     deadline_ns, deadline_metric = _parse_deadline(deadline)
     job = None if recommend is None else parse_job(recommend)

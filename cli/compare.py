@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from dds_trace.tracefile import limits
 from dds_trace.tracefile.units.durations import format_ms
 
 from .quick_help import command_app, declare_command
@@ -91,6 +92,12 @@ def compare_command(
         parse_gates,
     )
 
+    for path, where, limit in (
+        (base, "BASE", limits.INPUT),
+        (new, "NEW", limits.INPUT),
+        (out, "--out", limits.PATH),
+    ):
+        limits.check(limit, None if path is None else str(path), where)
     gates = parse_gates(fail_if or [])  # before anything is read
     before, after = (analyze(folder, details=False) for folder in (base, new))
     comparison = compare(before, after, options_for(gates, CompareOptions(paired=paired)))

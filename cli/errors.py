@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,14 +15,24 @@ _EXTRA = re.compile(r"""(?P<package>[\w-]+).*\bextra == ['"](?P<extra>\w+)['"]""
 """A requirement of an extra in the metadata of a distribution, such as `polars<3,>=1.30; extra == 'analyze'`."""
 
 
+_TOO_LARGE = "this machine has not enough memory for it; ask for smaller or fewer messages, or give a part of the traces"
+
+
 def run_command(command: Callable[[], object]) -> None:
     """Call a command's app; end the process with one clear message at an error that a user can act on.
 
     Args:
         command: reads its arguments from the command line, as a `typer.Typer` does when called.
     """
+    # A path or a text of a trace that the terminal's encoding does not have is spelled out, and ends no command.
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     try:
         command()
+    except MemoryError:
+        print(f"{Path(sys.argv[0]).name}: {_TOO_LARGE}", file=sys.stderr)
+        sys.exit(1)
     except ModuleNotFoundError as error:
         extra = _extra_with(error.name or "")
         if extra is None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dds_trace.tracefile import OptionError, __version__
+from dds_trace.tracefile import OptionError, __version__, limits
 from dds_trace.tracefile.units.counts import counted
 
 from .errors import run_command
@@ -112,6 +112,8 @@ def main_command(
         {"--max-rate": max_rate, "--until": until, "--against": against, "--print": printed},
         {"--max-passes": max_passes, "--until": until},
     )
+    limits.check(limits.FOLDER, str(out), "--out")
+    limits.check(limits.REPEATS, max_passes, "--max-passes")
     asked = read_plan(plan, installed_middlewares, by_hand=printed is not None)
     target = None if until is None else precision(until, max_passes, asked)
     other = None if against is None else new_side(against, plan, asked, installed_middlewares)

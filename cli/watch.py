@@ -9,6 +9,8 @@ from typing import Annotated
 
 import typer
 
+from dds_trace.tracefile import limits
+
 from .quick_help import command_app, declare_command
 
 LOOK_SECONDS = 3.0
@@ -48,6 +50,9 @@ def watch_command(
     """
     from dds_trace.reports.html.live import Watcher, WatchOptions
 
+    limits.check(limits.HOST, host, "--host")
+    limits.check(limits.LOOK_S, every, "--every")
+    limits.check(limits.FOLDER, None if out is None else str(out), "--out")
     watcher = Watcher(WatchOptions(folder, out, cache=not no_cache), host, port)
     with _CtrlC() as ctrl_c, watcher.serving():
         print(f"Serving {watcher.address}", flush=True)

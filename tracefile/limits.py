@@ -102,21 +102,28 @@ class Words:
 
 @dataclass(frozen=True, slots=True)
 class FilePath:
-    """Paths of outputs that Linux and every library of an analysis can name.
+    """Paths that Linux and every library of an analysis can name.
 
     Attributes:
         what: the noun of the value, for the error.
+        is_folder: whether `.`, `..` and `/` are allowed, as they are for a folder that is there.
+        is_input: whether bytes that are no UTF-8 are allowed, as others may have named what is there.
     """
 
     what: str
+    is_folder: bool = False
+    is_input: bool = False
 
     def fault(self, value: object) -> str | None:
         """Return what to write instead of `value`, None if it is allowed."""
-        fault = Words(self.what, most=4095).fault(value)
+        # Undecodable bytes of a file's name are lone surrogates; of an input each counts as one character.
+        is_mended = self.is_input and isinstance(value, str)
+        text = str(value).encode(errors="replace").decode() if is_mended else value
+        fault = Words(self.what, most=4095).fault(text)
         if fault is not None:
             return fault
-        parts = str(value).rstrip("/").split("/")
-        if parts[-1] in {"", ".", ".."}:
+        parts = str(text).rstrip("/").split("/")
+        if not self.is_folder and parts[-1] in {"", ".", ".."}:
             return f"{self.what} ends with a name"
         longest = max(len(part.encode()) for part in parts)
         return f"{self.what} has names of at most 255 bytes; one has {longest}" if longest > 255 else None
@@ -216,6 +223,13 @@ FILE_NAME = Words(
     100,
 )
 PATH = FilePath("a path")
+FOLDER = FilePath("a path", is_folder=True)
+INPUT = FilePath("a path", is_folder=True, is_input=True)
+SCHEDULER = Words(
+    "HOST:PORT or tcp://HOST:PORT",
+    re.compile(r"(?:[a-z]+://)?[\w.%\[\]-]+(?::[\w%]+)*:\d{1,5}", re.ASCII),
+    255,
+)
 CPUS = Words(
     "CPU numbers and ranges, such as 3 or 0,2 or 2-3",
     re.compile(r"\s*\d{1,4}(?:-\d{1,4})?\s*(?:,\s*\d{1,4}(?:-\d{1,4})?\s*)*", re.ASCII),

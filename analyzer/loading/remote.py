@@ -13,7 +13,14 @@ from importlib import import_module
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Protocol
 
-from dds_trace.tracefile import BackendUnavailableError, MissingEventsError, TraceFormatError, find_traces
+from dds_trace.tracefile import (
+    BackendUnavailableError,
+    MissingEventsError,
+    TraceError,
+    TraceFormatError,
+    find_traces,
+)
+from dds_trace.tracefile.visible import visible
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
@@ -113,8 +120,10 @@ def _storage(path: Path) -> Iterator[tuple[_Storage, str]]:
         ) from err
     except FileNotFoundError as err:
         raise MissingEventsError(f"{_url(path)}: no such object or folder") from err
-    except OSError as err:
-        raise TraceFormatError(_url(path), f"cannot be read ({err})") from err
+    except TraceError:
+        raise
+    except Exception as err:  # no credentials, an unknown scheme: each kind of storage has errors of its own
+        raise TraceFormatError(_url(path), f"cannot be read ({visible(err)})") from err
 
 
 def _url(path: Path) -> str:

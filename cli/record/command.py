@@ -90,6 +90,8 @@ def main_command(
         PingOptions,
         RecordOptions,
     )
+    from dds_trace.recorder.backends import load_backend
+    from dds_trace.recorder.options import check_fields
     from dds_trace.tracefile import OptionError, Qos, TraceDestination
     from dds_trace.tracefile.units.sizes import parse_size
 
@@ -111,7 +113,10 @@ def main_command(
         discovery = default_discovery()
     if self_test:
         domain = default_domain() if domain is None else domain
-        report_own_cost(out, backend, NodeOptions(domain, discovery=discovery, executor=executor, rmw=rmw))
+        node = NodeOptions(domain, discovery=discovery, executor=executor, rmw=rmw)
+        check_fields(node)
+        load_backend(backend)
+        report_own_cost(out, backend, node)
         return
     if role is None or out is None:
         raise OptionError("give --role ping or --role relay, and --out PATH for its trace (see --help)")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.recorder import Discovery
 from dds_trace.tracefile import OptionError
+from dds_trace.tracefile.limits import shown
 from dds_trace.tracefile.units.durations import parse_duration
 
 if TYPE_CHECKING:
@@ -24,8 +25,8 @@ def default_domain() -> int:
     text = os.environ.get("ROS_DOMAIN_ID", "").strip()
     if not text:
         return DEFAULT_DOMAIN
-    if not text.isdecimal():
-        raise OptionError(f"ROS_DOMAIN_ID is {text!r}, which is no domain id; set a number or unset it")
+    if not text.isdecimal() or len(text) > 9:
+        raise OptionError(f"ROS_DOMAIN_ID is {shown(text)}, which is no domain id; set a number or unset it")
     return int(text)
 
 

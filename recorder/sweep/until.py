@@ -9,7 +9,7 @@ import re
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import OptionError
+from dds_trace.tracefile import OptionError, limits
 from dds_trace.tracefile.units.counts import counted
 
 from .plan.schedule import number_groups, schedule_pass
@@ -76,8 +76,10 @@ def parse_target(text: str) -> tuple[str, float]:
         percent = float(match[2]) if match else 0.0
     except ValueError:
         percent = 0.0
-    if match is None or percent <= 0:
-        raise OptionError(f"--until {text!r}: write STATISTIC:PERCENT, for example latency_p99:5%")
+    if match is None or limits.WIDTH_PERCENT.fault(percent) is not None:
+        raise OptionError(
+            f"--until {limits.shown(text)}: write STATISTIC:PERCENT, for example latency_p99:5%, above 0% and at most 1000%"
+        )
     return match[1], percent
 
 

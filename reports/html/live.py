@@ -154,6 +154,12 @@ def _server_class(host: str) -> type[ThreadingHTTPServer]:
     class Server(ThreadingHTTPServer):
         address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
 
+        def handle_error(self, _request: object, client_address: object) -> None:
+            """Say nothing of a tab that was closed while it was answered; of anything else, one line."""
+            error = sys.exc_info()[1]
+            if not isinstance(error, ConnectionError | TimeoutError):
+                print(f"{client_address}: {type(error).__name__}: {error}", file=sys.stderr)
+
     return Server
 
 

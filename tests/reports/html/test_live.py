@@ -1,6 +1,8 @@
 """`dds-analyze watch` over a real loopback server and a folder that grows."""
 
 import signal
+import socket
+import struct
 import subprocess
 import sys
 import urllib.error
@@ -181,3 +183,14 @@ def test_the_command_ends_with_ctrl_c(tmp_path):
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=60)
     assert (process.returncode, out, err) == (0, "Stopped\n", "")
+
+
+def test_a_tab_that_is_closed_while_it_is_answered_is_no_error(tmp_path, capfd):
+    one = Watcher(WatchOptions(tmp_path))
+    one._server.daemon_threads = False  # so that the answers have ended when `serving` does
+    one.shown = live.Shown(b"x" * (64 << 20), "1")  # more than the kernel's buffers hold
+    with one.serving(), socket.create_connection(one._server.server_address) as tab:
+        tab.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # closed by a reset
+        tab.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        assert tab.recv(1)
+    assert capfd.readouterr().err == ""

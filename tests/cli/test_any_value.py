@@ -1,0 +1,79 @@
+"""Every option of every command, on values that nobody means: it is taken, or refused in one line."""
+
+from __future__ import annotations
+
+import hostile_values
+import pytest
+from hostile_values import COMMANDS, check_told, run
+from hypothesis import HealthCheck, given, settings
+from typer.main import get_command
+
+from dds_trace.recorder.roles.plan import count_messages
+from dds_trace.tracefile import MissingEventsError, NoEchoError
+
+PLAN = "[run]\nmessages = 1\n[axes]\nbackend = 'socket'\n"
+BASE = {
+    "dds-record": ["--role", "ping", "--out", "x.mcap", "--backend", "socket", "--wait", "0"],
+    "dds-analyze": ["runs"],
+    "dds-analyze compare": ["runs", "runs"],
+    "dds-analyze watch": ["runs", "--port", "0"],
+    "dds-bridge": ["builtin", "--print-config"],
+    "dds-sweep": ["p.toml", "--dry-run"],
+}
+"""Arguments beside the one option that is tried."""
+
+OF_RELAY = {"--type", "--relay-id"}
+SLOW_START = {"--print"}
+
+
+def options() -> list[tuple[str, str]]:
+    """Every option with a value, of every command: a new one is tried without a word here."""
+    return [
+        (command, parameter.opts[0])
+        for command, app in COMMANDS.items()
+        for parameter in get_command(app).params
+        if parameter.param_type_name == "option" and not parameter.is_flag
+    ]
+
+
+def arguments(command: str) -> list[tuple[str, int]]:
+    """Every argument of every command, by its place."""
+    named = [each for each in get_command(COMMANDS[command]).params if each.param_type_name == "argument"]
+    return [(command, place) for place in range(len(named))]
+
+
+@pytest.fixture
+def nothing_recorded(monkeypatch, tmp_path):
+    """A folder with a trace and a plan; commands check their options, and stop before any middleware or analysis."""
+    for name in ("ROS_DOMAIN_ID", "RMW_IMPLEMENTATION"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "runs").mkdir()
+    (tmp_path / "p.toml").write_text(PLAN)
+
+    def check_options(asked, *_):
+        asked.check()
+        if asked.ping is not None:
+            count_messages(
+                asked.ping.messages, asked.duration_s, asked.ping.rate_hz or 10.0, asked.ping.warmup
+            )
+        raise NoEchoError("nothing is recorded here")
+
+    def nothing_analyzed(*_, **__):
+        raise MissingEventsError("nothing is analyzed here")
+
+    monkeypatch.setattr("dds_trace.cli.record.run.record", check_options)
+    monkeypatch.setattr("dds_trace.cli.record.tools.report_own_cost", lambda *_: None)
+    monkeypatch.setattr("dds_trace.analyzer.analyze", nothing_analyzed)
+    monkeypatch.setattr("dds_trace.analyzer.analyze_topics", nothing_analyzed)
+    monkeypatch.setattr("dds_trace.reports.html.live.Watcher", nothing_analyzed)
+
+
+@pytest.mark.parametrize(("command", "option"), options(), ids=" ".join)
+@pytest.mark.usefixtures("nothing_recorded")
+@settings(max_examples=8, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(value=hostile_values.texts())
+def test_any_value_of_any_option_is_taken_or_refused_in_one_line(command, option, value):
+    role = ["--role", "relay", "--out", "x.mcap"] if option in OF_RELAY else BASE[command]
+    code, _, err = run(command, [*role, f"{option}={value}"])
+    check_told(command, code, err)

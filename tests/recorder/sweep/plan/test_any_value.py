@@ -1,0 +1,136 @@
+"""Every key of a plan, on values that nobody means: the plan is made into commands, or refused in one line."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import pytest
+from hostile_values import to_toml, toml_values
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from dds_trace.recorder.sweep import plan_seconds, read_plan, relay_arguments, schedule
+from dds_trace.recorder.sweep.plan.cells import AXES
+from dds_trace.recorder.sweep.plan.commands import ping_arguments
+from dds_trace.recorder.sweep.plan.link import LINK_KEYS
+from dds_trace.recorder.sweep.plan.plan import DeviceSettings, RunSettings, Search
+from dds_trace.recorder.sweep.plan.plan_limits import PLAN_LIMITS
+from dds_trace.tracefile import OptionError
+
+ARRAYS = {"axes", "matrix", "exclude"}
+MOST_SCHEDULED = 1000
+
+
+def names(record):
+    return {each.name for each in dataclasses.fields(record)}
+
+
+def test_every_key_of_a_plan_has_a_validator():
+    for table in ("axes", "matrix"):
+        assert set(PLAN_LIMITS[table]) == set(AXES)
+    assert set(PLAN_LIMITS["exclude"]) == {*AXES, "reason"}
+    assert set(PLAN_LIMITS["run"]) == names(RunSettings)
+    assert set(PLAN_LIMITS["devices.ping"]) == set(PLAN_LIMITS["devices.relay"]) == names(DeviceSettings)
+    assert set(PLAN_LIMITS["search"]) == names(Search)
+    assert set(PLAN_LIMITS["link"]) == {"preset", "name", *LINK_KEYS}
+
+
+def test_axes_have_validators_of_their_own():
+    assert {name for name, axis in AXES.items() if axis.kind is not str} == {"size", "rate", "depth", "tuned"}
+    assert AXES["size"].limit.fault(2**31) is not None
+    assert AXES["rate"].limit.fault(math.nan) is not None
+    assert AXES["depth"].limit.fault(0) is not None
+
+
+def read_or_refuse(path):
+    """Make the commands of a plan; None, or the line that refuses it."""
+    try:
+        plan = read_plan(path)
+    except OptionError as error:
+        return str(error)
+    assert math.isfinite(
+        plan_seconds(dataclasses.replace(plan, run=dataclasses.replace(plan.run, repeats=1))).seconds
+    )
+    if len(plan.cells) * plan.run.repeats <= MOST_SCHEDULED:
+        for group in schedule(plan):
+            for text in relay_arguments(plan, group.need):
+                text.encode()
+            for cell in group.cells:
+                for text in ping_arguments(plan, cell, 20.0, "192.0.2.1"):
+                    assert text != "nan"
+                    text.encode()
+    return None
+
+
+def check_plan(folder, text):
+    path = folder / "plan.toml"
+    path.write_text(text, encoding="utf-8")
+    refusal = read_or_refuse(path)
+    if refusal is not None:
+        assert refusal.startswith(str(path))
+        assert "\n" not in refusal
+        assert len(refusal) < 1000
+    return refusal
+
+
+@pytest.mark.parametrize(
+    ("table", "key"), [(table, key) for table, keys in PLAN_LIMITS.items() for key in keys]
+)
+@settings(max_examples=10, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(value=toml_values())
+def test_any_value_of_any_key_is_taken_or_refused_in_one_line(tmp_path, table, key, value):
+    heading = {"": ""}.get(table, f"[[{table}]]\n" if table in ARRAYS else f"[{table}]\n")
+    check_plan(tmp_path, f"{heading}{key} = {to_toml(value)}\n")
+
+
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.binary(max_size=200))
+def test_any_bytes_are_no_plan_in_one_line(tmp_path, data):
+    path = tmp_path / "plan.toml"
+    path.write_bytes(data)
+    refusal = read_or_refuse(path)
+    assert refusal is None or (refusal.startswith(str(path)) and "\n" not in refusal)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[axes]\nrate = nan\n", "rate is nan; a rate in messages a second is 1e-06 to 1000000"),
+        ("[axes]\nrate = inf\n", "rate is inf; "),
+        ("[axes]\nsize = '2GB'\n", "size is 2000000000; the size of a message in bytes is 0 to 1073741824"),
+        ("[axes]\ndepth = 0\n", "depth is 0; the number of messages that keep_last keeps is 1 to 2147483647"),
+        ("[axes]\ndata = 'file:'\n", "--data file:: write file:PATH"),
+        ("[axes]\ndata = 'topic:'\n", "--data topic: '': write a ROS topic's name"),
+        ("[axes]\ndata = 'video'\n", "there is no data type 'video'"),
+        ("[run]\nseconds = inf\n", "seconds is inf; a length in seconds is 0 to 31622400"),
+        ("[run]\nsettle_seconds = -1\n", "settle_seconds is -1; a wait in seconds is 0 to 31622400"),
+        ("[run]\ncutoff_seconds = nan\n", "cutoff_seconds is nan; "),
+        (
+            "[run]\nmessages = 1000000000000\n",
+            "messages is 1000000000000; the number of messages is 0 to 100000000",
+        ),
+        (f"[run]\nmessages = 1{'0' * 400}\n", "messages is a number of about 401 digits; "),
+        (f"[run]\nmessages = 1{'0' * 5000}\n", "Exceeds the limit (4300 digits)"),
+        ("[run]\nseconds = 1e7\n[axes]\nrate = 1000\n", "a run has more than 100000000 messages"),
+        ("[run]\nmessages = 100000000\n[axes]\nrate = 1\n", "a run takes more than a year"),
+        ("[run]\ndomain = 232\n", "domain is 232; a DDS domain id is 0 to 231"),
+        ("[search]\nresolution = 1\n", "resolution is 1; a factor is above 1 and at most 1000"),
+        ("[link]\ndelay_ms = nan\n", "delay_ms is nan; a time in milliseconds is 0 to 3600000"),
+        ("[devices.relay]\nbridge_port = 99999\n", "bridge_port is 99999; a port is 1 to 65535"),
+        ("name = '../x'\n", "name is '../x'; write a name: not empty, no slash"),
+        ("x = " + "[" * 100_000, "a value is nested deeper than any plan needs"),
+    ],
+)
+def test_what_is_wrong_is_named_with_what_to_write(tmp_path, text, said):
+    assert said in check_plan(tmp_path, text)
+
+
+def test_what_is_no_plan_at_all_is_refused(tmp_path):
+    (tmp_path / "latin.toml").write_bytes(b"name = '\xe9'\n")
+    assert "a plan is UTF-8 text" in read_or_refuse(tmp_path / "latin.toml")
+    with (tmp_path / "large.toml").open("wb") as file:
+        file.truncate(5 << 20)
+    assert "is larger than 4 MiB, which no plan is" in read_or_refuse(tmp_path / "large.toml")
+    (tmp_path / "link.toml").symlink_to("/dev/zero")
+    assert "no regular file" in read_or_refuse(tmp_path / "link.toml")

@@ -92,7 +92,7 @@ def main_command(
     )
     from dds_trace.recorder.backends import load_backend
     from dds_trace.recorder.options import check_fields
-    from dds_trace.tracefile import OptionError, Qos, TraceDestination
+    from dds_trace.tracefile import OptionError, Qos, TraceDestination, limits
     from dds_trace.tracefile.units.sizes import parse_size
 
     from .run import print_result, record_until_stopped
@@ -107,6 +107,7 @@ def main_command(
     )
 
     if recover_path is not None:
+        limits.check(limits.INPUT, str(recover_path), "--recover")
         recover_trace(recover_path)
         return
     if discovery is None:
@@ -114,6 +115,7 @@ def main_command(
     if self_test:
         domain = default_domain() if domain is None else domain
         node = NodeOptions(domain, discovery=discovery, executor=executor, rmw=rmw)
+        limits.check(limits.PATH, None if out is None else str(out), "--out")
         check_fields(node)
         load_backend(backend)
         report_own_cost(out, backend, node)

@@ -176,7 +176,7 @@ class _Recording:
             payload = stack.enter_context(self._open_payload(asked, seed))
             plan = plan_run(self.options, asked, payload, session_id=self.session_id, seed=seed)
             self._warn_of_depth(plan)
-            self._measure_costs()
+            self._measure_costs(plan.rate_hz)
             wire = stack.enter_context(self._open_wire(asked))
             node = stack.enter_context(self._open_node("ping"))
             ping = open_ping(node, plan, self.clock)
@@ -217,11 +217,12 @@ class _Recording:
             if warning is not None:
                 self.watch.note(warning)
 
-    def _measure_costs(self) -> None:
-        """Measure the costs of recording, before there is a node that could be disturbed."""
+    def _measure_costs(self, rate_hz: float | None = None) -> None:
+        """Measure the costs of recording at a run's rate, where it is known, before there is a node to be disturbed."""
         if self.rehearses:
             return
-        self.costs = {**measured_cost(), **measured_floor(self.options.backend, self.options.node)}
+        floor = measured_floor(self.options.backend, self.options.node, rate_hz)
+        self.costs = {**measured_cost(), **floor}
 
     def _open_wire(self, asked: PingOptions | None = None) -> AbstractContextManager[WireRecord]:
         """Open the capture of the wire, if `--wire` asks for it; behind a bridge messages go through two domains."""

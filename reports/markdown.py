@@ -98,6 +98,12 @@ def _findings(book: Book) -> str:
     return "\n\n".join(parts)
 
 
+OWN_SHARE_NOTE = (
+    "Own share: what the nodes of ping and relay themselves take of the median round trip, as each measured it at the run's rate "
+    "before it began; a dash where a side measured none."
+)
+
+
 def _groups(book: Book) -> str:
     groups, values = book.groups, book.values
     if not groups.groups:
@@ -114,6 +120,7 @@ def _groups(book: Book) -> str:
                 format_size(cell.payload_bytes),
                 format_rate(cell.rate_hz),
                 groups.labels[group.series],
+                format_ratio(values.plain["own_share"][group.index]),
                 _received(values, group.index),
                 _runs(book, group.index),
                 *(
@@ -124,10 +131,12 @@ def _groups(book: Book) -> str:
             )
         )
     names = (f"{METRIC_LABELS[metric]} {STATISTIC_LABELS[name]}" for name in SHOWN_STATISTICS)
-    table = _table(("Data", "Size", "Rate", "Series", "Received", "Runs", *names), rows)
+    table = _table(("Data", "Size", "Rate", "Series", "Own share", "Received", "Runs", *names), rows)
     left = len(groups.groups) - len(rows)
     notes = [f"{counted(left, 'more group is', 'more groups are')} in `summary.parquet`."] if left else []
     notes.insert(0, "Times are those of the survivors, the messages that came back.")
+    if any(share is not None for share in values.plain["own_share"]):
+        notes.insert(1, OWN_SHARE_NOTE)
     if any(ends):
         notes.insert(
             1,

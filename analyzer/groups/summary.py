@@ -13,6 +13,7 @@ from ..model.columns import STATISTICS, SUMMARY_COLUMNS
 from ..model.metrics import METRICS
 from ..model.unsent import MOST_MESSAGES
 from ..pairing.pair import LOSSES
+from .own_cost import own_cost_ns, own_share
 
 if TYPE_CHECKING:
     import numpy as np
@@ -69,7 +70,9 @@ def summarize_groups(grouping: Grouping, of_exchange: pl.DataFrame, statistics: 
         for metric in METRICS
     ]
     counts = _counts_and_rates(of_exchange, grouping)
-    frame = pl.concat([grouping.parameters, counts, *wide], how="horizontal")
+    frame = pl.concat([grouping.parameters, counts, *wide], how="horizontal").with_columns(
+        own_share().alias("own_share")
+    )
     return Summary(
         frame=frame.select(pl.col(column.name).cast(column.dtype) for column in SUMMARY_COLUMNS),
         distributions=statistics.distributions,
@@ -84,6 +87,7 @@ def _counts_and_rates(of_exchange: pl.DataFrame, grouping: Grouping) -> pl.DataF
     recorded = pl.Series([exchange.relay_recorded for exchange in exchanges], dtype=pl.Boolean)
     payload_bytes = pl.Series([exchange.run.payload_bytes for exchange in exchanges], dtype=pl.Int64)
     planned = [min(max(exchange.run.planned_messages, 0), MOST_MESSAGES) for exchange in exchanges]
+    own_ns = [own_cost_ns(exchange.ping, exchange.relay) for exchange in exchanges]
     moved = pl.when(recorded).then("relayed").otherwise("replied")
     return (
         of_exchange.lazy()
@@ -92,6 +96,7 @@ def _counts_and_rates(of_exchange: pl.DataFrame, grouping: Grouping) -> pl.DataF
             pl.Series("run_id", [exchange.run.run_id for exchange in exchanges], dtype=pl.UInt64),
             pl.Series("planned", planned, dtype=pl.Int64),
             pl.Series("environment", [exchange.environment() for exchange in exchanges], dtype=pl.String),
+            pl.Series("own_cost_ns", own_ns, dtype=pl.Float64),
             (pl.col("published") - 1).alias("intervals"),
             (moved * payload_bytes).alias("moved_bytes"),
             pl.when(recorded).then("relay_span_ns").otherwise("reply_span_ns").alias("moved_span_ns"),
@@ -101,6 +106,7 @@ def _counts_and_rates(of_exchange: pl.DataFrame, grouping: Grouping) -> pl.DataF
             pl.col("published", "received", *LOSSES, "duplicates", "reordered", "planned", "unsent").sum(),
             pl.col("run_id").n_unique().alias("runs"),
             pl.col("environment").unique().sort().str.join("+"),
+            pl.col("own_cost_ns").median(),
             _per_second("intervals", "publish_span_ns").alias("achieved_rate_hz"),
             _per_second("moved_bytes", "moved_span_ns").alias("transfer_rate_bytes_per_s"),
         )

@@ -55,6 +55,13 @@ def udp_receive_buffer_bytes(session: Session) -> int | None:
     return max((size for size in sizes if size is not None), default=None)
 
 
+def congestion_controls(session: Session) -> tuple[str, ...]:
+    """Return the congestion controls of the process's TCP connections, sorted; empty without a connection."""
+    states = [each.get("tcp") for each in _listed(_instant(session, "begin"), "sockets")]
+    names = {state.get("congestion_control") for state in states if isinstance(state, dict)}
+    return tuple(sorted(name for name in names if isinstance(name, str) and name))
+
+
 def socket_drops(session: Session) -> int | None:
     """Return the datagrams that the kernel dropped at the process's own sockets from its first message to its end.
 

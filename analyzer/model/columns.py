@@ -48,7 +48,7 @@ _FIRST_PARAMETERS = 20
 """Parameters of the first version of the contract; later ones are appended behind all columns that were there."""
 
 _PARAMETERS_BEFORE_RUNS = 21
-"""Parameters of the contract when the summary got `RUN_COLUMNS`."""
+"""Parameters of the contract when the summary got `RUN_COLUMNS`, and `OWN_COLUMNS` behind them."""
 
 ROUNDTRIP_COLUMNS = (
     KEY_COLUMNS
@@ -97,6 +97,18 @@ RUN_COLUMNS = (
 )
 """Columns of the summary that were appended with the parameter `setting`."""
 
+OWN_COLUMNS = (
+    Column(
+        "own_cost_ns",
+        pl.Float64,
+        "ns",
+        "what the nodes of ping and relay take of a round trip themselves: both sessions' client_library_floor and two "
+        "events of the relay's recorder_cost, median over the runs; null where a side measured none",
+    ),
+    Column("own_share", pl.Float64, "", "own_cost_ns / rtt_p50_ns"),
+)
+"""Columns of the summary that were appended behind `RUN_COLUMNS`."""
+
 STATISTICS = ("mean", "std", "min", *(p.name for p in PERCENTILES), "max")
 """Statistics of a metric in the summary, in column order: `<metric>_<statistic>_ns`."""
 
@@ -118,5 +130,6 @@ SUMMARY_COLUMNS = (
     )
     + PARAMETER_COLUMNS[_FIRST_PARAMETERS:_PARAMETERS_BEFORE_RUNS]
     + RUN_COLUMNS
+    + OWN_COLUMNS
     + PARAMETER_COLUMNS[_PARAMETERS_BEFORE_RUNS:]
 )

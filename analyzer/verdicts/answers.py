@@ -4,7 +4,7 @@ For each kind of message (link, domain mode, data type, size, rate, devices) the
 for p99, is compared. The run is the unit: one contender leads if it is faster than each of the others by the test of
 their runs (`run_statistics.change`), adjusted by Holm over the others; with fewer than three runs a contender nothing is
 said. Lost messages count as infinitely late, and a contender that receives significantly less than another one never
-leads. Plain sockets are the floor beneath every middleware, and no contender where a middleware was measured.
+leads. Plain sockets are no middleware, and no contender where a middleware was measured.
 """
 
 from __future__ import annotations

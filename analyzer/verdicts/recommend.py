@@ -185,7 +185,7 @@ def _by_place(candidates: Iterable[Candidate]) -> dict[tuple[ParameterValue, ...
 
 
 def _without_floor(candidates: list[Candidate]) -> list[Candidate]:
-    """Leave out plain sockets, the floor beneath every middleware, unless there is nothing else."""
+    """Leave out plain sockets, which are no middleware, unless there is nothing else."""
     return [one for one in candidates if one.setting["backend"] != "socket"] or candidates
 
 

@@ -246,6 +246,14 @@ Transport = Annotated[
 Tuned = Annotated[
     bool, _middleware("--tuned", metavar="", help="Apply the vendor's settings for large messages.")
 ]
+CongestionControl = Annotated[
+    str | None,
+    _middleware(
+        "--congestion-control",
+        metavar="NAME",
+        help="Of TCP, for the backend socket: cubic, bbr, reno ... [dim]Default: the system's[/dim]",
+    ),
+]
 Strict = Annotated[
     bool,
     _middleware(

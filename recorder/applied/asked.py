@@ -49,6 +49,7 @@ class Asked:
         receive_buffer_bytes: receive buffer that sockets are set to, 0 for the system's default.
         send_buffer_bytes: send buffer likewise.
         shared_memory: asked to be on or off, None if the vendor decides.
+        congestion_control: TCP congestion control, empty for the system's.
         interface: the one interface that a configuration names, empty if it names none or several.
         profile: file name of the user's own profile, empty if there is none.
     """
@@ -63,6 +64,7 @@ class Asked:
     shared_memory: bool | None = None
     interface: str = ""
     profile: str = ""
+    congestion_control: str = ""
 
     def to_json(self) -> JsonObject:
         """Return the JSON object of the session's field `asked`."""
@@ -85,6 +87,7 @@ def asked_settings(
     transport: str = "default",
     tuned: bool = False,
     discovery: str = "subnet",
+    congestion_control: str | None = None,
     environment: Mapping[str, str] | None = None,
     settings: Mapping[str, str] | None = None,
 ) -> Asked:
@@ -96,12 +99,15 @@ def asked_settings(
         transport: value of `--transport`.
         tuned: whether `--tuned` was given.
         discovery: value of `--discovery`.
+        congestion_control: value of `--congestion-control`.
         environment: variables as the user set them, without what the recorder adds.
         settings: `Middleware.settings` of the node, whose CYCLONEDDS_URI includes the recorder's own part; the user's own
             counts where it has none (rmw_cyclonedds).
     """
     shared_memory = vendor_facts(vendor).shared_memory.get(transport)
     asked = Asked(vendor, domain_id, transport, tuned, discovery, shared_memory=shared_memory)
+    if congestion_control is not None:
+        asked = replace(asked, congestion_control=congestion_control)
     if tuned:
         facts = vendor_facts(vendor).tuned
         asked = replace(

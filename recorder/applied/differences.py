@@ -42,6 +42,7 @@ class Setting(Enum):
     LARGE_DATA = "large_data"
     SHARED_MEMORY = "shared_memory"
     MEMORY_NAMESPACE = "memory_namespace"
+    CONGESTION_CONTROL = "congestion_control"
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,6 +232,21 @@ def _memory_namespace(asked: Asked, applied: Applied, traffic: Traffic | None) -
     return None
 
 
+def _congestion_control(asked: Asked, applied: Applied, _traffic: Traffic | None) -> Difference | None:
+    """Compare the congestion control of the domain's TCP connections with the asked one."""
+    ports = domain_port_range(asked.domain_id)
+    used = {
+        each.tcp.congestion_control
+        for each in applied.latest.sockets or ()
+        if each.tcp is not None and (each.local_port in ports or each.remote_port in ports)
+    }
+    others = sorted(used - {asked.congestion_control, ""})
+    if not asked.congestion_control or not others:
+        return None
+    words = f"asked for TCP by {asked.congestion_control}, a connection goes by {others[0]}"
+    return Difference(Setting.CONGESTION_CONTROL, asked.congestion_control, others[0], words)
+
+
 def _memory_of(asked: Asked, applied: Applied) -> list[SharedMemory]:
     """Return the shared memory of the asked vendor that is in use."""
     return [
@@ -254,4 +270,5 @@ _RULES: tuple[Callable[[Asked, Applied, Traffic | None], Difference | None], ...
     _interface,
     _shared_memory,
     _memory_namespace,
+    _congestion_control,
 )

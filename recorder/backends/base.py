@@ -59,6 +59,7 @@ class Backend:
             those from 10 on; None where the relay does not listen.
         has_client_library: whether a message passes a client library whose floor can be measured.
         has_ros: whether it runs on a ROS middleware with an executor, both of which can be chosen.
+        has_congestion_control: whether TCP's congestion control can be chosen.
         transports: transports that can be chosen.
         environment: variables and files that change what the middleware does.
     """
@@ -74,6 +75,7 @@ class Backend:
     relay_port: int | None = None
     has_client_library: bool = True
     has_ros: bool = False
+    has_congestion_control: bool = False
     transports: tuple[Transport, ...] = (Transport.DEFAULT,)
     environment: MiddlewareEnvironment = field(default_factory=MiddlewareEnvironment)
 
@@ -105,6 +107,10 @@ class Backend:
         if options.executor is not ExecutorKind.AUTO and not self.has_ros:
             raise OptionError(
                 f"--executor {options.executor.value}: the backend {self.name} has none; leave it out"
+            )
+        if options.congestion_control is not None and not self.has_congestion_control:
+            raise OptionError(
+                f"--congestion-control {options.congestion_control}: the backend {self.name} has no TCP of its own; leave it out"
             )
         if options.transport not in self.transports:
             known = ", ".join(transport.value for transport in self.transports)

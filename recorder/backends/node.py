@@ -35,6 +35,7 @@ class NodeOptions:
         rmw: ROS middleware to run on, None for that of the environment (`ros2` alone has a choice).
         transport: transports that the middleware may use.
         tuned: whether the vendor's documented settings for large messages are applied.
+        congestion_control: algorithm of TCP, None for the system's (`socket` alone has a choice).
         listens: whether the node waits for others to connect (a relay), where a backend has such sides.
         peers: addresses of other nodes, where a backend does not discover them by itself.
     """
@@ -47,6 +48,7 @@ class NodeOptions:
     rmw: str | None = None
     transport: Transport = Transport.DEFAULT
     tuned: bool = False
+    congestion_control: str | None = None
     listens: bool = False
     peers: tuple[str, ...] = ()
 

@@ -42,6 +42,7 @@ class ReadBack:
             transport=options.transport.value,
             tuned=options.tuned,
             discovery=options.discovery.value,
+            congestion_control=options.congestion_control,
             environment=environment,
             settings=middleware.settings,
         )

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 
 RATIOS_AND_RATES = ("received_ratio", "achieved_rate_hz", "transfer_rate_bytes_per_s")
+OWN_COST = ("own_cost_ns", "own_share")
+"""What the own nodes take of a round trip; a save of an earlier version does not have them."""
 COUNTS = (
     "published",
     "received",
@@ -44,7 +46,7 @@ class Values:
 
     Attributes:
         times_ns: metric -> statistic -> time, rounded to whole nanoseconds.
-        plain: the other columns by name (`RATIOS_AND_RATES`, `COUNTS`).
+        plain: the other columns by name (`RATIOS_AND_RATES`, `OWN_COST`, `COUNTS`).
     """
 
     times_ns: Mapping[str, Mapping[str, tuple[int | None, ...]]]
@@ -77,12 +79,14 @@ def values_info(analysis: Analysis) -> Values:
             }
             for metric in METRIC_LABELS
         },
-        plain={name: _column(analysis, name) for name in (*RATIOS_AND_RATES, *COUNTS)},
+        plain={name: _column(analysis, name) for name in (*RATIOS_AND_RATES, *OWN_COST, *COUNTS)},
     )
 
 
 def _column(analysis: Analysis, name: str) -> tuple[float | None, ...]:
-    """Return a column with None for NaN and infinity, which a report shows as missing."""
+    """Return a column with None for NaN and infinity, which a report shows as missing; so is a column of a later version."""
+    if name not in analysis.summary.columns:
+        return (None,) * analysis.summary.height
     return tuple(
         value if value is not None and math.isfinite(value) else None
         for value in analysis.summary[name].to_list()

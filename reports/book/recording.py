@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from dds_trace.analyzer.model.applied import (
     SHARED_MEMORY,
     UNKNOWN,
+    congestion_controls,
     payload_path,
     udp_receive_buffer_bytes,
 )
@@ -106,7 +107,8 @@ def _applied_words(session: Session) -> list[str]:
     buffers = (
         [] if buffer_bytes is None else [f"UDP receive buffer as granted {format_count(buffer_bytes)} B"]
     )
-    return [f"payload carried by {ways.get(path, visible(path))}", *buffers]
+    controls = [f"TCP by {visible(name)}" for name in congestion_controls(session)]
+    return [f"payload carried by {ways.get(path, visible(path))}", *controls, *buffers]
 
 
 def _sources(analysis: Analysis) -> RecordTable:

@@ -30,7 +30,7 @@ CLEARLY = (
     "A cell is one data type, size and rate. One is called clearly fastest only where its p99 (its median, where a sample is too "
     "small for that) lies below that of each of the others by a test of their runs at 95 %, adjusted for their number; lost "
     "messages count as infinitely late, and who receives significantly less never leads. With fewer than three runs, and where the "
-    "tests do not tell, the answer is inconclusive. Plain sockets are the floor beneath every middleware and no contender."
+    "tests do not tell, the answer is inconclusive. Plain sockets are no middleware and no contender."
 )
 
 WITHIN_ONE_RUN = (

@@ -95,6 +95,7 @@ SUMMARY: dict[str, Any] = {
     **SETTING,
     **dict.fromkeys(("runs", "planned", "unsent"), pl.UInt64),
     "environment": pl.String,
+    **dict.fromkeys(("own_cost_ns", "own_share"), pl.Float64),
 }
 DISTRIBUTIONS = {"group": pl.UInt32, "metric": pl.String, "value_ns": pl.Float64, "count": pl.UInt64}
 TIMELINE = {
@@ -447,6 +448,8 @@ def _summary_row(one: Measured, rows: list[dict[str, Any]]) -> dict[str, Any]:
         "planned": (len(rows) + one.unsent) * one.runs,
         "unsent": one.unsent * one.runs,
         "environment": "0123abcd",
+        "own_cost_ns": 50_000.0,
+        "own_share": 0.05,
     }
     for metric in ("rtt", "intermediate", "latency", "response"):
         values = [r[f"{metric}_ns"] for r in rows if r[f"{metric}_ns"] is not None]

@@ -1,6 +1,7 @@
-"""`socket`: plain TCP or UDP, the floor that no middleware can beat on this link.
+"""`socket`: plain TCP or UDP, without a middleware between.
 
-The relay listens at a port that follows from the domain, the ping connects. `--transport default` is TCP without
+Over UDP it is what any middleware over UDP comes on top of. Over TCP it is what TCP makes of the link, congestion control included,
+and a middleware over UDP can be faster (docs/middlewares.md). The relay listens at a port that follows from the domain, the ping connects. `--transport default` is TCP without
 Nagle's delay, `udp` is UDP with fragments of 60 KB and nothing sent again. See `docs/middlewares.md`.
 """
 
@@ -34,5 +35,6 @@ BACKEND = Backend(
     ),
     relay_port=8,
     has_client_library=False,
+    has_congestion_control=True,
     transports=tuple(PROTOCOLS),
 )

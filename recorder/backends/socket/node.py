@@ -15,7 +15,7 @@ from ..node import Endpoint, Middleware, TopicView
 from ..qos import refuse_durations
 from ..threaded import NodeSubscription, ThreadedNode
 from .links import Greeting
-from .tcp import TcpLinks
+from .tcp import TcpLinks, set_congestion_control
 from .udp import TUNED_BUFFER_BYTES, UdpLinks
 
 if TYPE_CHECKING:
@@ -57,12 +57,19 @@ class SocketNode(ThreadedNode):
         }
         self._links: Links
         if options.transport is Transport.UDP:
+            if options.congestion_control is not None:
+                raise OptionError(
+                    f"--congestion-control {options.congestion_control}: UDP has none; leave it out"
+                )
             buffer_bytes = TUNED_BUFFER_BYTES if options.tuned else None
             links = UdpLinks(self._own, listen, resolved, self._receivers, buffer_bytes)
             settings["receive_buffer_bytes"] = str(links.receive_buffer_bytes)
             self._links = links
         else:
-            self._links = TcpLinks(self._own, listen, resolved, self._receivers)
+            prepare = partial(set_congestion_control, name=options.congestion_control)
+            with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as trial:
+                settings["congestion_control"] = prepare(trial)
+            self._links = TcpLinks(self._own, listen, resolved, self._receivers, prepare)
             if options.tuned:
                 settings["tuned"] = "nothing to tune: the kernel sizes the buffers of TCP itself"
         self._middleware = Middleware("socket", "socket", None, {"kernel": platform.release()}, settings)

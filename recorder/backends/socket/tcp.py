@@ -13,7 +13,10 @@ import struct
 import threading
 import time
 from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING
+
+from dds_trace.tracefile import OptionError
 
 from ..threaded import ROUND_S
 from .links import RETRY_S, Greeting, bound_socket
@@ -27,6 +30,10 @@ if TYPE_CHECKING:
 MAX_MESSAGE_BYTES = 1 << 30
 """Largest message; a header with a greater length is no frame of ours."""
 
+ALLOWED_CONGESTION_CONTROL = Path("/proc/sys/net/ipv4/tcp_allowed_congestion_control")
+"""Algorithms that a process without CAP_NET_ADMIN may choose; one with it may choose every one that is available."""
+
+_CONGESTION_NAME_BYTES = 16  # TCP_CA_NAME_MAX of linux/tcp.h
 _HEADER = struct.Struct("<IH")  # bytes of the message, bytes of the topic's name; then name and message
 
 
@@ -38,7 +45,7 @@ class TcpLinks:
         listen: address at which connections are accepted, None for none.
         peers: addresses to connect to, again and again until it works.
         receivers: the callbacks of each topic.
-        prepare: sets options of each connection's socket.
+        prepare: sets the options of each connection's socket.
     """
 
     def __init__(
@@ -47,7 +54,7 @@ class TcpLinks:
         listen: Address | None,
         peers: Sequence[Address],
         receivers: Receivers,
-        prepare: Callable[[socket.socket], None] = lambda _: None,
+        prepare: Callable[[socket.socket], object],
     ) -> None:
         self._own = own
         self._receivers = receivers
@@ -169,6 +176,24 @@ class TcpLinks:
         for key in list(self._selector.get_map().values()):
             key.fileobj.close()  # type: ignore[union-attr]
         self._selector.close()
+
+
+def set_congestion_control(connection: socket.socket, name: str | None) -> str:
+    """Choose the congestion control of a TCP socket, the system's if `name` is None; return what the kernel reports then.
+
+    Raises:
+        OptionError: the kernel does not have it, or does not let this process use it.
+    """
+    if name is not None:
+        try:
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_CONGESTION, name.encode())
+        except OSError as err:
+            allowed = sorted(ALLOWED_CONGESTION_CONTROL.read_text().split())
+            raise OptionError(
+                f"--congestion-control {name}: the kernel refuses it ({err.strerror}); it allows {', '.join(allowed)}"
+            ) from err
+    read = connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_CONGESTION, _CONGESTION_NAME_BYTES)
+    return read.rstrip(b"\0").decode("ascii", "replace")
 
 
 def _head(topic: bytes, message_bytes: int) -> bytes:

@@ -62,6 +62,7 @@ class Cell:
         data: `binary`, `string`, `imu`, or a source such as `file:PATH`.
         size: payload bytes, None where the data decides.
         rate: messages a second.
+        congestion_control: TCP congestion control of the backend `socket`, empty for the system's.
         environment: folder of the Python environment whose `dds-record` runs, empty for this one.
         repeat: 1, 2 ... when the plan asks for several.
     """
@@ -88,6 +89,7 @@ class Cell:
         "auto", Axis("--executor", of_relay=True, choices=[kind.value for kind in ExecutorKind])
     )
     tuned: bool = _axis(False, Axis("--tuned", of_relay=True, kind=bool, limit=limits.FLAG))
+    congestion_control: str = _axis("", Axis("--congestion-control", of_relay=True))
     environment: str = _axis("", Axis("", of_relay=True))
     repeat: int = 1
 
@@ -165,6 +167,7 @@ class RelayNeed:
     transport: str
     executor: str
     tuned: bool
+    congestion_control: str
     environment: str
 
     @property

@@ -71,11 +71,13 @@ function showGroups() {
     }),
     { label: "Transfer rate", unit: "bytes/s", format: formatBytesPerS }, { label: "Achieved rate", unit: "Hz", format: formatHz },
     { label: "Duplicates", format: formatCount }, { label: "Reordered", format: formatCount },
+    { label: "Own nodes", unit: "ns", format: formatNs }, { label: "Own share of the round trip", unit: "ratio", format: formatRatio },
   ];
   const rows = passingGroups().map((group) => groupRow(
     group, values.runs[group], values.planned[group], values.published[group], values.unsent[group], values.received_ratio[group],
     ...shown.flatMap((key) => [times[view.metric][key][group], ...(bounded(key) ? intervalOf(group, key) : []), ...(rested(key) ? [restsOn(group, key)] : [])]),
     values.transfer_rate_bytes_per_s[group], values.achieved_rate_hz[group], values.duplicates[group], values.reordered[group],
+    values.own_cost_ns?.[group] ?? null, values.own_share?.[group] ?? null,
   ));
   showTable(document.getElementById("groups-table"), "All groups that pass the filters", columns, rows, groupsSorting);
   return { columns, rows };

@@ -215,6 +215,8 @@ def test_strangers_on_udp_do_no_harm(domain_id):
         ({"peers": ("pi4:x",)}, "write HOST or HOST:PORT"),
         ({"transport": Transport.SHM}, "knows default, udp"),
         ({"transport": Transport.UDP}, "--reliability best_effort"),
+        ({"congestion_control": "none_such"}, "--congestion-control none_such: the kernel refuses it"),
+        ({"transport": Transport.UDP, "qos": BEST_EFFORT, "congestion_control": "reno"}, "UDP has none"),
         ({"qos": Qos(durability="transient_local")}, "keep no message"),
         ({"qos": Qos(extra={"deadline_ns": 5})}, "--deadline: the backend socket has no such"),
         ({"qos": Qos(extra={"lifespan_ns": 5})}, "--lifespan: the backend socket has no such"),
@@ -226,6 +228,90 @@ def test_strangers_on_udp_do_no_harm(domain_id):
 def test_options_without_a_meaning_are_refused(domain_id, more, line):
     with pytest.raises(OptionError, match=line):
         open_node("socket", options(**{"domain_id": domain_id, **more}))
+
+
+def test_another_backend_has_no_congestion_control(domain_id):
+    with pytest.raises(OptionError, match="the backend zenoh has no TCP of its own"):
+        open_node("zenoh", options(domain_id, congestion_control="reno"))
+
+
+@pytest.mark.middleware
+def test_congestion_control_is_set_read_back_and_told(domain_id, tmp_path):
+    """`reno` is in every kernel; the other side keeps the system's, as `sysctl` has it."""
+    usual = Path("/proc/sys/net/ipv4/tcp_congestion_control").read_text().strip()
+    with relay(domain_id, tmp_path / "relay.mcap", *SOCKET) as command:
+        done = ping(
+            *(domain_id, tmp_path / "ping.mcap", *SOCKET, "--data", "imu", "--messages", 5, "--rate", 50),
+            *("--congestion-control", "reno", "--strict"),
+        )
+        command.stop()
+    assert done.status == 0, done.stderr
+    for name, control in (("ping", "reno"), ("relay", usual)):
+        session = read_trace(tmp_path / f"{name}.mcap").sessions[-1]
+        assert session.host["middleware"]["congestion_control"] == control
+        states = [each["tcp"] for each in session.extra["applied"]["begin"]["sockets"] if each.get("tcp")]
+        assert {state["congestion_control"] for state in states} == {control}
+        assert session.extra["settings"].get("congestion_control") == ("reno" if name == "ping" else None)
+
+
+def test_frames_of_unlike_sizes_and_topics_follow_each_other(domain_id):
+    """A read expects a frame like the last one: what comes instead, several at once or in pieces, is put together."""
+    import random
+
+    got, done = [], threading.Event()
+    chance = random.Random(4)
+    sizes = [chance.choice((1, 7, 33_000, 33_000, 33_000, 200_000)) for _ in range(300)]
+
+    def receive_one(message, *_):
+        got.append(bytes(message))
+        if len(got) == len(sizes):
+            done.set()
+
+    with pair(domain_id, receive_one) as (here, there, publisher):
+        there.create_subscription(IMU.topic, IMU.type_name, receive_one)
+        other = here.create_publisher(IMU.topic, IMU.type_name)
+        deadline = time.monotonic() + PATIENCE_S
+        while len(here.look_at(IMU.topic).subscriptions) < 1:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        sent = [bytes([number % 256]) * size for number, size in enumerate(sizes)]
+        for number, data in enumerate(sent):
+            (other if number % 5 == 0 else publisher).publish(data)
+        assert done.wait(PATIENCE_S)
+        assert got == sent
+        assert there.error is None
+
+
+def test_several_connections_call_back_one_at_a_time(domain_id):
+    inside, most, count, done = [0], [0], [0], threading.Event()
+
+    def receive(_message, *_):
+        inside[0] += 1
+        most[0] = max(most[0], inside[0])
+        time.sleep(0)  # gives the interpreter lock away
+        inside[0] -= 1
+        count[0] += 1
+        if count[0] == 600:
+            done.set()
+
+    with pair(domain_id, receive) as (_, there, publisher), open_node("socket", options(domain_id)) as third:
+        second = third.create_publisher(BINARY.topic, BINARY.type_name)
+        third.start()
+        deadline = time.monotonic() + PATIENCE_S
+        while there.count_participants() < 3 or not third.look_at(BINARY.topic).subscriptions:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        senders = [
+            threading.Thread(target=lambda by=by: [by.publish(b"x") for _ in range(300)])
+            for by in (publisher, second)
+        ]
+        for sender in senders:
+            sender.start()
+        assert done.wait(PATIENCE_S)
+        for sender in senders:
+            sender.join()
+        assert most == [1]
+        assert there.error is None
 
 
 def test_message_objects_are_refused(domain_id):

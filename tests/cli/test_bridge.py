@@ -53,6 +53,16 @@ def test_a_missing_program_is_one_line_with_its_name_and_how_to_get_it():
     assert "https://eprosima-dds-router.readthedocs.io" in line
 
 
+def test_check_looks_for_the_program_and_runs_nothing():
+    ran = run("ddsrouter", "--check")
+    assert (ran.returncode, ran.stdout) == (7, "")
+    assert "the bridge ddsrouter is not installed; " in ran.stderr
+    assert run("zenoh-bridge-dds", "--half", "relay", "--check").returncode != 0
+    here = run("builtin", "--check")
+    if here.returncode == 0:  # rclpy is here
+        assert here.stdout.startswith("builtin can run: ")
+
+
 def test_an_unknown_bridge_names_the_known_ones():
     ran = run("zenoh")
     assert ran.returncode == 2

@@ -317,3 +317,32 @@ def test_program_that_ignores_sigterm_is_killed(tmp_path):
 def test_missing_program_is_a_clear_error(tmp_path):
     with pytest.raises(BackendUnavailableError, match="dds-nothing is not installed"):
         Program(["dds-nothing"], tmp_path / "log")
+
+
+CHECKED = """#!/bin/sh
+echo "$@" >"$HOME/asked"
+[ "$(for last; do :; done; echo "$last")" = --check ] || exit 1
+case "$*" in *--tuned*) echo "dds-record: --tuned is not for this backend" >&2; exit 2;; esac
+"""
+
+
+def test_a_rehearsal_over_ssh_starts_the_relay_there_and_leaves_nothing(remote, tmp_path):
+    device = remote(record=CHECKED)
+    device.check()
+    assert device.rehearse(["--role", "relay", "--label", "two words"]) is None
+    asked = (tmp_path / "home/asked").read_text()
+    assert asked.startswith("--role relay --label two words --out dds-trace-rehearsal-")
+    assert asked.endswith(".mcap --check\n")
+    assert not there(tmp_path).exists()
+    assert list((tmp_path / "parts").iterdir()) == []
+
+
+def test_what_a_rehearsal_over_ssh_finds_is_the_devices_own_reason(remote):
+    device = remote(record=CHECKED)
+    reason = device.rehearse(["--role", "relay", "--tuned"])
+    assert "dds-record: --tuned is not for this backend" in reason
+
+
+def test_a_rehearsal_finds_another_version_and_a_device_that_cannot_be_reached(remote):
+    with pytest.raises(OptionError, match="install the same on both"):
+        remote(version="0.0.0").check()

@@ -120,10 +120,10 @@ class _Rehearsal:
 
     def of_group(self, group: CellGroup) -> dict[Cell, str]:
         """Rehearse the relay of a group and its pings; return each cell that cannot be recorded with the reason."""
-        reason = self._relay(group)
-        if reason is not None:
-            return dict.fromkeys(group.cells, reason)
-        reasons = {cell: self._ping(cell) for cell in group.cells}
+        reasons = {cell: self._refusal(self._ping_arguments(cell)) for cell in group.cells}
+        left = [cell for cell, reason in reasons.items() if reason is None]
+        of_relay = self._relay(group) if left else None
+        reasons |= {cell: self._ping(cell) if of_relay is None else of_relay for cell in left}
         return {cell: reason for cell, reason in reasons.items() if reason is not None}
 
     def _relay(self, group: CellGroup) -> str | None:
@@ -137,9 +137,6 @@ class _Rehearsal:
         return None if reason is None else f"its relay: {reason}"
 
     def _ping(self, cell: Cell) -> str | None:
-        reason = self._refusal(self._ping_arguments(cell))
-        if reason is not None:
-            return reason
         alike = replace(cell, rate=DEFAULTS["rate"], size=None)
         if alike not in self._started:
             sent = replace(cell, data="binary") if is_live(cell.data) else cell

@@ -221,7 +221,7 @@ def _not_started(text, folder, domains):
 
 
 @pytest.mark.middleware
-@pytest.mark.parametrize("examples", [4, pytest.param(60, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("examples", [3, pytest.param(60, marks=pytest.mark.slow)])
 def test_generated_plans_that_pass_start_their_cells(tmp_path, domains, examples):
     tried = count()
     started = 0

@@ -42,6 +42,13 @@ LARGEST_FILE_RATIO = 200
 """Most bytes that all chunks up to a place in a file may unpack to, for a byte of the file up to there."""
 
 _UNSUSPECTED_FILE_BYTES = 256 << 20
+
+
+def most_unpacked_bytes(end: int) -> int:
+    """Return the most bytes that all chunks of a file up to the offset `end` may unpack to."""
+    return max(_UNSUSPECTED_FILE_BYTES, LARGEST_FILE_RATIO * end)
+
+
 _WALKED = MESSAGES_AND_CHANNELS | {Opcode.CHUNK, Opcode.DATA_END, Opcode.FOOTER}
 _FIRST_STRETCH_BYTES = 4096
 _BLOCK_CHUNKS = 1000
@@ -179,7 +186,7 @@ class BlockJobs:
         if not (chunk.unpacked_bytes or chunk.packed_bytes or chunk.crc):
             return
         unpacked_bytes = self._unpacked_bytes + chunk.unpacked_bytes
-        if unpacked_bytes > max(_UNSUSPECTED_FILE_BYTES, LARGEST_FILE_RATIO * header.end):
+        if unpacked_bytes > most_unpacked_bytes(header.end):
             why = f"with it the file unpacks to more than {LARGEST_FILE_RATIO} times its size"
             self.notes.append(_left_out(header.offset, why))
             return

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sqlite3
 import struct
+import sys
 from contextlib import ExitStack, closing
 from typing import TYPE_CHECKING
 from urllib.parse import quote
@@ -25,9 +26,25 @@ _SQLITE_ERRORS = (sqlite3.Error, MemoryError)
 _BATCH_ROWS = 8192
 _BATCH_BYTES = 4 << 20
 
-# Every version of rosbag2's schema has these columns. A view in place of a table is not read.
-_TABLES = "SELECT count(*) FROM sqlite_master WHERE type = 'table' AND name IN ('topics', 'messages')"
-_TOPICS = "SELECT id, name, type, serialization_format FROM topics"
+_MOST_TOPICS = 10_000
+
+# A database can be made so that few pages hold rows without end: pages that are used more than once, columns that are
+# computed. SQLite's steps are bounded, the rows that it gives (a recorded event takes 77 bytes), and their bytes.
+_UNSUSPECTED_STEPS = 100_000_000
+_STEPS_A_BYTE = 4
+_STEPS_A_LOOK = 1_000_000
+_UNSUSPECTED_ROWS = 2_000_000
+_ROW_BYTES = 64
+_LONGEST_VALUE_BYTES = 2 * _BATCH_BYTES
+
+# Every version of rosbag2's schema has these columns. A view or a virtual table in place of a table is not read, nor are
+# columns that are computed.
+_TABLES = "SELECT count(*) FROM sqlite_master WHERE type = 'table' AND rootpage > 0 AND name IN ('topics', 'messages')"
+_COMPUTED = (
+    "SELECT (SELECT count(*) FROM pragma_table_xinfo('topics') WHERE hidden)"
+    " + (SELECT count(*) FROM pragma_table_xinfo('messages') WHERE hidden)"
+)
+_TOPICS = "SELECT id, name, type, serialization_format FROM topics LIMIT ?"
 _LAST_ROW = "SELECT max(id) FROM messages"
 _MESSAGES = (
     "SELECT topic_id, timestamp, CASE WHEN length(data) <= {limit} THEN data END"
@@ -54,12 +71,18 @@ class SqliteSource:
                 self._missing_bytes = _missing_bytes(path)
                 self._database = sqlite3.connect(f"file:{quote(str(path))}?mode=ro", uri=True)
                 undo.callback(self.close)
+                self._bound_work()
                 self._database.execute("PRAGMA trusted_schema = OFF")
-                if self._one(_TABLES) != 2:
+                if self._one(_TABLES) != 2 or self._one(_COMPUTED):
                     raise TraceFormatError(
-                        self._shown_as, "no rosbag2 database: no tables 'topics' and 'messages'"
+                        self._shown_as,
+                        "no rosbag2 database: no tables 'topics' and 'messages' as it makes them",
                     )
-                topics = self._database.execute(_TOPICS).fetchall()
+                topics = self._database.execute(_TOPICS, [_MOST_TOPICS + 1]).fetchall()
+                if len(topics) > _MOST_TOPICS:
+                    raise TraceFormatError(
+                        self._shown_as, f"no rosbag2 database: more than {_MOST_TOPICS} topics"
+                    )
                 self._last_row = self._one(_LAST_ROW)
             except (*_SQLITE_ERRORS, OSError, ValueError) as err:
                 raise TraceFormatError(self._shown_as, f"no rosbag2 database ({err!r})") from err
@@ -90,6 +113,7 @@ class SqliteSource:
 
     def batches(self) -> Iterator[Batch]:
         """Yield all messages in the order in which they were stored, up to the first damaged page."""
+        rows_left, bytes_left = _UNSUSPECTED_ROWS + self._size // _ROW_BYTES, max(self._size, _BATCH_BYTES)
         names = {topic_id: name for topic_id, name, *_ in self._topics}
         ours = {topic_id: name for topic_id, name in names.items() if name.startswith(TOPIC_PREFIX)}
         faults = self._faults()
@@ -102,10 +126,17 @@ class SqliteSource:
             with closing(self._database.execute(_MESSAGES.format(limit=_BATCH_BYTES, ids=wanted))) as cursor:
                 for topic_id, timestamp, data in cursor:
                     rows.add(ours[topic_id], timestamp, data, faulty=topic_id in faults)
+                    rows_left -= 1
+                    bytes_left -= len(data) if isinstance(data, bytes) else 0
+                    if rows_left < 0 or bytes_left < 0:
+                        last.truncated = (
+                            "ends early: it has more rows, or larger ones, than so few bytes can hold"
+                        )
+                        break
                     if rows.full:
                         yield from rows.batches()
                         rows = _Rows(self._shown_as)
-            if self._missing_bytes > 0:
+            if self._missing_bytes > 0 and not last.truncated:
                 last.truncated = (
                     f"ends early, {counted(self._missing_bytes, 'byte')} of the database "
                     f"{'is' if self._missing_bytes == 1 else 'are'} missing"
@@ -114,6 +145,19 @@ class SqliteSource:
             last.truncated = f"ends early, the database is damaged ({err!r}); all rows before are used"
         yield from rows.batches()
         yield last
+
+    def _bound_work(self) -> None:
+        """Let SQLite give up beyond a number of steps, and refuse values of a length that no event or text of ours has."""
+        looks_left = (_UNSUSPECTED_STEPS + _STEPS_A_BYTE * self._size) // _STEPS_A_LOOK
+
+        def look() -> bool:
+            nonlocal looks_left
+            looks_left -= 1
+            return looks_left < 0
+
+        self._database.set_progress_handler(look, _STEPS_A_LOOK)
+        if sys.version_info >= (3, 11):  # before that Python has no way to say it
+            self._database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LONGEST_VALUE_BYTES)
 
     def _faults(self) -> dict[int, str]:
         """Return topic id -> reason why the messages of this event topic cannot be events."""

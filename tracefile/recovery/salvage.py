@@ -14,6 +14,7 @@ from ..format.event_record import EVENT_RECORD_DTYPE
 from ..format.framing import MAGIC, MESSAGE_HEADER
 from ..format.ring import SLOT_DTYPE, STAGE_NUMBERS
 from ..format.string_cdr import decode_string
+from ..mcapfile.blocks import most_unpacked_bytes
 from ..mcapfile.channels import ChannelTable
 from ..mcapfile.chunks import DamagedChunkError, PackedChunk
 from ..mcapfile.file import TornRecordError
@@ -28,6 +29,10 @@ if TYPE_CHECKING:
 
 _NUMBER_OF_STAGE = {stage: number for number, stage in STAGE_NUMBERS.items()}
 _CHANNEL_IDS = 1 << 16  # a channel id has 16 bits
+
+_UNSUSPECTED_STEPS = 1_000_000
+_STEP_BYTES = 32  # a second of a recording at 10 Hz takes a kilobyte: a chunk, six records behind it
+_CHUNK_STEPS, _RECORD_STEPS = 16, 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +67,8 @@ class Salvage:
         self._channels = ChannelTable(file.path)
         self._stages = np.zeros(_CHANNEL_IDS, np.uint8)  # channel id -> number of its stage, or 0
         self._next_number: dict[int, int] = {}
+        self._steps_left = _UNSUSPECTED_STEPS + file.size // _STEP_BYTES
+        self._unpacked_bytes = 0
         self.closed = False
         self.events = 0
         self.torn_bytes = 0
@@ -80,6 +87,7 @@ class Salvage:
             except TornRecordError:
                 self.torn_bytes = max(self._file.size - at, 0)
                 break
+            self._take_steps(_RECORD_STEPS)
             if header.opcode == Opcode.HEADER:
                 self._check_origin(header)
             elif header.opcode == Opcode.CHUNK:
@@ -100,12 +108,18 @@ class Salvage:
             )
 
     def _chunk(self, header: RecordHeader) -> Iterator[Slots | SalvagedText]:
+        self._take_steps(_CHUNK_STEPS)
         try:
-            data = PackedChunk.at(self._file, header).unpack(self._file)
+            chunk = PackedChunk.at(self._file, header)
+            self._unpacked_bytes += chunk.unpacked_bytes
+            if self._unpacked_bytes > most_unpacked_bytes(header.end):
+                raise self._suspected("it unpacks to far more than a recorder packs into so few bytes")
+            data = chunk.unpack(self._file)
         except DamagedChunkError:
             self.damaged_chunks += 1
             return
         scan = scan_records(data, 0, len(data))
+        self._take_steps(scan.steps + len(scan.others))
         others = {content: (opcode, length) for opcode, content, length in scan.others}
         runs = dict(scan.runs)
         for at in sorted([*others, *runs]):
@@ -118,9 +132,24 @@ class Salvage:
                 yield from self._text(content)
             else:
                 self._channels.declare(opcode, content, header.offset)
-                for channel_id, channel in self._channels.items():
-                    if channel.stage:
+                if opcode == Opcode.CHANNEL:
+                    channel_id = int.from_bytes(content[:2], "little")
+                    channel = self._channels.get(channel_id)
+                    if channel is not None and channel.stage:
                         self._stages[channel_id] = _NUMBER_OF_STAGE[channel.stage]
+
+    def _take_steps(self, steps: int) -> None:
+        """Count work.
+
+        Raises:
+            TraceFormatError: it is more than a file of this size takes that a recorder wrote.
+        """
+        self._steps_left -= steps
+        if self._steps_left < 0:
+            raise self._suspected("it has more small records than a recorder writes into so few bytes")
+
+    def _suspected(self, why: str) -> TraceFormatError:
+        return TraceFormatError(self._file.path, f"{why}; not recovered")
 
     def _slots(self, messages: np.ndarray[tuple[int], np.dtype[np.void]]) -> Slots:
         slots = np.zeros(len(messages), SLOT_DTYPE)

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import os
+import sqlite3
 import struct
+import sys
+from contextlib import closing
 
 import pytest
 import zstandard
@@ -14,7 +17,7 @@ from dds_trace.tracefile import TraceFormatError, read_trace
 from dds_trace.tracefile.files import open_regular
 from dds_trace.tracefile.mcapfile import blocks
 from dds_trace.tracefile.mcapfile.file import RecordFile
-from dds_trace.tracefile.reading import mcap_source
+from dds_trace.tracefile.reading import mcap_source, sqlite_source
 
 MAGIC = b"\x89MCAP0\r\n"
 TIMELINE = [Message(s, t0=1000 * s, t1=1000 * s + 5, t3=900, t4=930, t2=1000 * s + 205) for s in range(12)]
@@ -121,3 +124,77 @@ def test_a_device_is_no_regular_file(path, tmp_path):
         open_regular(tmp_path / "x")
     with pytest.raises(OSError):  # noqa: PT011 - ELOOP, in whatever words
         open_regular(tmp_path / "x", follow_links=False)
+
+
+EVENT_TOPIC = "(1, '/dds_trace/t1', 'dds_trace_msgs/msg/TraceEvent', 'cdr')"
+TOPICS = "CREATE TABLE topics (id INTEGER PRIMARY KEY, name, type, serialization_format)"
+MESSAGES = "CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id, timestamp, data BLOB)"
+
+
+@pytest.fixture
+def database(tmp_path):
+    """A bag whose database is made by statements."""
+
+    def make(*statements):
+        (tmp_path / "metadata.yaml").write_text("")
+        with closing(sqlite3.connect(tmp_path / "bag_0.db3")) as connection, connection:
+            for statement in statements:
+                connection.execute(statement)
+        return tmp_path
+
+    return make
+
+
+def rows(count):
+    event = "00010000" + 56 * "00"
+    return (
+        f"WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < {count}) "
+        f"INSERT INTO messages (topic_id, timestamp, data) SELECT 1, i, x'{event}' FROM n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("_UNSUSPECTED_ROWS", -(10**9)),
+        ("_UNSUSPECTED_STEPS", -(10**9)),
+        ("_MOST_TOPICS", 0),
+    ],
+)
+def test_work_on_a_database_is_bounded(database, monkeypatch, name, value):
+    path = database(TOPICS, MESSAGES, f"INSERT INTO topics VALUES {EVENT_TOPIC}", rows(1000))
+    assert read_trace(path).event_count == 1000
+    monkeypatch.setattr(sqlite_source, name, value)
+    monkeypatch.setattr(sqlite_source, "_STEPS_A_LOOK", 100)
+    try:
+        trace = read_trace(path)
+    except TraceFormatError as err:
+        assert "no rosbag2 database" in str(err)  # noqa: PT017 - its first queries are over the bound already
+    else:
+        assert "ends early" in trace.truncated
+        assert trace.event_count < 100
+
+
+@pytest.mark.parametrize(
+    "computed",
+    [
+        "CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id, timestamp, data AS (hex(zeroblob(400000000))))",
+        "CREATE VIEW messages AS SELECT 1 AS id, 1 AS topic_id, 1 AS timestamp, zeroblob(900000000) AS data",
+    ],
+    ids=["column", "view"],
+)
+def test_what_a_database_computes_is_not_read(database, computed):
+    path = database(TOPICS, f"INSERT INTO topics VALUES {EVENT_TOPIC}", computed)
+    with pytest.raises(TraceFormatError, match="as it makes them"):
+        read_trace(path)
+
+
+@pytest.mark.skipif(
+    sys.version_info < (3, 11), reason="Python 3.10 cannot bound the length of SQLite's values"
+)
+def test_a_name_of_many_megabytes_is_not_held(database):
+    path = database(TOPICS, MESSAGES, f"INSERT INTO topics VALUES {EVENT_TOPIC}", rows(10))
+    with closing(sqlite3.connect(path / "bag_0.db3")) as connection, connection:
+        connection.execute("INSERT INTO topics VALUES (2, CAST(zeroblob(20000000) AS TEXT), 'x', 'cdr')")
+    with pytest.raises(TraceFormatError, match="too big"):
+        read_trace(path)

@@ -9,6 +9,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
+import zstandard
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from rosbags.rosbag2 import Reader
@@ -25,8 +26,11 @@ from dds_trace.tracefile import (
 )
 from dds_trace.tracefile.format.framing import MAGIC
 from dds_trace.tracefile.format.ring import ring_path
+from dds_trace.tracefile.mcapfile import blocks
+from dds_trace.tracefile.mcapfile.channels import ChannelTable
 from dds_trace.tracefile.mcapfile.file import RecordFile
 from dds_trace.tracefile.reading.reader import read_trace
+from dds_trace.tracefile.recovery import salvage
 from dds_trace.tracefile.recovery.recover import recover
 
 EVENTS = 180
@@ -390,3 +394,50 @@ def test_a_damaged_ring_beside_a_closed_trace_is_left_alone(tmp_path):
     assert report.recovered is None
     assert "left as it is" in report.lines()[1]
     assert ring_path(trace).exists()
+
+
+def packed_chunk(records):
+    packed = zstandard.compress(records)
+    fields = struct.pack("<QQQII", 0, 0, len(records), 0, 4) + b"zstd" + struct.pack("<Q", len(packed))
+    return struct.pack("<BQ", 6, len(fields) + len(packed)) + fields + packed
+
+
+SMALL_RECORD = struct.pack("<BQ", 0x80, 0)
+
+
+@pytest.mark.parametrize(
+    ("hostile", "why"),
+    [
+        pytest.param(packed_chunk(b"") * 200, "small records", id="empty chunks"),
+        pytest.param(SMALL_RECORD * 5000, "small records", id="records outside of chunks"),
+        pytest.param(packed_chunk(SMALL_RECORD * 5000), "small records", id="records of a chunk"),
+        pytest.param(packed_chunk(bytes(1 << 20)) * 3, "unpacks to far more", id="bombs"),
+    ],
+)
+def test_a_file_made_to_keep_the_recovery_busy_is_refused(tmp_path, monkeypatch, hostile, why):
+    trace = killed(tmp_path)
+    whole = trace.read_bytes()
+    trace.write_bytes(whole + hostile)
+    assert recover(trace, tmp_path / "first.mcap").file_events > 0
+    if why == "small records":
+        monkeypatch.setattr(salvage, "_UNSUSPECTED_STEPS", 1000)
+        monkeypatch.setattr(salvage, "_STEP_BYTES", 1 << 40)
+    else:
+        monkeypatch.setattr(blocks, "_UNSUSPECTED_FILE_BYTES", 0)
+    with pytest.raises(TraceFormatError, match=why):
+        recover(trace, tmp_path / "second.mcap")
+    trace.write_bytes(whole)
+    assert recover(trace, tmp_path / "third.mcap").file_events > 0
+
+
+def test_channels_by_the_thousand_cost_no_square_of_their_number(tmp_path, monkeypatch):
+    trace, looks = killed(tmp_path), []
+    channels = b"".join(
+        struct.pack("<BQHHI", 4, 19, number, 0, 1) + b"x" + struct.pack("<I", 2) + b"js" + bytes(4)
+        for number in range(100, 5100)
+    )
+    trace.write_bytes(trace.read_bytes() + packed_chunk(channels))
+    plain = ChannelTable.items
+    monkeypatch.setattr(ChannelTable, "items", lambda table: looks.append(1) or plain(table))
+    assert recover(trace, tmp_path / "recovered.mcap").file_events > 0
+    assert looks == []

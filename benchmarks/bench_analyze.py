@@ -3,7 +3,7 @@
     python benchmarks/bench_analyze.py            the three campaigns at a tenth of their size: a quick look, held against no bar
     python benchmarks/bench_analyze.py --full     at 20 M events each, which the bars are for
     python benchmarks/bench_analyze.py --huge     peak memory of 200 M events in 200 files, too
-    python benchmarks/bench_analyze.py --growth   2,000 short runs and 10,000 groups at 1x, 4x and 16x of a sixteenth: seconds each
+    python benchmarks/bench_analyze.py --growth   500 runs in 1,000 files and 10,000 groups, and a quarter and a sixteenth of each
 
 The campaigns (`campaigns.py`): 500 runs in two files over 139 hours, one run at 1 kHz, 2,000 short runs in 4,000 files.
 
@@ -29,7 +29,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING
@@ -213,27 +213,29 @@ def clock_bar(*, is_full: bool) -> Bar:
 
 
 def growth_bars(folder: Path) -> list[Bar]:
-    """Return how much longer 16 times as many runs, or groups, take than 16 times one part."""
+    """Return how much more processor time 16 times as many runs, or groups, take than 16 times one part."""
     write_campaign(folder / "tiny", TINY)
     bars = []
-    for shape in (SHORT_RUNS, MANY_GROUPS):
+    for shape in (SHORT_RUNS.times(1 / 4), MANY_GROUPS):
         part = shape.times(1 / GROWTH[-1])
-        part = replace(part, events=part.events // 4)
         times = []
         for factor in GROWTH:
             write_campaign(folder / "runs", part.times(factor))
-            start_up = run_command(folder / "tiny", folder / "tiny_out", folder / "cache").wall_s
-            taken = run_command(folder / "runs", folder / "out", folder / "cache")
-            times.append(taken.wall_s - start_up)
+            start_up = run_command(folder / "tiny", folder / "tiny_out", folder / "cache").cpu_s
+            times.append(run_command(folder / "runs", folder / "out", folder / "cache").cpu_s - start_up)
             shutil.rmtree(folder / "runs")
             shutil.rmtree(folder / "cache")
             grown = part.times(factor)
             print(
-                f"{factor}x: {grown.runs} runs, {2 * grown.pairs} files, {grown.groups} groups: {times[-1]:.2f} s",
+                f"{factor}x: {grown.runs} runs, {2 * grown.pairs} files, {grown.groups} groups: {times[-1]:.2f} s of a core",
                 file=sys.stderr,
             )
         linear = times[-1] / times[0] / GROWTH[-1]
-        bars.append(Bar(f"{shape.name}: 16x over 16 times 1x", linear, MOST_TIMES_LINEAR))
+        bars.append(
+            Bar(
+                f"{shape.groups} groups of {shape.runs} runs: 16x over 16 times 1x", linear, MOST_TIMES_LINEAR
+            )
+        )
     return bars
 
 

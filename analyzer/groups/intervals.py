@@ -105,7 +105,7 @@ def interval_rows(
         if values.null_count() == len(values):
             continue
         runs = _runs(values, sent_ns, run_of_row)
-        ordered = np.sort(np.concatenate([run.values for run in runs]))
+        ordered = runs[0].ordered if len(runs) == 1 else np.sort(np.concatenate([run.values for run in runs]))
         for percentile in PERCENTILES:
             statistic = Statistic(percentile.quantile)
             interval = interval_of_runs(runs, statistic)
@@ -135,10 +135,12 @@ def interval_rows(
 
 def _runs(values: pl.Series, sent_ns: NDArray[np.int64], run_of_row: NDArray[np.int64]) -> list[Run]:
     """Return the values of each run that has any, in the order of T1: several relays of a run side by side."""
-    present = values.is_not_null().to_numpy()
-    held, sent, runs = values.drop_nulls().to_numpy(), sent_ns[present], run_of_row[present]
-    edges = np.flatnonzero(np.diff(runs)) + 1
-    return [Run(*_in_order(*part)) for part in zip(np.split(held, edges), np.split(sent, edges), strict=True)]
+    if values.null_count():
+        present = values.is_not_null().to_numpy()
+        values, sent_ns, run_of_row = values.drop_nulls(), sent_ns[present], run_of_row[present]
+    edges = np.flatnonzero(np.diff(run_of_row)) + 1
+    parts = zip(np.split(values.to_numpy(), edges), np.split(sent_ns, edges), strict=True)
+    return [Run(*_in_order(*part)) for part in parts]
 
 
 def _in_order(values: NDArray[np.int64], sent_ns: NDArray[np.int64]) -> Sequence[NDArray[np.int64]]:

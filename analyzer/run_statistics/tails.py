@@ -116,6 +116,9 @@ def tails_of(runs: Sequence[Run], quantile: float) -> list[Tail]:
 
 
 def _places_beyond(runs: Sequence[Run], levels: Levels, quantile: float) -> list[NDArray[np.intp]]:
+    if len(runs) == 1:
+        alone = threshold_of_run(runs[0].ordered, quantile)
+        return [alone.is_beyond(runs[0].values).nonzero()[0]]
     threshold = threshold_of(runs, levels, quantile)
     return [
         threshold.is_beyond(run.relative(levels, level)[0]).nonzero()[0]

@@ -66,6 +66,9 @@ class Content:
     unsent: Mapping[str, int]
 
 
+_AS_IT_IS = frozenset({str, int, bool})
+
+
 def to_json(value: object, not_finite: Callable[[float], object] = str) -> object:
     """Return a record, or what is in one, as values that `json` writes.
 
@@ -73,6 +76,8 @@ def to_json(value: object, not_finite: Callable[[float], object] = str) -> objec
         value: a dataclass, an Enum, or what JSON holds; mappings and sequences of these.
         not_finite: what stands for a float that JSON does not have; `from_json` reads what `str` gives.
     """
+    if value is None or type(value) in _AS_IT_IS:  # nearly all values of a table
+        return value
     if isinstance(value, float):
         return value if math.isfinite(value) else not_finite(value)
     if isinstance(value, Enum):
@@ -81,9 +86,7 @@ def to_json(value: object, not_finite: Callable[[float], object] = str) -> objec
         return {field.name: to_json(getattr(value, field.name), not_finite) for field in fields(value)}
     if isinstance(value, Mapping):
         return {name: to_json(each, not_finite) for name, each in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [to_json(each, not_finite) for each in value]
-    return value
+    return [to_json(each, not_finite) for each in value] if isinstance(value, (list, tuple)) else value
 
 
 def from_json(kind: type[Record], value: object) -> Record:

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 _OF_MIDDLEWARE = ("versions", "configuration", "settings")
 """Parts of the fingerprint that every middleware has differently; they are compared within one vendor."""
 
+_ERROR_CHARACTERS = 400
+"""Longest part of an error that a finding repeats; our own have less."""
+
 _BRIDGE_FAILURES = {"died": "ended by itself", "never_ready": "never carried a message"}
 
 
@@ -136,6 +139,21 @@ def failed_bridges(evidence: Evidence) -> Iterator[Finding]:
                 f"The bridge {bridge.get('bridge')} {_BRIDGE_FAILURES[bridge['state']]}: {failure.rstrip('.')}. "
                 f"Its last words: {_last_words(bridge)}.",
                 "Losses here are the bridge's: repeat the runs; its whole output is in the session of the trace.",
+            )
+
+
+def failed_recordings(evidence: Evidence) -> Iterator[Finding]:
+    """Report recordings that an error ended before their plan, with the reason; `failed_bridges` tells of a bridge."""
+    for session in evidence.campaign.sessions.values():
+        error, bridge = session.extra.get("error"), session.extra.get("bridge")
+        is_told = isinstance(bridge, dict) and bridge.get("state") in _BRIDGE_FAILURES
+        if isinstance(error, str) and error and not is_told:
+            yield Finding(
+                Severity.ERROR,
+                "ended_by_error",
+                evidence.session_name(session),
+                f"The run ended before its plan, or with nobody left to answer: {error[:_ERROR_CHARACTERS].rstrip('.')}.",
+                "Messages behind the failure count as lost: repeat the run.",
             )
 
 

@@ -38,6 +38,7 @@ CHECKS: tuple[Check, ...] = (
     applied.settings_not_applied,
     sessions.recorder_drops,
     sessions.failed_bridges,
+    sessions.failed_recordings,
     runs.unplaced_events,
     runs.relays_without_trace,
     runs.gaps_of_relays,

@@ -323,6 +323,33 @@ def test_a_bridge_that_went_well_is_no_finding(tmp_path):
     assert "bridge_failed" not in findings(tmp_path)
 
 
+def test_a_run_that_an_error_ended(tmp_path):
+    error = (
+        "the relay of binary_image is lost: no reply to the last 40 messages (4.0 s); look at the link to it"
+    )
+    write_pair(tmp_path, drawn(), ping=ping_session(extra={"error": error}))
+    found = findings(tmp_path)["ended_by_error"]
+    assert found.severity is Severity.ERROR
+    assert found.where == "ping on alpha (ping.mcap)"
+    assert found.what == f"The run ended before its plan, or with nobody left to answer: {error}."
+
+
+@pytest.mark.parametrize(
+    "extra",
+    [
+        {},
+        {"error": None},
+        {"error": ""},
+        {"error": 5},
+        {"error": "the bridge died", "bridge": {"bridge": "builtin", "state": "died"}},
+    ],
+    ids=["old", "regular end", "empty", "no text", "told by bridge_failed"],
+)
+def test_a_run_without_an_error_of_its_own_is_no_finding(tmp_path, extra):
+    write_pair(tmp_path, drawn(), ping=ping_session(extra=extra))
+    assert "ended_by_error" not in findings(tmp_path)
+
+
 def test_restarted_relay(tmp_path):
     first, second = drawn(count=100), drawn(count=100, first=100)
     ping = ping_events(first)

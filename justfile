@@ -62,6 +62,14 @@ bench-full: setup
     {{bin}}/python benchmarks/bench_analyze.py --full
     {{bin}}/python benchmarks/bench_analyze.py --files 200
 
+# A billion synthetic events through dds-analyze, made and removed again (--events 100000000: a tenth; about 75 bytes of disk each)
+bench-huge *args: setup
+    {{bin}}/python benchmarks/huge.py {{args}}
+
+# Dask workers on this machine against the same analysis in one process: wall time with 1, 2 and 4 (five minutes)
+bench-cluster *args: setup
+    {{bin}}/python benchmarks/cluster.py {{args}}
+
 # How often intervals and verdicts hold, by drawing: the tables of docs/coverage.md (--quick: about a minute)
 coverage *args: setup
     {{bin}}/python benchmarks/coverage.py {{args}}

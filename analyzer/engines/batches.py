@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from sys import getsizeof
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -104,6 +105,10 @@ class BatchResult:
     copies: Mapping[EventKey, tuple[Copies, ...]]
     table: pa.Table | None
     values: Mapping[str, NDArray[np.int64]] | None
+
+    def __sizeof__(self) -> int:
+        rows = 0 if self.table is None else self.table.nbytes
+        return object.__sizeof__(self) + rows + sum(map(getsizeof, (self.values or {}).values()))
 
 
 def work_at(batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]]) -> BatchResult:

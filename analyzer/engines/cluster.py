@@ -83,7 +83,10 @@ class ClusterEngine:
                 "--cluster needs Dask: install the extra with `pip install 'dds-trace[cluster]'`"
             ) from err
         try:
-            self._client: _Client = distributed.Client(address, timeout=_TIMEOUT_S, set_as_default=False)
+            # Rows come straight from the workers, where these can be reached; else, as Dask does, by way of the scheduler.
+            self._client: _Client = distributed.Client(
+                address, timeout=_TIMEOUT_S, set_as_default=False, direct_to_workers=True
+            )
         except (OSError, ValueError) as err:
             raise BackendUnavailableError(
                 f"no Dask scheduler answers at {address} ({err}); start one with `dask scheduler`"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from dds_trace.tracefile import EventColumns, Stage
+from dds_trace.tracefile import EVENT_DTYPE, EventColumns, Stage
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -44,6 +44,11 @@ class EventPart:
     first_ns: int
     last_ns: int
     events: EventColumns | EventsElsewhere
+
+    def __sizeof__(self) -> int:
+        # Dask weighs by it whether to move the events or the work; without it it moves whole traces.
+        held = len(self.events) if isinstance(self.events, EventColumns) else 0
+        return object.__sizeof__(self) + held * EVENT_DTYPE.itemsize
 
     def load(self) -> EventColumns:
         """Return the events themselves, fetched if they are elsewhere."""

@@ -11,6 +11,7 @@ import tempfile
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from sys import getsizeof
 from typing import TYPE_CHECKING, TypedDict
 
 from dds_trace.tracefile import OutputError, Run, Session, Stage, Trace, TraceFormatError, read_trace
@@ -49,6 +50,9 @@ class LoadedTrace:
 
     trace: Trace
     parts: Mapping[EventKey, EventPart]
+
+    def __sizeof__(self) -> int:
+        return object.__sizeof__(self) + sum(map(getsizeof, self.parts.values()))
 
     @property
     def events(self) -> int:

@@ -13,9 +13,11 @@ import dds_trace.analyzer.engines.batches
 import dds_trace.analyzer.engines.cluster
 import dds_trace.analyzer.loading.shelf
 from dds_trace.analyzer import analyze
+from dds_trace.analyzer.engines.cluster import _describe, _select
+from dds_trace.analyzer.loading.shelf import load_trace
 from dds_trace.analyzer.model.metrics import METRICS
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
-from dds_trace.tracefile import BackendUnavailableError, read_trace
+from dds_trace.tracefile import EVENT_DTYPE, BackendUnavailableError, read_trace
 
 pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
 
@@ -132,6 +134,18 @@ def test_parts_of_a_group_from_several_workers_are_exact(cluster, runs, monkeypa
     together = analyze(runs, cluster=cluster[0])
     assert together.summary.equals(alone.summary)
     assert together.load_roundtrips().equals(alone.load_roundtrips())
+
+
+def test_dask_weighs_traces_and_results_by_their_events_and_rows(runs):
+    """Else the scheduler takes a trace for a few bytes, and moves it to where there is nothing to do."""
+    from dask.sizeof import sizeof
+
+    loaded = load_trace(next(path for path in sorted(runs.glob("*.mcap")) if path.name != "odd.mcap"), 0)
+    held_bytes = loaded.events * EVENT_DTYPE.itemsize
+    assert held_bytes > 0
+    assert held_bytes <= sizeof(loaded) < held_bytes + 10_000
+    assert sizeof(_describe(loaded)) < held_bytes  # its events stay behind
+    assert held_bytes <= sizeof(_select(loaded, 0, list(loaded.parts))) < held_bytes + 10_000
 
 
 @pytest.mark.parametrize("in_parts", [False, True])

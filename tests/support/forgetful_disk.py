@@ -45,6 +45,10 @@ _WITHOUT_ANSWER = {_FORGET, _INTERRUPT, _BATCH_FORGET}
 class ForgetfulDisk:
     """The disk, served by a thread of its own until its file system is unmounted or the process ends.
 
+    Attributes:
+        path: the file that is the disk.
+        is_broken: whether every write and flush fails with EIO from now on, as on a disk that dies.
+
     Args:
         folder: an empty folder, at which the file system with the file `DISK` is mounted.
         size_bytes: size of the disk.
@@ -52,6 +56,7 @@ class ForgetfulDisk:
 
     def __init__(self, folder: Path, size_bytes: int) -> None:
         self.path = folder / DISK
+        self.is_broken = False
         self._content = bytearray(size_bytes)
         self._durable = bytearray(size_bytes)
         self._pending: list[tuple[int, bytes]] = []  # offset, data: written since the last flush
@@ -111,13 +116,13 @@ class ForgetfulDisk:
             if opcode in self._answers:
                 try:
                     answer, fault = self._answers[opcode](node, request[_IN.size :]), 0
-                except FileNotFoundError:
-                    fault = errno.ENOENT
+                except OSError as err:
+                    fault = err.errno or errno.EIO
             os.write(self._fuse, _OUT.pack(_OUT.size + len(answer), -fault, unique) + answer)
 
     def _look_up(self, _node: int, name: memoryview) -> bytes:
         if bytes(name).rstrip(b"\0") != DISK.encode():
-            raise FileNotFoundError
+            raise FileNotFoundError(errno.ENOENT, "no such file")
         return _ENTRY.pack(_FILE, 0, _VALID_S, _VALID_S, 0, 0) + self._describe(_FILE)
 
     def _attributes(self, node: int, _body: memoryview) -> bytes:
@@ -136,12 +141,18 @@ class ForgetfulDisk:
     def _write(self, _node: int, body: memoryview) -> bytes:
         _, offset, size = _TRANSFER.unpack_from(body)
         data = bytes(body[_WRITE_BYTES : _WRITE_BYTES + size])
+        self._check()
         with self._lock:
             self._content[offset : offset + size] = data
             self._pending.append((offset, data))
         return struct.pack("<II", size, 0)
 
+    def _check(self) -> None:
+        if self.is_broken:
+            raise OSError(errno.EIO, "broken")
+
     def _flush(self, _node: int, _body: memoryview) -> bytes:
+        self._check()
         with self._lock:
             for offset, data in self._pending:
                 self._durable[offset : offset + len(data)] = data

@@ -2,7 +2,7 @@
 
     python instruction_kills.py FOLDER METHOD STRIDE
 
-`METHOD` is a key of `ACTIONS`. For each n a child of this process opens a sink in `FOLDER/n`, keeps `BEFORE` events, and
+`METHOD` is a key of `ACTIONS`, or `open`. For each n a child of this process opens a sink in `FOLDER/n`, keeps `BEFORE` events, and
 runs the action; the tracing hook of the interpreter counts the bytecodes of the package `tracefile` and kills the child at
 the n-th. The first child that gets through ends the series. Printed: JSON, [n, whether it was killed] of each child.
 """
@@ -39,8 +39,8 @@ ACTIONS: dict[str, Callable[[TraceSink], object]] = {
 }
 
 
-def kill_at(number: int) -> Callable[[FrameType, str, Any], Any]:
-    """A tracing hook that kills this process before bytecode `number` of the package."""
+def acting_at(number: int, act: Callable[[], object]) -> Callable[[FrameType, str, Any], Any]:
+    """A tracing hook that calls `act` once, before bytecode `number` of the package."""
     left = number
 
     def trace(frame: FrameType, event: str, _argument: object) -> Any:
@@ -50,21 +50,38 @@ def kill_at(number: int) -> Callable[[FrameType, str, Any], Any]:
         frame.f_trace_opcodes = True
         if event == "opcode":
             if left == 0:
-                os.kill(os.getpid(), signal.SIGKILL)
+                act()
             left -= 1
         return trace
 
     return trace
 
 
-def play(trace: Path, action: Callable[[TraceSink], object], number: int) -> None:
-    """Keep events, then act until killed."""
-    destination = TraceDestination(trace, ring_slots=RING_SLOTS, chunk_seconds=3600.0)
-    sink = TraceSink(destination, ping_session(state="open"), clock_ns=lambda: STAMPED_NS)
+def open_sink(
+    trace: Path, clock_ns: Callable[[], int] = lambda: STAMPED_NS, ring_slots: int = RING_SLOTS
+) -> TraceSink:
+    """A sink whose thread drains the ring by itself only where a quarter of it is used."""
+    destination = TraceDestination(trace, ring_slots=ring_slots, chunk_seconds=3600.0)
+    return TraceSink(destination, ping_session(state="open"), clock_ns=clock_ns)
+
+
+def keep_earlier(sink: TraceSink) -> None:
+    """Keep `BEFORE` events."""
     for sequence in range(BEFORE):
         sink.record(1, 1, sequence, 1000 + sequence)
-    sys.settrace(kill_at(number))
-    action(sink)
+
+
+def play(trace: Path, method: str, number: int) -> None:
+    """Keep events, then act until killed; or be killed while the sink is opened."""
+    hook = acting_at(number, lambda: os.kill(os.getpid(), signal.SIGKILL))
+    if method == "open":
+        sys.settrace(hook)
+        open_sink(trace)
+    else:
+        sink = open_sink(trace)
+        keep_earlier(sink)
+        sys.settrace(hook)
+        ACTIONS[method](sink)
     sys.settrace(None)
 
 
@@ -75,7 +92,7 @@ def main(folder: str, method: str, stride: str) -> None:
         trace = Path(folder) / f"{number}" / "a.mcap"
         pid = os.fork()
         if not pid:
-            play(trace, ACTIONS[method], number)
+            play(trace, method, number)
             os._exit(0)
         status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
         assert status in (0, -signal.SIGKILL), status

@@ -13,20 +13,25 @@ import pytest
 from instruction_kills import BEFORE, STAMPED_NS
 from trace_files import ping_session, run
 
-from dds_trace.tracefile import Stage, TraceDestination, TraceSink, read_trace
+from dds_trace.tracefile import Stage, TraceDestination, TraceError, TraceSink, read_trace
 from dds_trace.tracefile.format.ring import ring_path
 from dds_trace.tracefile.recovery.recover import recover
 
 
-def kept_after_kills(folder, method, stride):
-    """Kill at each instruction of `method`: sequences and times that trace and ring hold then, and the last child's."""
+def kill(folder, method, stride):
+    """Kill at each instruction of `method`; the numbers of the instructions, and that of a child that got through."""
     command = [sys.executable, instruction_kills.__file__, folder, method, stride]
     told = json.loads(subprocess.run([str(part) for part in command], check=True, capture_output=True).stdout)
+    assert [killed for _, killed in told] == [True] * (len(told) - 1) + [False]
+    return [number for number, _ in told]
+
+
+def kept_after_kills(folder, method, stride):
+    """Kill at each instruction of `method`: sequences and times that trace and ring hold then, and the last child's."""
     kept = []
-    for number, _ in told:
+    for number in kill(folder, method, stride):
         events = read_trace(folder / f"{number}" / "a.mcap").events[Stage.T1]
         kept.append(list(zip(events.sequence.tolist(), events.monotonic_ns.tolist(), strict=True)))
-    assert [killed for _, killed in told] == [True] * (len(told) - 1) + [False]
     return kept
 
 
@@ -96,6 +101,26 @@ def test_killed_at_instructions_of_a_chunk(tmp_path, method):
 def test_killed_at_every_instruction_of_a_chunk(tmp_path, method):
     kept = kept_after_kills(tmp_path, method, 1)
     assert all(events == EARLIER for events in kept)
+
+
+@pytest.mark.parametrize("stride", [61, pytest.param(1, marks=[pytest.mark.slow, pytest.mark.timeout(1800)])])
+def test_killed_while_it_is_opened(tmp_path, stride):
+    """What is left is read or refused in one line, and the next recording finds its place with `force`."""
+    outcomes, refusals = set(), []
+    for number in kill(tmp_path, "open", stride):
+        path = tmp_path / f"{number}" / "a.mcap"
+        try:
+            report = recover(path, path.with_name("whole.mcap"))
+        except TraceError as err:
+            outcomes.add("refused")
+            refusals.append(str(err))
+        else:
+            outcomes.add("recovered")
+            assert (report.file_events, report.ring_events, report.damaged_chunks) == (0, 0, 0)
+        again = TraceSink(TraceDestination(path, force=True), ping_session(state="open"))
+        assert again.close().error is None
+    assert outcomes == {"refused", "recovered"}
+    assert [text for text in refusals if "\n" in text] == []
 
 
 CALLS = ["fstat", "pwritev", "fsync"]

@@ -205,10 +205,10 @@ def plans(draw):
     return f"[axes]\nbackend = ['socket']\n{lines}{options}"
 
 
-def _not_started(text, folder, domains):
+def _not_started(text, folder):
     """Rehearse a plan and record up to two of the cells that pass; those that did not start, and how many were tried."""
     try:
-        plan = parse_plan(HEAD.format(domains.take(), domains.take()) + text, "plan", "plan.toml")
+        plan = parse_plan(text, "plan", "plan.toml")
     except OptionError:
         return {}, 0
     refused = rehearse_plan(plan, folder / "plan", _check_arguments, note=str)
@@ -223,14 +223,14 @@ def _not_started(text, folder, domains):
 @pytest.mark.middleware
 @pytest.mark.parametrize("examples", [3, pytest.param(60, marks=pytest.mark.slow)])
 def test_generated_plans_that_pass_start_their_cells(tmp_path, domains, examples):
-    tried = count()
+    tried, head = count(), HEAD.format(domains.take(), domains.take())
     started = 0
 
     @settings(max_examples=examples, deadline=None, derandomize=True, database=None, phases=[Phase.generate])
     @given(text=plans())
     def passes_or_starts(text):
         nonlocal started
-        missing, of = _not_started(text, tmp_path / f"runs-{next(tried)}", domains)
+        missing, of = _not_started(head + text, tmp_path / f"runs-{next(tried)}")
         assert missing == {}, text
         started += of
 

@@ -23,7 +23,6 @@ BASE = {
 """Arguments beside the one option that is tried."""
 
 OF_RELAY = {"--type", "--relay-id"}
-SLOW_START = {"--print"}
 
 
 def options() -> list[tuple[str, str]]:
@@ -40,6 +39,9 @@ def arguments(command: str) -> list[tuple[str, int]]:
     """Every argument of every command, by its place."""
     named = [each for each in get_command(COMMANDS[command]).params if each.param_type_name == "argument"]
     return [(command, place) for place in range(len(named))]
+
+
+OPTIONS = options()
 
 
 @pytest.fixture
@@ -69,11 +71,40 @@ def nothing_recorded(monkeypatch, tmp_path):
     monkeypatch.setattr("dds_trace.reports.html.live.Watcher", nothing_analyzed)
 
 
-@pytest.mark.parametrize(("command", "option"), options(), ids=" ".join)
+def try_option(command, option, value):
+    base = ["--role", "relay", "--out", "x.mcap"] if option in OF_RELAY else BASE[command]
+    code, _, err = run(command, [*base, f"{option}={value}"])
+    check_told(command, code, err)
+
+
+each_option = pytest.mark.parametrize(
+    ("command", "option"), OPTIONS, ids=["".join(each).replace(" ", "-") for each in OPTIONS]
+)
+
+
 @pytest.mark.usefixtures("nothing_recorded")
-@settings(max_examples=8, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@each_option
+@settings(max_examples=6, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(value=hostile_values.texts())
 def test_any_value_of_any_option_is_taken_or_refused_in_one_line(command, option, value):
-    role = ["--role", "relay", "--out", "x.mcap"] if option in OF_RELAY else BASE[command]
-    code, _, err = run(command, [*role, f"{option}={value}"])
+    try_option(command, option, value)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("nothing_recorded")
+@each_option
+@settings(max_examples=300, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(value=hostile_values.texts())
+def test_many_values_of_any_option_are_taken_or_refused_in_one_line(command, option, value):
+    try_option(command, option, value)
+
+
+@pytest.mark.usefixtures("nothing_recorded")
+@pytest.mark.parametrize(("command", "place"), [each for command in COMMANDS for each in arguments(command)])
+@settings(max_examples=6, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(value=hostile_values.texts())
+def test_any_argument_is_taken_or_refused_in_one_line(command, place, value):
+    given_ones = list(BASE[command])
+    given_ones[place] = value
+    code, _, err = run(command, given_ones)
     check_told(command, code, err)

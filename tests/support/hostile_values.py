@@ -86,7 +86,8 @@ def texts() -> st.SearchStrategy[str]:
         max_size=40,
     )
     numbers = st.integers().map(str) | st.floats().map(str)
-    return st.sampled_from(HOSTILE_TEXTS) | drawn | numbers
+    held = [text for text in HOSTILE_TEXTS if not re.search("[\ud800-\udc7f]", text)]
+    return st.sampled_from(held) | drawn | numbers
 
 
 def toml_values() -> st.SearchStrategy[object]:

@@ -72,7 +72,7 @@ def replaced(described, place, value):
 
 
 @pytest.mark.parametrize(("kind", "place"), FIELDS, ids=str)
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(value=json_values())
 def test_any_value_of_any_field_is_taken_or_named_in_one_line(kind, place, value):
     good = ping_session() if kind is Session else run()

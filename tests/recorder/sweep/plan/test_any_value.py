@@ -77,7 +77,7 @@ def check_plan(folder, text):
 @pytest.mark.parametrize(
     ("table", "key"), [(table, key) for table, keys in PLAN_LIMITS.items() for key in keys]
 )
-@settings(max_examples=10, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=6, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(value=toml_values())
 def test_any_value_of_any_key_is_taken_or_refused_in_one_line(tmp_path, table, key, value):
     heading = {"": ""}.get(table, f"[[{table}]]\n" if table in ARRAYS else f"[{table}]\n")

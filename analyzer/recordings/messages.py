@@ -7,10 +7,11 @@ import re
 import struct
 from dataclasses import dataclass
 from functools import cache
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
-from mcap.records import Channel, Message, Schema
+from mcap.records import Channel, Chunk, McapRecord, Message, Schema
 from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import MessageDefinitionFormat
@@ -18,12 +19,18 @@ from rosbags.typesys import Stores, get_typestore
 
 from dds_trace.tracefile.errors import MissingEventsError, TraceFormatError
 from dds_trace.tracefile.format.bag_metadata import METADATA_NAME
+from dds_trace.tracefile.mcapfile.blocks import LARGEST_FILE_RATIO, most_unpacked_bytes
+from dds_trace.tracefile.mcapfile.chunks import unpack_records
+from dds_trace.tracefile.mcapfile.file import MAX_RECORD_BYTES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator
 
     from rosbags.interfaces import Connection
 
+
+_UNSUSPECTED_MESSAGES = 2_000_000
+_MESSAGE_BYTES = 64  # a message takes more of a file than that, or there are few of them
 
 LATEST_NS = 2**63 - 1
 """Latest time of a message; MCAP can hold twice that."""
@@ -118,8 +125,12 @@ def _mcap_stream(file: BinaryIO) -> Iterator[RecordedMessage]:
     """Yield the messages with `StreamReader`, which reads a truncated file up to its end, unlike the indexed reader."""
     schemas: dict[int, Schema] = {}
     topics: dict[int, tuple[Topic, Callable[[bytes], int | None]]] = {}
-    for record in StreamReader(file).records:
+    messages_left = _UNSUSPECTED_MESSAGES + os.fstat(file.fileno()).st_size // _MESSAGE_BYTES
+    for record in _mcap_records(file):
         if isinstance(record, Message):
+            messages_left -= 1
+            if messages_left < 0:
+                raise ValueError("it has more messages than so few bytes hold")
             topic, stamp_of = topics[record.channel_id]
             yield RecordedMessage(
                 topic=topic,
@@ -142,6 +153,24 @@ def _mcap_stream(file: BinaryIO) -> Iterator[RecordedMessage]:
                 begins_with_stamp(text) and encoding in _STAMP_READERS,
             )
             topics[record.id] = topic, _STAMP_READERS.get(encoding, _no_stamp)
+
+
+def _mcap_records(file: BinaryIO) -> Iterator[McapRecord]:
+    """Yield the records of a file, those of its chunks in their place; a chunk is unpacked within bounds."""
+    unpacked_bytes = 0
+    for record in StreamReader(file, emit_chunks=True, record_size_limit=MAX_RECORD_BYTES).records:
+        if not isinstance(record, Chunk):
+            yield record
+            continue
+        unpacked_bytes += record.uncompressed_size
+        if unpacked_bytes > most_unpacked_bytes(file.tell()):
+            raise ValueError(f"it unpacks to more than {LARGEST_FILE_RATIO} times its size")
+        data = unpack_records(record.compression, record.data, record.uncompressed_size)
+        stream = BytesIO(data)
+        # A chunk within a chunk stays packed.
+        inner = iter(StreamReader(stream, skip_magic=True, emit_chunks=True).records)
+        while stream.tell() < len(data) and (each := next(inner, None)) is not None:
+            yield each
 
 
 def _bag_messages(path: Path) -> Iterator[RecordedMessage]:

@@ -74,15 +74,7 @@ class PackedChunk:
             raise DamagedChunkError(
                 f"it claims {counted(packed_bytes, 'packed byte')}, more than its record has"
             )
-        if max(unpacked_bytes, packed_bytes) > MAX_RECORD_BYTES:
-            raise DamagedChunkError(
-                f"it claims {unpacked_bytes} bytes; at most {MAX_RECORD_BYTES} are read at once "
-                "(a file that really has such chunks can be written anew by `mcap compress`)",
-            )
-        if unpacked_bytes > max(_UNSUSPECTED_BYTES, LARGEST_RATIO * packed_bytes):
-            raise DamagedChunkError(f"it claims {unpacked_bytes} bytes, packed into {packed_bytes}")
-        if compression and compression not in _UNPACKERS:
-            raise DamagedChunkError(f"its compression {compression!r} is not known")
+        _check_claims(compression, packed_bytes, unpacked_bytes)
         return cls(header.offset, data_offset, packed_bytes, unpacked_bytes, crc, compression)
 
     def unpack(self, file: RecordFile, memory: UnpackMemory | None = None, at: int = 0) -> memoryview:
@@ -121,6 +113,42 @@ class PackedChunk:
         packed = memory.packed(self.packed_bytes)
         file.read_into(packed, self.data_offset)
         return _UNPACKERS[self.compression](packed, room)
+
+
+def unpack_records(compression: str, packed: bytes, unpacked_bytes: int) -> bytes | bytearray:
+    """Return the unpacked records of a chunk that another reader has taken out of its file.
+
+    Raises:
+        DamagedChunkError: it claims more than a chunk may hold, or cannot be unpacked to what it claims.
+    """
+    _check_claims(compression, len(packed), unpacked_bytes)
+    if not compression:
+        return packed
+    room = bytearray(unpacked_bytes)
+    try:
+        found_bytes = _UNPACKERS[compression](memoryview(packed), memoryview(room))
+    except (ValueError, MemoryError, zstandard.ZstdError, cramjam.DecompressionError) as err:
+        raise DamagedChunkError(f"it cannot be unpacked ({err})") from err
+    if found_bytes != unpacked_bytes:
+        raise DamagedChunkError(f"it holds {counted(found_bytes, 'byte')} and claims {unpacked_bytes}")
+    return room
+
+
+def _check_claims(compression: str, packed_bytes: int, unpacked_bytes: int) -> None:
+    """Check the claims of a chunk before memory is taken for them.
+
+    Raises:
+        DamagedChunkError: it claims more than a chunk may hold, or an unknown compression.
+    """
+    if max(unpacked_bytes, packed_bytes) > MAX_RECORD_BYTES:
+        raise DamagedChunkError(
+            f"it claims {unpacked_bytes} bytes; at most {MAX_RECORD_BYTES} are read at once "
+            "(a file that really has such chunks can be written anew by `mcap compress`)",
+        )
+    if unpacked_bytes > max(_UNSUSPECTED_BYTES, LARGEST_RATIO * packed_bytes):
+        raise DamagedChunkError(f"it claims {unpacked_bytes} bytes, packed into {packed_bytes}")
+    if compression and compression not in _UNPACKERS:
+        raise DamagedChunkError(f"its compression {compression!r} is not known")
 
 
 class UnpackMemory:

@@ -9,15 +9,18 @@ import zlib
 
 import numpy as np
 import pytest
+import zstandard
 from mcap.writer import CompressionType, Writer
 from rosbags.rosbag1 import Writer as Bag1Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Bag2Writer
 from rosbags.typesys import Stores, get_typestore
 
+from dds_trace.analyzer.recordings import messages as messages_of_recordings
 from dds_trace.analyzer.recordings.messages import begins_with_stamp, find_recordings, iter_messages
 from dds_trace.analyzer.recordings.topics import analyze_topics
 from dds_trace.tracefile.errors import MissingEventsError, TraceFormatError
+from dds_trace.tracefile.mcapfile import blocks
 
 MS = 1_000_000
 START_NS = 1_700_000_000 * 10**9
@@ -257,3 +260,41 @@ def test_a_time_beyond_the_year_2262_ends_the_reading(tmp_path, times):
     report = analyze_topics(tmp_path)
     assert report.topics["messages"].to_list() == [1]
     assert "is no time" in report.sources[0].detail
+
+
+def write_chunks(path, *chunks):
+    """An MCAP file of chunks: (claimed bytes, packed records)."""
+    records = [
+        struct.pack("<QQQII", 0, 0, claimed, 0, 4) + b"zstd" + struct.pack("<Q", len(packed)) + packed
+        for claimed, packed in chunks
+    ]
+    header = struct.pack("<BQII", 1, 8, 0, 0)
+    body = b"".join(struct.pack("<BQ", 6, len(record)) + record for record in records)
+    path.write_bytes(b"\x89MCAP0\r\n" + header + body)
+    return path
+
+
+@pytest.mark.parametrize("claimed", [1 << 40, 4_000_000_000, 100_000_000])
+def test_a_chunk_is_not_unpacked_to_what_it_claims(tmp_path, claimed):
+    path = write_chunks(tmp_path / "x.mcap", (claimed, zstandard.compress(bytes(100_000_000))[:500]))
+    with pytest.raises(TraceFormatError, match=r"it claims|unpacks to more than"):
+        list(iter_messages(path))
+
+
+def test_a_file_of_small_bombs_is_not_unpacked_whole(tmp_path, monkeypatch):
+    bomb = struct.pack("<BQ", 0x80, 1_000_000) + bytes(1_000_000)
+    path = write_chunks(tmp_path / "x.mcap", *[(len(bomb), zstandard.compress(bomb))] * 20)
+    with pytest.raises(TraceFormatError, match="cannot be read on"):
+        list(iter_messages(path))
+    monkeypatch.setattr(blocks, "_UNSUSPECTED_FILE_BYTES", 0)
+    with pytest.raises(TraceFormatError, match="unpacks to more than 200 times"):
+        list(iter_messages(path))
+
+
+def test_messages_of_a_few_bytes_are_bounded_in_number(tmp_path, monkeypatch):
+    write_mcap(tmp_path / "x.mcap", [("/a", t, t, b"{}") for t in range(300)])
+    monkeypatch.setattr(messages_of_recordings, "_UNSUSPECTED_MESSAGES", 100)
+    monkeypatch.setattr(messages_of_recordings, "_MESSAGE_BYTES", 1 << 40)
+    report = analyze_topics(tmp_path / "x.mcap")
+    assert report.topics["messages"].to_list() == [100]
+    assert "more messages than so few bytes hold" in report.sources[0].detail

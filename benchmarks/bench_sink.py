@@ -1,8 +1,8 @@
-"""The event sink against python `mcap` writing inline, side by side in one process: five ratios with their bars.
+"""The event sink against python `mcap` writing inline, side by side in one process: seven ratios with their bars.
 
     python benchmarks/bench_sink.py [--rounds 5] [--json]
 
-Exit code 1 if a bar is missed or a file is refused by the public reader. Absolute times are this machine's.
+Cold is one event, then a sleep, as in a node at 1 kHz; warm is one event behind the other. Exit code 1 if a bar is missed or a file is refused by the public reader. Absolute times are this machine's.
 """
 
 from __future__ import annotations
@@ -24,6 +24,8 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 
 from dds_trace.recorder.host.recorder_cost import (
+    PACE_NS,
+    measure_cold_timer_ns,
     measure_timer_ns,
     measuring_session,
     time_paced_events,
@@ -46,6 +48,7 @@ if TYPE_CHECKING:
 BURST_EVENTS = 500
 BURSTS = 40
 PACED_EVENTS = 2_500
+COLD_EVENTS = 1_000
 BEFORE_PACED_EVENTS = 10_500  # python mcap closes a chunk each 11,500 events; let it come in the paced part
 SUSTAINED_EVENTS = 300_000
 HEADER_BYTES = 64
@@ -145,6 +148,24 @@ def publish_ns(stamper: Stamper, path: Path) -> float:
     return statistics.median(times) - measure_timer_ns()
 
 
+def cold_path_ns(recorder: Recorder, path: Path) -> float:
+    """Median cost of one event, then a sleep, at 1 kHz: caches are as cold as a node's. Net of a reading of the clock likewise."""
+    with recorder(path) as record:
+        times = time_paced_events(record, COLD_EVENTS)
+    return statistics.median(times.tolist()) - measure_cold_timer_ns(COLD_EVENTS // 4)
+
+
+def cold_handover_ns(stamper: Stamper, path: Path) -> float:
+    """Median time from a time stamp to the moment where its message could leave, one event, then a sleep, at 1 kHz."""
+    now, times = time.monotonic_ns, []
+    with stamper(path) as stamp:
+        for sequence in range(COLD_EVENTS):
+            time.sleep(PACE_NS / 1e9)
+            stamped_ns = stamp(1, 1, sequence)
+            times.append(now() - stamped_ns)
+    return statistics.median(times) - measure_cold_timer_ns(COLD_EVENTS // 4)
+
+
 def stall_ns(recorder: Recorder, path: Path) -> float:
     """Return the cost of the worst ten consecutive events at 1 kHz, without that of the time stamps."""
     now = time.monotonic_ns
@@ -191,6 +212,18 @@ class Bar:
 
 
 BARS = [
+    Bar(
+        "one event at 1 kHz (cold), median",
+        "ns",
+        lambda name, path: cold_path_ns(RECORDERS[name], path),
+        at_most=1 / 2,
+    ),
+    Bar(
+        "stamp to hand-over at 1 kHz (cold)",
+        "ns",
+        lambda name, path: cold_handover_ns(STAMPERS[name], path),
+        at_most=1 / 5,
+    ),
     Bar("hot path, mean", "ns", lambda name, path: hot_path_ns(RECORDERS[name], path), at_most=1 / 5),
     Bar(
         "stamp to hand-over, median",

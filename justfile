@@ -59,8 +59,8 @@ bench: setup
 bench-full: setup
     {{bin}}/python benchmarks/bench_sink.py
     {{bin}}/python benchmarks/bench_read.py --large
-    {{bin}}/python benchmarks/bench_analyze.py --full
-    {{bin}}/python benchmarks/bench_analyze.py --files 200
+    {{bin}}/python benchmarks/bench_analyze.py --full --huge
+    {{bin}}/python benchmarks/bench_analyze.py --growth
 
 # A billion synthetic events through dds-analyze, made and removed again (--events 100000000: a tenth; about 75 bytes of disk each)
 bench-huge *args: setup

@@ -9,6 +9,7 @@ from campaigns import assert_same_results, write_runs
 from polars.testing import assert_frame_equal
 
 import dds_trace.analyzer.engines.batches
+import dds_trace.analyzer.engines.local
 import dds_trace.analyzer.loading.shelf
 import dds_trace.analyzer.pairing.rows
 import dds_trace.analyzer.verdicts.cases
@@ -86,6 +87,29 @@ def test_small_memory_changes_nothing(tmp_path, monkeypatch):
         assert found.details.breakdown.is_empty()
         assert found.details.responses.is_empty()
         assert set(whole.details.breakdown["group"]) == {0, 1}
+
+
+@pytest.mark.parametrize("cache", [False, True])
+def test_a_large_trace_waits_in_a_file_and_a_small_one_in_memory(tmp_path, monkeypatch, cache):
+    runs = tmp_path / "runs"
+    write_runs(runs, range(2))
+    in_files = []
+
+    def work_at(batch, parts):
+        in_files.extend(
+            not isinstance(part.events, EventColumns) for of_key in parts.values() for part in of_key
+        )
+        return dds_trace.analyzer.engines.batches.work_at(batch, parts)
+
+    monkeypatch.setattr(dds_trace.analyzer.engines.local, "work_at", work_at)
+    whole = analyze(runs)
+    assert in_files
+    assert not any(in_files)
+    in_files.clear()
+    monkeypatch.setattr(dds_trace.analyzer.loading.shelf, "LARGEST_HELD_EVENTS", 1)
+    assert_same_results(analyze(runs, cache=cache), whole)
+    assert in_files
+    assert all(in_files)
 
 
 def test_kinds_of_messages_too_large_to_compare_have_no_answer_and_a_finding(tmp_path, monkeypatch):

@@ -37,6 +37,7 @@ def test_every_parameter_shows_in_the_name():
         "executor": "single",
         "tuned": True,
         "environment": "/opt/kilted",
+        "congestion_control": "reno",
         "repeat": 2,
     }
     assert set(changes) == {field.name for field in fields(Cell)}

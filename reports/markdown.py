@@ -44,6 +44,7 @@ def render(book: Book) -> str:
         f"# Latency report: {markdown(overview.title)}",
         *_advice(book),
         f"**{markdown(answer.headline)}**",
+        _list(markdown(point) for point in answer.points),
         _table(
             ("Data", "Devices and link", "Result"),
             ((verdict.data, verdict.place, verdict.sentence) for verdict in answer.verdicts),

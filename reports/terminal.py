@@ -75,6 +75,7 @@ def _report(book: Book) -> RenderableType:
         Text(answer.headline, style="bold"),
         _list(
             [
+                *answer.points,
                 *(f"{one.data}, on {one.place}: {one.sentence}" for one in answer.verdicts),
                 *answer.remarks,
             ]

@@ -9,6 +9,7 @@ leads. Plain sockets are no middleware, and no contender where a middleware was 
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -70,6 +71,8 @@ class CaseAnswer:
         conditions: what surrounded the runs, as in `setting` (values of an emulated link, concurrent runs ...).
         basis: `between runs`, or `within one run` where a contender has fewer than three: then nothing is told apart.
         fewest_runs: runs of the contender that has the fewest.
+        leader_p50: name of the contender whose median is clearly below that of each of the others; empty if none is.
+        leader_p99: the same of the p99; empty also where `percentile` is p50, because not all have an interval for p99.
     """
 
     connectivity: str
@@ -86,6 +89,8 @@ class CaseAnswer:
     conditions: str = ""
     basis: str = ""
     fewest_runs: int = 0
+    leader_p50: str = ""
+    leader_p99: str = ""
 
 
 def find_answers(
@@ -133,6 +138,12 @@ def _answer_case(
     groups_of = {name: group for name, (_, group) in measured.items()}
     ranked = sorted(_with_losses(contenders, groups_of, confidence), key=Contender.order)
     beaten = _beaten_by(ranked[0], ranked[1:], groups_of, quantile, confidence, passes)
+    by_median = sorted(ranked, key=_median_order)
+    below_median = (
+        beaten
+        if percentile == "p50"
+        else _beaten_by(by_median[0], by_median[1:], groups_of, 0.5, confidence, passes)
+    )
     if len(ranked) == 1:
         clarity = Clarity.ONLY_ONE
     else:
@@ -148,31 +159,47 @@ def _answer_case(
         ),
         basis=(Basis.BETWEEN_RUNS if is_between else Basis.WITHIN_RUN).value,
         fewest_runs=min(one.latency.runs for one in ranked),
+        leader_p50=_leader(ranked if percentile == "p50" else by_median, below_median),
+        leader_p99=_leader(ranked, beaten) if percentile == "p99" else "",
     )
+
+
+def _leader(ranked: Sequence[Contender], beaten: set[str]) -> str:
+    """Return the name of the first of several contenders if it beats all others; empty otherwise."""
+    return ranked[0].name if len(ranked) > 1 and len(beaten) == len(ranked) - 1 else ""
+
+
+def _median_order(contender: Contender) -> tuple[bool, float, str]:
+    median_ns = math.inf if contender.p50_ns is None else contender.p50_ns
+    return contender.loses_more, median_ns, contender.name
 
 
 def _contenders(
     measured: Mapping[str, tuple[Setting, MatchedGroup]], confidence: float
 ) -> tuple[str, float, list[Contender]]:
     """Return the percentile that can be compared, its quantile, and the contenders with it."""
-
-    def contenders_at(quantile: float) -> list[Contender]:
-        statistic = Statistic(quantile)
-        return [
-            Contender(
-                name=name,
-                setting=setting,
-                latency=interval_of_runs(group.delivered("latency"), statistic, confidence),
-                received=group.received_ratio(confidence),
-                survivors_ns=group.of_survivors("latency", statistic),
-            )
-            for name, (setting, group) in measured.items()
-        ]
-
-    tails = contenders_at(0.99)
-    if all(contender.latency.is_two_sided for contender in tails):
-        return "p99", 0.99, tails
-    return "p50", 0.5, contenders_at(0.5)
+    medians, tails = (
+        {
+            name: interval_of_runs(group.delivered("latency"), Statistic(quantile), confidence)
+            for name, (_, group) in measured.items()
+        }
+        for quantile in (0.5, 0.99)
+    )
+    has_tails = all(tail.is_two_sided for tail in tails.values())
+    percentile, quantile, latencies = ("p99", 0.99, tails) if has_tails else ("p50", 0.5, medians)
+    contenders = [
+        Contender(
+            name=name,
+            setting=setting,
+            latency=latencies[name],
+            received=group.received_ratio(confidence),
+            survivors_ns=group.of_survivors("latency", Statistic(quantile)),
+            p50_ns=medians[name].value,
+            p99_ns=tails[name].value,
+        )
+        for name, (setting, group) in measured.items()
+    ]
+    return percentile, quantile, contenders
 
 
 def _with_losses(

@@ -135,6 +135,8 @@ class Contender:
         received: share of messages whose reply came back, with its interval.
         survivors_ns: the compared percentile of the messages that came back; None if they are too few.
         loses_more: whether it receives significantly less than another contender of the case.
+        p50_ns: median of all messages, ns, infinite where more than half were lost; None without messages.
+        p99_ns: p99, likewise; None where the sample does not support it.
     """
 
     name: str
@@ -143,6 +145,8 @@ class Contender:
     received: Interval
     survivors_ns: float | None = None
     loses_more: bool = False
+    p50_ns: float | None = None
+    p99_ns: float | None = None
 
     def order(self) -> tuple[bool, float, float, str]:
         """Return the key by which contenders are ranked: losses, estimate, upper end (infinite if unknown), name."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -12,7 +13,6 @@ from dds_trace.analyzer.model.setting import condition_of
 from dds_trace.analyzer.statistics.intervals import RUNS_TO_TELL, Basis
 from dds_trace.tracefile.units.counts import counted
 from dds_trace.tracefile.units.durations import format_duration
-from dds_trace.tracefile.visible import visible
 
 from ..text import format_added_ns, format_count, format_ratio
 from .groups import (
@@ -20,10 +20,11 @@ from .groups import (
     data_type_label,
     domain_label,
     group_labels,
+    way_words,
 )
+from .headline import avoid_sentence, bridge_sentences, loss_sentence, where_sentence, winner_sentences
 from .verdicts import (
     CLEARLY,
-    MODES,
     WITHIN_ONE_RUN,
     DataVerdict,
     cells_label,
@@ -52,6 +53,7 @@ class Conclusion:
         verdicts: one per kind of data; empty if no contenders could be compared.
         remarks: sentences on the range of medians, the cost of bridges and the losses.
         rule: definition of `clearly`; empty if nothing was compared.
+        points: the sentences that follow the headline: who is fastest, what not to use, what bridges cost, where.
     """
 
     headline: str
@@ -59,6 +61,7 @@ class Conclusion:
     verdicts: tuple[DataVerdict, ...]
     remarks: tuple[str, ...]
     rule: str
+    points: tuple[str, ...] = ()
 
 
 def answer_info(analysis: Analysis, groups: Groups, values: Values) -> Conclusion:
@@ -83,26 +86,33 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values) -> Conclusio
         _losses(values),
     )
     rule = CLEARLY if any(one.within_one_run < one.cells for one in verdicts) else WITHIN_ONE_RUN
-    return Conclusion(
-        _headline(verdicts, groups, values, answers), metric, verdicts, remarks, rule if verdicts else ""
+    sentences = (
+        loss_sentence(groups, values),
+        *_who_is_fastest(verdicts, groups, values, answers),
+        avoid_sentence(answers, groups.vendors),
+        *(bridge_sentences(known.bridge_costs, groups.vendors) if known else ()),
+        where_sentence(analysis, groups, values),
     )
+    headline, *points = (sentence for sentence in sentences if sentence)
+    return Conclusion(headline, metric, verdicts, remarks, rule if verdicts else "", tuple(points))
 
 
-def _headline(
+def _who_is_fastest(
     verdicts: tuple[DataVerdict, ...], groups: Groups, values: Values, answers: Sequence[CaseAnswer]
-) -> str:
+) -> tuple[str, ...]:
     vendors = sorted({series.vendor_label for series in groups.series})
     if not verdicts:
         if len(vendors) == 1:
-            return f"{_ways(vendors[0], groups, values)} No other middleware was measured."
+            return (f"{_ways(vendors[0], groups, values)} No other middleware was measured.",)
         if not answers:
-            return f"{_and(vendors)} were not compared: that takes the rows of all messages."
+            return (f"{_and(vendors)} were not compared: that takes the rows of all messages.",)
         names = sorted(set(contender_labels(answers, groups.vendors).values()))
-        return f"{_and(names)} were not measured under equal conditions, so no choice can be made from this."
+        return (
+            f"{_and(names)} were not measured under equal conditions, so no choice can be made from this.",
+        )
     if not any(verdict.wins for verdict in verdicts):
-        return f"{_no_winner(verdicts, answers)} Measured on {_places_words(verdicts)}."
-    modes = dict.fromkeys(verdict.mode for verdict in verdicts)
-    return " ".join(_mode_sentence(mode, [one for one in verdicts if one.mode == mode]) for mode in modes)
+        return (_no_winner(verdicts, answers),)
+    return winner_sentences(answers, groups.vendors)
 
 
 def _no_winner(verdicts: Sequence[DataVerdict], answers: Sequence[CaseAnswer]) -> str:
@@ -116,15 +126,6 @@ def _no_winner(verdicts: Sequence[DataVerdict], answers: Sequence[CaseAnswer]) -
     fewest = min(answer.fewest_runs for answer in answers if len(answer.contenders) > 1)
     there = "is" if fewest == 1 else "are"
     return f"Inconclusive in {where} compared: telling apart takes {RUNS_TO_TELL} runs of each, there {there} {fewest}."
-
-
-_MOST_PLACES = 4
-"""Most devices and links that a sentence names; the table below it names all of them."""
-
-
-def _places_words(verdicts: Iterable[DataVerdict]) -> str:
-    places = list(dict.fromkeys(verdict.place for verdict in verdicts))
-    return "; ".join(places) if len(places) <= _MOST_PLACES else f"{len(places)} pairs of devices and links"
 
 
 _MOST_WAYS = 3
@@ -160,60 +161,6 @@ def _of_survivors(groups: Iterable[Group], values: Values) -> str:
 _IN_WAY = {"same domain": "in the same domain", "different domains": "across domains"}
 
 
-def _mode_sentence(mode: str, verdicts: list[DataVerdict]) -> str:
-    """Name the fastest contender of one domain mode, over all kinds of data; devices and links each for themselves."""
-    where = "In the same domain" if mode == MODES["same"] else f"Across {mode}"
-    of_place: dict[str, list[DataVerdict]] = {}
-    for verdict in verdicts:
-        of_place.setdefault(verdict.place, []).append(verdict)
-    everywhere = {_sole_winner(of_one) for of_one in of_place.values()}
-    winner = everywhere.pop() if len(everywhere) == 1 else ""
-    if len(of_place) == 1:
-        return f"{where}, {_wins_words(verdicts)}, on {verdicts[0].place}."
-    if winner:
-        shown = f" ({_places_words(verdicts)})" if len(of_place) <= _MOST_PLACES else ""
-        return (
-            f"{where}, {_wins_words(verdicts)}, on each of {len(of_place)} pairs of devices and links{shown}."
-        )
-    if len(of_place) <= _MOST_PLACES:
-        said = "; ".join(f"{_wins_words(of_one)} on {place}" for place, of_one in of_place.items())
-        return f"{where}: {said}."
-    return f"{where}, {_wins_words(verdicts)}, over {len(of_place)} pairs of devices and links, each compared for itself."
-
-
-def _sole_winner(verdicts: Iterable[DataVerdict]) -> str:
-    """Return the contender that wins every cell; empty where no one does."""
-    cells = sum(verdict.cells for verdict in verdicts)
-    return next((name for name, count in _wins(verdicts).items() if count == cells), "")
-
-
-def _wins(verdicts: Iterable[DataVerdict]) -> Counter[str]:
-    wins: Counter[str] = Counter()
-    for verdict in verdicts:
-        wins.update({win.contender: win.cells for win in verdict.wins})
-    return wins
-
-
-def _wins_words(verdicts: Sequence[DataVerdict]) -> str:
-    """Count who is fastest in how many cells, as in `Zenoh was clearly fastest in 2 of 4 cells (2 inconclusive)`."""
-    cells = sum(verdict.cells for verdict in verdicts)
-    wins = _wins(verdicts).most_common()
-    if not wins:
-        return f"inconclusive in {'the one cell' if cells == 1 else f'all {cells_label(cells)}'}"
-    (name, count), *others = wins
-    inconclusive = sum(verdict.inconclusive for verdict in verdicts)
-    rest = [f"{other} in {n}" for other, n in others]
-    rest += [f"{inconclusive} inconclusive"] if inconclusive else []
-    share = (
-        f"{count} of {cells_label(cells)}"
-        if count < cells
-        else "the one cell"
-        if cells == 1
-        else f"all {cells} cells"
-    )
-    return f"{name} was clearly fastest in {share}" + (f" ({', '.join(rest)})" if rest else "")
-
-
 def _level_remarks(groups: Groups, values: Values, metric: str) -> list[str]:
     """State the lowest and highest median of each data type, with their groups."""
     remarks, labels = [], group_labels(groups)
@@ -246,7 +193,7 @@ def _bridge_remarks(costs: pl.DataFrame, vendors: VendorLabels) -> list[str]:
     """State what each vendor and bridge adds to the median latency across domains, on each pair of devices and link."""
     ways: dict[str, list[dict[str, Any]]] = {}
     known = (pl.col("statistic") == "p50") & (pl.col("metric") == "latency")
-    told = list(costs.filter(known & pl.col("difference_ns").is_not_null()).iter_rows(named=True))
+    told = list(costs.filter(known).iter_rows(named=True))
     places = [_place_of_cost(row) for row in told]
     for row, place in zip(told, places, strict=True):
         where = f", on {place}" if len(set(places)) > 1 else ""
@@ -270,13 +217,23 @@ _BRIDGE_VERDICTS = {
 
 def _bridge_remark(way: str, rows: list[dict[str, Any]]) -> str:
     # Where messages were lost, the latency of the rest is biased: the quick ones came back.
-    whole = [row for row in rows if row["new_received_ratio"] >= row["base_received_ratio"]]
-    lossy = len(rows) - len(whole)
-    lost = f"{cells_label(lossy)} lost messages that the same domain did not, and {'is' if lossy == 1 else 'are'} not compared."
-    if not whole:
-        return f"{way}: {lost}"
-    said = _added_words(whole)
-    return f"{way}: {said} {lost}" if lossy else f"{way}: {said}"
+    whole = [
+        row
+        for row in rows
+        if row["new_received_ratio"] >= row["base_received_ratio"]
+        and row["difference_ns"] is not None
+        and math.isfinite(row["difference_ns"])
+    ]
+    lossy = sum(row["new_received_ratio"] < row["base_received_ratio"] for row in rows)
+    left = len(rows) - len(whole) - lossy
+    said = [_added_words(whole)] if whole else []
+    if lossy:
+        said.append(
+            f"{cells_label(lossy)} lost messages that the same domain did not, and {'is' if lossy == 1 else 'are'} not compared."
+        )
+    if left:
+        said.append(f"{cells_label(left)} lost most of the messages in the same domain too.")
+    return f"{way}: {' '.join(said)}"
 
 
 def _added_words(rows: list[dict[str, Any]]) -> str:
@@ -302,9 +259,8 @@ def _within(row: Mapping[str, Any]) -> str:
 
 
 def way_label(row: Mapping[str, Any], vendors: VendorLabels) -> str:
-    """Name the vendor and bridge of a row of `bridge_costs`, as in `Fast DDS, via builtin`."""
-    way = "different domains" if row["bridge"] == "none" else f"via {visible(row['bridge'])}"
-    return f"{vendors.of_pair(row['vendor'], row['relay_vendor'])}, {way}"
+    """Name the vendor and bridge of a row of `bridge_costs`, as in `Fast DDS, through our built-in bridge`."""
+    return f"{vendors.of_pair(row['vendor'], row['relay_vendor'])}, {way_words(row['bridge'])}"
 
 
 def _deadline_remarks(details: Details, groups: Groups) -> list[str]:

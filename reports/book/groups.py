@@ -55,6 +55,9 @@ VENDORS = {
 }
 """Vendor in a trace -> label, in the order of a report; sessions name the label of any other vendor."""
 
+BRIDGES = {"builtin": "our built-in bridge", "builtin-zenoh": "our built-in Zenoh bridge"}
+"""Bridge in a trace -> its words; any other bridge is shown by its own name."""
+
 DATA_TYPES = {"binary": "Binary", "string": "String", "imu": "IMU"}
 """Data type in a trace -> label, in the order of the paper."""
 
@@ -247,10 +250,15 @@ def data_type_label(data_type: str) -> str:
 
 
 def domain_label(series: Series) -> str:
-    """Name the domains and the bridge: `same domain`, `different domains`, `via builtin`."""
+    """Name the domains and the bridge: `same domain`, `different domains`, `through our built-in bridge`."""
     if series.domain_mode == "same":
-        return "same domain" if series.bridge == "none" else f"same domain via {visible(series.bridge)}"
-    return "different domains" if series.bridge == "none" else f"via {visible(series.bridge)}"
+        return "same domain" if series.bridge == "none" else f"same domain {way_words(series.bridge)}"
+    return way_words(series.bridge)
+
+
+def way_words(bridge: str) -> str:
+    """Name the way between two domains: `through our built-in bridge`, `different domains` without a bridge."""
+    return "different domains" if bridge == "none" else f"through {BRIDGES.get(bridge, visible(bridge))}"
 
 
 def qos_label(series: Series) -> str:

@@ -16,7 +16,7 @@ from dds_trace.analyzer.statistics.intervals import RUNS_TO_TELL
 from dds_trace.tracefile.units.counts import counted
 from dds_trace.tracefile.visible import visible
 
-from .groups import DATA_TYPES, data_type_label, device_pair
+from .groups import DATA_TYPES, data_type_label, device_pair, way_words
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -171,7 +171,7 @@ def cells_label(count: int) -> str:
 def _label(vendors: VendorLabels, setting: Mapping[str, ParameterValue]) -> str:
     relay_vendor = setting["relay_vendor"]
     pair = vendors.of_pair(str(setting["vendor"]), None if relay_vendor is None else str(relay_vendor))
-    return pair if setting["bridge"] == "none" else f"{pair} via {visible(setting['bridge'])}"
+    return pair if setting["bridge"] == "none" else f"{pair} {way_words(str(setting['bridge']))}"
 
 
 def _value(column: str, setting: Mapping[str, ParameterValue]) -> str:

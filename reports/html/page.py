@@ -179,4 +179,10 @@ def _answer(book: Book) -> dict[str, object]:
         if verdict.inconclusive:
             parts.append({"name": "inconclusive", "cells": verdict.inconclusive, "light": "", "dark": ""})
         verdicts.append({"data": verdict.data, "place": verdict.place, "parts": parts})
-    return {"headline": answer.headline, "verdicts": verdicts, "remarks": answer.remarks, "rule": answer.rule}
+    return {
+        "headline": answer.headline,
+        "points": answer.points,
+        "verdicts": verdicts,
+        "remarks": answer.remarks,
+        "rule": answer.rule,
+    }

@@ -179,10 +179,10 @@ def test_a_zero_anywhere_in_the_manifest_is_refused(saved):
     ("change", "words"),
     [
         ({"format": "something else"}, "not the manifest of a saved analysis"),
-        ({"version": 3}, "version 3 of a saved analysis; this program reads version 2: read it with"),
+        ({"version": 4}, "version 4 of a saved analysis; this program reads version 3: read it with"),
         (
             {"version": 1},
-            "version 1 of a saved analysis; this program reads version 2: analyze the traces again",
+            "version 1 of a saved analysis; this program reads version 3: analyze the traces again",
         ),
         ({"files": {}}, "cannot be read"),
         (

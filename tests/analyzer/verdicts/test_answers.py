@@ -52,6 +52,25 @@ def test_tails_are_compared_where_every_sample_supports_them():
     assert answer.clarity is Clarity.CLEAR
 
 
+def test_the_median_and_the_p99_may_have_leaders_of_their_own():
+    # One is twice as quick but for one message in thirty, which takes eight times as long.
+    bursty = [8 * ns if i % 30 == 7 else ns for i, ns in enumerate(noisy(5 * MS, 1000))]
+    frame = pl.concat(
+        [in_runs(noisy(10 * MS, 1000)), in_runs(bursty, vendor="zenoh", relay_vendor="zenoh", run_id=2)]
+    )
+    (answer,) = find_answers(rows_by_group(frame))
+    assert (answer.leader_p50, answer.leader_p99) == ("zenoh", "fastdds")
+    # Five is the centre, so that the late ones lie around forty; of their 33 a run, ten lie above its p99.
+    times = {one.name: (round(one.p50_ns / MS), round(one.p99_ns / MS)) for one in answer.contenders}
+    assert times == {"fastdds": (10, 11), "zenoh": (5, 42)}
+
+
+def test_few_messages_have_no_leader_at_p99():
+    frame = pl.concat([in_runs(noisy(10 * MS)), in_runs(noisy(5 * MS), vendor="cyclonedds", run_id=2)])
+    (answer,) = find_answers(rows_by_group(frame))
+    assert (answer.leader_p50, answer.leader_p99) == ("cyclonedds to fastdds", "")
+
+
 def test_losing_most_messages_is_not_fast():
     lossy = [MS if i % 4 == 0 else None for i in range(60)]
     frame = pl.concat([steady(noisy(10 * MS)), steady(lossy, reliability="best_effort", run_id=2)])

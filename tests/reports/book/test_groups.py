@@ -14,7 +14,7 @@ def test_a_label_names_only_what_differs():
     assert labels_of(Measured([MS]), Measured([MS], rate_hz=20.0)) == ["Fast DDS"]
     assert labels_of(Measured([MS]), Measured([MS], bridge="builtin", domain_mode="different")) == [
         "Fast DDS, same domain",
-        "Fast DDS, via builtin",
+        "Fast DDS, through our built-in bridge",
     ]
     assert labels_of(Measured([MS]), Measured([MS], reliability="best_effort")) == [
         "Fast DDS, best_effort",
@@ -35,7 +35,7 @@ def test_the_label_of_a_group_is_its_cell_and_what_sets_its_series_apart():
     assert labelled(Measured([MS])) == {"Binary 33 KB at 10 Hz"}
     assert labelled(Measured([MS]), bridged) == {
         "Binary 33 KB at 10 Hz, same domain",
-        "Binary 33 KB at 10 Hz, via builtin",
+        "Binary 33 KB at 10 Hz, through our built-in bridge",
     }
     assert labelled(Measured([MS]), Measured([MS], vendor="zenoh", relay_vendor="zenoh")) == {
         "Binary 33 KB at 10 Hz, Fast DDS",

@@ -71,7 +71,7 @@ def test_settings_are_told_in_words_by_what_sets_them_apart():
     assert {row[0] for row in advised(frame).rows} == {
         "Fast DDS, same domain, nothing else set",
         "Zenoh, same domain, nothing else set",
-        "Fast DDS, via builtin, tuned",
+        "Fast DDS, through our built-in bridge, tuned",
     }
 
 

@@ -131,7 +131,7 @@ def test_breakdown_stacks_the_parts_of_the_response(campaign):
     info = breakdown_info(Book(campaign))
     assert [panel.title for panel in info.panels] == [
         "Binary: Fast DDS, same domain",
-        "Binary: Fast DDS, via builtin",
+        "Binary: Fast DDS, through our built-in bridge",
         "Binary: Zenoh, same domain",
     ]
     # Group 1: latencies of 1 and 2 ms, the way out 50 and 100 µs longer, the way back as much shorter.

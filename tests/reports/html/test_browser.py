@@ -277,13 +277,13 @@ def test_the_ecdf_is_of_the_messages_planned_and_the_survivors_stand_beside(read
     reader.draw_all()
     ends = {row["Series"]: row for row in drawn(reader, "ecdf")}  # the last row of each curve
     shares = {name: (row["Share of planned"], row["Share of survivors"]) for name, row in ends.items()}
-    assert shares == {"Fast DDS, same domain": (100, 100), "Fast DDS, via builtin": (60, 100)}
+    assert shares == {"Fast DDS, same domain": (100, 100), "Fast DDS, through our built-in bridge": (60, 100)}
     titles = reader.tab.locator("#figure-ecdf .annotation-text").all_text_contents()
     assert [title.split(", ")[0] for title in titles] == ["Messages planned", "Survivors"]
     medians = {
         row["Series"]: row["Latency"] for row in drawn(reader, "ecdf") if row["Share of planned"] == 30
     }
-    assert medians == {"Fast DDS, same domain": 1_110_000, "Fast DDS, via builtin": 1_140_000}
+    assert medians == {"Fast DDS, same domain": 1_110_000, "Fast DDS, through our built-in bridge": 1_140_000}
     assert reader.complaints == []
 
 
@@ -296,7 +296,7 @@ def test_tables_say_what_their_numbers_rest_on_and_what_was_received(reader, los
         for line in tab.locator("#groups-table tbody tr").all()
         for cells in [line.locator("td").all_inner_texts()]
     }
-    bridged = rows["Fast DDS, via builtin"]
+    bridged = rows["Fast DDS, through our built-in bridge"]
     counts = ("Runs", "Planned", "Sent", "Unsent", "Received")
     assert [bridged[name] for name in counts] == ["1", "50", "40", "10", "75 %"]
     for tail in ("p90", "p99", "p99.9"):

@@ -1,0 +1,124 @@
+"""The first sentences, each with numbers drawn by hand."""
+
+import random
+from dataclasses import replace
+
+import pytest
+from analyses import MS, Measured, make_analysis
+from four_campaigns import CAMPAIGNS
+
+from dds_trace import Finding, Severity
+from dds_trace.reports import load_reporter
+from dds_trace.reports.book.book import Book
+
+MIXED = random.Random(1).sample(range(20), 20)
+ZENOH = {"vendor": "zenoh", "relay_vendor": "zenoh"}
+BRIDGED = {"bridge": "builtin", "domain_mode": "different"}
+
+
+def around(typical_ns):
+    return [typical_ns + n * 1000 for n in MIXED]
+
+
+def said(*measured, findings=()):
+    answer = Book(make_analysis(*measured, findings=findings)).answer
+    return [answer.headline, *answer.points]
+
+
+def with_losses(typical_ns, lost):
+    return [*around(typical_ns)[lost:], *["lost_return"] * lost]
+
+
+def test_a_threshold_is_named_where_the_winner_begins():
+    sizes = {33_000: 1.0, 145_000: 2.0, 1_000_000: 4.0}
+    groups = [
+        Measured(around(int(MS * factor)), payload_bytes=size, **sides)
+        for size, slower in sizes.items()
+        for factor, sides in ((slower, {}), (1.0, ZENOH))
+    ]
+    assert said(*groups)[0] == (
+        "In the same domain: at 33 KB no clear winner; from 145 KB on Zenoh is fastest "
+        "(the next takes 2 to 4 times as long at the median)."
+    )
+
+
+def test_losses_lead_and_what_lost_is_not_to_be_used():
+    groups = [
+        Measured(around(MS)),
+        Measured(with_losses(MS, 5), connectivity="wireless", payload_bytes=1_000_000),
+        Measured(around(MS), connectivity="wireless"),
+    ]
+    first, *rest = said(*groups)
+    assert first == (
+        "8.33 % of the messages never came back (5 of 60), all of them over wireless, from 1 MB on.".replace(
+            "from 1 MB on", "at 1 MB"
+        )
+    )
+    assert (
+        "Do not use, because of losses: Fast DDS at 1 MB (pi-one → pi-two, wireless: up to 25 % lost)."
+        in rest
+    )
+
+
+def test_unsent_messages_are_losses():
+    assert said(Measured(around(MS), unsent=20))[0] == "50 % of the messages never came back (20 of 40)."
+
+
+def test_a_bridge_costs_a_factor_at_both_percentiles_and_the_lost_ones_are_counted():
+    groups = [
+        Measured(around(MS)),
+        Measured(around(3 * MS), **BRIDGED),
+        Measured(around(MS), rate_hz=20.0),
+        Measured(with_losses(3 * MS, 15), rate_hz=20.0, **BRIDGED),
+    ]
+    (cost,) = [one for one in said(*groups) if one.startswith("Through")]
+    assert cost == (
+        "Through our built-in bridge, a message of Fast DDS takes 3 times (lost in 1 of 2 comparisons) at the median "
+        "as long as in the same domain."
+    )
+
+
+@pytest.mark.parametrize(("busy", "is_said"), [(1, True), (0, False)])
+def test_a_busy_machine_is_told_from_a_quarter_of_the_recordings_on(busy, is_said):
+    # Ping and relay: one of two recordings is half of them.
+    full = Finding(Severity.WARNING, "cpu_saturated", "session", "It was full.", "Free it.")
+    measured = Measured(around(MS), ping_device="vm", relay_device="vm", connectivity="loopback")
+    where = said(measured, findings=[full] * busy)[-1]
+    assert where.startswith("Measured on one machine (vm), loopback; 1 run of each.")
+    assert ("The machine was busy in 1 of 2 recordings" in where) is is_said
+
+
+def test_one_full_recording_of_many_is_not_told_first():
+    analysis = CAMPAIGNS["study"]()
+    full = Finding(Severity.WARNING, "cpu_saturated", "session", "It was full.", "Free it.")
+    assert "busy" not in Book(replace(analysis, findings=(full,))).answer.points[-1]
+
+
+def test_the_study_is_told_by_size_and_place():
+    answer = Book(CAMPAIGNS["study"]()).answer
+    assert answer.headline == (
+        "5.91 % of the messages never came back (6,804 of 115,200), all of them over wireless, from 1 MB on."
+    )
+    told = "\n".join(answer.points)
+    assert (
+        "on 5 of 6 pairs of devices and links: at 33 KB Fast DDS through our built-in bridge is fastest"
+        in told
+    )
+    assert "any choice at 4 MB (laptop-a → laptop-b, wireless: up to 47 % lost)" in told
+    assert answer.points[-1] == (
+        "Measured on laptop-a → laptop-b, pi3-a → pi3-b and pi4-a → pi4-b, each wired and wireless; 3 runs of each."
+    )
+    assert " - to" not in "\n".join(answer.remarks), "an infinite difference is counted and not printed"
+
+
+@pytest.mark.parametrize("kind", ["html", "md", "terminal", "json"])
+def test_every_report_says_the_same_sentences_in_the_same_order(kind):
+    groups = [Measured(around(2 * MS)), Measured(around(MS), **ZENOH)]
+    book = Book(make_analysis(*groups))
+    text = " ".join(load_reporter(kind).render(book).split()).replace("&#40;", "(").replace("&#41;", ")")
+    places = [
+        text.find(part.split(":")[0].split("→")[0].strip())
+        for part in (book.answer.headline, *book.answer.points)
+    ]
+    assert -1 not in places
+    assert places == sorted(places)

@@ -13,15 +13,17 @@ from dds_trace.tracefile.units.sizes import format_size
 
 from .book.groups import LATENCY_MEANING, METRIC_LABELS, STATISTIC_LABELS, data_type_label
 from .book.recommendation import COLUMNS
+from .book.sizes import HOW_TO_READ
 from .figures.bridge_cost import bridge_cost_info
 from .text import format_added_ns, format_ratio, markdown
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from .book.book import Book
     from .book.numbers import Intervals, Values
+    from .book.sizes import SizeCell
     from .figures.bridge_cost import Cost
 
 FILE_NAME = "report.md"
@@ -45,10 +47,7 @@ def render(book: Book) -> str:
         *_advice(book),
         f"**{markdown(answer.headline)}**",
         _list(markdown(point) for point in answer.points),
-        _table(
-            ("Data", "Devices and link", "Result"),
-            ((verdict.data, verdict.place, verdict.sentence) for verdict in answer.verdicts),
-        ),
+        *_sizes(book),
         _list(markdown(remark) for remark in answer.remarks),
         markdown(answer.rule),
         "## What was measured",
@@ -80,6 +79,35 @@ def _advice(book: Book) -> list[str]:
         return []
     table = [_table(COLUMNS, advice.rows)] if advice.rows else []
     return [f"**{markdown(advice.said)}** Asked: {markdown(advice.asked)}", *table]
+
+
+def _sizes(book: Book) -> Iterator[str]:
+    """Yield a table of sizes by choice for each place, then how to read them; nothing without answers."""
+    table = book.sizes
+    if table is None:
+        return
+    for place in table.places:
+        rows = [(markdown(row.size), *map(_size_cell, row.cells)) for row in place.rows]
+        if place.thresholds:
+            judged = (
+                "" if one is None else f"{one.outcome}{one.why and f': {one.why}'}"
+                for one in place.thresholds
+            )
+            rows.insert(0, (markdown(table.deadline), *map(markdown, judged)))
+        heads = ("Size", *map(markdown, table.choices))
+        lines = [f"| {' | '.join(cells)} |" for cells in (heads, ("---",) * len(heads), *rows)]
+        yield f"Latency {markdown(table.rates)}, median / p99, on {markdown(place.place)}:"
+        yield "\n".join(lines)
+    yield HOW_TO_READ
+
+
+def _size_cell(cell: SizeCell | None) -> str:
+    """Format both percentiles, those that lead in bold, and the share lost; empty where nothing was measured."""
+    if cell is None:
+        return ""
+    times = ((cell.p50, cell.leads_p50), (cell.p99, cell.leads_p99))
+    said = " / ".join(f"**{markdown(text)}**" if leads else markdown(text) for text, leads in times)
+    return f"{said}, {cell.lost}" if cell.lost else said
 
 
 def _findings(book: Book) -> str:

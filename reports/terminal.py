@@ -20,6 +20,7 @@ from dds_trace.tracefile.units.sizes import format_size
 from dds_trace.tracefile.visible import visible
 
 from .book.groups import METRIC_LABELS
+from .book.sizes import HOW_TO_READ
 from .text import format_ratio
 
 if TYPE_CHECKING:
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from .book.book import Book
     from .book.groups import Groups
     from .book.numbers import Intervals, Values
+    from .book.sizes import SizeCell, Threshold
 
 WIDTH = 80
 SPARK_CELLS = 12
@@ -73,13 +75,10 @@ def _report(book: Book) -> RenderableType:
         Text(),
         *_advice(book),
         Text(answer.headline, style="bold"),
-        _list(
-            [
-                *answer.points,
-                *(f"{one.data}, on {one.place}: {one.sentence}" for one in answer.verdicts),
-                *answer.remarks,
-            ]
-        ),
+        _list(answer.points),
+        Text(),
+        *_sizes(book),
+        _list(answer.remarks),
         *((Text(answer.rule, style="dim"),) if answer.rule else ()),
         Text(),
         *_findings(book),
@@ -112,6 +111,52 @@ def _advice(book: Book) -> list[RenderableType]:
         grid.add_row(Text(fit, style=_FIT_COLORS.get(fit, "")), Text(setting))
         grid.add_row(Text(), Text(numbers, style="dim"))
     return [Text(advice.said, style="bold"), Text(f"Asked: {advice.asked}"), grid, Text()]
+
+
+MOST_CHOICES = 4
+"""Choices side by side in 80 columns; more of them follow in a table of their own."""
+
+_OUTCOME_COLORS = {"pass": "green", "fail": "red"}
+
+
+def _sizes(book: Book) -> list[RenderableType]:
+    """Make a table of sizes by choice for each place; best times in bold, losses in red."""
+    sizes = book.sizes
+    if sizes is None:
+        return []
+    parts: list[RenderableType] = []
+    for place in sizes.places:
+        parts.append(Text(f"Latency {sizes.rates}, median / p99, on {place.place}", style="bold"))
+        for start in range(0, len(sizes.choices), MOST_CHOICES):
+            shown = slice(start, start + MOST_CHOICES)
+            table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False, header_style="dim")
+            table.add_column("Size", width=15)
+            for choice in sizes.choices[shown]:
+                table.add_column(Text(choice), width=15)
+            if place.thresholds:
+                table.add_row(Text(sizes.deadline), *map(_threshold, place.thresholds[shown]))
+            for row in place.rows:
+                table.add_row(Text(row.size), *map(_size_cell, row.cells[shown]))
+            parts += [table, Text()]
+    return [*parts, Text(HOW_TO_READ, style="dim"), Text()]
+
+
+def _threshold(one: Threshold | None) -> Text:
+    if one is None:
+        return Text()
+    return Text.assemble(
+        (one.outcome, _OUTCOME_COLORS.get(one.outcome, "")), f": {one.why}" if one.why else ""
+    )
+
+
+def _size_cell(cell: SizeCell | None) -> Text:
+    if cell is None:
+        return Text()
+    times = Text(" / ").join(
+        Text(text, style="bold" if leads else "")
+        for text, leads in ((cell.p50, cell.leads_p50), (cell.p99, cell.leads_p99))
+    )
+    return Text.assemble(times, (f"\n{cell.lost}", "red")) if cell.lost else times
 
 
 def _list(items: Sequence[str]) -> Table:

@@ -22,7 +22,7 @@ from .groups import (
     group_labels,
     way_words,
 )
-from .headline import avoid_sentence, bridge_sentences, loss_sentence, where_sentence, winner_sentences
+from .headline import avoid_sentence, bridge_sentence, loss_sentence, where_sentence, winner_sentences
 from .verdicts import (
     CLEARLY,
     WITHIN_ONE_RUN,
@@ -88,9 +88,9 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values) -> Conclusio
     rule = CLEARLY if any(one.within_one_run < one.cells for one in verdicts) else WITHIN_ONE_RUN
     sentences = (
         loss_sentence(groups, values),
-        *_who_is_fastest(verdicts, groups, values, answers),
         avoid_sentence(answers, groups.vendors),
-        *(bridge_sentences(known.bridge_costs, groups.vendors) if known else ()),
+        *_who_is_fastest(verdicts, groups, values, answers),
+        bridge_sentence(known.bridge_costs, groups.vendors) if known else "",
         where_sentence(analysis, groups, values),
     )
     headline, *points = (sentence for sentence in sentences if sentence)

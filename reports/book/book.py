@@ -13,6 +13,7 @@ from .overview import overview_info
 from .recommendation import recommendation_info
 from .recording import own_costs, record_tables
 from .runs import bridge_loads, run_times
+from .sizes import size_table
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from .recommendation import Advice
     from .recording import OwnCost, RecordTable
     from .runs import RunTime
+    from .sizes import SizeTable
 
 
 class Book:
@@ -83,6 +85,11 @@ class Book:
     def answer(self) -> Conclusion:
         """Headline, verdicts and remarks."""
         return answer_info(self.analysis, self.groups, self.values)
+
+    @cached_property
+    def sizes(self) -> SizeTable | None:
+        """Table of sizes by choice; None where nothing was judged."""
+        return size_table(self.analysis, self.groups.vendors)
 
     @cached_property
     def advice(self) -> Advice | None:

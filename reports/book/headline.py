@@ -67,10 +67,16 @@ def _scope(lossy: Sequence[Group], groups: Groups) -> str:
         (lambda one: domain_label(groups.series_of(one)), "{}"),
         (lambda one: visible(groups.series_of(one).connectivity), "over {}"),
     )
-    for value_of, words in sides:
+    ways = {domain_label(groups.series_of(one)) for one in lossy}
+    of_ways = {
+        groups.series_of(one).vendor_label
+        for one in groups.groups
+        if domain_label(groups.series_of(one)) in ways
+    }
+    for value_of, words in sides if len(of_ways) > 1 else sides[1:]:
         own, every = ({value_of(one) for one in of} for of in (lossy, groups.groups))
         if own != every and len(own) <= MOST_NAMED:
-            parts.append(words.format(_either(sorted(own))))
+            parts.append(words.format(_either(sorted(own)).replace(" or through ", " or ")))
     cells = [groups.cell_of(one) for one in lossy]
     of_types = {cell.data_type for cell in cells}
     if len(of_types) == 1:
@@ -197,15 +203,14 @@ def winner_sentences(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> tu
             signature = tuple((one.winner, one.sizes) for one in stretches(cases))
             alike.setdefault(signature, []).append(place)
         most_places_first = sorted(alike.values(), key=lambda held: -len(held))
-        for places in most_places_first[:MOST_NAMED]:
+        told = most_places_first[: MOST_NAMED if len(of_places) <= MOST_NAMED else 1]
+        for places in told:
             cases = [case for place in places for case in of_places[place]]
             outcome = _outcome(stretches(cases), labels, knows_p99=knows_p99)
             said.append(f"{what}{_on(places, len(of_places))}: {outcome}.")
-        if len(alike) > MOST_NAMED:
-            left = sum(map(len, most_places_first[MOST_NAMED:]))
-            said.append(
-                f"{what}: other outcomes on {counted(left, 'more pair')} of devices and links, in the table."
-            )
+        left = len(of_places) - sum(map(len, told))
+        if left:
+            said[-1] += f" Elsewhere see the table ({counted(left, 'pair')} of devices and links)."
     if said and not knows_p99:
         said.append("At p99 nothing is told apart: that takes more slow messages, in longer or more runs.")
     return tuple(said)
@@ -228,8 +233,9 @@ def _places(places: Sequence[str], all_places: int) -> str:
 def _outcome(cut: Sequence[Stretch], labels: Mapping[str, str], *, knows_p99: bool) -> str:
     """Put the stretches of one outcome into words; more than `MOST_NAMED` are put together by winner."""
     sizes = [size for one in cut for size in one.sizes]
+    is_mixed = len(cut) > MOST_NAMED
     parts = []
-    for one in cut if len(cut) <= MOST_NAMED else _by_winner(cut):
+    for one in _by_winner(cut) if is_mixed else cut:
         where = _span(one.sizes, sizes)
         if one.winner is None:
             parts.append(f"{where} it depends on the rate ({_wins(one.cases, labels)})")
@@ -237,7 +243,7 @@ def _outcome(cut: Sequence[Stretch], labels: Mapping[str, str], *, knows_p99: bo
             parts.append(f"{where} no clear winner")
         else:
             parts.append(f"{where} {labels[one.winner]} is fastest{_by_how_much(one, knows_p99=knows_p99)}")
-    return "; ".join(parts)
+    return f"{'no choice is fastest throughout; ' if is_mixed else ''}{'; '.join(parts)}"
 
 
 def _wins(cases: Sequence[CaseAnswer], labels: Mapping[str, str]) -> str:
@@ -306,8 +312,8 @@ def _factors(factors: Sequence[float]) -> str:
     return f"{low} times" if low == high else f"{low} to {high} times"
 
 
-def bridge_sentences(costs: pl.DataFrame, vendors: VendorLabels) -> tuple[str, ...]:
-    """Say for each bridge and middleware how many times as long as in the same domain a message takes.
+def bridge_sentence(costs: pl.DataFrame, vendors: VendorLabels) -> str:
+    """Say for each bridge and middleware how many times as long as in the same domain a message takes; empty without one.
 
     Args:
         costs: `Details.bridge_costs`.
@@ -315,35 +321,33 @@ def bridge_sentences(costs: pl.DataFrame, vendors: VendorLabels) -> tuple[str, .
     """
     way_columns = ("bridge", "vendor", "relay_vendor")
     of_latency = costs.filter(pl.col("metric") == "latency")
+    several = of_latency["vendor"].n_unique() > 1
     said = []
     for (bridge, vendor, relay_vendor), rows in of_latency.group_by(*way_columns, maintain_order=True):
-        named = ((_factors_of(rows.filter(statistic=name)), label) for name, label in _PERCENTILES)
-        parts = [f"{factors} {label}" for factors, label in named if factors]
-        if parts:
-            way = way_words(str(bridge))
+        factors = _cost_words(rows)
+        if factors:
             pair = vendors.of_pair(str(vendor), None if relay_vendor is None else str(relay_vendor))
-            said.append(
-                f"{way[0].upper()}{way[1:]}, a message of {pair} takes {' and '.join(parts)} as long as in the same domain."
-            )
-    return tuple(said)
+            said.append(f"{way_words(str(bridge))}{f' with {pair}' if several else ''} {factors}")
+    return f"A message takes, against the same domain: {'; '.join(said)}." if said else ""
 
 
-_PERCENTILES = (("p50", "at the median"), ("p99", "at p99"))
-
-
-def _factors_of(rows: pl.DataFrame) -> str:
-    """Return the factors where the bridge is clearly slower, and what became of the other comparisons."""
+def _cost_words(rows: pl.DataFrame) -> str:
+    """Return the factors of one way at both percentiles where it is clearly slower, and what became of the others."""
     is_finite = pl.col("ratio").is_finite().fill_null(value=False)
-    slower = rows.filter((pl.col("verdict") == "worse") & is_finite)
-    if slower.is_empty():
-        return ""
-    lost = rows.filter(~is_finite).height
-    others = rows.height - slower.height - lost
+    parts, lost, others, compared = [], 0, 0, 0
+    for name, label in (("p50", "at the median"), ("p99", "at p99")):
+        own = rows.filter(statistic=name)
+        slower = own.filter((pl.col("verdict") == "worse") & is_finite)
+        if not slower.is_empty():
+            parts.append(f"{_factors(slower['ratio'].to_list())} as long {label}")
+            lost = max(lost, own.filter(~is_finite).height)
+            others = max(others, own.filter((pl.col("verdict") != "worse") & is_finite).height)
+            compared = max(compared, own.height)
     noted = [
         f"{words} in {count}" for count, words in ((lost, "lost"), (others, "not clearly slower")) if count
     ]
-    within = f" ({', '.join(noted)} of {counted(rows.height, 'comparison')})" if noted else ""
-    return f"{_factors(slower['ratio'].to_list())}{within}"
+    within = f" ({', '.join(noted)} of {counted(compared, 'comparison')})" if noted else ""
+    return f"{', '.join(parts)}{within}" if parts else ""
 
 
 def where_sentence(analysis: Analysis, groups: Groups, values: Values) -> str:

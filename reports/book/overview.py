@@ -19,8 +19,9 @@ from .groups import (
     device_label,
     domain_label,
     known_first,
+    qos_label,
 )
-from .recording import floor_words, recorder_words
+from .recording import cost_words, setting_words, version_words
 from .verdicts import conditions_label
 
 if TYPE_CHECKING:
@@ -82,8 +83,10 @@ def overview_info(
         Fact("Rates", _rates(groups)),
         Fact("When", _when(analysis, times)),
         Fact("Traces", _traces(analysis)),
-        Fact("Recorder", recorder_words(costs, groups.vendors)),
-        Fact("Library", floor_words(costs, groups.vendors)),
+        Fact("Quality of service", _listed(dict.fromkeys(qos_label(one) for one in groups.series))),
+        Fact("Settings", setting_words(analysis)),
+        Fact("Versions", version_words(analysis)),
+        Fact("Cost of measuring", cost_words(costs)),
     )
     return Overview(visible(analysis.title), tuple(fact for fact in facts if fact.value))
 

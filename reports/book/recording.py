@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -25,8 +24,6 @@ if TYPE_CHECKING:
 
     from dds_trace.analyzer.analysis import Analysis
     from dds_trace.tracefile import Session
-
-    from .groups import VendorLabels
 
 
 MOST_ROWS = 200
@@ -102,13 +99,16 @@ def _applied_words(session: Session) -> list[str]:
     path = payload_path(session)
     if path is None:
         return []
-    ways = {SHARED_MEMORY: "shared memory", UNKNOWN: "an unknown way"}
     buffer_bytes = udp_receive_buffer_bytes(session)
     buffers = (
         [] if buffer_bytes is None else [f"UDP receive buffer as granted {format_count(buffer_bytes)} B"]
     )
     controls = [f"TCP by {visible(name)}" for name in congestion_controls(session)]
-    return [f"payload carried by {ways.get(path, visible(path))}", *controls, *buffers]
+    return [f"payload carried by {_WAYS.get(path, visible(path))}", *controls, *buffers]
+
+
+_WAYS = {SHARED_MEMORY: "shared memory", UNKNOWN: "an unknown way"}
+"""Path of a payload -> its words; any other is the name of an interface."""
 
 
 def _sources(analysis: Analysis) -> RecordTable:
@@ -168,36 +168,52 @@ def own_costs(analysis: Analysis) -> tuple[OwnCost, ...]:
     return tuple(costs)
 
 
-def recorder_words(costs: Sequence[OwnCost], vendors: VendorLabels) -> str:
-    """Describe the recorder's cost, by vendor if there are several: `keeping an event took 2.1 us (p99 4 us)`."""
-    said = [(cost, _span(cost.record_median_ns, cost.record_p99_ns)) for cost in costs]
-    return _words("keeping an event took", said, vendors)
+def cost_words(costs: Sequence[OwnCost]) -> str:
+    """Describe in one line what measuring cost with the slowest middleware: `recording an event 2.1 µs (p99 4 µs)`."""
+    parts = (
+        ("recording an event", "record_median_ns", "record_p99_ns"),
+        ("a message from a node to itself", "floor_median_ns", "floor_p99_ns"),
+    )
+    said = []
+    for what, median, p99 in parts:
+        slowest = max(
+            (cost for cost in costs if getattr(cost, median) is not None),
+            key=lambda cost: getattr(cost, median),
+            default=None,
+        )
+        if slowest is not None:
+            tail = getattr(slowest, p99)
+            within = "" if tail is None else f" (p99 {format_duration(tail)})"
+            said.append(f"{what} {format_duration(getattr(slowest, median))}{within}")
+    return f"{'; '.join(said)}; not subtracted" if said else ""
 
 
-def floor_words(costs: Sequence[OwnCost], vendors: VendorLabels) -> str:
-    """Describe the client library's floor: `a message from a node to itself took 400 us (p99 1.2 ms)`."""
-    said = [(cost, _span(cost.floor_median_ns, cost.floor_p99_ns)) for cost in costs]
-    return _words("a message from a node to itself took", said, vendors)
+def setting_words(analysis: Analysis) -> str:
+    """Describe what the middlewares were told, from the sessions: `executor events; transport default; tuned false`."""
+    told: dict[str, list[str]] = {}
+    for session in analysis.sessions:
+        middleware = session.host.get("middleware")
+        for name, value in middleware.items() if isinstance(middleware, dict) else ():
+            words = visible(value)
+            if words not in told.setdefault(visible(name), []):
+                told[visible(name)].append(words)
+        path = payload_path(session)
+        if path is not None:
+            ways = told.setdefault("payload carried by", [])
+            words = _WAYS.get(path, visible(path))
+            ways += [words] if words not in ways else []
+    return "; ".join(f"{name} {' or '.join(values)}" for name, values in told.items())
 
 
-def _words(what: str, said: Sequence[tuple[OwnCost, str]], vendors: VendorLabels) -> str:
-    known = [(cost, span) for cost, span in said if span]
-    if not known:
-        return ""
-    if len(said) == 1:
-        return f"{what} {known[0][1]}"
-    backends = Counter(cost.vendor for cost, _ in said)
-    names = [
-        vendors.of(cost.vendor) + (f" ({visible(cost.backend)})" if backends[cost.vendor] > 1 else "")
-        for cost, _ in known
-    ]
-    return f"{what}: " + "; ".join(f"{name} {span}" for name, (_, span) in zip(names, known, strict=True))
-
-
-def _span(median_ns: int | None, p99_ns: int | None) -> str:
-    if median_ns is None:
-        return ""
-    return format_duration(median_ns) + ("" if p99_ns is None else f" (p99 {format_duration(p99_ns)})")
+def version_words(analysis: Analysis) -> str:
+    """List the versions of all sessions: `rclpy 7.1.6, fastrtps 2.14.5 or 2.14.6`."""
+    told: dict[str, list[str]] = {}
+    for session in analysis.sessions:
+        versions = session.host.get("versions")
+        for name, value in versions.items() if isinstance(versions, dict) else ():
+            if visible(value) not in told.setdefault(visible(name), []):
+                told[visible(name)].append(visible(value))
+    return ", ".join(f"{name} {' or '.join(values)}" for name, values in told.items())
 
 
 def _numbers(sessions: Sequence[Session], part: str, name: str) -> list[int]:

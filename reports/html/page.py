@@ -23,10 +23,11 @@ from dds_trace.tracefile.visible import visible
 
 from ..book.findings import severity_counts
 from ..book.groups import LATENCY_MEANING, METRIC_LABELS, STATISTIC_LABELS, data_type_label
+from ..book.sizes import HOW_TO_READ
 from ..figures import FIGURES, Figure, LeftOut, Scope
 from ..text import json_island
 from .filters import filters_info
-from .styles import PALETTE, series_styles, vendor_places
+from .styles import series_styles
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -84,7 +85,9 @@ def _render(book: Book, scripts: Iterable[str], version: str = "") -> str:
         island=Markup(json_island(_island(book, [figure for _, figure in drawn]))),  # noqa: S704 - `json_island` escapes
         overview=book.overview,
         formula=LATENCY_MEANING,
-        answer=_answer(book),
+        answer=book.answer,
+        sizes=book.sizes,
+        how_to_read_sizes=HOW_TO_READ,
         advice=book.advice,
         findings=book.findings,
         severities=severity_counts(book.findings),
@@ -163,26 +166,4 @@ def _island(book: Book, figures: list[Figure]) -> dict[str, object]:
             figure.name: {"title": figure.title, "kind": figure.kind, "plan": figure.plan}
             for figure in figures
         },
-    }
-
-
-def _answer(book: Book) -> dict[str, object]:
-    """Return the answer with the parts of each verdict in their vendors' colours; the inconclusive part has no colour."""
-    answer, places = book.answer, vendor_places(book.groups)
-    verdicts = []
-    for verdict in answer.verdicts:
-        parts = [
-            {"name": win.contender, "cells": win.cells, "light": light, "dark": dark}
-            for win in verdict.wins
-            for light, dark in [PALETTE[places[win.vendor] % len(PALETTE)]]
-        ]
-        if verdict.inconclusive:
-            parts.append({"name": "inconclusive", "cells": verdict.inconclusive, "light": "", "dark": ""})
-        verdicts.append({"data": verdict.data, "place": verdict.place, "parts": parts})
-    return {
-        "headline": answer.headline,
-        "points": answer.points,
-        "verdicts": verdicts,
-        "remarks": answer.remarks,
-        "rule": answer.rule,
     }

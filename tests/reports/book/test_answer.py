@@ -277,7 +277,8 @@ def test_overview_lists_what_was_measured():
         Fact("Rates", "10, 20 Hz"),
         Fact("When", "2026-09-21 14:13 UTC"),
         Fact("Traces", "1 read"),
-        Fact("Recorder", "keeping an event took 900 ns (p99 2 µs)"),
+        Fact("Quality of service", "reliable, volatile, keep_last 10"),
+        Fact("Cost of measuring", "recording an event 900 ns (p99 2 µs); not subtracted"),
     )
 
 

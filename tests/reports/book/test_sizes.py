@@ -1,0 +1,119 @@
+"""The table below the headline: its numbers, what is bold and red in it, and the deadline's outcome."""
+
+import random
+from dataclasses import replace
+
+import polars as pl
+import pytest
+from analyses import MS, Measured, make_analysis
+from four_campaigns import CAMPAIGNS
+
+from dds_trace.analyzer.groups.freshness import summarize_freshness
+from dds_trace.reports import load_reporter
+from dds_trace.reports.book.book import Book
+from dds_trace.reports.book.sizes import SizeCell, Threshold
+
+MIXED = random.Random(1).sample(range(20), 20)
+ZENOH = {"vendor": "zenoh", "relay_vendor": "zenoh"}
+BRIDGED = {"bridge": "builtin", "domain_mode": "different"}
+
+
+def around(typical_ns):
+    return [typical_ns + n * 1000 for n in MIXED]
+
+
+def test_a_row_has_both_domains_and_bold_is_where_the_verdict_holds():
+    table = Book(
+        make_analysis(
+            Measured(around(2 * MS)), Measured(around(MS), **ZENOH), Measured(around(4 * MS), **BRIDGED)
+        )
+    ).sizes
+    assert table.modes == (("same domain", 2), ("different domains", 1))
+    assert table.choices == ("Fast DDS", "Zenoh", "Fast DDS through our built-in bridge")
+    ((row,),) = (place.rows for place in table.places)
+    assert (row.size, row.rate) == ("Binary 33 KB", "10 Hz")
+    # 20 messages carry no p99, and one choice across domains leads nobody.
+    assert row.cells == (
+        SizeCell("2.01 ms", "-", leads_p50=False, leads_p99=False, lost=""),
+        SizeCell("1.01 ms", "-", leads_p50=True, leads_p99=False, lost=""),
+        SizeCell("4.01 ms", "-", leads_p50=False, leads_p99=False, lost=""),
+    )
+
+
+def test_lost_messages_are_infinitely_late_in_the_table_and_their_share_is_told():
+    table = Book(make_analysis(Measured([*around(MS)[:8], *["lost_return"] * 12]))).sizes
+    ((cell,),) = (row.cells for place in table.places for row in place.rows)
+    assert (cell.p50, cell.lost) == ("lost", "60 % lost")
+
+
+def test_the_rate_in_the_middle_is_shown_and_the_others_stand_behind():
+    rates = (5.0, 10.0, 20.0, 40.0)
+    table = Book(make_analysis(*(Measured(around(MS), rate_hz=rate) for rate in rates))).sizes
+    (place,) = table.places
+    assert table.rates == "at 10 Hz"
+    assert [row.rate for row in place.rows] == ["10 Hz"]
+    assert [row.rate for row in place.further] == ["5 Hz", "20 Hz", "40 Hz"]
+
+
+def with_deadline(deadline_ns, *measured):
+    analysis = make_analysis(*measured)
+    rows = analysis.load_roundtrips().with_columns(group=(pl.col("run_id") - 0xA000).cast(pl.UInt32))
+    parts = [
+        summarize_freshness(part.drop("group"), deadline_ns=deadline_ns).with_columns(
+            group=pl.lit(group, pl.UInt32)
+        )
+        for (group,), part in rows.partition_by("group", as_dict=True).items()
+    ]
+    details = replace(analysis.details, freshness=pl.concat(parts), deadline_ns=deadline_ns)
+    return replace(analysis, details=details)
+
+
+# Round trips of 2.12 ms and more; one of 20.12 ms.
+IN_TIME, LATE = Measured(around(MS)), Measured([*around(MS)[:19], 10 * MS], payload_bytes=1_000_000)
+
+
+def test_a_deadline_passes_where_no_message_is_late_and_fails_with_the_worst_combination():
+    table = Book(with_deadline(5 * MS, IN_TIME, LATE, Measured(around(MS), **ZENOH))).sizes
+    assert table.deadline == "response within 5 ms"
+    assert table.places[0].thresholds == (
+        Threshold("fail", "1 of 2 combinations, worst 1 MB at 10 Hz: 5 % late"),
+        Threshold("pass", ""),
+    )
+
+
+def test_unsent_messages_miss_the_deadline():
+    table = Book(with_deadline(5 * MS, Measured(around(MS), unsent=20))).sizes
+    assert table.places[0].thresholds == (
+        Threshold("fail", "1 of 1 combination, worst 33 KB at 10 Hz: 50 % late"),
+    )
+
+
+def test_without_answers_there_is_no_table():
+    assert Book(make_analysis()).sizes is None
+
+
+@pytest.mark.parametrize(("kind", "bold"), [("html", "<b>1.01 ms</b>"), ("md", "**1.01 ms**")])
+def test_every_report_has_the_table_with_bold_losses_and_outcomes(kind, bold):
+    lossy = Measured([*around(2 * MS)[:15], *["lost_return"] * 5])
+    text = load_reporter(kind).render(Book(with_deadline(5 * MS, lossy, Measured(around(MS), **ZENOH))))
+    assert bold in text
+    assert "25 % lost" in text
+    assert "response within 5 ms" in text
+    assert "fail" in text
+
+
+def test_the_terminal_has_every_choice_in_80_columns():
+    text = load_reporter("terminal").render(Book(CAMPAIGNS["lossy machine"]()))
+    table = text[text.index("Latency at 10 Hz") : text.index("Bold:")]
+    assert table.count("Binary 4 MB") == 2, "seven choices take two tables"
+    assert "71 % lost" in table
+    assert max(map(len, table.splitlines())) <= 80
+
+
+def test_the_study_has_six_places_with_a_row_for_each_size():
+    table = Book(CAMPAIGNS["study"]()).sizes
+    assert [len(place.rows) for place in table.places] == [4] * 6
+    assert all(len(place.further) == 12 for place in table.places)
+    wireless = {place.place: place.rows[-1].cells[0].lost for place in table.places}
+    assert wireless["pi3-a → pi3-b, wired"] == ""
+    assert wireless["pi3-a → pi3-b, wireless"].endswith("% lost")

@@ -197,14 +197,14 @@ def few_samples(evidence: Evidence) -> Iterator[Finding]:
     for (groups, metrics), percentiles in lacking.items():
         counts = sorted(int(samples[metric][group]) for metric in metrics for group in groups)
         few = f"{counts[0]} to " if counts[0] != counts[-1] else ""
-        held = f"{'is' if counts[-1] == 1 else 'are'} {few}{counted(counts[-1], 'sample')}"
-        wanted = ", ".join(f"{_shown(p)} (takes {p.needs})" for p in percentiles)
+        first, *further = (f"{_shown(p)} needs {p.needs:,}" for p in percentiles)
+        wanted = ", ".join([f"{first} messages", *further])
         everywhere = len(groups) == len(names) and len(groups) > 1
         yield Finding(
             Severity.INFO,
             "few_samples",
             f"all {len(groups)} groups" if everywhere else some(names[group] for group in groups),
-            f"Null for want of samples: {wanted} of {', '.join(metrics)}; there {held}.",
+            f"{wanted}; you have {few}{counts[-1]:,} (of {', '.join(metrics)}).",
             f"Record at least {percentiles[-1].needs} messages a group to see all of them.",
             groups,
         )

@@ -27,7 +27,7 @@ from .verdicts import (
     CLEARLY,
     WITHIN_ONE_RUN,
     DataVerdict,
-    cells_label,
+    combinations,
     contender_labels,
     place_label,
     verdicts_info,
@@ -119,13 +119,16 @@ def _no_winner(verdicts: Sequence[DataVerdict], answers: Sequence[CaseAnswer]) -
     """Say that no choice can be made, and whether more runs are what that takes."""
     cells = sum(verdict.cells for verdict in verdicts)
     few = sum(verdict.within_one_run for verdict in verdicts)
-    where = "the one cell" if cells == 1 else f"any of the {cells} cells"
+    where = "the one combination" if cells == 1 else f"any of the {cells} combinations"
     if few < cells:
-        said = f"Inconclusive: no choice was clearly faster than the others in {where} compared."
+        said = f"No clear winner: no choice was faster than the others by a test of the runs, in {where} of data, size and rate compared."
         return f"{said} {few} of them had fewer than {RUNS_TO_TELL} runs of each." if few else said
     fewest = min(answer.fewest_runs for answer in answers if len(answer.contenders) > 1)
     there = "is" if fewest == 1 else "are"
-    return f"Inconclusive in {where} compared: telling apart takes {RUNS_TO_TELL} runs of each, there {there} {fewest}."
+    return (
+        f"No clear winner in {where} of data, size and rate compared: telling apart takes {RUNS_TO_TELL} runs of each, "
+        f"there {there} {fewest}."
+    )
 
 
 _MOST_WAYS = 3
@@ -211,7 +214,7 @@ _BRIDGE_VERDICTS = {
     "worse": "clearly slower",
     "better": "clearly faster",
     "same": "the same within 5 %",
-    "inconclusive": "inconclusive",
+    "inconclusive": "no clear difference",
 }
 
 
@@ -229,10 +232,10 @@ def _bridge_remark(way: str, rows: list[dict[str, Any]]) -> str:
     said = [_added_words(whole)] if whole else []
     if lossy:
         said.append(
-            f"{cells_label(lossy)} lost messages that the same domain did not, and {'is' if lossy == 1 else 'are'} not compared."
+            f"{combinations(lossy)} lost messages that the same domain did not, and {'is' if lossy == 1 else 'are'} not compared."
         )
     if left:
-        said.append(f"{cells_label(left)} lost most of the messages in the same domain too.")
+        said.append(f"{combinations(left)} lost most of the messages in the same domain too.")
     return f"{way}: {' '.join(said)}"
 
 
@@ -246,10 +249,10 @@ def _added_words(rows: list[dict[str, Any]]) -> str:
             if low is None or high is None
             else f" (95 %{_within(rows[0])}: {format_added_ns(low)} to {format_added_ns(high)})"
         )
-        return f"median {format_added_ns(added[0])}{between} against the same domain in the one cell compared; {said}."
+        return f"median {format_added_ns(added[0])}{between} against the same domain in the one combination compared; {said}."
     verdicts = Counter(row["verdict"] for row in rows)
     counts = [f"{words} in {verdicts[name]}" for name, words in _BRIDGE_VERDICTS.items() if verdicts[name]]
-    counts[0] += f" of {cells_label(len(rows))}"
+    counts[0] += f" of {combinations(len(rows))}"
     ends = f"{format_added_ns(added[0])} to {format_added_ns(added[-1])}"
     return f"median {ends} against the same domain; {', '.join(counts)}."
 

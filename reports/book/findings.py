@@ -22,6 +22,13 @@ SEVERITIES = {"error": "error", "warning": "warning", "info": "note"}
 """Severity -> its word in a report, the most severe first."""
 
 _SPELLED = {"cpu": "CPU", "udp": "UDP"}
+_TITLES = {
+    "waits_in_reader": "Messages wait for the program that reads them",
+    "few_samples": "Too few messages for a percentile",
+    "not_applied": "Asked for and not applied",
+}
+"""Code -> its name in a report, where the words of the code do not say it."""
+
 _MOST_NAMED = 3
 """Most groups that a finding names; it counts more than these."""
 
@@ -119,5 +126,7 @@ def _one(finding: Finding, labels: Sequence[str]) -> OneFinding:
 
 
 def _title(code: str) -> str:
+    if code in _TITLES:
+        return _TITLES[code]
     first, *rest = (_SPELLED.get(word, word) for word in visible(code).split("_"))
     return " ".join([first[:1].upper() + first[1:], *rest])

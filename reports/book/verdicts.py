@@ -27,15 +27,16 @@ if TYPE_CHECKING:
     from .groups import VendorLabels
 
 CLEARLY = (
-    "A cell is one data type, size and rate. One is called clearly fastest only where its p99 (its median, where a sample is too "
-    "small for that) lies below that of each of the others by a test of their runs at 95 %, adjusted for their number; lost "
-    "messages count as infinitely late, and who receives significantly less never leads. With fewer than three runs, and where the "
-    "tests do not tell, the answer is inconclusive. Plain sockets are no middleware and no contender."
+    "Compared is within one combination of data, size and rate, on the same devices and link. A choice is called fastest only where "
+    "its p99 (its median, where a sample is too small for that) lies below that of each of the others by a test of their runs at "
+    "95 %, adjusted for their number; lost messages count as infinitely late, and who receives significantly less never leads. With "
+    "fewer than three runs, and where the tests do not tell, there is no clear winner. Plain sockets are no middleware and no "
+    "contender."
 )
 
 WITHIN_ONE_RUN = (
-    f"A cell is one data type, size and rate. With fewer than {RUNS_TO_TELL} runs of each nothing is told apart: runs of equal "
-    "settings differ by more than the messages within one run can show."
+    f"Compared is within one combination of data, size and rate. With fewer than {RUNS_TO_TELL} runs of each nothing is told apart: "
+    "runs of equal settings differ by more than the messages within one run can show."
 )
 """The rule of a campaign whose every comparison has too few runs."""
 
@@ -84,21 +85,6 @@ class DataVerdict:
     inconclusive: int
     place: str = ""
     within_one_run: int = 0
-
-    @property
-    def sentence(self) -> str:
-        """The verdict in one sentence."""
-        if self.within_one_run == self.cells:
-            return f"not told apart: fewer than {RUNS_TO_TELL} runs of each."
-        if not self.wins:
-            return f"inconclusive in all {cells_label(self.cells)}." if self.cells > 1 else "inconclusive."
-        parts = [
-            f"{win.contender} is clearly fastest in {win.cells} of {cells_label(self.cells)}"
-            for win in self.wins
-        ]
-        if self.inconclusive:
-            parts.append(f"{self.inconclusive} inconclusive")
-        return "; ".join(parts) + "."
 
 
 def verdicts_info(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> tuple[DataVerdict, ...]:
@@ -163,9 +149,9 @@ def contender_labels(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> di
     )
 
 
-def cells_label(count: int) -> str:
-    """Count cells in words: `1 cell`, `12 cells`."""
-    return counted(count, "cell")
+def combinations(count: int) -> str:
+    """Count combinations of data, size and rate in words: `1 combination`, `12 combinations`."""
+    return counted(count, "combination")
 
 
 def _label(vendors: VendorLabels, setting: Mapping[str, ParameterValue]) -> str:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from dds_trace.analyzer.model.parameters import BRIDGED_COLUMNS
+from dds_trace.tracefile.units.counts import counted
 
 from ..book.groups import data_type_label
 from ..book.numbers import whole_ns
@@ -62,9 +63,15 @@ class BridgePanel:
 
 @dataclass(frozen=True, slots=True)
 class BridgeCost:
-    """One panel per data type."""
+    """One panel per data type.
+
+    Attributes:
+        panels: panels with at least one cost.
+        lost: groups through a bridge without any mark, because so much was lost that no percentile has a difference.
+    """
 
     panels: tuple[BridgePanel, ...]
+    lost: int = 0
 
 
 def bridge_cost_info(book: Book) -> BridgeCost:
@@ -76,9 +83,12 @@ def bridge_cost_info(book: Book) -> BridgeCost:
         if row["domain_mode"] == "different":
             place.setdefault(tuple(row[name] for name in BRIDGED_COLUMNS), index)
     costs: dict[int, dict[str, Cost]] = {}
+    compared: set[int] = set()
     for row in book.analysis.details.bridge_costs.iter_rows(named=True):
         group = place.get(tuple(row[name] for name in BRIDGED_COLUMNS))
         difference_ns = whole_ns(row["difference_ns"])
+        if group is not None:
+            compared.add(group)
         if group is not None and row["metric"] == "latency" and difference_ns is not None:
             ends = (whole_ns(row["difference_low_ns"]), whole_ns(row["difference_high_ns"]))
             costs.setdefault(group, {})[row["statistic"]] = Cost(
@@ -92,7 +102,10 @@ def bridge_cost_info(book: Book) -> BridgeCost:
             panels.setdefault(title, []).append(
                 BridgedCell(one.index, costs[one.index], loads.get(one.index))
             )
-    return BridgeCost(tuple(BridgePanel(title, tuple(cells)) for title, cells in panels.items()))
+    return BridgeCost(
+        tuple(BridgePanel(title, tuple(cells)) for title, cells in panels.items()),
+        len(compared - costs.keys()),
+    )
 
 
 def bridge_cost_figure(info: BridgeCost) -> Figure | LeftOut:
@@ -101,7 +114,8 @@ def bridge_cost_figure(info: BridgeCost) -> Figure | LeftOut:
     how_to_read = (
         "Each mark is the latency through a bridge less that in the same domain, with its 95 % interval; an interval that "
         "reaches the zero line shows no difference that these samples can prove, and where a bridge loses many messages the "
-        "share received is to be looked at first: a lost message is infinitely late."
+        "share received is to be looked at first: a lost message is infinitely late"
+        + (f"; {counted(info.lost, 'combination')} lost too much to have a mark." if info.lost else ".")
     )
     if not info.panels:
         return LeftOut(

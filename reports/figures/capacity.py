@@ -79,7 +79,7 @@ def transfer_rate_figure(info: TransferRate) -> Figure | LeftOut:
         return LeftOut(name, title, "no group has the two messages that a transfer rate takes.")
     how_to_read = (
         "Marks on the dashed diagonal carried all that was offered (size times rate); where marks leave it to the right, "
-        "the way was full."
+        "more was offered than the way could carry."
     )
     return Figure(name, title, how_to_read, "load", panels_plan(info.panels))
 

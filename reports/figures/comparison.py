@@ -30,10 +30,10 @@ def vendor_comparison_info(book: Book) -> VendorComparison:
 
 def vendor_comparison_figure(info: VendorComparison) -> Figure | LeftOut:
     """Draw marks over cells: sizes, and within each size the rates."""
-    name, title = "vendor_comparison", "Vendors against each other, per data type"
+    name, title = "vendor_comparison", "Middlewares side by side, per data type"
     how_to_read = (
         "Marks above one another sent the same messages: the lowest took the least time, and every mark of the campaign "
-        "is in this figure."
+        "is in this figure; times are those of the messages that came back."
     )
     if not info.panels:
         return LeftOut(name, title, "no message came back.")
@@ -113,7 +113,7 @@ def domain_difference_figure(info: DomainDifference) -> Figure | LeftOut:
     name, title = "domain_difference", "Same domain against different domains"
     how_to_read = (
         "Plain bars stay in one domain, hatched bars cross to another through a bridge; the number above a hatched bar "
-        "is what crossing cost."
+        "is what crossing cost the messages that came back."
     )
     if not info.panels:
         return LeftOut(

@@ -126,7 +126,7 @@ def heatmap_info(book: Book) -> Heatmap:
 
 def heatmap_figure(info: Heatmap) -> Figure | LeftOut:
     """Draw tiles, with the value inside where there is room."""
-    name, title = "heatmap", "Size by rate, per vendor"
+    name, title = "heatmap", "Size by rate, a panel for each choice"
     how_to_read = (
         "Each tile is one size (upwards) at one rate (to the right), all panels on one colour scale; an empty place "
         "was not measured."

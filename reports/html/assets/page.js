@@ -146,6 +146,11 @@ addEventListener("beforeprint", () => {
 });
 addEventListener("afterprint", () => setTheme(themeBeforePrint));
 
+document.getElementById("save-groups").addEventListener("click", () => {
+  const { columns, rows } = showGroups();
+  saveCsv("dds-trace-groups", columns, rows);
+});
+
 addEventListener("hashchange", () => { readAddress(); refreshAll(); });
 
 let width = innerWidth;

@@ -197,8 +197,7 @@ def test_few_samples_names_percentiles_and_counts(tmp_path):
     finding = findings(tmp_path)["few_samples"]
     assert finding.severity is Severity.INFO
     assert finding.what == (
-        "Null for want of samples: p99 (takes 100), p99.9 (takes 1000) of rtt, intermediate, latency, response; "
-        "there are 50 samples."
+        "p99 needs 100 messages, p99.9 needs 1,000; you have 50 (of rtt, intermediate, latency, response)."
     )
     assert "1000" in finding.action
 
@@ -208,9 +207,7 @@ def test_metrics_with_fewer_samples_are_told_apart(tmp_path):
     messages[:950] = [replace(m, t3=None, t4=None) for m in messages[:950]]
     write_pair(tmp_path, messages)
     found = [f.what for f in analyze(tmp_path).findings if f.code == "few_samples"]
-    assert found == [
-        "Null for want of samples: p99 (takes 100), p99.9 (takes 1000) of intermediate, latency; there are 50 samples."
-    ]
+    assert found == ["p99 needs 100 messages, p99.9 needs 1,000; you have 50 (of intermediate, latency)."]
     assert findings(tmp_path)["relay_trace_gaps"].what.startswith("950 of 1000 messages (95 %) came back")
 
 

@@ -49,9 +49,9 @@ def test_overlap_is_inconclusive():
     slightly_slower = [ns + 5_000 for ns in FAST]
     answer = Book(make_analysis(Measured(slightly_slower), Measured(FAST, **ZENOH))).answer
     assert answer.verdicts[0].inconclusive == 1
-    assert answer.verdicts[0].sentence == "inconclusive."
     assert answer.headline == (
-        "Inconclusive: no choice was clearly faster than the others in the one cell compared."
+        "No clear winner: no choice was faster than the others by a test of the runs, in the one combination of data, size and "
+        "rate compared."
     )
 
 
@@ -60,9 +60,9 @@ def test_fewer_than_three_runs_are_told_and_nobody_is_faster():
     one_run = find_answers(rows_by_group(held.load_roundtrips()))
     answer = Book(replace(held, details=replace(held.details, answers=one_run))).answer
     assert answer.headline == (
-        "Inconclusive in the one cell compared: telling apart takes 3 runs of each, there is 1."
+        "No clear winner in the one combination of data, size and rate compared: telling apart takes 3 runs of each, there is 1."
     )
-    assert answer.verdicts[0].sentence == "not told apart: fewer than 3 runs of each."
+    assert answer.verdicts[0].within_one_run == 1
     assert "fastest" not in answer.rule
 
 
@@ -120,7 +120,7 @@ def test_one_middleware_leaves_no_choice_and_the_bridge_its_price():
     assert levels == f"Binary: median latency 1.01 ms ({same}) to 10 ms ({bridged})."
     assert (
         price
-        == "Fast DDS, through our built-in bridge: median +9 ms (95 %: +8.52 ms to +9.5 ms) against the same domain in the one cell "
+        == "Fast DDS, through our built-in bridge: median +9 ms (95 %: +8.52 ms to +9.5 ms) against the same domain in the one combination "
         "compared; clearly slower."
     )
     assert losses == "Every message came back."
@@ -131,7 +131,7 @@ def test_a_bridge_that_lost_messages_is_not_called_quick_for_those_that_came_bac
     price = "Fast DDS, through our built-in bridge: "
     alone = Book(make_analysis(Measured(SLOW), Measured(half, **BRIDGED))).answer
     assert alone.remarks[1] == (
-        f"{price}1 cell lost messages that the same domain did not, and is not compared."
+        f"{price}1 combination lost messages that the same domain did not, and is not compared."
     )
     both = Book(make_analysis(
             Measured(SLOW), Measured(half, **BRIDGED),
@@ -139,7 +139,7 @@ def test_a_bridge_that_lost_messages_is_not_called_quick_for_those_that_came_bac
         )).answer  # fmt: skip
     assert both.remarks[1].startswith(f"{price}median +9 ms (95 %: ")
     assert both.remarks[1].endswith(
-        "in the one cell compared; clearly slower. 1 cell lost messages that the same domain did not, and is not compared."
+        "in the one combination compared; clearly slower. 1 combination lost messages that the same domain did not, and is not compared."
     )
 
 

@@ -157,6 +157,7 @@ def _print_table(comparison: "Comparison", results: "list[GateResult]") -> None:
     from dds_trace.reports.changes import episodes_words, received_words, runs_words
     from dds_trace.reports.comparison import (
         comparison_notes,
+        comparison_sentence,
         environments_of_rows,
         family_words,
         result_line,
@@ -164,6 +165,8 @@ def _print_table(comparison: "Comparison", results: "list[GateResult]") -> None:
     from dds_trace.tracefile.visible import MAX_FINDING_CHARACTERS, visible
 
     console = Console(width=None if sys.stdout.isatty() else 200)
+    first = visible(comparison_sentence(comparison), MAX_FINDING_CHARACTERS)
+    console.print(Text(first, style="bold"), soft_wrap=True)
     environments = environments_of_rows(comparison)
     table = Table(
         "group",

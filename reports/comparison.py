@@ -9,6 +9,8 @@ import math
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET  # written, never parsed
 
+import polars as pl
+
 from dds_trace.analyzer.model.names import group_words
 from dds_trace.analyzer.statistics.intervals import RUNS_TO_TELL
 from dds_trace.analyzer.verdicts.compare import FAMILY
@@ -16,6 +18,7 @@ from dds_trace.analyzer.verdicts.gate import Against, GateOutcome
 from dds_trace.analyzer.verdicts.gates import FAMILY as GATE_FAMILY
 from dds_trace.analyzer.verdicts.gates import overall_outcome, varying_columns
 from dds_trace.analyzer.verdicts.sides import UNKNOWN
+from dds_trace.tracefile.units.counts import counted
 from dds_trace.tracefile.units.durations import format_ms
 from dds_trace.tracefile.visible import MAX_FINDING_CHARACTERS, visible
 
@@ -31,7 +34,7 @@ if TYPE_CHECKING:
 
 def comparison_markdown(comparison: Comparison, results: Sequence[GateResult] = ()) -> str:
     """Return the comparison as Markdown: outcome of the gates, table of verdicts, groups without a partner."""
-    lines = ["# Comparison of latency", ""]
+    lines = ["# Comparison of latency", "", f"**{markdown(comparison_sentence(comparison))}**", ""]
     if results:
         lines += [f"**{overall_outcome(results).value.capitalize()}**", ""]
         lines += ["| gate | group | measured | interval | outcome | why |", "|---|---|---:|---:|---|---|"]
@@ -41,9 +44,7 @@ def comparison_markdown(comparison: Comparison, results: Sequence[GateResult] = 
             for r in results
         ]
         lines += ["", f"Gates are adjusted for the number of groups ({GATE_FAMILY}).", ""]
-    if comparison.rows.is_empty():
-        lines += ["The two sides have no group in common: there is nothing to compare.", ""]
-    else:
+    if not comparison.rows.is_empty():
         names = varying_columns(comparison)
         environments = environments_of_rows(comparison)
         further = (" environment |", "---|") if environments else ("", "")
@@ -71,6 +72,60 @@ def comparison_markdown(comparison: Comparison, results: Sequence[GateResult] = 
             ]
             lines.append("")
     return "\n".join(lines)
+
+
+def comparison_sentence(comparison: Comparison) -> str:
+    """Say in one sentence what became slower or loses more, or which changes would not have been seen.
+
+    Sides without a group in common are told by the columns in which they differ.
+    """
+    rows, delivery = comparison.rows, comparison.delivery
+    if delivery.is_empty():
+        return f"The two sides have no group in common: there is nothing to compare{_unlike_columns(comparison)}."
+    names = varying_columns(comparison)
+    groups = counted(delivery.height, "group")
+    said = []
+    losing = delivery.filter(pl.col("verdict") == "worse").sort("difference")
+    if not losing.is_empty():
+        worst = losing.row(0, named=True)
+        where = f", most in {group_words(worst, names)}" if delivery.height > 1 else ""
+        said.append(f"more is lost in {losing.height} of {groups}{where} ({received_words(worst)})")
+    slower = rows.filter(pl.col("verdict") == "worse").sort("ratio", descending=True, nulls_last=True)
+    if slower.is_empty():
+        said.append(f"nothing is shown to be slower in {groups}; {_unseen(rows)}")
+    else:
+        worst = slower.row(0, named=True)
+        where = f" in {group_words(worst, names)}" if delivery.height > 1 else ""
+        change = _percent(None if worst["ratio"] is None else worst["ratio"] - 1)
+        count = slower.select(comparison.options.match).n_unique()
+        said.append(
+            f"slower in {count} of {groups}, most the {worst['statistic']} of the {worst['metric']}{where}: {change}"
+        )
+    sentence = "; ".join(said)
+    return f"{sentence[0].upper()}{sentence[1:]}."
+
+
+def _unseen(rows: pl.DataFrame) -> str:
+    """Say below which size a change would not have been seen, in the group and percentile where that is largest."""
+    known = rows["smallest_ratio"].drop_nulls()
+    if known.is_empty():
+        return f"these runs cannot tell (it takes {RUNS_TO_TELL} a side)"
+    seen = f"changes below {_percent(float(str(known.max())) - 1).removeprefix('+')} would not be seen"
+    untold = rows.height - len(known)
+    return f"{seen}, and {untold} of {counted(rows.height, 'row')} cannot tell" if untold else seen
+
+
+def _unlike_columns(comparison: Comparison) -> str:
+    """Name the match columns in which no group of one side agrees with any of the other, with their values."""
+    sides = comparison.only_base, comparison.only_new
+    if any(side.is_empty() for side in sides):
+        return ""
+    unlike = []
+    for column in sides[0].columns:
+        base, new = ({str(value) for value in side[column].to_list()} for side in sides)
+        if not base & new:
+            unlike.append(f"{column} ({' or '.join(sorted(base))} against {' or '.join(sorted(new))})")
+    return f"; they differ in {', '.join(unlike)}" if unlike else ""
 
 
 def _explanations(comparison: Comparison) -> list[str]:

@@ -9,7 +9,7 @@ from roundtrip_frames import MS, in_runs, steady
 from dds_trace.analyzer.verdicts.compare import CompareOptions, compare_roundtrips
 from dds_trace.analyzer.verdicts.gate import parse_gate
 from dds_trace.analyzer.verdicts.gates import judge_gates
-from dds_trace.reports.comparison import comparison_junit, comparison_markdown
+from dds_trace.reports.comparison import comparison_junit, comparison_markdown, comparison_sentence
 
 HOSTILE = "<script>alert(1)</script>|`a`](http://x)\n# h @you\x1b[31m\x00"
 OPTIONS = CompareOptions(metrics=("latency",), statistics=("p50",))
@@ -48,6 +48,48 @@ def test_markdown_says_the_outcome_first():
     unknown = next(line for line in text.splitlines() if "latency p99" in line)
     assert unknown.endswith(
         "| +20.0% | unknown to unknown | 0% | 3 and 3, within one run |  | inconclusive |"
+    )
+
+
+def compared_at(new_ms, runs=in_runs, **parameters):
+    options = CompareOptions(metrics=("latency",), statistics=("p50",))
+    spread = {"spread": 1e-3} if runs is in_runs else {}
+    return compare_roundtrips(
+        runs([5 * MS] * 40, **spread, **parameters), runs([new_ms * MS] * 40, **spread, **parameters), options
+    )
+
+
+def test_the_first_line_says_what_became_slower():
+    assert (
+        comparison_sentence(compared_at(6)) == "Slower in 1 of 1 group, most the p50 of the latency: +20.0%."
+    )
+
+
+def test_the_first_line_says_which_changes_would_not_be_seen():
+    found = compared_at(5)
+    smallest = found.rows["smallest_ratio"][0] - 1
+    assert comparison_sentence(found) == (
+        f"Nothing is shown to be slower in 1 group; changes below {smallest:.1%} would not be seen."
+    )
+
+
+def test_the_first_line_of_too_few_runs_does_not_reassure():
+    assert comparison_sentence(compared_at(5, runs=steady)) == (
+        "Nothing is shown to be slower in 1 group; these runs cannot tell (it takes 3 a side)."
+    )
+
+
+def test_losses_lead_the_first_line():
+    lossy = [5 * MS if i % 2 else None for i in range(200)]
+    found = compare_roundtrips(in_runs([5 * MS] * 200), in_runs(lossy), OPTIONS)
+    assert comparison_sentence(found).startswith("More is lost in 1 of 1 group (100.00% -> 50.00%)")
+
+
+def test_sides_without_a_common_group_are_told_apart_by_their_columns():
+    nothing = compare_roundtrips(steady([MS]), steady([MS], vendor="zenoh", payload_bytes=1000), OPTIONS)
+    assert comparison_sentence(nothing) == (
+        "The two sides have no group in common: there is nothing to compare; they differ in vendor (fastdds against zenoh), "
+        "payload_bytes (33000 against 1000)."
     )
 
 

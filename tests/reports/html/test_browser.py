@@ -422,18 +422,14 @@ def test_print_has_every_figure(reader, pages):
         ("empty folder", "light", 1360),
         ("demo", "light", 420),
         ("lossy machine", "dark", 1360),
-        ("study", "light", 420),
         *(
-            pytest.param(name, scheme, width, marks=pytest.mark.slow)
+            pytest.param(name, scheme, width, marks=(pytest.mark.slow, pytest.mark.timeout(900)))
             for name in ("lossy machine", "study", "500 groups")
             for scheme, width in (("light", 1360), ("dark", 420))
         ),
     ],
 )
 def test_axe_finds_nothing_against_wcag_aa(chromium, pages, name, scheme, width):
-    axe = next((Path(home) for home in AXE_HOMES if home and Path(home).is_file()), None)
-    if axe is None:
-        pytest.skip("axe-core is not here (pip install axe-playwright-python)")
     one = Reader(chromium, color_scheme=scheme, viewport={"width": width, "height": 900})
     tab = one.open(pages(name))
     one.draw_all()
@@ -441,15 +437,46 @@ def test_axe_finds_nothing_against_wcag_aa(chromium, pages, name, scheme, width)
         "for (const details of document.querySelectorAll("
         "'.first details, #recording details, #figure-heatmap details, .filter:first-child')) details.open = true"
     )
+    # Not inside the plots: each has a label and a table, and thousands of marks that axe has no rule for.
+    assert violations(tab, "{exclude: ['.plot svg']}") == []
+    tab.context.close()
+
+
+def violations(tab, where):
+    """What axe-core finds against WCAG AA and its best practice in a part of the page."""
+    axe = next((Path(home) for home in AXE_HOMES if home and Path(home).is_file()), None)
+    if axe is None:
+        pytest.skip("axe-core is not here (pip install axe-playwright-python)")
     tab.evaluate(axe.read_text(encoding="utf-8"))
     found = tab.evaluate(
-        # Not inside the plots: each has a label and a table, and thousands of marks that axe has no rule for.
-        "() => axe.run({exclude: ['.plot svg']}, {runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa', 'wcag22aa', 'best-practice']})"
+        f"() => axe.run({where}, {{runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa', 'wcag22aa', 'best-practice']}})"
     )
-    assert [
-        (each["id"], [node["html"][:200] for node in each["nodes"]]) for each in found["violations"]
-    ] == []
+    return [(each["id"], [node["html"][:200] for node in each["nodes"]]) for each in found["violations"]]
+
+
+@pytest.mark.parametrize("name", ["lossy machine", "study"])
+@pytest.mark.parametrize(("scheme", "width"), [("light", 1360), ("dark", 420)])
+def test_axe_finds_nothing_in_the_first_screen_of_a_campaign_with_losses(
+    chromium, pages, name, scheme, width
+):
+    one = Reader(chromium, color_scheme=scheme, viewport={"width": width, "height": 900})
+    tab = one.open(pages(name))
+    tab.evaluate("for (const details of document.querySelectorAll('.first details')) details.open = true")
+    assert violations(tab, "{include: ['.first']}") == []
+    assert tab.evaluate("document.documentElement.scrollWidth") <= width, "nothing sticks out to the side"
+    assert tab.locator(".sizes .lost").count() > 0
+    assert tab.locator(".headline").inner_text().partition(" % of the messages never came back")[1]
     tab.context.close()
+
+
+def test_the_table_of_all_groups_is_saved_as_csv(reader, pages):
+    tab = reader.open(pages("demo"))
+    with tab.expect_download() as download:
+        tab.locator("#save-groups").click()
+    assert download.value.suggested_filename == "dds-trace-groups.csv"
+    lines = download.value.path().read_text(encoding="utf-8-sig").splitlines()
+    assert len(lines) == 1 + 6
+    assert lines[0].startswith('"Data","Size (bytes)","Rate (Hz)","Series","Runs"')
 
 
 def test_a_watched_page_loads_itself_again_on_a_change_and_only_then(reader, tmp_path):

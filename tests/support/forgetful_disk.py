@@ -11,15 +11,17 @@ from __future__ import annotations
 import ctypes
 import errno
 import os
+import shutil
 import stat
 import struct
+import subprocess
 import threading
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     import random
     from collections.abc import Callable
-    from pathlib import Path
 
 SECTOR_BYTES = 512
 """What a disk writes whole or not at all."""
@@ -40,6 +42,19 @@ _LOOKUP, _FORGET, _GETATTR, _SETATTR, _OPEN, _READ, _WRITE = 1, 2, 3, 4, 14, 15,
 _STATFS, _RELEASE, _FSYNC, _FLUSH, _INIT, _OPENDIR, _RELEASEDIR = 17, 18, 20, 25, 26, 27, 29
 _INTERRUPT, _DESTROY, _BATCH_FORGET = 36, 38, 42
 _WITHOUT_ANSWER = {_FORGET, _INTERRUPT, _BATCH_FORGET}
+
+
+def missing_for_a_disk() -> str | None:
+    """What this machine lacks for such a disk with ext4 on it, in words; None if it has all."""
+    if os.geteuid() != 0:
+        return "only root may mount a loop device"
+    wanted = ("/dev/fuse", "/dev/loop-control")
+    lacking = [path for path in wanted if not Path(path).exists()]
+    lacking += [name for name in ("mkfs.ext4", "unshare", "mount") if shutil.which(name) is None]
+    if lacking:
+        return f"{', '.join(lacking)} is not here"
+    allowed = subprocess.run(["unshare", "-m", "true"], check=False).returncode == 0
+    return None if allowed else "no mount namespace may be made here (unshare -m)"
 
 
 class ForgetfulDisk:

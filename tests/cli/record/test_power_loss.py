@@ -12,11 +12,11 @@ import random
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import power_loss
 import pytest
+from forgetful_disk import missing_for_a_disk
 
 from dds_trace.tracefile import EVENT_DTYPE, Stage, TraceFormatError, read_trace
 from dds_trace.tracefile.format.ring import ring_path
@@ -26,24 +26,9 @@ SECOND_NS = 1_000_000_000
 STAGES = {"ping": (Stage.T1, Stage.T2), "relay": (Stage.T3, Stage.T4)}
 
 
-def missing_for_a_forgetful_disk() -> str | None:
-    """What this machine lacks, in words."""
-    if os.geteuid() != 0:
-        return "only root may mount a loop device"
-    wanted = ("/dev/fuse", "/dev/loop-control")
-    lacking = [path for path in wanted if not Path(path).exists()]
-    lacking += [name for name in ("mkfs.ext4", "unshare", "mount") if shutil.which(name) is None]
-    if lacking:
-        return f"{', '.join(lacking)} is not here"
-    allowed = subprocess.run(["unshare", "-m", "true"], check=False).returncode == 0
-    return None if allowed else "no mount namespace may be made here (unshare -m)"
-
-
 pytestmark = [
     pytest.mark.timeout(600),
-    pytest.mark.skipif(
-        missing_for_a_forgetful_disk() is not None, reason=str(missing_for_a_forgetful_disk())
-    ),
+    pytest.mark.skipif(missing_for_a_disk() is not None, reason=str(missing_for_a_disk())),
 ]
 
 

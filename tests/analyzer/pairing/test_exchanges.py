@@ -342,11 +342,6 @@ def test_relay_events_without_their_ping_have_no_row_and_a_finding(tmp_path):
     [
         ([], [ping_session()], "undescribed_run"),
         ([run(run_id=8, extra={})], [relay_session()], "undescribed_session"),
-        ([run(run_id=8, payload_bytes=2**40)], [ping_session()], "impossible_description"),
-        ([run(run_id=8, payload_bytes=-1)], [ping_session()], "impossible_description"),
-        ([run(run_id=8, rate_hz=float("nan"))], [ping_session()], "impossible_description"),
-        ([run(run_id=8, warmup_messages=-1)], [ping_session()], "impossible_description"),
-        ([run(run_id=8, qos=Qos(depth=2**70))], [ping_session()], "impossible_description"),
     ],
 )
 def test_a_run_that_nobody_describes_is_left_out_and_named(tmp_path, runs, sessions, code):
@@ -362,12 +357,43 @@ def test_a_run_that_nobody_describes_is_left_out_and_named(tmp_path, runs, sessi
 
 
 @pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        (
+            {"payload_bytes": 2**40},
+            "field 'payload_bytes' of the run description is 1099511627776; a size in bytes",
+        ),
+        ({"payload_bytes": -1}, "field 'payload_bytes' of the run description is -1; a size in bytes"),
+        (
+            {"rate_hz": float("nan")},
+            "field 'rate_hz' of the run description is nan; a rate in messages a second",
+        ),
+        ({"warmup_messages": -1}, "field 'warmup_messages' of the run description is -1; a count"),
+        ({"qos": Qos(depth=2**70)}, "an integer of 22 digits does not fit into 64 bits"),
+    ],
+)
+def test_an_impossible_description_is_not_used_and_its_field_is_named(tmp_path, values, words):
+    write_trace(
+        tmp_path / "odd.mcap", [ping_session()], [run(run_id=8, **values)], ping_events(TWO, run_id=8)
+    )
+    with pytest.raises(MissingEventsError, match=r"odd\.mcap") as error:
+        analyze(tmp_path)
+    assert words in str(error.value)
+    write_pair(tmp_path, TWO, ping=ping_session(session_id=77), runs=[run(extra={})])
+    analysis = analyze(tmp_path)
+    assert set(analysis.load_roundtrips()["run_id"]) == {RUN_ID}
+    (finding,) = [f for f in analysis.findings if f.code == "skipped_file"]
+    assert finding.where == "odd.mcap"
+    assert words in finding.what
+
+
+@pytest.mark.parametrize(
     ("field", "value", "words"),
     [
         (
             "warmup_messages",
             -1,
-            r"in ping\.mcap, whose description is impossible \(warmup_messages is -1\); no measurement",
+            r"ping\.mcap was not used: field 'warmup_messages' of the run description is -1; a count is 0 to \d+; replace",
         ),
         (
             "rate_hz",

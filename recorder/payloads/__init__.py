@@ -44,7 +44,7 @@ def find_data_type(name: str) -> DataType:
     if name not in made:
         *usages, last = (payload.usage for payload in PAYLOADS.values() if isinstance(payload, Source))
         raise OptionError(
-            f"there is no data type {name!r}; choose one of {', '.join(made)}, or write {', '.join(usages)} or {last}"
+            f"there is no data type {limits.shown(name)}; choose one of {', '.join(made)}, or write {', '.join(usages)} or {last}"
         )
     return made[name]
 

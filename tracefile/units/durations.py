@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ..errors import OptionError
+from ..limits import shown
 from .quantities import format_quantity, split_quantity
 
 SECOND_NS = 1_000_000_000
@@ -29,7 +30,7 @@ def parse_duration(text: str, what: str = "duration") -> int:
     value, unit = split_quantity(text) or (0.0, "")
     duration_ns = round(value * _READ_NS.get(unit, 0))
     if not 0 < duration_ns < INFINITE_NS:
-        raise OptionError(f"{what} {text!r} is not understood; write 20ms, 1.5s or 500us, more than 0")
+        raise OptionError(f"{what} {shown(text)} is not understood; write 20ms, 1.5s or 500us, more than 0")
     return duration_ns
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ..errors import OptionError
+from ..limits import shown
 from .quantities import format_quantity, split_quantity
 
 UNIT_HZ = {"": 1, "hz": 1, "khz": 1000}
@@ -22,7 +23,7 @@ def parse_rate(text: str, what: str = "rate") -> float:
     value, unit = split_quantity(text) or (0.0, "")
     rate_hz = value * UNIT_HZ.get(unit, 0)
     if not rate_hz:
-        raise OptionError(f"{what} {text!r} is not understood; write 20, 2.5Hz or 1kHz, more than 0")
+        raise OptionError(f"{what} {shown(text)} is not understood; write 20, 2.5Hz or 1kHz, more than 0")
     return rate_hz
 
 

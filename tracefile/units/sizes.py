@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ..errors import OptionError
+from ..limits import shown
 from .quantities import split_quantity
 
 _DECIMAL_BYTES = {"GB": 10**9, "MB": 10**6, "KB": 10**3, "B": 1}
@@ -24,11 +25,11 @@ def parse_size(text: str, what: str = "size") -> int:
     value, unit = split_quantity(text) or (0.0, "?")
     if unit not in UNIT_BYTES:
         raise OptionError(
-            f"{what} {text!r} is not understood; write bytes, or 33KB, 4MB (1000), 1KiB, 2MiB (1024)"
+            f"{what} {shown(text)} is not understood; write bytes, or 33KB, 4MB (1000), 1KiB, 2MiB (1024)"
         )
     size_bytes = value * UNIT_BYTES[unit]
     if size_bytes != int(size_bytes):
-        raise OptionError(f"{what} {text!r} is not a whole number of bytes")
+        raise OptionError(f"{what} {shown(text)} is not a whole number of bytes")
     return int(size_bytes)
 
 

@@ -210,7 +210,7 @@ DELAY_MS = Real(0, 3_600_000, "a time in milliseconds")
 DEADLINE_MS = Real(0, 3_600_000, "a deadline in milliseconds", is_above=True)
 LINE_MBIT_S = Real(0, 1e6, "a line rate in Mbit/s")
 PERCENT = Real(0, 100, "a share in percent")
-WIDTH_PERCENT = Real(0, 1000, "half the width of an interval in percent", is_above=True)
+WIDTH_PERCENT = Real(0, 1e6, "half the width of an interval in percent", is_above=True)
 FACTOR = Real(1, 1000, "a factor", is_above=True)
 
 FLAG = Flag()

@@ -14,7 +14,8 @@ from dds_trace.cli.analyze import main
 MS = 1_000_000
 MESSAGES = 300
 JUDGED = re.compile(
-    r"\b(better|worse|faster|fastest|slower|slowest|quicker|quickest|wins|winner)\b(?!\":)", re.IGNORECASE
+    r"(?<!no clear )\b(better|worse|faster|fastest|slower|slowest|quicker|quickest|wins|winner)\b(?!\":)",
+    re.IGNORECASE,
 )
 WAYS = {  # vendor, bridge, one way: two middlewares in one domain, and one of them through a bridge
     "fastdds": ("fastdds", "none", MS),

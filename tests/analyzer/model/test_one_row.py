@@ -67,7 +67,7 @@ def test_a_metric_is_one_row_of_the_table_of_metrics(tmp_path):
     assert report["groups"][0]["hold_p50_ns"] == 361
     assert [row["messages"] for row in report["intervals"] if row["metric"] == "hold"] == [40] * 5
     assert "Hold in relay" in (out / "report.html").read_text(encoding="utf-8")
-    few_samples = "of rtt, intermediate, latency, hold, response; there are 40 samples"
+    few_samples = "you have 40 (of rtt, intermediate, latency, hold, response)"
     assert few_samples in (out / "report.md").read_text(encoding="utf-8")
 
 

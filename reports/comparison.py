@@ -92,7 +92,7 @@ def comparison_sentence(comparison: Comparison) -> str:
         said.append(f"more is lost in {losing.height} of {groups}{where} ({received_words(worst)})")
     slower = rows.filter(pl.col("verdict") == "worse").sort("ratio", descending=True, nulls_last=True)
     if slower.is_empty():
-        said.append(f"nothing is shown to be slower in {groups}; {_unseen(rows)}")
+        said.append(_unseen(rows, groups))
     else:
         worst = slower.row(0, named=True)
         where = f" in {group_words(worst, names)}" if delivery.height > 1 else ""
@@ -105,12 +105,12 @@ def comparison_sentence(comparison: Comparison) -> str:
     return f"{sentence[0].upper()}{sentence[1:]}."
 
 
-def _unseen(rows: pl.DataFrame) -> str:
-    """Say below which size a change would not have been seen, in the group and percentile where that is largest."""
+def _unseen(rows: pl.DataFrame, groups: str) -> str:
+    """Say that nothing is shown, and below which size it would not have been, where that is largest; or that nobody can tell."""
     known = rows["smallest_ratio"].drop_nulls()
     if known.is_empty():
-        return f"these runs cannot tell (it takes {RUNS_TO_TELL} a side)"
-    seen = f"changes below {_percent(float(str(known.max())) - 1).removeprefix('+')} would not be seen"
+        return f"what changed in {groups} cannot be told: it takes {RUNS_TO_TELL} runs a side"
+    seen = f"nothing is shown to be slower in {groups}; changes below {_percent(float(str(known.max())) - 1).removeprefix('+')} would not be seen"
     untold = rows.height - len(known)
     return f"{seen}, and {untold} of {counted(rows.height, 'row')} cannot tell" if untold else seen
 

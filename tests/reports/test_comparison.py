@@ -75,7 +75,7 @@ def test_the_first_line_says_which_changes_would_not_be_seen():
 
 def test_the_first_line_of_too_few_runs_does_not_reassure():
     assert comparison_sentence(compared_at(5, runs=steady)) == (
-        "Nothing is shown to be slower in 1 group; these runs cannot tell (it takes 3 a side)."
+        "What changed in 1 group cannot be told: it takes 3 runs a side."
     )
 
 

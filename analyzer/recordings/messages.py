@@ -22,6 +22,7 @@ from dds_trace.tracefile.format.bag_metadata import METADATA_NAME
 from dds_trace.tracefile.mcapfile.blocks import LARGEST_FILE_RATIO, most_unpacked_bytes
 from dds_trace.tracefile.mcapfile.chunks import unpack_records
 from dds_trace.tracefile.mcapfile.file import MAX_RECORD_BYTES
+from dds_trace.tracefile.reading.bag_bounds import bounded_unpacking
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator
@@ -176,7 +177,10 @@ def _mcap_records(file: BinaryIO) -> Iterator[McapRecord]:
 def _bag_messages(path: Path) -> Iterator[RecordedMessage]:
     """Yield the messages through rosbags, which reads all storages and compressions but only the log time."""
     try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
+        with (
+            bounded_unpacking(path),
+            AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader,
+        ):
             encoding = "cdr" if reader.is2 else "ros1"
             topics = {
                 (id(c.owner), c.id): Topic(c.topic, c.msgtype, encoding, _connection_has_stamp(c))

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import BackendUnavailableError, OptionError, StoppedError
+from dds_trace.tracefile.reading.bag_bounds import bounded_unpacking
 
 from .base import DataType, Message, Payload, Source, check_held_bytes, check_stop
 from .header import recognize_data_type
@@ -97,7 +98,10 @@ def _opened(path: Path) -> Iterator[AnyReader]:
         ) from err
     try:
         # Bags of sqlite3 before ROS 2 Iron hold no definitions; the stock types have hardly changed since.
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+        with (
+            bounded_unpacking(path),
+            AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader,
+        ):
             yield reader
     except (OptionError, BackendUnavailableError, StoppedError):
         raise

@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from .book.sizes import SizeCell, Threshold
 
 WIDTH = 80
+_FACT_COLUMNS = 20
+"""Columns of a fact's name."""
 SPARK_CELLS = 12
 _BLOCKS = " ▁▂▃▄▅▆▇█"
 _COLORS = {"error": "red", "warning": "yellow", "info": "blue"}
@@ -71,13 +73,13 @@ def _report(book: Book) -> RenderableType:
     return Group(
         Text(f"Latency report: {overview.title}", style="bold"),
         Text(),
-        *(Text.assemble((f"{fact.label:<11}", "dim"), fact.value) for fact in overview.facts),
-        Text(),
         *_advice(book),
         Text(answer.headline, style="bold"),
         _list(answer.points),
         Text(),
         *_sizes(book),
+        *(Text.assemble((f"{fact.label:<{_FACT_COLUMNS}}", "dim"), fact.value) for fact in overview.facts),
+        Text(),
         _list(answer.remarks),
         *((Text(answer.rule, style="dim"),) if answer.rule else ()),
         Text(),

@@ -107,6 +107,9 @@ def _applied_words(session: Session) -> list[str]:
     return [f"payload carried by {_WAYS.get(path, visible(path))}", *controls, *buffers]
 
 
+_LONGEST_SETTING = 40
+"""Characters of a setting among the facts of the first screen."""
+
 _WAYS = {SHARED_MEMORY: "shared memory", UNKNOWN: "an unknown way"}
 """Path of a payload -> its words; any other is the name of an interface."""
 
@@ -194,7 +197,8 @@ def setting_words(analysis: Analysis) -> str:
     for session in analysis.sessions:
         middleware = session.host.get("middleware")
         for name, value in middleware.items() if isinstance(middleware, dict) else ():
-            words = visible(value)
+            # A configuration in XML would be most of a first screen; whole it stands in the table of the sessions.
+            words = visible(value, _LONGEST_SETTING)
             if words not in told.setdefault(visible(name), []):
                 told[visible(name)].append(words)
         path = payload_path(session)

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import BackendUnavailableError, OptionError, StoppedError
-from dds_trace.tracefile.reading.bag_bounds import bounded_unpacking
 
 from .base import DataType, Message, Payload, Source, check_held_bytes, check_stop
 from .header import recognize_data_type
@@ -92,6 +91,8 @@ def _opened(path: Path) -> Iterator[AnyReader]:
     try:
         from rosbags.highlevel import AnyReader  # noqa: PLC0415 - only bags need it
         from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
+
+        from dds_trace.tracefile.reading.bag_bounds import bounded_unpacking  # noqa: PLC0415
     except ImportError as err:
         raise BackendUnavailableError(
             "reading a bag needs the Python package rosbags; pip install 'dds-trace[bags]'"

@@ -69,7 +69,8 @@ def check_cut(left, truth, role):
         lacking_ns += recorded[stage]["monotonic_ns"][lacks].tolist()
     if sum(map(len, held.values())):
         report = recover(path)
-        assert (report.damaged_chunks, report.ring_fault) == (0, None)
+        # A chunk that was not flushed may be there in part, and is then named as damaged; its events count as lost below.
+        assert report.ring_fault is None
         recovered = events_of(path, role)
         assert all((recovered[stage] == held[stage]).all() for stage in STAGES[role])
         assert not ring_path(path).exists()

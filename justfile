@@ -70,11 +70,11 @@ bench-huge *args: setup
 bench-cluster *args: setup
     {{bin}}/python benchmarks/cluster.py {{args}}
 
-# How often intervals and verdicts hold, by drawing: the tables of docs/coverage.md (--quick: about a minute)
+# How often intervals and verdicts hold, by drawing: the tables of docs/explanation/coverage.md (--quick: about a minute)
 coverage *args: setup
     {{bin}}/python benchmarks/coverage.py {{args}}
 
-# How often comparisons of equal sides err, by drawing pairs from the recordings of a sweep (twenty passes: docs/coverage.md)
+# How often comparisons of equal sides err, by drawing pairs from the recordings of a sweep (twenty passes: docs/explanation/coverage.md)
 real-aa *args: setup
     {{bin}}/python benchmarks/real_aa.py {{args}}
 

@@ -28,7 +28,7 @@ class WarmMemory:
     """Memory that the machine has at hand when a job begins that fills it.
 
     On a virtual machine, memory that was freed goes back to the host within seconds, and touching it anew takes up to
-    thirty times as long as zeroing it (docs/performance.md). So it is held while something else runs.
+    thirty times as long as zeroing it (docs/explanation/performance.md). So it is held while something else runs.
 
     Args:
         size: bytes that the job will fill.

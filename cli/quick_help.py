@@ -1,7 +1,7 @@
 """The frame that every command's app is made in: `--help` and usage errors are written without rich.
 
 Rich and the four libraries that typer's own help imports with it take longer to load than everything else that `--help` does;
-`docs/performance.md` has the figures. The words stay marked as rich has them, [bold] and [dim]: a terminal shows them so, and a
+`docs/explanation/performance.md` has the figures. The words stay marked as rich has them, [bold] and [dim]: a terminal shows them so, and a
 file or a pipe gets the plain text, because `typer.echo` takes escape sequences off there.
 """
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from .backends.node import NodeOptions
 
 DEFAULT_MESSAGES = 1000
-"""Messages of a run by default: what gates were simulated with (docs/coverage.md). With five runs a side that spread by
+"""Messages of a run by default: what gates were simulated with (docs/explanation/coverage.md). With five runs a side that spread by
 5 % they find +20 % of p50 four times in five; p99 rests on ten messages of a run."""
 DEFAULT_RATE_HZ = 10.0
 DEFAULT_WARMUP = 10

@@ -39,7 +39,7 @@ FOREIGN = program_environment({}, foreign=True)
 """Variables of the programs: without those by which the ROS 2 wheels of this environment would be another's, too."""
 
 NOT_INSTALLED, NO_LICENCE = 7, 7
-"""Exit codes (docs/exit-codes.md)."""
+"""Exit codes (docs/reference/exit-codes.md)."""
 
 BAG = """
 import sys

@@ -47,7 +47,7 @@ def test_one_name_loads_its_module_and_no_other():
     assert ran.stdout.split() == ["dds_trace.tracefile.errors"]
 
 
-DOCS = Path(__file__).parents[1] / "docs" / "analysis.md"
+DOCS = Path(__file__).parents[1] / "docs" / "explanation" / "analysis.md"
 
 
 def test_the_page_for_users_says_of_every_name_what_it_is():

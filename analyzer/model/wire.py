@@ -47,7 +47,7 @@ WIRE_CLASS_SCHEMA: dict[str, type[pl.DataType]] = {
     "bytes": pl.UInt64,
     "share": pl.Float64,
 }
-"""A row per group and class of traffic (`docs/wire.md`) on the ping's interfaces, both ways; `share` of the group's bytes."""
+"""A row per group and class of traffic (`docs/reference/wire.md`) on the ping's interfaces, both ways; `share` of the group's bytes."""
 
 WIRE_REPEAT_SCHEMA: dict[str, type[pl.DataType]] = {
     "group": pl.UInt32,

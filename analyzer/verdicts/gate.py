@@ -116,7 +116,7 @@ class Gate:
 
 DEFAULT_GATES = ("latency_p50 > +10%", "latency_p99 > +20%", "received_ratio < -0.5 points")
 """Gates that `--fail-if default` stands for: changes that users notice and that five runs of 1000 messages a side find at
-a run-to-run spread of 5 % (`docs/coverage.md`); half a point of messages is one in two hundred."""
+a run-to-run spread of 5 % (`docs/explanation/coverage.md`); half a point of messages is one in two hundred."""
 
 
 def parse_gates(texts: Iterable[str]) -> list[Gate]:

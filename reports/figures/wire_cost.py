@@ -42,7 +42,7 @@ PART_OF_CLASS = {
     "sedp": "discovery",
     "liveliness": "discovery",
 }
-"""Class of traffic (`docs/wire.md`) -> part of the bar; other classes are `other`. What is not RTPS, and later IP fragments,
+"""Class of traffic (`docs/reference/wire.md`) -> part of the bar; other classes are `other`. What is not RTPS, and later IP fragments,
 are data as a rule."""
 
 

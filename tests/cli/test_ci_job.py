@@ -1,4 +1,4 @@
-"""The example job of `docs/ci.md`: its script is taken out of the page and run as CI runs it, on the socket backend."""
+"""The example job of `docs/how-to/ci.md`: its script is taken out of the page and run as CI runs it, on the socket backend."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 
 pytestmark = [pytest.mark.middleware, pytest.mark.timeout(300)]
 
-PAGE = Path(__file__).parents[2] / "docs/ci.md"
+PAGE = Path(__file__).parents[2] / "docs/how-to/ci.md"
 PLAN = """
 [run]
 messages = 20

@@ -43,7 +43,9 @@ def test_our_own_mistakes_keep_their_traceback():
 
 
 def test_the_table_of_exit_codes_names_every_error():
-    rows = re.findall(r"^\| (\d+) \| `(\w+)` \|", (ROOT / "docs" / "exit-codes.md").read_text(), re.MULTILINE)
+    rows = re.findall(
+        r"^\| (\d+) \| `(\w+)` \|", (ROOT / "docs" / "reference" / "exit-codes.md").read_text(), re.MULTILINE
+    )
     errors = {errors_module.TraceError, *errors_module.TraceError.__subclasses__()}
     known = {
         (str(each.exit_code), each.__name__) for each in errors if each.__module__ == errors_module.__name__

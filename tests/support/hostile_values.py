@@ -27,11 +27,11 @@ COMMANDS = {
 
 assert {compare.app, watch.app} <= set(COMMANDS.values())
 
-_EXIT_CODES = (Path(__file__).parents[2] / "docs" / "exit-codes.md").read_text()
+_EXIT_CODES = (Path(__file__).parents[2] / "docs" / "reference" / "exit-codes.md").read_text()
 EXIT_CODES = {0, 10, 11, 130, 20, 21, 22} | {
     int(code) for code in re.findall(r"^\| (\d+) \|", _EXIT_CODES, re.MULTILINE)
 }
-"""Exit codes that docs/exit-codes.md names; those of gates and sweeps are in its text."""
+"""Exit codes that docs/reference/exit-codes.md names; those of gates and sweeps are in its text."""
 
 HOSTILE_TEXTS = [
     *("", " ", "-1", "0", "1", "nan", "inf", "-inf", "1e12", "1e300", "1e-300", "268435456", "1GB", "3GB"),

@@ -1,8 +1,8 @@
 """`socket`: plain TCP or UDP, without a middleware between.
 
 Over UDP it is what any middleware over UDP comes on top of. Over TCP it is what TCP makes of the link, congestion control included,
-and a middleware over UDP can be faster (docs/middlewares.md). The relay listens at a port that follows from the domain, the ping connects. `--transport default` is TCP without
-Nagle's delay, `udp` is UDP with fragments of 60 KB and nothing sent again. See `docs/middlewares.md`.
+and a middleware over UDP can be faster (docs/reference/middlewares.md). The relay listens at a port that follows from the domain, the ping connects. `--transport default` is TCP without
+Nagle's delay, `udp` is UDP with fragments of 60 KB and nothing sent again. See `docs/reference/middlewares.md`.
 """
 
 from __future__ import annotations

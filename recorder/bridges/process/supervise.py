@@ -225,7 +225,7 @@ def program_environment(extra: Mapping[str, str], *, foreign: bool) -> dict[str,
     Args:
         extra: variables that the program needs beyond those of this process.
         foreign: whether the program brings libraries of its own; then the search path that the ROS 2 wheels made
-            for themselves (see `docs/bridges.md`) must not reach it.
+            for themselves (see `docs/reference/bridges.md`) must not reach it.
     """
     variables = {**os.environ, **extra}
     if foreign and variables.pop(_WHEELS_GUARD, ""):

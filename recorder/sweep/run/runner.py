@@ -188,7 +188,7 @@ class Runner:
         """Stop a relay that may hold parts of messages, so that the next cell gets a new one.
 
         A reader of Fast DDS that waits for the rest of a large message, whose writer is gone, hands on what others
-        write up to some messages late from then on (docs/middlewares.md). That would be the next cell's latency.
+        write up to some messages late from then on (docs/reference/middlewares.md). That would be the next cell's latency.
         """
         if not self.plan.by_hand:
             relay.stop()

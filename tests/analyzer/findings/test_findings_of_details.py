@@ -386,7 +386,7 @@ def test_every_code_is_in_the_documentation():
     )
     codes = set(re.findall(r'^\s+(?:Severity\.\w+,\s*)?"([a-z]+(?:_[a-z]+)*)",$', written, re.MULTILINE))
     codes |= set(re.findall(r'"(latency_\w+_with_size)"', written))
-    page = Path(__file__).parents[3].joinpath("docs", "analysis.md").read_text()
+    page = Path(__file__).parents[3].joinpath("docs", "explanation", "analysis.md").read_text()
     documented = set(re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE))
     assert len(codes) > 30
     assert codes <= documented

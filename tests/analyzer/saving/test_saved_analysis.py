@@ -222,7 +222,7 @@ def test_a_folder_without_a_saved_analysis_says_how_to_write_one(tmp_path):
 
 
 def test_the_example_of_the_documentation_runs(tmp_path, monkeypatch):
-    text = (SAMPLES.parent / "docs" / "analysis.md").read_text(encoding="utf-8")
+    text = (SAMPLES.parent / "docs" / "explanation" / "analysis.md").read_text(encoding="utf-8")
     example = text.partition("### Save and load\n")[2].partition("\n\nA second report")[0]
     shutil.copytree(SAMPLES / "losses", tmp_path / "runs")
     monkeypatch.chdir(tmp_path)

@@ -1,4 +1,4 @@
-"""The commands of `docs/two-devices.md`, as they stand there, between two namespaces joined by a veth."""
+"""The commands of `docs/tutorials/two-devices.md`, as they stand there, between two namespaces joined by a veth."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from two_devices import command_blocks, needs_devices, two_devices
 
 from dds_trace.tracefile import read_trace
 
-PAGE = Path(__file__).parents[3] / "docs" / "two-devices.md"
+PAGE = Path(__file__).parents[3] / "docs" / "tutorials" / "two-devices.md"
 PING, RELAY = "192.168.0.10", "192.168.0.20"
 READY = {"--role relay": "serves domain", "dds-bridge": " runs: "}
 """What a command says on stderr once others may begin; a command with none of these words runs to its end."""

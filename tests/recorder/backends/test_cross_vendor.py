@@ -20,7 +20,7 @@ ODD = ("--deadline", "333333333ns", "--lifespan", "1234567us")
 TUNED_BUFFER_BYTES = 4_000_000
 """What `--tuned` asks of the kernel, which gives no more than net.core.rmem_max."""
 FIRST_MESSAGE = frozenset({0})
-"""A tuned Fast DDS and a tuned Cyclone DDS sometimes lose the first message behind the probes (docs/middlewares.md); it is
+"""A tuned Fast DDS and a tuned Cyclone DDS sometimes lose the first message behind the probes (docs/reference/middlewares.md); it is
 one of the warm-up, so no statistic holds it."""
 VENDORS = {"ros2": "fastdds", "cyclonedds": "cyclonedds"}
 

@@ -207,7 +207,7 @@ def test_the_wire_is_captured_on_both_sides():
 
 
 def test_examples_of_the_documentation_are_plans():
-    text = (Path(__file__).parents[4] / "docs" / "sweep.md").read_text()
+    text = (Path(__file__).parents[4] / "docs" / "how-to" / "sweep.md").read_text()
     whole, *parts = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
     # 2 rmw x 2 bridges x (2 sizes x 2 rates + 2 rates of imu), without 2 bridges x 2 rates of Cyclone at 4 MB
     assert len(parse(whole).cells) == 20

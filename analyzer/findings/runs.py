@@ -47,21 +47,15 @@ _UNPLACED = {
         "No trace describes the ping session of these runs (topic /dds_trace/session), so they were left out.",
         "Keep that topic when filtering bags.",
     ),
-    "impossible_description": _Reason(
-        Severity.ERROR,
-        "impossible_description",
-        "The description of these runs holds an impossible number, so their messages were left out.",
-        "Mend what wrote the trace.",
-    ),
 }
 
 
 def unplaced_events(evidence: Evidence) -> Iterator[Finding]:
     """Report events that belong to no row: one finding per reason, relay and file."""
-    alike: dict[tuple[str, int, tuple[int, ...], str], list[Unplaced]] = defaultdict(list)
+    alike: dict[tuple[str, int, tuple[int, ...]], list[Unplaced]] = defaultdict(list)
     for unplaced in evidence.exchanges.unplaced:
-        alike[unplaced.reason, unplaced.relay_id, unplaced.traces, unplaced.detail].append(unplaced)
-    for (reason, relay_id, traces, detail), held in alike.items():
+        alike[unplaced.reason, unplaced.relay_id, unplaced.traces].append(unplaced)
+    for (reason, relay_id, traces), held in alike.items():
         of_relay = f", relay {relay_id:08x}" if relay_id else ""
         runs = some(f"{unplaced.run_id:016x}" for unplaced in held)
         yield Finding(
@@ -69,7 +63,7 @@ def unplaced_events(evidence: Evidence) -> Iterator[Finding]:
             _UNPLACED[reason].code,
             f"{evidence.campaign.names(traces)}{of_relay}",
             f"{_UNPLACED[reason].what} {counted(sum(u.events for u in held), 'event')}, "
-            f"{'run' if len(held) == 1 else 'runs'} {runs}" + (f" ({detail})." if detail else "."),
+            f"{'run' if len(held) == 1 else 'runs'} {runs}.",
             _UNPLACED[reason].action,
         )
 

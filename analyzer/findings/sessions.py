@@ -7,6 +7,7 @@ from collections import Counter, defaultdict
 from typing import TYPE_CHECKING
 
 from dds_trace.tracefile.units.counts import counted
+from dds_trace.tracefile.units.durations import format_duration
 
 from ..model.finding import Finding, Severity
 from ..model.fingerprint import FLEETING, flat_fields
@@ -21,6 +22,9 @@ if TYPE_CHECKING:
 
 _OF_MIDDLEWARE = ("versions", "configuration", "settings")
 """Parts of the fingerprint that every middleware has differently; they are compared within one vendor."""
+
+_PROMISED_NS = 1_000_000_000
+"""With `--fsync` a power loss takes less than this (`chunk_seconds` of the recorder's destination)."""
 
 _ERROR_CHARACTERS = 400
 """Longest part of an error that a finding repeats; our own have less."""
@@ -52,6 +56,21 @@ def unclosed_sessions(evidence: Evidence) -> Iterator[Finding]:
                 "The recording has no clean end: it was killed, lost power, or still goes on; "
                 "how many events it dropped is not known.",
                 "Stop recordings with Ctrl-C or --duration and analyze again.",
+            )
+
+
+def slow_disks(evidence: Evidence) -> Iterator[Finding]:
+    """Report recordings with `--fsync` whose disk kept them waiting for more than that promises."""
+    for session in evidence.campaign.sessions.values():
+        unsaved_ns = session.extra.get("longest_unsaved_ns")
+        if isinstance(unsaved_ns, int) and unsaved_ns > _PROMISED_NS:
+            yield Finding(
+                Severity.INFO,
+                "slow_to_disk",
+                evidence.session_name(session),
+                f"For {format_duration(unsaved_ns)} events were not on the disk, though --fsync was given: a power loss "
+                "then would have taken more than the last second.",
+                "Nothing is missing here; to be safe the next time, record to a faster disk, or put less load on the machine.",
             )
 
 

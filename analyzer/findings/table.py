@@ -70,6 +70,7 @@ CHECKS: tuple[Check, ...] = (
     groups.unlike_group_environments,
     sessions.unlike_environments,
     sessions.unclosed_sessions,
+    sessions.slow_disks,
     sessions.doubtful_sessions,
     clocks.suspends,
     clocks.clock_steps,

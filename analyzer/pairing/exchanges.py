@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import defaultdict
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -18,7 +17,7 @@ from .flows import RunSpan, count_flows
 from .sessions import Doubt, find_ping_session, find_relay_session
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable
 
     from dds_trace.tracefile import Run, Session
 
@@ -30,11 +29,6 @@ if TYPE_CHECKING:
     """The traces that hold events of one stage, run and relay."""
 
 NO_RELAY = 0
-
-# The ranges of the columns that hold a description's numbers.
-_INT32 = (-(2**31), 2**31 - 1)
-_UINT32 = (0, 2**32 - 1)
-_UINT64 = (0, 2**64 - 1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,7 +102,6 @@ class Unplaced:
         relay_id: the relay that they name, 0 for none.
         events: number of events, copies left out.
         traces: positions of the traces that hold them.
-        detail: what is wrong with the run's description, where that is the reason.
     """
 
     reason: str
@@ -116,7 +109,6 @@ class Unplaced:
     relay_id: int
     events: int
     traces: tuple[int, ...]
-    detail: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,10 +161,6 @@ def find_exchanges(campaign: Campaign) -> Exchanges:
                 if relays
                 else None
             )
-            flaw = next(_flaws(run, ping, relay), "")
-            if flaw:
-                unplaced.append(_unplaced("impossible_description", run_id, relay_id, [t1], flaw))
-                continue
             counts = (_count(t1), _count(t2), _count(t3), _count(t4))
             first_ns, last_ns = _first_ns(t1), max(part.last_ns for part in t1)
             start_ns, end_ns = ping.wall_ns(first_ns), ping.wall_ns(last_ns)
@@ -225,44 +213,22 @@ def _traces(parts: Parts) -> set[int]:
     return {part.trace for part in parts}
 
 
-def _unplaced(reason: str, run_id: int, relay_id: int, stages: Iterable[Parts], detail: str = "") -> Unplaced:
+def _unplaced(reason: str, run_id: int, relay_id: int, stages: Iterable[Parts]) -> Unplaced:
     held = list(stages)
     events = sum(len(merge_parts(parts)[0]) for parts in held)
     traces = sorted({part.trace for parts in held for part in parts})
-    return Unplaced(reason, run_id, relay_id, events, tuple(traces), detail)
+    return Unplaced(reason, run_id, relay_id, events, tuple(traces))
 
 
 def _start(exchange: Exchange) -> tuple[int, int, int]:
     return exchange.start_ns, exchange.run.run_id, exchange.relay_id
 
 
-def _flaws(run: Run, ping: Session, relay: Session | None) -> Iterator[str]:
-    """Yield the numbers of the descriptions that no column can hold."""
-    ranges = (
-        ("payload_bytes", run.payload_bytes, _UINT32),
-        ("warmup_messages", run.warmup_messages, _UINT64),
-        ("relay_domain_id", run.relay_domain_id or 0, _INT32),
-        ("qos.depth", run.qos.depth, _INT32),
-        ("domain_id of the ping", ping.domain_id, _INT32),
-        ("domain_id of the relay", relay.domain_id if relay else 0, _INT32),
-    )
-    for name, value, (low, high) in ranges:
-        if not low <= value <= high:
-            yield f"{name} is {value}"
-    if not (math.isfinite(run.rate_hz) and run.rate_hz >= 0):
-        yield f"rate_hz is {run.rate_hz}"
-
-
 def _nothing_to_pair(campaign: Campaign, unplaced: Iterable[Unplaced]) -> str:
-    """Return why no message of a campaign has a row: the bad field of a description, the file that is no trace, or what is missing."""
-    unplaced = list(unplaced)
+    """Return why no message of a campaign has a row: the file that is no trace, or what is missing."""
     unread = [f"{each.path} was not used: {each.detail}" for each in campaign.sources if _is_unread(each)]
     reasons = sorted({_in_words(campaign, events) for events in unplaced}) + unread
-    advice = "add the trace of the ping"
-    if any(events.detail for events in unplaced):
-        advice = "no measurement has that number, so record the run again"
-    elif unread:
-        advice = "replace that file, or record the run again"
+    advice = "replace that file, or record the run again" if unread else "add the trace of the ping"
     reason = f": {'; '.join(reasons)}" if reasons else ""
     return (
         f"{campaign.folder}: {counted(len(campaign.traces), 'trace')}, but no published message (T1) with its run and session "
@@ -271,8 +237,7 @@ def _nothing_to_pair(campaign: Campaign, unplaced: Iterable[Unplaced]) -> str:
 
 
 def _in_words(campaign: Campaign, unplaced: Unplaced) -> str:
-    named = f"{counted(unplaced.events, 'event')} of run {unplaced.run_id:016x} in {campaign.names(unplaced.traces)}"
-    return f"{named}, whose description is impossible ({unplaced.detail})" if unplaced.detail else named
+    return f"{counted(unplaced.events, 'event')} of run {unplaced.run_id:016x} in {campaign.names(unplaced.traces)}"
 
 
 def _is_unread(source: Source) -> bool:

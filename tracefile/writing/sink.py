@@ -78,6 +78,8 @@ class TraceSink:
         self._error: OutputError | None = None
         self._closed: ClosedTrace | None = None
         self._texts: deque[tuple[str, str, int]] = deque()  # topic, JSON, log time: not yet in the file
+        self._saved_ns = time.monotonic_ns()  # what was recorded until then is in the file
+        self._longest_unsaved_ns = 0
         trace = destination.trace_path
         make_room(destination)
         self._writer = TraceWriter(trace, session, fsync=destination.fsync, mode=destination.mode)
@@ -328,6 +330,10 @@ class TraceSink:
                 return self._closed
             with self._record_lock:  # from here on every event is dropped, and counted
                 self._limit = self._attention = self._head
+            self._flush()
+            if self._destination.fsync:
+                session_extra["longest_unsaved_ns"] = self._longest_unsaved_ns
+            with self._record_lock:
                 self._session = self._session.closed(self._dropped, **session_extra)
             self._texts.append(
                 (SESSION_TOPIC, self._session.to_json(), self._session.wall_ns(self._clock_ns()))
@@ -380,10 +386,13 @@ class TraceSink:
 
     def _flush(self) -> None:
         """Move the ring's events, then the texts, to the file; the caller holds the write lock."""
-        head = self._head
+        began_ns, head, had = time.monotonic_ns(), self._head, self._drained
         try:
             with _quick_switches(only_if=head - self._drained >= self._quarter):
                 self._drain_to(head)
+            if head > had:
+                self._longest_unsaved_ns = max(self._longest_unsaved_ns, time.monotonic_ns() - self._saved_ns)
+            self._saved_ns = began_ns
             while self._texts:
                 self._writer.write_text(*self._texts[0])
                 self._texts.popleft()

@@ -127,6 +127,19 @@ def test_recorder_drops(tmp_path):
     assert finding.where == "relay on beta (relay.mcap)"
 
 
+def test_a_disk_that_kept_events_waiting(tmp_path):
+    write_pair(
+        tmp_path,
+        sound(),
+        ping=ping_session(extra={"longest_unsaved_ns": 1_000_000_000}),
+        relay=relay_session(extra={"longest_unsaved_ns": 1_650_000_000}),
+    )
+    finding = findings(tmp_path)["slow_to_disk"]
+    assert finding.severity is Severity.INFO
+    assert finding.what.startswith("For 1.65 s events were not on the disk")
+    assert finding.where == "relay on beta (relay.mcap)"
+
+
 def test_unclosed_session(tmp_path):
     write_pair(tmp_path, sound(), ping=ping_session(state="open"))
     assert findings(tmp_path)["unclosed_session"].where == "ping on alpha (ping.mcap)"

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
+import pytest
 from trace_files import ping_session
 
-from dds_trace.tracefile import TraceDestination, TraceSink
+from dds_trace.tracefile import TraceDestination, TraceSink, read_trace
 
 
 def test_the_names_of_new_files_and_folders_are_flushed(tmp_path, monkeypatch):
@@ -35,3 +37,30 @@ def test_chunks_come_twice_as_often(tmp_path):
     """An event waits for the end of one flush and for all of the next; both together stay below the second."""
     assert TraceDestination(tmp_path / "a.mcap").flush_seconds == 1.0
     assert TraceDestination(tmp_path / "a.mcap", fsync=True).flush_seconds == 0.5
+
+
+@pytest.mark.parametrize("fsync", [True, False])
+def test_the_longest_time_that_an_event_was_not_on_the_disk_is_in_the_closed_session(
+    tmp_path, monkeypatch, fsync
+):
+    flush_s, stamps_ns, flushed_ns = 0.05, [], []
+
+    def slow_flush(_descriptor):
+        time.sleep(flush_s)
+        flushed_ns.append(time.monotonic_ns())
+
+    monkeypatch.setattr("os.fsync", slow_flush)
+    path = tmp_path / "slow.mcap"
+    sink = TraceSink(TraceDestination(path, fsync=fsync, chunk_seconds=0.02), ping_session(state="open"))
+    for sequence in range(100):
+        stamps_ns.append(sink.stamp(1, 7, sequence, 0, 0, 0, 8, 0))
+        time.sleep(0.002)
+    sink.close()
+    (session,) = read_trace(path).sessions
+    told_ns = session.extra.get("longest_unsaved_ns")
+    if not fsync:
+        assert told_ns is None
+        return
+    # Nothing that was stamped was unsaved for longer; and some event waited for two flushes, or nearly.
+    assert told_ns > 1.5 * flush_s * 1e9
+    assert told_ns <= flushed_ns[-1] - stamps_ns[0] + 1_000_000_000

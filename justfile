@@ -15,7 +15,7 @@ _default:
 # Make .venv with all extras, compiled as pip compiles them (quick when nothing changed)
 setup:
     @test -x {{bin}}/python || uv venv --quiet --python '{{python}}' {{venv}}
-    @uv pip install --quiet --compile-bytecode --python {{bin}}/python -e '.[ros2,cyclonedds,zenoh,connext,analyze,cluster,test,check]'
+    @uv pip install --quiet --compile-bytecode --python {{bin}}/python -e '.[ros2,cyclonedds,zenoh,connext,analyze,cluster,test,check,docs]'
 
 # The main job on this machine: real ROS 2, same domain and domains 5 and 10 through the builtin bridge
 demo: setup
@@ -50,6 +50,11 @@ samples: setup
 # Build the real zenoh-bridge-dds and zenoh-bridge-ros2dds from crates (cargo, about twenty minutes)
 install-zenoh-bridge:
     scripts/install-zenoh-bridge.sh
+
+# Build the documentation into out/site/: opens from the folder, searches offline; a warning is an error
+docs: setup
+    {{bin}}/sphinx-build --quiet --fail-on-warning --keep-going -E -d out/site-cache docs out/site
+    @echo "file://{{justfile_directory()}}/out/site/index.html"
 
 # All benchmarks: ratios measured side by side in one run
 bench: setup

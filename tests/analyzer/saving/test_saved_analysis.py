@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import textwrap
 from dataclasses import fields
 from pathlib import Path
 
@@ -222,9 +221,9 @@ def test_a_folder_without_a_saved_analysis_says_how_to_write_one(tmp_path):
 
 
 def test_the_example_of_the_documentation_runs(tmp_path, monkeypatch):
-    text = (SAMPLES.parent / "docs" / "explanation" / "analysis.md").read_text(encoding="utf-8")
-    example = text.partition("### Save and load\n")[2].partition("\n\nA second report")[0]
+    text = (SAMPLES.parent / "docs" / "how-to" / "analyze.md").read_text(encoding="utf-8")
+    example = text.partition("### Save and load\n\n```python\n")[2].partition("```")[0]
     shutil.copytree(SAMPLES / "losses", tmp_path / "runs")
     monkeypatch.chdir(tmp_path)
-    exec(textwrap.dedent(example), {})
+    exec(example, {})
     assert {path.name for path in Path("runs/analysis").iterdir()} == {"saved", "report.html", "report.md"}

@@ -1,0 +1,120 @@
+"""The site of the documentation: built without a warning, whole without a network, its reference that of the code."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from html.parser import HTMLParser
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+import dds_trace
+from dds_trace.analyzer.model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
+from dds_trace.tracefile import errors
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+
+LOADED = {"script": "src", "img": "src", "iframe": "src", "source": "srcset", "video": "src", "link": "href"}
+"""Element -> attribute that makes a browser load something; an `a` is followed by a person alone."""
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """The folder of the built site; warnings are errors, as in `just docs`."""
+    pytest.importorskip("sphinx", reason="the extra [docs] is not installed")
+    folder = tmp_path_factory.mktemp("site")
+    command = [
+        sys.executable,
+        "-m",
+        "sphinx",
+        "--quiet",
+        "--fail-on-warning",
+        "--keep-going",
+        "-d",
+        folder / "cache",
+    ]
+    built = subprocess.run([*command, DOCS, folder / "html"], capture_output=True, text=True, check=False)
+    assert (built.returncode, built.stderr) == (0, "")
+    return folder / "html"
+
+
+class _Page(HTMLParser):
+    """What a page loads, the anchors it has, and its text."""
+
+    def __init__(self, path):
+        super().__init__()
+        self.loads, self.anchors, self.text = [], set(), ""
+        self.feed(path.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag, attributes):
+        given = dict(attributes)
+        self.anchors.add(given.get("id"))
+        if (
+            tag in LOADED
+            and LOADED[tag] in given
+            and given.get("rel") not in ("next", "prev", "index", "search")
+        ):
+            self.loads.append(given[LOADED[tag]])
+
+    def handle_data(self, data):
+        self.text += data
+
+
+def test_no_page_loads_anything_from_the_network(site):
+    loads = {load for path in site.rglob("*.html") for load in _Page(path).loads}
+    assert len(loads) > 10
+    assert {load for load in loads if "//" in load} == set()
+    styles = "\n".join(path.read_text(encoding="utf-8") for path in site.rglob("*.css"))
+    assert re.findall(r"(?:@import|url\()\s*['\"]?(?:https?:)?//[^)]*", styles) == []
+
+
+def test_every_page_of_the_folder_is_a_page_of_the_site(site):
+    pages = {path.relative_to(DOCS).with_suffix(".html") for path in DOCS.rglob("*.md")}
+    assert {str(page) for page in pages if not (site / page).is_file()} == set()
+
+
+def test_the_reference_has_every_name_of_the_code(site):
+    reference = {path.stem: _Page(path) for path in (site / "reference").glob("*.html")}
+    checks = Path(import_module("dds_trace.analyzer.findings").__file__).parent.glob("*.py")
+    written = "".join(path.read_text(encoding="utf-8") for path in checks)
+    codes = set(re.findall(r'^\s+(?:Severity\.\w+,\s*)?"([a-z]+(?:_[a-z]+)*)",$', written, re.MULTILINE))
+    codes |= set(re.findall(r'"(latency_\w+_with_size)"', written))
+    assert len(codes) > 60
+    shown = {anchor.replace("-", "_") for anchor in reference["findings"].anchors if anchor}
+    assert codes - shown == set()
+    names = set(dds_trace.__all__) - {"__version__"}
+    assert {f"dds_trace.{name}" for name in names} - reference["python"].anchors == set()
+    for column in (*ROUNDTRIP_COLUMNS, *SUMMARY_COLUMNS):
+        assert column.name in reference["columns"].text
+    for option in ("--bridge-peer", "--max-rate", "--print-config", "--recommend", "--fail-if", "--host"):
+        assert option in reference["commands"].text
+    assert errors.LossesError.__name__ in reference["exit-codes"].text
+
+
+@pytest.mark.browser
+def test_a_reader_searches_it_from_the_folder(site):
+    program = shutil.which("chromium") or shutil.which("chromium-browser")
+    if program is None:
+        pytest.skip("Chromium is not installed (apt-get install chromium)")
+    playwright = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=program, args=["--headless", "--no-sandbox"])
+        tab = browser.new_page()
+        requests, complaints = [], []
+        tab.on("request", lambda request: requests.append(request.url))
+        tab.on("console", lambda message: complaints.append(message.text))
+        tab.on("pageerror", lambda error: complaints.append(str(error)))
+        tab.goto((site / "index.html").as_uri())
+        tab.locator("input[name=q]").first.fill("heartbeat_bound_recovery")
+        tab.keyboard.press("Enter")
+        first = tab.locator("#search-results li a").first
+        first.wait_for()
+        assert "findings" in first.get_attribute("href")
+        browser.close()
+    assert complaints == []
+    assert {request for request in requests if not request.startswith(("file:", "data:"))} == set()

@@ -47,6 +47,10 @@ test-slow *args: setup
 samples: setup
     DDS_TRACE_BIN={{bin}} sample_traces/record.sh
 
+# Make the schema by which editors complete plans from the code
+plan-schema: setup
+    {{bin}}/python scripts/plan_schema.py
+
 # Build the real zenoh-bridge-dds and zenoh-bridge-ros2dds from crates (cargo, about twenty minutes)
 install-zenoh-bridge:
     scripts/install-zenoh-bridge.sh

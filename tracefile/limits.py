@@ -10,14 +10,19 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from .errors import OptionError
 from .visible import visible
 
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
 _SHOWN_CHARACTERS = 80
 """Longest value that an error repeats whole."""
 _SHOWN_DIGITS = 20
+_COMPARED_CHARACTERS = 100
+"""Characters of a wrong word that are compared with the right ones."""
 
 
 class Limit(Protocol):
@@ -101,6 +106,24 @@ class Words:
 
 
 @dataclass(frozen=True, slots=True)
+class OneOf:
+    """One of a few values.
+
+    Attributes:
+        choices: the values, all of one type.
+    """
+
+    choices: tuple[str, ...] | tuple[float, ...]
+
+    def fault(self, value: object) -> str | None:
+        """Return what to write instead of `value`, None if it is allowed."""
+        if not isinstance(value, bool) and value in self.choices:
+            return None
+        words = [f"{choice:g}" if isinstance(choice, float) else choice for choice in self.choices]
+        return nearest(value if isinstance(value, str) else "", words)
+
+
+@dataclass(frozen=True, slots=True)
 class FilePath:
     """Paths that Linux and every library of an analysis can name.
 
@@ -152,6 +175,14 @@ def check(limit: Limit, value: object, where: str) -> None:
     fault = None if value is None else limit.fault(value)
     if fault is not None:
         raise OptionError(f"{where} {shown(value)}: {fault}")
+
+
+def nearest(word: str, choices: Collection[str]) -> str:
+    """Return what to write instead of a word that is none of `choices`: the nearest one, or all."""
+    import difflib  # noqa: PLC0415 - of errors alone, and each command loads this module
+
+    near = difflib.get_close_matches(word[:_COMPARED_CHARACTERS], choices, n=1)
+    return f"did you mean {near[0]!r}?" if near else f"choose one of {', '.join(choices)}"
 
 
 def shown(value: object) -> str:

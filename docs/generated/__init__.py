@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from sphinx.util.docutils import SphinxDirective
 
-from . import commands, findings, python_names, tables
+from . import commands, findings, plan_keys, python_names, tables
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -25,6 +25,7 @@ PARTS: dict[str, Callable[[], str]] = {
     "columns-of-summary": tables.summary,
     "commands": commands.commands,
     "findings": findings.findings,
+    "plan-keys": plan_keys.plan_keys,
     "python": python_names.python_names,
 }
 """The table of parts: one row each."""

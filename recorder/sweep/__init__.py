@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from .plan.plan import Plan, depth_warnings
     from .plan.plan_file import check_runs, parse_plan, read_plan
     from .plan.schedule import CellGroup, Remaining, plan_seconds, schedule
+    from .plan.schema import plan_schema, schema_text
     from .rehearsal import rehearse_plan
     from .run.progress import SweepProgress, make_progress
     from .run.result import CellResult, read_result
@@ -56,6 +57,7 @@ __all__ = [
     "max_rate_rows",
     "parse_plan",
     "parse_target",
+    "plan_schema",
     "plan_seconds",
     "printed_command",
     "read_plan",
@@ -66,6 +68,7 @@ __all__ = [
     "run_search",
     "run_sweep",
     "schedule",
+    "schema_text",
     "search_plan",
     "take_turns",
     "write_max_rates",

@@ -14,32 +14,29 @@ from ...backends import BACKEND_MODULES
 from ...backends.qos import RANKS
 from ...bridges import BRIDGE_MODULES
 from ...choices import ExecutorKind, Serialization, Transport
+from .keys import Key
 
 if TYPE_CHECKING:
     from collections.abc import Collection
-
-    from dds_trace.tracefile.limits import Limit
 
 _T = TypeVar("_T")
 
 
 @dataclass(frozen=True, slots=True)
-class Axis:
-    """One axis of a plan.
+class Axis(Key):
+    """One axis of a plan: a key that takes one value or a list of them.
 
     Attributes:
         option: option of `dds-record`, empty for what is not told to it.
         of_relay: whether the relay has to be started with it too.
         kind: type of a plan's value.
-        limit: validator of a value, beside `choices`.
         choices: the allowed values, empty where any value of the type is allowed. The table of backends or bridges
             itself, so that an entry that is added later is allowed.
     """
 
-    option: str
+    option: str = ""
     of_relay: bool = False
     kind: type[str | int | float | bool] = str
-    limit: Limit = limits.TEXT
     choices: Collection[str] = ()
 
 
@@ -53,44 +50,135 @@ def _axis(default: _T, axis: Axis) -> _T:
 class Cell:
     """The parameters of one run; each field but `repeat` is an axis of a plan.
 
-    Attributes:
-        backend: the API that carries the messages.
-        rmw: the ROS middleware, None for the one that the environment chooses.
-        relay_backend: backend of the relay, None for the ping's.
-        relay_rmw: ROS middleware of the relay, None for the ping's.
-        bridge: the bridge between two domains; `none` puts ping and relay in one domain.
-        data: `binary`, `string`, `imu`, or a source such as `file:PATH`.
-        size: payload bytes, None where the data decides.
-        rate: messages a second.
-        congestion_control: TCP congestion control of the backend `socket`, empty for the system's.
-        environment: folder of the Python environment whose `dds-record` runs, empty for this one.
-        repeat: 1, 2 ... when the plan asks for several.
+    Attributes: as the axes say. `rmw`, `relay_backend`, `relay_rmw` and `size` are None, and `congestion_control` and
+        `environment` empty, where their default holds; `repeat` is 1, 2 ... when the plan asks for several passes.
     """
 
-    backend: str = _axis("ros2", Axis("--backend", of_relay=True, choices=BACKEND_MODULES))
-    rmw: str | None = _axis(None, Axis("--rmw", of_relay=True, limit=limits.RMW))
-    relay_backend: str | None = _axis(None, Axis("--backend", choices=BACKEND_MODULES))
-    relay_rmw: str | None = _axis(None, Axis("--rmw", limit=limits.RMW))
-    bridge: str = _axis("none", Axis("--bridge", choices=BRIDGE_MODULES))
-    data: str = _axis("binary", Axis("--data"))
-    size: int | None = _axis(None, Axis("--size", kind=int, limit=limits.SIZE_BYTES))
-    rate: float = _axis(10.0, Axis("--rate", kind=float, limit=limits.RATE_HZ))
-    reliability: str = _axis("reliable", Axis("--reliability", of_relay=True, choices=RANKS["reliability"]))
-    durability: str = _axis("volatile", Axis("--durability", of_relay=True, choices=RANKS["durability"]))
-    history: str = _axis("keep_last", Axis("--history", of_relay=True, choices=("keep_last", "keep_all")))
-    depth: int = _axis(10, Axis("--depth", of_relay=True, kind=int, limit=limits.DEPTH))
+    backend: str = _axis(
+        "ros2",
+        Axis(
+            "API that carries the messages; `installed` stands for every middleware of this machine, each RMW of ROS 2 "
+            "included",
+            option="--backend",
+            of_relay=True,
+            choices=BACKEND_MODULES,
+        ),
+    )
+    rmw: str | None = _axis(
+        None,
+        Axis(
+            "ROS middleware",
+            limits.RMW,
+            default="the one that the environment chooses",
+            option="--rmw",
+            of_relay=True,
+        ),
+    )
+    relay_backend: str | None = _axis(
+        None, Axis("backend of the relay", default="the ping's", option="--backend", choices=BACKEND_MODULES)
+    )
+    relay_rmw: str | None = _axis(
+        None, Axis("ROS middleware of the relay", limits.RMW, default="the ping's", option="--rmw")
+    )
+    bridge: str = _axis(
+        "none",
+        Axis(
+            "bridge between two domains; `none` puts ping and relay into one",
+            option="--bridge",
+            choices=BRIDGE_MODULES,
+        ),
+    )
+    data: str = _axis(
+        "binary",
+        Axis(
+            "`binary`, `string`, `imu`, or what is sent instead: `file:PATH`, `bag:PATH#TOPIC`, `topic:/NAME` "
+            "([payloads](../how-to/payloads.md))",
+            option="--data",
+        ),
+    )
+    size: int | None = _axis(
+        None,
+        Axis(
+            'payload as a number of bytes, or a text such as `"33KB"`, `"4MB"` (1000), `"1KiB"` (1024)',
+            limits.SIZE_BYTES,
+            unit="bytes",
+            default="33KB; of `string` 91 bytes; what has a size of its own keeps it",
+            option="--size",
+            kind=int,
+        ),
+    )
+    rate: float = _axis(
+        10.0, Axis("messages a second", limits.RATE_HZ, unit="Hz", option="--rate", kind=float)
+    )
+    reliability: str = _axis(
+        "reliable",
+        Axis("QoS, of both sides", option="--reliability", of_relay=True, choices=RANKS["reliability"]),
+    )
+    durability: str = _axis(
+        "volatile",
+        Axis("QoS, of both sides", option="--durability", of_relay=True, choices=RANKS["durability"]),
+    )
+    history: str = _axis(
+        "keep_last",
+        Axis("QoS, of both sides", option="--history", of_relay=True, choices=("keep_last", "keep_all")),
+    )
+    depth: int = _axis(
+        10, Axis("messages that `keep_last` keeps", limits.DEPTH, option="--depth", of_relay=True, kind=int)
+    )
     serialization: str = _axis(
-        "raw", Axis("--serialization", of_relay=True, choices=[kind.value for kind in Serialization])
+        "raw",
+        Axis(
+            "what the client library gets: serialized bytes (`raw`) or message objects (`typed`)",
+            option="--serialization",
+            of_relay=True,
+            choices=[kind.value for kind in Serialization],
+        ),
     )
     transport: str = _axis(
-        "default", Axis("--transport", of_relay=True, choices=[kind.value for kind in Transport])
+        "default",
+        Axis(
+            "transports that Fast DDS, zenoh or `socket` may use ([middlewares](middlewares.md))",
+            option="--transport",
+            of_relay=True,
+            choices=[kind.value for kind in Transport],
+        ),
     )
     executor: str = _axis(
-        "auto", Axis("--executor", of_relay=True, choices=[kind.value for kind in ExecutorKind])
+        "auto",
+        Axis(
+            "executor of rclpy; `auto` is the fastest one",
+            option="--executor",
+            of_relay=True,
+            choices=[kind.value for kind in ExecutorKind],
+        ),
     )
-    tuned: bool = _axis(False, Axis("--tuned", of_relay=True, kind=bool, limit=limits.FLAG))
-    congestion_control: str = _axis("", Axis("--congestion-control", of_relay=True))
-    environment: str = _axis("", Axis("", of_relay=True))
+    tuned: bool = _axis(
+        False,
+        Axis(
+            "whether the vendor's settings for large messages are applied",
+            limits.FLAG,
+            option="--tuned",
+            of_relay=True,
+            kind=bool,
+        ),
+    )
+    congestion_control: str = _axis(
+        "",
+        Axis(
+            "congestion control of TCP for the backend `socket`: `cubic`, `bbr`, `reno` ...",
+            default="the system's",
+            option="--congestion-control",
+            of_relay=True,
+        ),
+    )
+    environment: str = _axis(
+        "",
+        Axis(
+            "folder of the Python environment whose `dds-record` runs; both sides on this machine",
+            default="this environment",
+            of_relay=True,
+        ),
+    )
     repeat: int = 1
 
     @property

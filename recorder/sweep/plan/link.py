@@ -5,6 +5,10 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING, TypeAlias, TypedDict
 
+from dds_trace.tracefile import limits
+
+from .keys import plan_key
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
@@ -13,25 +17,58 @@ if TYPE_CHECKING:
 class Link:
     """One emulated link, equal in both directions; a field left at its default is not applied.
 
-    Attributes:
-        name: name of the preset, or `custom`; the trace's `connectivity` is `emulated-NAME`.
-        rate_mbit_s: line rate of each direction, 0 for the rate of the machine.
-        delay_ms: delay of one direction.
-        jitter_ms: standard deviation of the delay (normal, never below zero); packets keep their order.
-        loss_percent: share of lost IP fragments, each lost by itself, before the receiver reassembles.
-        outage_every_s: time from the start of one outage to the next.
-        outage_ms: length of each outage, in which every frame is lost.
-        queue_ms: longest time that a frame waits before a full line; later ones are dropped (tail drop).
+    Attributes: a key of a plan each, but `name`, which is `custom` where the plan names neither link nor preset.
     """
 
-    name: str = "custom"
-    rate_mbit_s: float = 0.0
-    delay_ms: float = 0.0
-    jitter_ms: float = 0.0
-    loss_percent: float = 0.0
-    outage_every_s: float = 0.0
-    outage_ms: float = 0.0
-    queue_ms: float = 100.0
+    name: str = plan_key(
+        "custom",
+        limits.FILE_NAME,
+        "name of the link; the trace's `connectivity` is `emulated-NAME`",
+        default_words="the preset's, with `-changed` where values differ from it, else `custom`",
+    )
+    rate_mbit_s: float = plan_key(
+        0.0,
+        limits.LINE_MBIT_S,
+        "line rate of each direction, 0 for that of the machine; by the kernel's token bucket (tbf), where a full line holds "
+        "the sender back as a network card does",
+        unit="Mbit/s",
+    )
+    delay_ms: float = plan_key(
+        0.0,
+        limits.DELAY_MS,
+        "delay of one direction; by netem where the kernel has it, else by our forwarder",
+        unit="ms",
+    )
+    jitter_ms: float = plan_key(
+        0.0,
+        limits.DELAY_MS,
+        "standard deviation of the delay (normal, never below zero), by the same; frames keep their order",
+        unit="ms",
+    )
+    loss_percent: float = plan_key(
+        0.0,
+        limits.PERCENT,
+        "share of lost IP fragments, each by itself, before the receiver reassembles; by the same",
+        unit="%",
+    )
+    outage_every_s: float = plan_key(
+        0.0,
+        limits.WAIT_S,
+        "time from the start of one outage to the next, by our forwarder; needs `outage_ms`",
+        unit="s",
+    )
+    outage_ms: float = plan_key(
+        0.0,
+        limits.DELAY_MS,
+        "length of each outage, in which every frame is lost; needs `outage_every_s`",
+        unit="ms",
+    )
+    queue_ms: float = plan_key(
+        100.0,
+        limits.DELAY_MS,
+        "longest time that a frame waits before a full line; later ones are dropped (tail drop)",
+        unit="ms",
+    )
 
     @property
     def connectivity(self) -> str:

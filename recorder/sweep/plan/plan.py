@@ -8,10 +8,15 @@ from dataclasses import asdict, dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING
 
+from dds_trace.tracefile import limits
+
 from ...backends import Meeting, load_backend
 from ...backends.qos import warn_of_depth
 from ...bridges import load_bridge
 from ...bridges.base import Halves
+from ...choices import Discovery
+from ...options import DEFAULT_MESSAGES
+from .keys import plan_key
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -36,39 +41,67 @@ class Order(Enum):
 class RunSettings:
     """Settings of all cells of a plan: its table `[run]`.
 
-    Attributes:
-        messages: number of messages of a run, warm-up not counted; 0 if `seconds` decides it. A plan with neither has
-            `recorder.options.DEFAULT_MESSAGES`.
-        seconds: length of a run, warm-up not counted; the number of messages follows from the cell's rate.
-        min_messages: fewest messages of a run whose length is given in seconds, however low its rate.
-        warmup: messages at the start of each run that are kept out of every statistic.
-        settle_seconds: pause between two cells, in which buffers empty and CPUs cool.
-        cutoff_seconds: longest time beyond the planned one; then a run is ended and its result says how far it got.
-        order: `shuffled` or `alternating` so that a drift of the machine does not look like an effect.
-        seed: seed of the shuffling.
-        repeats: passes over all cells, each in an order of its own.
-        attempts: most attempts at a cell that fails.
-        discovery: `localhost`, or `subnet` to leave this machine; None for localhost on one machine and
-            subnet otherwise.
-        domain: domain of the relay, and of the ping where no bridge is between them.
-        ping_domain: domain of the ping where a bridge joins the two.
-        wire: whether both sides count the packets of their interfaces (`dds-record --wire`).
+    Attributes: a key of a plan each. A plan with neither `messages` nor `seconds` has `recorder.options.DEFAULT_MESSAGES`.
     """
 
-    messages: int = 0
-    seconds: float = 0.0
-    min_messages: int = 1
-    warmup: int = 10
-    settle_seconds: float = 0.5
-    cutoff_seconds: float = 30.0
-    order: Order = Order.LISTED
-    seed: int = 0
-    repeats: int = 1
-    attempts: int = 2
-    discovery: str | None = None
-    domain: int = 10
-    ping_domain: int = 5
-    wire: bool = False
+    messages: int = plan_key(
+        0,
+        limits.MESSAGES_OR_NONE,
+        "length of a run in messages, warm-up not counted; instead of `seconds`",
+        default_words=f"{DEFAULT_MESSAGES} where there is no `seconds`",
+    )
+    seconds: float = plan_key(
+        0.0,
+        limits.LENGTH_OR_NONE_S,
+        "length of a run in time, warm-up not counted: the number of messages follows from the cell's rate; instead of "
+        "`messages`",
+        unit="s",
+        default_words="none",
+    )
+    min_messages: int = plan_key(
+        1,
+        limits.MESSAGES,
+        "fewest messages of a run whose length is given in `seconds`, however low its rate",
+    )
+    warmup: int = plan_key(
+        10, limits.WARMUP, "messages at the start of each run that are kept out of every statistic"
+    )
+    settle_seconds: float = plan_key(
+        0.5, limits.WAIT_S, "pause between two cells, in which buffers empty and CPUs cool", unit="s"
+    )
+    cutoff_seconds: float = plan_key(
+        30.0,
+        limits.WAIT_S,
+        "how much longer than planned a run may take; then it is ended, and its result says how far it got",
+        unit="s",
+    )
+    order: Order = plan_key(  # noqa: RUF009 - a field, as the others
+        Order.LISTED,
+        limits.OneOf(tuple(order.value for order in Order)),
+        "order of the cells in each pass; `alternating` keeps a drift of the machine from looking like an effect",
+    )
+    seed: int = plan_key(0, limits.SEED, "seed of the shuffling")
+    repeats: int = plan_key(
+        1,
+        limits.REPEATS,
+        "passes over all cells; verdicts take three, and five find +20 % in most comparisons",
+    )
+    attempts: int = plan_key(2, limits.ATTEMPTS, "most attempts at a cell that fails")
+    discovery: str | None = plan_key(
+        None,
+        limits.OneOf(tuple(reach.value for reach in Discovery)),
+        "how far nodes look for each other",
+        default_words="`localhost` on one machine, `subnet` between devices or namespaces",
+    )
+    domain: int = plan_key(
+        10, limits.DOMAIN_ID, "DDS domain of the relay, and of the ping where no bridge is between them"
+    )
+    ping_domain: int = plan_key(5, limits.DOMAIN_ID, "DDS domain of the ping where a bridge joins the two")
+    wire: bool = plan_key(
+        False,
+        limits.FLAG,
+        "whether both sides count the packets of their interfaces ([wire.md](wire.md)); needs CAP_NET_RAW",
+    )
 
     def messages_at(self, rate_hz: float) -> int:
         """Return the number of messages of a run at this rate, warm-up not counted."""
@@ -83,25 +116,47 @@ class RunSettings:
 class DeviceSettings:
     """One of the two devices: `[devices.ping]` or `[devices.relay]`.
 
-    Attributes:
-        name: the device's name in the trace; None for its host name.
-        ssh: `user@host` of the device; only the relay may have one.
-        ssh_options: further arguments of `ssh`, such as `-p 2222`.
-        setup: shell command that runs on it first, such as `. /opt/ros/jazzy/setup.sh`.
-        path: folder of `dds-record` on it, if it is not on its PATH: `~/dds-trace/.venv/bin`.
-        address: address at which the other device reaches this one; None for that of `ssh`.
-        bridge_port: port at which the half of a bridge beside the relay waits for the ping's; by default Zenoh's own.
-        options: further options of `dds-record` on it, such as `--realtime`, `50`, `--cpu-affinity`, `3`.
+    Attributes: a key of a plan each.
     """
 
-    name: str | None = None
-    ssh: str | None = None
-    ssh_options: tuple[str, ...] = ()
-    setup: str | None = None
-    path: str | None = None
-    address: str | None = None
-    bridge_port: int = 7447
-    options: tuple[str, ...] = ()
+    name: str | None = plan_key(
+        None, limits.NAME, "name of the device in the trace", default_words="its host name"
+    )
+    ssh: str | None = plan_key(
+        None,
+        limits.NAME,
+        "`user@host` of the relay's device, reached by the system's `ssh` with keys; the ping is always on this machine",
+        default_words="none: this machine",
+    )
+    ssh_options: tuple[str, ...] = plan_key(
+        (), limits.TEXT, 'further arguments of `ssh`, such as `["-p", "2222"]`'
+    )
+    setup: str | None = plan_key(
+        None,
+        limits.TEXT,
+        "shell command that runs on the device first, such as `. /opt/ros/jazzy/setup.sh`",
+        default_words="none",
+    )
+    path: str | None = plan_key(
+        None,
+        limits.TEXT,
+        "folder of `dds-record` on the device, such as `~/dds-trace/.venv/bin`",
+        default_words="found by the shell's PATH",
+    )
+    address: str | None = plan_key(
+        None,
+        limits.HOST,
+        "address at which the other device reaches this one",
+        default_words="the host of `ssh`",
+    )
+    bridge_port: int = plan_key(
+        7447,
+        limits.PORT,
+        "port at which the half of a bridge beside the relay waits for the ping's; by default Zenoh's own",
+    )
+    options: tuple[str, ...] = plan_key(
+        (), limits.TEXT, 'further options of `dds-record` on the device, such as `["--realtime", "50"]`'
+    )
 
     @property
     def reached_at(self) -> str | None:
@@ -130,25 +185,51 @@ class Exclusion:
 class Search:
     """Conditions of a search with `--max-rate`: the plan's `[search]`.
 
-    Attributes:
-        min_rate: lowest rate tried.
-        max_rate: highest rate tried.
-        loss_percent: largest share of lost messages.
-        deadline_ms: longest response time (planned send to reply) at `percentile`.
-        percentile: percentile of the response times that has to keep the deadline.
-        resolution: factor within which the answer is exact (1.1: within 10 %).
-        knee_repeats: runs at the last rate that held and at the first that did not; the majority counts.
-        seconds: length of each trial run.
+    Attributes: a key of a plan each.
     """
 
-    min_rate: float = 1.0
-    max_rate: float = 2000.0
-    loss_percent: float = 0.1
-    deadline_ms: float = 50.0
-    percentile: float = 99.0
-    resolution: float = 1.1
-    knee_repeats: int = 3
-    seconds: float = 5.0
+    min_rate: float = plan_key(1.0, limits.RATE_HZ, "lowest rate tried", unit="Hz")
+    max_rate: float = plan_key(2000.0, limits.RATE_HZ, "highest rate tried", unit="Hz")
+    loss_percent: float = plan_key(
+        0.1, limits.PERCENT, "largest share of lost messages of a rate that holds", unit="%"
+    )
+    deadline_ms: float = plan_key(
+        50.0,
+        limits.DEADLINE_MS,
+        "longest response time (planned send to reply) at `percentile` of a rate that holds",
+        unit="ms",
+    )
+    percentile: float = plan_key(
+        99.0, limits.OneOf(PERCENTILES), "percentile of the response times that has to keep the deadline"
+    )
+    resolution: float = plan_key(
+        1.1, limits.FACTOR, "factor within which the answer is exact (1.1: within 10 %)"
+    )
+    knee_repeats: int = plan_key(
+        3,
+        limits.KNEE_REPEATS,
+        "runs at the last rate that held and at the first that did not; the majority counts",
+    )
+    seconds: float = plan_key(
+        5.0,
+        limits.LENGTH_S,
+        "length of each trial run, and at least as many messages as the percentile takes",
+        unit="s",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Network:
+    """Where both sides run on one machine: a plan's table `[network]`.
+
+    Attributes: a key of a plan each.
+    """
+
+    namespaces: bool = plan_key(
+        False,
+        limits.FLAG,
+        "whether ping and relay run each in a network namespace of its own, joined by a veth pair; `[link]` implies it",
+    )
 
 
 @dataclass(frozen=True, slots=True)

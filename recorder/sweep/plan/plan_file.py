@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, TypeAlias
 
 from dds_trace.tracefile import OptionError, limits
@@ -16,9 +16,9 @@ from ...options import DEFAULT_MESSAGES
 from ...payloads import check_data
 from .cells import AXES, DEFAULTS, Cell
 from .link import LINK_KEYS, PRESETS, Link
-from .plan import PERCENTILES, DeviceSettings, Exclusion, Plan, RunSettings, Search
-from .plan_limits import PLAN_LIMITS
-from .toml_table import TomlTable, nearest
+from .plan import DeviceSettings, Exclusion, Network, Plan, RunSettings, Search
+from .tables import INSTALLED, PLAN_LIMITS, TABLES, axis_choices
+from .toml_table import TomlTable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping
@@ -38,9 +38,6 @@ MOST_NAME_BYTES = 200
 """Longest name of a cell: with `.r1000.relay.mcap.ring.0123abcd.part` behind it, a file's name has 255 bytes at most."""
 
 _OF_PASS = re.compile(r"(.+)_r([1-9][0-9]{0,6})")
-
-INSTALLED = "installed"
-"""Value of `backend` that stands for every middleware of this machine."""
 
 
 def read_plan(path: Path, installed: FindInstalled = tuple, *, by_hand: bool = False) -> Plan:
@@ -81,9 +78,7 @@ def parse_plan(
 ) -> Plan:
     """Return the plan in a TOML text; `where` names the text in errors, which are those of `read_plan`."""
     root = TomlTable.parse(text, where, PLAN_LIMITS)
-    root.allow(
-        "name", "description", "axes", "matrix", "exclude", "run", "devices", "network", "link", "search"
-    )
+    root.allow(*TABLES[""].words)
     # One [axes] table or several [[axes]], each of them combined with each [[matrix]].
     axes = [_axis_values(table) for table in root.tables("axes")] or [{}]
     matrices = [_axis_values(table) for table in root.tables("matrix")] or [{}]
@@ -107,9 +102,9 @@ def parse_plan(
     _check_names(cells, where, run.repeats)
     link = _link(root.table("link"))
     devices = root.table("devices")
-    devices.allow("ping", "relay", "connectivity")
+    devices.allow(*TABLES["devices"].words)
     relay = devices.table("relay").fill(DeviceSettings())
-    network = root.table("network").fill(_Network())
+    network = root.table("network").fill(Network())
     plan = Plan(
         name=_folder_name(root, name),
         description=root.take("description", str, ""),
@@ -128,13 +123,6 @@ def parse_plan(
     )
     _check(plan, where)
     return plan
-
-
-@dataclass(frozen=True, slots=True)
-class _Network:
-    """The plan's table `[network]`."""
-
-    namespaces: bool = False
 
 
 def _connectivity(link: Link | None, namespaces: bool, relay: DeviceSettings, by_hand: bool) -> str | None:
@@ -259,10 +247,6 @@ def _check(plan: Plan, where: str) -> None:
             "a run takes more than a year; give fewer messages or a higher rate",
         ),
         (
-            run.discovery not in (None, "localhost", "subnet"),
-            "[run] discovery is localhost or subnet; give one of them",
-        ),
-        (
             any(cell.crosses_domains for cell in plan.cells) and run.domain == run.ping_domain,
             "[run] domain and ping_domain are the same, and a bridge joins two; give two different ones",
         ),
@@ -280,10 +264,6 @@ def _check(plan: Plan, where: str) -> None:
         ),
         (plan.ping.ssh is not None, "the ping is always on this machine; give [devices.relay] the ssh"),
         (
-            plan.search.percentile not in PERCENTILES,
-            f"[search] percentile is one of {', '.join(f'{percentile:g}' for percentile in PERCENTILES)}",
-        ),
-        (
             plan.search.min_rate >= plan.search.max_rate,
             "[search] min_rate is below max_rate; give rates in that order",
         ),
@@ -297,9 +277,7 @@ def _link(table: TomlTable) -> Link | None:
     if not table.values:
         return None
     preset = table.take("preset", str, None)
-    table.allow("preset", "name", *LINK_KEYS)
-    if preset is not None and preset not in PRESETS:
-        raise OptionError(f"{table.where}: there is no link {preset!r}{nearest(preset, PRESETS)}")
+    table.allow(*TABLES["link"].words)
     values = {key: table.take(key, float, None) for key in LINK_KEYS}
     changed = {key: value for key, value in values.items() if value is not None}
     base = PRESETS[preset] if preset else Link()
@@ -337,7 +315,6 @@ def _axis_value(table: TomlTable, name: str, value: object) -> AxisValue:
             check_data(value)
     except OptionError as err:
         raise OptionError(f"{table.where}: {err}") from err
-    if axis.choices:
-        own = [INSTALLED] if name == "backend" else []
-        return table.choose(name, value, list(dict.fromkeys([*filter(None, [default]), *axis.choices, *own])))
+    if choices := axis_choices(name):
+        return table.choose(name, value, choices)
     return table.check(name, value, axis.kind)

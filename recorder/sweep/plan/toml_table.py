@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import sys
 from dataclasses import dataclass, field, fields, replace
 from enum import Enum
@@ -27,9 +26,6 @@ if TYPE_CHECKING:
 
 _T = TypeVar("_T")
 _D = TypeVar("_D")
-
-_WORD = 100
-"""Characters of a wrong word that are compared with the right ones."""
 
 _KIND_NAMES = {
     str: "a text",
@@ -125,8 +121,8 @@ class TomlTable:
             OptionError: it is none of them; the message has the nearest one, or all.
         """
         if not isinstance(value, str) or value not in choices:
-            near = nearest(value[:_WORD] if isinstance(value, str) else "", choices)
-            raise OptionError(f"{self.where}: {key} is {limits.shown(value)}{near}")
+            near = limits.nearest(value if isinstance(value, str) else "", choices)
+            raise OptionError(f"{self.where}: {key} is {limits.shown(value)}; {near}")
         return value
 
     def allow(self, *keys: str) -> None:
@@ -138,7 +134,7 @@ class TomlTable:
         for key in self.values:
             if key not in keys:
                 raise OptionError(
-                    f"{self.where}: there is no {limits.shown(key)}{nearest(key[:_WORD], keys)}"
+                    f"{self.where}: there is no {limits.shown(key)}; {limits.nearest(key, keys)}"
                 )
 
     def fill(self, defaults: _Record) -> _Record:
@@ -166,9 +162,3 @@ class TomlTable:
                 self.check(name, item, str) for item in (value if isinstance(value, list) else [value])
             )
         return self.check(name, value, str if default is None else type(default))
-
-
-def nearest(word: str, choices: Collection[str]) -> str:
-    """Return the end of an error about a word that is none of `choices`: the nearest one, or all."""
-    near = difflib.get_close_matches(word, choices, n=1)
-    return f"; did you mean {near[0]!r}?" if near else f"; choose one of {', '.join(choices)}"

@@ -3,23 +3,44 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
+import re
+import sys
 
+import jsonschema
 import pytest
 from hostile_values import to_toml, toml_values
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from dds_trace.recorder.sweep import plan_seconds, read_plan, relay_arguments, schedule
+from dds_trace.recorder.sweep import plan_schema, plan_seconds, read_plan, relay_arguments, schedule
 from dds_trace.recorder.sweep.plan.cells import AXES
 from dds_trace.recorder.sweep.plan.commands import ping_arguments
 from dds_trace.recorder.sweep.plan.link import LINK_KEYS
 from dds_trace.recorder.sweep.plan.plan import DeviceSettings, RunSettings, Search
-from dds_trace.recorder.sweep.plan.plan_limits import PLAN_LIMITS
+from dds_trace.recorder.sweep.plan.tables import PLAN_LIMITS
 from dds_trace.tracefile import OptionError
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 ARRAYS = {"axes", "matrix", "exclude"}
 MOST_SCHEDULED = 1000
+
+SCHEMA = jsonschema.Draft202012Validator(plan_schema())
+BEYOND_A_SCHEMA = (
+    r" is nan[;,]",  # JSON has none, and no bound of a schema refuses it
+    r" is -?[\d.]+(e\+\d+)?, not a whole number",  # 1.0 is an integer of JSON
+    r"\\n'; ",  # $ of Python, by which this test reads the patterns, allows one behind the end
+    r"Exceeds the limit|nested deeper",  # no TOML
+    r"size '|size is (\d|a number)|--data ",  # what a text means: more than the largest size, no topic's name
+    r"has no cell|is there twice|has a name of|are more than the|takes more than a year|has more than|would be pass",
+    r"are the same|has to be told|needs? both devices|is below max_rate|an outage has",  # rules of several keys
+)
+"""Refusals of the parser that the schema does not make, each for the reason beside it."""
 
 
 def names(record):
@@ -31,7 +52,7 @@ def test_every_key_of_a_plan_has_a_validator():
         assert set(PLAN_LIMITS[table]) == set(AXES)
     assert set(PLAN_LIMITS["exclude"]) == {*AXES, "reason"}
     assert set(PLAN_LIMITS["run"]) == names(RunSettings)
-    assert set(PLAN_LIMITS["devices.ping"]) == set(PLAN_LIMITS["devices.relay"]) == names(DeviceSettings)
+    assert set(PLAN_LIMITS["devices.relay"]) == {"ssh", *PLAN_LIMITS["devices.ping"]} == names(DeviceSettings)
     assert set(PLAN_LIMITS["search"]) == names(Search)
     assert set(PLAN_LIMITS["link"]) == {"preset", "name", *LINK_KEYS}
 
@@ -57,8 +78,8 @@ def read_or_refuse(path):
             for text in relay_arguments(plan, group.need):
                 text.encode()
             for cell in group.cells:
-                for text in ping_arguments(plan, cell, 20.0, "192.0.2.1"):
-                    assert text != "nan"
+                for option, text in itertools.pairwise(ping_arguments(plan, cell, 20.0, "192.0.2.1")):
+                    assert (option, text) not in (("--rate", "nan"), ("--wait", "nan"))
                     text.encode()
     return None
 
@@ -67,10 +88,14 @@ def check_plan(folder, text):
     path = folder / "plan.toml"
     path.write_text(text, encoding="utf-8")
     refusal = read_or_refuse(path)
-    if refusal is not None:
+    if refusal is None:
+        assert [error.message for error in SCHEMA.iter_errors(tomllib.loads(text))] == []
+    else:
         assert refusal.startswith(str(path))
         assert "\n" not in refusal
         assert len(refusal) < 1000
+        if not any(re.search(reason, refusal) for reason in BEYOND_A_SCHEMA):
+            assert not SCHEMA.is_valid(tomllib.loads(text)), refusal
     return refusal
 
 

@@ -116,3 +116,10 @@ def group_words(group: Mapping[str, ParameterValue], columns: Iterable[str]) -> 
     """Write columns of a group as `vendor=fastdds payload_bytes=33000 ...`."""
     values = ((name, group[name]) for name in columns)
     return " ".join(f"{n}={v:g}" if isinstance(v, float) else f"{n}={v}" for n, v in values)
+
+
+def value_word(value: object) -> str:
+    """Write the value of a parameter: `unknown` where nobody said it, `nothing` for an empty text."""
+    if value is None:
+        return "unknown"
+    return f"{value:g}" if isinstance(value, float) else str(value) or "nothing"

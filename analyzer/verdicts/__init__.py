@@ -4,5 +4,6 @@
 - `answers`: who is fastest for which kind of message.
 - `job`, `recommend`, `interpolation`: which setting meets a deadline.
 - `change`, `compare`, `bridge_cost`: what changed from one side to the other, and by how much.
+- `compared`: what a comparison is made of, and what it would have seen.
 - `gates`: conditions under which a comparison fails, for CI.
 """

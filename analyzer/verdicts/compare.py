@@ -9,7 +9,7 @@ effect is the probability of superiority (R. McGraw and S. Wong, 1992; Cliff's d
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Protocol
 
 import polars as pl
@@ -22,6 +22,17 @@ from ..run_statistics.runs import MEAN, Statistic, joined_runs
 from ..run_statistics.superiority import probability_of_superiority
 from ..statistics.families import benjamini_hochberg_adjusted
 from ..statistics.percentiles import PERCENTILES
+from .compared.ignoring import check_match, ignored_sentences
+from .compared.rows import (
+    COMPARISON_SCHEMA,
+    DELIVERY_SCHEMA,
+    DISTRIBUTION_SCHEMA,
+    ChangeRow,
+    DeliveryRow,
+    DistributionRow,
+    at_levels,
+)
+from .compared.sight import Sight, sights
 from .matching import known_key, match_groups, pair_keys, unmatched
 from .sides import (
     UNKNOWN,
@@ -57,7 +68,8 @@ class CompareOptions:
     Attributes:
         metrics: columns `<metric>_ns` to compare.
         statistics: those of `COMPARED_STATISTICS` to compare.
-        match: columns that make two groups the same experiment.
+        match: columns that make two groups the same experiment; fewer than `MATCH_COLUMNS` (`ignoring.match_without`)
+            pair groups that differ in the others, refused where that makes one of two groups of a side.
         confidence: of every interval.
         same_within: a ratio wholly within `1 +- same_within` counts as the same.
         paired: whether both sides were measured in the same passes of one sweep, so that they are compared pass by
@@ -72,89 +84,6 @@ class CompareOptions:
     paired: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class ChangeRow:
-    """The columns of `Comparison.rows` behind the match columns: one statistic of one metric of one matched group.
-
-    Times are in ns, infinite where more messages were lost than the statistic leaves room for; `..._survivors_ns` is the
-    same of the messages that came back, whose number is `..._messages`. `superiority` and `cliffs_delta` are of the
-    metric, not of the statistic; delta is positive where new is faster. `p_adjusted` is adjusted over the groups;
-    `smallest_ratio` would have been found with a probability of 80 %. Null is what the samples do not support.
-    """
-
-    metric: str
-    statistic: str
-    base_messages: int
-    new_messages: int
-    base_ns: float | None
-    new_ns: float | None
-    new_low_ns: float | None
-    new_high_ns: float | None
-    difference_ns: float | None
-    difference_low_ns: float | None
-    difference_high_ns: float | None
-    ratio: float | None
-    ratio_low: float | None
-    ratio_high: float | None
-    superiority: float | None
-    cliffs_delta: float | None
-    verdict: str
-    base_received_ratio: float | None
-    new_received_ratio: float | None
-    base_survivors_ns: float | None
-    new_survivors_ns: float | None
-    base_low_ns: float | None
-    base_high_ns: float | None
-    base_runs: int
-    new_runs: int
-    base_episodes: int | None
-    new_episodes: int | None
-    basis: str
-    pairs: int
-    p_value: float | None
-    p_adjusted: float | None
-    smallest_ratio: float | None
-
-
-@dataclass(frozen=True, slots=True)
-class DeliveryRow:
-    """The columns of `Comparison.delivery` behind the match columns: messages of one matched group on both sides.
-
-    `smallest_drop` of the received ratio would have been found with a probability of 80 %; `environment` is `same`, `unlike:` with the fields of the fingerprints that differ, or `unknown` without a fingerprint.
-    """
-
-    base_published: int
-    base_received_ratio: float | None
-    base_received_ratio_low: float | None
-    base_received_ratio_high: float | None
-    new_published: int
-    new_received_ratio: float | None
-    new_received_ratio_low: float | None
-    new_received_ratio_high: float | None
-    difference: float | None
-    difference_low: float | None
-    difference_high: float | None
-    verdict: str
-    basis: str
-    base_runs: int
-    new_runs: int
-    is_dead: bool
-    environment: str
-    smallest_drop: float | None
-
-
-_DTYPES = {
-    "str": pl.String,
-    "int": pl.UInt64,
-    "int | None": pl.UInt64,
-    "float | None": pl.Float64,
-    "bool": pl.Boolean,
-}
-"""Annotation of a field of the rows above -> dtype of its column."""
-
-COMPARISON_SCHEMA = {field.name: _DTYPES[str(field.type)] for field in fields(ChangeRow)}
-DELIVERY_SCHEMA = {field.name: _DTYPES[str(field.type)] for field in fields(DeliveryRow)}
-
 FAMILY = "Benjamini-Hochberg over groups"
 """How p values of the verdicts are adjusted, in words."""
 
@@ -166,6 +95,7 @@ class Comparison:
     Attributes:
         rows: one row per matched group, metric and statistic: the match columns, then those of `ChangeRow`.
         delivery: one row per matched group: the match columns, then those of `DeliveryRow`.
+        distributions: one row per matched group and metric: the match columns, then those of `DistributionRow`.
         only_base: groups (match columns) that the new side does not have.
         only_new: groups that the base does not have.
         options: how the sides were compared.
@@ -173,6 +103,7 @@ class Comparison:
         deliveries: of each row of `delivery`, likewise.
         environment: differences between the environments of the two sides, a sentence each.
         asked: in what groups that were measured in turns were asked for unlike things, a sentence for each.
+        ignored: what each side has in the columns that were not matched, a sentence each.
         order: a sentence if one side was recorded wholly before the other, else an empty text.
         errors: findings of severity error of either side.
         barred: groups (match columns) of either side in which a setting was not applied; no gate passes or fails on one.
@@ -182,6 +113,7 @@ class Comparison:
 
     rows: pl.DataFrame
     delivery: pl.DataFrame
+    distributions: pl.DataFrame
     only_base: pl.DataFrame
     only_new: pl.DataFrame
     options: CompareOptions
@@ -191,8 +123,15 @@ class Comparison:
     errors: tuple[SideError, ...] = ()
     barred: frozenset[Key] = frozenset()
     asked: tuple[str, ...] = ()
+    ignored: tuple[str, ...] = ()
     order: str = ""
     known: Mapping[Key, Key] = field(default_factory=dict)
+
+    def sights(self) -> tuple[Sight, ...]:
+        """Return which changes the verdicts would have seen, for each metric and statistic."""
+        names = self.rows.select("metric", "statistic").rows()
+        changes = ((*name, change) for name, change in zip(names, self.changes, strict=True))
+        return sights(changes, self.options.confidence, self.options.same_within)
 
 
 class ComparedSide(Protocol):
@@ -230,9 +169,14 @@ def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | Non
         new: the analysis of the other side; sides whose cells were measured in turns are compared cell by cell and
             pass by pass, whatever each was asked for (`turns`).
         options: how to compare; None for the defaults.
+
+    Raises:
+        OptionError: without the columns that are not matched, two groups of one side would be one.
     """
     options = options or CompareOptions()
     match = options.match
+    check_match(base.summary, "base", match)
+    check_match(new.summary, "new", match)
     before, after = base.load_messages(), new.load_messages()
     partners = partner_keys(before, after, base.runs, new.runs, match)
     of_partners = own_groups(after, partners, match)
@@ -263,6 +207,7 @@ def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | Non
         barred=frozenset(barred),
         environment=difference_sentences(differences),
         asked=asked_differences(of_partners, match),
+        ignored=ignored_sentences(base.summary, new.summary, match),
         order=recorded_apart(base.sessions, new.sessions),
         errors=(
             *errors_of("base", base.findings, groups_of(base.summary, {})),
@@ -313,15 +258,15 @@ def compare_groups(
     labels: list[dict[str, ParameterValue]] = []
     deliveries: list[tuple[DeliveryRow, DeliveryChange]] = []
     rows: list[tuple[dict[str, ParameterValue], ChangeRow, Change]] = []
+    distributions: list[dict[str, ParameterValue]] = []
     for key, partner in pairs.items():
         base, new = before[key], after[partner]
         known[key] = known[partner] = known_key(key, partner, options.match)
         labels.append(dict(zip(options.match, known[key], strict=True)))
         deliveries.append(_delivery(base, new, options.confidence))
-        rows += (
-            (labels[-1], *changed)
-            for changed in _changes(base, new, deliveries[-1][1], options, passes or {})
-        )
+        for distribution, changes in _changes(base, new, deliveries[-1][1], options, passes or {}):
+            distributions.append(labels[-1] | asdict(distribution))
+            rows += ((labels[-1], *changed) for changed in changes)
     schema_of_labels = {name: schema[name] for name in options.match}
     return Comparison(
         rows=_adjusted(
@@ -335,6 +280,7 @@ def compare_groups(
             [label | asdict(row) for label, (row, _) in zip(labels, deliveries, strict=True)],
             schema={**schema_of_labels, **DELIVERY_SCHEMA},
         ),
+        distributions=pl.DataFrame(distributions, schema={**schema_of_labels, **DISTRIBUTION_SCHEMA}),
         only_base=_keys_frame(unmatched(before, list(pairs)), schema_of_labels),
         only_new=_keys_frame(unmatched(after, list(pairs.values())), schema_of_labels),
         options=options,
@@ -375,11 +321,14 @@ def _changes(
     received: DeliveryChange,
     options: CompareOptions,
     passes: Mapping[int, int],
-) -> Iterator[tuple[ChangeRow, Change]]:
+) -> Iterator[tuple[DistributionRow, list[tuple[ChangeRow, Change]]]]:
+    """Yield for each metric the distributions of both sides, and the change of each statistic."""
     paired = passes_of(base.runs, new.runs, passes) if options.paired else None
     for metric in options.metrics:
         before, after = base.delivered(metric), new.delivered(metric)
-        superiority = probability_of_superiority(joined_runs(before).ordered, joined_runs(after).ordered)
+        of_base, of_new = joined_runs(before).ordered, joined_runs(after).ordered
+        superiority = probability_of_superiority(of_base, of_new)
+        changes = []
         for name in options.statistics:
             statistic = STATISTIC_BY_NAME[name]
             change = change_of_runs(before, after, statistic, options.confidence, paired)
@@ -417,7 +366,8 @@ def _changes(
                 p_adjusted=None,
                 smallest_ratio=change.smallest_ratio,
             )
-            yield row, change
+            changes.append((row, change))
+        yield DistributionRow(metric, at_levels(of_base), at_levels(of_new)), changes
 
 
 def _adjusted(rows: pl.DataFrame, confidence: float) -> pl.DataFrame:

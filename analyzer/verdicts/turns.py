@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from ..model.names import group_words, varying_parameters
+from ..model.names import group_words, value_word, varying_parameters
 from .matching import knows_relay
 
 if TYPE_CHECKING:
@@ -97,12 +97,6 @@ def asked_differences(groups: Mapping[Key, Key], match: Sequence[str]) -> tuple[
         new, base = dict(zip(match, own, strict=True)), dict(zip(match, partner, strict=True))
         unlike = [name for name in match if new[name] != base[name]]
         if unlike and knows_relay(own, match):
-            listed = ", ".join(f"{name} {_word(new[name])} instead of {_word(base[name])}" for name in unlike)
+            listed = ", ".join(f"{name} {value_word(new[name])} instead of {value_word(base[name])}" for name in unlike)
             sentences.append(f"{group_words(base, names)}: the new side has {listed}.")
     return tuple(sentences)
-
-
-def _word(value: object) -> str:
-    if value is None:
-        return "unknown"
-    return f"{value:g}" if isinstance(value, float) else str(value) or "nothing"

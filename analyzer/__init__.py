@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from .saving.records import to_json
     from .verdicts.answers import CaseAnswer, Headline, find_headlines
     from .verdicts.compare import CompareOptions, Comparison, compare
+    from .verdicts.compared.ignoring import match_without
     from .verdicts.false_alarms import FalseAlarms, count_false_alarms
     from .verdicts.gate import GateOutcome, parse_gates
     from .verdicts.gates import (
@@ -63,6 +64,7 @@ __all__ = [
     "group_words",
     "half_widths",
     "judge_gates",
+    "match_without",
     "options_for",
     "overall_outcome",
     "parse_gates",

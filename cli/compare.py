@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from dds_trace.tracefile import limits
-from dds_trace.tracefile.units.durations import format_ms
 
 from .quick_help import command_app, declare_command
 
 if TYPE_CHECKING:
-    from dds_trace.analyzer import Comparison, GateOutcome, GateResult
+    from dds_trace.analyzer import Comparison, GateOutcome
+    from dds_trace.reports.comparison.info import ComparisonInfo
 
 
 class Unsure(str, Enum):
@@ -28,7 +28,9 @@ class ComparisonReport(str, Enum):
 
     TERMINAL = "terminal"
     MD = "md"
+    JSON = "json"
     JUNIT = "junit"
+    HTML = "html"
 
 
 app = command_app()
@@ -63,8 +65,21 @@ def compare_command(
         ),
     ] = False,
     report: Annotated[
-        ComparisonReport, typer.Option(metavar="KIND", help="terminal, md or junit.")
+        ComparisonReport, typer.Option(metavar="KIND", help="terminal, md, json, junit or html.")
     ] = ComparisonReport.TERMINAL,
+    shows_all: Annotated[
+        bool,
+        typer.Option("--all", help="Every group and gate in the terminal and in md, not only the first."),
+    ] = False,
+    ignore: Annotated[
+        str,
+        typer.Option(
+            metavar="COLUMNS",
+            help="Pair groups that differ in these, such as bridge,domain_mode; refused where two groups of one side would "
+            "become one.",
+            show_default=False,
+        ),
+    ] = "",
     out: Annotated[
         Path | None,
         typer.Option(
@@ -72,7 +87,7 @@ def compare_command(
         ),
     ] = None,
 ) -> None:
-    """Compare two sets of traces: per group the change of each percentile, how sure it is, and a verdict.
+    """Compare two sets of traces: what became slower or loses more, and which changes would not have been seen.
 
     The run is the unit: with fewer than three runs a side nothing is called better or worse. A gate fails only where
     the whole confidence interval lies beyond its limit, or where a group of the base is missing or dead on the new
@@ -87,10 +102,12 @@ def compare_command(
         analyze,
         compare,
         judge_gates,
+        match_without,
         options_for,
         overall_outcome,
         parse_gates,
     )
+    from dds_trace.reports.comparison import comparison_info, terminal
 
     for path, where, limit in (
         (base, "BASE", limits.INPUT),
@@ -99,8 +116,9 @@ def compare_command(
     ):
         limits.check(limit, None if path is None else str(path), where)
     gates = parse_gates(fail_if or [])  # before anything is read
+    match = match_without(filter(None, map(str.strip, ignore.split(","))))
     before, after = (analyze(folder, details=False) for folder in (base, new))
-    comparison = compare(before, after, options_for(gates, CompareOptions(paired=paired)))
+    comparison = compare(before, after, options_for(gates, CompareOptions(match=match, paired=paired)))
     results = judge_gates(comparison, gates, allow_missing=allow_missing)
     for folder, side in ((base, before), (new, after)):
         for finding in side.findings:
@@ -110,21 +128,33 @@ def compare_command(
         outcome = GateOutcome.NOTHING_TO_COMPARE
     else:
         outcome = overall_outcome(results) if results else GateOutcome.PASSED
+    info = comparison_info(comparison, results)
     if report is ComparisonReport.TERMINAL and out is None:
-        _print_table(comparison, results)
+        terminal.write(info, shows_all=shows_all)
     else:
-        _print_or_write(_text(report, comparison, results), out)
+        title = f"{base.name or base} → {new.name or new}"
+        _print_or_write(_text(report, info, comparison, title, shows_all), out)
     _print_outcome(outcome, gated=bool(results))
     is_let_pass = outcome is GateOutcome.INCONCLUSIVE and inconclusive is Unsure.PASS
     raise typer.Exit(0 if is_let_pass else outcome.exit_code)
 
 
-def _text(report: ComparisonReport, comparison: "Comparison", results: "list[GateResult]") -> str:
-    from dds_trace.reports.comparison import comparison_junit, comparison_markdown
+def _text(
+    report: ComparisonReport,
+    info: "ComparisonInfo",
+    comparison: "Comparison",
+    title: str,
+    shows_all: bool,
+) -> str:
+    from dds_trace.reports.comparison import document, junit, markdown, page, terminal
 
+    if report is ComparisonReport.TERMINAL:
+        return terminal.render(info, shows_all=shows_all)
+    if report is ComparisonReport.MD:
+        return markdown.render(info, shows_all=shows_all)
     if report is ComparisonReport.JUNIT:
-        return comparison_junit(results)
-    return comparison_markdown(comparison, results)
+        return junit.render(info)
+    return document.render(info, comparison) if report is ComparisonReport.JSON else page.render(info, title)
 
 
 def _print_or_write(text: str, out: Path | None) -> None:
@@ -146,81 +176,6 @@ def _print_or_write(text: str, out: Path | None) -> None:
     except OSError as err:
         raise OutputError(f"{out}: cannot be written ({err.strerror or err}); give another --out") from err
     print(f"Wrote {out}")
-
-
-def _print_table(comparison: "Comparison", results: "list[GateResult]") -> None:
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    from dds_trace.analyzer import group_words, varying_columns
-    from dds_trace.reports.changes import episodes_words, received_words, runs_words
-    from dds_trace.reports.comparison import (
-        comparison_notes,
-        comparison_sentence,
-        environments_of_rows,
-        family_words,
-        result_line,
-    )
-    from dds_trace.tracefile.visible import MAX_FINDING_CHARACTERS, visible
-
-    console = Console(width=None if sys.stdout.isatty() else 200)
-    first = visible(comparison_sentence(comparison), MAX_FINDING_CHARACTERS)
-    console.print(Text(first, style="bold"), soft_wrap=True)
-    environments = environments_of_rows(comparison)
-    table = Table(
-        "group",
-        "metric",
-        "base ms",
-        "new ms",
-        "tail rests on",
-        "received",
-        "change",
-        "interval",
-        "runs",
-        "found from",
-        "verdict",
-        *(["environment"] if environments else []),
-    )
-    names = varying_columns(comparison)
-    for number, row in enumerate(comparison.rows.iter_rows(named=True)):
-        low, high = _percent(row["ratio_low"]), _percent(row["ratio_high"])
-        cells = (
-            visible(group_words(row, names), MAX_FINDING_CHARACTERS),
-            f"{row['metric']} {row['statistic']}",
-            _with_survivors(row["base_ns"], row["base_survivors_ns"]),
-            _with_survivors(row["new_ns"], row["new_survivors_ns"]),
-            " -> ".join(filter(None, (episodes_words(row, side) for side in ("base", "new")))),
-            received_words(row),
-            _percent(row["ratio"]),
-            f"{low} to {high}" if low and high else "unknown",
-            runs_words(row),
-            _percent(row["smallest_ratio"]),
-            row["verdict"],
-            *(visible(name, MAX_FINDING_CHARACTERS) for name in environments[number : number + 1]),
-        )
-        table.add_row(*map(Text, cells))
-    console.print(table)
-    console.print(Text(family_words(gated=bool(results))), soft_wrap=True)
-    for line in [*comparison_notes(comparison), *map(result_line, results)]:
-        console.print(Text(line), soft_wrap=True)
-
-
-def _with_survivors(value_ns: float | None, survivors_ns: float | None) -> str:
-    """Write a time, and beside a lost one that of the survivors."""
-    if value_ns is None or value_ns != float("inf"):
-        return _ms(value_ns)
-    return "lost" if survivors_ns is None else f"lost (survivors {_ms(survivors_ns)})"
-
-
-def _ms(value_ns: float | None) -> str:
-    return "" if value_ns is None else format_ms(value_ns)
-
-
-def _percent(ratio: float | None) -> str:
-    if ratio is None:
-        return ""
-    return "lost" if ratio == float("inf") else f"{ratio - 1:+.1%}"
 
 
 def _print_outcome(outcome: "GateOutcome", *, gated: bool) -> None:

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 from dds_trace.analyzer.statistics.intervals import Basis
 from dds_trace.tracefile.units.counts import counted
 
+from .text import format_ratio
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
@@ -20,9 +22,9 @@ def runs_words(row: Mapping[str, Any]) -> str:
 
 
 def received_words(row: Mapping[str, Any]) -> str:
-    """Return the shares that both sides received, as in `100.00% -> 98.50%`."""
-    shares = (row[f"{side}_received_ratio"] for side in ("base", "new"))
-    return " -> ".join("unknown" if share is None else f"{share:.2%}" for share in shares)
+    """Return the shares that both sides received, as in `100 % → 98.5 %`; one share where they are equal."""
+    shares = [format_ratio(row[f"{side}_received_ratio"]) for side in ("base", "new")]
+    return " → ".join(dict.fromkeys(shares))
 
 
 def episodes_words(row: Mapping[str, Any], side: str) -> str:

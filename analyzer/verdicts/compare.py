@@ -176,7 +176,7 @@ def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | Non
     options = options or CompareOptions()
     match = options.match
     check_match(base.summary, "base", match)
-    check_match(new.summary, "new", match)
+    check_match(new.summary, "new side", match)
     before, after = base.load_messages(), new.load_messages()
     partners = partner_keys(before, after, base.runs, new.runs, match)
     of_partners = own_groups(after, partners, match)

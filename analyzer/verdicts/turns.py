@@ -97,6 +97,8 @@ def asked_differences(groups: Mapping[Key, Key], match: Sequence[str]) -> tuple[
         new, base = dict(zip(match, own, strict=True)), dict(zip(match, partner, strict=True))
         unlike = [name for name in match if new[name] != base[name]]
         if unlike and knows_relay(own, match):
-            listed = ", ".join(f"{name} {value_word(new[name])} instead of {value_word(base[name])}" for name in unlike)
+            listed = ", ".join(
+                f"{name} {value_word(new[name])} instead of {value_word(base[name])}" for name in unlike
+            )
             sentences.append(f"{group_words(base, names)}: the new side has {listed}.")
     return tuple(sentences)

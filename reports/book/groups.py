@@ -169,8 +169,16 @@ class Groups:
 
 def groups_info(analysis: Analysis) -> Groups:
     """List the groups of `analysis.summary`; group i is row i."""
-    rows = analysis.summary.to_dicts()
-    vendors = vendor_labels(analysis)
+    return groups_of(analysis.summary.to_dicts(), vendor_labels(analysis))
+
+
+def groups_of(rows: Sequence[Mapping[str, Any]], vendors: VendorLabels) -> Groups:
+    """List groups; group i is row i.
+
+    Args:
+        rows: the parameters of each group, `published` and `received`.
+        vendors: labels of the vendors.
+    """
     series_rows = [_series(row, vendors) for row in rows]
     cell_rows = [Cell(**{name: row[name] for name in Cell.__dataclass_fields__}) for row in rows]
     series = tuple(sorted(set(series_rows), key=_series_order))

@@ -8,7 +8,7 @@ from trace_files import Message, ping_session, relay_session, run, write_pair
 from dds_trace.analyzer import CompareOptions, analyze, compare
 from dds_trace.analyzer.verdicts.gate import GateOutcome, parse_gate
 from dds_trace.analyzer.verdicts.gates import judge_gates, options_for
-from dds_trace.reports.comparison import comparison_notes
+from dds_trace.reports.comparison.info import comparison_notes
 from dds_trace.tracefile import Qos
 
 US = 1_000

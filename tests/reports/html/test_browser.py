@@ -13,10 +13,12 @@ from campaigns import write_runs
 from four_campaigns import CAMPAIGNS
 from roundtrip_frames import in_runs
 
+from dds_trace.analyzer.verdicts.compare import compare_roundtrips
 from dds_trace.analyzer.verdicts.job import Job
 from dds_trace.analyzer.verdicts.recommend import recommend_settings
 from dds_trace.reports import load_reporter
 from dds_trace.reports.book.book import Book
+from dds_trace.reports.comparison import comparison_info, page
 from dds_trace.reports.html.live import Watcher, WatchOptions
 from dds_trace.reports.text import format_ratio
 from dds_trace.tracefile.units.durations import format_duration
@@ -466,6 +468,31 @@ def test_axe_finds_nothing_in_the_first_screen_of_a_campaign_with_losses(
     assert tab.evaluate("document.documentElement.scrollWidth") <= width, "nothing sticks out to the side"
     assert tab.locator(".sizes .lost").count() > 0
     assert tab.locator(".headline").inner_text().partition(" % of the messages never came back")[1]
+    tab.context.close()
+
+
+@pytest.mark.parametrize(("scheme", "width"), [("light", 1360), ("dark", 420)])
+def test_the_page_of_a_comparison_is_as_clean_and_keeps_the_theme(chromium, tmp_path, scheme, width):
+    places = {"bridge": "builtin", "domain_mode": "different"}, {"payload_bytes": 7}
+    base, new = (
+        pl.concat([in_runs([MS, None, MS], **places[0]), *(in_runs([ms] * 40, **one) for one in places)])
+        for ms in (MS, 2 * MS)
+    )
+    found = compare_roundtrips(base, new)
+    path = tmp_path / "compared.html"
+    path.write_text(page.render(comparison_info(found), "main → branch"), encoding="utf-8")
+    one = Reader(chromium, color_scheme=scheme, viewport={"width": width, "height": 900})
+    one.tab.goto(path.as_uri())
+    tab = one.tab
+    tab.evaluate("for (const details of document.querySelectorAll('details')) details.open = true")
+    assert violations(tab, "document") == []
+    assert tab.evaluate("document.documentElement.scrollWidth") <= width, "nothing sticks out to the side"
+    assert tab.locator("tr svg.curve").count() == 2 * 2
+    ground = "getComputedStyle(document.body).backgroundColor"
+    before = tab.evaluate(ground)
+    tab.locator("#theme").click()
+    assert tab.evaluate(ground) != before
+    assert (one.complaints, one.requests) == ([], [path.as_uri()])
     tab.context.close()
 
 

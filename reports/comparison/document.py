@@ -1,0 +1,111 @@
+"""A comparison as JSON for scripts, under the contract of `comparison.schema.json`."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict
+from importlib.resources import files
+from typing import TYPE_CHECKING, Any
+
+from dds_trace.analyzer import to_json
+from dds_trace.analyzer.model.parameters import PARAMETER_NAMES
+from dds_trace.analyzer.verdicts.compared.rows import DISTRIBUTION_LEVELS
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    import polars as pl
+
+    from dds_trace.analyzer.verdicts.compare import Comparison
+
+    from .info import ComparedGroup, ComparisonInfo, Gated
+
+FORMAT_VERSION = 1
+"""Version 1: first version (2026). A field may be added without a new version; none changes its meaning."""
+
+
+def render(info: ComparisonInfo, comparison: Comparison) -> str:
+    """Return everything that a comparison says; infinite times and ratios, of what was lost, are null."""
+    document = {
+        "format": FORMAT_VERSION,
+        "said": info.said,
+        "seen": info.seen,
+        "outcome": None if info.outcome is None else info.outcome.value,
+        "options": asdict(comparison.options),
+        "sights": info.sights,
+        "groups": [_group(group) for group in info.groups],
+        "only_base": _named(info.only_base, comparison.only_base),
+        "only_new": _named(info.only_new, comparison.only_new),
+        "gates": [_gate(one) for one in info.gates],
+        "unlike": info.unlike,
+        "ignore": info.ignore,
+        "notes": info.notes,
+        "rules": info.rules,
+    }
+    return json.dumps(to_json(document, not_finite=lambda _: None), indent=1, allow_nan=False) + "\n"
+
+
+def schema() -> dict[str, object]:
+    """Return the JSON Schema (2020-12) of comparisons of this version."""
+    path = files("dds_trace.reports.comparison") / "comparison.schema.json"
+    schema_of_comparison: dict[str, object] = json.loads(path.read_text(encoding="utf-8"))
+    return schema_of_comparison
+
+
+def _group(group: ComparedGroup) -> dict[str, object]:
+    return {
+        "label": group.label,
+        "parameters": _parameters(group.delivery),
+        "verdict": group.verdict,
+        "where": group.where,
+        "delivery": _others(group.delivery),
+        "changes": [
+            {**_others(row), "base_is_lost": _is_lost(row["base_ns"]), "new_is_lost": _is_lost(row["new_ns"])}
+            for row in group.changes
+        ],
+        "distributions": [
+            {"metric": row["metric"], **{side: _curve(row[f"{side}_ns"]) for side in ("base", "new")}}
+            for row in group.distributions
+        ],
+    }
+
+
+def _curve(values_ns: list[float]) -> list[dict[str, float]]:
+    """Return the levels that came back, with their times."""
+    levels = zip(DISTRIBUTION_LEVELS, values_ns, strict=False)
+    return [{"level": level, "ns": value} for level, value in levels if math.isfinite(value)]
+
+
+def _gate(one: Gated) -> dict[str, object]:
+    result = one.result
+    return {
+        "gate": result.gate.text,
+        "group": one.where,
+        "outcome": result.outcome.value,
+        "measured": result.measured,
+        "low": result.low,
+        "high": result.high,
+        "reason": result.reason,
+        "smallest_ratio": result.smallest_ratio,
+        "smallest_drop": result.smallest_drop,
+    }
+
+
+def _named(labels: tuple[str, ...], groups: pl.DataFrame) -> list[dict[str, object]]:
+    return [
+        {"label": label, "parameters": _parameters(row)}
+        for label, row in zip(labels, groups.to_dicts(), strict=True)
+    ]
+
+
+def _parameters(row: Mapping[str, Any]) -> dict[str, object]:
+    return {name: row[name] for name in PARAMETER_NAMES if name in row}
+
+
+def _others(row: Mapping[str, Any]) -> dict[str, object]:
+    return {name: value for name, value in row.items() if name not in PARAMETER_NAMES}
+
+
+def _is_lost(value_ns: float | None) -> bool:
+    return value_ns is not None and math.isinf(value_ns)

@@ -1,0 +1,382 @@
+"""A comparison in words: what it says first, its groups worst first, and what it rests on."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from dds_trace.analyzer.model.names import group_words
+from dds_trace.analyzer.model.parameters import SERIES_COLUMNS
+from dds_trace.analyzer.statistics.intervals import RUNS_TO_TELL, Basis
+from dds_trace.analyzer.verdicts.compare import FAMILY
+from dds_trace.analyzer.verdicts.compared.ignoring import columns_to_ignore, unlike_columns
+from dds_trace.analyzer.verdicts.gate import GateOutcome
+from dds_trace.analyzer.verdicts.gates import FAMILY as GATE_FAMILY
+from dds_trace.analyzer.verdicts.gates import overall_outcome, varying_columns
+from dds_trace.analyzer.verdicts.sides import SAME, UNKNOWN
+from dds_trace.tracefile.units.counts import counted
+from dds_trace.tracefile.visible import MAX_FINDING_CHARACTERS, visible
+
+from ..book.groups import METRIC_LABELS, STATISTIC_LABELS, VENDORS, VendorLabels, group_labels, groups_of
+from ..changes import received_words
+from .words import change_words, why_words
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    import polars as pl
+
+    from dds_trace.analyzer.verdicts.compare import Comparison
+    from dds_trace.analyzer.verdicts.compared.sight import Sight
+    from dds_trace.analyzer.verdicts.gates import GateResult
+
+SHOWN_STATISTICS = ("p50", "p99")
+"""Statistics of a group's row, as far as they were compared; all of them are in its details."""
+
+WORST_FIRST = (
+    "no reply came back",
+    "loses more",
+    "slower",
+    "no clear change",
+    "too few runs",
+    "the same",
+    "loses less",
+    "faster",
+)
+"""What is said of a group, in the order of the groups."""
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedGroup:
+    """One matched group.
+
+    Attributes:
+        label: its name, as in the report of one side.
+        verdict: one of `WORST_FIRST`.
+        where: the statistics that became slower or faster, in words; empty for other verdicts.
+        delivery: its row of `Comparison.delivery`.
+        changes: its rows of `Comparison.rows`.
+        distributions: its rows of `Comparison.distributions`.
+        unlike: how the environments of the sides differ for it; empty if they do not, or nobody knows.
+    """
+
+    label: str
+    verdict: str
+    where: str
+    delivery: Mapping[str, Any]
+    changes: tuple[Mapping[str, Any], ...]
+    distributions: tuple[Mapping[str, Any], ...]
+    unlike: str
+
+    def shown(self) -> tuple[Mapping[str, Any], ...]:
+        """Return the changes that stand in the group's row: median and p99 of the first metric, as far as there are."""
+        return _shown(self.changes)
+
+
+def _shown(rows: Sequence[Mapping[str, Any]]) -> tuple[Mapping[str, Any], ...]:
+    own = [row for row in rows if row["metric"] == rows[0]["metric"]]
+    return tuple(row for row in own if row["statistic"] in SHOWN_STATISTICS) or tuple(own[:1])
+
+
+@dataclass(frozen=True, slots=True)
+class Unlike:
+    """A column in which no group of one side agrees with any of the other, with the values of both in words."""
+
+    column: str
+    base: str
+    new: str
+
+
+@dataclass(frozen=True, slots=True)
+class Gated:
+    """The outcome of a gate for one group, in the words of the report."""
+
+    where: str
+    result: GateResult
+
+    @property
+    def line(self) -> str:
+        """The outcome in one line."""
+        why = why_words(self.result)
+        return f"{self.result.outcome.value}: {self.result.gate.text} ({self.where})" + (
+            f": {visible(why)}" if why else ""
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class ComparisonInfo:
+    """What the reports of a comparison say.
+
+    Attributes:
+        said: the answer in one sentence.
+        seen: which changes would not have been seen, or how the sides differ that have no group in common; a sentence.
+        groups: the matched groups, worst first.
+        metric: label of the metric in the groups' rows.
+        only_base: names of the groups that only the base has.
+        only_new: names of those that only the new side has.
+        outcome: the outcome of the gates; None without one.
+        gates: outcome of each gate and group, the worst first.
+        sights: which changes the verdicts would have seen.
+        unlike: columns in which sides without a common group differ.
+        ignore: columns without which such sides can be compared; empty if none help, or there is a common group.
+        notes: what makes the sides unlike or unfit.
+        rules: how to read the numbers.
+    """
+
+    said: str
+    seen: str
+    groups: tuple[ComparedGroup, ...]
+    metric: str
+    only_base: tuple[str, ...]
+    only_new: tuple[str, ...]
+    outcome: GateOutcome | None
+    gates: tuple[Gated, ...]
+    sights: tuple[Sight, ...]
+    unlike: tuple[Unlike, ...]
+    ignore: tuple[str, ...]
+    notes: tuple[str, ...]
+    rules: tuple[str, ...]
+
+
+def comparison_info(comparison: Comparison, results: Sequence[GateResult] = ()) -> ComparisonInfo:
+    """Say a comparison in words.
+
+    Args:
+        comparison: what was compared.
+        results: outcomes of its gates.
+    """
+    frames = (comparison.delivery, comparison.only_base, comparison.only_new)
+    labels = _labels(frames)
+    shared, only_base, only_new = (
+        tuple(labels[start : start + len(frame)]) for start, frame in _starts(frames)
+    )
+    groups = _groups(comparison, shared)
+    sights = comparison.sights()
+    apart = (comparison.only_base, comparison.only_new)
+    unlike = () if groups else tuple(Unlike(name, *both) for name, both in unlike_columns(*apart).items())
+    ignore = () if groups else columns_to_ignore(*apart)
+    return ComparisonInfo(
+        said=_said(groups)
+        if groups
+        else "The two sides have no group in common: there is nothing to compare.",
+        seen=_seen(sights, groups) if groups else _unlike_words(unlike, ignore),
+        groups=groups,
+        metric=_metric_label(comparison.options.metrics[0]),
+        only_base=only_base,
+        only_new=only_new,
+        outcome=overall_outcome(results) if results else None,
+        gates=_gates(comparison, results, shared, only_base),
+        sights=sights,
+        unlike=unlike,
+        ignore=ignore,
+        notes=comparison_notes(comparison),
+        rules=_rules(comparison, gated=bool(results)),
+    )
+
+
+def _labels(frames: Sequence[pl.DataFrame]) -> tuple[str, ...]:
+    """Name the groups of frames of match columns, all by the same words; a column that was not matched has no word."""
+    filled = {
+        **dict.fromkeys(SERIES_COLUMNS),
+        **dict.fromkeys(("vendor", "ping_device", "connectivity"), "any"),
+        "bridge": "none",
+        "setting": "",
+        "published": 0,
+        "received": 0,
+    }
+    rows = [{**filled, **row} for frame in frames for row in frame.to_dicts()]
+    for row in rows:
+        row["domain_mode"] = row["domain_mode"] or ("same" if row["bridge"] == "none" else "different")
+    return group_labels(groups_of(rows, VendorLabels(VENDORS)))
+
+
+def _starts(frames: Sequence[pl.DataFrame]) -> list[tuple[int, pl.DataFrame]]:
+    return [(sum(len(before) for before in frames[:place]), frame) for place, frame in enumerate(frames)]
+
+
+def _groups(comparison: Comparison, labels: Sequence[str]) -> tuple[ComparedGroup, ...]:
+    match = comparison.options.match
+    changes, distributions = (
+        frame.partition_by(match, as_dict=True, maintain_order=True) if len(frame) else {}
+        for frame in (comparison.rows, comparison.distributions)
+    )
+    groups = []
+    for label, delivery in zip(labels, comparison.delivery.to_dicts(), strict=True):
+        key = tuple(delivery[name] for name in match)
+        rows = tuple(changes[key].to_dicts())
+        verdict = _verdict(delivery, rows)
+        groups.append(
+            ComparedGroup(
+                label=label,
+                verdict=verdict,
+                where=_where(rows, {"slower": "worse", "faster": "better"}.get(verdict, "")),
+                delivery=delivery,
+                changes=rows,
+                distributions=tuple(distributions[key].to_dicts()),
+                unlike="" if delivery["environment"] in (SAME, UNKNOWN) else str(delivery["environment"]),
+            )
+        )
+    return tuple(sorted(groups, key=_rank))
+
+
+def _verdict(delivery: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> str:
+    verdicts = {row["verdict"] for row in rows}
+    holds = (
+        (delivery["is_dead"], "no reply came back"),
+        (delivery["verdict"] == "worse", "loses more"),
+        ("worse" in verdicts, "slower"),
+        (all(row["basis"] == Basis.WITHIN_RUN.value for row in rows), "too few runs"),
+        (delivery["verdict"] == "better", "loses less"),
+        ("better" in verdicts, "faster"),
+        ({row["verdict"] for row in _shown(rows)} == {"same"}, "the same"),
+    )
+    return next((words for is_so, words in holds if is_so), "no clear change")
+
+
+def _where(rows: Sequence[Mapping[str, Any]], verdict: str) -> str:
+    """Name the statistics with a verdict: those of the first metric, unless it is all; other metrics where it has none."""
+    judged = [row for row in rows if row["verdict"] == verdict]
+    tested = [row for row in rows if row["metric"] == rows[0]["metric"] and row["p_value"] is not None]
+    own = [row for row in tested if row["verdict"] == verdict]
+    if own:
+        if len(own) == len(tested):
+            return ""
+        return ", ".join(STATISTIC_LABELS.get(row["statistic"], row["statistic"]) for row in own)
+    return ", ".join(dict.fromkeys(_metric_label(row["metric"]).lower() for row in judged))
+
+
+def _rank(group: ComparedGroup) -> tuple[int, float]:
+    ratios = [row["ratio"] for row in group.shown() if row["ratio"] is not None]
+    most = max(ratios, default=0.0)
+    if group.verdict == "loses more":
+        most = -(group.delivery["difference"] or 0.0)
+    return WORST_FIRST.index(group.verdict), -most
+
+
+def _metric_label(metric: str) -> str:
+    return METRIC_LABELS.get(metric, metric)
+
+
+def _statistic_words(row: Mapping[str, Any]) -> str:
+    return f"{STATISTIC_LABELS.get(row['statistic'], row['statistic'])} of the {_metric_label(row['metric']).lower()}"
+
+
+def _said(groups: Sequence[ComparedGroup]) -> str:
+    """Say what was lost, what became slower, or that nothing did; then what became faster."""
+    several = len(groups) > 1
+    of_verdict = {verdict: [one for one in groups if one.verdict == verdict] for verdict in WORST_FIRST}
+    said = []
+    losing = [*of_verdict["no reply came back"], *of_verdict["loses more"]]
+    if losing:
+        where = f", most in {losing[0].label}" if several else ""
+        said.append(
+            f"more is lost in {len(losing)} of {counted(len(groups), 'group')}{where} ({received_words(losing[0].delivery)})"
+        )
+    # A percentile that was lost is told by the losses.
+    slower = [(row, group) for group in groups for row in group.changes if _is_slower(row)]
+    if slower:
+        shown = [pair for pair in slower if pair[0] in pair[1].shown()]
+        row, worst = max(shown or slower, key=lambda pair: pair[0]["ratio"])
+        count = len({group.label for _, group in slower})
+        where = f" in {worst.label}" if several else ""
+        said.append(
+            f"slower in {count} of {counted(len(groups), 'group')}, most the {_statistic_words(row)}{where}: {change_words(row['ratio'])}"
+        )
+    elif len(of_verdict["too few runs"]) == len(groups):
+        said.append(f"what changed cannot be told: it takes {RUNS_TO_TELL} runs a side")
+    else:
+        said.append(f"nothing is shown to be slower in {counted(len(groups), 'group')}")
+    faster = len(of_verdict["faster"])
+    said += [f"{faster} faster"] if faster else []
+    sentence = "; ".join(said)
+    return f"{sentence[0].upper()}{sentence[1:]}."
+
+
+def _is_slower(row: Mapping[str, Any]) -> bool:
+    return row["verdict"] == "worse" and row["ratio"] is not None and math.isfinite(row["ratio"])
+
+
+def _seen(sights: Sequence[Sight], groups: Sequence[ComparedGroup]) -> str:
+    """Say below which size changes would not have been seen in every group, for each statistic of the groups' rows."""
+    shown = {(row["metric"], row["statistic"]) for row in groups[0].shown()}
+    of_rows = [sight for sight in sights if (sight.metric, sight.statistic) in shown]
+    known = [sight for sight in of_rows if sight.smallest_ratio is not None]
+    if not known:
+        return ""
+    parts = [
+        f"{_of_statistic(sight.statistic)} below {change_words(sight.smallest_ratio).removeprefix('+')}"
+        for sight in known
+    ]
+    untold = [
+        f"the {STATISTIC_LABELS.get(sight.statistic, sight.statistic)} in {sight.groups - sight.told} of {counted(sight.groups, 'group')}"
+        for sight in of_rows
+        if sight.told < sight.groups
+    ]
+    said = f"Changes {' and '.join(parts)} would not be seen"
+    return f"{said}; nothing can be told of {' and '.join(untold)}." if untold else f"{said}."
+
+
+def _of_statistic(statistic: str) -> str:
+    label = STATISTIC_LABELS.get(statistic, statistic)
+    return f"of the {label}" if label.isalpha() else f"of {label}"
+
+
+def _unlike_words(unlike: Sequence[Unlike], ignore: Sequence[str]) -> str:
+    """Say in which columns sides without a common group differ, and without which they can be compared."""
+    differ = ", ".join(f"{one.column} ({one.base} against {one.new})" for one in unlike)
+    said = f"They differ in {differ}." if differ else ""
+    if not ignore:
+        return said
+    return f"{said} --ignore {','.join(ignore)} compares them without that.".strip()
+
+
+def _gates(
+    comparison: Comparison, results: Sequence[GateResult], shared: Sequence[str], missing: Sequence[str]
+) -> tuple[Gated, ...]:
+    """Put the names of the report in place of the parameters, the worst outcome first."""
+    match = comparison.options.match
+    words = {
+        group_words(row, names): label
+        for frame, names, labels in (
+            (comparison.delivery, varying_columns(comparison), shared),
+            (comparison.only_base, match, missing),
+        )
+        for row, label in zip(frame.to_dicts(), labels, strict=True)
+    }
+    order = [GateOutcome.REGRESSED, GateOutcome.INCONCLUSIVE]
+
+    def named(where: str) -> str:
+        known = max((each for each in words if where.startswith(each)), key=len, default="")
+        return f"{words[known]}{where.removeprefix(known)}" if known else where
+
+    gated = [Gated(visible(named(result.where), MAX_FINDING_CHARACTERS), result) for result in results]
+    return tuple(
+        sorted(gated, key=lambda one: order.index(one.result.outcome) if one.result.outcome in order else 9)
+    )
+
+
+def comparison_notes(comparison: Comparison) -> tuple[str, ...]:
+    """Return what makes the sides unlike or unfit: what was not matched or asked for, environments, order in time, errors."""
+    return (
+        *(f"Not matched: {visible(text, MAX_FINDING_CHARACTERS)}" for text in comparison.ignored),
+        *(f"Measured in turns: {visible(text, MAX_FINDING_CHARACTERS)}" for text in comparison.asked),
+        *(f"Unlike environments: {visible(text, MAX_FINDING_CHARACTERS)}" for text in comparison.environment),
+        *([f"Order: {comparison.order}"] if comparison.order else []),
+        *(
+            f"Finding of severity error: {visible(error.text, MAX_FINDING_CHARACTERS)}"
+            for error in comparison.errors
+        ),
+    )
+
+
+def _rules(comparison: Comparison, *, gated: bool) -> tuple[str, ...]:
+    within, share = f"{comparison.options.same_within:.0%}", f"{comparison.options.confidence:.0%}"
+    gates = f", gates by {GATE_FAMILY}" if gated else ""
+    return (
+        f"Changes and intervals ({share}) are of new / base; 'the same' is a group whose intervals here lie within {within}.",
+        "A lost message is infinitely late.",
+        f"The run is the unit: with fewer than {RUNS_TO_TELL} runs a side nothing is called slower.",
+        f"Verdicts are adjusted for the number of groups ({FAMILY}){gates}.",
+        "A change that would not be seen is one that these runs would have missed in more than 20 of 100 repetitions.",
+    )

@@ -1,0 +1,47 @@
+"""The gates of a comparison as JUnit XML for CI.
+
+Classes are named by the parameters of a group, as in the trace: a CI follows a test by its name, and the names of the
+other reports follow what else was compared.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+from xml.etree import ElementTree as ET  # written, never parsed
+
+from dds_trace.analyzer.verdicts.gate import GateOutcome
+from dds_trace.tracefile.visible import MAX_FINDING_CHARACTERS, visible
+
+from .words import gate_interval_words, measured_words, why_words
+
+if TYPE_CHECKING:
+    from .info import ComparisonInfo
+
+
+def render(info: ComparisonInfo) -> str:
+    """Return one test case per gate and group; an inconclusive one is skipped, what the comparison says is the output."""
+    results = [one.result for one in info.gates]
+    failed = sum(r.outcome is GateOutcome.REGRESSED for r in results)
+    unsure = sum(r.outcome is GateOutcome.INCONCLUSIVE for r in results)
+    counts = {"tests": str(len(results)), "failures": str(failed), "errors": "0", "skipped": str(unsure)}
+    root = ET.Element("testsuites", counts)
+    suite = ET.SubElement(root, "testsuite", {"name": "dds-analyze compare", **counts, "time": "0"})
+    for result in results:
+        name = {
+            "classname": visible(result.where, MAX_FINDING_CHARACTERS),
+            "name": visible(result.gate.text),
+            "time": "0",
+        }
+        case = ET.SubElement(suite, "testcase", name)
+        said = f"{measured_words(result, result.measured)}, interval {gate_interval_words(result)}"
+        why = why_words(result)
+        said += f"; {visible(why)}" if why else ""
+        if result.outcome is GateOutcome.REGRESSED:
+            ET.SubElement(case, "failure", {"message": said, "type": "regression"})
+        elif result.outcome is GateOutcome.INCONCLUSIVE:
+            ET.SubElement(case, "skipped", {"message": f"inconclusive: {said}"})
+    ET.SubElement(suite, "system-out").text = visible(
+        f"{info.said} {info.seen}".strip(), MAX_FINDING_CHARACTERS
+    )
+    ET.indent(root)
+    return ET.tostring(root, encoding="unicode", xml_declaration=True) + "\n"

@@ -1,0 +1,127 @@
+"""A comparison in 80 columns: the answer, then one row for each group, worst first."""
+
+from __future__ import annotations
+
+import io
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console, Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from dds_trace.analyzer.verdicts.gate import GateOutcome
+from dds_trace.tracefile.units.counts import counted
+
+from ..book.groups import STATISTIC_LABELS
+from ..text import format_ratio
+from .words import both_words, change_with_interval
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from .info import ComparedGroup, ComparisonInfo, Gated
+
+WIDTH = 80
+MOST_GROUPS = 10
+"""Groups, and lines of gates, that are shown without `--all`."""
+
+_COLORS = {
+    "no reply came back": "red",
+    "loses more": "red",
+    "slower": "red",
+    "loses less": "green",
+    "faster": "green",
+}
+_OUTCOME_COLORS = {GateOutcome.REGRESSED: "red", GateOutcome.PASSED: "green"}
+
+
+def render(info: ComparisonInfo, *, shows_all: bool = False) -> str:
+    """Return the comparison as plain text of 80 columns, without colours."""
+    text = io.StringIO()
+    Console(file=text, width=WIDTH, color_system=None, legacy_windows=False).print(_report(info, shows_all))
+    return "\n".join(line.rstrip() for line in text.getvalue().splitlines()) + "\n"
+
+
+def write(info: ComparisonInfo, *, shows_all: bool = False) -> None:
+    """Print the comparison to stdout, in colours if stdout is a terminal."""
+    console = Console(legacy_windows=False)
+    console.print(_report(info, shows_all), width=min(console.width, 120) if console.is_terminal else WIDTH)
+
+
+def _report(info: ComparisonInfo, shows_all: bool) -> RenderableType:
+    # Text objects only: rich would interpret [markup] in a str, and strings from traces must stay literal.
+    parts: list[RenderableType] = [Text(info.said, style="bold")]
+    parts += [Text(info.seen)] if info.seen else []
+    parts += [Text(), *_gates(info.gates, shows_all)] if info.gates else [Text()]
+    if info.groups:
+        shown = info.groups if shows_all else info.groups[:MOST_GROUPS]
+        parts += [_table(info, shown), *_rest(info.groups[len(shown) :]), Text()]
+    for title, names in (("Only in the base", info.only_base), ("Only in the new side", info.only_new)):
+        parts += _named(title, names, shows_all)
+    parts += [Text(note) for note in info.notes]
+    parts += [Text(" ".join(info.rules), style="dim")] if info.groups else []
+    return Group(*parts)
+
+
+def _table(info: ComparisonInfo, groups: Sequence[ComparedGroup]) -> Table:
+    table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False, header_style="dim")
+    table.add_column(Text(info.metric), width=25)
+    for row in groups[0].shown():
+        table.add_column(Text(STATISTIC_LABELS.get(row["statistic"], row["statistic"])), width=18)
+    table.add_column("Came back", width=8)
+    table.add_column("Verdict", width=10)
+    for group in groups:
+        label = Text.assemble(group.label, (f"\n{group.unlike}", "dim") if group.unlike else "")
+        table.add_row(
+            label,
+            *map(_change, group.shown()),
+            Text(_received(group.delivery)),
+            Text.assemble(
+                (group.verdict, _COLORS.get(group.verdict, "")),
+                (f"\n{group.where}", "dim") if group.where else "",
+            ),
+        )
+    return table
+
+
+def _change(row: Mapping[str, Any]) -> Text:
+    """Write both times, and below them the change and how sure it is."""
+    return Text(f"{both_words(row)}\n{change_with_interval(row)}")
+
+
+def _received(row: Mapping[str, Any]) -> str:
+    shares = [format_ratio(row[f"{side}_received_ratio"]) for side in ("base", "new")]
+    return "\n→ ".join(dict.fromkeys(shares))
+
+
+def _rest(groups: Sequence[ComparedGroup]) -> list[Text]:
+    """Count the groups that are not shown, by what is said of them."""
+    counts: dict[str, int] = {}
+    for group in groups:
+        counts[group.verdict] = counts.get(group.verdict, 0) + 1
+    if not counts:
+        return []
+    listed = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
+    return [Text(f"and {counted(len(groups), 'group')} more ({listed}): --all", style="dim")]
+
+
+def _gates(gates: Sequence[Gated], shows_all: bool) -> list[RenderableType]:
+    """List what did not pass, and count what did."""
+    failed = [gate for gate in gates if gate.result.outcome is not GateOutcome.PASSED]
+    shown = gates if shows_all else failed[:MOST_GROUPS]
+    lines = [Text(gate.line, style=_OUTCOME_COLORS.get(gate.result.outcome, "yellow")) for gate in shown]
+    passed = 0 if shows_all else len(gates) - len(failed)
+    hidden = 0 if shows_all else len(failed) - len(shown)
+    lines += [Text(f"and {hidden} more that did not pass: --all", style="dim")] if hidden else []
+    lines += [Text(f"passed: {counted(passed, 'gate')}", style="green")] if passed else []
+    return [*lines, Text()]
+
+
+def _named(title: str, names: Sequence[str], shows_all: bool) -> list[RenderableType]:
+    if not names:
+        return []
+    shown = names if shows_all else names[:MOST_GROUPS]
+    more = (
+        [Text(f"  and {len(names) - len(shown)} more: --all", style="dim")] if len(shown) < len(names) else []
+    )
+    return [Text(f"{title}:"), *(Text(f"  {name}") for name in shown), *more, Text()]

@@ -1,0 +1,245 @@
+"""Comparisons in each format: what they say, that strings of a trace stay strings, that JSON keeps its contract."""
+
+from __future__ import annotations
+
+import html
+import json
+from functools import cache
+from html.parser import HTMLParser
+from xml.etree import ElementTree as ET
+
+import polars as pl
+import pytest
+from jsonschema import Draft202012Validator
+from roundtrip_frames import MS, in_runs, steady
+
+from dds_trace.analyzer.verdicts.compare import CompareOptions, compare_roundtrips
+from dds_trace.analyzer.verdicts.compared.ignoring import match_without
+from dds_trace.analyzer.verdicts.compared.rows import DISTRIBUTION_LEVELS
+from dds_trace.analyzer.verdicts.gate import parse_gate
+from dds_trace.analyzer.verdicts.gates import judge_gates
+from dds_trace.reports.comparison import comparison_info, document, junit, markdown, page, terminal
+
+HOSTILE = "<script>alert(1)</script>|`a`](http://x)\n# h @you\x1b[31m\x00"
+GATES = [
+    parse_gate(t)
+    for t in ("latency_p50 > +10%", "latency_p50 > +2ms", "latency_p99 > 1ms", "received_ratio < 1%")
+]
+
+
+def compared(**parameters):
+    options = CompareOptions(metrics=("latency",), statistics=("p50", "p99"))
+    found = compare_roundtrips(
+        in_runs([5 * MS] * 40, spread=1e-9, **parameters),
+        in_runs([6 * MS] * 40, spread=1e-9, **parameters),
+        options,
+    )
+    return found, comparison_info(found, judge_gates(found, GATES))
+
+
+@cache
+def many():
+    """Thirty groups, the last one twice as slow, one with losses, one on the base alone, bridged and not."""
+
+    def side(last):
+        return pl.concat(
+            in_runs(
+                [MS if n or place != 3 else None for n in range(20)] if place != 29 else [last] * 20,
+                spread=0.02,
+                payload_bytes=1000 * (place + 1),
+                bridge="zenoh-bridge-ros2dds" if place % 2 else "none",
+                domain_mode="different" if place % 2 else "same",
+            )
+            for place in range(30)
+        )
+
+    base = pl.concat([side(MS), in_runs([MS] * 20, payload_bytes=7)])
+    found = compare_roundtrips(
+        base, side(2 * MS), CompareOptions(metrics=("latency",), statistics=("p50", "p90"))
+    )
+    return found, comparison_info(found, judge_gates(found, GATES[:1]))
+
+
+def test_the_terminal_has_a_row_for_each_group_in_80_columns_worst_first():
+    _, info = many()
+    short, whole = terminal.render(info), terminal.render(info, shows_all=True)
+    for text in (short, whole):
+        assert max(map(len, text.splitlines())) <= 80
+        assert text.startswith(
+            "Slower in 1 of 30 groups, most the median of the latency in Binary 30 KB at 10"
+        )
+        assert (
+            text.index("Changes of the median below")
+            < text.index("1 ms → 2 ms")
+            < text.index("Binary 1 KB at")
+        )
+        assert "(91 to 109)" in text
+        assert "Only in the base:\n  Binary 7 B at 10 Hz" in text
+    assert whole.count("the same\n") == 29
+    assert short.count("the same\n") == 9
+    assert "and 20 groups more (20 the same): --all" in short
+    assert "passed: 29 gates" in short
+    assert short.count("\nregressed: ") == 2
+
+
+def test_markdown_says_the_answer_first_then_gates_then_groups():
+    text = markdown.render(compared()[1])
+    assert text.index("**Slower in 1 of 1 group") < text.index("**Regressed**") < text.index("| gate |")
+    assert text.index("| gate |") < text.index("| Latency | median |") < text.index("<details>")
+    rows = [
+        [cell.strip() for cell in line.strip("|").split("|")]
+        for line in text.splitlines()
+        if line.startswith("| Binary")
+    ]
+    assert rows[0] == [
+        "Binary 33 KB at 10 Hz",
+        "5 ms &#8594; 6 ms, +20 % (20 to 20)",
+        "5 ms &#8594; 6 ms, +20 %",
+        "100 %",
+        "slower",
+    ]
+    assert rows[1][1:] == [
+        "Latency median",
+        "5 ms",
+        "6 ms",
+        "+20 %",
+        "+20 to +20 %",
+        "0%",
+        "3 and 3",
+        "0 %",
+        "worse",
+    ]
+    assert rows[2][1:6] == ["Latency p99", "5 ms", "6 ms", "+20 %", "-"]
+    assert rows[2][7:] == ["3 and 3, within one run", "", "inconclusive"]
+
+
+def test_markdown_of_nothing():
+    nothing = compare_roundtrips(steady([MS]), steady([MS], vendor="zenoh"))
+    text = markdown.render(comparison_info(nothing))
+    assert "nothing to compare" in text
+    assert "--ignore vendor compares them" in text
+    assert "Only in the base" in text
+    assert "Only in the new" in text
+
+
+def test_junit_counts_and_names():
+    _, info = compared()
+    root = ET.fromstring(junit.render(info))
+    assert root.tag == "testsuites"
+    assert {k: root.get(k) for k in ("tests", "failures", "errors", "skipped")} == {
+        "tests": "4",
+        "failures": "1",
+        "errors": "0",
+        "skipped": "1",
+    }
+    cases = {case.get("name"): case for case in root.findall("testsuite/testcase")}
+    assert set(cases) == {gate.text for gate in GATES}
+    assert {case.get("classname").partition(" payload_bytes")[0] for case in cases.values()} == {
+        "vendor=fastdds bridge=none data_type=binary"
+    }
+    assert cases[GATES[0].text].find("failure").get("message") == (
+        "+20 %, interval +20 % to +20 %; changes from 0 % on are found with a probability of 80 %"
+    )
+    assert [len(cases[gate.text]) for gate in GATES] == [1, 0, 1, 0]
+    assert "inconclusive" in cases[GATES[2].text].find("skipped").get("message")
+    assert root.find("testsuite/system-out").text.startswith("Slower in 1 of 1 group")
+    assert ET.fromstring(junit.render(comparison_info(compared()[0]))).get("tests") == "0"
+
+
+def closed(schema):
+    """The schema with no room for a field that it does not describe."""
+    if isinstance(schema, list):
+        return [closed(each) for each in schema]
+    if not isinstance(schema, dict):
+        return schema
+    held = {name: closed(each) for name, each in schema.items()}
+    return held | {"additionalProperties": False} if held.get("type") == "object" else held
+
+
+@pytest.mark.parametrize("case", ["many", "lost", "ignored", "nothing"])
+def test_json_follows_its_schema_to_the_last_field(case):
+    lossy = [5 * MS if n % 5 else None for n in range(200)]
+    found, info = {
+        "many": many,
+        "lost": lambda: _with_info(compare_roundtrips(in_runs([5 * MS] * 200), in_runs(lossy))),
+        "ignored": lambda: _with_info(
+            compare_roundtrips(
+                steady([MS]),
+                steady([MS]),
+                CompareOptions(match=match_without(["bridge", "domain_mode", "vendor"])),
+            )
+        ),
+        "nothing": lambda: _with_info(compare_roundtrips(steady([MS]), steady([MS], vendor="zenoh"))),
+    }[case]()
+    Draft202012Validator.check_schema(document.schema())
+    told = json.loads(document.render(info, found))
+    Draft202012Validator(closed(document.schema())).validate(told)
+    assert [group["label"] for group in told["groups"]] == [group.label for group in info.groups]
+    if case == "lost":
+        (group,) = told["groups"]
+        lost = {row["statistic"] for row in group["changes"] if row["new_is_lost"] and row["new_ns"] is None}
+        assert lost == {"mean", "p90", "p95", "p99"}
+        base, new = (group["distributions"][0][side] for side in ("base", "new"))
+        assert [one["level"] for one in base] == [
+            level for level in DISTRIBUTION_LEVELS if level <= 1 - 1 / 600
+        ]
+        assert max(one["level"] for one in new) == 0.8
+    if case == "ignored":
+        assert not {"bridge", "domain_mode", "vendor"} & set(told["groups"][0]["parameters"])
+        assert told["groups"][0]["label"] == "Binary 33 KB at 10 Hz"
+    if case == "nothing":
+        assert told["ignore"] == ["vendor"]
+        del told["said"]
+        assert not Draft202012Validator(document.schema()).is_valid(told)
+
+
+def _with_info(found):
+    return found, comparison_info(found)
+
+
+class Page(HTMLParser):
+    """Tags and texts of a page."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.links, self.text = [], [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append(tag)
+        self.links += [value for name, value in attributes if name in ("href", "src")]
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+def test_the_page_draws_both_sides_of_every_group_and_loads_nothing():
+    _, info = many()
+    text = page.render(info, "main → branch")
+    read = Page(text)
+    assert set(read.links) == {"data:,", "#groups"}
+    assert "default-src 'none'; script-src 'sha256-" in html.unescape(text)
+    assert read.tags.count("script") == 1
+    assert read.tags.count("svg") == 2 + 30 * 2  # the key, then a strip and a curve for each group
+    assert text.count('class="base range"') == text.count('class="new range"') == 30
+    joined = "".join(read.text)
+    assert joined.index(info.said) < joined.index("Gates") < joined.index("Groups, worst first")
+    assert "Binary 7 B at 10 Hz" in joined
+    assert page.render(info, "main → branch") == text
+
+
+def test_hostile_strings_stay_strings():
+    _, info = compared(bridge=HOSTILE, vendor=HOSTILE)
+    text = markdown.render(info)
+    assert "<script" not in text
+    assert "](http" not in text
+    assert "\x1b" not in text
+    assert "@you" not in text
+    assert len([line for line in text.splitlines() if line.startswith("#")]) == 1
+    for start, bars in (("| Latency | median", 6), ("| group | time", 11), ("| gate", 7)):
+        table = text[text.index(start) :].partition("\n\n")[0]
+        assert {line.count("|") for line in table.splitlines()} == {bars}
+    assert "\x1b" not in terminal.render(info)
+    assert Page(page.render(info, HOSTILE)).tags.count("script") == 1
+    root = ET.fromstring(junit.render(info))
+    assert "<script>" in root.find("testsuite/testcase").get("classname")

@@ -1,0 +1,122 @@
+"""What a comparison says first, in which order, and in whose words."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import polars as pl
+import pytest
+from roundtrip_frames import MS, in_runs, steady
+
+from dds_trace.analyzer.verdicts.compare import CompareOptions, compare_roundtrips
+from dds_trace.analyzer.verdicts.gate import parse_gate
+from dds_trace.analyzer.verdicts.gates import judge_gates
+from dds_trace.reports.comparison import comparison_info
+
+OPTIONS = CompareOptions(metrics=("latency",), statistics=("p50",))
+BRIDGED = {"bridge": "builtin", "domain_mode": "different"}
+
+
+def compared_at(new_ms, runs=in_runs, **parameters):
+    spread = {"spread": 1e-3} if runs is in_runs else {}
+    return compare_roundtrips(
+        runs([5 * MS] * 40, **spread, **parameters), runs([new_ms * MS] * 40, **spread, **parameters), OPTIONS
+    )
+
+
+def several(new_ms):
+    """Groups of growing size: 5 ms on the base, and a time of the new side for each; None is lost half of the time."""
+    sides = [
+        pl.concat(
+            in_runs(times(ms), spread=1e-2, payload_bytes=1000 * (place + 1), **BRIDGED)
+            for place, ms in enumerate(each)
+        )
+        for each in ([5] * len(new_ms), new_ms)
+    ]
+    return compare_roundtrips(*sides, CompareOptions(metrics=("latency",), statistics=("p50", "p90")))
+
+
+def times(ms):
+    return [5 * MS if n % 2 else None for n in range(100)] if ms is None else [round(ms * MS)] * 100
+
+
+@cache
+def mixed():
+    return comparison_info(several([5, 6, None, 4, 7]))
+
+
+def test_the_answer_says_what_is_lost_and_what_became_slower_and_most_where():
+    assert mixed().said == (
+        "More is lost in 1 of 5 groups, most in Binary 3 KB at 10 Hz (100 % → 50 %); slower in 2 of 5 groups, "
+        "most the median of the latency in Binary 5 KB at 10 Hz: +40 %; 1 faster."
+    )
+
+
+def test_groups_come_worst_first_by_the_names_of_the_report():
+    assert [(group.label, group.verdict) for group in mixed().groups] == [
+        ("Binary 3 KB at 10 Hz", "loses more"),
+        ("Binary 5 KB at 10 Hz", "slower"),
+        ("Binary 2 KB at 10 Hz", "slower"),
+        ("Binary 1 KB at 10 Hz", "the same"),
+        ("Binary 4 KB at 10 Hz", "faster"),
+    ]
+    alone = comparison_info(compared_at(5, **BRIDGED))
+    assert alone.groups[0].label == "Binary 33 KB at 10 Hz"
+    both = pl.concat([in_runs([MS] * 9), in_runs([MS] * 9, **BRIDGED)])
+    labels = [group.label for group in comparison_info(compare_roundtrips(both, both, OPTIONS)).groups]
+    assert sorted(labels) == [
+        "Binary 33 KB at 10 Hz, same domain",
+        "Binary 33 KB at 10 Hz, through our built-in bridge",
+    ]
+
+
+def test_the_second_sentence_says_which_changes_would_not_be_seen():
+    info = comparison_info(compared_at(5))
+    assert info.said == "Nothing is shown to be slower in 1 group."
+    # The runs agree to 0.1 %, yet a change within 5 % is called the same.
+    assert info.seen == "Changes of the median below 4.8 % would not be seen."
+    assert (
+        comparison_info(compared_at(6)).said
+        == "Slower in 1 of 1 group, most the median of the latency: +20 %."
+    )
+
+
+def test_too_few_runs_do_not_reassure():
+    info = comparison_info(compared_at(5, runs=steady))
+    assert (info.said, info.seen) == ("What changed cannot be told: it takes 3 runs a side.", "")
+    assert [group.verdict for group in info.groups] == ["too few runs"]
+
+
+def test_sides_without_a_common_group_are_told_apart_and_how_to_compare_them():
+    info = comparison_info(compare_roundtrips(steady([MS]), steady([MS], **BRIDGED), OPTIONS))
+    assert info.said == "The two sides have no group in common: there is nothing to compare."
+    assert info.seen == (
+        "They differ in bridge (none against builtin), domain_mode (same against different). "
+        "--ignore bridge,domain_mode compares them without that."
+    )
+    assert info.ignore == ("bridge", "domain_mode")
+    unlike = comparison_info(
+        compare_roundtrips(steady([MS]), steady([MS], vendor="zenoh", payload_bytes=1000), OPTIONS)
+    )
+    assert unlike.seen == "They differ in vendor (fastdds against zenoh), payload_bytes (33000 against 1000)."
+
+
+@pytest.mark.parametrize("new_ms", [5, 6])
+def test_gates_are_named_as_the_groups_are(new_ms):
+    found = several([new_ms, 5])
+    gates = judge_gates(found, [parse_gate("latency_p50 > +10%")])
+    info = comparison_info(found, gates)
+    names = {group.label for group in info.groups}
+    assert {gate.where for gate in info.gates} == names
+    assert info.outcome.value == {5: "passed", 6: "regressed"}[new_ms]
+    assert info.gates[0].line.startswith(f"{info.outcome.value}: latency_p50 > +10% (Binary ")
+
+
+def test_a_missing_group_has_its_name_too():
+    base = pl.concat([in_runs([MS] * 9), in_runs([MS] * 9, payload_bytes=7)])
+    found = compare_roundtrips(base, in_runs([MS] * 9), OPTIONS)
+    info = comparison_info(found, judge_gates(found, [parse_gate("latency_p50 > +10%")]))
+    assert info.only_base == ("Binary 7 B at 10 Hz",)
+    assert [gate.where for gate in info.gates if gate.result.outcome.value == "regressed"] == [
+        "Binary 7 B at 10 Hz"
+    ]

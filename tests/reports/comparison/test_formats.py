@@ -71,7 +71,7 @@ def test_the_terminal_has_a_row_for_each_group_in_80_columns_worst_first():
         assert (
             text.index("Changes of the median below")
             < text.index("1 ms → 2 ms")
-            < text.index("Binary 1 KB at")
+            < text.rindex("Binary 1 KB at")
         )
         assert "(91 to 109)" in text
         assert "Only in the base:\n  Binary 7 B at 10 Hz" in text

@@ -1,7 +1,7 @@
 """Escaping of strings from traces for each format, and numbers without a unit.
 
 `visible` comes first for every format. Then jinja2's autoescape escapes HTML, `json_island` the JSON inside the page,
-and `markdown` Markdown; the page writes its CSV files itself (`assets/export.js`).
+and `markdown` Markdown; the page writes its CSV files itself (`assets/output/export.js`).
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ setup(
     package_data={
         PACKAGE: ["py.typed"],
         f"{PACKAGE}.reports": ["report.schema.json"],
-        f"{PACKAGE}.reports.html": ["assets/*"],
+        f"{PACKAGE}.reports.html": ["assets/*.*", "assets/*/*"],
     },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),

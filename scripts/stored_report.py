@@ -9,14 +9,14 @@
 from __future__ import annotations
 
 import argparse
-import base64
 import gzip
-import hashlib
 import re
 import sys
 from pathlib import Path
 
 from plotly.offline import get_plotlyjs, get_plotlyjs_version
+
+from dds_trace.reports.html.packing import packed_script, policy_hash
 
 STAND_IN = '<p class="note" data-policy="{hash}">Kept without plotly.js {version}: just results draws the figures.</p>'
 STAND_IN_PATTERN = re.compile(
@@ -24,14 +24,11 @@ STAND_IN_PATTERN = re.compile(
 )
 
 
-def script() -> str:
-    """Return the element that holds plotly.js in a page."""
+def script(page: str) -> str:
+    """Return the element that holds plotly.js in a page; those of 2026-11-21 and before held it as it is."""
+    if 'data-packed="data"' in page:
+        return f'<script type="text/plain" data-packed="plotly">{packed_script(get_plotlyjs())}</script>'
     return f"<script>{get_plotlyjs()}</script>"
-
-
-def policy_hash() -> str:
-    """Return the name of the installed plotly.js in a page's security policy."""
-    return "sha256-" + base64.b64encode(hashlib.sha256(get_plotlyjs().encode()).digest()).decode()
 
 
 def keep(page: str) -> str:
@@ -40,9 +37,10 @@ def keep(page: str) -> str:
     Raises:
         ValueError: the page does not hold the installed plotly.js once.
     """
-    if page.count(script()) != 1:
+    if page.count(script(page)) != 1:
         raise ValueError(f"no page of `dds-analyze --report html` with plotly.js {get_plotlyjs_version()}")
-    return page.replace(script(), STAND_IN.format(hash=policy_hash(), version=get_plotlyjs_version()))
+    stand_in = STAND_IN.format(hash=policy_hash(get_plotlyjs()), version=get_plotlyjs_version())
+    return page.replace(script(page), stand_in)
 
 
 def put_back(stored: str) -> str:
@@ -55,7 +53,7 @@ def put_back(stored: str) -> str:
     if found is None:
         raise ValueError("no page that `keep` has written")
     before, after = stored[: found.start()], stored[found.end() :]
-    return before.replace(found["hash"], policy_hash()) + script() + after
+    return before.replace(found["hash"], policy_hash(get_plotlyjs())) + script(stored) + after
 
 
 def main() -> int:

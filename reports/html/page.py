@@ -1,13 +1,11 @@
 """HTML report: one self-contained file that opens offline and needs no network.
 
-The page holds every number once, as JSON, from which `assets/*.js` draw figures and tables under the reader's filters.
+The page holds every number once, as packed JSON, from which `assets/*.js` draw figures and tables under the reader's filters.
 Equal input gives equal bytes: no clock, no random id.
 """
 
 from __future__ import annotations
 
-import base64
-import hashlib
 from dataclasses import asdict
 from importlib.resources import files
 from typing import TYPE_CHECKING
@@ -27,6 +25,7 @@ from ..book.sizes import HOW_TO_READ
 from ..figures import FIGURES, Figure, LeftOut, Scope
 from ..text import json_island
 from .filters import filters_info
+from .packing import packed, packed_script, policy_hash
 from .styles import series_styles
 
 if TYPE_CHECKING:
@@ -45,11 +44,14 @@ SCRIPTS = (
     "details.js",
     "wire.js",
     "tables.js",
-    "export.js",
+    "output/export.js",
+    "rows.js",
     "figures.js",
+    "output/paper.js",
     "page.js",
 )
 """Scripts of the page, each behind those that it needs."""
+UNPACK_SCRIPT = "unpack.js"
 LIVE_SCRIPT = "live.js"
 
 
@@ -71,18 +73,18 @@ def live_script() -> str:
 def _render(book: Book, scripts: Iterable[str], version: str = "") -> str:
     made = [(maker.scope, maker.draw(book)) for maker in FIGURES]
     drawn = [(scope, figure) for scope, figure in made if isinstance(figure, Figure)]
-    # A closing tag would end the element. No script has one today; a later plotly.js might.
-    plotly, script = (_safe_script(text) for text in (get_plotlyjs(), "\n".join(map(_asset, scripts))))
+    unpack, plotly, script = _asset(UNPACK_SCRIPT), get_plotlyjs(), "\n".join(map(_asset, scripts))
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     return environment.from_string(_asset("report.html.j2")).render(
-        policy=_policy(plotly, script, connect="'self'" if version else ""),
+        policy=_policy(unpack, plotly, script, connect="'self'" if version else ""),
         version=version,
         style=Markup(_asset("page.css")),  # noqa: S704 - our own file
-        plotly=Markup(plotly),  # noqa: S704 - from plotly's own package
-        script=Markup(script),  # noqa: S704 - our own files
-        island=Markup(json_island(_island(book, [figure for _, figure in drawn]))),  # noqa: S704 - `json_island` escapes
+        unpack=Markup(unpack),  # noqa: S704 - our own file
+        plotly=packed_script(plotly),
+        script=packed_script(script),
+        island=packed(json_island(_island(book, [figure for _, figure in drawn]))),
         overview=book.overview,
         formula=LATENCY_MEANING,
         answer=book.answer,
@@ -110,20 +112,13 @@ def _asset(name: str) -> str:
     return (files("dds_trace.reports.html") / "assets" / name).read_text(encoding="utf-8")
 
 
-def _safe_script(text: str) -> str:
-    return text.replace("</script", "<\\/script").replace("<!--", "<\\!--")
-
-
 def _policy(*scripts: str, connect: str) -> str:
     """Return a security policy under which only these scripts run and nothing but `connect` is fetched.
 
     Inline styles are allowed because plotly.js writes style attributes, data and blob images because downloads are
     made of them.
     """
-    hashes = " ".join(
-        f"'sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}'"
-        for script in scripts
-    )
+    hashes = " ".join(f"'{policy_hash(script)}'" for script in scripts)
     return (
         f"default-src 'none'; script-src {hashes}; style-src 'unsafe-inline'; img-src data: blob:; "
         "base-uri 'none'; form-action 'none'" + (f"; connect-src {connect}" if connect else "")

@@ -14,6 +14,7 @@ from dds_trace.reports import REPORT_MODULES, load_reporter
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.figures import FIGURES, Figure, LeftOut, figure_maker
 from dds_trace.reports.figures.figure import panels_info, panels_plan
+from dds_trace.reports.html.packing import unpacked
 
 
 @pytest.fixture
@@ -40,7 +41,7 @@ def toy_figure():
 
 
 def island_of(page):
-    return json.loads(re.search(r'<script type="application/json"[^>]*>(.*?)</script>', page, re.DOTALL)[1])
+    return json.loads(unpacked(re.search(r'data-packed="data">(.*?)</script>', page)[1]))
 
 
 @pytest.mark.usefixtures("toy_figure")

@@ -1,6 +1,6 @@
 "use strict";
 // The numbers of the page. Position i of every list under `values` and `groups` is group i.
-const DATA = JSON.parse(document.getElementById("data").textContent);
+const DATA = JSON.parse(UNPACKED.data);
 
 /** An element with text (never markup) and children. */
 function element(tag, attributes = {}, ...children) {

@@ -1,6 +1,21 @@
 "use strict";
-// Each figure is drawn when it comes near the window, and again when the view changes.
+// Each figure takes its room at once, is drawn when it comes near the window, and again when the view changes.
 const QUIET = { displayModeBar: false, responsive: false, doubleClick: "reset" };
+
+// Rows of figures within reach of a scroll; the observer calls when one comes near or goes.
+const NEAR = new Set();
+const SEEN = new IntersectionObserver((entries) => {
+  for (const { target, isIntersecting } of entries) {
+    if (isIntersecting) NEAR.add(target);
+    else NEAR.delete(target);
+  }
+  for (const block of blocks) block.draw((row) => NEAR.has(row));
+}, { rootMargin: "400px" });
+
+function isOnScreen(part) {
+  const { top, bottom } = part.getBoundingClientRect();
+  return bottom > 0 && top < innerHeight;
+}
 
 class FigureBlock {
   constructor(article) {
@@ -9,8 +24,8 @@ class FigureBlock {
     this.article = article;
     this.plot = article.querySelector(".plot");
     this.details = article.querySelector(".as-table");
-    this.near = false;
-    this.stale = true;
+    this.painted = new Set();   // places of rows
+    this.spoil();
     this.sorting = { column: -1, descending: false };
     this.details.addEventListener("toggle", () => this.showRows());
     for (const button of article.querySelectorAll("[data-save]")) {
@@ -19,24 +34,45 @@ class FigureBlock {
     }
   }
 
-  /** The view changed: draw now if the figure can be seen, else when it will be. */
-  refresh() {
-    this.stale = true;
-    if (this.near) this.draw();
+  /** The view changed: what was drawn is no longer right. */
+  spoil() {
+    this.planned = false;
+    this.painted.clear();
   }
 
-  draw() {
-    if (!this.stale) return;
-    this.stale = false;
+  /** Works out what is drawn, and takes its room on the page: links within it land where they say before all is drawn. */
+  plan() {
+    if (this.planned) return;
+    this.planned = true;
     this.drawn = KINDS[this.figure.kind](this.figure.plan, Math.floor(this.plot.clientWidth));
     const empty = this.drawn.data.length === 0;
+    this.rows = empty ? [] : rowsOf(this.drawn);
     this.plot.classList.toggle("bare", empty);
-    if (empty) Plotly.purge(this.plot);
-    else Plotly.react(this.plot, this.drawn.data, this.drawn.layout, QUIET);
+    while (this.plot.children.length > this.rows.length) this.drop(this.plot.lastElementChild);
+    while (this.plot.children.length < this.rows.length) SEEN.observe(this.plot.appendChild(element("div", { class: "row" })));
+    this.rows.forEach(({ layout }, place) => { this.plot.children[place].style.height = `${layout.height}px`; });
     this.article.querySelector(".legend").replaceChildren(...this.legend());
     this.article.querySelector(".note").textContent = this.note(empty);
     for (const button of this.article.querySelectorAll("[data-save]")) button.disabled = empty;
     this.showRows();
+  }
+
+  drop(row) {
+    SEEN.unobserve(row);
+    NEAR.delete(row);
+    Plotly.purge(row);
+    row.remove();
+  }
+
+  /** Draws every row, or only those that `wanted` of their elements picks. */
+  draw(wanted = () => true) {
+    this.plan();
+    this.rows.forEach(({ data, layout }, place) => {
+      const row = this.plot.children[place];
+      if (this.painted.has(place) || !wanted(row)) return;
+      this.painted.add(place);
+      Plotly.react(row, data, layout, QUIET);
+    });
   }
 
   note(empty) {
@@ -58,7 +94,7 @@ class FigureBlock {
   }
 
   showRows() {
-    if (this.details.open && this.drawn) showTable(this.article.querySelector(".table-place"), this.figure.title, this.drawn.columns, this.drawn.rows, this.sorting);
+    if (this.details.open && this.drawn) showTable(this.article.querySelector(".table-place"), this.figure.title, this.drawn.columns, this.drawn.rows, { sorting: this.sorting });
   }
 
   save(format) {

@@ -3,11 +3,33 @@
 
 const blocks = [...document.querySelectorAll("[data-figure]")].map((article) => new FigureBlock(article));
 
+/** What the reader chose has changed: figures, filters and table follow. */
 function refreshAll() {
   showFilters();
   showCellChoice();
-  for (const block of blocks) block.refresh();
-  showGroups();
+  const tableNow = isOnScreen(document.getElementById("groups-table"));
+  if (tableNow) showGroups();
+  redraw(tableNow ? [] : [() => showGroups()]);
+}
+
+let redrawing = 0;
+
+/** Draws what the reader sees now and does the rest in small steps, so that neither he nor the next change waits for it. */
+function redraw(more = []) {
+  for (const block of blocks) block.spoil();
+  for (const block of blocks) if (isOnScreen(block.article)) block.draw(isOnScreen);
+  redrawing += 1;
+  later([...blocks.map((block) => () => block.plan()), ...more, ...blocks.map((block) => () => block.draw((row) => NEAR.has(row)))], redrawing);
+}
+
+/** One step a turn of the event loop, until a newer change has steps of its own. */
+function later([step, ...rest], job) {
+  if (!step) return;
+  setTimeout(() => {
+    if (job !== redrawing) return;
+    step();
+    later(rest, job);
+  });
 }
 
 function change(apply) {
@@ -112,6 +134,7 @@ for (const link of document.querySelectorAll("a[href^='#']")) {
     if (!target) return;
     event.preventDefault();
     if (target.tagName === "DETAILS") target.open = true;
+    for (const block of blocks) block.plan();  // what has not taken its room yet would push the target away
     const focused = target.querySelector(":scope > summary") || target;
     if (focused === target) target.tabIndex = -1;
     target.scrollIntoView();
@@ -119,32 +142,36 @@ for (const link of document.querySelectorAll("a[href^='#']")) {
   });
 }
 
-// Theme: the reader's system decides until the button is pressed.
+// Theme: the reader's system decides until the button is pressed; what was chosen is remembered.
 
 function setTheme(name) {
   document.documentElement.dataset.theme = name;
   const button = document.getElementById("theme");
   button.setAttribute("aria-pressed", String(name === "dark"));
-  for (const block of blocks) block.refresh();
+}
+
+/** A page on file:// may be refused a memory; then the system's theme holds again at the next opening. */
+function remembered(name) {
+  try {
+    if (name) localStorage.setItem("dds-trace-theme", name);
+    return localStorage.getItem("dds-trace-theme");
+  } catch {
+    return null;
+  }
 }
 
 const systemDark = matchMedia("(prefers-color-scheme: dark)");
-let themeChosen = false;
+let themeChosen = remembered();
+function showTheme() { setTheme(["dark", "light"].includes(themeChosen) ? themeChosen : systemDark.matches ? "dark" : "light"); }
 document.getElementById("theme").addEventListener("click", () => {
-  themeChosen = true;
-  setTheme(document.documentElement.dataset.theme === "dark" ? "light" : "dark");
+  themeChosen = document.documentElement.dataset.theme === "dark" ? "light" : "dark";
+  remembered(themeChosen);
+  showTheme();
+  redraw();
 });
-systemDark.addEventListener("change", () => { if (!themeChosen) setTheme(systemDark.matches ? "dark" : "light"); });
+systemDark.addEventListener("change", () => { showTheme(); redraw(); });
 
-// Paper is white, and everything that was scrolled past must be on it.
-let themeBeforePrint = "light";
-addEventListener("beforeprint", () => {
-  themeBeforePrint = document.documentElement.dataset.theme;
-  setTheme("light");
-  for (const block of blocks) block.draw();
-  for (const finding of document.querySelectorAll(".findings details")) finding.open = true;
-});
-addEventListener("afterprint", () => setTheme(themeBeforePrint));
+document.getElementById("groups-search").addEventListener("input", () => showGroups());
 
 document.getElementById("save-groups").addEventListener("click", () => {
   const { columns, rows } = showGroups();
@@ -160,19 +187,11 @@ addEventListener("resize", () => {
   resized = setTimeout(() => {
     if (innerWidth === width) return;
     width = innerWidth;
-    for (const block of blocks) block.refresh();
+    redraw();
   }, 150);
 });
 
 readAddress();
-setTheme(systemDark.matches ? "dark" : "light");
+showTheme();
 buildFilters();
 refreshAll();
-const watcher = new IntersectionObserver((entries) => {
-  for (const entry of entries) {
-    const block = blocks.find((one) => one.article === entry.target);
-    block.near = entry.isIntersecting;
-    if (block.near) block.draw();
-  }
-}, { rootMargin: "400px" });
-for (const block of blocks) watcher.observe(block.article);

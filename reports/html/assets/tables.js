@@ -10,8 +10,13 @@ function compareCells(a, b) {
 
 function isNumeric(rows, column) { return rows.some((row) => typeof row[column] === "number"); }
 
-/** Puts the table into `place`; `sorting` {column, descending} survives when filters change the rows. */
-function showTable(place, caption, columns, rows, sorting = { column: -1, descending: false }) {
+const FIRST_ROWS = 60, ROWS_A_STEP = 150;   // shown at once, and added while the reader reads them
+
+/**
+ * Puts the table into `place`. `sorting` {column, descending} survives when filters change the rows; the first `stay` columns
+ * stay when the rest is scrolled sideways; a row with a `group` opens it; all rows are there at once if `whole`.
+ */
+function showTable(place, caption, columns, rows, { sorting = { column: -1, descending: false }, stay = 0, whole = false } = {}) {
   const sorted = [...rows];
   if (sorting.column >= 0) {
     const sign = sorting.descending ? -1 : 1;
@@ -23,41 +28,79 @@ function showTable(place, caption, columns, rows, sorting = { column: -1, descen
     });
   }
   const head = element("tr");
+  const numeric = columns.map((_, column) => isNumeric(rows, column));
   columns.forEach((column, place_) => {
     const button = element("button", { type: "button" }, column.label);
     const cell = element("th", { scope: "col" }, button);
-    if (isNumeric(rows, place_)) cell.className = "number";
+    if (numeric[place_]) cell.className = "number";
     if (sorting.column === place_) cell.setAttribute("aria-sort", sorting.descending ? "descending" : "ascending");
     button.addEventListener("click", () => {
       const again = sorting.column === place_;
       Object.assign(sorting, { column: place_, descending: again && !sorting.descending });
-      showTable(place, caption, columns, rows, sorting);
+      showTable(place, caption, columns, rows, { sorting, stay });
       place.querySelectorAll("thead button")[place_].focus();
     });
     head.append(cell);
   });
-  const numeric = columns.map((_, column) => isNumeric(rows, column));
   const body = element("tbody");
-  for (const row of sorted.slice(0, MOST_ROWS)) {
-    const line = element("tr");
-    columns.forEach((column, at) => {
-      const value = row[at];
-      const shown = value === null || value === undefined ? MISSING : typeof value === "number" && column.format ? column.format(value, row) : String(value);
-      const cell = element("td", numeric[at] ? { class: "number" } : {}, shown);
-      if (shown.length > 40) cell.title = shown;
-      line.append(cell);
-    });
-    body.append(line);
-  }
-  const table = element("table", { class: "data" }, element("caption", { class: "unseen" }, caption), element("thead", {}, head), body);
+  const table = element("table", { class: "data", "data-stay": stay }, element("caption", { class: "unseen" }, caption), element("thead", {}, head), body);
   const scroll = element("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": caption }, table);
   const left = rows.length - MOST_ROWS;
-  place.replaceChildren(scroll, ...(left > 0 ? [element("p", { class: "note" }, `${formatCount(left)} more rows are in the CSV file.`)] : []));
+  const notes = left > 0 ? [element("p", { class: "note" }, `${formatCount(left)} more rows are in the CSV file.`)] : [];
+  const shown = sorted.slice(0, MOST_ROWS);
+  const add = (from, to) => {
+    body.append(...shown.slice(from, to).map((row) => tableRow(columns, row, numeric)));
+    keepColumns(scroll, stay);
+  };
+  place.replaceChildren(scroll, ...notes);
+  add(0, whole ? shown.length : FIRST_ROWS);
+  const more = (from) => setTimeout(() => {
+    if (!body.isConnected) return;   // another table has taken its place
+    add(from, from + ROWS_A_STEP);
+    if (from + ROWS_A_STEP < shown.length) more(from + ROWS_A_STEP);
+  });
+  if (!whole && shown.length > FIRST_ROWS) more(FIRST_ROWS);
+}
+
+function tableRow(columns, row, numeric) {
+  const line = element("tr");
+  columns.forEach((column, at) => {
+    const value = row[at];
+    const shown = value === null || value === undefined ? MISSING : typeof value === "number" && column.format ? column.format(value, row) : String(value);
+    const cell = element("td", numeric[at] ? { class: "number" } : {}, shown);
+    if (shown.length > 40) cell.title = shown;
+    line.append(cell);
+  });
+  return line;
+}
+
+/** Holds the first columns at the left edge, as many as leave half of the width to the others. */
+function keepColumns(scroll, stay) {
+  const table = scroll.querySelector("table");
+  let left = 0;
+  [...scroll.querySelectorAll("thead th")].slice(0, stay).forEach((head, column) => {
+    const width = head.getBoundingClientRect().width;
+    const kept = left + width <= scroll.clientWidth / 2;
+    table.classList.toggle(`keeps-${column + 1}`, kept);
+    table.style.setProperty(`--left-${column + 1}`, `${left}px`);
+    left = kept ? left + width : Infinity;
+  });
 }
 
 const groupsSorting = { column: -1, descending: false };
 
-function showGroups() {
+/** The rows that hold every word of a search, in any column as it is shown. */
+function foundRows(columns, rows, search) {
+  const words = search.toLowerCase().split(/\s+/).filter(Boolean);
+  if (!words.length) return rows;
+  return rows.filter((row) => {
+    const text = row.map((value, at) => (typeof value === "number" && columns[at].format ? columns[at].format(value, row) : String(value ?? MISSING))).join(" ").toLowerCase();
+    return words.every((word) => text.includes(word));
+  });
+}
+
+/** The table of the groups that pass the filters and the search; returns what it shows. */
+function showGroups({ whole = false } = {}) {
   const { times_ns: times, plain: values } = DATA.values;
   const shown = ["p50", "p90", "p99", "p99_9", "max"].filter((key) => DATA.statistics.some((one) => one.key === key));
   const rested = (key) => key !== "max" && Boolean(DATA.intervals.low_ns[view.metric]?.[key]);
@@ -79,6 +122,8 @@ function showGroups() {
     values.transfer_rate_bytes_per_s[group], values.achieved_rate_hz[group], values.duplicates[group], values.reordered[group],
     values.own_cost_ns?.[group] ?? null, values.own_share?.[group] ?? null,
   ));
-  showTable(document.getElementById("groups-table"), "All groups that pass the filters", columns, rows, groupsSorting);
-  return { columns, rows };
+  const found = foundRows(columns, rows, document.getElementById("groups-search").value);
+  showTable(document.getElementById("groups-table"), "All groups that pass the filters", columns, found, { sorting: groupsSorting, stay: GROUP_COLUMNS.length, whole });
+  document.getElementById("groups-found").textContent = found.length === rows.length ? "" : `${formatCount(found.length)} of ${counted(rows.length, "group")}`;
+  return { columns, rows: found };
 }

@@ -1,5 +1,5 @@
 "use strict";
-// What the reader chose to see. It lives in the page's address, so that a view can be linked.
+// What the reader chose to see. It lives in the page's address, so that a view can be linked and Back leads to the one before.
 const SCALES = [{ key: "log", label: "log" }, { key: "linear", label: "linear" }];
 const TILES = [
   { key: "statistic", label: "the chosen metric" },
@@ -44,7 +44,7 @@ function writeAddress() {
   }
   if (view.cell !== null) address.set("cell", DATA.cells[view.cell].label);
   const text = address.toString();
-  history.replaceState(null, "", text ? `#${text}` : "#");
+  if (text !== location.hash.slice(1)) history.pushState(null, "", `#${text}`);  // so Back undoes a choice
 }
 
 /** Whether the group passes every filter. */

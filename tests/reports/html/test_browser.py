@@ -1,6 +1,5 @@
 """The page as a reader meets it: Debian's Chromium, headless, driven by Playwright."""
 
-import shutil
 from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
@@ -10,7 +9,7 @@ import polars as pl
 import pytest
 from analyses import EVERY_ANALYSIS, HOSTILE, MS, Measured, make_analysis
 from campaigns import write_runs
-from four_campaigns import CAMPAIGNS
+from page_reader import EVERY_PAGE, Reader
 from roundtrip_frames import in_runs
 
 from dds_trace.analyzer.verdicts.compare import compare_roundtrips
@@ -28,89 +27,12 @@ from dds_trace.tracefile.visible import visible
 
 pytestmark = pytest.mark.browser
 
-EVERY_PAGE = {**EVERY_ANALYSIS, **CAMPAIGNS}
 BYTES_PER_S = {"GB/s": 1e9, "MB/s": 1e6, "KB/s": 1e3, "B/s": 1}
 
-FLAGS = (
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-)
 AXE_HOMES = tuple(  # axe-core comes inside this package; it is read, never imported
     str(Path(folder) / "axe.min.js")
     for folder in getattr(find_spec("axe_playwright_python"), "submodule_search_locations", None) or ()
 )
-
-
-@pytest.fixture(scope="module")
-def chromium():
-    """One browser for this file; Playwright gives it a fresh profile."""
-    program = shutil.which("chromium") or shutil.which("chromium-browser")
-    if program is None:
-        pytest.skip("Chromium is not installed (apt-get install chromium)")
-    playwright = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
-    with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=program, args=list(FLAGS))
-        yield browser
-        browser.close()
-
-
-@pytest.fixture(scope="module")
-def pages(tmp_path_factory):
-    """Name of an analysis -> the report's file."""
-    folder = tmp_path_factory.mktemp("pages")
-    written = {}
-
-    def page_of(name):
-        if name not in written:
-            path = folder / f"{name.replace(' ', '_')}.html"
-            path.write_text(load_reporter("html").render(Book(EVERY_PAGE[name]())), encoding="utf-8")
-            written[name] = path.as_uri()
-        return written[name]
-
-    return page_of
-
-
-class Reader:
-    """A tab that notes what a reader should never meet: errors, requests, dialogs."""
-
-    def __init__(self, browser, **options):
-        self.tab = browser.new_context(**{"viewport": {"width": 1360, "height": 900}, **options}).new_page()
-        self.tab.set_default_timeout(90_000)  # a machine that is busy with other tests is slow, not wrong
-        self.complaints = []
-        self.requests = []
-        self.tab.on("console", lambda message: self.complaints.append(message.text))
-        self.tab.on("pageerror", lambda error: self.complaints.append(str(error)))
-        self.tab.on("dialog", lambda dialog: self.complaints.append(f"dialog {dialog.message}"))
-        self.tab.on("request", lambda request: self.requests.append(request.url))
-
-    def open(self, address):
-        self.tab.goto(address)
-        # Playwright's wait_for_function would need eval, which the page forbids.
-        self.tab.locator(".count").filter(has_text="group").wait_for()
-        return self.tab
-
-    def draw_all(self):
-        self.tab.evaluate("for (const block of blocks) block.draw()")
-
-    def marks(self, figure):
-        """How many points, bars or tiles plotly drew in a figure."""
-        return self.tab.evaluate(
-            "name => document.querySelectorAll(`#figure-${name} .plot svg :is(.point, .hm image)`).length",
-            figure,
-        )
-
-
-@pytest.fixture
-def reader(chromium):
-    one = Reader(chromium)
-    yield one
-    one.tab.context.close()
 
 
 @pytest.mark.parametrize("name", EVERY_PAGE)
@@ -158,6 +80,9 @@ def test_a_filter_acts_on_every_figure_and_table_and_on_the_address(reader, page
     assert all(0 < after[name] < before[name] for name in names)
     assert reader.marks("vendor_comparison") == 16
     assert tab.locator(".count").inner_text() == "16 of 32 groups"
+    tab.locator("#groups-table tbody tr").nth(16).wait_for(
+        state="detached"
+    )  # the figures in sight come first
     assert tab.locator("#groups-table tbody tr").count() == 16
     assert tab.evaluate("location.hash") == "#vendor=Zenoh"
     tab.locator("#reset").click()
@@ -333,7 +258,7 @@ def test_missing_values_stay_last(reader, pages, descending, order):
     shown = tab.evaluate(
         """descending => {
             const place = document.body.appendChild(element("div"));
-            showTable(place, "t", [{label: "x"}], [[10], [null], [2]], {column: 0, descending});
+            showTable(place, "t", [{label: "x"}], [[10], [null], [2]], {sorting: {column: 0, descending}});
             return [...place.querySelectorAll("td")].map(cell => cell.textContent);
         }""",
         descending,

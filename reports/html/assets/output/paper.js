@@ -1,0 +1,51 @@
+"use strict";
+// On paper: white, as wide as A4 and US Letter both have room for, everything drawn and opened, no column cut off.
+
+/** Opens parts, redraws at the width of paper, and returns what puts the screen back. */
+function toPaper() {
+  const root = document.documentElement;
+  const themeBefore = root.dataset.theme;
+  const opened = [...document.querySelectorAll(".first details:not([open]), #recording details:not([open])")];
+  setTheme("light");
+  root.classList.add("paper");
+  for (const details of opened) details.open = true;
+  for (const block of blocks) { block.spoil(); block.draw(); }
+  showGroups({ whole: true });
+  const cut = [...document.querySelectorAll("main table.data")].filter((table) => table.getClientRects().length).map(cutColumns).filter(Boolean);
+  return () => {
+    for (const mend of cut) mend();
+    for (const details of opened) details.open = false;
+    root.classList.remove("paper");
+    setTheme(themeBefore);
+    showGroups();
+    redraw();
+  };
+}
+
+/** A table that is wider than the paper becomes several, each with the columns that stay; returns what undoes it. */
+function cutColumns(table) {
+  const room = table.parentElement.clientWidth;
+  const widths = [...table.rows[0].cells].map((cell) => cell.getBoundingClientRect().width);
+  if (table.getBoundingClientRect().width <= room + 1) return null;
+  const stay = Number(table.dataset.stay || 1);
+  const held = widths.slice(0, stay).reduce((sum, width) => sum + width, 0);
+  const parts = [];
+  let used = Infinity;
+  for (let column = stay; column < widths.length; column += 1) {
+    if (used + widths[column] > room) { parts.push([]); used = held; }
+    parts[parts.length - 1].push(column);
+    used += widths[column];
+  }
+  const copies = parts.map((columns) => {
+    const copy = table.cloneNode(true);
+    const kept = new Set([...Array(stay).keys(), ...columns]);
+    for (const row of copy.rows) for (let column = row.cells.length - 1; column >= 0; column -= 1) if (!kept.has(column)) row.deleteCell(column);
+    return copy;
+  });
+  table.replaceWith(...copies);
+  return () => { copies[0].before(table); for (const copy of copies) copy.remove(); };
+}
+
+let toScreen = () => {};
+addEventListener("beforeprint", () => { toScreen = toPaper(); });
+addEventListener("afterprint", () => toScreen());

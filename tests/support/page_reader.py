@@ -1,0 +1,50 @@
+"""A page of the HTML report as a reader meets it, and the pages that tests open."""
+
+from __future__ import annotations
+
+from analyses import EVERY_ANALYSIS
+from four_campaigns import CAMPAIGNS
+
+EVERY_PAGE = {**EVERY_ANALYSIS, **CAMPAIGNS}
+
+FLAGS = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
+
+
+class Reader:
+    """A tab that notes what a reader should never meet: errors, requests, dialogs."""
+
+    def __init__(self, browser, **options):
+        self.tab = browser.new_context(**{"viewport": {"width": 1360, "height": 900}, **options}).new_page()
+        self.tab.set_default_timeout(90_000)  # a machine that is busy with other tests is slow, not wrong
+        self.complaints = []
+        self.requests = []
+        self.tab.on("console", lambda message: self.complaints.append(message.text))
+        self.tab.on("pageerror", lambda error: self.complaints.append(str(error)))
+        self.tab.on("dialog", lambda dialog: self.complaints.append(f"dialog {dialog.message}"))
+        self.tab.on("request", lambda request: self.requests.append(request.url))
+
+    def open(self, address):
+        self.tab.goto(address)
+        # Playwright's wait_for_function would need eval, which the page forbids.
+        self.tab.locator(".count").filter(has_text="group").wait_for()
+        self.tab.locator("#groups-table table").wait_for(state="attached")  # comes last
+        return self.tab
+
+    def draw_all(self):
+        self.tab.evaluate("for (const block of blocks) block.draw()")
+
+    def marks(self, figure):
+        """How many points, bars or tiles plotly drew in a figure."""
+        return self.tab.evaluate(
+            "name => document.querySelectorAll(`#figure-${name} .plot svg :is(.point, .hm image)`).length",
+            figure,
+        )

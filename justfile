@@ -17,10 +17,10 @@ setup:
     @test -x {{bin}}/python || uv venv --quiet --python '{{python}}' {{venv}}
     @uv pip install --quiet --compile-bytecode --python {{bin}}/python -e '.[ros2,cyclonedds,zenoh,connext,analyze,cluster,test,check,docs]'
 
-# The main job on this machine: real ROS 2, same domain and domains 5 and 10 through the builtin bridge
+# The main job on this machine: every middleware from pip, same domain and domains 5 and 10 through the built-in bridges
 demo: setup
-    {{bin}}/dds-sweep plans/quick.toml --out out/demo
-    {{bin}}/dds-analyze out/demo --report terminal --report html
+    {{bin}}/dds-sweep plans/demo.toml --out out
+    {{bin}}/dds-analyze out/demo --report terminal --report html --open
 
 # Lint, format, types, import directions, the Dockerfile
 check: setup

@@ -20,11 +20,16 @@ from dds_trace.tracefile import limits
 from dds_trace.tracefile.units.durations import parse_duration
 
 from . import compare, watch
+from .desktop import open_page
 from .errors import run_command
 from .quick_help import command_app, declare_command
 
 if TYPE_CHECKING:
     from dds_trace.analyzer import Analysis
+
+
+HTML = "html"
+"""The kind of report that `--open` opens."""
 
 
 class ExportKind(str, Enum):
@@ -128,6 +133,9 @@ def main_command(
             "--topics", help="Recordings that are not ours: rate, gaps, jitter, size and age of every topic."
         ),
     ] = False,
+    open_it: Annotated[
+        bool, typer.Option("--open", help="Write the HTML report and open it, where there is a desktop.")
+    ] = False,
 ) -> None:
     """Analyze traces: latency, losses and rates for every middleware, domain, size and frequency.
 
@@ -166,11 +174,14 @@ def main_command(
             deadline_metric=deadline_metric,
             job=job,
         )
-    reports = write_reports(analysis, report or ["terminal"], target)
+    kinds = report or ["terminal"]
+    if open_it and HTML not in kinds:
+        kinds = [*kinds, HTML]
+    reports = write_reports(analysis, kinds, target)
     exported = [path for kind in export or [] for path in export_tables(analysis, kind.value, target)]
     if derived_mcap:
         exported += _write_derived(analysis, target)
-    if analysis.details.recommendation is not None and "terminal" not in (report or ["terminal"]):
+    if analysis.details.recommendation is not None and "terminal" not in kinds:
         from dds_trace.reports.book.book import Book
         from dds_trace.reports.terminal import render_advice
 
@@ -181,6 +192,15 @@ def main_command(
     for finding in analysis.findings:
         if finding.severity is Severity.ERROR:
             print(f"{finding.where}: {finding.what} {finding.action}", file=sys.stderr)
+    _show_page([path for path in reports if path is not None and path.suffix == ".html"], open_it=open_it)
+
+
+def _show_page(pages: list[Path], *, open_it: bool) -> None:
+    """Print the address of the page, where there is one, as the last line; open it if that was asked for."""
+    for page in pages:
+        if open_it:
+            open_page(page)
+        print(page.absolute().as_uri())
 
 
 def _parse_deadline(text: str | None) -> tuple[int | None, str]:

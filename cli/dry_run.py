@@ -165,7 +165,7 @@ def relay_commands(plan: Plan) -> list[str]:
     lines = []
     for group in schedule(plan):
         lines.append(
-            f"relay {group.number}: {printed_command(relay_arguments(plan, group.need), group.number)}"
+            f"relay {group.number}: {printed_command(relay_arguments(plan, group.need, group.cells[0].repeat), group.number)}"
         )
         if group.bridge:
             lines.append(f"beside it: dds-bridge {' '.join(half_arguments(plan, group))}")

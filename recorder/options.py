@@ -100,6 +100,7 @@ class RecordOptions:
         realtime_priority: 1 to 99 for SCHED_FIFO with locked memory.
         strict: whether a setting that the middleware does not use ends the recording.
         wire: whether the packets of the run's interfaces are counted.
+        own_cost: whether the session measures what recording and the client library cost, before its node opens.
     """
 
     destination: TraceDestination
@@ -116,6 +117,7 @@ class RecordOptions:
     realtime_priority: int | None = None
     strict: bool = False
     wire: bool = False
+    own_cost: bool = True
 
     def check(self) -> None:
         """Refuse values that make no sense, and an output that is there already.

@@ -219,7 +219,7 @@ class _Recording:
 
     def _measure_costs(self, rate_hz: float | None = None) -> None:
         """Measure the costs of recording at a run's rate, where it is known, before there is a node to be disturbed."""
-        if self.rehearses:
+        if self.rehearses or not self.options.own_cost:
             return
         floor = measured_floor(self.options.backend, self.options.node, rate_hz)
         self.costs = {**measured_cost(), **floor}

@@ -27,6 +27,7 @@ NO_SETTINGS: Mapping[str, str] = {
     "types": "types that a relay serves beside those of the run",
     "duration_s": "the length of the recording",
     "strict": "ends a recording, and changes none",
+    "own_cost": "a measurement before the node opens",
     "name": "drawn for every node",
     "listens": "follows from the role",
     "peers": "addresses, which no trace tells",

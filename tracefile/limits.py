@@ -230,6 +230,7 @@ SEED = Whole(-(1 << 63), (1 << 64) - 1, "a seed")
 REALTIME_PRIORITY = Whole(1, 99, "a SCHED_FIFO priority")
 PORT = Whole(1, 65535, "a port")
 REPEATS = Whole(1, 10_000, "the number of passes")
+PASSES_OR_ALL = Whole(0, 10_000, "the number of passes")
 ATTEMPTS = Whole(1, 1000, "the number of attempts")
 KNEE_REPEATS = Whole(1, 1000, "the number of runs at the knee")
 

@@ -63,6 +63,7 @@ def main_command(
     congestion_control: words.CongestionControl = None,
     strict: words.Strict = False,
     wire: words.Wire = False,
+    no_own_cost: words.NoOwnCost = False,
     executor: words.Executor = choices.ExecutorKind.AUTO,
     cpu_affinity: words.CpuAffinity = None,
     realtime: words.Realtime = None,
@@ -197,6 +198,7 @@ def main_command(
         realtime_priority=realtime,
         strict=strict,
         wire=wire,
+        own_cost=not no_own_cost,
     )
     take: Callable[[RecordOptions], None] | None = context.obj
     if take is not None:  # of a sweep, which looks at the options of each cell before it starts any

@@ -271,6 +271,14 @@ Wire = Annotated[
         "that are up, in a namespace its own. Needs CAP_NET_RAW.",
     ),
 ]
+NoOwnCost = Annotated[
+    bool,
+    _process(
+        "--no-own-cost",
+        metavar="",
+        help="Start a second sooner: measure neither what recording costs nor the floor of the client library.",
+    ),
+]
 Executor = Annotated[
     choices.ExecutorKind,
     _middleware(

@@ -32,7 +32,7 @@ ReceivedT = TypeVar("ReceivedT")
 
 LEAD_NS = SECOND_NS // 20
 """Time from the end of the preparations to the first planned send."""
-PROBE_PERIODS_NS = (SECOND_NS // 10, SECOND_NS // 5, SECOND_NS // 2, SECOND_NS)
+PROBE_PERIODS_NS = tuple(SECOND_NS // part for part in (10, 5, 5, 2, 2, 1))
 """Times between readiness probes; the last one repeats. Probes are as large as the messages and must not pile up."""
 SETTLE_NS = SECOND_NS // 5
 """Silence after the last echo of a probe before the run may begin."""

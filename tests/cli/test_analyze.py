@@ -10,6 +10,7 @@ from trace_files import Message, run, write_pair
 
 import dds_trace.cli.analyze
 from dds_trace.cli.analyze import COMMANDS, main
+from dds_trace.cli.desktop import DESKTOP_VARIABLES
 
 TIMELINE = [Message(s, t0=1000 * s, t1=1000 * s + 5, t3=900, t4=930, t2=1000 * s + 205) for s in range(12)]
 
@@ -49,12 +50,29 @@ def test_reports_are_those_asked_for_and_written_where_asked(runs, tmp_path, cap
         analyze(runs, "--report", "html", "--report", "json", "--report", "md", "--out", tmp_path / "here")
         == 0
     )
-    lines = capsys.readouterr().out.splitlines()
+    *lines, last = capsys.readouterr().out.splitlines()
     assert all(line.startswith(f"Wrote {tmp_path / 'here'}") for line in lines)
     assert len(lines) == 5
+    assert last == f"file://{tmp_path}/here/report.html"
     assert not (runs / "analysis").exists()
     assert (tmp_path / "here" / "report.html").exists()
     json.loads((tmp_path / "here" / "report.json").read_text())
+
+
+@pytest.mark.parametrize(("desktop", "opens"), [("", True), (":0", True), (":0", False)])
+def test_open_shows_the_page_where_there_is_a_desktop(runs, capsys, monkeypatch, desktop, opens):
+    for name in DESKTOP_VARIABLES:
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("DISPLAY", desktop)
+    opened = []
+    monkeypatch.setattr("webbrowser.open", lambda uri: opened.append(uri) or opens)
+    assert analyze(runs, "--open") == 0
+    shown = capsys.readouterr()
+    page = (runs / "analysis" / "report.html").as_uri()
+    assert shown.out.splitlines()[-1] == page  # the last line, and the tables of the terminal above it
+    assert "Fast DDS" in shown.out
+    assert opened == ([page] if desktop else [])
+    assert shown.err.count("\n") == ("no desktop here" in shown.err) == (not (desktop and opens))
 
 
 def test_a_second_analysis_replaces_the_first(runs):

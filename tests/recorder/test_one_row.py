@@ -47,15 +47,19 @@ def toy_backend(monkeypatch):
     return NodeOptions(domain_id=3, discovery=Discovery.LOCALHOST)
 
 
-def crossing(node, folder, data="imu"):
+def crossing(node, folder, data="imu", *, own_cost=True):
     """The trace of a ping on the toy backend; that of its relay lies beside it, both closed."""
+    folder.mkdir(exist_ok=True)
     stop, notes = threading.Event(), Notes()
-    relay = RecordOptions(TraceDestination(folder / "relay.mcap"), node, backend="toy", relay_id=7)
+    relay = RecordOptions(
+        TraceDestination(folder / "relay.mcap"), node, backend="toy", relay_id=7, own_cost=own_cost
+    )
     ping = RecordOptions(
         TraceDestination(folder / "ping.mcap"),
         node,
         PingOptions(data, rate_hz=200.0, messages=MESSAGES, warmup=WARMUP, wait_s=60.0),
         backend="toy",
+        own_cost=own_cost,
     )
     with ThreadPoolExecutor(1) as pool:
         serving = pool.submit(record, relay, stop, notes)
@@ -84,6 +88,13 @@ def test_a_toy_backend_carries_a_ping_and_a_relay_to_a_closed_trace_that_analyze
     assert (group["backend"], group["relay_backend"]) == ("toy", "toy")
     assert (group["published"], group["received"]) == (MESSAGES, MESSAGES)
     assert Book(analysis).groups.labels == ("Toy Bus",)
+
+
+def test_own_cost_is_left_out_where_it_is_not_asked_for(toy_backend, tmp_path):
+    kept = crossing(toy_backend, tmp_path / "kept").sessions[-1].extra
+    left_out = crossing(toy_backend, tmp_path / "left out", own_cost=False).sessions[-1].extra
+    assert set(kept) - set(left_out) == {"client_library_floor", "recorder_cost"}
+    assert left_out["settings"] == kept["settings"]  # it splits no group
 
 
 def test_a_toy_backend_is_offered_and_explains_itself(toy_backend, tmp_path):

@@ -22,12 +22,12 @@ AGAINST_LABEL = "against"
 """Label of a run with the name of the cell that it takes turns with, by which an analysis compares two plans cell by cell."""
 
 
-def relay_arguments(plan: Plan, need: RelayNeed) -> list[str]:
-    """Return the arguments of the relay that serves every cell with this need, without `--out`."""
+def relay_arguments(plan: Plan, need: RelayNeed, number: int = 1) -> list[str]:
+    """Return the arguments of the relay that serves every cell with this need in pass `number`, without `--out`."""
     return [
         *("--role", "relay", "--domain", str(plan.run.domain)),
         *_axis_arguments(need, RELAY_AXES),
-        *_common_arguments(plan, plan.relay),
+        *_common_arguments(plan, plan.relay, number),
     ]
 
 
@@ -71,15 +71,16 @@ def ping_arguments(plan: Plan, cell: Cell, wait_s: float, relay_address: str | N
         *(("--label", f"{AGAINST_LABEL}={partner}") if partner else ()),
         *(("--setting", f"environment={environment_name(cell.environment)}") if cell.environment else ()),
         *(("--label", f"link={plan.link}", "--setting", f"link={plan.link.setting}") if plan.link else ()),
-        *_common_arguments(plan, plan.ping),
+        *_common_arguments(plan, plan.ping, cell.repeat),
     ]
 
 
-def _common_arguments(plan: Plan, device: DeviceSettings) -> list[str]:
+def _common_arguments(plan: Plan, device: DeviceSettings, number: int) -> list[str]:
     named = ["--device", device.name] if device.name else []
     link = ["--connectivity", plan.connectivity] if plan.connectivity else []
     wire = ["--wire"] if plan.run.wire else []
-    return ["--discovery", plan.discovery, *link, *named, *wire, *device.options]
+    cost = [] if plan.run.measures_own_cost(number) else ["--no-own-cost"]
+    return ["--discovery", plan.discovery, *link, *named, *wire, *cost, *device.options]
 
 
 def _axis_arguments(parameters: Cell | RelayNeed, names: Iterable[str]) -> list[str]:

@@ -102,6 +102,11 @@ class RunSettings:
         limits.FLAG,
         "whether both sides count the packets of their interfaces ([wire.md](wire.md)); needs CAP_NET_RAW",
     )
+    own_cost_passes: int = plan_key(
+        0,
+        limits.PASSES_OR_ALL,
+        "passes whose sessions measure what recording and the client library cost, which takes each a second; 0: all",
+    )
 
     def messages_at(self, rate_hz: float) -> int:
         """Return the number of messages of a run at this rate, warm-up not counted."""
@@ -110,6 +115,10 @@ class RunSettings:
     def planned_seconds(self, rate_hz: float) -> float:
         """Return the time that the schedule of a run takes, warm-up included."""
         return (self.messages_at(rate_hz) + self.warmup) / rate_hz
+
+    def measures_own_cost(self, number: int) -> bool:
+        """Return whether the sessions of pass `number` (1, 2 ...) measure what recording and the client library cost."""
+        return not self.own_cost_passes or number <= self.own_cost_passes
 
 
 @dataclass(frozen=True, slots=True)
@@ -293,7 +302,7 @@ class Plan:
             "run": {
                 name: value
                 for name, value in asdict(self.run).items()
-                if name not in ("repeats", "attempts", "seed", "order", "settle_seconds")
+                if name not in ("repeats", "attempts", "seed", "order", "settle_seconds", "own_cost_passes")
                 and (name, value) != ("wire", False)  # so that sweeps of older versions go on
             },
             "devices": [(device.ssh, device.options) for device in (self.ping, self.relay)],

@@ -14,8 +14,11 @@ if TYPE_CHECKING:
     from .cells import Cell, RelayNeed
     from .plan import Plan
 
-RUN_OVERHEAD_S = 3.5
-"""Start of the ping's process, discovery up to the echo, drain and close; measured with ROS 2 on two slow cores."""
+RUN_OVERHEAD_S = 1.5
+"""Start of the ping's process, discovery up to the echo, drain and close; measured with four middlewares on two slow cores."""
+
+OWN_COST_S = 1.0
+"""What a session measures of its own cost before its node opens, in the passes that do (`own_cost_passes`)."""
 
 BRIDGE_OVERHEAD_S = 2.0
 """Start and discovery of a bridge."""
@@ -142,6 +145,7 @@ class Estimate:
     def cell_seconds(self, cell: Cell) -> float:
         """Return the expected time of one run, settling included."""
         overhead_s = RUN_OVERHEAD_S + BRIDGE_OVERHEAD_S * cell.crosses_domains
+        overhead_s += OWN_COST_S * self.plan.run.measures_own_cost(cell.repeat)
         if self._measured_s:
             overhead_s = sum(self._measured_s) / len(self._measured_s)
         return self.plan.run.planned_seconds(cell.rate) + overhead_s + self.plan.run.settle_seconds
@@ -158,6 +162,8 @@ class Estimate:
 def plan_seconds(plan: Plan, *, passes: int | None = None, relay_starts: int | None = None) -> Remaining:
     """Return the expected time of the plan, or of another number of its passes or of starts of a relay."""
     passes = plan.run.repeats if passes is None else passes
-    pass_s = Estimate(plan).remaining(list(plan.cells)).seconds
+    first_s = Estimate(plan).remaining(list(plan.cells)).seconds
+    measuring = min(passes, plan.run.own_cost_passes or passes)
+    further_s = first_s - OWN_COST_S * len(plan.cells)
     starts = passes * len(group_by_relay(plan, plan.cells)) if relay_starts is None else relay_starts
-    return Remaining(passes * pass_s + RELAY_OVERHEAD_S * starts)
+    return Remaining(measuring * first_s + (passes - measuring) * further_s + RELAY_OVERHEAD_S * starts)

@@ -141,7 +141,7 @@ class Runner:
         """Yield a relay for the cells of this group; at the end of the block its part of each is in place."""
         relay = GroupRelay(
             self._station.within(group.need.environment).device,
-            relay_arguments(self.plan, group.need),
+            relay_arguments(self.plan, group.need, group.cells[0].repeat),
             half_arguments(self.plan, group) if group.bridge else None,
             self._segment_names(group),
         )

@@ -212,7 +212,7 @@ def test_probes_are_repeated_with_new_numbers_and_slow_down():
     assert not link.ping.wait_for_echo(4, NEVER)
     sequences = [RAW_HEADER_STAMP.read(message).sequence for message in link.sent]
     assert sequences == list(range(sequences[0], sequences[0] + len(sequences)))
-    assert len(sequences) == 7  # at 0, 0.1, 0.3, 0.8, 1.8, 2.8 and 3.8 s
+    assert len(sequences) == 8  # at 0, 0.1, 0.3, 0.5, 1, 1.5, 2.5 and 3.5 s
     assert link.clock.now_ns - START_NS < 4200 * MS
 
 

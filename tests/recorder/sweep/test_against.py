@@ -7,7 +7,7 @@ from sweep_desk import COMMAND, FIRST, PLAN, SECOND, Heard, files_of
 
 from dds_trace.recorder.sweep.against import against_seconds, run_against, take_turns
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan
-from dds_trace.recorder.sweep.plan.schedule import RELAY_OVERHEAD_S, RUN_OVERHEAD_S
+from dds_trace.recorder.sweep.plan.schedule import OWN_COST_S, RELAY_OVERHEAD_S, RUN_OVERHEAD_S
 from dds_trace.tracefile import OptionError
 
 ONE_CELL = PLAN.replace("[100, 200]", "100").replace("[axes]", "repeats = 4\n[axes]")
@@ -52,7 +52,7 @@ def test_sides_of_unlike_length_are_refused():
 def test_time_of_both_sides_has_a_start_of_the_relay_for_each_run():
     # 5 messages at 100 Hz, no settling, eight runs
     assert against_seconds(plan(), plan(OTHER)).seconds == pytest.approx(
-        8 * (0.05 + RUN_OVERHEAD_S + RELAY_OVERHEAD_S)
+        8 * (0.05 + RUN_OVERHEAD_S + OWN_COST_S + RELAY_OVERHEAD_S)
     )
 
 

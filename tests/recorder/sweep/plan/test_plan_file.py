@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -204,6 +205,20 @@ def test_the_wire_is_captured_on_both_sides():
     assert "--wire" in ping_arguments(plan, cell, 1.0, None)
     assert "--wire" in relay_arguments(plan, cell.relay)
     assert "--wire" not in relay_arguments(parse(RUN), cell.relay)
+
+
+def test_own_cost_is_measured_in_the_first_passes_alone():
+    """It is no setting: it splits no group, and a folder goes on without it."""
+    for passes, measured in ((0, [True] * 3), (1, [True, False, False]), (2, [True, True, False])):
+        plan = parse(f"{RUN}repeats = 3\nown_cost_passes = {passes}\n")
+        assert plan.digest == parse(RUN).digest
+        for number, measures in enumerate(measured, 1):
+            cell = replace(plan.cells[0], repeat=number)
+            for arguments in (
+                ping_arguments(plan, cell, 1.0, None),
+                relay_arguments(plan, cell.relay, number),
+            ):
+                assert ("--no-own-cost" not in arguments) is measures
 
 
 def test_examples_of_the_documentation_are_plans():

@@ -376,7 +376,7 @@ def _rules(comparison: Comparison, *, gated: bool) -> tuple[str, ...]:
     return (
         f"Changes and intervals ({share}) are of new / base; 'the same' is a group whose intervals here lie within {within}.",
         "A lost message is infinitely late.",
-        f"The run is the unit: with fewer than {RUNS_TO_TELL} runs a side nothing is called slower.",
+        f"The run is the unit: it takes {RUNS_TO_TELL} runs a side to tell.",
         f"Verdicts are adjusted for the number of groups ({FAMILY}){gates}.",
         "A change that would not be seen is one that these runs would have missed in more than 20 of 100 repetitions.",
     )

@@ -86,9 +86,10 @@ def every_output(folder, slow, capsys):
     outputs |= files | {"html": without_program(files["html"])}
     assert run_main(folder, "--report", "json", "--recommend", job) == 0
     outputs["recommend"] = capsys.readouterr().out
-    for kind in ("terminal", "md", "junit"):
+    for kind in ("terminal", "md", "json", "junit", "html"):
         run_main("compare", folder, slow, "--fail-if", "default", "--report", kind)
-        outputs[f"compare {kind}"] = "".join(capsys.readouterr())
+        shown = "".join(capsys.readouterr())
+        outputs[f"compare {kind}"] = without_program(shown) if kind == "html" else shown
     analysis = analyze(folder)
     outputs["notebook"] = getattr(analysis, "_repr_html_", analysis.__repr__)()
     return outputs
@@ -98,7 +99,8 @@ def every_output(folder, slow, capsys):
 def test_no_output_tells_apart_what_rests_on_one_or_two_runs(tmp_path, capsys, runs):
     outputs = every_output(record(tmp_path / "runs", runs), record(tmp_path / "slow", runs, slower=3), capsys)
     assert set(outputs) == {
-        "terminal", "html", "md", "json", "recommend", "compare terminal", "compare md", "compare junit", "notebook"
+        "terminal", "html", "md", "json", "recommend", "notebook",
+        "compare terminal", "compare md", "compare json", "compare junit", "compare html",
     }  # fmt: skip
     for name, text in outputs.items():
         assert len(text) > 200, name
@@ -114,7 +116,7 @@ def test_no_output_tells_apart_what_rests_on_one_or_two_runs(tmp_path, capsys, r
 
 def test_with_three_runs_the_same_outputs_do_tell(tmp_path, capsys):
     outputs = every_output(record(tmp_path / "runs", 3), record(tmp_path / "slow", 3, slower=3), capsys)
-    for name in ("terminal", "html", "md", "json", "compare terminal", "compare md"):
+    for name in ("terminal", "html", "md", "json", "compare terminal", "compare json", "compare html"):
         assert JUDGED.search(outputs[name]), name
     assert "regressed" in outputs["compare terminal"]
     assert "failure" in outputs["compare junit"]

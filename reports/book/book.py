@@ -99,7 +99,7 @@ class Book:
     @cached_property
     def findings(self) -> tuple[FindingKind, ...]:
         """Findings by kind, the most severe first."""
-        return findings_info(self.analysis, self.groups)
+        return findings_info(self.analysis, self.groups, self.values)
 
     @cached_property
     def record_tables(self) -> tuple[RecordTable, ...]:

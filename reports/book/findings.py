@@ -12,11 +12,12 @@ from dds_trace.tracefile.visible import MAX_FINDING_CHARACTERS, visible
 from .groups import group_labels
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from dds_trace.analyzer import Analysis, Finding
 
     from .groups import Groups
+    from .numbers import Values
 
 SEVERITIES = {"error": "error", "warning": "warning", "info": "note"}
 """Severity -> its word in a report, the most severe first."""
@@ -39,12 +40,14 @@ class OneFinding:
 
     Attributes:
         groups: names of all its groups if `where` only counts them, else empty.
+        places: all its groups, the worst first (`worst_first`).
     """
 
     where: str
     what: str
     action: str
     groups: tuple[str, ...] = ()
+    places: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,8 +85,20 @@ class FindingKind:
         return self.listed[0].action if len(actions) == 1 else ""
 
 
-def findings_info(analysis: Analysis, groups: Groups) -> tuple[FindingKind, ...]:
+def worst_first(values: Values) -> tuple[int, ...]:
+    """Return the groups in the order in which a reader looks at them: most losses first, then the slowest medians."""
+    received, times = values.plain["received_ratio"], values.times_ns[values.default_metric]["p50"]
+    return tuple(
+        sorted(
+            range(len(received)),
+            key=lambda group: (1.0 if received[group] is None else received[group], -(times[group] or 0)),
+        )
+    )
+
+
+def findings_info(analysis: Analysis, groups: Groups, values: Values) -> tuple[FindingKind, ...]:
     """Gather the findings by kind, the most severe first."""
+    rank = {group: place for place, group in enumerate(worst_first(values))}
     labels = group_labels(groups)
     together: dict[tuple[str, str], list[Finding]] = {}
     for finding in analysis.findings:
@@ -94,7 +109,7 @@ def findings_info(analysis: Analysis, groups: Groups) -> tuple[FindingKind, ...]
             code,
             _title(code),
             sum(finding.count for finding in same),
-            tuple(_one(finding, labels) for finding in same),
+            tuple(_one(finding, labels, rank) for finding in same),
         )
         for (severity, code), same in together.items()
     )
@@ -110,7 +125,7 @@ def severity_counts(kinds: Sequence[FindingKind]) -> tuple[tuple[str, str], ...]
     )
 
 
-def _one(finding: Finding, labels: Sequence[str]) -> OneFinding:
+def _one(finding: Finding, labels: Sequence[str], rank: Mapping[int, int]) -> OneFinding:
     named = tuple(labels[group] for group in finding.groups)
     many = len(named) > _MOST_NAMED
     if len(named) == len(labels) > 1:
@@ -122,7 +137,10 @@ def _one(finding: Finding, labels: Sequence[str]) -> OneFinding:
     where, what, action = (
         visible(text, MAX_FINDING_CHARACTERS) for text in (where, finding.what, finding.action)
     )
-    return OneFinding(where, what, action, named if many and len(named) < len(labels) else ())
+    listed = named if many and len(named) < len(labels) else ()
+    return OneFinding(
+        where, what, action, listed, tuple(sorted(finding.groups, key=lambda group: rank[group]))
+    )
 
 
 def _title(code: str) -> str:

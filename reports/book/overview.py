@@ -171,6 +171,12 @@ def _utc(wall_ns: int) -> datetime | None:
         return None
 
 
+def utc_words(wall_ns: int) -> str:
+    """Return a wall-clock time to the second in UTC; empty if it is no valid date."""
+    at = _utc(wall_ns)
+    return "" if at is None else f"{at:%Y-%m-%d %H:%M:%S} UTC"
+
+
 def _traces(analysis: Analysis) -> str:
     if not analysis.sources:
         return "none found"

@@ -1,4 +1,4 @@
-"""Start and end of each run, and the load of the bridges in between."""
+"""Start and end of each run, what came back of it, and the load of the bridges in between."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
+
+from dds_trace.analyzer.groups.run_rows import run_rows
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -17,13 +19,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class RunTime:
-    """Start and end of one run.
+    """Start and end of one run, and what came back.
 
     Attributes:
         group: index of its group; the first one if several relays answered.
         origin_ns: planned send time of its first counted message, on the ping's monotonic clock; 0 of `elapsed_s`.
         last_ns: publish time of its last message, on the same clock.
         session: session of the ping; None if the run names none.
+        published: messages sent, times the relays that took part; `received` likewise.
+        p50_ns: median of the latency, or of the round trip where no relay stamped; None where nothing came back.
+        max_ns: the slowest of it.
     """
 
     run_id: int
@@ -31,20 +36,32 @@ class RunTime:
     origin_ns: int
     last_ns: int
     session: Session | None
+    published: int = 0
+    received: int = 0
+    p50_ns: int | None = None
+    max_ns: int | None = None
 
 
 def run_times(analysis: Analysis) -> tuple[RunTime, ...]:
     """Collect start and end of the runs of `analysis.timeline`, in its order."""
-    due = pl.coalesce("scheduled_ns", "publish_ns")
-    times = analysis.scan_roundtrips().group_by("run_id").agg(due.min().alias("origin"), pl.max("publish_ns"))
-    spans = {run_id: (origin, last) for run_id, origin, last in times.collect().iter_rows()}
+    rows = {row["run_id"]: row for row in run_rows(analysis.scan_roundtrips()).iter_rows(named=True)}
     sessions = {f"{session.session_id:016x}": session for session in analysis.sessions}
     session_of = {run.run_id: sessions.get(str(run.extra.get("session_id"))) for run in analysis.runs}
     of_runs = analysis.timeline.group_by("run_id", maintain_order=True).agg(pl.first("group"))
     return tuple(
-        RunTime(run_id, group, *spans[run_id], session_of.get(run_id))
+        RunTime(
+            run_id,
+            group,
+            row["origin_ns"],
+            row["last_ns"],
+            session_of.get(run_id),
+            row["published"],
+            row["received"],
+            None if row["p50_ns"] is None else round(row["p50_ns"]),
+            row["max_ns"],
+        )
         for run_id, group in of_runs.iter_rows()
-        if None not in spans.get(run_id, (None,))
+        if (row := rows.get(run_id)) and None not in (row["origin_ns"], row["last_ns"])
     )
 
 

@@ -54,6 +54,7 @@ class SizeCell:
         leads_p50: whether the median is clearly below that of each other choice.
         leads_p99: the same of the p99.
         lost: share of the messages that were lost, as in `14 % lost`; empty if none was.
+        group: index of its group; None where it is of several.
     """
 
     p50: str
@@ -61,6 +62,7 @@ class SizeCell:
     leads_p50: bool
     leads_p99: bool
     lost: str
+    group: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +136,7 @@ def size_table(analysis: Analysis, vendors: VendorLabels) -> SizeTable | None:
     labels = contender_labels(answers, vendors)
     columns = _columns(answers, labels)
     shown = _shown_rates(answers)
-    late = _late_of(analysis)
+    late, groups = _late_of(analysis), _groups_of(analysis)
     of_place: dict[str, list[CaseAnswer]] = {}
     for answer in sorted(answers, key=_order):
         place = place_label(answer.ping_device, answer.relay_device, answer.connectivity, answer.conditions)
@@ -145,7 +147,9 @@ def size_table(analysis: Analysis, vendors: VendorLabels) -> SizeTable | None:
         choices=tuple(labels[name] for _, name in columns),
         deadline=_deadline_words(analysis.details),
         rates=_rates_words(shown),
-        places=tuple(_place_rows(place, cases, columns, shown, late) for place, cases in of_place.items()),
+        places=tuple(
+            _place_rows(place, cases, columns, shown, late, groups) for place, cases in of_place.items()
+        ),
     )
 
 
@@ -181,6 +185,7 @@ def _place_rows(
     columns: Sequence[tuple[str, str]],
     shown: Mapping[str, float],
     late: Mapping[tuple[Case, str], tuple[int, int, int]],
+    groups: Mapping[tuple[Case, Case], int | None],
 ) -> PlaceRows:
     of_message: dict[tuple[str, int, float], list[CaseAnswer]] = {}
     for case in cases:
@@ -189,7 +194,9 @@ def _place_rows(
     further: list[SizeRow] = []
     for (data_type, payload_bytes, rate_hz), of_modes in of_message.items():
         cells = {
-            (case.domain_mode, one.name): _cell(case, one) for case in of_modes for one in case.contenders
+            (case.domain_mode, one.name): _cell(case, one, groups)
+            for case in of_modes
+            for one in case.contenders
         }
         (rows if rate_hz == shown[data_type] else further).append(
             SizeRow(
@@ -202,7 +209,18 @@ def _place_rows(
     return PlaceRows(place, thresholds, tuple(rows), tuple(further))
 
 
-def _cell(case: CaseAnswer, one: Contender) -> SizeCell:
+def _groups_of(analysis: Analysis) -> dict[tuple[Case, Case], int | None]:
+    """Return the group of each case and choice; None where several groups are one of them."""
+    cases = with_conditions(analysis.summary).select(*CASE_COLUMNS, CONDITIONS).rows()
+    choices = analysis.summary.select(CONTENDER_COLUMNS).rows()
+    groups: dict[tuple[Case, Case], int | None] = {}
+    for group, key in enumerate(zip(cases, choices, strict=True)):
+        groups[key] = None if key in groups else group
+    return groups
+
+
+def _cell(case: CaseAnswer, one: Contender, groups: Mapping[tuple[Case, Case], int | None]) -> SizeCell:
+    key = *(getattr(case, field) for field in CASE_COLUMNS), case.conditions
     lost = 1.0 - (1.0 if one.received.value is None else one.received.value)
     return SizeCell(
         p50=_time(one.p50_ns),
@@ -210,6 +228,7 @@ def _cell(case: CaseAnswer, one: Contender) -> SizeCell:
         leads_p50=case.leader_p50 == one.name,
         leads_p99=case.leader_p99 == one.name,
         lost=f"{format_ratio(lost)} lost" if lost > 0 else "",
+        group=groups.get((key, tuple(one.setting[column] for column in CONTENDER_COLUMNS))),
     )
 
 

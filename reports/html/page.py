@@ -19,8 +19,9 @@ from dds_trace.tracefile.units.rates import format_rate
 from dds_trace.tracefile.units.sizes import format_size
 from dds_trace.tracefile.visible import visible
 
-from ..book.findings import severity_counts
-from ..book.groups import LATENCY_MEANING, METRIC_LABELS, STATISTIC_LABELS, data_type_label
+from ..book.findings import severity_counts, worst_first
+from ..book.groups import LATENCY_MEANING, METRIC_LABELS, STATISTIC_LABELS, data_type_label, group_labels
+from ..book.overview import utc_words
 from ..book.sizes import HOW_TO_READ
 from ..figures import FIGURES, Figure, LeftOut, Scope
 from ..text import json_island
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
     from ..book.book import Book
 
 FILE_NAME = "report.html"
+MOST_LINKED = 40
+"""Most groups that one finding links to; the worst come first."""
 SCRIPTS = (
     "data.js",
     "units.js",
@@ -47,6 +50,7 @@ SCRIPTS = (
     "output/export.js",
     "rows.js",
     "figures.js",
+    "group.js",
     "output/paper.js",
     "page.js",
 )
@@ -93,6 +97,9 @@ def _render(book: Book, scripts: Iterable[str], version: str = "") -> str:
         advice=book.advice,
         findings=book.findings,
         severities=severity_counts(book.findings),
+        group_names=group_labels(book.groups),
+        most_linked=MOST_LINKED,
+        worst=next(iter(worst_first(book.values)), None),
         campaign_figures=[figure for scope, figure in drawn if scope is Scope.CAMPAIGN],
         cell_figures=[figure for scope, figure in drawn if scope is Scope.CELL],
         left_out=[figure for _, figure in made if isinstance(figure, LeftOut)],
@@ -156,6 +163,18 @@ def _island(book: Book, figures: list[Figure]) -> dict[str, object]:
         ],
         "values": values,
         "curves": book.curves,
+        "runs": [
+            {
+                "group": run.group,
+                "name": f"{run.run_id:016x}",
+                "began": "" if run.session is None else utc_words(run.session.wall_ns(run.origin_ns)),
+                "sent": run.published,
+                "received": run.received,
+                "p50_ns": run.p50_ns,
+                "max_ns": run.max_ns,
+            }
+            for run in book.run_times
+        ],
         "intervals": book.intervals,
         "figures": {
             figure.name: {"title": figure.title, "kind": figure.kind, "plan": figure.plan}

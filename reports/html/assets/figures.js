@@ -72,6 +72,10 @@ class FigureBlock {
       if (this.painted.has(place) || !wanted(row)) return;
       this.painted.add(place);
       Plotly.react(row, data, layout, QUIET);
+      if (!row.dataset.opens) {
+        row.dataset.opens = "yes";
+        row.on("plotly_click", ({ points: [point] }) => { const group = groupOfPoint(point); if (group !== null) openGroup(group); });
+      }
     });
   }
 

@@ -10,7 +10,7 @@ const GROUP_COLUMNS = [{ label: "Data" }, { label: "Size", unit: "bytes", format
 function groupRow(group, ...values) {
   const cell = cellOf(group);
   const row = [cell.data, cell.bytes, cell.hz, seriesOf(group).label, ...values];
-  row.size = cell.size;
+  Object.assign(row, { size: cell.size, group });
   return row;
 }
 

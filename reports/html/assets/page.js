@@ -128,7 +128,7 @@ function showCellChoice() {
 
 // The address holds the view, so a link within the page must not replace it.
 
-for (const link of document.querySelectorAll("a[href^='#']")) {
+for (const link of document.querySelectorAll("a[href^='#']:not([data-group])")) {
   link.addEventListener("click", (event) => {
     const target = document.getElementById(link.getAttribute("href").slice(1));
     if (!target) return;
@@ -178,7 +178,7 @@ document.getElementById("save-groups").addEventListener("click", () => {
   saveCsv("dds-trace-groups", columns, rows);
 });
 
-addEventListener("hashchange", () => { readAddress(); refreshAll(); });
+addEventListener("hashchange", () => { readAddress(); refreshAll(); showGroup(); });
 
 let width = innerWidth;
 let resized;
@@ -195,3 +195,4 @@ readAddress();
 showTheme();
 buildFilters();
 refreshAll();
+showGroup();

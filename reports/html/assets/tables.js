@@ -63,11 +63,13 @@ function showTable(place, caption, columns, rows, { sorting = { column: -1, desc
 }
 
 function tableRow(columns, row, numeric) {
-  const line = element("tr");
+  const line = element("tr", row.group === undefined ? {} : { "data-group": row.group });
   columns.forEach((column, at) => {
     const value = row[at];
     const shown = value === null || value === undefined ? MISSING : typeof value === "number" && column.format ? column.format(value, row) : String(value);
-    const cell = element("td", numeric[at] ? { class: "number" } : {}, shown);
+    // The last of what names the group is the button that opens it; the whole row does so for a pointer.
+    const opens = row.group !== undefined && at === GROUP_COLUMNS.length - 1;
+    const cell = element("td", numeric[at] ? { class: "number" } : {}, opens ? element("button", { type: "button", class: "opens" }, shown) : shown);
     if (shown.length > 40) cell.title = shown;
     line.append(cell);
   });
@@ -89,13 +91,13 @@ function keepColumns(scroll, stay) {
 
 const groupsSorting = { column: -1, descending: false };
 
-/** The rows that hold every word of a search, in any column as it is shown. */
+/** The rows whose names, as they are shown, hold every word of a search. */
 function foundRows(columns, rows, search) {
   const words = search.toLowerCase().split(/\s+/).filter(Boolean);
-  if (!words.length) return rows;
+  const shown = (row, at) => (typeof row[at] === "number" && columns[at].format ? columns[at].format(row[at], row) : String(row[at] ?? MISSING));
   return rows.filter((row) => {
-    const text = row.map((value, at) => (typeof value === "number" && columns[at].format ? columns[at].format(value, row) : String(value ?? MISSING))).join(" ").toLowerCase();
-    return words.every((word) => text.includes(word));
+    const name = GROUP_COLUMNS.map((_, at) => shown(row, at)).join(" ").toLowerCase();
+    return words.every((word) => name.includes(word));
   });
 }
 

@@ -15,6 +15,8 @@ const CHOICES = {
 
 const view = {
   chosen: {},   // filter key -> Set of option places; a key that is not there means all
+  group: null,  // the one that is open
+  only: null,   // while one group alone is drawn
   cell: null,   // place in DATA.cells, or null for the first that passes
 };
 
@@ -30,6 +32,9 @@ function readAddress() {
     const found = choices.find((choice) => choice.key === address.get(name));
     view[name] = (found || choices[0]).key;
   }
+  const named = address.get("group");
+  const group = named === null ? -1 : Array.from({ length: DATA.groups.count }, (_, place) => place).findIndex((place) => groupName(place) === named);
+  view.group = group < 0 ? null : group;
   const cell = DATA.cells.findIndex((one) => one.label === address.get("cell"));
   view.cell = cell < 0 ? null : cell;
 }
@@ -43,12 +48,14 @@ function writeAddress() {
     if (view[name] !== choices[0].key) address.set(name, view[name]);
   }
   if (view.cell !== null) address.set("cell", DATA.cells[view.cell].label);
+  if (view.group !== null) address.set("group", groupName(view.group));
   const text = address.toString();
   if (text !== location.hash.slice(1)) history.pushState(null, "", `#${text}`);  // so Back undoes a choice
 }
 
 /** Whether the group passes every filter. */
 function passes(group) {
+  if (view.only !== null) return group === view.only;
   return Object.entries(view.chosen).every(([key, places]) => places.has(DATA.groups.filters[key][group]));
 }
 

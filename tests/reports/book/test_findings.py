@@ -32,8 +32,8 @@ def test_a_kind_is_one_entry_with_a_count():
         "Loss",
         2,
         (
-            OneFinding("Binary 33 KB at 10 Hz", "1 of 2 is lost.", "Look at it."),
-            OneFinding("Binary 33 KB at 30 Hz", "1 of 2 is lost.", "Look at it."),
+            OneFinding("Binary 33 KB at 10 Hz", "1 of 2 is lost.", "Look at it.", places=(0,)),
+            OneFinding("Binary 33 KB at 30 Hz", "1 of 2 is lost.", "Look at it.", places=(2,)),
         ),
     )
     assert (loss_of_two.heading, busy.heading) == ("Loss (2)", "CPU saturated")
@@ -45,6 +45,17 @@ def test_findings_that_are_not_listed_one_by_one_are_counted():
     assert kind.heading == "Loss (34)"
     assert kind.listed[1].where == "4 groups, such as Binary 33 KB at 20 Hz"
     assert kind.listed[1].groups == tuple(f"Binary 33 KB at {rate} Hz" for rate in (20, 30, 40, 50))
+
+
+def test_a_finding_links_to_its_groups_the_worst_first():
+    analysis = make_analysis(
+        Measured([MS, MS], rate_hz=10.0),
+        Measured([3 * MS, 3 * MS], rate_hz=20.0),
+        Measured([MS, "lost_return"], rate_hz=30.0),
+        findings=[loss(0, groups=(0, 1, 2))],
+    )
+    (kind,) = Book(analysis).findings
+    assert kind.listed[0].places == (2, 1, 0), "losses first, then the slowest"
 
 
 @pytest.mark.parametrize(

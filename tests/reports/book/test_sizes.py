@@ -34,9 +34,9 @@ def test_a_row_has_both_domains_and_bold_is_where_the_verdict_holds():
     assert (row.size, row.rate) == ("Binary 33 KB", "10 Hz")
     # 20 messages carry no p99, and one choice across domains leads nobody.
     assert row.cells == (
-        SizeCell("2.01 ms", "-", leads_p50=False, leads_p99=False, lost=""),
-        SizeCell("1.01 ms", "-", leads_p50=True, leads_p99=False, lost=""),
-        SizeCell("4.01 ms", "-", leads_p50=False, leads_p99=False, lost=""),
+        SizeCell("2.01 ms", "-", leads_p50=False, leads_p99=False, lost="", group=1),
+        SizeCell("1.01 ms", "-", leads_p50=True, leads_p99=False, lost="", group=2),
+        SizeCell("4.01 ms", "-", leads_p50=False, leads_p99=False, lost="", group=0),
     )
 
 

@@ -1,0 +1,189 @@
+"""Moving about the page: links land, Back undoes, a click opens a group, paper is whole, a change answers in what is seen."""
+
+import re
+
+import pytest
+from page_reader import Reader
+
+pytestmark = pytest.mark.browser
+
+SHIFTS = """
+window.shifted = 0;
+new PerformanceObserver(list => {
+    for (const entry of list.getEntries()) if (!entry.hadRecentInput) window.shifted += entry.value;
+}).observe({type: "layout-shift", buffered: true});
+"""
+
+
+@pytest.mark.parametrize("name", ["demo", "lossy machine"])
+def test_links_land_where_they_say_and_nothing_shifts(chromium, pages, name):
+    one = Reader(chromium)
+    one.tab.add_init_script(SHIFTS)
+    tab = one.open(pages(name))
+    height = tab.evaluate("document.documentElement.scrollHeight")
+    for target in ("table", "figures", "recording", "cell"):
+        tab.locator(f"nav a[href='#{target}']").click()
+        landed = f"document.getElementById('{target}').getBoundingClientRect().top"
+        bottom = tab.evaluate("scrollY + innerHeight >= document.documentElement.scrollHeight - 2")
+        first = tab.evaluate(landed)
+        tab.evaluate("new Promise(done => setTimeout(done, 300))")
+        assert abs(tab.evaluate(landed) - first) < 2, "what is drawn on the way moves nothing"
+        assert bottom or -2 < first < 140, target
+    tab.evaluate("for (const block of blocks) block.draw()")
+    assert abs(tab.evaluate("document.documentElement.scrollHeight") - height) < 100
+    assert tab.evaluate("window.shifted") < 0.05
+    assert one.complaints == []
+    tab.context.close()
+
+
+def test_back_undoes_a_filter_and_closes_a_group(reader, pages):
+    tab = reader.open(pages("small campaign"))
+    tab.locator("[data-filter=vendor] summary").click()
+    tab.get_by_label("Zenoh", exact=True).check()
+    count = tab.locator(".count")
+    count.filter(has_text="16 of 32 groups").wait_for()
+    tab.locator(".sizes a[data-group]").first.click()
+    tab.locator("dialog#group[open]").wait_for()
+    assert "group=" in tab.evaluate("location.hash")
+    tab.go_back()
+    tab.locator("dialog#group").wait_for(state="hidden")
+    assert count.inner_text() == "16 of 32 groups"
+    tab.go_back()
+    count.filter(has_text=re.compile("^32 groups$")).wait_for()
+    assert reader.complaints == []
+
+
+def test_a_mark_a_tile_a_row_a_finding_and_the_headline_open_their_group(reader, pages):
+    tab = reader.open(pages("lossy machine"))
+    title = tab.locator("#group-title")
+    worst = tab.evaluate(
+        "Array.from({length: DATA.groups.count}, (_, g) => g)"
+        ".sort((a, b) => DATA.values.plain.received_ratio[a] - DATA.values.plain.received_ratio[b])[0]"
+    )
+
+    def opened(by):
+        by()
+        tab.locator("dialog#group[open]").wait_for()
+        said = title.inner_text()
+        figures = tab.locator("#group-figures h3").all_inner_texts()
+        assert figures[:2] == tab.evaluate(
+            "GROUP_FIGURES.filter(n => DATA.figures[n]).slice(0, 2).map(n => DATA.figures[n].title)"
+        )
+        assert tab.locator("#group-runs tbody tr").count() == 1, (
+            "the fixture has the rows of one run of each group"
+        )
+        tab.keyboard.press("Escape")
+        tab.locator("dialog#group").wait_for(state="hidden")
+        return said
+
+    headline = opened(tab.locator(".headline a").click)
+    assert headline.startswith(tab.evaluate(f"cellOf({worst}).label"))
+    links = [
+        int(link.get_attribute("data-group")) for link in tab.locator(".findings a[data-group]").all()[:3]
+    ]
+    ratio = tab.evaluate("groups => groups.map(g => DATA.values.plain.received_ratio[g])", links)
+    assert ratio == sorted(ratio), "worst first"
+    row = tab.locator("#groups-table tbody tr").nth(4)
+    names = row.locator("td").all_inner_texts()[:4]
+    assert opened(row.locator("td").nth(6).click).endswith(names[3])
+    assert opened(row.locator("button").click).endswith(names[3])
+    for figure in tab.evaluate("blocks.filter(b => b.drawn.data.some(t => t.hovertext)).map(b => b.name)"):
+        found = tab.evaluate(
+            "name => { const { drawn } = blocks.find(b => b.name === name);"
+            " const trace = drawn.data.find(t => t.hovertext && [t.hovertext].flat(2).some(h => h));"
+            " const at = t => Array.isArray(t.hovertext[0]) ? [0, t.hovertext[0].findIndex(h => h)] : t.hovertext.findIndex(h => h);"
+            " return groupOfPoint({data: trace, pointNumber: at(trace)}); }",
+            figure,
+        )
+        assert found is not None or figure == "clock", figure
+    tab.evaluate("document.querySelector('#figure-heatmap .plot').scrollIntoView({block: 'center'})")
+    tile = tab.locator("#figure-heatmap .plot .row .nsewdrag").first
+    tile.wait_for(state="attached")
+    assert opened(lambda: tile.click(position={"x": 60, "y": 20}))
+    assert reader.complaints == []
+
+
+def test_the_theme_is_remembered_where_the_browser_allows_it(chromium, pages):
+    one = Reader(chromium, color_scheme="light")
+    tab = one.open(pages("demo"))
+    tab.locator("#theme").click()
+    allowed = tab.evaluate("remembered()") == "dark"
+    one.open(pages("demo"))
+    assert tab.evaluate("document.documentElement.dataset.theme") == ("dark" if allowed else "light")
+    tab.evaluate("Object.defineProperty(window, 'localStorage', { get() { throw new Error('refused'); } })")
+    assert tab.evaluate("remembered('light')") is None
+    assert one.complaints == []
+    tab.context.close()
+
+
+def test_a_narrower_window_draws_narrower_figures(reader, pages):
+    tab = reader.open(pages("demo"))
+    block = "blocks.find(b => b.name === 'timeline')"
+    assert tab.evaluate(f"{block}.drawn.layout.width") > 500
+    tab.set_viewport_size({"width": 420, "height": 800})
+    tab.evaluate("new Promise(done => setTimeout(done, 600))")
+    assert tab.evaluate(f"{block}.drawn.layout.width") < 420
+    assert tab.evaluate("document.documentElement.scrollWidth") <= 420
+
+
+@pytest.mark.parametrize(("name", "paper"), [("demo", "A4"), ("lossy machine", "Letter")])
+def test_paper_is_whole(reader, pages, name, paper):
+    tab = reader.open(pages(name))
+    tab.evaluate("void (window.back = toPaper())")
+    room = 703 if paper == "A4" else 725  # px between margins of 12 mm
+    over = tab.evaluate(
+        "room => [...document.querySelectorAll('main *')].filter(e => e.getClientRects().length && !e.closest('svg, .unseen')"
+        " && e.getBoundingClientRect().right > room).map(e => e.outerHTML.slice(0, 90))",
+        room,
+    )
+    assert over == [], "no column sticks out"
+    rows = tab.evaluate("[...document.querySelectorAll('.plot .row')].map(row => row.clientHeight)")
+    assert rows
+    assert max(rows) < 950, "a row of panels fits on a page, and does not break"
+    heads = tab.evaluate("[...document.querySelectorAll('#groups-table table')].map(t => t.tHead.innerText)")
+    tab.evaluate("back()")
+    columns = tab.locator("#groups-table thead th").all_inner_texts()
+    assert len(heads) > 1
+    assert all(any(column in head for head in heads) for column in columns)
+    assert tab.locator("#groups-table table").count() == 1
+    assert tab.evaluate("blocks.every(block => block.drawn)")
+    assert reader.complaints == []
+
+
+def test_the_table_is_searched_and_its_first_columns_stay(reader, pages):
+    tab = reader.open(pages("lossy machine"))
+    tab.locator("#groups-search").fill("ros2dds 4 MB")
+    tab.locator("#groups-found").filter(has_text="3 of 126 groups").wait_for()
+    assert tab.locator("#groups-table tbody tr").count() == 3
+    tab.locator("#groups-search").fill("")
+    tab.locator("#groups-table tbody tr").nth(125).wait_for(state="attached")
+    place = "document.querySelector('#groups-table tbody td').getBoundingClientRect().left"
+    before = tab.evaluate(place)
+    tab.evaluate("document.querySelector('#groups-table .scroll').scrollLeft = 600")
+    assert tab.evaluate(place) == before
+
+
+def test_what_is_seen_answers_before_the_rest_is_drawn(reader, pages):
+    """The bar in seconds: `just bench-report`. Here: a change draws nothing but rows of panels that can be seen."""
+    tab = reader.open(pages("lossy machine"))
+    tab.locator("#figure-latency_by_rate, [data-figure]").first.scroll_into_view_if_needed()
+    seen, drawn, rows = tab.evaluate(
+        "() => { const real = Plotly.react; const drawn = [];"
+        " Plotly.react = (row, ...rest) => { drawn.push(row); return real(row, ...rest); };"
+        " change(() => { view.statistic = 'p90'; });"
+        " Plotly.react = real;"
+        " return [drawn.every(isOnScreen), drawn.length, document.querySelectorAll('.plot .row').length]; }"
+    )
+    assert seen
+    assert 0 < drawn < rows / 3
+
+
+def test_a_browser_that_cannot_unpack_says_so(chromium, pages):
+    one = Reader(chromium)
+    one.tab.add_init_script("delete window.DecompressionStream")
+    one.tab.goto(pages("demo"))
+    said = one.tab.locator("#cannot-unpack")
+    said.wait_for()
+    assert "browser of 2023 or later" in said.inner_text()
+    assert one.tab.locator(".sizes").count() == 1, "the answer and its table need no script"
+    one.tab.context.close()

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol, cast
 
 import polars as pl
 from polars.exceptions import PolarsError
@@ -195,6 +196,39 @@ class Analysis:
                 **{f"{name}.parquet": frame.write_parquet for name, frame in frames.items()},
             },
         )
+
+    def _repr_html_(self) -> str:
+        """Return the first screen of the report, as a notebook shows it."""
+        return _presenter().first_screen(self)
+
+    def show(self, folder: str | os.PathLike[str] | None = None) -> Path:
+        """Write the HTML report, open it in this machine's browser and return its path.
+
+        Args:
+            folder: where it goes; None for a new temporary folder, which is not removed.
+
+        Raises:
+            OutputError: the report cannot be written.
+        """
+        return _presenter().show(self, None if folder is None else Path(folder))
+
+
+class Presenter(Protocol):
+    """What shows an analysis: the reports, a room above this one."""
+
+    def first_screen(self, analysis: Analysis) -> str:
+        """Return the first screen as HTML."""
+
+    def show(self, analysis: Analysis, folder: Path | None) -> Path:
+        """Write the report and open it."""
+
+
+PRESENTER_MODULE = "dds_trace.reports.notebook"
+"""Module that is the `Presenter`, imported by this name at first use: this room says what it asks for, and needs none of it."""
+
+
+def _presenter() -> Presenter:
+    return cast("Presenter", import_module(PRESENTER_MODULE))
 
 
 _CONTENT, _ROUNDTRIPS = "content.json", "roundtrips.parquet"

@@ -4,6 +4,7 @@ import pytest
 from four_campaigns import CAMPAIGNS
 
 from dds_trace.analyzer.verdicts.answers import Clarity
+from dds_trace.reports.notebook import MOST_CHARACTERS
 
 SHAPES = {
     # name -> groups, devices and links, runs of each group, whether messages are lost
@@ -23,6 +24,10 @@ def test_a_campaign_has_its_groups_places_runs_and_losses(name):
     (runs,) = summary["runs"].unique()
     assert (summary.height, places, runs, loses) == SHAPES[name]
     assert len(analysis.runs) == summary["runs"].sum()
+    first = analysis._repr_html_()
+    assert len(first) <= MOST_CHARACTERS
+    assert ("color:#e5484d" in first) == SHAPES[name][3], "losses are red in a notebook, too"
+    assert first.count("<tbody>") == places
 
 
 def test_three_runs_allow_verdicts_in_the_study_and_the_radio_is_where_it_loses():

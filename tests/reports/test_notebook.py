@@ -1,0 +1,100 @@
+"""An analysis in a notebook: short, without a script, readable on any ground; the report opens; the page in docs/ runs."""
+
+import re
+import shutil
+import webbrowser
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+from analyses import HOSTILE, Measured, make_analysis
+from four_campaigns import CAMPAIGNS
+
+from dds_trace.reports.notebook import MOST_CHARACTERS, first_screen
+
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "how-to" / "notebook.md"
+HARMLESS = {
+    *("div", "p", "b", "ul", "li", "table", "caption", "thead", "tbody", "tr", "th", "td", "span", "code")
+}
+
+
+class Screen(HTMLParser):
+    """Tags, styles and texts of a first screen; every tag that opens is closed."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.styles, self.texts, self.open = [], set(), [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append(tag)
+        self.open.append(tag)
+        self.styles |= {value for name, value in attributes if name == "style"}
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.texts.append(data)
+
+
+def test_the_first_screen_has_the_table_and_takes_the_grounds_own_colours():
+    text = CAMPAIGNS["demo"]()._repr_html_()
+    screen = Screen(text)
+    assert screen.open == []
+    assert {"b", "table"} <= set(screen.tags) <= HARMLESS
+    # The ground and the ink are the notebook's own, light or dark.
+    assert not any("background" in style for style in screen.styles)
+    assert {style for style in screen.styles if "color" in style} <= {"color:#e5484d"}
+    assert "569 µs / 828 µs" in "".join(screen.texts)
+
+
+def test_what_does_not_fit_is_counted():
+    places = [f"a-device-with-the-name-{number}" for number in range(60)]
+    analysis = make_analysis(
+        *(
+            Measured([1_000_000] * 3, ping_device=place, relay_device=place, payload_bytes=size)
+            for place in places
+            for size in (1000, 2000, 3000)
+        )
+    )
+    text = analysis._repr_html_()
+    assert len(text) <= MOST_CHARACTERS
+    assert Screen(text).open == []
+    shown = sum(f"{place}," in text or f"{place}<" in text for place in places)
+    assert f"And {60 - text.count('<tbody>')} more pairs of devices and links." in text
+    assert shown
+
+
+def test_strings_of_traces_stay_strings_and_short():
+    hostile = make_analysis(
+        Measured([1_000_000] * 3, bridge="".join(HOSTILE), domain_mode="different"),
+        title="".join(HOSTILE) * 90,
+    )
+    text = first_screen(hostile)
+    assert "<script" not in text
+    assert len(text) <= MOST_CHARACTERS
+    assert first_screen(replace(hostile, title="")).startswith("<div>")
+
+
+def test_show_writes_the_report_and_opens_it(tmp_path, monkeypatch):
+    opened = []
+    monkeypatch.setattr(webbrowser, "open", opened.append)
+    path = CAMPAIGNS["demo"]().show(tmp_path / "new")
+    assert path == tmp_path / "new" / "report.html"
+    assert opened == [path.as_uri()]
+    assert "<!doctype html>" in path.read_text(encoding="utf-8").lower()
+
+
+def test_the_cells_of_the_page_run_one_after_another(tmp_path, monkeypatch):
+    cells = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    assert len(cells) > 4
+    shutil.copytree(ROOT / "sample_traces", tmp_path / "runs")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(webbrowser, "open", lambda _: True)
+    names = {}
+    for cell in cells:
+        exec(compile(cell, str(PAGE), "exec"), names)
+    assert (tmp_path / "runs" / "analysis" / "report.html").is_file()
+    assert set(names["c"].rows["verdict"]) <= {"same", "inconclusive"}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from importlib.resources import files
 from typing import TYPE_CHECKING
 
@@ -77,8 +78,14 @@ def _rows(frame: pl.DataFrame) -> list[dict[str, object]]:
 
 
 def _lines(value: object) -> str:
-    """Write a value as JSON, a list with one element per line; NaN and infinity become null."""
-    plain = to_json(value, not_finite=lambda _: None)
-    if isinstance(plain, list) and plain:
-        return "[\n" + ",\n".join(json.dumps(each, allow_nan=False) for each in plain) + "\n]"
-    return json.dumps(plain, allow_nan=False)
+    """Write a value as JSON, a list with one element per line."""
+    if isinstance(value, (list, tuple)) and value:
+        return "[\n" + ",\n".join(map(_text, value)) + "\n]"
+    return _text(value)
+
+
+def _text(value: object) -> str:
+    """Write a value as JSON in one line; NaN and infinity become null."""
+    with suppress(TypeError, ValueError):  # nearly all rows of a table are what JSON holds
+        return json.dumps(value, allow_nan=False)
+    return json.dumps(to_json(value, not_finite=lambda _: None), allow_nan=False)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -123,6 +124,9 @@ class TraceShelf:
         self._cache = cache
         self._left = MOST_HELD_EVENTS
         self._spill: tempfile.TemporaryDirectory[str] | None = None
+        self._keeping = ThreadPoolExecutor(
+            1, thread_name_prefix="keep"
+        )  # of events that are in memory as well
 
     def load(self, path: Path, position: int) -> LoadedTrace:
         """Load one trace, from the cache if it is there.
@@ -135,17 +139,17 @@ class TraceShelf:
         if self._cache and (known := _known(self._cache, key, path, position)):
             return known
         loaded = load_trace(path, position)
-        kept = None
-        if self._cache:
-            with suppress(OSError):  # a full disk costs the cache, not the analysis
-                kept = _keep(self._cache, key, loaded)
         if loaded.events <= min(self._left, LARGEST_HELD_EVENTS):
             self._left -= loaded.events
+            if self._cache:
+                self._keeping.submit(_keep_if_it_can, self._cache, key, loaded)
             return loaded
+        kept = _keep_if_it_can(self._cache, key, loaded) if self._cache else None
         return kept or self._spilled(loaded, position)
 
     def close(self) -> None:
         """Remove temporary files and close the cache."""
+        self._keeping.shutdown(cancel_futures=True)
         if self._spill is not None:
             self._spill.cleanup()
         if self._cache is not None:
@@ -168,6 +172,13 @@ def _stored(file: Path, loaded: LoadedTrace) -> LoadedTrace:
     written = write_events(file, {label: part.load() for label, part in loaded.parts.items()})
     parts = {label: replace(part, events=written[label]) for label, part in loaded.parts.items()}
     return LoadedTrace(loaded.trace, parts)
+
+
+def _keep_if_it_can(cache: TraceCache, key: str, loaded: LoadedTrace) -> LoadedTrace | None:
+    """Write an entry; None where it cannot be written: a full disk costs the cache, not the analysis."""
+    with suppress(OSError):
+        return _keep(cache, key, loaded)
+    return None
 
 
 def _keep(cache: TraceCache, key: str, loaded: LoadedTrace) -> LoadedTrace:

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 PASS_LABEL = "pass"  # noqa: S105 - no password: the pass of a sweep
 """Label of a run that says in which pass of its sweep it was measured: a whole number."""
 
-_LATEST_NS = {"latency": pl.col("rtt_ns") / 2}
-"""Metric -> time that a message took at most whose stamps do not give the metric itself."""
+_TWICE_AT_MOST = {"latency": "rtt_ns"}
+"""Metric -> column of twice the time that a message took at most whose stamps do not give the metric itself."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,15 +46,23 @@ class RunRows:
         A reply that came back without the relay's stamps took at most half of its round trip one way. It counts with
         that: left out, it would give the lost ones more weight than they have.
         """
-        at_most = pl.col(f"{metric}_ns").cast(pl.Float64)
-        if metric in _LATEST_NS:
-            at_most = pl.coalesce(at_most, _LATEST_NS[metric])
-        value = pl.when(pl.col("outcome") != "completed").then(math.inf).otherwise(at_most)
-        return _run_of(self.rows.select("publish_ns", value=value).drop_nulls("value"))
+        at_most = self._floats(f"{metric}_ns")
+        if metric in _TWICE_AT_MOST:
+            at_most = np.where(np.isnan(at_most), self._floats(_TWICE_AT_MOST[metric]) / 2, at_most)
+        value = np.where(self.received, at_most, math.inf)
+        is_known = ~np.isnan(value)
+        return Run(value[is_known], self.rows["publish_ns"].to_numpy()[is_known])
 
     def survivors(self, metric: str) -> Run:
         """Return a metric of the messages that have it, ns."""
-        return _run_of(self.rows.select("publish_ns", value=pl.col(f"{metric}_ns")).drop_nulls("value"))
+        value = self.rows[f"{metric}_ns"]
+        is_known = value.is_not_null()
+        return Run(value.filter(is_known).to_numpy(), self.rows["publish_ns"].filter(is_known).to_numpy())
+
+    def _floats(self, name: str) -> NDArray[np.float64]:
+        """Return a column, NaN for null."""
+        column: NDArray[np.float64] = self.rows[name].cast(pl.Float64).to_numpy()
+        return column
 
     @property
     def sent_ns(self) -> pl.Series:
@@ -70,10 +78,6 @@ class RunRows:
     def is_lost(self) -> bool:
         """Whether no reply came back."""
         return not bool((self.rows["outcome"] == "completed").any())
-
-
-def _run_of(rows: pl.DataFrame) -> Run:
-    return Run(rows["value"].to_numpy(), rows["publish_ns"].to_numpy())
 
 
 def split_runs(rows: pl.DataFrame) -> tuple[RunRows, ...]:

@@ -210,7 +210,8 @@ def _with_losses(
     return [
         replace(
             one,
-            loses_more=change_of_received(
+            loses_more=one is not most
+            and change_of_received(
                 groups[most.name].received, groups[one.name].received, confidence
             ).verdict()
             is Verdict.WORSE,

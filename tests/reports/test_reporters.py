@@ -277,7 +277,7 @@ def test_markdown_has_intervals_costs_of_bridges_and_clocks():
     costs = text.split("## What a bridge costs")[1]
     (cost,) = (line for line in costs.splitlines() if line.startswith("| Binary | 33 KB"))
     assert cost == (
-        "| Binary | 33 KB | 10 Hz | Fast DDS, through our built-in bridge | 3 and 3 | 100.00% -&#62; 100.00% "
+        "| Binary | 33 KB | 10 Hz | Fast DDS, through our built-in bridge | 3 and 3 | 100 % "
         "| +1 ms &#91;+889 µs, +1.11 ms&#93;, x1.95 | "
         "+1 ms &#91;+886 µs, +1.12 ms&#93;, x1.92 | +1 ms &#91;+886 µs, +1.12 ms&#93;, x1.91 | 30 % |"
     )

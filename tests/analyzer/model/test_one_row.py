@@ -11,6 +11,8 @@ import polars as pl
 import pyarrow.parquet as pq
 from trace_files import Message, run, write_pair
 
+from dds_trace.reports.html.packing import unpacked
+
 ROOT = Path(__file__).resolve().parents[3]
 MS = 1_000_000
 
@@ -66,7 +68,8 @@ def test_a_metric_is_one_row_of_the_table_of_metrics(tmp_path):
     report = json.loads((out / "report.json").read_text(encoding="utf-8"))
     assert report["groups"][0]["hold_p50_ns"] == 361
     assert [row["messages"] for row in report["intervals"] if row["metric"] == "hold"] == [40] * 5
-    assert "Hold in relay" in (out / "report.html").read_text(encoding="utf-8")
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "Hold in relay" in unpacked(page.split('data-packed="data">')[1].partition("<")[0])
     few_samples = "you have 40 (of rtt, intermediate, latency, hold, response)"
     assert few_samples in (out / "report.md").read_text(encoding="utf-8")
 

@@ -24,6 +24,7 @@ from .loading.events import total_copies
 from .loading.remote import is_remote
 from .pairing.exchanges import find_exchanges
 from .pairing.parquet import write_summary
+from .pairing.provenance import provenance
 from .pairing.rows import RowStore
 from .verdicts.cases import UnbarredRows
 
@@ -124,7 +125,8 @@ def _analyze(
     exchanges = find_exchanges(campaign)
     grouping = group_exchanges(exchanges.held)
     batches = plan_batches(grouping, wanted)
-    with RowStore(outputs.get("roundtrips")) as rows:
+    told = provenance(campaign, exchanges)
+    with RowStore(outputs.get("roundtrips"), told) as rows:
         results = _keep_rows(engine.work(batches, campaign.events), rows)
         merged = merge_results(results, grouping, sketch=not wanted.rows)
     rows.locate(merged.summary.frame)
@@ -147,7 +149,7 @@ def _analyze(
         shapes=merged.frames.get("shapes", pl.DataFrame(schema=SHAPE_SCHEMA)),
     )
     if out is not None:
-        write_summary(merged.summary.frame, outputs["summary"])
+        write_summary(merged.summary.frame, outputs["summary"], told)
     timeline = merged.frames["timeline"]
     return Analysis(
         title=folder.resolve().name,

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from ..analysis import Analysis
 
 EXPORTERS: Mapping[str, Callable[[pl.LazyFrame, Path], object]] = {
-    "csv": lambda rows, path: rows.sink_csv(path),
+    "csv": lambda rows, path: rows.sink_csv(path, datetime_format="%Y-%m-%dT%H:%M:%S%.9fZ"),
     "arrow": lambda rows, path: rows.sink_ipc(path),
 }
 """Kind, which is also the ending of the files -> function that writes rows without holding all of them."""

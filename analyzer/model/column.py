@@ -16,11 +16,11 @@ class Column:
     """One column of a frame; `unit` is empty where a value has none."""
 
     name: str
-    dtype: type[pl.DataType]
+    dtype: type[pl.DataType] | pl.DataType
     unit: str
     meaning: str
 
 
-def schema_of(columns: Iterable[Column]) -> dict[str, type[pl.DataType]]:
+def schema_of(columns: Iterable[Column]) -> dict[str, type[pl.DataType] | pl.DataType]:
     """Map column names to polars types, in order."""
     return {column.name: column.dtype for column in columns}

@@ -44,17 +44,28 @@ MEASURED_COLUMNS = (
     ),
 )
 
+_UTC = pl.Datetime("ns", "UTC")
+_BY_ANCHOR = "on the wall clock as the session read it at its start; as wrong as that was, null where it cannot be told"
+
+UTC_COLUMNS = (
+    Column("publish_utc", _UTC, "UTC", f"T1 (publish_ns) {_BY_ANCHOR}; the ping's device"),
+    Column("relay_in_utc", _UTC, "UTC", f"T3 (relay_in_ns) {_BY_ANCHOR}; the relay's device"),
+)
+"""Columns of `roundtrips` that were appended behind the parameters: one for each clock, to find a message in other logs."""
+
 _FIRST_PARAMETERS = 20
 """Parameters of the first version of the contract; later ones are appended behind all columns that were there."""
 
 _PARAMETERS_BEFORE_RUNS = 21
-"""Parameters of the contract when the summary got `RUN_COLUMNS`, and `OWN_COLUMNS` behind them."""
+"""Parameters of the contract when the summary got `RUN_COLUMNS`, and `OWN_COLUMNS` behind them, and the rows `UTC_COLUMNS`."""
 
 ROUNDTRIP_COLUMNS = (
     KEY_COLUMNS
     + PARAMETER_COLUMNS[:_FIRST_PARAMETERS]
     + MEASURED_COLUMNS
-    + PARAMETER_COLUMNS[_FIRST_PARAMETERS:]
+    + PARAMETER_COLUMNS[_FIRST_PARAMETERS:_PARAMETERS_BEFORE_RUNS]
+    + UTC_COLUMNS
+    + PARAMETER_COLUMNS[_PARAMETERS_BEFORE_RUNS:]
 )
 
 COUNT_COLUMNS = (

@@ -18,7 +18,7 @@ from ..model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
 from .pair import OUTCOMES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
     from ..model.column import Column
@@ -35,11 +35,14 @@ _ARROW_TYPES = {
     pl.Float64: pa.float64(),
     pl.Boolean: pa.bool_(),
     pl.String: pa.string(),
+    pl.Datetime("ns", "UTC"): pa.timestamp("ns", tz="UTC"),
 }
 
 
 @contextmanager
-def roundtrips_writer(path: Path) -> Iterator[Callable[[pa.Table], None]]:
+def roundtrips_writer(
+    path: Path, provenance: Mapping[str, str] | None = None
+) -> Iterator[Callable[[pa.Table], None]]:
     """Write `roundtrips.parquet` batch by batch; the file takes its place once it is complete.
 
     A reader sees the old file or the new one, never half of it. Every field's metadata holds `meaning` and,
@@ -48,6 +51,7 @@ def roundtrips_writer(path: Path) -> Iterator[Callable[[pa.Table], None]]:
 
     Args:
         path: the file; its folder is made.
+        provenance: metadata of the file.
 
     Yields:
         A function that writes the rows of one batch, made by `table_of`.
@@ -55,7 +59,7 @@ def roundtrips_writer(path: Path) -> Iterator[Callable[[pa.Table], None]]:
     Raises:
         OutputError: the folder or the file cannot be written.
     """
-    deltas = [c.name for c in ROUNDTRIP_COLUMNS if c.unit == "ns" or c.name == "sequence"]
+    deltas = [c.name for c in ROUNDTRIP_COLUMNS if c.unit in ("ns", "UTC") or c.name == "sequence"]
     with ExitStack() as stack:
         with _telling(path):
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -80,7 +84,7 @@ def roundtrips_writer(path: Path) -> Iterator[Callable[[pa.Table], None]]:
         # A dictionary is how a text is stored; readers are told that it is a text, and its unit and meaning.
         serialized = base64.b64encode(ROUNDTRIPS_SCHEMA.serialize().to_pybytes()).decode()
         with _telling(path):
-            writer.add_key_value_metadata({"ARROW:schema": serialized})
+            writer.add_key_value_metadata({"ARROW:schema": serialized, **(provenance or {})})
             stack.close()
 
 
@@ -109,8 +113,8 @@ def table_of(roundtrips: RoundTrips) -> pa.Table:
     return pa.Table.from_arrays([column(name) for name in _AS_WRITTEN.names], schema=_AS_WRITTEN)
 
 
-def write_summary(summary: pl.DataFrame, path: Path) -> None:
-    """Write `summary.parquet`, as `roundtrips_writer` writes.
+def write_summary(summary: pl.DataFrame, path: Path, provenance: Mapping[str, str]) -> None:
+    """Write `summary.parquet` with this metadata, as `roundtrips_writer` writes.
 
     Raises:
         OutputError: the folder or the file cannot be written.
@@ -118,7 +122,8 @@ def write_summary(summary: pl.DataFrame, path: Path) -> None:
     with _telling(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as draft:
-            pq.write_table(summary.to_arrow().cast(_schema(SUMMARY_COLUMNS)), draft, compression="zstd")
+            schema = _schema(SUMMARY_COLUMNS).with_metadata(dict(provenance))
+            pq.write_table(summary.to_arrow().cast(schema), draft, compression="zstd")
 
 
 def _schema(columns: tuple[Column, ...]) -> pa.Schema:

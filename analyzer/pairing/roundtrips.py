@@ -18,6 +18,7 @@ from .counts import COUNT_SCHEMA, count_messages
 from .one_way import OneWay, fit_exchanges
 from .pair import MISSING, OUTCOMES, middleware_stamps, pair_messages, published_messages
 from .unsent import count_unsent, settled
+from .utc import utc_columns
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -46,7 +47,7 @@ class RoundTrips:
     """The rows of some exchanges, their counts and clock fits.
 
     Attributes:
-        measured: `sequence` and the columns of `columns.MEASURED_COLUMNS`; rows by exchange, then by sequence.
+        measured: `sequence` and the columns of `columns.MEASURED_COLUMNS` and `UTC_COLUMNS`; rows by exchange, then by sequence.
         described: run_id, relay_id and the parameter columns, one row per exchange.
         outcome: uint8, for each row the position of its outcome in `pair.OUTCOMES`.
         bounds: int64, exchange i has the rows `bounds[i]` to `bounds[i + 1]` (not included).
@@ -132,6 +133,7 @@ def pair_exchanges(
             pl.Series("duplicates", duplicates),
             pl.Series("reordered", reordered),
             *one_way.columns,
+            *utc_columns(exchanges, bounds, stamps),
         )
     )
     return RoundTrips(

@@ -18,7 +18,7 @@ from ..model.parameters import PARAMETER_NAMES
 from .parquet import roundtrips_writer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from types import TracebackType
 
 ROUNDTRIP_NAMES = tuple(column.name for column in ROUNDTRIP_COLUMNS)
@@ -34,6 +34,7 @@ class RowStore:
 
     Args:
         path: `roundtrips.parquet`; None writes a temporary file, and that only of many rows.
+        provenance: metadata of that file.
 
     Attributes:
         groups: once they are located, a row per group: `group` u32, the parameter columns, and `first` and
@@ -43,9 +44,10 @@ class RowStore:
         OutputError: the file cannot be written.
     """
 
-    def __init__(self, path: Path | None = None) -> None:
+    def __init__(self, path: Path | None = None, provenance: Mapping[str, str] | None = None) -> None:
         self.groups = pl.DataFrame()
         self._path = path
+        self._provenance = provenance
         self._held: pl.DataFrame | list[pa.Table] | None = []
         self._rows = 0
         self._stack = ExitStack()
@@ -68,7 +70,7 @@ class RowStore:
     def __enter__(self) -> RowStore:  # noqa: PYI034 - `Self` is Python 3.11's
         """Begin the file, if one is asked for."""
         if self._path is not None:
-            self._write = self._stack.enter_context(roundtrips_writer(self._path))
+            self._write = self._stack.enter_context(roundtrips_writer(self._path, self._provenance))
         return self
 
     def add(self, table: pa.Table | None) -> None:
@@ -89,7 +91,7 @@ class RowStore:
             folder = Path(tempfile.mkdtemp(prefix="dds-analyze-"))
             weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
             self._path = folder / "roundtrips.parquet"
-            self._write = self._stack.enter_context(roundtrips_writer(self._path))
+            self._write = self._stack.enter_context(roundtrips_writer(self._path, self._provenance))
             for table in held:
                 self._write(table)
         self._held = None

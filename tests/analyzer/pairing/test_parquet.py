@@ -1,17 +1,28 @@
 """The Parquet files: types and units as any reader sees them, whole or not there."""
 
+import json
 import os
 
 import polars as pl
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from trace_files import Message, event, ping_events, ping_session, relay_session, run, write_pair, write_trace
+from trace_files import (
+    WALL_ANCHOR_NS,
+    Message,
+    event,
+    ping_events,
+    ping_session,
+    relay_session,
+    run,
+    write_pair,
+    write_trace,
+)
 
 import dds_trace.analyzer.pairing.parquet
 from dds_trace.analyzer import analyze
 from dds_trace.analyzer.model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
-from dds_trace.tracefile import OutputError, Stage
+from dds_trace.tracefile import OutputError, Stage, __version__
 
 TIMELINE = [Message(s, t0=1000 * s, t1=1000 * s + 5, t3=900, t4=930, t2=1000 * s + 205) for s in range(12)]
 
@@ -34,6 +45,8 @@ TYPES = {
     "outcome": pa.string(),
     "duplicates": pa.uint16(),
     "reordered": pa.bool_(),
+    "publish_utc": pa.timestamp("ns", tz="UTC"),
+    "relay_in_utc": pa.timestamp("ns", tz="UTC"),
 }
 
 
@@ -56,6 +69,45 @@ def test_files_tell_types_units_and_meanings(tmp_path):
     assert b"tail" not in summary.field("latency_p50_ns").metadata[b"meaning"]
     assert b"tail" not in summary.field("response_p99_ns").metadata[b"meaning"]
     assert summary.field("transfer_rate_bytes_per_s").metadata[b"unit"] == b"B/s"
+
+
+def test_files_tell_who_wrote_them_by_which_contract_of_what_and_when(tmp_path):
+    clock = {"begin": {"frequency_ppb": 0, "tick_us": 10000, "status": 0x2041}}
+    write_pair(tmp_path, TIMELINE, ping=ping_session(extra={"clock": clock}))
+    outputs = analyze(tmp_path, out=tmp_path / "out").outputs
+    for path in outputs.values():
+        told = {key.decode(): value.decode() for key, value in pq.read_metadata(path).metadata.items()}
+        assert told["dds_trace.version"] == __version__
+        assert told["dds_trace.contract"] == "docs/trace-format.md, format 1"
+        assert json.loads(told["dds_trace.sources"]) == {
+            "folder": tmp_path.name,
+            "count": 2,
+            "names": ["ping.mcap", "relay.mcap"],
+        }
+        assert json.loads(told["dds_trace.recorded"]) == {
+            "first": "2023-11-14T22:13:20.000000005Z",
+            "last": "2023-11-14T22:13:20.000011005Z",
+        }
+        clocks = json.loads(told["dds_trace.clocks"])
+        assert clocks["count"] == 2
+        assert {each["role"]: each["synchronized"] for each in clocks["sessions"]} == {
+            "ping": False,
+            "relay": None,
+        }
+
+
+def test_utc_is_told_of_each_clock_by_its_own_anchor_and_only_after_it(tmp_path):
+    timeline = [
+        Message(0, t0=0, t1=5, t3=900, t4=930, t2=2050),
+        Message(1, t0=1000, t1=1005, t3=None, t4=None, t2=None),
+    ]
+    ping = ping_session(wall_anchor_ns=WALL_ANCHOR_NS + 100, monotonic_anchor_ns=100)
+    relay = relay_session(wall_anchor_ns=5_000, monotonic_anchor_ns=200)
+    write_pair(tmp_path, timeline, ping=ping, relay=relay)
+    rows = analyze(tmp_path).load_roundtrips()
+    utc_ns = rows.select(pl.col("publish_utc", "relay_in_utc").dt.epoch("ns")).rows()
+    # T1 at 5 lies before the anchor at 100: that session cannot have recorded it.
+    assert utc_ns == [(None, 5_700), (WALL_ANCHOR_NS + 1005, None)]
 
 
 def test_what_is_read_back_is_what_was_analyzed(tmp_path, monkeypatch):

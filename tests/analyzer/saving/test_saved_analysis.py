@@ -178,10 +178,10 @@ def test_a_zero_anywhere_in_the_manifest_is_refused(saved):
     ("change", "words"),
     [
         ({"format": "something else"}, "not the manifest of a saved analysis"),
-        ({"version": 4}, "version 4 of a saved analysis; this program reads version 3: read it with"),
+        ({"version": 5}, "version 5 of a saved analysis; this program reads version 4: read it with"),
         (
             {"version": 1},
-            "version 1 of a saved analysis; this program reads version 3: analyze the traces again",
+            "version 1 of a saved analysis; this program reads version 4: analyze the traces again",
         ),
         ({"files": {}}, "cannot be read"),
         (

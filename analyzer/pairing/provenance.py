@@ -1,0 +1,52 @@
+"""What a Parquet file says of itself: which program wrote it, by which contract, from which traces, recorded when and where.
+
+The keys are promised (`docs/trace-format.md`). Equal input gives equal bytes, so the time is that of the recording.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+from dds_trace.tracefile import FORMAT_VERSION, __version__
+
+from .utc import is_synchronized, utc_text
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from ..loading.campaign import Campaign
+    from .exchanges import Exchanges
+
+MOST_NAMED = 1000
+"""Traces and sessions that are listed, as a reader loads all of it with the schema; their number is always told."""
+
+
+def provenance(campaign: Campaign, exchanges: Exchanges) -> Mapping[str, str]:
+    """Return the metadata of the files of an analysis: key -> text, JSON where it is more than one value."""
+    read = sorted(source.path for source in campaign.sources if source.status != "skipped")
+    sessions = sorted(campaign.sessions.values(), key=lambda each: (each.wall_anchor_ns, each.session_id))
+    clocks = [
+        {
+            "session_id": f"{session.session_id:016x}",
+            "role": session.role,
+            "device": session.device,
+            "started": utc_text(session.wall_anchor_ns),
+            "synchronized": is_synchronized(session),
+        }
+        for session in sessions[:MOST_NAMED]
+    ]
+    recorded = {
+        "first": utc_text(min(exchange.start_ns for exchange in exchanges.held)),
+        "last": utc_text(max(exchange.end_ns for exchange in exchanges.held)),
+    }
+    told = {
+        "sources": {"folder": campaign.folder.resolve().name, "count": len(read), "names": read[:MOST_NAMED]},
+        "recorded": recorded,
+        "clocks": {"count": len(sessions), "sessions": clocks},
+    }
+    return {
+        "dds_trace.version": __version__,
+        "dds_trace.contract": f"docs/trace-format.md, format {FORMAT_VERSION}",
+        **{f"dds_trace.{key}": json.dumps(value) for key, value in told.items()},
+    }

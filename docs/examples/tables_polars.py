@@ -1,0 +1,28 @@
+"""Read the Parquet files of an analysis with polars: `python tables_polars.py runs/analysis`."""
+
+import json
+import sys
+from pathlib import Path
+
+import polars as pl
+
+folder = Path(sys.argv[1])
+
+# Lazily: of a file of millions of messages only the columns that are asked for are read.
+tail = (
+    pl.scan_parquet(folder / "roundtrips.parquet")
+    .filter(pl.col("outcome") == "completed")
+    .group_by("data_type", "payload_bytes")
+    .agg(
+        (pl.col("latency_ns").quantile(0.99, "linear") / 1e6).alias("latency_p99_ms"),
+        pl.col("publish_utc").min().alias("first_utc"),
+    )
+    .sort("data_type", "payload_bytes")
+    .collect()
+)
+print(tail)
+
+told = pl.read_parquet_metadata(folder / "roundtrips.parquet")
+print("written by dds-trace", told["dds_trace.version"], "by", told["dds_trace.contract"])
+for clock in json.loads(told["dds_trace.clocks"])["sessions"]:
+    print(clock["role"], clock["device"], "started", clock["started"], "synchronized:", clock["synchronized"])

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import click
 import typer
 
-from dds_trace.cli import analyze, bridge, sweep
+from dds_trace.cli import analyze, bridge
 from dds_trace.cli.record import command as record
+from dds_trace.cli.sweep import command as sweep
 
 from .markdown import code, escaped, table
 
@@ -22,6 +23,8 @@ def _apps() -> Iterator[tuple[str, typer.Typer]]:
     yield "dds-record", record.app
     yield "dds-bridge", bridge.app
     yield "dds-sweep", sweep.app
+    for name, app in sweep.COMMANDS.items():
+        yield f"dds-sweep {name}", app
     yield "dds-analyze", analyze.app
     for name, app in analyze.COMMANDS.items():
         yield f"dds-analyze {name}", app

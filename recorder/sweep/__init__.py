@@ -14,7 +14,16 @@ if TYPE_CHECKING:
     from .plan.plan import Plan, depth_warnings
     from .plan.plan_file import check_runs, parse_plan, read_plan
     from .plan.schedule import CellGroup, Remaining, plan_seconds, schedule
-    from .plan.schema import plan_schema, schema_text
+    from .plan.schema import SCHEMA_FILE_NAME, plan_schema, schema_text
+    from .plan.template import (
+        COMPARISONS,
+        DATA_EXAMPLE,
+        HERE,
+        check_place,
+        parse_comparisons,
+        parse_messages,
+        plan_text,
+    )
     from .rehearsal import rehearse_plan
     from .run.progress import SweepProgress, make_progress
     from .run.result import CellResult, read_result
@@ -29,10 +38,14 @@ else:
 __all__ = [
     "BASE",
     "COLUMNS",
+    "COMPARISONS",
+    "DATA_EXAMPLE",
     "DEFAULT_MAX_PASSES",
+    "HERE",
     "INCOMPLETE_EXIT_CODE",
     "NEW",
     "PRESETS",
+    "SCHEMA_FILE_NAME",
     "TOO_WIDE_EXIT_CODE",
     "AgainstOutcome",
     "Cell",
@@ -47,6 +60,7 @@ __all__ = [
     "SweepProgress",
     "Until",
     "against_seconds",
+    "check_place",
     "check_runs",
     "depth_warnings",
     "environment_name",
@@ -55,10 +69,13 @@ __all__ = [
     "installed_middlewares",
     "make_progress",
     "max_rate_rows",
+    "parse_comparisons",
+    "parse_messages",
     "parse_plan",
     "parse_target",
     "plan_schema",
     "plan_seconds",
+    "plan_text",
     "printed_command",
     "read_plan",
     "read_result",

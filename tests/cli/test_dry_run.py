@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from namespaces import needs_namespaces
 from rich.console import Console
 
-from dds_trace.cli import sweep as command
-from dds_trace.cli.dry_run import _check_arguments
+from dds_trace.cli.sweep import command
+from dds_trace.cli.sweep.dry_run import _check_arguments
 from dds_trace.recorder.sweep import make_progress, parse_plan, rehearse_plan, run_sweep
 from dds_trace.recorder.sweep.station.emulation import ip
 from dds_trace.tracefile import OptionError

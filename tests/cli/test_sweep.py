@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from dds_trace.analyzer.statistics.intervals import RUNS_TO_TELL
-from dds_trace.cli import sweep as command
+from dds_trace.cli.sweep import command
 from dds_trace.recorder.sweep import Cell, plan_seconds, read_plan, schedule
 from dds_trace.recorder.sweep.plan.plan import Order
 from dds_trace.recorder.sweep.search import MaxRate, RateAnswer

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from dds_trace.analyzer import FalseAlarms, analyze, half_widths
-from dds_trace.cli.against import _in_words
+from dds_trace.cli.sweep.against import _in_words
 from dds_trace.tracefile import read_trace
 
 PLAN = """

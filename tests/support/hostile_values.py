@@ -12,9 +12,10 @@ from pathlib import Path
 
 from hypothesis import strategies as st
 
-from dds_trace.cli import analyze, bridge, compare, sweep, watch
+from dds_trace.cli import analyze, bridge, compare, watch
 from dds_trace.cli.errors import run_command
 from dds_trace.cli.record import command as record
+from dds_trace.cli.sweep import command as sweep
 
 COMMANDS = {
     "dds-record": record.app,
@@ -22,6 +23,7 @@ COMMANDS = {
     **{f"dds-analyze {name}": app for name, app in analyze.COMMANDS.items()},
     "dds-bridge": bridge.app,
     "dds-sweep": sweep.app,
+    **{f"dds-sweep {name}": app for name, app in sweep.COMMANDS.items()},
 }
 """Every command and subcommand -> its app."""
 

@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 
 Schema: TypeAlias = "dict[str, object]"
 
-FILE_NAME = "plan.schema.json"
+SCHEMA_FILE_NAME = "plan.schema.json"
 """Name under which the schema lies beside plans; their first line names it."""
 
-POINTER = f"#:schema ./{FILE_NAME}"
+POINTER = f"#:schema ./{SCHEMA_FILE_NAME}"
 """First line of a plan, by which Taplo, Tombi and the editors on them find the schema."""
 
 _JSON_TYPES = {str: "string", int: "integer", float: "number", bool: "boolean"}
@@ -63,7 +63,7 @@ def _object(name: str, table: Table) -> Schema:
 
 def _table(name: str) -> Schema:
     table = TABLES[name]
-    said: Schema = {"description": _plain(table.meaning)}
+    said: Schema = {"description": plain(table.meaning)}
     if not table.is_repeated:
         return said | _object(name, table)
     # A table or an array of them: what is no table is no object, so that the properties do not concern it.
@@ -88,7 +88,7 @@ def _key(table: str, name: str, key: TableKey) -> Schema:
     value = _value(table, name, key)
     if key.takes_list:
         value = {"anyOf": [value, {"type": "array", "items": value}]}
-    said: Schema = {"description": _plain(key.key.meaning) + (f" ({key.key.unit})" if key.key.unit else "")}
+    said: Schema = {"description": plain(key.key.meaning) + (f" ({key.key.unit})" if key.key.unit else "")}
     # A default in words is that of the whole plan, not of the key.
     if key.default not in (None, "", ()) and not key.key.default:
         said["default"] = key.default
@@ -165,5 +165,6 @@ _RULES: Mapping[str, Schema] = {
 """Table -> its rules of several keys: a run has a length in messages or in time."""
 
 
-def _plain(text: str) -> str:
+def plain(text: str) -> str:
+    """Return a meaning without the addresses of its links."""
     return _LINK.sub(r"\1", text)

@@ -10,7 +10,7 @@ import jsonschema
 import pytest
 
 from dds_trace.recorder.sweep import plan_schema, schema_text
-from dds_trace.recorder.sweep.plan.schema import FILE_NAME, POINTER
+from dds_trace.recorder.sweep.plan.schema import POINTER, SCHEMA_FILE_NAME
 from dds_trace.recorder.sweep.plan.tables import TABLES
 
 if sys.version_info >= (3, 11):
@@ -24,7 +24,7 @@ SCHEMA = jsonschema.Draft202012Validator(plan_schema())
 
 
 def test_the_stored_schema_is_that_of_the_code():
-    stored = (TOP / "plans" / FILE_NAME).read_text(encoding="utf-8")
+    stored = (TOP / "plans" / SCHEMA_FILE_NAME).read_text(encoding="utf-8")
     assert stored == schema_text(), "run `just plan-schema`"
 
 

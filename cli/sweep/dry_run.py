@@ -67,7 +67,7 @@ def _check_arguments(arguments: Sequence[str]) -> None:
     """
     from dds_trace.recorder import check_options
 
-    from .record.command import app
+    from ..record.command import app
 
     try:
         typer.main.get_command(app).main(

@@ -7,6 +7,7 @@ import math
 import signal
 import sys
 from enum import Enum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,10 +16,13 @@ import typer
 from dds_trace.tracefile import OptionError, __version__, limits
 from dds_trace.tracefile.units.counts import counted
 
-from .errors import run_command
-from .quick_help import command_app, declare_command
+from ..errors import run_command
+from ..quick_help import command_app, declare_command
+from . import new
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     from dds_trace.recorder.sweep import Plan, Until
 
 INTERRUPTED_EXIT_CODE = 130
@@ -101,6 +105,10 @@ def main_command(
     Interrupted anywhere, the same command goes on with what is not complete. Ends with 0 if everything is
     complete, with 10 if some cells are not (then the reasons are on stderr and in state.json), and with 11 if some are
     still wider than --until.
+
+    A commented plan from three questions:
+
+    [bold]dds-sweep new mine.toml[/bold]
     """
     from dds_trace.recorder.sweep import installed_middlewares, read_plan
 
@@ -226,9 +234,17 @@ def _search(plan: Plan, out: Path, as_json: bool) -> int:
     return INCOMPLETE_EXIT_CODE if any(highest.answer is RateAnswer.FAILED for highest in answers) else 0
 
 
-def main() -> None:
-    """Run `dds-sweep`."""
-    run_command(app)
+COMMANDS: Mapping[str, typer.Typer] = {"new": new.app}
+"""Name -> command; anything else as first argument belongs to the command without a name. A plan of that name: `./new`."""
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run `dds-sweep` with these arguments, or with those of the process."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    if given and given[0] in COMMANDS:
+        run_command(partial(COMMANDS[given[0]], given[1:], prog_name=f"dds-sweep {given[0]}"))
+    else:
+        run_command(partial(app, given, prog_name="dds-sweep"))
 
 
 if __name__ == "__main__":

@@ -1,0 +1,5 @@
+"""`dds-sweep`: its command, what it shows instead of sweeping, and `dds-sweep new`."""
+
+from .command import main
+
+__all__ = ["main"]

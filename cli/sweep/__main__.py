@@ -1,0 +1,5 @@
+"""`python -m dds_trace.cli.sweep`."""
+
+from .command import main
+
+main()

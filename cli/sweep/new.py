@@ -1,0 +1,127 @@
+"""`dds-sweep new PLAN.toml`: a commented plan from three questions, asked on a terminal or answered by options."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path  # noqa: TC003 - typer reads the annotations
+from typing import TYPE_CHECKING, Annotated, TypeVar
+
+import typer
+
+from dds_trace.tracefile import OptionError, OutputError, OutputExistsError, limits
+
+from ..quick_help import command_app, declare_command
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+_T = TypeVar("_T")
+
+app = command_app()
+
+
+@declare_command(app)
+def main_command(
+    plan: Annotated[
+        Path,
+        typer.Argument(metavar="PLAN.toml", help="The file to write; it must not exist.", show_default=False),
+    ],
+    send: Annotated[
+        str | None,
+        typer.Option(
+            "--send",
+            metavar="DATA",
+            help="What is sent, each with its rate: 'binary 33KB @ 20, imu @ 100, file:photo.jpg @ 5'.",
+            show_default=False,
+        ),
+    ] = None,
+    compare: Annotated[
+        str | None,
+        typer.Option(
+            "--compare",
+            metavar="WORDS",
+            help="Of middleware, bridge, reliability, tuning and serialization, with commas; or nothing.",
+            show_default=False,
+        ),
+    ] = None,
+    relay: Annotated[
+        str | None,
+        typer.Option(
+            "--relay",
+            metavar="WHERE",
+            help="here, USER@HOST, or an emulated link to a relay here: wifi-54, say.",
+            show_default=False,
+        ),
+    ] = None,
+) -> None:
+    """Write a commented plan for dds-sweep, and beside it the schema by which editors complete it.
+
+    Asks three questions on a terminal: what is sent, what is compared, where the relay is. An option answers one.
+    """
+    from dds_trace.recorder.sweep import (
+        COMPARISONS,
+        DATA_EXAMPLE,
+        HERE,
+        PRESETS,
+        SCHEMA_FILE_NAME,
+        check_place,
+        parse_comparisons,
+        parse_messages,
+        parse_plan,
+        plan_text,
+        schema_text,
+    )
+
+    if plan.suffix != ".toml":
+        raise OptionError(f"{plan}: a plan is a .toml file; write {plan.with_suffix('.toml')}")
+    limits.check(limits.PATH, str(plan), "PLAN.toml")
+    limits.check(limits.FILE_NAME, plan.stem, "PLAN.toml")
+    if plan.exists():  # before anything is asked
+        raise _exists(plan)
+    messages = _answer(send, "--send", "What is sent, and how often a second?", DATA_EXAMPLE, parse_messages)
+    words = f"Of {', '.join(COMPARISONS)}; or nothing"
+    comparisons = _answer(compare, "--compare", f"What is compared? {words}", "middleware", parse_comparisons)
+    places = f"{HERE}, USER@HOST, or over a link emulated here: {', '.join(PRESETS)}"
+    place = _answer(relay, "--relay", f"Where is the relay? {places}", HERE, check_place)
+    text = plan_text(plan.stem, messages, comparisons, place)
+    parse_plan(text, plan.stem, "these answers", lambda: [("ros2", None)])
+    try:
+        with plan.open("x", encoding="utf-8") as file:
+            file.write(text)
+        print(f"Wrote {plan}")
+        schema = plan.with_name(SCHEMA_FILE_NAME)
+        if not schema.exists():
+            schema.write_text(schema_text(), encoding="utf-8")
+            print(f"Wrote {schema}")
+    except FileExistsError as err:
+        raise _exists(plan) from err
+    except OSError as err:
+        raise OutputError(f"{plan} cannot be written ({err.strerror}); give another folder") from err
+
+
+def _exists(plan: Path) -> OutputExistsError:
+    return OutputExistsError(f"{plan} is there already; choose another name")
+
+
+def _answer(given: str | None, option: str, question: str, example: str, parse: Callable[[str], _T]) -> _T:
+    """Return the answer to a question: the option's, or what is typed on the terminal, which is asked again until it is one.
+
+    Raises:
+        OptionError: the option's answer is none, or there is neither option nor terminal.
+    """
+    if given is not None:
+        try:
+            return parse(given)
+        except OptionError as err:
+            raise OptionError(f"{option} {err}") from err
+    if not sys.stdin.isatty():
+        raise OptionError(f"there is no terminal to ask on: give {option}, for example {option} '{example}'")
+
+    def typed(text: str) -> _T:
+        try:
+            return parse(text)
+        except OptionError as err:
+            raise typer.BadParameter(str(err)) from err
+
+    answer: _T = typer.prompt(question, default=example, value_proc=typed)
+    return answer

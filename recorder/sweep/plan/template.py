@@ -1,0 +1,173 @@
+"""A plan from the answers to three questions: what is sent, what is compared, where the relay is."""
+
+from __future__ import annotations
+
+import json
+import re
+import textwrap
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from dds_trace.tracefile import OptionError, limits
+from dds_trace.tracefile.units.quantities import split_quantity
+from dds_trace.tracefile.units.sizes import parse_size
+
+from ...options import DEFAULT_MESSAGES
+from ...payloads import PAYLOADS, check_data
+from ...payloads.base import Source
+from .link import PRESETS
+from .schema import POINTER, plain
+from .tables import INSTALLED, TABLES
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+WIDTH = 100
+"""Columns of a comment."""
+
+DATA_EXAMPLE = "binary 33KB @ 20, imu @ 100"
+HERE, NOTHING = "here", "nothing"
+
+COMPARISONS: Mapping[str, tuple[str, object]] = {
+    "middleware": ("backend", INSTALLED),
+    "bridge": ("bridge", ["none", "builtin"]),
+    "reliability": ("reliability", ["reliable", "best_effort"]),
+    "tuning": ("tuned", [False, True]),
+    "serialization": ("serialization", ["raw", "typed"]),
+}
+"""What can be compared -> the axis and its values."""
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """One kind of message: `--data`, `--size` (None: its own) and `--rate`."""
+
+    data: str
+    size: str | None
+    rate_hz: float
+
+
+def parse_messages(text: str) -> list[Message]:
+    """Read what is sent: `binary 33KB @ 20, imu @ 100`, each with its rate in messages a second.
+
+    Raises:
+        OptionError: a kind, size or rate is not understood.
+    """
+    return [_message(part.strip()) for part in text.split(",")]
+
+
+def _message(text: str) -> Message:
+    named, at, rate = text.rpartition("@")
+    quantity = split_quantity(rate.lower().removesuffix("hz"))
+    if not at or quantity is None or quantity[1]:
+        raise OptionError(
+            f"{limits.shown(text)}: write a kind, a size and a rate, for example {DATA_EXAMPLE}"
+        )
+    data, size = named.strip(), None
+    if not isinstance(PAYLOADS.get(data.partition(":")[0]), Source):
+        data, *sizes = data.split() or [""]
+        size = "".join(sizes) or None
+    check_data(data)
+    limits.check(limits.RATE_HZ, quantity[0], "the rate")
+    if size is not None:
+        limits.check(limits.SIZE_BYTES, parse_size(size), "the size")
+    return Message(data, size, quantity[0])
+
+
+def parse_comparisons(text: str) -> list[str]:
+    """Read what is compared: words of `COMPARISONS` with commas between them, or `nothing`.
+
+    Raises:
+        OptionError: a word is not known.
+    """
+    words = [word for word in re.split(r"[,\s]+", text.strip()) if word and word != NOTHING]
+    for word in words:
+        if word not in COMPARISONS:
+            raise OptionError(f"{limits.shown(word)}: {limits.nearest(word, [*COMPARISONS, NOTHING])}")
+    return list(dict.fromkeys(words))
+
+
+def check_place(text: str) -> str:
+    """Return where the relay is: `here`, `USER@HOST`, or the name of an emulated link.
+
+    Raises:
+        OptionError: it is none of these.
+    """
+    place = text.strip()
+    if place != HERE and place not in PRESETS and "@" not in place:
+        raise OptionError(f"{limits.shown(place)}: write {HERE}, USER@HOST, or a link: {', '.join(PRESETS)}")
+    limits.check(limits.NAME, place, "the relay's device")
+    return place
+
+
+def plan_text(name: str, messages: Sequence[Message], comparisons: Sequence[str], place: str) -> str:
+    """Return a commented plan.
+
+    Args:
+        name: name of the plan, which its comments use.
+        messages: what is sent, each a `[[matrix]]`.
+        comparisons: words of `COMPARISONS`.
+        place: where the relay is (`check_place`).
+    """
+    axes = [_line("axes", *COMPARISONS[word]) for word in comparisons]
+    blocks = [
+        POINTER,
+        "\n".join(
+            [
+                f"# Show its cells and prove that they start:  dds-sweep {name}.toml --dry-run",
+                f"# Record it:                                 dds-sweep {name}.toml --out runs/",
+                f"# Look:                                      dds-analyze runs/{name} --report html",
+            ]
+        ),
+        _block(
+            "[run]",
+            "run",
+            [
+                _line("run", "messages", DEFAULT_MESSAGES),
+                _line("run", "repeats", 5),
+                _line("run", "order", "alternating"),
+            ],
+        ),
+        *([_block("[axes]", "axes", axes)] if axes else []),
+        *(_matrix(message) for message in messages),
+        *_where(place),
+    ]
+    return "\n\n".join(blocks) + "\n"
+
+
+def _matrix(message: Message) -> str:
+    values = {"data": message.data, "size": message.size, "rate": message.rate_hz}
+    lines = [f"{key} = {_toml(value)}" for key, value in values.items() if value is not None]
+    return "\n".join(["[[matrix]]", *lines])
+
+
+def _where(place: str) -> list[str]:
+    """Return the table that tells where the relay is; none on one machine."""
+    if place == HERE:
+        return []
+    if place in PRESETS:
+        return [_block("[link]", "link", [_line("link", "preset", place)])]
+    lines = [_line("devices.relay", "ssh", place)]
+    further = [
+        f"# {key}: {plain(TABLES['devices.relay'].keys[key].key.meaning)}" for key in ("setup", "path")
+    ]
+    return [_block("[devices.relay]", "devices.relay", [*lines, *further])]
+
+
+def _block(title: str, table: str, lines: Sequence[str]) -> str:
+    return "\n".join([_comment(plain(TABLES[table].meaning)), title, *lines])
+
+
+def _line(table: str, key: str, value: object) -> str:
+    return f"{_comment(plain(TABLES[table].keys[key].key.meaning))}\n{key} = {_toml(value)}"
+
+
+def _comment(text: str) -> str:
+    return textwrap.fill(text.replace("**", ""), WIDTH, initial_indent="# ", subsequent_indent="# ")
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.15g}"
+    # A text, a list or a flag of TOML is one of JSON, but for DEL, which JSON leaves as it is.
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
     from ..model.column import Column
     from .roundtrips import RoundTrips
 
@@ -94,13 +96,13 @@ def table_of(roundtrips: RoundTrips) -> pa.Table:
     Texts that are the same throughout share one array of positions in their dictionary.
     """
     described = {column.name: column.to_arrow() for column in roundtrips.described.iter_columns()}
-    outcomes = pa.array([outcome.value for outcome in OUTCOMES])
-    exchange_of_row = pa.array(roundtrips.exchange_of_row())
-    zeros = pa.array(np.zeros(len(exchange_of_row), np.int32))
+    outcomes = _array([outcome.value for outcome in OUTCOMES]).cast(pa.string())
+    exchange_of_row = _array(roundtrips.exchange_of_row())
+    zeros = _array(np.zeros(len(exchange_of_row), np.int32))
 
     def column(name: str) -> pa.Array:
         if name == "outcome":
-            return pa.DictionaryArray.from_arrays(pa.array(roundtrips.outcome.astype(np.int32)), outcomes)
+            return pa.DictionaryArray.from_arrays(_array(roundtrips.outcome.astype(np.int32)), outcomes)
         if name not in described:
             return roundtrips.measured[name].to_arrow()
         if ROUNDTRIPS_SCHEMA.field(name).type != pa.string():
@@ -111,6 +113,11 @@ def table_of(roundtrips: RoundTrips) -> pa.Table:
         return text.take(exchange_of_row)
 
     return pa.Table.from_arrays([column(name) for name in _AS_WRITTEN.names], schema=_AS_WRITTEN)
+
+
+def _array(values: NDArray[np.generic] | list[str]) -> pa.Array:
+    """Return values as an Arrow array; `pa.array` would load pandas where it is installed, to look whether they are its own."""
+    return pl.Series(values).to_arrow()
 
 
 def write_summary(summary: pl.DataFrame, path: Path, provenance: Mapping[str, str]) -> None:

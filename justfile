@@ -8,6 +8,8 @@ bin := venv / "bin"
 
 # Everything below runs on this machine only.
 export ROS_AUTOMATIC_DISCOVERY_RANGE := "LOCALHOST"
+# Where byte code is forbidden (many containers), each of the hundreds of processes of the tests would compile our modules anew.
+export PYTHONDONTWRITEBYTECODE := ""
 
 _default:
     @just --list
@@ -35,9 +37,9 @@ fix: setup
     {{bin}}/ruff check --fix .
     {{bin}}/ruff format .
 
-# All tests that end within minutes
+# All tests that end within minutes; each worker takes neighbours, which share what they make
 test *args: setup
-    {{bin}}/pytest -m 'not slow' -n 4 {{args}}
+    {{bin}}/pytest -m 'not slow' -n 4 --dist worksteal {{args}}
 
 # Tests that take longer than a minute each (kills, long sweeps)
 test-slow *args: setup

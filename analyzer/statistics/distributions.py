@@ -45,9 +45,11 @@ def student_quantile(probability: float, degrees: float) -> float:
 
     Args:
         probability: between 0 and 1, both excluded.
-        degrees: degrees of freedom, above 0.
+        degrees: degrees of freedom, above 0; infinity gives the normal distribution.
     """
     _check_probability(probability)
+    if math.isinf(degrees):
+        return _NORMAL.inv_cdf(probability)
     if probability < 0.5:
         return -student_quantile(1 - probability, degrees)
     # Newton's method on the tail, which keeps its digits. Above zero the distribution is concave and its quantile

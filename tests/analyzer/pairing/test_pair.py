@@ -75,6 +75,15 @@ def test_a_run_of_warmup_only_has_no_rows():
     assert paired.reordered.tolist() == []
 
 
+@pytest.mark.parametrize("sequences", [(3, 4, 5, 6), (3, 4, 6), (3, 4, 7), (3, 5, 7, 9), (3,), (2, 2**63)])
+def test_each_message_has_the_row_that_a_search_finds_and_no_other_number_has_one(sequences):
+    """Also where one, two or three T1 are missing, and the numbers are not those of the rows."""
+    published, _ = pair(t1=[(each, 10 + row) for row, each in enumerate(sequences)], warmup=1)
+    asked = sorted({0, 1, 2, *(each + apart for each in sequences for apart in (-1, 0, 1)), 2**64 - 1})
+    expected = [sequences.index(each) if each in sequences else -1 for each in asked]
+    assert published.rows(np.array(asked, np.uint64)).tolist() == expected
+
+
 def test_the_earliest_of_several_replies_counts():
     _, paired = pair(t1=[(0, 10), (1, 20), (2, 30)], t2=[(1, 29), (0, 18), (1, 25), (1, 27), (2, 34)])
     assert paired.receive_ns.tolist() == [18, 25, 34]

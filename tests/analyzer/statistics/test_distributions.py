@@ -59,6 +59,7 @@ def test_the_distribution_is_symmetric_and_its_quantile_leads_back(t, degrees):
 
 def test_infinite_degrees_are_the_normal_distribution():
     assert student_cdf(1.959963984540054, math.inf) == pytest.approx(0.975, abs=1e-12)
+    assert student_quantile(0.975, math.inf) == pytest.approx(1.959963984540054, rel=1e-12)
     assert student_cdf(math.inf, 3) == 1.0
     assert student_cdf(-math.inf, 3) == 0.0
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import replace
 
@@ -9,7 +10,9 @@ import polars as pl
 import pytest
 from roundtrip_frames import MS, in_runs, steady
 
+from dds_trace.analyzer.run_statistics import Change, DeliveryChange
 from dds_trace.analyzer.statistics.distributions import shift_for_power
+from dds_trace.analyzer.statistics.intervals import Basis, Interval
 from dds_trace.analyzer.verdicts.compare import CompareOptions, compare_roundtrips
 from dds_trace.analyzer.verdicts.gate import (
     DEFAULT_GATES,
@@ -18,7 +21,14 @@ from dds_trace.analyzer.verdicts.gate import (
     parse_gate,
     parse_gates,
 )
-from dds_trace.analyzer.verdicts.gates import judge_gates, options_for, overall_outcome
+from dds_trace.analyzer.verdicts.gates import (
+    _Judged,
+    _wanted,
+    _wanted_of_received,
+    judge_gates,
+    options_for,
+    overall_outcome,
+)
 from dds_trace.analyzer.verdicts.sides import SideError
 from dds_trace.tracefile.errors import OptionError
 
@@ -210,6 +220,122 @@ def test_many_groups_are_adjusted_by_holm():
     assert alone.outcome is GateOutcome.REGRESSED
     assert among[0].outcome is GateOutcome.INCONCLUSIVE
     assert "Holm over groups" in among[0].reason
+
+
+def normal_beyond(errors):
+    """The share of a normal distribution beyond so many standard errors."""
+    return math.erfc(errors / math.sqrt(2)) / 2
+
+
+Z = 1.959963984540054
+"""The standard errors that an interval of 95 % reaches."""
+
+
+@pytest.mark.parametrize(
+    ("value", "low", "high", "limit", "is_ratio", "p"),
+    [
+        # The end towards the limit is one reach away, the limit two; above it, then below.
+        (3.0, 2.0, None, 1.0, False, normal_beyond(2 * Z)),
+        (1.0, None, 2.0, 3.0, False, normal_beyond(2 * Z)),
+        (math.exp(2), math.e, None, 1.0, True, normal_beyond(2 * Z)),
+        (math.exp(1), None, math.exp(2), math.exp(4), True, normal_beyond(3 * Z)),
+        # Where one of the three has no logarithm they are compared as they are.
+        (0.0, None, 1.0, 2.0, True, normal_beyond(2 * Z)),
+        (2.0, 0.0, None, -1.0, True, normal_beyond(1.5 * Z)),
+        # Of an infinite value the reciprocals: 0, -1/2 and -1/1.5.
+        (math.inf, 2.0, None, 1.5, True, normal_beyond(2 / 1.5 * Z)),
+        (math.inf, math.inf, None, 1.5, True, 0.0),
+        (2.0, 2.0, None, 1.5, True, 0.0),  # no spread at all
+        # Without the end that counts nothing is known but the interval's own error.
+        (2.0, None, 3.0, 1.0, True, 0.025),
+        (None, 2.0, 3.0, 1.0, True, 0.025),
+    ],
+)
+def test_how_likely_a_value_this_far_beyond_a_limit_is_by_chance(value, low, high, limit, is_ratio, p):
+    judged = _Judged("", (), value, low, high, Basis.BETWEEN_RUNS, None, "", None)
+    assert judged.p_beyond(limit, 0.95, is_ratio=is_ratio) == pytest.approx(p, rel=1e-6)
+    few = replace(judged, degrees=2).p_beyond(limit, 0.95, is_ratio=is_ratio)
+    assert few > p or p in {0.0, 0.025}
+    if (value, limit, is_ratio) == (3.0, 1.0, False):
+        t = 2 * 4.302652729911275  # of two degrees of freedom there is a closed form
+        assert few == pytest.approx(0.5 - t / (2 * math.sqrt(2 + t * t)), rel=1e-6)
+
+
+def side(value, low, high, *, runs=4, basis=Basis.BETWEEN_RUNS, samples=400, spread=None, episodes=None):
+    return Interval(value, low, high, 0.95, samples, 100, basis, runs, runs, episodes, spread)
+
+
+@pytest.mark.parametrize(
+    ("text", "value", "low", "high", "wanted"),
+    [
+        # The reach towards the limit is 3 or 2, the limit 1 away: nine and four times the runs.
+        ("received_ratio < -1 points", 0.0, -0.03, 0.02, "about 36 runs a side"),
+        ("received_ratio < -1 points", -0.02, -0.05, 0.0, "about 16 runs a side"),
+        # A limit that is far takes one run more at the least, of the side that has more.
+        (
+            "received_ratio < -50 points",
+            0.0,
+            -0.03,
+            0.02,
+            "about 5 runs a side would decide, there are 3 and 4",
+        ),
+        ("received_ratio < -1 points", -0.01, -0.03, 0.02, "more runs of this kind do not decide"),
+        ("received_ratio < -1 points", None, -0.03, 0.02, "more runs of this kind do not decide"),
+        ("received_ratio < -1 points", 0.0, None, 0.02, "more runs of this kind do not decide"),
+        ("received_ratio < -1 points", 0.0, -0.03, None, "more runs of this kind do not decide"),
+        ("received_ratio < 50%", 0.75, 0.0, 1.0, "about 36 runs a side would decide, there are 4"),
+        ("received_ratio < 50%", 0.25, 0.0, 0.75, "about 16 runs a side would decide, there are 4"),
+        ("received_ratio < 50%", None, 0.3, 0.6, "more runs of this kind do not decide"),
+    ],
+)
+def test_how_many_runs_a_share_takes(text, value, low, high, wanted):
+    gate = parse_gate(text)
+    base, new = side(1.0, 0.9, 1.0, runs=3), side(value, low, high)
+    change = DeliveryChange(base, new, value, low, high, Basis.BETWEEN_RUNS)
+    assert wanted in _wanted_of_received(gate, change)
+    few = replace(change, base=side(1.0, 0.9, 1.0, runs=2))
+    is_alone = gate.against is Against.NEW
+    assert (_wanted_of_received(gate, few) == "it takes 3 runs a side, there are 2 and 4") is not is_alone
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        # Spreads 5 % a side, 10 % from the limit each: what runs_to_decide says of them is tested where it is.
+        ("latency_p50 > +20%", 7),
+        ("latency_p50 > +2ms", 7),
+        ("latency_p50 > 12ms", 5),
+        ("latency_p50 > +100%", 5),
+        ("latency_p50 > -2000ms", None),
+        ("latency_p50 > +10%", None),  # where it is
+    ],
+)
+def test_how_many_runs_a_time_takes(text, wanted):
+    base = side(10.0 * MS, 9.0 * MS, 11.0 * MS, runs=3, spread=0.05)
+    new = side(11.0 * MS, 10.0 * MS, 12.0 * MS, spread=0.05)
+    said = _wanted(parse_gate(text), Change(base, new, Basis.BETWEEN_RUNS, ratio=1.1))
+    have = "4" if wanted and "> 12ms" in text else "3 and 4"
+    if wanted is None:
+        assert said.startswith("the limit is too close to what was measured, or too much was lost")
+    else:
+        assert said == f"about {wanted} runs a side would decide, there are {have}"
+
+
+def test_what_keeps_a_time_from_being_decided_comes_first():
+    whole = side(10.0 * MS, 9.0 * MS, 11.0 * MS, spread=0.05)
+    few = replace(whole, runs=2)
+    short = side(None, None, None, samples=40)
+    gates = parse_gate("latency_p99 > +20%"), parse_gate("latency_p99 > 20ms")
+    for before, now, relative, alone in (
+        (few, whole, "it takes 3 runs a side, there are 2 and 4", None),
+        (whole, few, "it takes 3 runs a side, there are 4 and 2", "it takes 3 runs a side, there are 2"),
+        (short, whole, "p99 takes 100 messages, there are 40", None),
+        (whole, short, "p99 takes 100 messages, there are 40", "p99 takes 100 messages, there are 40"),
+    ):
+        change = Change(before, now, Basis.BETWEEN_RUNS, ratio=1.0)
+        assert _wanted(gates[0], change) == relative
+        said = _wanted(gates[1], change)
+        assert said == alone if alone else said.startswith("about ")
 
 
 def test_default_gates_are_three():

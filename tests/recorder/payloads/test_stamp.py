@@ -12,10 +12,12 @@ from hypothesis import strategies as st
 from dds_trace.recorder.payloads import data_types
 from dds_trace.recorder.payloads.stamp import (
     HEADER_STAMP,
+    PROBE_RUN_ID,
     RAW_HEADER_STAMP,
     RAW_STRING_STAMP,
     STAMP_BYTES,
     STRING_STAMP,
+    RawStampPlace,
     Stamp,
     parse_stamp,
     stamp_text,
@@ -34,6 +36,7 @@ def header_message(frame_id: bytes) -> bytes:
 def test_text_is_what_the_format_page_says():
     assert stamp_text(0x0123456789ABCDEF, 0x102, 0xDEADBEEF) == TEXT
     assert len(TEXT) == STAMP_BYTES == 46
+    assert PROBE_RUN_ID == 0
 
 
 @given(UINT64, UINT64, UINT32)
@@ -92,6 +95,19 @@ def test_stamp_and_time_are_written_in_place():
     assert message[16:62] == TEXT[:38] + b"00000000"
     assert RAW_HEADER_STAMP.read(message) == (0x0123456789ABCDEF, 0x102, 0)
     assert message[-1] == 0x2A
+
+
+@pytest.mark.parametrize("digit", [1, 1 << 60])
+def test_runs_that_take_turns_are_told_apart(digit):
+    """A place remembers the last run that it read; one digit, the first or the last, is another run."""
+    place = RawStampPlace(16, 4)
+    for number in range(6):
+        run_id = (0x0123456789ABCDEF + digit * (number % 2)) % 2**64
+        message = header_message(stamp_text(run_id, 0x102 + number, 0xDEADBEEF))
+        for _ in range(2):
+            assert place.read(message) == Stamp(run_id, 0x102 + number, 0xDEADBEEF)
+        for damaged in (message[:-3], message.replace(b":0000", b":zzzz"), message.replace(b"dt1", b"dt2")):
+            assert place.read(damaged) is None
 
 
 def test_a_reply_differs_in_the_relay_alone():

@@ -88,14 +88,11 @@ def test_a_busy_machine_is_told_from_a_quarter_of_the_recordings_on(busy, is_sai
     assert ("The machine was busy in 1 of 2 recordings" in where) is is_said
 
 
-def test_one_full_recording_of_many_is_not_told_first():
+def test_the_study_is_told_by_size_and_place_and_not_by_one_full_recording_of_many():
     analysis = CAMPAIGNS["study"]()
     full = Finding(Severity.WARNING, "cpu_saturated", "session", "It was full.", "Free it.")
-    assert "busy" not in Book(replace(analysis, findings=(full,))).answer.points[-1]
-
-
-def test_the_study_is_told_by_size_and_place():
-    answer = Book(CAMPAIGNS["study"]()).answer
+    answer = Book(replace(analysis, findings=(full,))).answer
+    assert "busy" not in answer.points[-1]
     assert answer.headline == (
         "5.91 % of the messages never came back (6,804 of 115,200), all of them over wireless, from 1 MB on."
     )

@@ -1,4 +1,7 @@
-"""The HTML report on a local address, made anew when a trace below its folder changes."""
+"""The HTML report on a local address, made anew when a trace below its folder changes.
+
+`/version` names the page, `/status` says how far the sweep is, `/update` is the page without plotly.js for one that is open.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,8 @@ from dds_trace.analyzer import analyze, default_output
 from dds_trace.tracefile import OutputError, TraceError
 
 from ..book.book import Book
-from .page import live_script, render_live
+from .page import live_script, render_live, without_plotly
+from .progress import sweep_status, without_running
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -114,6 +118,8 @@ class Watcher:
     def _analyzed(self, version: str) -> str:
         cache = self._options.cache
         analysis = analyze(self._options.folder, out=self._target() if cache else None, cache=cache)
+        if sweep_status(self._options.folder).running:
+            analysis = without_running(analysis)
         return render_live(Book(analysis), version)
 
     def _failed(self, why: str, version: str) -> Shown:
@@ -126,6 +132,10 @@ class Watcher:
             f'data-version="{self._analyzed_version}"', f'data-version="{version}"', 1
         )
         return Shown(_encoded(page.replace("<body>", f"<body>\n{notice}", 1)), version)
+
+    def status(self) -> str:
+        """Return version of the page and progress of the sweeps, as JSON."""
+        return sweep_status(self._options.folder).to_json(self.shown.version)
 
     @contextmanager
     def serving(self) -> Iterator[None]:
@@ -181,14 +191,21 @@ def is_own_name(asked: str, bound: str) -> bool:
 
 
 def _handler(watcher: Watcher, bound: str) -> type[BaseHTTPRequestHandler]:
+    beside = {
+        "/version": ("text/plain", lambda: watcher.shown.version),
+        "/status": ("application/json", watcher.status),
+        "/update": ("text/html", lambda: without_plotly(watcher.shown.page.decode())),
+    }
+
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
             if not is_own_name(self.headers.get("Host", ""), bound):
                 self.send_error(HTTPStatus.MISDIRECTED_REQUEST)
                 return
             shown = watcher.shown
-            if self.path == "/version":
-                self._send("text/plain", shown.version.encode())
+            if self.path in beside:
+                kind, body = beside[self.path]
+                self._send(kind, body().encode())
             elif self.path != "/":
                 self.send_error(HTTPStatus.NOT_FOUND)
             elif self.headers.get("If-None-Match") == f'"{shown.version}"':

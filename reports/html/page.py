@@ -65,8 +65,13 @@ def render(book: Book) -> str:
 
 
 def render_live(book: Book, version: str) -> str:
-    """Return the page for `dds-analyze watch`: it reloads itself, keeping its view, when `GET version` changes."""
+    """Return the page for `dds-analyze watch`: it renews itself in place when the version of `GET status` changes."""
     return _render(book, (*SCRIPTS, LIVE_SCRIPT), version)
+
+
+def without_plotly(page: str) -> str:
+    """Return a page as it travels to a reader that has plotly.js: two megabytes less."""
+    return page.replace(packed_script(get_plotlyjs()), "", 1)
 
 
 def live_script() -> str:

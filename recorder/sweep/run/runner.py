@@ -85,6 +85,7 @@ class Runner:
         cells = [cell for group in groups for cell in group.cells]
         self.resume()
         done = sum(self.state[cell.name].done for cell in cells)
+        self.state.planned = len(cells)
         self._progress.begin(len(cells), done)
         try:
             if done < len(cells):
@@ -133,7 +134,9 @@ class Runner:
         with self.relay(group) as relay:
             for cell in waiting:
                 left = [other for other in all_cells if not self.state[other.name].done]
-                self._progress.cell(cell.name, self._estimate.remaining(left))
+                remaining = self._estimate.remaining(left)
+                self.state.left_s = remaining.seconds
+                self._progress.cell(cell.name, remaining)
                 self.record(cell, relay)
 
     @contextlib.contextmanager

@@ -68,6 +68,10 @@ class SweepState:
         plan_name: name of the plan, for the file and for errors.
         digest: digest of the plan's settings; a file of another digest is refused.
 
+    Attributes:
+        planned: number of cells of the sweep, for `dds-analyze watch`; 0 where it is not known.
+        left_s: estimate of the time that is left, as of the last change of the file.
+
     Raises:
         TraceFormatError: the file is not a state of this version.
         OptionError: it belongs to a plan that records the same cells differently.
@@ -78,6 +82,8 @@ class SweepState:
         self._plan_name = plan_name
         self._digest = digest
         self._cells: dict[str, CellState] = {}
+        self.planned = 0
+        self.left_s = 0.0
         if path.exists():
             self._load()
 
@@ -142,6 +148,8 @@ class SweepState:
             "format": STATE_VERSION,
             "plan": self._plan_name,
             "plan_digest": self._digest,
+            "planned": self.planned,
+            "left_s": round(self.left_s),
             "cells": cells,
         }
         replace_text(self.path, json.dumps(document, indent=1))

@@ -57,6 +57,9 @@ class FigureBlock {
     this.showRows();
   }
 
+  /** The page is renewed: nothing of this figure stays. */
+  leave() { for (const row of [...this.plot.children]) this.drop(row); }
+
   drop(row) {
     SEEN.unobserve(row);
     NEAR.delete(row);

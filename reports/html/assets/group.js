@@ -4,11 +4,11 @@ const GROUP_FIGURES = ["timeline", "ecdf", "breakdown"];
 
 const groupName = (group) => `${cellOf(group).label}, ${seriesOf(group).label}`;
 
-/** What the first two lines of a hover name (`groupHover`): how a mark is traced back to its group. */
-const GROUP_OF_HOVER = new Map(Array.from({ length: DATA.groups.count }, (_, group) => [groupHover(group), group]));
-
+/** The group that the first two lines of a hover name (`groupHover`): how a mark is traced back to its group. */
 function groupOfHover(text) {
-  return GROUP_OF_HOVER.get(String(text ?? "").split("<br>").slice(0, 2).join("<br>")) ?? null;
+  const named = String(text ?? "").split("<br>").slice(0, 2).join("<br>");
+  const group = Array.from({ length: DATA.groups.count }, (_, place) => place).find((place) => groupHover(place) === named);
+  return group ?? null;
 }
 
 /** The group of a mark, bar or tile that plotly says was clicked. */

@@ -1,7 +1,7 @@
 "use strict";
 // The page comes to life: theme, filters, figures, tables.
 
-const blocks = [...document.querySelectorAll("[data-figure]")].map((article) => new FigureBlock(article));
+let blocks = [];
 
 /** What the reader chose has changed: figures, filters and table follow. */
 function refreshAll() {
@@ -84,9 +84,6 @@ function buildFilters() {
   // What the tiles of the heatmap show is chosen beside it.
   document.querySelector("#figure-heatmap .legend")?.before(element("p", { class: "choice" }, selector("tiles", "Tiles show ")));
   form.addEventListener("submit", (event) => event.preventDefault());
-  document.addEventListener("click", (event) => {
-    for (const menu of document.querySelectorAll(".filter[open]")) if (!menu.contains(event.target)) menu.open = false;
-  });
   form.addEventListener("keydown", (event) => {
     const menu = event.key === "Escape" && event.target.closest(".filter[open]");
     if (!menu) return;
@@ -94,6 +91,10 @@ function buildFilters() {
     menu.querySelector("summary").focus();
   });
 }
+
+document.addEventListener("click", (event) => {
+  for (const menu of document.querySelectorAll(".filter[open]")) if (!menu.contains(event.target)) menu.open = false;
+});
 
 function showFilters() {
   for (const filter of DATA.filters) {
@@ -128,19 +129,18 @@ function showCellChoice() {
 
 // The address holds the view, so a link within the page must not replace it.
 
-for (const link of document.querySelectorAll("a[href^='#']:not([data-group])")) {
-  link.addEventListener("click", (event) => {
-    const target = document.getElementById(link.getAttribute("href").slice(1));
-    if (!target) return;
-    event.preventDefault();
-    if (target.tagName === "DETAILS") target.open = true;
-    for (const block of blocks) block.plan();  // what has not taken its room yet would push the target away
-    const focused = target.querySelector(":scope > summary") || target;
-    if (focused === target) target.tabIndex = -1;
-    target.scrollIntoView();
-    focused.focus({ preventScroll: true });
-  });
-}
+document.addEventListener("click", (event) => {
+  const link = event.target.closest("a[href^='#']:not([data-group])");
+  const target = link && document.getElementById(link.getAttribute("href").slice(1));
+  if (!target) return;
+  event.preventDefault();
+  if (target.tagName === "DETAILS") target.open = true;
+  for (const block of blocks) block.plan();  // what has not taken its room yet would push the target away
+  const focused = target.querySelector(":scope > summary") || target;
+  if (focused === target) target.tabIndex = -1;
+  target.scrollIntoView();
+  focused.focus({ preventScroll: true });
+});
 
 // Theme: the reader's system decides until the button is pressed; what was chosen is remembered.
 
@@ -171,13 +171,6 @@ document.getElementById("theme").addEventListener("click", () => {
 });
 systemDark.addEventListener("change", () => { showTheme(); redraw(); });
 
-document.getElementById("groups-search").addEventListener("input", () => showGroups());
-
-document.getElementById("save-groups").addEventListener("click", () => {
-  const { columns, rows } = showGroups();
-  saveCsv("dds-trace-groups", columns, rows);
-});
-
 addEventListener("hashchange", () => { readAddress(); refreshAll(); showGroup(); });
 
 let width = innerWidth;
@@ -191,8 +184,19 @@ addEventListener("resize", () => {
   }, 150);
 });
 
+/** Everything that rests on the data and on what stands in `main`; again when a watched page is renewed. */
+function start() {
+  blocks = [...document.querySelectorAll("[data-figure]")].map((article) => new FigureBlock(article));
+  buildFilters();
+  document.getElementById("groups-search").addEventListener("input", () => showGroups());
+  document.getElementById("save-groups").addEventListener("click", () => {
+    const { columns, rows } = showGroups();
+    saveCsv("dds-trace-groups", columns, rows);
+  });
+  refreshAll();
+  showGroup();
+}
+
 readAddress();
 showTheme();
-buildFilters();
-refreshAll();
-showGroup();
+start();

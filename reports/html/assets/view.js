@@ -6,12 +6,18 @@ const TILES = [
   { key: "received_ratio", label: "messages received" },
   { key: "transfer_rate_bytes_per_s", label: "transfer rate" },
 ];
-const CHOICES = {
-  metric: DATA.metrics.length ? DATA.metrics : [{ key: "latency", label: "Latency" }],
-  statistic: DATA.statistics,
-  scale: SCALES,
-  tiles: TILES,
-};
+const CHOICES = {};
+
+/** What can be chosen from the page's data; called again when a watched page gets newer data. */
+function setChoices() {
+  Object.assign(CHOICES, {
+    metric: DATA.metrics.length ? DATA.metrics : [{ key: "latency", label: "Latency" }],
+    statistic: DATA.statistics,
+    scale: SCALES,
+    tiles: TILES,
+  });
+}
+setChoices();
 
 const view = {
   chosen: {},   // filter key -> Set of option places; a key that is not there means all

@@ -1,5 +1,7 @@
 """The page as a reader meets it: Debian's Chromium, headless, driven by Playwright."""
 
+import json
+import re
 from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
@@ -431,7 +433,7 @@ def test_the_table_of_all_groups_is_saved_as_csv(reader, pages):
     assert lines[0].startswith('"Data","Size (bytes)","Rate (Hz)","Series","Runs"')
 
 
-def test_a_watched_page_loads_itself_again_on_a_change_and_only_then(reader, tmp_path):
+def test_a_watched_page_is_renewed_in_place(reader, tmp_path):
     write_runs(tmp_path, [1])
     watcher = Watcher(WatchOptions(tmp_path))
     with watcher.serving():
@@ -439,14 +441,29 @@ def test_a_watched_page_loads_itself_again_on_a_change_and_only_then(reader, tmp
         tab = reader.open(watcher.address + "#metric=rtt")
         tab.evaluate("window.loaded = 'once'")
         tab.evaluate("lookForNewer()")
-        assert tab.evaluate("window.loaded") == "once"
+        tab.locator("#theme").click()
+        tab.evaluate("document.querySelector('#recording details').open = true")
+        tab.locator("#groups-search").fill("binary")
+        tab.evaluate("document.getElementById('table').scrollIntoView()")
+        top = "document.getElementById('table').getBoundingClientRect().top"
+        before = tab.evaluate(top)
+        (tmp_path / "state.json").write_text(
+            json.dumps({"cells": {"a": {"status": "complete"}}, "planned": 3, "left_s": 360})
+        )
         write_runs(tmp_path, [2])
         watcher.refresh()
-        tab.evaluate("void lookForNewer()")
-        tab.locator(".measured", has_text="in 2 runs").wait_for()
-        tab.locator(".count").filter(has_text="group").wait_for()
-        assert tab.evaluate("window.loaded") is None
+        tab.evaluate("lookForNewer()")
+        tab.locator(".measured", has_text="in 2 runs").wait_for(state="attached")
+        assert tab.evaluate("window.loaded") == "once", "no reload"
+        assert tab.evaluate("DATA.runs.length") == 2
+        assert abs(tab.evaluate(top) - before) < 2, "the scroll stays"
+        assert tab.evaluate("document.documentElement.dataset.theme") == "dark"
+        assert tab.evaluate("document.querySelector('#recording details').open")
+        assert tab.locator("#groups-search").input_value() == "binary"
         assert tab.locator("#choose-metric").input_value() == "rtt"
+        assert re.fullmatch(r"1 of 3, \d+ s ago, about 6 min left", tab.locator("#progress").inner_text())
+        tab.locator("#choose-statistic").select_option("p90")
+        assert "statistic=p90" in tab.evaluate("location.hash"), "the renewed page answers"
         assert reader.complaints == []
         assert all(url.startswith((watcher.address, "data:")) for url in reader.requests)
 

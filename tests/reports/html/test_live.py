@@ -1,5 +1,6 @@
 """`dds-analyze watch` over a real loopback server and a folder that grows."""
 
+import json
 import signal
 import socket
 import struct
@@ -194,3 +195,44 @@ def test_a_tab_that_is_closed_while_it_is_answered_is_no_error(tmp_path, capfd):
         tab.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
         assert tab.recv(1)
     assert capfd.readouterr().err == ""
+
+
+def test_the_status_tells_how_far_the_sweeps_are(watcher, tmp_path):
+    def status():
+        return json.loads(fetch(watcher.address + "status").read())
+
+    assert status() == {"version": "", "done": 0, "planned": 0, "age_s": None, "left_s": 0.0}
+    cells = {"a": {"status": "complete"}, "b": {"status": "recorded"}, "c": {"status": "running"}}
+    for name, left_s in (("one", 600), ("two", 60)):
+        (tmp_path / name).mkdir()
+        state = {"cells": cells, "planned": 5, "left_s": left_s}
+        (tmp_path / name / "state.json").write_text(json.dumps(state))
+    (tmp_path / "state.json").write_text("[]")
+    told = status()
+    assert (told["done"], told["planned"]) == (4, 10)
+    assert 0 <= told["age_s"] < 60
+    assert 540 <= told["left_s"] <= 660
+
+
+def test_an_update_travels_without_plotly(watcher, tmp_path):
+    write_runs(tmp_path, [1])
+    watcher.refresh()
+    whole, update = (fetch(watcher.address + path).read() for path in ("", "update"))
+    assert len(update) < len(whole) - 1_900_000
+    assert b'data-packed="data"' in update
+
+
+def test_what_a_sweep_is_recording_is_no_warning(watcher, tmp_path):
+    write_runs(tmp_path, [1])
+    (tmp_path / ".parts").mkdir()
+    write_runs(tmp_path / "other", [3])
+    cut = (tmp_path / "other" / "ping3.mcap").read_bytes()
+    for path in (tmp_path / "other").iterdir():
+        path.unlink()
+    (tmp_path / ".parts" / "b.ping.mcap").write_bytes(cut[: len(cut) // 2])
+    watcher.refresh()
+    assert b".parts/b.ping.mcap" in fetch(watcher.address).read().partition(b"How it was recorded")[0]
+    (tmp_path / "state.json").write_text(json.dumps({"cells": {}, "planned": 2, "left_s": 9}))
+    write_runs(tmp_path, [2])
+    watcher.refresh()
+    assert b".parts/b.ping.mcap" not in fetch(watcher.address).read().partition(b"How it was recorded")[0]

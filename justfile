@@ -73,6 +73,10 @@ bench-full: setup
     {{bin}}/python benchmarks/bench_analyze.py --full --huge
     {{bin}}/python benchmarks/bench_analyze.py --growth
 
+# A relay serves run after run for MINUTES: growth of its memory, open files and shared memory for 1000 runs
+soak minutes="30" *args: setup
+    nice -n 10 {{bin}}/python benchmarks/soak.py {{minutes}} {{args}}
+
 # A billion synthetic events through dds-analyze, made and removed again (--events 100000000: a tenth; about 75 bytes of disk each)
 bench-huge *args: setup
     {{bin}}/python benchmarks/huge.py {{args}}

@@ -82,6 +82,39 @@ class PingOptions:
 
 
 @dataclass(frozen=True, slots=True)
+class Rotation:
+    """When a relay goes on in a new file, whichever comes first, and how many files it keeps.
+
+    Attributes:
+        file_bytes: length of a file, None for any.
+        age_s: time from its first event to the next file in seconds, None for any.
+        keep: number of files of the recording that stay, the one that is written included; None for all.
+    """
+
+    file_bytes: int | None = None
+    age_s: float | None = None
+    keep: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class KeepFree:
+    """The free space that a recording leaves on its disk: a share of the disk or a number of bytes, whichever is less.
+
+    Attributes:
+        share: 0 to 1.
+        most_bytes: bytes; None for the share alone.
+    """
+
+    share: float = 0.05
+    most_bytes: int | None = 1_000_000_000
+
+    def floor_bytes(self, disk_bytes: int) -> int:
+        """Return the bytes to keep on a disk of this size."""
+        share_bytes = int(self.share * disk_bytes)
+        return share_bytes if self.most_bytes is None else min(share_bytes, self.most_bytes)
+
+
+@dataclass(frozen=True, slots=True)
 class RecordOptions:
     """The options of one recording: a ping's with `ping`, a relay's without.
 
@@ -101,6 +134,8 @@ class RecordOptions:
         strict: whether a setting that the middleware does not use ends the recording.
         wire: whether the packets of the run's interfaces are counted.
         own_cost: whether the session measures what recording and the client library cost, before its node opens.
+        rotation: when a relay goes on in a new file; None for never.
+        keep_free: free space to leave on the disk.
     """
 
     destination: TraceDestination
@@ -118,6 +153,8 @@ class RecordOptions:
     strict: bool = False
     wire: bool = False
     own_cost: bool = True
+    rotation: Rotation | None = None
+    keep_free: KeepFree = KeepFree()
 
     def check(self) -> None:
         """Refuse values that make no sense, and an output that is there already.
@@ -129,12 +166,25 @@ class RecordOptions:
         destination = self.destination
         check_fields(self)
         limits.check(limits.PATH, str(destination.path), "--out")
-        if destination.path.exists() and not destination.force:
+        if self.rotation is not None:
+            _check_rotation(destination)
+        elif destination.path.exists() and not destination.force:
             raise OutputExistsError(
                 f"{destination.path} is there already; choose another name or use --force"
             )
         if self.ping is not None:
             self.ping.check()
+
+
+def _check_rotation(destination: TraceDestination) -> None:
+    if destination.is_bag:
+        raise OptionError(
+            "--rotate writes .mcap files: give --out NAME.mcap, which become NAME.00001.mcap and so on"
+        )
+    if destination.force:
+        raise OptionError(
+            "--rotate overwrites nothing: leave --force out; numbers go on behind those that are taken"
+        )
 
 
 OPTION_LIMITS: Mapping[str, tuple[str, Limit]] = {
@@ -161,6 +211,9 @@ OPTION_LIMITS: Mapping[str, tuple[str, Limit]] = {
     "duration_s": ("--duration", limits.LENGTH_S),
     "cpu_affinity": ("--cpu-affinity", limits.CPUS),
     "realtime_priority": ("--realtime", limits.REALTIME_PRIORITY),
+    "file_bytes": ("--rotate", limits.FILE_BYTES),
+    "age_s": ("--rotate", limits.FILE_AGE_S),
+    "keep": ("--keep", limits.KEPT_FILES),
 }
 """Field of a record of options -> its option and its validator. Fields that are no option, whose value is an Enum or a flag,
 or that are checked where they are parsed (`data`, `labels`, the durations of a `Qos`) are not here."""
@@ -179,9 +232,9 @@ def check_fields(options: object) -> None:
             option, limit = OPTION_LIMITS[each.name]
             for one in value if isinstance(value, tuple) else (value,):
                 limits.check(limit, one, option)
-        elif each.name in _RECORDS:
+        elif each.name in _RECORDS and value is not None:
             check_fields(value)
 
 
-_RECORDS = ("node", "qos")
+_RECORDS = ("node", "qos", "rotation")
 """Fields that hold records of options themselves; that of a ping checks its own."""

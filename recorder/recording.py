@@ -6,7 +6,7 @@ import os
 import secrets
 import threading
 from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -16,8 +16,8 @@ from dds_trace.tracefile import (
     BridgeError,
     NoEchoError,
     NotAppliedError,
+    OutputError,
     RelayLostError,
-    TraceSink,
 )
 from dds_trace.tracefile.writing.destination import discard
 
@@ -39,13 +39,13 @@ from .roles.read_back import ReadBack
 from .roles.relay import Relay
 from .roles.session import default_connectivity, describe_session
 from .roles.wire_record import open_wire
+from .service.upkeep import Upkeep
 from .settings import side_settings
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from contextlib import AbstractContextManager
 
-    from dds_trace.tracefile import ClosedTrace, Json, JsonObject, Run, Session
+    from dds_trace.tracefile import ClosedTrace, Json, JsonObject, Run, Session, TraceSink
 
     from .applied import Difference
     from .backends.node import Node
@@ -78,14 +78,15 @@ class Recorded:
         session: the session as it began.
         progress: what the role did.
         run: the run of a ping.
-        error: the reason why a ping's run ended before its plan, or with nobody left to answer; None at a regular end.
+        error: the reason why a ping's run ended before its plan, or with nobody left to answer, or why a relay recorded no
+            more; None at a regular end.
     """
 
     trace: ClosedTrace | None
     session: Session
     progress: PingProgress | RelayProgress
     run: Run | None = None
-    error: BridgeError | RelayLostError | None = None
+    error: BridgeError | RelayLostError | OutputError | None = None
 
 
 def record(
@@ -143,10 +144,10 @@ class _Recording:
         with self._open_wire() as wire, self._open_node("relay") as node, steady_interpreter():
             read_back = self._read_back(node)
             session = self._describe("relay", node, read_back, relay_id)
-            with self._open_trace(session) as sink:
+            with self._open_trace(session) as upkeep:
                 relay = Relay(
                     node,
-                    sink,
+                    upkeep.sink,
                     relay_id,
                     data_types=data_types,
                     qos=options.node.qos,
@@ -161,14 +162,14 @@ class _Recording:
                     self.watch.note(
                         f"relay {relay_id:08x} serves domain {options.node.domain_id} until it is stopped"
                     )
-                with _sampled(sink, wire):
-                    self._watch_relay(relay, node, sink, read_back, wire)
-                wire.write_relay(relay.progress().relayed, self.session_id, sink)
+                with _sampled(upkeep.sink, wire):
+                    self._watch_relay(relay, node, upkeep, read_back, wire)
+                wire.write_relay(relay.progress().relayed, self.session_id, upkeep.sink)
                 read_back.read_end(relay.traffic)
                 relay.close()
-                trace = sink.close(**read_back.fields(), **self._clock_at_end())
+                trace = upkeep.sink.close(**read_back.fields(), **self._clock_at_end())
                 read_back.tell(trace.path)
-                return Recorded(trace, session, relay.progress())
+                return Recorded(trace, session, relay.progress(), error=upkeep.shortage)
 
     def ping(self, asked: PingOptions) -> Recorded:
         seed = secrets.randbits(32) if asked.seed is None else asked.seed
@@ -195,10 +196,11 @@ class _Recording:
                 self.stop.is_set()
             ):  # before the trace is made: a file without a message would block the next try
                 return Recorded(None, session, ping.progress())
-            sink = stack.enter_context(self._open_trace(session))
+            upkeep = stack.enter_context(self._open_trace(session))
+            sink = upkeep.sink
             wire.begin(ping.run_id)
             with _sampled(sink, wire, bridge):
-                run, error = self._run(ping, node, sink, bridge)
+                run, error = self._run(ping, node, upkeep, bridge)
             run = wire.write_run(run, sink)
             read_back.read_end(ping.traffic)
             if bridge is not None:
@@ -268,14 +270,9 @@ class _Recording:
         """Return the session's field `clock`: the kernel's correction of the clock at begin and end."""
         return {"clock": {"begin": self.correction, "end": read_adjtimex()}}
 
-    @contextmanager
-    def _open_trace(self, session: Session) -> Iterator[TraceSink]:
-        """Open a sink that is closed whatever happens."""
-        sink = TraceSink(self.options.destination, session, clock_ns=self.clock.monotonic_ns)
-        try:
-            yield sink
-        finally:
-            sink.close()
+    def _open_trace(self, session: Session) -> Upkeep:
+        """Open the trace, which is closed behind a block whatever happens."""
+        return Upkeep(self.options, session, self.clock.monotonic_ns, self.watch.note)
 
     def _note_disk(self, sink: TraceSink) -> None:
         if sink.error is not None and not self._noted_disk:
@@ -330,8 +327,8 @@ class _Recording:
             self.watch.note(f"{ping.echoing_relays} of {relays} relays in sight answer")
 
     def _run(
-        self, ping: AnyPing, node: Node, sink: TraceSink, bridge: RunningBridge | None
-    ) -> tuple[Run, BridgeError | RelayLostError | None]:
+        self, ping: AnyPing, node: Node, upkeep: Upkeep, bridge: RunningBridge | None
+    ) -> tuple[Run, BridgeError | RelayLostError | OutputError | None]:
         """Run the ping on a thread of its own; this one looks at it now and then, and ends it when it has no hope.
 
         Returns:
@@ -340,7 +337,7 @@ class _Recording:
         end_ns, enough, hopeless = self._end_ns(), threading.Event(), threading.Event()
         error: BridgeError | RelayLostError | None = None
         with ThreadPoolExecutor(1, thread_name_prefix="ping") as pool:
-            future = pool.submit(ping.run, sink, enough, hopeless)
+            future = pool.submit(ping.run, upkeep.sink, enough, hopeless)
             while not future.done():
                 left_s = LOOK_S if enough.is_set() else max(self._left_s(end_ns), 0)
                 wait([future], timeout=min(LOOK_S, left_s))
@@ -348,33 +345,37 @@ class _Recording:
                 if error is not None:
                     enough.set()
                     hopeless.set()
-                if self.stop.is_set() or node.error is not None or self._left_s(end_ns) <= 0:
+                self._note_disk(upkeep.sink)
+                progress = ping.progress()
+                upkeep.look(progress.received, dict)
+                is_over = self.stop.is_set() or node.error is not None or self._left_s(end_ns) <= 0
+                if is_over or upkeep.shortage is not None:
                     enough.set()
-                self._note_disk(sink)
-                self.watch.progress(ping.progress())
+                self.watch.progress(progress)
             run = future.result()
         _raise_error_of(node)
-        return run, error or _find_failure(ping, node, bridge, ended=True)
+        return run, error or upkeep.shortage or _find_failure(ping, node, bridge, ended=True)
 
     def _watch_relay(
-        self, relay: Relay, node: Node, sink: TraceSink, read_back: ReadBack, wire: WireRecord
+        self, relay: Relay, node: Node, upkeep: Upkeep, read_back: ReadBack, wire: WireRecord
     ) -> None:
         end_ns, noted, quiet, relayed = self._end_ns(), set[str](), 0, 0
         while (left_s := self._left_s(end_ns)) > 0 and not read_back.wait(self.stop, min(LOOK_S, left_s)):
             _raise_error_of(node)
-            self._note_disk(sink)
+            self._note_disk(upkeep.sink)
             try:
                 read_back.tell()
             except NotAppliedError:  # it shows before the first message, so the trace would hold next to none
-                sink.close()
-                discard(self.options.destination)
+                upkeep.sink.close()
+                discard(upkeep.destination)
                 raise
             progress = relay.progress()
+            upkeep.look(progress.relayed, read_back.fields)
             self.watch.progress(progress)
             quiet = quiet + 1 if progress.relayed == relayed else 0
             relayed = progress.relayed
             if quiet % WIRE_LOOKS == WIRE_LOOKS - 1:
-                wire.write_relay(relayed, self.session_id, sink, go_on=True)
+                wire.write_relay(relayed, self.session_id, upkeep.sink, go_on=True)
             if quiet % QUIET_LOOKS == QUIET_LOOKS - 1:
                 collect_young()
                 lines = {line for topic in relay.topics for line in node.look_at(topic).incompatible}

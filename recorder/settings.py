@@ -28,6 +28,8 @@ NO_SETTINGS: Mapping[str, str] = {
     "duration_s": "the length of the recording",
     "strict": "ends a recording, and changes none",
     "own_cost": "a measurement before the node opens",
+    "rotation": "the files of the trace",
+    "keep_free": "the disk of the trace",
     "name": "drawn for every node",
     "listens": "follows from the role",
     "peers": "addresses, which no trace tells",

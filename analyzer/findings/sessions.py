@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from dds_trace.tracefile.units.counts import counted
 from dds_trace.tracefile.units.durations import format_duration
 
+from ..loading.campaign import part_of
 from ..model.finding import Finding, Severity
 from ..model.fingerprint import FLEETING, flat_fields
 from .evidence import some
@@ -42,6 +43,43 @@ def recorder_drops(evidence: Evidence) -> Iterator[Finding]:
                 evidence.session_name(session),
                 f"The recorder dropped {counted(session.dropped_events, 'event')}; messages that it dropped count as lost.",
                 "Do not trust losses here; record to a faster disk, at a lower rate or with a larger ring.",
+            )
+
+
+def stopped_recordings(evidence: Evidence) -> Iterator[Finding]:
+    """Report relays that recorded no more before their disk was full, while they went on sending back."""
+    for session in evidence.campaign.sessions.values():
+        stopped = session.extra.get("stopped")
+        if isinstance(stopped, str) and stopped:
+            yield Finding(
+                Severity.ERROR,
+                "recording_stopped",
+                evidence.session_name(session),
+                f"The relay recorded no more from some moment on, and went on sending back: {_shortened(stopped)}.",
+                "Messages behind it have no T3 and T4, and count as lost on the way out if they did not come back: make room "
+                "and start the relay again.",
+            )
+
+
+def missing_files(evidence: Evidence) -> Iterator[Finding]:
+    """Report files of a rotating recording that are not here: deleted by `--keep`, or not copied."""
+    parts: dict[int, dict[int, Session]] = defaultdict(dict)
+    for trace in evidence.campaign.traces:
+        for session in trace.sessions:
+            if "part" in session.extra:
+                parts[session.session_id][part_of(session)] = session
+    for session_id, by_part in parts.items():
+        last = max(by_part)
+        missing = [str(part) for part in range(1, last) if part not in by_part]
+        if by_part[last].extra.get("followed"):
+            missing.append(f"those behind {last}")
+        if missing:
+            yield Finding(
+                Severity.INFO,
+                "missing_files",
+                evidence.session_name(evidence.campaign.sessions[session_id]),
+                f"Of the {last} files of this recording (--rotate) some are not here: {some(missing)}.",
+                "Nothing to do, if no run of interest reaches into them; else copy them beside the others.",
             )
 
 
@@ -171,9 +209,13 @@ def failed_recordings(evidence: Evidence) -> Iterator[Finding]:
                 Severity.ERROR,
                 "ended_by_error",
                 evidence.session_name(session),
-                f"The run ended before its plan, or with nobody left to answer: {error[:_ERROR_CHARACTERS].rstrip('.')}.",
+                f"The run ended before its plan, or with nobody left to answer: {_shortened(error)}.",
                 "Messages behind the failure count as lost: repeat the run.",
             )
+
+
+def _shortened(error: str) -> str:
+    return error[:_ERROR_CHARACTERS].rstrip(".")
 
 
 def _last_words(bridge: Mapping[str, object]) -> str:

@@ -159,9 +159,15 @@ def campaign_of(path: Path, loaded: Sequence[LoadedTrace], skipped: Sequence[Sou
     return campaign.with_copies(())
 
 
-def _session_age(session: Session) -> tuple[bool, int]:
-    """Return a key that is greater of the later of two descriptions of one session: closed is later."""
-    return session.state == "closed", session.dropped_events
+def _session_age(session: Session) -> tuple[int, bool, int]:
+    """Return a key that is greater of the later of two descriptions of one session: of a later file, then closed."""
+    return part_of(session), session.state == "closed", session.dropped_events
+
+
+def part_of(session: Session) -> int:
+    """Return the number of a description's file among those of its recording (`--rotate`), 1 of an only one."""
+    part = session.extra.get("part")
+    return part if isinstance(part, int) else 1
 
 
 def _run_age(run: Run) -> tuple[bool, int]:

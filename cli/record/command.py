@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from functools import partial
 from typing import TYPE_CHECKING
 
 import typer  # noqa: TC002 - it reads the annotation
@@ -10,10 +12,13 @@ from dds_trace.recorder import choices
 
 from ..errors import run_command
 from ..quick_help import command_app, declare_command
-from . import words  # noqa: TC001 - typer reads the annotations
+from . import (
+    status,
+    words,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from dds_trace.recorder import RecordOptions
 
@@ -30,6 +35,7 @@ def main_command(
     force: words.Force = False,
     fsync: words.Fsync = False,
     file_mode: words.FileMode = choices.FileMode.GROUP,
+    keep_free: words.KeepFree = None,
     duration: words.Duration = None,
     as_json: words.AsJson = False,
     data: words.Data = None,
@@ -73,6 +79,8 @@ def main_command(
     setting: words.Setting = None,
     relay_id: words.RelayId = None,
     types: words.Types = None,
+    rotate: words.Rotate = None,
+    keep: words.Keep = None,
     recover_path: words.RecoverPath = None,
     self_test: words.SelfTest = False,
     check: words.Check = False,
@@ -85,6 +93,10 @@ def main_command(
     [bold]dds-record --role relay --out relay.mcap[/bold]
 
     [bold]dds-record --role ping  --out ping.mcap[/bold]
+
+    What records on this machine now:
+
+    [bold]dds-record status[/bold]
     """
     from dds_trace.recorder import (
         DEFAULT_WARMUP,
@@ -103,8 +115,10 @@ def main_command(
         default_discovery,
         default_domain,
         parse_durations,
+        parse_keep_free,
         parse_pairs,
         parse_percentage,
+        parse_rotation,
         refuse_others,
     )
 
@@ -142,7 +156,7 @@ def main_command(
         "--label": label or None,
         "--setting": setting or None,
     }
-    of_relay = {"--relay-id": relay_id, "--type": types or None}
+    of_relay = {"--relay-id": relay_id, "--type": types or None, "--rotate": rotate, "--keep": keep}
     refuse_others(role.value, of_relay if role is choices.Role.PING else of_ping)
     allowed = None if fail_if_lost is None else parse_percentage("--fail-if-lost", fail_if_lost)
     is_bridged = bridge not in (None, "none")
@@ -199,6 +213,8 @@ def main_command(
         strict=strict,
         wire=wire,
         own_cost=not no_own_cost,
+        rotation=parse_rotation(rotate, keep),
+        keep_free=parse_keep_free(keep_free),
     )
     take: Callable[[RecordOptions], None] | None = context.obj
     if take is not None:  # of a sweep, which looks at the options of each cell before it starts any
@@ -209,9 +225,17 @@ def main_command(
         print_result(record_until_stopped(options), as_json=as_json, fail_if_lost=allowed)
 
 
+COMMANDS: Mapping[str, typer.Typer] = {"status": status.app}
+"""Name -> command; anything else as first argument belongs to the command without a name."""
+
+
 def main() -> None:
-    """Run `dds-record`."""
-    run_command(app)
+    """Run `dds-record` with the arguments of the process."""
+    given = sys.argv[1:]
+    if given and given[0] in COMMANDS:
+        run_command(partial(COMMANDS[given[0]], given[1:], prog_name=f"dds-record {given[0]}"))
+    else:
+        run_command(app)
 
 
 if __name__ == "__main__":

@@ -6,14 +6,19 @@ import os
 from typing import TYPE_CHECKING
 
 from dds_trace.recorder import Discovery
+from dds_trace.recorder.options import KeepFree, Rotation
 from dds_trace.tracefile import OptionError
 from dds_trace.tracefile.limits import shown
 from dds_trace.tracefile.units.durations import parse_duration
+from dds_trace.tracefile.units.quantities import split_quantity
+from dds_trace.tracefile.units.sizes import parse_size
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
 DEFAULT_DOMAIN = 10
+AGE_UNITS_S = {"s": 1, "min": 60, "h": 3600, "d": 86_400}
+"""Unit of a file's age -> its seconds."""
 
 
 def default_domain() -> int:
@@ -99,3 +104,43 @@ def parse_pairs(option: str, texts: list[str], example: str) -> dict[str, str]:
             raise OptionError(f"{option} {text!r}: write KEY=VALUE, for example {example}")
         pairs[key] = value
     return pairs
+
+
+def parse_rotation(rotate: str | None, keep: int | None) -> Rotation | None:
+    """Return what `--rotate` and `--keep` ask for: a size, an age, or both with a comma between.
+
+    Raises:
+        OptionError: a part is neither, or `--keep` stands alone.
+    """
+    if rotate is None:
+        if keep is not None:
+            raise OptionError(
+                "--keep counts the files of --rotate: give both, for example --rotate 1GB,1h --keep 20"
+            )
+        return None
+    file_bytes: int | None = None
+    age_s: float | None = None
+    for part in rotate.split(","):
+        value, unit = split_quantity(part.strip()) or (0.0, "")
+        if unit in AGE_UNITS_S and age_s is None:
+            age_s = value * AGE_UNITS_S[unit]
+        elif unit.endswith("b") and file_bytes is None:
+            file_bytes = parse_size(part.strip(), "--rotate")
+        else:
+            raise OptionError(
+                f"--rotate {shown(rotate)}: write a size, an age (s, min, h, d) or both: 1GB, 1h, 1GB,1h"
+            )
+    return Rotation(file_bytes, age_s, keep)
+
+
+def parse_keep_free(text: str | None) -> KeepFree:
+    """Return what `--keep-free` asks for: a size, or a share of the disk.
+
+    Raises:
+        OptionError: the text is neither.
+    """
+    if text is None:
+        return KeepFree()
+    if text.strip().endswith("%"):
+        return KeepFree(parse_percentage("--keep-free", text), None)
+    return KeepFree(1.0, parse_size(text, "--keep-free"))

@@ -62,6 +62,27 @@ FileMode = Annotated[
 Duration = Annotated[
     float | None, _role("--duration", metavar="SECONDS", help="End then. A relay goes on until stopped.")
 ]
+Rotate = Annotated[
+    str | None,
+    _relay(
+        "--rotate",
+        metavar="LIMIT",
+        help="Go on in a new file at this size or age: 1GB, 1h (30min, 7d), or 1GB,1h: --out NAME.mcap becomes "
+        "NAME.00001.mcap and so on.",
+    ),
+]
+Keep = Annotated[
+    int | None,
+    _relay("--keep", metavar="N", help="With --rotate: delete this recording's oldest files beyond N."),
+]
+KeepFree = Annotated[
+    str | None,
+    _role(
+        "--keep-free",
+        metavar="SIZE",
+        help="Stop recording before the disk has less free: 500MB, 10%, or 0. [dim]Default: 5% of it, at most 1GB[/dim]",
+    ),
+]
 FailIfLost = Annotated[
     str | None,
     _role(

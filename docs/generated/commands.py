@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 def _apps() -> Iterator[tuple[str, typer.Typer]]:
     """Yield name and app of every command, in the order of a measurement."""
     yield "dds-record", record.app
+    for name, app in record.COMMANDS.items():
+        yield f"dds-record {name}", app
     yield "dds-bridge", bridge.app
     yield "dds-sweep", sweep.app
     for name, app in sweep.COMMANDS.items():

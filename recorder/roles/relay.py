@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 ReceivedT = TypeVar("ReceivedT")
 
 T3, T4 = 3, 4
+RECENT_RUNS = 1000
+"""Runs that a relay can tell from new ones: it may serve for weeks, and remembers no more."""
 
 
 class Relay:
@@ -56,7 +58,10 @@ class Relay:
         self.topics: list[str] = []
         self._sink = sink
         self._clock = clock or SystemClock()
-        self._runs: dict[int, int] = {}  # run -> messages relayed
+        self._relayed = 0
+        self._runs = 0
+        self._last_run = PROBE_RUN_ID
+        self._recent_runs: dict[int, bool] = {}  # in the order of their last message among others'
         self._payload_bytes = 0  # of all messages relayed
         self._foreign = 0
         self._on_probe = on_probe
@@ -83,7 +88,7 @@ class Relay:
         make_reply, read, payload_bytes_of = form.stamp.reply, form.stamp.read, form.payload_bytes_of
         now, publish = self._clock.monotonic_ns, publisher.publish
         record_and_stamp, stages = self._sink.record_and_stamp, (T3, T4)
-        relay_id, relay_id_text, runs = self.relay_id, b"%08x" % self.relay_id, self._runs
+        relay_id, relay_id_text = self.relay_id, b"%08x" % self.relay_id
         on_probe = self._on_probe
 
         # T3 and T4 are kept before the reply leaves: a ping that has one of a killed relay finds both. It costs two
@@ -104,18 +109,28 @@ class Relay:
             size = payload_bytes_of(message)
             record_and_stamp(stages, run_id, sequence, relay_in_ns, source_ns, received_ns, size, relay_id)
             publish(reply)
-            runs[run_id] = runs.get(run_id, 0) + 1
+            self._relayed += 1
             self._payload_bytes += size
+            if run_id != self._last_run:
+                self._note_run(run_id)
 
         return receive
+
+    def _note_run(self, run_id: int) -> None:
+        """Count a run that is new, and forget the one whose last message is the longest ago."""
+        self._last_run = run_id
+        if not self._recent_runs.pop(run_id, False):
+            self._runs += 1
+            if len(self._recent_runs) >= RECENT_RUNS:
+                del self._recent_runs[next(iter(self._recent_runs))]
+        self._recent_runs[run_id] = True
 
     @property
     def traffic(self) -> Traffic:
         """The messages relayed so far, of their mean size."""
-        count = sum(self._runs.values())
+        count = self._relayed
         return Traffic(count, count, self._payload_bytes // max(count, 1))
 
     def progress(self) -> RelayProgress:
         """Return the work done so far; any thread may ask."""
-        counts = list(self._runs.values())
-        return RelayProgress(sum(counts), len(counts), self._foreign)
+        return RelayProgress(self._relayed, self._runs, self._foreign)

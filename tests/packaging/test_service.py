@@ -6,12 +6,14 @@ import configparser
 import os
 import shlex
 import signal
+import socket
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from dds_trace.recorder.service.running import list_recordings
 from dds_trace.tracefile import BackendUnavailableError, OptionError, read_trace
 
 UNIT = Path(__file__).parents[2] / "systemd/dds-trace-relay@.service"
@@ -50,20 +52,31 @@ def test_its_command_serves_the_domain_of_the_instance_until_sigterm_and_closes_
         "ROS_SETUP": str(setup),
         "DDS_RECORD": str(Path(sys.executable).with_name("dds-record")),
         "STATE_DIRECTORY": str(tmp_path),
+        "RUNTIME_DIRECTORY": str(tmp_path / "run"),
+        "NOTIFY_SOCKET": str(tmp_path / "notify"),
+        "WATCHDOG_USEC": f"{service['WatchdogSec']}000000",
     }
+    manager = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    manager.bind(environment["NOTIFY_SOCKET"])
+    manager.settimeout(60)
     relay = subprocess.Popen(
         as_run(service["ExecStart"], str(domain_id)), env=environment, stderr=subprocess.PIPE, text=True
     )
     try:
         said = next((line for line in relay.stderr if "serves domain" in line), "")
         assert f"serves domain {domain_id}" in said
+        words = manager.recv(4096).decode().splitlines()
+        assert [each.entry.domain_id for each in list_recordings([tmp_path / "run"])] == [domain_id]
         relay.send_signal(signal.SIGTERM)
         relay.communicate(timeout=60)
     finally:
         relay.kill()
         relay.communicate()
+        manager.close()
     assert relay.returncode == 0
     (trace,) = tmp_path.glob("*.mcap")
-    assert trace.name.startswith(f"relay-{domain_id}-2")
+    assert trace.name == f"relay-{domain_id}.00001.mcap"
+    assert words[:2] == ["READY=1", "WATCHDOG=1"]
+    assert service["Type"] == "notify"
     (session,) = {each.session_id: each for each in read_trace(trace).sessions}.values()
     assert (session.role, session.state, session.domain_id) == ("relay", "closed", domain_id)

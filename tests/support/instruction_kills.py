@@ -30,12 +30,20 @@ RING_SLOTS = 16
 STAMPED_NS = 7_000
 PACKAGE = str(Path(dds_trace.tracefile.writing.sink.__file__).parents[1])
 
+
+def go_on(sink: TraceSink) -> None:
+    """Go on in `b.mcap`, and keep one event there."""
+    sink.go_on_in(TraceDestination(sink._files.writer.path.with_name("b.mcap"), ring_slots=RING_SLOTS))
+    sink.record(1, 1, BEFORE, STAMPED_NS)
+
+
 ACTIONS: dict[str, Callable[[TraceSink], object]] = {
     "record": lambda sink: sink.record(1, 1, BEFORE, STAMPED_NS, 3, 0, 0, 9, 0),
     "stamp": lambda sink: sink.stamp(1, 1, BEFORE, 3, 0, 0, 9, 0),
     "record_and_stamp": lambda sink: sink.record_and_stamp((1, 1), 1, BEFORE, 6_000, 0, 0, 9, 0),
     "write_run": lambda sink: sink.write_run(run(state="started")),
     "close": lambda sink: sink.close(),
+    "go_on_in": go_on,
 }
 
 

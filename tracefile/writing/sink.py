@@ -17,11 +17,10 @@ import threading
 import time
 from collections import deque
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from ..errors import OutputError
-from ..files import output_error
-from ..format.bag_metadata import METADATA_NAME, write_metadata
 from ..format.events import RUN_TOPIC, SESSION_TOPIC
 from ..format.ring import (
     MARK_WORD,
@@ -31,19 +30,16 @@ from ..format.ring import (
     SLOT_WORDS,
     STAGE_MARKS,
     TIME_WORD,
-    Ring,
-    ring_path,
 )
 from ..threads import run_in_background
-from .destination import ClosedTrace, keep_names, make_room
-from .writer import MAX_CHUNK_EVENTS, TraceWriter
+from .trace_files import TraceFiles
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
     from ..format.descriptions import Run, Session
     from ..format.json_fields import Json
-    from .destination import TraceDestination
+    from .destination import ClosedTrace, TraceDestination
 
 
 BUSY_SWITCH_INTERVAL_S = 1e-4
@@ -72,41 +68,34 @@ class TraceSink:
         *,
         clock_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        self._destination = destination
         self._session = session
         self._clock_ns = clock_ns
+        self._flush_seconds = destination.flush_seconds
         self._error: OutputError | None = None
         self._closed: ClosedTrace | None = None
         self._texts: deque[tuple[str, str, int]] = deque()  # topic, JSON, log time: not yet in the file
         self._saved_ns = time.monotonic_ns()  # what was recorded until then is in the file
         self._longest_unsaved_ns = 0
-        trace = destination.trace_path
-        make_room(destination)
-        self._writer = TraceWriter(trace, session, fsync=destination.fsync, mode=destination.mode)
-        try:
-            self._writer.write_text(SESSION_TOPIC, session.to_json(), session.wall_ns(clock_ns()))
-            self._ring = Ring(ring_path(trace), destination.ring_slots, session, mode=destination.mode)
-            keep_names(destination)
-        except (OutputError, OSError) as err:
-            self._writer.abandon()
-            trace.unlink(missing_ok=True)
-            raise (err if isinstance(err, OutputError) else output_error(ring_path(trace), err)) from err
-
-        self._memory = self._ring.memory
-        self._words = self._ring.words
-        self._slots_at = self._ring.slots_at
-        self._slot_count = destination.ring_slots
-        self._head = 0  # ticket of the next event; all below are packed
-        self._drained = 0  # all tickets below are in the file
-        self._limit = self._slot_count  # the ring is full when the head is here
-        self._quarter = self._slot_count // 4
-        self._attention = self._quarter  # the head is next looked at here; never above the limit
+        self._measures_unsaved = destination.fsync
+        self._use(TraceFiles(destination, session, session.wall_ns(clock_ns())))
         self._dropped = 0
         self._record_lock = threading.Lock()
         self._write_lock = threading.Lock()
         self._wake: queue.SimpleQueue[bool] = queue.SimpleQueue()  # True: drain now; False: the end
         self._thread = threading.Thread(target=self._drain, name="trace-sink", daemon=True)
         self._thread.start()
+
+    def _use(self, files: TraceFiles) -> None:
+        """Send the next event to the ring of these files, its ticket 0; the caller holds the record lock, if there is one."""
+        self._files = files
+        self._memory = files.ring.memory
+        self._words = files.ring.words
+        self._slots_at = files.ring.slots_at
+        self._slot_count = len(files.ring.slots)
+        self._head = 0  # ticket of the next event; all below are packed
+        self._limit = self._slot_count  # the ring is full when the head is here
+        self._quarter = self._slot_count // 4
+        self._attention = self._quarter  # the head is next looked at here; never above the limit
 
     def record(
         self,
@@ -291,7 +280,7 @@ class TraceSink:
     def _drop(self) -> None:
         self._dropped += 1
         if self._closed is None:
-            self._ring.note_dropped(self._dropped)
+            self._files.ring.note_dropped(self._dropped)
 
     def write_run(self, run: Run) -> None:
         """Write a run's description; when this returns it is in the file, after all events before it."""
@@ -317,6 +306,40 @@ class TraceSink:
         """First failure of writing, or None. What was written before stays; the ring continues to fill."""
         return self._error
 
+    @property
+    def bytes_written(self) -> int:
+        """Length of the file that is written now, in bytes."""
+        return self._files.writer.bytes_written
+
+    def go_on_in(self, destination: TraceDestination, **session_extra: Json) -> ClosedTrace | None:
+        """Close the file with `session_extra` and go on in another one, from one event to the next.
+
+        The new file and its ring are made before, and what the old ring still holds is written behind: no event waits for
+        the disk, and a process that is killed meanwhile leaves two whole traces. `part` of the session counts its files,
+        `followed` says that another one was begun.
+
+        Returns:
+            The closed file; None, and nothing is changed, if events wait for the disk or the sink is closed.
+
+        Raises:
+            OutputExistsError: the new file is there already; the recording goes on in the old one.
+            OutputError: it cannot be made; likewise.
+        """
+        with self._write_lock:
+            if self._closed is not None or not self._flush():
+                return None
+            extra = self._session.extra
+            part = int(str(extra.get("part", 1))) + 1
+            session = replace(self._session, extra={**extra, **session_extra, "part": part})
+            files = TraceFiles(destination, session, session.wall_ns(self._clock_ns()))
+            with self._record_lock:
+                old, head = self._files, self._head
+                files.ring.note_dropped(self._dropped)
+                self._use(files)
+            closed = self._end(old, head, {**session_extra, "followed": True})
+            self._session = session
+            return closed
+
     def close(self, **session_extra: Json) -> ClosedTrace:
         """Write what is pending, the closed session with `session_extra` and the summary; delete the ring.
 
@@ -329,50 +352,29 @@ class TraceSink:
             if self._closed is not None:
                 return self._closed
             with self._record_lock:  # from here on every event is dropped, and counted
-                self._limit = self._attention = self._head
-            self._flush()
-            if self._destination.fsync:
-                session_extra["longest_unsaved_ns"] = self._longest_unsaved_ns
-            with self._record_lock:
-                self._session = self._session.closed(self._dropped, **session_extra)
-            self._texts.append(
-                (SESSION_TOPIC, self._session.to_json(), self._session.wall_ns(self._clock_ns()))
-            )
-            self._flush()
-            self._finish()
-            pending = self._head - self._drained
-            with self._record_lock:
-                self._closed = ClosedTrace(
-                    path=self._destination.path,
-                    events=self._drained,
-                    dropped_events=self._dropped,
-                    bytes=self._writer.bytes_written,
-                    error=self._error,
-                    ring_events=pending,
-                )
-                self._ring.close(delete=not pending)
-        return self._closed
+                head = self._limit = self._attention = self._head
+            return self._end(self._files, head, session_extra)
 
-    def _finish(self) -> None:
-        """Close the file, with its summary if everything is in it."""
-        if self._head > self._drained or self._texts:
-            self._writer.abandon()
-            return
-        try:
-            self._writer.finish()
-            if self._destination.is_bag:
-                write_metadata(
-                    self._writer.path,
-                    self._writer.topics,
-                    self._writer.time_range_ns,
-                    mode=self._destination.mode,
-                    fsync=self._destination.fsync,
-                )
-        except OutputError as err:
-            self._error = self._error or err
-            self._writer.abandon()
-        except OSError as err:
-            self._error = self._error or output_error(self._writer.path.with_name(METADATA_NAME), err)
+    def _end(self, files: TraceFiles, head: int, session_extra: Mapping[str, Json]) -> ClosedTrace:
+        """Write what is left up to ticket `head` and the closed session, and close the files; the caller holds the write lock."""
+        self._flush_to(files, head)
+        if self._measures_unsaved:
+            session_extra = {**session_extra, "longest_unsaved_ns": self._longest_unsaved_ns}
+        with self._record_lock:
+            session = self._session.closed(self._dropped, **session_extra)
+        self._texts.append((SESSION_TOPIC, session.to_json(), session.wall_ns(self._clock_ns())))
+        if self._flush_to(files, head):
+            error = files.finish()
+            self._error = self._error or error
+        else:
+            files.writer.abandon()
+            self._texts.clear()
+        with self._record_lock:
+            closed = files.closed(head, self._dropped, self._error)
+            if files is self._files:
+                self._closed = closed
+            files.ring.close(delete=not closed.ring_events)
+        return closed
 
     def _drain(self) -> None:
         """Write a chunk every `flush_seconds`, or when a quarter of the ring is used; the draining thread runs this."""
@@ -380,32 +382,34 @@ class TraceSink:
         going_on = True
         while going_on:
             with suppress(queue.Empty):
-                going_on = self._wake.get(timeout=self._destination.flush_seconds)
+                going_on = self._wake.get(timeout=self._flush_seconds)
             with self._write_lock:
                 self._flush()
 
-    def _flush(self) -> None:
-        """Move the ring's events, then the texts, to the file; the caller holds the write lock."""
-        began_ns, head, had = time.monotonic_ns(), self._head, self._drained
+    def _flush(self) -> bool:
+        """Move the ring's events so far, then the texts, to the file; return whether all of it is there."""
+        return self._flush_to(self._files, self._head)
+
+    def _flush_to(self, files: TraceFiles, head: int) -> bool:
+        """Move the events up to ticket `head`, then the texts, to a file; the caller holds the write lock."""
+        began_ns, had = time.monotonic_ns(), files.drained
         try:
-            with _quick_switches(only_if=head - self._drained >= self._quarter):
-                self._drain_to(head)
+            with _quick_switches(only_if=head - had >= self._quarter):
+                while files.drained < head:
+                    files.move_chunk(head)
+                    if files is self._files:
+                        self._limit = files.drained + self._slot_count
+                        self._attention = files.drained + self._quarter
             if head > had:
                 self._longest_unsaved_ns = max(self._longest_unsaved_ns, time.monotonic_ns() - self._saved_ns)
             self._saved_ns = began_ns
             while self._texts:
-                self._writer.write_text(*self._texts[0])
+                files.writer.write_text(*self._texts[0])
                 self._texts.popleft()
         except OutputError as err:
             self._error = self._error or err
-
-    def _drain_to(self, head: int) -> None:
-        while self._drained < head:
-            slots = self._ring.pending(self._drained, min(head, self._drained + MAX_CHUNK_EVENTS))
-            self._writer.write_events(slots)
-            self._drained += len(slots)
-            self._limit = self._drained + self._slot_count
-            self._attention = self._drained + self._quarter
+            return False
+        return True
 
 
 @contextmanager

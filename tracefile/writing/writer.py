@@ -43,10 +43,8 @@ from .declarations import (
 from .event_chunks import Chunk, EventChunkBuilder, positions_by_channel
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
-
-    from mcap.records import McapRecord
 
     from ..format.descriptions import Session
     from ..format.ring import Slots
@@ -85,7 +83,11 @@ class TraceWriter:
         self._builder = EventChunkBuilder(session.wall_ns(0), MAX_CHUNK_EVENTS)
         self._channels: dict[str, Channel] = {}
         self._counts: dict[int, int] = {}  # channel id -> number of messages in the file
-        self._chunks: list[ChunkIndex] = []
+        self._indexes = (
+            bytearray()
+        )  # of the chunks so far, as the summary holds them: a week of seconds has 600,000
+        self._chunk_count = 0
+        self._first_ns = 0
         self._last_ns = 0
         self._end = 0
         for topic in EVENT_TOPICS:
@@ -125,7 +127,7 @@ class TraceWriter:
     @property
     def time_range_ns(self) -> tuple[int, int]:
         """Earliest and latest log time, ns since 1970."""
-        return min((chunk.message_start_time for chunk in self._chunks), default=0), self._last_ns
+        return self._first_ns, self._last_ns
 
     def write_events(self, slots: Slots) -> None:
         """Append any number of events in the order of `slots`, in chunks of at most `MAX_CHUNK_EVENTS`.
@@ -175,20 +177,19 @@ class TraceWriter:
             channel_count=len(channels),
             attachment_count=0,
             metadata_count=0,
-            chunk_count=len(self._chunks),
+            chunk_count=self._chunk_count,
             message_start_time=start_ns,
             message_end_time=end_ns,
             channel_message_counts=self._counts,
         )
-        groups: list[tuple[Opcode, Iterable[McapRecord]]] = [
-            (Opcode.SCHEMA, schemas.values()),
-            (Opcode.CHANNEL, channels),
-            (Opcode.STATISTICS, [statistics]),
-            (Opcode.CHUNK_INDEX, self._chunks),
+        groups: list[tuple[Opcode, bytes | bytearray]] = [
+            (Opcode.SCHEMA, b"".join(map(encode_record, schemas.values()))),
+            (Opcode.CHANNEL, b"".join(map(encode_record, channels))),
+            (Opcode.STATISTICS, encode_record(statistics)),
+            (Opcode.CHUNK_INDEX, self._indexes),
         ]
         summary = offsets = b""
-        for opcode, records in groups:
-            group = b"".join(map(encode_record, records))
+        for opcode, group in groups:
             if group:
                 offsets += encode_record(SummaryOffset(opcode, summary_start + len(summary), len(group)))
             summary += group
@@ -258,7 +259,9 @@ class TraceWriter:
             uncompressed_size=size,
         )
         self._append(parts)
-        self._chunks.append(description)
+        self._indexes += encode_record(description)
+        self._first_ns = min(self._first_ns, chunk.start_ns) if self._chunk_count else chunk.start_ns
+        self._chunk_count += 1
         for channel_id, entries in chunk.index.items():
             self._counts[channel_id] = self._counts.get(channel_id, 0) + len(entries)
         self._last_ns = chunk.end_ns

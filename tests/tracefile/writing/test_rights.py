@@ -84,7 +84,7 @@ def test_a_recovered_trace_has_the_rights_of_what_it_is_made_of(
     path = tmp_path / "a.mcap"
     sink = TraceSink(TraceDestination(path, chunk_seconds=3600.0), ping_session(state="open"))
     sink.record(1, 1, 0, 1000)
-    sink._ring.close(delete=False)  # the recorder is gone
+    sink._files.ring.close(delete=False)  # the recorder is gone
     for each in tmp_path.iterdir():
         each.chmod(original)
     if left == "ring":

@@ -95,6 +95,23 @@ def test_killed_at_instructions_of_a_chunk(tmp_path, method):
     assert all(events == EARLIER for events in kept)
 
 
+def test_killed_at_instructions_of_the_step_to_another_file(tmp_path):
+    """Two whole traces, or one: every event is in one of them, once, and the second is not before the first."""
+    states = set()
+    for number in kill(tmp_path, "go_on_in", 97):
+        old, new = (tmp_path / f"{number}" / name for name in ("a.mcap", "b.mcap"))
+        earlier = read_trace(old)
+        assert earlier.events[Stage.T1].sequence.tolist() == list(range(BEFORE))
+        try:
+            later = read_trace(new).events[Stage.T1].sequence.tolist()
+        except TraceError:  # not yet there, or killed before the first word in it
+            later = None
+        assert later in (None, [], [BEFORE])
+        is_whole = earlier.sessions[-1].state == "closed" and not ring_path(old).exists()
+        states.add((later, is_whole) if later is None else (tuple(later), is_whole))
+    assert states >= {(None, False), ((), False), ((BEFORE,), True)}
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("method", ["write_run", "close"])

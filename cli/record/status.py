@@ -1,0 +1,68 @@
+"""`dds-record status`: the recordings that run on this machine, and what killed ones left."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..quick_help import command_app, declare_command
+
+if TYPE_CHECKING:
+    from dds_trace.recorder.service.running import Listed
+
+app = command_app()
+
+
+@declare_command(app)
+def status_command(
+    as_json: Annotated[bool, typer.Option("--json", help="Print the list as JSON.")] = False,
+) -> None:
+    """List the recordings that run on this machine: role, domain, process, messages so far, file.
+
+    One that was killed is listed as such, with what to do for its events. Those of other users show as far as their
+    runtime folders may be read.
+    """
+    from dds_trace.recorder.service.running import list_recordings
+
+    recordings = list_recordings()
+    if as_json:
+        print(json.dumps([_as_json(each) for each in recordings]))
+        return
+    for each in recordings:
+        print("\n".join(_lines(each)))
+    if not recordings:
+        print("no recording runs on this machine")
+
+
+def _as_json(listed: Listed) -> dict[str, object]:
+    return {"state": listed.state.value, "ring_is_left": listed.ring_is_left, **asdict(listed.entry)}
+
+
+def _lines(listed: Listed) -> list[str]:
+    """Return the lines of one recording: what it is and does, its file, and what is wrong with it."""
+    from datetime import datetime
+
+    from dds_trace.recorder.service.running import State
+    from dds_trace.tracefile.units.counts import counted
+
+    entry = listed.entry
+    since = datetime.fromtimestamp(entry.began_ns // 10**9).astimezone().isoformat(" ")
+    files = f", {counted(entry.files, 'file')}" if entry.files > 1 else ""
+    middleware = entry.rmw or entry.backend
+    first = f"{entry.role}  domain {entry.domain_id}  {middleware}  pid {entry.pid}  "
+    lines = [
+        f"{first}{counted(entry.messages, 'message')}{files}",
+        f"    since {since}, into {entry.path}",
+    ]
+    if listed.state is State.KILLED:
+        lines[0] = f"killed: {lines[0]}"
+        rest = f"its last events wait in the ring: dds-record --recover {entry.path}"
+        lines.append(f"    {rest if listed.ring_is_left else 'nothing of it waits'}")
+    elif listed.state is State.UNSEEN:
+        lines.append(f"    process {entry.pid} is not seen from here: it may run in a container")
+    if entry.stopped is not None and listed.state is not State.KILLED:
+        lines.append(f"    not recording: {entry.stopped}")
+    return lines

@@ -1,0 +1,155 @@
+"""`Upkeep`: the trace of a recording and all that looks after it while its role runs, twice a second."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from dds_trace.tracefile import OutputError, OutputExistsError, TraceSink
+from dds_trace.tracefile.units.counts import counted
+
+from .disk import find_shortage
+from .manager import ServiceManager
+from .rotation import RotatedFiles
+from .running import RunningRecording
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import TracebackType
+
+    from typing_extensions import Self
+
+    from dds_trace.tracefile import JsonObject, Session, TraceDestination
+
+    from ..options import RecordOptions, Rotation
+
+RETRY_S = 60.0
+"""Time until a new file is tried again after one could not be made."""
+
+
+class Upkeep:
+    """The sink of a recording, kept from the first look at its role until the recording ends.
+
+    Args:
+        options: options of the recording.
+        session: its session; with `--rotate` its field `part` counts the files from 1.
+        clock_ns: the monotonic clock of the events.
+        note: callback that takes a line for the user.
+
+    Attributes:
+        sink: the sink.
+        destination: the place of the file that is written now.
+        shortage: the reason why nothing more is recorded, once the disk has less space than is to be kept.
+
+    Raises:
+        OutputExistsError: there is a trace already.
+        OutputError: the trace cannot be made, or the disk has less space than is to be kept.
+    """
+
+    def __init__(
+        self,
+        options: RecordOptions,
+        session: Session,
+        clock_ns: Callable[[], int],
+        note: Callable[[str], None],
+    ) -> None:
+        self._options = options
+        self._note = note
+        self._rotation = options.rotation
+        self._files = RotatedFiles(options.destination, session.session_id)
+        self._count = 1
+        self._failed_s: float | None = None
+        self.shortage: OutputError | None = None
+        shortage = find_shortage(options.destination.trace_path, options.keep_free)
+        if shortage is not None:
+            raise shortage
+        destination = options.destination
+        if self._rotation is not None:
+            destination = self._files.next()
+            session = replace(session, extra={**session.extra, "part": 1})
+        self.destination = destination
+        self.sink = TraceSink(destination, session, clock_ns=clock_ns)
+        self._began_s = time.monotonic()
+        self._manager = ServiceManager()
+        self._running = RunningRecording(session, destination.path)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close the sink, whatever happened, and take the words back."""
+        self._manager.close()
+        self.sink.close()
+        self._running.close()
+
+    def look(self, messages: int, describe: Callable[[], JsonObject]) -> None:
+        """Look after the trace: room on its disk, its size and age, and who wants to know of it.
+
+        Args:
+            messages: messages so far.
+            describe: returns the fields of the session that are known now.
+        """
+        if self.shortage is None:
+            self.shortage = find_shortage(self.destination.trace_path, self._options.keep_free)
+            if self.shortage is not None:
+                self._stop_recording(describe)
+            elif self._rotation is not None and self._is_due(self._rotation):
+                self._rotate(self._rotation, describe)
+        stopped = None if self.shortage is None else str(self.shortage)
+        self._running.tell(path=self.destination.path, messages=messages, files=self._count, stopped=stopped)
+        status = f"{counted(messages, 'message')} so far, into {self.destination.path}"
+        self._manager.look(
+            status if stopped is None else f"{counted(messages, 'message')}, not recorded: {stopped}"
+        )
+
+    def _stop_recording(self, describe: Callable[[], JsonObject]) -> None:
+        """Close the trace of a relay, which goes on without; a ping ends its run, since it has no other purpose."""
+        if self._options.ping is None:
+            self._note(f"{self.shortage}; nothing more is recorded, and the relay goes on sending back")
+            self.sink.close(**describe(), stopped=str(self.shortage))
+        else:
+            self._note(f"{self.shortage}; the run ends here")
+
+    def _is_due(self, rotation: Rotation) -> bool:
+        now_s = time.monotonic()
+        if self._failed_s is not None and now_s - self._failed_s < RETRY_S:
+            return False
+        is_large = rotation.file_bytes is not None and self.sink.bytes_written >= rotation.file_bytes
+        return is_large or (rotation.age_s is not None and now_s - self._began_s >= rotation.age_s)
+
+    def _rotate(self, rotation: Rotation, describe: Callable[[], JsonObject]) -> None:
+        try:
+            destination = self._go_on(describe())
+        except OutputError as err:
+            if self._failed_s is None:
+                self._note(f"{err}; the recording goes on in {self.destination.path.name}")
+            self._failed_s = time.monotonic()
+            return
+        if destination is None:
+            return
+        self._failed_s, self._began_s = None, time.monotonic()
+        self.destination = destination
+        self._count += 1
+        dropped = [] if rotation.keep is None else self._files.drop_oldest(rotation.keep)
+        deleted = (
+            f"; deleted {', '.join(path.name for path in dropped)} (--keep {rotation.keep})"
+            if dropped
+            else ""
+        )
+        self._note(f"the recording goes on in {self.destination.path.name}{deleted}")
+
+    def _go_on(self, described: JsonObject) -> TraceDestination | None:
+        """Go on in the next file; return its destination, None if events wait for the disk.
+
+        Raises:
+            OutputError: it cannot be made.
+        """
+        while True:
+            destination = self._files.next()
+            try:
+                return None if self.sink.go_on_in(destination, **described) is None else destination
+            except OutputExistsError:  # another recording of the same name was quicker
+                continue

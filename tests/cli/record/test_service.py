@@ -1,0 +1,188 @@
+"""A relay that stays, as a real process: rotated, listed, known to the service manager, killed, and short of disk."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import socket
+from contextlib import suppress
+
+import pytest
+from processes import ping, relay, run, running
+
+from dds_trace.analyzer import analyze
+from dds_trace.tracefile import OutputError, Stage, read_trace
+
+pytestmark = pytest.mark.middleware
+
+SOCKET = ("--backend", "socket", "--discovery", "localhost")
+
+
+def status(pid):
+    """What `dds-record status` tells of the recording of a process, as a list of objects and as text: others may run here."""
+    told, listed = run("dds-record", "status"), run("dds-record", "status", "--json")
+    assert (told.status, listed.status) == (0, 0), told.stderr
+    lines = told.stdout.splitlines()
+    first = next((number for number, line in enumerate(lines) if f"  pid {pid}  " in line), len(lines))
+    return [each for each in json.loads(listed.stdout) if each["pid"] == pid], "\n".join(
+        lines[first : first + 3]
+    )
+
+
+@pytest.fixture
+def manager(tmp_path):
+    """A socket that stands for the service manager's."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
+        listener.bind(str(tmp_path / "notify"))
+        listener.settimeout(30)
+        yield listener
+
+
+def test_a_rotated_relay_is_one_recording_to_all_who_ask(domain_id, tmp_path, manager, monkeypatch):
+    traces = tmp_path / "traces"
+    traces.mkdir()
+    (traces / "relay.00001.mcap").write_text("somebody's")
+    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+    monkeypatch.setenv("WATCHDOG_USEC", "30000000")
+    rotation = ("--rotate", "1s,100MB")
+    with relay(domain_id, traces / "relay.mcap", *SOCKET, *rotation, "--device", "pi5") as command:
+        ready = manager.recv(4096).decode().splitlines()
+        assert ready[:2] == ["READY=1", "WATCHDOG=1"]
+        assert ready[2].startswith("STATUS=0 messages so far, into ")
+        monkeypatch.delenv("NOTIFY_SOCKET")
+        done = ping(
+            domain_id, traces / "ping.mcap", *SOCKET, "--messages", 300, "--rate", 100, "--data", "imu"
+        )
+        assert done.status == 0, done.stderr
+        (listed,), text = status(command.pid)
+        assert (listed["state"], listed["role"], listed["domain_id"]) == ("running", "relay", domain_id)
+        assert (listed["pid"], listed["messages"], listed["files"] > 2) == (command.pid, 310, True)
+        assert text.startswith(f"relay  domain {domain_id}  socket  pid {command.pid}  310 messages, ")
+        assert all(len(line) <= 80 or str(traces) in line for line in text.splitlines())
+        manager.setblocking(False)
+        with suppress(BlockingIOError):  # room for the last word: nobody listened meanwhile
+            while manager.recv(4096):
+                pass
+        manager.settimeout(30)
+        stopped = command.stop()
+    assert stopped.status == 0, stopped.stderr
+    assert "the recording goes on in relay.00003.mcap" in stopped.stderr
+    assert "310 messages sent back in 1 run" in stopped.stdout
+    said = b""
+    while b"STOPPING=1" not in said:
+        said = manager.recv(4096)
+    assert status(command.pid) == ([], "")
+    check_traces(traces, tmp_path / "away")
+
+
+def check_traces(traces, away):
+    """The rotated files of a relay are whole, and one recording to the analyzer, until one of them is away."""
+    assert (traces / "relay.00001.mcap").read_text() == "somebody's"
+    (traces / "relay.00001.mcap").unlink()
+    parts = sorted(traces.glob("relay.*.mcap"))
+    assert not list(traces.glob("*.ring"))
+    read = [read_trace(path) for path in parts]
+    assert [trace.sessions[0].extra["part"] for trace in read] == list(range(1, len(parts) + 1))
+    assert [trace.sessions[0].state for trace in read] == ["closed"] * len(parts)
+    run_in = [len(trace.events[Stage.T3]) for trace in read]
+    assert sum(run_in) == 310
+    assert sum(count > 0 for count in run_in) > 1  # the run spans two files at least
+
+    analysis = analyze(traces)
+    assert analysis.summary["published"].to_list() == analysis.summary["received"].to_list() == [300]
+    assert analysis.load_roundtrips()["relay_out_ns"].null_count() == 0
+    relays = [each for each in analysis.sessions if each.role == "relay"]
+    assert len(relays) == 1
+    codes = {finding.code for finding in analysis.findings}
+    shutil.rmtree(traces / "analysis", ignore_errors=True)
+    about_files = {
+        "missing_files",
+        "unclosed_session",
+        "doubtful_session",
+        "relay_trace_gaps",
+        "restarted_relay",
+    }
+    assert not codes & {
+        *about_files,
+        "duplicate_file",
+        "overlapping_files",
+        "ring_recovered",
+        "truncated_file",
+    }
+    parts[0].rename(away)
+    assert "missing_files" in {finding.code for finding in analyze(traces).findings}
+
+
+def test_a_killed_relay_is_listed_as_killed_and_its_oldest_files_alone_went(domain_id, tmp_path):
+    with relay(domain_id, tmp_path / "relay.mcap", *SOCKET, "--rotate", "1s", "--keep", "2") as command:
+        command.wait_for_line("deleted relay.00002.mcap (--keep 2)")
+        command.stop(signal.SIGKILL)
+    left = sorted(path.name for path in tmp_path.glob("relay.*"))
+    assert "relay.00001.mcap" not in left
+    assert len([name for name in left if name.endswith(".mcap")]) in (
+        2,
+        3,
+    )  # killed before the next one was dropped
+    said = status(command.pid)[1].splitlines()
+    assert said[0].startswith(f"killed: relay  domain {domain_id}  socket  pid {command.pid}  0 messages, ")
+    assert said[2].startswith(
+        f"    its last events wait in the ring: dds-record --recover {tmp_path}/relay.0"
+    )
+    for number in range(2):
+        trace = sorted(tmp_path.glob("relay.*.mcap"))[number]
+        assert read_trace(trace).sessions[0].role == "relay"
+
+
+def test_a_relay_stops_recording_and_not_itself_before_the_disk_is_full(domain_id, tmp_path):
+    disk = os.statvfs(tmp_path)
+    margin = 400_000_000
+    keep_free = disk.f_bavail * disk.f_frsize - margin
+    if keep_free < margin:
+        pytest.skip("too little room on this disk")
+    traces = tmp_path / "traces"
+    traces.mkdir()
+    with relay(domain_id, traces / "relay.mcap", *SOCKET, "--keep-free", keep_free) as command:
+        first = ping(domain_id, traces / "first.mcap", *SOCKET, "--messages", 20, "--rate", 100)
+        assert first.status == 0, first.stderr
+        filler = os.open(tmp_path / "filler", os.O_CREAT | os.O_WRONLY)
+        os.posix_fallocate(filler, 0, 2 * margin)
+        os.close(filler)
+        line = command.wait_for_line("nothing more is recorded, and the relay goes on sending back")
+        assert f"{traces}/relay.mcap: the disk has " in line
+        second = ping(domain_id, traces / "second.mcap", *SOCKET, "--messages", 20, "--rate", 100)
+        assert (second.status, "received 30, lost 0" in second.stdout) == (0, True), second.stderr
+        assert "    not recording: " in status(command.pid)[1]
+        short = ping(domain_id, traces / "short.mcap", *SOCKET, "--messages", 20, "--keep-free", keep_free)
+        assert (short.status, (traces / "short.mcap").exists()) == (OutputError.exit_code, False)
+        stopped = command.stop()
+    assert stopped.status == OutputError.exit_code
+    assert "are to be kept (--keep-free)" in stopped.stderr
+    assert "60 messages sent back in 2 runs; 60 events, 0 dropped" in stopped.stdout
+    trace = read_trace(traces / "relay.mcap")
+    assert (trace.truncated, trace.event_count, trace.sessions[0].state) == (None, 60, "closed")
+    found = {finding.code: finding for finding in analyze(traces).findings}
+    assert "The relay recorded no more from some moment on" in found["recording_stopped"].what
+
+
+def test_a_ping_ends_its_run_before_the_disk_is_full(domain_id, tmp_path):
+    disk = os.statvfs(tmp_path)
+    keep_free = disk.f_bavail * disk.f_frsize - 400_000_000
+    if keep_free < 400_000_000:
+        pytest.skip("too little room on this disk")
+    out = tmp_path / "ping.mcap"
+    with relay(domain_id, tmp_path / "relay.mcap", *SOCKET, "--keep-free", 0):
+        words = ("--role", "ping", "--domain", domain_id, "--out", out, *SOCKET, "--keep-free", keep_free)
+        with running("dds-record", *words, "--messages", 100_000, "--rate", 100) as command:
+            while not out.exists():
+                pass
+            filler = os.open(tmp_path / "filler", os.O_CREAT | os.O_WRONLY)
+            os.posix_fallocate(filler, 0, 800_000_000)
+            os.close(filler)
+            done = command.finish()
+    assert done.status == OutputError.exit_code
+    assert "the run ends here" in done.stderr
+    trace = read_trace(out)
+    assert (trace.runs[0].state, trace.sessions[0].state) == ("finished", "closed")
+    assert "are to be kept" in trace.sessions[0].extra["error"]

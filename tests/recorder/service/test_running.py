@@ -1,0 +1,133 @@
+"""The list of recordings: a living one, a killed one, one whose id another process has, and words that nobody can read."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from trace_files import relay_session
+
+from dds_trace.recorder.service.running import (
+    SUFFIX,
+    RunningRecording,
+    State,
+    list_recordings,
+    runtime_folder,
+)
+
+LIVE = """
+import sys, time
+from pathlib import Path
+from trace_files import relay_session
+from dds_trace.recorder.service.running import RunningRecording
+folder = Path(sys.argv[1])
+running = RunningRecording(relay_session(session_id=int(sys.argv[2])), folder / "killed.mcap", folder)
+running.tell(path=folder / "killed.00002.mcap", messages=41, files=2, stopped=None)
+print("told", flush=True)
+time.sleep(60)
+"""
+
+
+def test_a_living_recording_is_listed_until_it_ends(tmp_path):
+    running = RunningRecording(relay_session(), tmp_path / "relay.mcap", tmp_path / "run")
+    (listed,) = list_recordings([tmp_path / "run", tmp_path / "nowhere"])
+    assert listed.state is State.RUNNING
+    entry = listed.entry
+    assert (entry.role, entry.domain_id, entry.pid, entry.messages) == ("relay", 10, os.getpid(), 0)
+    assert (entry.rmw, entry.path) == ("rmw_fastrtps_cpp", str(tmp_path / "relay.mcap"))
+    running.tell(path=tmp_path / "other.mcap", messages=7, files=2, stopped="the disk is full")
+    (listed,) = list_recordings([tmp_path / "run"])
+    assert (listed.entry.messages, listed.entry.files, listed.entry.stopped) == (7, 2, "the disk is full")
+    assert listed.entry.told_ns > entry.told_ns
+    running.close()
+    running.close()
+    assert list_recordings([tmp_path / "run"]) == []
+    assert list((tmp_path / "run").iterdir()) == []
+
+
+def test_a_killed_one_is_told_as_such_and_swept_once_nothing_of_it_waits(tmp_path):
+    words = [sys.executable, "-c", LIVE, str(tmp_path), "1"]
+    with subprocess.Popen(
+        words, stdout=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": ":".join(sys.path)}
+    ) as process:
+        assert process.stdout.readline() == "told\n"
+        assert [each.state for each in list_recordings([tmp_path])] == [State.RUNNING]
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    (listed,) = list_recordings([tmp_path])
+    assert (listed.state, listed.ring_is_left, listed.entry.messages) == (State.KILLED, False, 41)
+    ring = tmp_path / "killed.00002.mcap.ring"
+    ring.touch()
+    assert [each.ring_is_left for each in list_recordings([tmp_path])] == [True]
+    RunningRecording(relay_session(session_id=2), tmp_path / "b.mcap", tmp_path).close()
+    assert len(list_recordings([tmp_path])) == 1  # its events wait
+    ring.unlink()
+    RunningRecording(relay_session(session_id=2), tmp_path / "b.mcap", tmp_path).close()
+    assert list_recordings([tmp_path]) == []
+
+
+def test_an_entry_is_believed_only_with_its_lock_and_its_process(tmp_path):
+    running = RunningRecording(relay_session(), tmp_path / "relay.mcap", tmp_path)
+    (path,) = tmp_path.glob(f"*{SUFFIX}")
+    told = json.loads(path.read_text())
+    copy = tmp_path / f"copy{SUFFIX}"
+    copy.write_text(json.dumps(told))  # says the same, and nobody holds it
+    states = {each.name: each for each in (path, copy)}
+    assert len(states) == 2
+    assert sorted(each.state.value for each in list_recordings([tmp_path])) == ["killed", "running"]
+    with copy.open("r+") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        copy.write_text(
+            json.dumps(told | {"pid_start": told["pid_start"] - 1})
+        )  # an earlier process of this id
+        assert sorted(each.state.value for each in list_recordings([tmp_path])) == ["running", "unseen"]
+    for damage in ("", "{", "[]", "null", '{"role": 1}', "\0" * 9000):
+        copy.write_text(damage)
+        assert len(list_recordings([tmp_path])) == 1
+    copy.unlink()
+    copy.symlink_to(path)
+    os.mkfifo(tmp_path / f"pipe{SUFFIX}")
+    assert len(list_recordings([tmp_path])) == 1
+    running.close()
+
+
+def test_the_folder_is_the_services_else_the_users_else_a_temporary_one_of_its_own():
+    both = {"RUNTIME_DIRECTORY": "/run/dds-trace/10:/run/b", "XDG_RUNTIME_DIR": "/run/user/7"}
+    assert str(runtime_folder(both)) == "/run/dds-trace/10"
+    assert str(runtime_folder({"XDG_RUNTIME_DIR": "/run/user/7"})) == "/run/user/7/dds-trace"
+    assert runtime_folder({}).name == f"dds-trace-{os.getuid()}"
+
+
+@pytest.mark.parametrize("kind", ["a link", "everybody's", "a file", "gone"])
+def test_a_folder_that_is_not_ours_alone_gets_no_entry_and_recording_goes_on(tmp_path, kind):
+    folder = tmp_path / "run"
+    if kind == "a link":
+        (tmp_path / "elsewhere").mkdir()
+        folder.symlink_to(tmp_path / "elsewhere")
+    elif kind == "everybody's":
+        folder.mkdir()
+        folder.chmod(0o777)
+    elif kind == "a file":
+        folder.touch()
+    else:
+        folder = tmp_path / "no" / "run"
+    running = RunningRecording(relay_session(), tmp_path / "relay.mcap", folder)
+    running.tell(path=tmp_path, messages=1, files=1, stopped=None)
+    assert list_recordings([folder, tmp_path / "elsewhere"]) == []
+    running.close()
+
+
+def test_the_time_of_a_word_moves_on(tmp_path):
+    running = RunningRecording(relay_session(), tmp_path / "relay.mcap", tmp_path)
+    began = list_recordings([tmp_path])[0].entry
+    time.sleep(0.001)
+    running.tell(path=tmp_path / "relay.mcap", messages=0, files=1, stopped=None)
+    later = list_recordings([tmp_path])[0].entry
+    assert (later.began_ns, later.told_ns > began.told_ns) == (began.began_ns, True)
+    running.close()

@@ -105,6 +105,10 @@ fuzz seconds="600" *targets="reader descriptions plan bag ring cache watch": set
             {{bin}}/python tests/fuzz/fuzz.py $target "$(mktemp -d)" -max_total_time={{seconds}} || finds+=" $target"; \
         done; test -z "$finds" || { echo "finds:$finds"; exit 1; }
 
+# Change one operator or number of the core at a time: tests are to notice 95 % (`stamps gates` some parts, `--share 0.1` a tenth of 3000)
+mutants *args: setup
+    {{bin}}/python tests/mutants/mutants.py {{args}}
+
 # What a release takes: archives, each extra alone on each Python that is here, wheels for aarch64, a bill of materials in out/dist/
 release-check *args: setup
     {{bin}}/python scripts/check_release.py {{args}}

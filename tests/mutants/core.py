@@ -1,0 +1,39 @@
+"""The core, whose mistakes would change a result without a word: its modules and the tests that are to see a mutant of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Part:
+    """Modules (files, or folders with all their files) and the tests that run for a mutant of one of them."""
+
+    modules: tuple[str, ...]
+    tests: tuple[str, ...]
+
+
+CORE = {
+    "pairing": Part(
+        ("analyzer/pairing",), ("tests/analyzer/pairing", "tests/analyzer/test_unsent_messages.py")
+    ),
+    "stamps": Part(("recorder/payloads/stamp.py",), ("tests/recorder/payloads",)),
+    "statistics": Part(
+        ("analyzer/statistics", "analyzer/run_statistics"),
+        ("tests/analyzer/statistics", "tests/analyzer/run_statistics"),
+    ),
+    "intervals": Part(("analyzer/groups/intervals.py",), ("tests/analyzer/groups",)),
+    "clocks": Part(("analyzer/clocks",), ("tests/analyzer/clocks",)),
+    "ring": Part(
+        ("tracefile/format/ring.py", "tracefile/format/events.py", "tracefile/format/event_record.py"),
+        (
+            "tests/tracefile/format",
+            "tests/tracefile/reading/test_reader_ring.py",
+            "tests/tracefile/writing/test_sink.py",
+        ),
+    ),
+    "sink": Part(
+        ("tracefile/writing/sink.py", "tracefile/writing/event_chunks.py"), ("tests/tracefile/writing",)
+    ),
+    "gates": Part(("analyzer/verdicts/gate.py", "analyzer/verdicts/gates.py"), ("tests/analyzer/verdicts",)),
+}

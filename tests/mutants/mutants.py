@@ -1,0 +1,378 @@
+"""Change one operator or number of the core at a time and see whether a test notices: `just mutants`.
+
+The tests of a part are collected once. For each mutant this process forks, the child gives the loaded module the changed
+code, runs the tests that pass through the changed line, cheapest first, and ends at the first that fails. Nothing is
+written to the tree. What was computed by an import may have gone elsewhere by then, so a mutant that nobody noticed is
+tried once more with everything imported anew.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import importlib.machinery
+import json
+import os
+import pickle
+import random
+import resource
+import shutil
+import signal
+import sys
+import tempfile
+import threading
+import time
+import traceback
+from collections import Counter
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
+
+import grafting
+import pytest
+from core import CORE
+from hypothesis import Phase, settings
+from mutations import mutants_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from core import Part
+    from mutations import Mutant
+
+ROOT = Path(__file__).parents[2]
+EQUIVALENT = Path(__file__).with_name("equivalent.json")
+LEAST_KILLED = 0.95
+MOST_TEST_SECONDS = 6.0
+"""Tests that a mutant's line runs through are taken, cheapest first, until they take this together."""
+SPARE_SECONDS = 10.0
+WALL_FACTOR = 20.0  # of a child's processor time: other programs may share this machine
+LONGEST_SECONDS = 100_000.0
+SURVIVED, KILLED = 0, 1
+
+Survivor: TypeAlias = tuple[str, int, list[str]]
+"""Module, number of the mutant, and the tests that ran through its line."""
+
+
+@dataclass(frozen=True)
+class Module:
+    """A module of the core: its file from the root, its lines, and its mutants by number."""
+
+    path: str
+    lines: list[str]
+    tree: ast.Module
+    mutants: list[Mutant]
+
+    @property
+    def name(self) -> str:
+        return "dds_trace." + self.path.removesuffix(".py").replace("/", ".")
+
+    @property
+    def file(self) -> str:
+        """The path that the imported code knows, through the link in `src`."""
+        return str(ROOT / "src/dds_trace" / self.path)
+
+    def place(self, number: int) -> tuple[str, str]:
+        """The line of a mutant and its change, by which it is known when lines above it come or go."""
+        mutant = self.mutants[number]
+        return self.lines[mutant.line - 1].strip(), mutant.change
+
+    def mutated(self, number: int) -> object:
+        """The code of the module with this mutant in it."""
+        mutant = self.mutants[number]
+        mutant.put(edited=True)
+        try:
+            return compile(self.tree, self.file, "exec", dont_inherit=True)
+        finally:
+            mutant.put(edited=False)
+
+
+def modules_of(part: Part) -> list[Module]:
+    """The modules of a part, with their mutants."""
+    found = []
+    for name in part.modules:
+        files = sorted((ROOT / name).glob("*.py")) if (ROOT / name).is_dir() else [ROOT / name]
+        for path in files:
+            text = path.read_text()
+            tree = ast.parse(text)
+            found.append(Module(str(path.relative_to(ROOT)), text.splitlines(), tree, mutants_of(tree)))
+    return found
+
+
+# What a child does.
+
+
+class LinesRun:
+    """The lines of some files that code runs through, as `sys.settrace` tells them; `take` hands them over."""
+
+    def __init__(self, files: Sequence[str]) -> None:
+        self._files = frozenset(files)
+        self._seen: set[tuple[str, int]] = set()
+
+    def take(self) -> set[tuple[str, int]]:
+        seen, self._seen = self._seen, set()
+        return seen
+
+    def start(self) -> None:
+        threading.settrace(self._enter)
+        sys.settrace(self._enter)
+
+    def _enter(self, frame, _event, _argument):
+        file = frame.f_code.co_filename
+        if file not in self._files:
+            return None
+        seen = self._seen
+
+        def line(frame, event, _argument):
+            if event == "line":
+                seen.add((file, frame.f_lineno))
+            return line
+
+        return line
+
+
+def passes(items: Sequence[pytest.Item]) -> Iterator[tuple[int, bool]]:
+    """Run tests; yield the number of each and whether it did not fail."""
+    from _pytest.runner import runtestprotocol
+
+    for number, item in enumerate(items):
+        after = items[number + 1] if number + 1 < len(items) else None
+        yield number, not any(each.failed for each in runtestprotocol(item, log=False, nextitem=after))
+
+
+def run_all(items: Sequence[pytest.Item], files: Sequence[str], result: Path) -> int:
+    """Run every test once; keep its time, whether it passes and the lines that it runs through."""
+    lines, found = LinesRun(files), {}
+    lines.start()
+    begin = time.process_time()
+    for number, passed in passes(items):
+        now = time.process_time()
+        found[number] = (passed, now - begin, lines.take())
+        begin = now
+    sys.settrace(None)
+    result.write_bytes(pickle.dumps(found))
+    return 0
+
+
+def forked(work: Callable[[], int], seconds: float) -> int:
+    """Do `work` in a child that ends with what it returns, or by a signal after so much time; return its process id."""
+    pid = os.fork()
+    if pid:
+        return pid
+    code = KILLED
+    try:
+        os.setpgrp()
+        resource.setrlimit(resource.RLIMIT_CPU, (int(seconds) + 1, int(seconds) + 1))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        signal.setitimer(signal.ITIMER_REAL, seconds * WALL_FACTOR)
+        code = work()
+    except BaseException:
+        traceback.print_exc()
+        raise
+    finally:
+        os._exit(code)
+
+
+def ended(pids: Sequence[int]) -> tuple[int, int]:
+    """Wait for one of these children; return its process id and 0 if it returned 0."""
+    while True:
+        for pid in pids:
+            done, status = os.waitpid(pid, os.WNOHANG)
+            if done:
+                with suppress(ProcessLookupError):
+                    os.killpg(pid, signal.SIGKILL)
+                return pid, int(status != 0)
+        time.sleep(0.003)
+
+
+class Trials:
+    """The pytest plugin of a part's process: it collects as ever, and tries mutants where the tests would run."""
+
+    def __init__(
+        self, modules: dict[str, Module], chosen: Sequence[tuple[str, int]], folder: Path, jobs: int
+    ) -> None:
+        self._modules, self._chosen, self._folder, self._jobs = modules, chosen, folder, jobs
+        self.survivors: list[tuple[str, int, list[str]]] = []
+        self.failing: list[str] = []
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtestloop(self, session: pytest.Session) -> bool:
+        items = session.items
+        result, files = self._folder / "lines", [each.file for each in self._modules.values()]
+        pid = forked(lambda: run_all(items, files, result), LONGEST_SECONDS)
+        ended([pid])
+        runs = pickle.loads(result.read_bytes())
+        self.failing = [items[number].nodeid for number, (passed, _, _) in runs.items() if not passed]
+        running: dict[int, Survivor] = {}
+        for path, number in self._chosen:
+            module = self._modules[path]
+            tests = [items[each] for each in self._tests_of(module, module.mutants[number], runs)]
+            survivor = path, number, [each.nodeid for each in tests]
+            if not tests:  # or what it runs in was run by an import
+                self.survivors.append(survivor)
+                continue
+            if len(running) == self._jobs:
+                self._await_one(running)
+            pid = forked(partial(self._try, module, number, tests), SPARE_SECONDS + 5 * MOST_TEST_SECONDS)
+            running[pid] = survivor
+        while running:
+            self._await_one(running)
+        return True
+
+    def _tests_of(self, module: Module, mutant: Mutant, runs: dict) -> list[int]:
+        lines = {(module.file, line) for line in mutant.lines}
+        cheapest = sorted((seconds, number) for number, (passed, seconds, seen) in runs.items()
+                          if passed and (mutant.runs_at_import or lines & seen))  # fmt: skip
+        tests, total = [], 0.0
+        for seconds, number in cheapest:
+            total += seconds
+            if total > MOST_TEST_SECONDS:
+                break
+            tests.append(number)
+        return tests
+
+    @staticmethod
+    def _try(module: Module, number: int, items: Sequence[pytest.Item]) -> int:
+        grafting.graft(sys.modules[module.name], module.mutated(number))
+        return SURVIVED if all(passed for _, passed in passes(items)) else KILLED
+
+    def _await_one(self, running: dict[int, Survivor]) -> None:
+        pid, status = ended(list(running))
+        survivor = running.pop(pid)
+        if status == SURVIVED:
+            self.survivors.append(survivor)
+
+
+def pytest_words(tests: Sequence[str], folder: Path) -> list[str]:
+    """Words of pytest for tests that end within seconds and start no middleware."""
+    return [
+        *("-q", "-x", "-p", "no:cacheprovider", "-p", "no:xdist", "--timeout=0", f"--rootdir={ROOT}"),
+        *("-m", "not slow and not middleware and not browser", "--hypothesis-profile=mutants"),
+        *("-W", "ignore::pytest.PytestAssertRewriteWarning"),  # hypothesis is here already
+        *(f"--basetemp={folder / 'pytest'}", *tests),
+    ]
+
+
+def try_part(
+    part: Part, modules: dict[str, Module], chosen: Sequence[tuple[str, int]], folder: Path, jobs: int
+) -> int:
+    """Try mutants of a part with its tests collected once; leave who survived in `folder`."""
+    quiet()
+    trials = Trials(modules, chosen, folder, jobs)
+    pytest.main(pytest_words(part.tests, folder), plugins=[trials])
+    (folder / "result").write_text(json.dumps([trials.survivors, trials.failing]))
+    return 0
+
+
+def try_anew(tests: Sequence[str], module: Module, number: int, folder: Path) -> int:
+    """Import everything with this mutant in it and run these tests."""
+    quiet()
+    code = module.mutated(number)
+
+    class Loader(importlib.machinery.SourceFileLoader):
+        def get_code(self, fullname: str):
+            return code if fullname == module.name else super().get_code(fullname)
+
+    class Finder:
+        @staticmethod
+        def find_spec(name: str, path: object, target: object = None):
+            if name != module.name:
+                return None
+            spec = importlib.machinery.PathFinder.find_spec(name, path, target)
+            spec.loader = Loader(spec.loader.name, spec.loader.path)
+            return spec
+
+    sys.meta_path.insert(0, Finder)
+    return int(pytest.main(pytest_words(tests, folder)))
+
+
+def quiet() -> None:
+    nowhere = os.open(os.devnull, os.O_RDWR)
+    for number in (0, 1, 2):
+        os.dup2(nowhere, number)
+
+
+# The whole.
+
+
+def load_equivalent() -> dict[str, set[tuple[str, str]]]:
+    """(line, change) by module of mutants that were looked at: they change nothing that a caller can see."""
+    held = json.loads(EQUIVALENT.read_text())
+    return {path: {(each["line"], each["change"]) for each in kept} for path, kept in held.items()}
+
+
+def tried(name: str, share: float, seed: int, jobs: int) -> tuple[dict[str, Counter], list[str]]:
+    """Try mutants of a part; return tried and killed ones by module, and a line for each survivor."""
+    part, modules = CORE[name], {each.path: each for each in modules_of(CORE[name])}
+    equivalent = load_equivalent()
+    every = [
+        (path, number)
+        for path, module in modules.items()
+        for number in range(len(module.mutants))
+        if module.place(number) not in equivalent.get(path, ())
+    ]
+    draw = random.Random(f"{seed} {name}")
+    chosen = sorted(draw.sample(every, max(1, round(share * len(every)))))
+    folder = Path(
+        tempfile.mkdtemp(prefix="dds-trace-mutants-", dir="/dev/shm" if Path("/dev/shm").is_dir() else None)
+    )
+    try:
+        ended([forked(lambda: try_part(part, modules, chosen, folder, jobs), LONGEST_SECONDS)])
+        found, failing = json.loads((folder / "result").read_text())
+        if failing:
+            print("left out, as they fail here without any mutant:", *failing)
+        survivors = {
+            (path, number)
+            for path, number, tests in found
+            if _survives_anew(tests or part.tests, modules[path], number, folder)
+        }
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+    counts = {path: Counter(tried=0, killed=0) for path in modules}
+    lines = []
+    for path, number in chosen:
+        survived = (path, number) in survivors
+        counts[path].update(tried=1, killed=int(not survived))
+        if survived:
+            mutant = modules[path].mutants[number]
+            lines.append(f"survived: {path}:{mutant.line}: {mutant.change}")
+    return counts, lines
+
+
+def _survives_anew(tests: Sequence[str], module: Module, number: int, folder: Path) -> bool:
+    return ended([forked(lambda: try_anew(tests, module, number, folder), 120)])[1] == SURVIVED
+
+
+def main() -> None:
+    """Try the mutants of the parts that are asked for; exit with 1 where too many survive."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("parts", nargs="*", choices=[*CORE, []], help="parts of the core, all by default")
+    parser.add_argument("--share", type=float, default=1.0, help="share of the mutants that is drawn")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--jobs", type=int, default=os.cpu_count())
+    asked = parser.parse_args()
+    os.chdir(ROOT)
+    total = Counter()
+    for name in asked.parts or CORE:
+        counts, lines = tried(name, asked.share, asked.seed, asked.jobs)
+        for path, count in counts.items():
+            if count["tried"]:
+                print(
+                    f"{count['killed']:5}/{count['tried']:<5} {count['killed'] / count['tried']:4.0%}  {path}"
+                )
+            total.update(count)
+        print(*lines, sep="\n", flush=True)
+    share = total["killed"] / total["tried"]
+    print(f"{total['killed']} of {total['tried']} mutants killed, {share:.1%}")
+    sys.exit(share < LEAST_KILLED)
+
+
+if __name__ == "__main__":
+    settings.register_profile(
+        "mutants", deadline=None, database=None, derandomize=True, phases=[Phase.explicit, Phase.generate]
+    )
+    main()

@@ -62,6 +62,10 @@ docs: setup
     {{bin}}/sphinx-build --quiet --fail-on-warning --keep-going -E -d out/site-cache docs out/site
     @echo "file://{{justfile_directory()}}/out/site/index.html"
 
+# Take the pictures of docs/images/ anew from the campaigns of docs/results/ (Chromium)
+screenshots *names: setup
+    {{bin}}/python scripts/screenshots.py {{names}}
+
 # All benchmarks: ratios measured side by side in one run
 bench: setup
     for script in benchmarks/bench_*.py; do {{bin}}/python $script; done

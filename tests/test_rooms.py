@@ -31,7 +31,8 @@ def test_a_folder_is_taken_in_at_a_glance(room):
     inside = {
         (path.parents[up], path.parts[-up - 1])
         for path in files
-        if "__pycache__" not in path.parts
+        if not {"__pycache__", "images"}
+        & set(path.parts)  # a picture for each figure is looked at on its page
         for up in range(len(path.parts) - 1)
     }
     entries = Counter(str(folder) for folder, _ in inside)

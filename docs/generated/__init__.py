@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from sphinx.util.docutils import SphinxDirective
 
-from . import commands, findings, plan_keys, python_names, tables
+from . import commands, findings, gallery, plan_keys, python_names, tables
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -25,6 +25,7 @@ PARTS: dict[str, Callable[[], str]] = {
     "columns-of-summary": tables.summary,
     "commands": commands.commands,
     "findings": findings.findings,
+    "gallery": gallery.gallery,
     "plan-keys": plan_keys.plan_keys,
     "python": python_names.python_names,
 }
@@ -47,5 +48,6 @@ class Generated(SphinxDirective):
 def setup(app: Sphinx) -> dict[str, bool]:
     """Make the directive known to Sphinx."""
     app.add_directive("generated", Generated)
+    app.connect("autodoc-process-docstring", python_names.mark_code, priority=400)  # before napoleon reads it
     # Code is read anew at each build: Sphinx would keep a page whose own text did not change.
     return {"parallel_read_safe": True}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Any
 
-import click
 import typer
 
 from dds_trace.cli import analyze, bridge
@@ -39,14 +38,14 @@ def commands() -> str:
 
 def _command(name: str, app: typer.Typer) -> Iterator[str]:
     command = typer.main.get_command(app)
-    context = click.Context(command, info_name=name, max_content_width=10_000, terminal_width=10_000)
+    context = command.make_context(name, [], resilient_parsing=True)
     usage = command.collect_usage_pieces(context)
     yield f"## {name}\n\n```text\n{name} {' '.join(usage)}\n```\n\n{_prose(command.help or '')}\n"
     for title, rows in _panels(command, context).items():
-        yield f"**{escaped(title)}**\n\n{table(('', ''), rows)}"
+        yield table((escaped(title), ""), rows)
 
 
-def _panels(command: Any, context: click.Context) -> dict[str, list[list[str]]]:
+def _panels(command: Any, context: Any) -> dict[str, list[list[str]]]:
     """Return title -> rows of each panel of the help, arguments first, in the order in which they are declared."""
     panels: dict[str, list[list[str]]] = {"Arguments": [], "Options": []}
     for parameter in command.get_params(context):

@@ -1,0 +1,162 @@
+"""The examples of the pages run: Python as it stands, each command as far as its first message, two tutorials to their end."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+import signal
+import sys
+from contextlib import ExitStack
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import pytest
+from bags import points, write_bag2
+from doc_examples import DOCS, PAGES, command_lines, examples
+from processes import RunningCommand
+
+from dds_trace.recorder.sweep.plan.plan_file import parse_plan
+
+SAMPLES = DOCS.parent / "sample_traces"
+SMALL_PLAN = """
+[run]
+messages = 5
+warmup = 1
+settle_seconds = 0
+domain = {domain}
+[axes]
+backend = "socket"
+[[matrix]]
+size = "1KB"
+rate = 100
+"""
+"""In the place of a page's plan: what it asks for would take minutes, and middlewares that not every machine has."""
+
+NOT_RUN = {
+    "dds-sweep new mine.toml": "asks questions: tests/cli/sweep answers them",
+    "--against ~/venvs/kilted": "needs another environment with another ROS 2",
+    "dds-analyze docker/runs": "what containers recorded; none is built here",
+}
+"""Part of a line of a command -> why it is read, but not run."""
+
+OTHER_PROGRAMS = {
+    "DDS_TRACE_USER": "Docker is not here",
+    "docker": "Docker is not here",
+    "mkdir": "belongs to Docker's commands",
+    "just": "sets up the environment that runs this test",
+    "pip": "sets up the environment that runs this test",
+    "scp": "the other device is not here",
+    "source": "sets up the environment that runs this test",
+    "sudo": "changes the machine",
+    "SOCKPERF": "a benchmark against programs that are not here",
+}
+"""First word of a line in a `sh` block -> why it is not run."""
+
+
+LINES = list(dict.fromkeys(line for _, line in command_lines()))
+
+
+@pytest.fixture(scope="module")
+def desk(tmp_path_factory):
+    """A folder with what the pages speak of: traces, two sides, plans, a photo, a bag."""
+    folder = tmp_path_factory.mktemp("desk")
+    words = {word for line in LINES for word in shlex.split(line)}
+    for name in ("runs", "base", "new", *(word for word in words if word.startswith(("runs/", "again/")))):
+        if not Path(name).suffix:
+            shutil.copytree(SAMPLES / "losses", folder / name, dirs_exist_ok=True)
+    for plan in (word for word in words if word.endswith(".toml")):
+        (folder / plan).parent.mkdir(exist_ok=True)
+        (folder / plan).write_text(SMALL_PLAN.format(domain=10))
+    shutil.copy(SAMPLES / "losses" / "binary_600KB_20Hz.mcap", folder / "runs" / "ping.mcap")
+    (folder / "photos").mkdir()
+    (folder / "photos" / "one.jpg").write_bytes(b"jpeg")
+    write_bag2(folder / "drive", {"/lidar/points": [points(n) for n in range(20, 40)]})
+    return folder
+
+
+def test_the_lists_of_what_is_not_run_are_of_these_pages():
+    shell = [
+        line
+        for block in examples("sh")
+        for line in block.text.splitlines()
+        if not line.startswith(("#", "dds-"))
+    ]
+    assert {re.split(r"[ =]", line)[0] for line in shell} == set(OTHER_PROGRAMS)
+    assert [part for part in NOT_RUN if not any(part in line for line in LINES)] == []
+    assert len(LINES) > 40
+
+
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if list(examples("python", page))], ids=lambda page: page.stem
+)
+def test_the_python_of_a_page_runs_from_top_to_bottom(page, desk, monkeypatch):
+    monkeypatch.chdir(desk)
+    names = {}
+    for block in examples("python", page):
+        exec(compile(block.text, str(page), "exec"), names)
+
+
+@pytest.mark.parametrize("block", list(examples("toml")), ids=lambda block: block.name)
+def test_a_plan_of_a_page_is_one(block):
+    """What is a part of a plan on the page, such as `[search]`, is completed."""
+    start = "" if "[run]" in block.text else "[run]\nmessages = 10\n"
+    assert parse_plan(start + block.text, block.page.stem, block.name).cells
+
+
+@pytest.mark.parametrize("line", [line for line in LINES if not any(part in line for part in NOT_RUN)])
+def test_a_command_of_a_page_runs_as_far_as_its_first_message(line, desk, monkeypatch, capsys):
+    monkeypatch.chdir(desk)
+    monkeypatch.setattr("dds_trace.cli.record.tools.rehearse", lambda *_: None)
+    monkeypatch.setattr("dds_trace.recorder.sweep.rehearse_plan", lambda *_, **__: {})
+    program, *arguments = shlex.split(line)
+    (command,) = entry_points(group="console_scripts", name=program)
+    shown = {"--list", "--print-config"} & set(arguments)
+    more = {
+        "dds-bridge": [] if shown else ["--print-config"],
+        "dds-record": ["--check"],
+        "dds-sweep": ["--dry-run"],
+    }
+    monkeypatch.setattr(sys, "argv", [program, *arguments, *more.get(program, [])])
+    with pytest.raises(SystemExit) as ended:
+        command.load()()
+    assert ended.value.code in ((0, 21) if "--fail-if" in arguments else (0,)), capsys.readouterr().err
+
+
+@pytest.mark.middleware
+@pytest.mark.parametrize(
+    ("page", "made"),
+    [
+        ("first-answer", ["runs/first/ping.mcap", "runs/mine/state.json", "runs/mine/analysis/report.html"]),
+        ("bag", ["runs/lidar/analysis/report.html"]),
+    ],
+)
+def test_a_tutorial_leads_to_its_answer(page, made, desk, tmp_path, monkeypatch, domain_id):
+    """Its commands in their order, as they stand; a plan of sockets and few messages stands for its own."""
+    if page == "first-answer":
+        pytest.importorskip("rclpy", reason="rclpy is not installed")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain_id))
+    shutil.copytree(desk / "drive", "drive")
+    for plan in ("mine.toml", "lidar.toml"):
+        Path(plan).write_text(SMALL_PLAN.format(domain=domain_id))
+    relay = None
+    with ExitStack() as stack:
+        for block in examples("sh", DOCS / "tutorials" / f"{page}.md"):
+            for line in block.text.splitlines():
+                if not line.startswith("dds-"):
+                    continue
+                if relay is not None and line.startswith(
+                    "dds-analyze"
+                ):  # the page ends it with Ctrl-C before
+                    assert relay.stop(signal.SIGINT).status == 0
+                    relay = None
+                command = RunningCommand(*shlex.split(line))
+                stack.callback(command.clean_up)
+                if "--role relay" in line:
+                    relay = command
+                    relay.wait_for_line("serves domain")
+                else:
+                    done = command.finish()
+                    assert done.status == 0, (line, done.stderr)
+    assert [name for name in made if not Path(name).is_file()] == []

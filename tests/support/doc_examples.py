@@ -1,0 +1,47 @@
+"""The examples of the pages of docs/: fenced blocks, and lines of commands wherever they stand."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+DOCS = Path(__file__).parents[2] / "docs"
+PAGES = [path for path in sorted(DOCS.rglob("*.md")) if "results" not in path.parts]
+
+FENCE = re.compile(r"^```(?P<language>\w+)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL)
+COMMAND = re.compile(
+    r"^(?: {4}(?:\w+'s device +)?)?(?P<line>dds-(?:record|bridge|sweep|analyze) .+)$", re.MULTILINE
+)
+
+
+@dataclass(frozen=True)
+class Example:
+    """A block of a page."""
+
+    page: Path
+    language: str
+    text: str
+
+    @property
+    def name(self) -> str:
+        return str(self.page.relative_to(DOCS))
+
+
+def examples(language: str, page: Path | None = None) -> Iterator[Example]:
+    """The fenced blocks of a language, of one page or all."""
+    for path in PAGES if page is None else [page]:
+        for found in FENCE.finditer(path.read_text(encoding="utf-8")):
+            if found["language"] == language:
+                yield Example(path, language, found["text"])
+
+
+def command_lines() -> Iterator[tuple[Path, str]]:
+    """Every line of a block, fenced or indented, that calls one of our programs, without its comment."""
+    for path in PAGES:
+        for found in COMMAND.finditer(path.read_text(encoding="utf-8")):
+            yield path, re.sub(r"\s+#.*$", "", found["line"])

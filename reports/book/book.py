@@ -14,6 +14,7 @@ from .recommendation import recommendation_info
 from .recording import own_costs, record_tables
 from .runs import bridge_loads, run_times
 from .sizes import size_table
+from .surroundings import surroundings
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from .recording import OwnCost, RecordTable
     from .runs import RunTime
     from .sizes import SizeTable
+    from .surroundings import Surroundings
 
 
 class Book:
@@ -105,3 +107,8 @@ class Book:
     def record_tables(self) -> tuple[RecordTable, ...]:
         """Tables of the sessions and files."""
         return record_tables(self.analysis)
+
+    @cached_property
+    def surroundings(self) -> Surroundings | None:
+        """How it was recorded, by device and role; None without sessions."""
+        return surroundings(self.analysis, self.groups)

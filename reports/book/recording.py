@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 MOST_ROWS = 200
 """Most rows of a table. A campaign of 500 cells has 1,000 sessions and files; the JSON report lists them all."""
 
-_FLEETING = "wifi"
+FLEETING = "wifi"
 """Part of a fingerprint that differs between any two sessions; the figure of the load shows it over time."""
 
 
@@ -60,7 +60,7 @@ def _sessions(analysis: Analysis) -> RecordTable:
     vendors = vendor_labels(analysis)
     for one in analysis.sessions:
         surroundings = [
-            f"{visible(name)} {visible(value)}" for name, value in one.host.items() if name != _FLEETING
+            f"{visible(name)} {visible(value)}" for name, value in one.host.items() if name != FLEETING
         ]
         key = (
             visible(one.device),
@@ -71,7 +71,7 @@ def _sessions(analysis: Analysis) -> RecordTable:
             str(one.domain_id),
             visible(one.connectivity),
             "clean" if one.state == "closed" else "cut off",
-            ", ".join([*surroundings, *_applied_words(one)]),
+            ", ".join([*surroundings, *applied_words(one)]),
         )
         alike.setdefault(key, []).append(one)
     rows = [
@@ -94,7 +94,7 @@ def _sessions(analysis: Analysis) -> RecordTable:
     return _table("Recording sessions", columns, rows, len(analysis.sessions))
 
 
-def _applied_words(session: Session) -> list[str]:
+def applied_words(session: Session) -> list[str]:
     """Describe what the process was seen to use; nothing of an older session, which does not tell."""
     path = payload_path(session)
     if path is None:

@@ -25,7 +25,7 @@ from .page import live_script, render_live, without_plotly
 from .progress import sweep_status, without_running
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
 Stamp: TypeAlias = "tuple[tuple[str, int, int], ...]"
@@ -191,7 +191,7 @@ def is_own_name(asked: str, bound: str) -> bool:
 
 
 def _handler(watcher: Watcher, bound: str) -> type[BaseHTTPRequestHandler]:
-    beside = {
+    beside: dict[str, tuple[str, Callable[[], str]]] = {
         "/version": ("text/plain", lambda: watcher.shown.version),
         "/status": ("application/json", watcher.status),
         "/update": ("text/html", lambda: without_plotly(watcher.shown.page.decode())),

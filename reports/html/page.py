@@ -108,6 +108,7 @@ def _render(book: Book, scripts: Iterable[str], version: str = "") -> str:
         campaign_figures=[figure for scope, figure in drawn if scope is Scope.CAMPAIGN],
         cell_figures=[figure for scope, figure in drawn if scope is Scope.CELL],
         left_out=[figure for _, figure in made if isinstance(figure, LeftOut)],
+        surroundings=book.surroundings,
         record_tables=book.record_tables,
     )
 

@@ -36,6 +36,13 @@ def test_links_land_where_they_say_and_nothing_shifts(chromium, pages, name):
     tab.context.close()
 
 
+@pytest.mark.parametrize("name", ["demo", "lossy machine"])
+def test_the_table_of_sizes_begins_on_the_first_screen(reader, pages, name):
+    tab = reader.open(pages(name))
+    assert tab.evaluate("document.querySelector('table.sizes').getBoundingClientRect().top") < 1000
+    assert tab.locator(".measured a[href='#recording']").count() == 1
+
+
 def test_back_undoes_a_filter_and_closes_a_group(reader, pages):
     tab = reader.open(pages("small campaign"))
     tab.locator("[data-filter=vendor] summary").click()

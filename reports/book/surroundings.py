@@ -1,0 +1,136 @@
+"""How it was recorded, as a table: a row for each setting, version or limit, a column for each device and role."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from dds_trace.tracefile.visible import visible
+
+from ..text import format_count
+from .groups import qos_label, vendor_labels
+from .recording import FLEETING, applied_words
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from dds_trace.analyzer.analysis import Analysis
+    from dds_trace.tracefile import Session
+
+    from .groups import Groups, VendorLabels
+
+MOST_COLUMNS = 16
+"""Most devices and roles; the table of the sessions below lists the others."""
+_MOST_VALUES = 4
+"""Most values in one cell; a sweep over a setting has one for each of its steps."""
+
+_VARIED = "Sessions"
+_SECTIONS = {
+    "versions": "Versions",
+    "middleware": "What the middleware was told",
+    "settings": "Environment variables",
+    "configuration": "Configuration",
+    "socket_buffers": "Limits of socket buffers (bytes)",
+    "mtu": "MTU of interfaces (bytes)",
+}
+"""Part of a fingerprint that holds several values -> its heading; the others stand under the machine."""
+_NAMES = {
+    "cpu_model": "processor",
+    "cpu_cores": "processors",
+    "cpu_cores_physical": "cores",
+    "cpu_governor": "governor",
+    "cpu_max_mhz": "highest MHz",
+    "os": "system",
+    "kernel_realtime": "realtime kernel",
+    "memory_bytes": "memory (bytes)",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedRow:
+    """One value of all devices and roles; strings are `visible` but not escaped for a format.
+
+    Attributes:
+        values: of each column; empty where no session names it.
+        unlike: whether columns that name it, or sessions of one column, differ where they should not.
+    """
+
+    name: str
+    values: tuple[str, ...]
+    unlike: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """Rows by section.
+
+    Attributes:
+        columns: device and role.
+        sections: heading and rows of each section.
+        quality: the qualities of service of all groups.
+    """
+
+    columns: tuple[str, ...]
+    sections: tuple[tuple[str, tuple[RecordedRow, ...]], ...]
+    quality: str
+
+
+def surroundings(analysis: Analysis, groups: Groups) -> Surroundings | None:
+    """Lay the sessions' descriptions out by device and role; None without sessions."""
+    vendors = vendor_labels(analysis)
+    told: dict[tuple[str, str], dict[str, dict[str, None]]] = {}
+    columns: dict[str, None] = {}
+    for session in sorted(analysis.sessions, key=lambda one: (one.device, one.role)):
+        column = f"{visible(session.device)} ({visible(session.role)})"
+        columns.setdefault(column)
+        for section, name, value in _described(session, vendors):
+            told.setdefault((section, name), {}).setdefault(column, {}).setdefault(value)
+    if not columns:
+        return None
+    shown = tuple(columns)[:MOST_COLUMNS]
+    sections: dict[str, list[RecordedRow]] = {}
+    for (section, name), of_column in told.items():
+        values = tuple(_joined(of_column.get(column, {})) for column in shown)
+        held = [tuple(sorted(of)) for of in of_column.values()]
+        # Middleware, domain and link are what a campaign varies on purpose.
+        unlike = section != _VARIED and (len(set(held)) > 1 or any(len(of) > 1 for of in held))
+        sections.setdefault(section, []).append(RecordedRow(name, values, unlike))
+    ordered = [_VARIED, "Machine", "Seen in use", *_SECTIONS.values()]
+    return Surroundings(
+        shown,
+        tuple((section, tuple(sections[section])) for section in ordered if section in sections),
+        "; ".join(dict.fromkeys(qos_label(one) for one in groups.series)),
+    )
+
+
+def _described(session: Session, vendors: VendorLabels) -> Iterator[tuple[str, str, str]]:
+    """Yield section, name and value of everything that a session says of itself."""
+    yield _VARIED, "middleware", vendors.of(session.vendor)
+    yield _VARIED, "backend", visible(session.backend)
+    if session.rmw:
+        yield _VARIED, "RMW", visible(session.rmw)
+    yield _VARIED, "domain", str(session.domain_id)
+    yield _VARIED, "link", visible(session.connectivity)
+    for words in applied_words(session):
+        what, _, used = words.rpartition(" by ") if " by " in words else words.rpartition(" granted ")
+        yield "Seen in use", what or words, used
+    for name, value in session.host.items():
+        if name == FLEETING or value is None or value in ({}, []):
+            continue
+        if isinstance(value, dict):
+            for inner, held in value.items():
+                yield _SECTIONS.get(name, "Machine"), visible(inner), _said(held)
+        else:
+            yield "Machine", _NAMES.get(name, visible(name).replace("_", " ")), _said(value)
+
+
+def _said(value: object) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return format_count(value) if isinstance(value, int) else visible(value, 200)
+
+
+def _joined(values: dict[str, None]) -> str:
+    shown = list(values)
+    more = [f"and {len(shown) - _MOST_VALUES} more"] if len(shown) > _MOST_VALUES else []
+    return " or ".join(shown[:_MOST_VALUES] + more)

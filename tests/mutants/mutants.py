@@ -2,14 +2,15 @@
 
 The tests of a part are collected once. For each mutant this process forks, the child gives the loaded module the changed
 code, runs the tests that pass through the changed line, cheapest first, and ends at the first that fails. Nothing is
-written to the tree. What was computed by an import may have gone elsewhere by then, so a mutant that nobody noticed is
-tried once more with everything imported anew.
+written to the tree. What was computed by an import may have gone elsewhere by then, so a mutant of a line that runs at
+import and that nobody noticed is tried once more with everything imported anew.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
+import importlib
 import importlib.machinery
 import json
 import os
@@ -28,7 +29,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 import grafting
 import pytest
@@ -51,9 +52,6 @@ SPARE_SECONDS = 10.0
 WALL_FACTOR = 20.0  # of a child's processor time: other programs may share this machine
 LONGEST_SECONDS = 100_000.0
 SURVIVED, KILLED = 0, 1
-
-Survivor: TypeAlias = tuple[str, int, list[str]]
-"""Module, number of the mutant, and the tests that ran through its line."""
 
 
 @dataclass(frozen=True)
@@ -142,6 +140,17 @@ def passes(items: Sequence[pytest.Item]) -> Iterator[tuple[int, bool]]:
         yield number, not any(each.failed for each in runtestprotocol(item, log=False, nextitem=after))
 
 
+def import_all(modules: Sequence[Module], result: Path) -> int:
+    """Import the modules and keep the lines that run through it."""
+    lines = LinesRun([each.file for each in modules])
+    lines.start()
+    for each in modules:
+        importlib.import_module(each.name)
+    sys.settrace(None)
+    result.write_bytes(pickle.dumps(lines.take()))
+    return 0
+
+
 def run_all(items: Sequence[pytest.Item], files: Sequence[str], result: Path) -> int:
     """Run every test once; keep its time, whether it passes and the lines that it runs through."""
     lines, found = LinesRun(files), {}
@@ -194,7 +203,7 @@ class Trials:
         self, modules: dict[str, Module], chosen: Sequence[tuple[str, int]], folder: Path, jobs: int
     ) -> None:
         self._modules, self._chosen, self._folder, self._jobs = modules, chosen, folder, jobs
-        self.survivors: list[tuple[str, int, list[str]]] = []
+        self.survivors: list[tuple[str, int]] = []
         self.failing: list[str] = []
 
     @pytest.hookimpl(tryfirst=True)
@@ -205,18 +214,17 @@ class Trials:
         ended([pid])
         runs = pickle.loads(result.read_bytes())
         self.failing = [items[number].nodeid for number, (passed, _, _) in runs.items() if not passed]
-        running: dict[int, Survivor] = {}
+        running: dict[int, tuple[str, int]] = {}
         for path, number in self._chosen:
             module = self._modules[path]
             tests = [items[each] for each in self._tests_of(module, module.mutants[number], runs)]
-            survivor = path, number, [each.nodeid for each in tests]
-            if not tests:  # or what it runs in was run by an import
-                self.survivors.append(survivor)
+            if not tests:
+                self.survivors.append((path, number))
                 continue
             if len(running) == self._jobs:
                 self._await_one(running)
             pid = forked(partial(self._try, module, number, tests), SPARE_SECONDS + 5 * MOST_TEST_SECONDS)
-            running[pid] = survivor
+            running[pid] = path, number
         while running:
             self._await_one(running)
         return True
@@ -238,11 +246,11 @@ class Trials:
         grafting.graft(sys.modules[module.name], module.mutated(number))
         return SURVIVED if all(passed for _, passed in passes(items)) else KILLED
 
-    def _await_one(self, running: dict[int, Survivor]) -> None:
+    def _await_one(self, running: dict[int, tuple[str, int]]) -> None:
         pid, status = ended(list(running))
-        survivor = running.pop(pid)
+        mutant = running.pop(pid)
         if status == SURVIVED:
-            self.survivors.append(survivor)
+            self.survivors.append(mutant)
 
 
 def pytest_words(tests: Sequence[str], folder: Path) -> list[str]:
@@ -319,14 +327,17 @@ def tried(name: str, share: float, seed: int, jobs: int) -> tuple[dict[str, Coun
         tempfile.mkdtemp(prefix="dds-trace-mutants-", dir="/dev/shm" if Path("/dev/shm").is_dir() else None)
     )
     try:
+        ended([forked(lambda: import_all(list(modules.values()), folder / "imported"), LONGEST_SECONDS)])
+        imported = pickle.loads((folder / "imported").read_bytes())
         ended([forked(lambda: try_part(part, modules, chosen, folder, jobs), LONGEST_SECONDS)])
         found, failing = json.loads((folder / "result").read_text())
         if failing:
             print("left out, as they fail here without any mutant:", *failing)
         survivors = {
             (path, number)
-            for path, number, tests in found
-            if _survives_anew(tests or part.tests, modules[path], number, folder)
+            for path, number in found
+            if imported.isdisjoint((modules[path].file, line) for line in modules[path].mutants[number].lines)
+            or _survives_anew(part.tests, modules[path], number, folder)
         }
     finally:
         shutil.rmtree(folder, ignore_errors=True)

@@ -80,6 +80,7 @@ def test_a_toy_backend_carries_a_ping_and_a_relay_to_a_closed_trace_that_analyze
     assert session.host["versions"] == {"toy": "1.0"}
     assert session.host["settings"]["TOY_SETTING"] == "on"
     assert session.extra["client_library_floor"]["median_ns"] > 0
+    assert session.extra["client_library_floor"]["messages"] == 50
     assert session.extra["recorder_version"] == __version__
     assert session.extra["boot_id"] == read_boot_id()
     assert session.extra["clock"] == {"begin": read_adjtimex(), "end": read_adjtimex()}

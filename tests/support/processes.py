@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from warm_start import MODULES, WarmProcess
+
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
@@ -36,20 +38,26 @@ class RunningCommand:
         arguments: of the command, its name first.
         environment: variables that differ from ours.
         prefix: a command that becomes ours, as `nsenter` does.
+
+    With one of these it starts cold, as an installed script; else warm.
     """
 
     def __init__(
         self, *arguments: object, environment: dict[str, str] | None = None, prefix: Sequence[str] = ()
     ) -> None:
         program, *rest = map(str, arguments)
-        self._process = subprocess.Popen(
-            [*prefix, Path(sys.executable).with_name(program), *rest],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            env={**os.environ, **(environment or {})},
-        )
+        self._process: subprocess.Popen[str] | WarmProcess
+        if program in MODULES and not prefix and not environment:
+            self._process = WarmProcess(program, rest)
+        else:
+            self._process = subprocess.Popen(
+                [*prefix, Path(sys.executable).with_name(program), *rest],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+                env={**os.environ, **(environment or {})},
+            )
         self._lines: dict[str, list[str]] = {"stdout": [], "stderr": []}
         self._readers = [
             threading.Thread(target=self._read, args=(name,), daemon=True) for name in self._lines

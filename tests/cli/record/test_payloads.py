@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from processes import PATIENCE_S, ping, relay
 from record_reader import events_of, last_json
+from warm_start import BRIEF_FLOOR_MESSAGES
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 pytest.importorskip("rosbags", reason="rosbags is not installed")
@@ -81,7 +82,7 @@ def test_files_and_bags_go_there_and_back(domain_id, tmp_path):
     assert session["recorder_cost"]["record_median_ns"] > 0
     floor = session["client_library_floor"]
     assert 0 < floor["median_ns"] <= floor["p99_ns"]
-    assert floor["messages"] == 50
+    assert floor["messages"] == BRIEF_FLOOR_MESSAGES
 
 
 @contextmanager

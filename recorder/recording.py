@@ -78,8 +78,8 @@ class Recorded:
         session: the session as it began.
         progress: what the role did.
         run: the run of a ping.
-        error: the reason why a ping's run ended before its plan, or with nobody left to answer, or why a relay recorded no
-            more; None at a regular end.
+        error: the reason why a ping's run ended before its plan, or with nobody left to answer, or why a relay recorded
+            nothing for a while; None at a regular end.
     """
 
     trace: ClosedTrace | None
@@ -167,7 +167,7 @@ class _Recording:
                 wire.write_relay(relay.progress().relayed, self.session_id, upkeep.sink)
                 read_back.read_end(relay.traffic)
                 relay.close()
-                trace = upkeep.sink.close(**read_back.fields(), **self._clock_at_end())
+                trace = upkeep.close_trace(**read_back.fields(), **self._clock_at_end())
                 read_back.tell(trace.path)
                 return Recorded(trace, session, relay.progress(), error=upkeep.shortage)
 

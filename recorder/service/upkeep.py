@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
-    from dds_trace.tracefile import JsonObject, Session, TraceDestination
+    from dds_trace.tracefile import ClosedTrace, Json, JsonObject, Session, TraceDestination
 
     from ..options import RecordOptions, Rotation
 
@@ -40,7 +40,7 @@ class Upkeep:
     Attributes:
         sink: the sink.
         destination: the place of the file that is written now.
-        shortage: the reason why nothing more is recorded, once the disk has less space than is to be kept.
+        shortage: the first reason why nothing was recorded for a while, the disk having less space than is to be kept.
 
     Raises:
         OutputExistsError: there is a trace already.
@@ -61,6 +61,7 @@ class Upkeep:
         self._count = 1
         self._failed_s: float | None = None
         self.shortage: OutputError | None = None
+        self._is_short = False
         shortage = find_shortage(options.destination.trace_path, options.keep_free)
         if shortage is not None:
             raise shortage
@@ -92,26 +93,39 @@ class Upkeep:
             messages: messages so far.
             describe: returns the fields of the session that are known now.
         """
-        if self.shortage is None:
-            self.shortage = find_shortage(self.destination.trace_path, self._options.keep_free)
-            if self.shortage is not None:
-                self._stop_recording(describe)
-            elif self._rotation is not None and self._is_due(self._rotation):
-                self._rotate(self._rotation, describe)
-        stopped = None if self.shortage is None else str(self.shortage)
+        shortage = find_shortage(
+            self.destination.trace_path, self._options.keep_free, was_short=self._is_short
+        )
+        if (shortage is not None) != self._is_short:
+            self._is_short = shortage is not None
+            self.shortage = self.shortage or shortage
+            self._stop_or_go_on(shortage)
+        elif not self._is_short and self._rotation is not None and self._is_due(self._rotation):
+            self._rotate(self._rotation, describe)
+        stopped = None if shortage is None else str(shortage)
         self._running.tell(path=self.destination.path, messages=messages, files=self._count, stopped=stopped)
-        status = f"{counted(messages, 'message')} so far, into {self.destination.path}"
+        so_far = counted(messages, "message")
         self._manager.look(
-            status if stopped is None else f"{counted(messages, 'message')}, not recorded: {stopped}"
+            f"{so_far}, into {self.destination.path}"
+            if stopped is None
+            else f"{so_far}, not recorded: {stopped}"
         )
 
-    def _stop_recording(self, describe: Callable[[], JsonObject]) -> None:
-        """Close the trace of a relay, which goes on without; a ping ends its run, since it has no other purpose."""
-        if self._options.ping is None:
-            self._note(f"{self.shortage}; nothing more is recorded, and the relay goes on sending back")
-            self.sink.close(**describe(), stopped=str(self.shortage))
+    def close_trace(self, **described: Json) -> ClosedTrace:
+        """Close the trace of a relay with these fields of its session, and what kept it from recording."""
+        stopped: JsonObject = {} if self.shortage is None else {"stopped": str(self.shortage)}
+        return self.sink.close(**described, **stopped)
+
+    def _stop_or_go_on(self, shortage: OutputError | None) -> None:
+        """Have a relay record nothing while the disk is short, and go on without; a ping has no other purpose, and ends its run."""
+        if shortage is None:
+            self.sink.resume()
+            self._note("there is room on the disk again: recording goes on")
+        elif self._options.ping is None:
+            self.sink.pause()
+            self._note(f"{shortage}; until then nothing is recorded, and the relay goes on sending back")
         else:
-            self._note(f"{self.shortage}; the run ends here")
+            self._note(f"{shortage}; the run ends here")
 
     def _is_due(self, rotation: Rotation) -> bool:
         now_s = time.monotonic()

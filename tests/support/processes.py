@@ -74,6 +74,10 @@ class RunningCommand:
     def pid(self) -> int:
         return self._process.pid
 
+    @property
+    def is_alive(self) -> bool:
+        return self._process.poll() is None
+
     def wait_for_line(self, text: str) -> str:
         """The first line on stderr that holds `text`."""
         deadline = time.monotonic() + PATIENCE_S

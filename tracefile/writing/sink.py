@@ -79,6 +79,7 @@ class TraceSink:
         self._measures_unsaved = destination.fsync
         self._use(TraceFiles(destination, session, session.wall_ns(clock_ns())))
         self._dropped = 0
+        self._is_paused = False
         self._record_lock = threading.Lock()
         self._write_lock = threading.Lock()
         self._wake: queue.SimpleQueue[bool] = queue.SimpleQueue()  # True: drain now; False: the end
@@ -292,7 +293,7 @@ class TraceSink:
 
     def _write(self, topic: str, text: str) -> None:
         with self._write_lock:
-            if self._closed is None:
+            if self._closed is None and not self._is_paused:
                 self._texts.append((topic, text, self._session.wall_ns(self._clock_ns())))
                 self._flush()
 
@@ -311,6 +312,22 @@ class TraceSink:
         """Length of the file that is written now, in bytes."""
         return self._files.writer.bytes_written
 
+    def pause(self) -> None:
+        """Keep nothing until `resume`: events are counted as dropped. What was kept before comes into the file."""
+        with self._write_lock:
+            with self._record_lock:
+                self._is_paused = True
+                self._limit = self._attention = self._head
+            self._flush()
+
+    def resume(self) -> None:
+        """Keep events again."""
+        with self._write_lock, self._record_lock:
+            if self._closed is None:
+                self._is_paused = False
+                self._limit = self._files.drained + self._slot_count
+                self._attention = self._files.drained + self._quarter
+
     def go_on_in(self, destination: TraceDestination, **session_extra: Json) -> ClosedTrace | None:
         """Close the file with `session_extra` and go on in another one, from one event to the next.
 
@@ -328,9 +345,8 @@ class TraceSink:
         with self._write_lock:
             if self._closed is not None or not self._flush():
                 return None
-            extra = self._session.extra
-            part = int(str(extra.get("part", 1))) + 1
-            session = replace(self._session, extra={**extra, **session_extra, "part": part})
+            part = int(str(self._session.extra.get("part", 1))) + 1
+            session = replace(self._session, extra={**self._session.extra, **session_extra, "part": part})
             files = TraceFiles(destination, session, session.wall_ns(self._clock_ns()))
             with self._record_lock:
                 old, head = self._files, self._head
@@ -397,7 +413,7 @@ class TraceSink:
             with _quick_switches(only_if=head - had >= self._quarter):
                 while files.drained < head:
                     files.move_chunk(head)
-                    if files is self._files:
+                    if files is self._files and not self._is_paused:
                         self._limit = files.drained + self._slot_count
                         self._attention = files.drained + self._quarter
             if head > had:

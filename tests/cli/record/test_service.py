@@ -7,6 +7,7 @@ import os
 import shutil
 import signal
 import socket
+import time
 from contextlib import suppress
 
 import pytest
@@ -31,6 +32,14 @@ def status(pid):
     )
 
 
+NAMES = ("first.mcap", "second.mcap", "third.mcap")
+
+
+def run_of(path):
+    """The run of a ping's trace."""
+    return read_trace(path).runs[0].run_id
+
+
 @pytest.fixture
 def manager(tmp_path):
     """A socket that stands for the service manager's."""
@@ -50,7 +59,7 @@ def test_a_rotated_relay_is_one_recording_to_all_who_ask(domain_id, tmp_path, ma
     with relay(domain_id, traces / "relay.mcap", *SOCKET, *rotation, "--device", "pi5") as command:
         ready = manager.recv(4096).decode().splitlines()
         assert ready[:2] == ["READY=1", "WATCHDOG=1"]
-        assert ready[2].startswith("STATUS=0 messages so far, into ")
+        assert ready[2].startswith("STATUS=0 messages, into ")
         monkeypatch.delenv("NOTIFY_SOCKET")
         done = ping(
             domain_id, traces / "ping.mcap", *SOCKET, "--messages", 300, "--rate", 100, "--data", "imu"
@@ -135,9 +144,9 @@ def test_a_killed_relay_is_listed_as_killed_and_its_oldest_files_alone_went(doma
         assert read_trace(trace).sessions[0].role == "relay"
 
 
-def test_a_relay_stops_recording_and_not_itself_before_the_disk_is_full(domain_id, tmp_path):
+def test_a_relay_stops_recording_and_not_itself_while_the_disk_is_short(domain_id, tmp_path):
     disk = os.statvfs(tmp_path)
-    margin = 400_000_000
+    margin = 1_000_000_000  # others write here, too
     keep_free = disk.f_bavail * disk.f_frsize - margin
     if keep_free < margin:
         pytest.skip("too little room on this disk")
@@ -146,43 +155,37 @@ def test_a_relay_stops_recording_and_not_itself_before_the_disk_is_full(domain_i
     with relay(domain_id, traces / "relay.mcap", *SOCKET, "--keep-free", keep_free) as command:
         first = ping(domain_id, traces / "first.mcap", *SOCKET, "--messages", 20, "--rate", 100)
         assert first.status == 0, first.stderr
-        filler = os.open(tmp_path / "filler", os.O_CREAT | os.O_WRONLY)
-        os.posix_fallocate(filler, 0, 2 * margin)
-        os.close(filler)
-        line = command.wait_for_line("nothing more is recorded, and the relay goes on sending back")
+        words = ("--role", "ping", "--domain", domain_id, "--out", traces / "long.mcap", *SOCKET)
+        with running("dds-record", *words, "--keep-free", keep_free, "--messages", 10_000) as long:
+            long.wait_for_line("waiting for an echo")
+            while not (traces / "long.mcap").exists():
+                assert long.is_alive
+                time.sleep(0.01)
+            filler = os.open(tmp_path / "filler", os.O_CREAT | os.O_WRONLY)
+            os.posix_fallocate(filler, 0, 2 * margin)
+            os.close(filler)
+            ended = long.finish()
+        assert (ended.status, "the run ends here" in ended.stderr) == (OutputError.exit_code, True)
+        line = command.wait_for_line("until then nothing is recorded, and the relay goes on sending back")
         assert f"{traces}/relay.mcap: the disk has " in line
         second = ping(domain_id, traces / "second.mcap", *SOCKET, "--messages", 20, "--rate", 100)
         assert (second.status, "received 30, lost 0" in second.stdout) == (0, True), second.stderr
         assert "    not recording: " in status(command.pid)[1]
         short = ping(domain_id, traces / "short.mcap", *SOCKET, "--messages", 20, "--keep-free", keep_free)
         assert (short.status, (traces / "short.mcap").exists()) == (OutputError.exit_code, False)
+        (tmp_path / "filler").unlink()
+        command.wait_for_line("there is room on the disk again: recording goes on")
+        third = ping(domain_id, traces / "third.mcap", *SOCKET, "--messages", 5, "--warmup", 0, "--rate", 100)
+        assert third.status == 0, third.stderr
         stopped = command.stop()
     assert stopped.status == OutputError.exit_code
     assert "are to be kept (--keep-free)" in stopped.stderr
-    assert "60 messages sent back in 2 runs; 60 events, 0 dropped" in stopped.stdout
-    trace = read_trace(traces / "relay.mcap")
-    assert (trace.truncated, trace.event_count, trace.sessions[0].state) == (None, 60, "closed")
+    assert " sent back in 4 runs; " in stopped.stdout
+    trace, cut = read_trace(traces / "relay.mcap"), read_trace(traces / "long.mcap")
+    of_runs = [trace.events[Stage.T3].run_id.tolist().count(run_of(traces / name)) for name in NAMES]
+    assert (trace.truncated, trace.sessions[0].state, of_runs) == (None, "closed", [30, 0, 5])
+    assert trace.sessions[0].dropped_events >= 60
+    assert (cut.runs[0].state, cut.sessions[0].state) == ("finished", "closed")
+    assert "are to be kept" in cut.sessions[0].extra["error"]
     found = {finding.code: finding for finding in analyze(traces).findings}
-    assert "The relay recorded no more from some moment on" in found["recording_stopped"].what
-
-
-def test_a_ping_ends_its_run_before_the_disk_is_full(domain_id, tmp_path):
-    disk = os.statvfs(tmp_path)
-    keep_free = disk.f_bavail * disk.f_frsize - 400_000_000
-    if keep_free < 400_000_000:
-        pytest.skip("too little room on this disk")
-    out = tmp_path / "ping.mcap"
-    with relay(domain_id, tmp_path / "relay.mcap", *SOCKET, "--keep-free", 0):
-        words = ("--role", "ping", "--domain", domain_id, "--out", out, *SOCKET, "--keep-free", keep_free)
-        with running("dds-record", *words, "--messages", 100_000, "--rate", 100) as command:
-            while not out.exists():
-                pass
-            filler = os.open(tmp_path / "filler", os.O_CREAT | os.O_WRONLY)
-            os.posix_fallocate(filler, 0, 800_000_000)
-            os.close(filler)
-            done = command.finish()
-    assert done.status == OutputError.exit_code
-    assert "the run ends here" in done.stderr
-    trace = read_trace(out)
-    assert (trace.runs[0].state, trace.sessions[0].state) == ("finished", "closed")
-    assert "are to be kept" in trace.sessions[0].extra["error"]
+    assert "The relay recorded nothing for a while" in found["recording_stopped"].what

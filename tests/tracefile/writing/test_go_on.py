@@ -135,3 +135,24 @@ def test_what_cannot_be_written_stays_in_the_old_ring_and_the_recording_goes_on(
     found = [read_trace(tmp_path / f"{n}.mcap") for n in (1, 2)]
     assert [trace.events[Stage.T3].sequence.tolist() for trace in found] == [[5], [6]]
     assert [trace.sessions[0].state for trace in found] == ["open", "closed"]
+
+
+def test_a_pause_keeps_what_was_before_and_behind_and_counts_what_was_between(tmp_path):
+    sink = open_sink(tmp_path)
+    sink.record(3, 7, 0, 1000)
+    sink.pause()
+    for sequence in range(1, 4):
+        assert sink.record_and_stamp((3, 4), 7, sequence, 1000, 0, 0, 9, 2) > 0
+    sink.write_json("/dds_trace/host", {"cpu_percent": 1})
+    size = (tmp_path / "1.mcap").stat().st_size
+    sink.pause()
+    assert (tmp_path / "1.mcap").stat().st_size == size
+    assert read_trace(tmp_path / "1.mcap").sessions[0].dropped_events == 6  # of a recorder that is killed now
+    sink.resume()
+    sink.record(3, 7, 4, 1000)
+    closed = sink.close()
+    assert (closed.events, closed.dropped_events) == (2, 6)
+    assert (sequences(tmp_path / "1.mcap"), len(read_trace(tmp_path / "1.mcap").host_samples)) == ([0, 4], 0)
+    sink.resume()
+    sink.record(3, 7, 5, 1000)
+    assert sink.dropped_events == 7  # closed is closed

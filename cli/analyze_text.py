@@ -1,41 +1,53 @@
-"""The table that `dds-analyze` prints of the topics of foreign recordings."""
+"""The tables that `dds-analyze` prints of the topics of foreign recordings: one for each recording, in 80 columns."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from dds_trace.tracefile.units.durations import format_ms
+from dds_trace.tracefile.units.durations import format_duration
+from dds_trace.tracefile.units.rates import format_rate
+from dds_trace.tracefile.units.sizes import format_size
 from dds_trace.tracefile.visible import visible
 
 if TYPE_CHECKING:
     from dds_trace.analyzer import TopicReport
 
-
-def _ms(value_ns: float | None) -> str:
-    if value_ns is None:
-        return "unknown"
-    return "lost" if value_ns == float("inf") else format_ms(value_ns)
+WIDTH = 80
+HOW_TO_READ = (
+    "Size: the mean. Gaps: intervals of more than two typical ones, where messages are missing. Jitter: how much the intervals vary (standard "
+    "deviation). Age: median from the header's stamp, or else from publishing, to the recording; with two machines it is wrong by "
+    "what their clocks differ."
+)
+_COLUMNS = (("Messages", 8), ("Rate", 8), ("Gaps", 5), ("Jitter", 7), ("Size", 7), ("Age", 15))
 
 
 def print_topics(report: "TopicReport") -> None:
-    """Print a row per recording and topic."""
-    table = Table(
-        "recording", "topic", "messages", "rate Hz", "gaps", "jitter ms", "mean B", "age p50 ms", "age from"
+    """Print a table for each recording, a row for each topic."""
+    console = Console(width=None if Console().is_terminal else WIDTH)
+    for (recording,), rows in report.topics.group_by("recording", maintain_order=True):
+        console.print(Text(visible(recording), style="bold"), soft_wrap=True)
+        table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False, header_style="dim")
+        table.add_column("Topic", overflow="fold")
+        for name, width in _COLUMNS:
+            table.add_column(name, justify="right", width=width, overflow="fold")
+        for row in rows.iter_rows(named=True):
+            table.add_row(*map(Text, _cells(row)))
+        console.print(table)
+        console.print()
+    if not report.topics.is_empty():
+        console.print(Text(HOW_TO_READ, style="dim"))
+
+
+def _cells(row: dict[str, Any]) -> tuple[str, ...]:
+    age = "" if row["age_p50_ns"] is None else f"{format_duration(row['age_p50_ns'])} ({row['age_from']})"
+    return (
+        visible(row["topic"]),
+        f"{row['messages']:,}",
+        "" if row["rate_hz"] is None else format_rate(row["rate_hz"]),
+        "" if row["gaps"] is None else f"{row['gaps']:,}",
+        "" if row["jitter_ns"] is None else format_duration(row["jitter_ns"]),
+        format_size(round(row["payload_mean_bytes"])),
+        age,
     )
-    for row in report.topics.iter_rows(named=True):
-        rate = "" if row["rate_hz"] is None else f"{row['rate_hz']:.4g}"
-        cells = (
-            row["recording"],
-            row["topic"],
-            str(row["messages"]),
-            rate,
-            "" if row["gaps"] is None else str(row["gaps"]),
-            "" if row["jitter_ns"] is None else _ms(row["jitter_ns"]),
-            f"{row['payload_mean_bytes']:.0f}",
-            "" if row["age_p50_ns"] is None else _ms(row["age_p50_ns"]),
-            row["age_from"] or "",
-        )
-        table.add_row(*(Text(visible(cell)) for cell in cells))
-    Console(width=160).print(table)

@@ -160,7 +160,7 @@ def _groups(book: Book) -> str:
             )
         )
     names = (f"{METRIC_LABELS[metric]} {STATISTIC_LABELS[name]}" for name in SHOWN_STATISTICS)
-    table = _table(("Data", "Size", "Rate", "Series", "Own share", "Received", "Runs", *names), rows)
+    table = _table(("Data", "Size", "Rate", "Choice", "Own share", "Received", "Runs", *names), rows)
     left = len(groups.groups) - len(rows)
     notes = [f"{counted(left, 'more group is', 'more groups are')} in `summary.parquet`."] if left else []
     notes.insert(0, "Times are those of the survivors, the messages that came back.")
@@ -230,11 +230,15 @@ def _bridge_costs(book: Book) -> str:
             )
         )
     names = (f"Added, {STATISTIC_LABELS[name]}" for name in COST_STATISTICS)
-    table = _table(("Data", "Size", "Rate", "Series", "Runs", "Received", *names, "Bridge CPU"), rows)
+    table = _table(("Data", "Size", "Rate", "Choice", "Runs", "Received", *names, "Bridge CPU"), rows)
     left = len(cells) - len(rows)
     notes = [
         HOW_TO_READ_COSTS,
-        *([f"{counted(left, 'more cell is', 'more cells are')} in the JSON report."] if left else []),
+        *(
+            [f"{counted(left, 'more combination is', 'more combinations are')} in the JSON report."]
+            if left
+            else []
+        ),
     ]
     return "\n\n".join([table, *notes]) if rows else ""
 
@@ -293,7 +297,7 @@ def _wire_costs(book: Book) -> str:
     )
     left = len(rows) - MOST_GROUPS
     note = f"\n\n{counted(left, 'more group is', 'more groups are')} in the JSON report." if left > 0 else ""
-    return _table(("Data", "Size", "Rate", "Series", *columns), rows[:MOST_GROUPS]) + note
+    return _table(("Data", "Size", "Rate", "Choice", *columns), rows[:MOST_GROUPS]) + note
 
 
 def _tcp_connections(again: int, rtt_ns: float | None) -> str:

@@ -83,7 +83,9 @@ def shown_sides(base: Plan, other: NewSide) -> tuple[dict[str, object], list[str
         "cells": [{"side": side, "name": name} for side, name in turns],
     }
     lines = [f"{side:4}  {name}" for side, name in turns]
-    lines.append(f"plan {_name(base, other)}: {counted(len(turns), 'cell')} of both sides, about {seconds}")
+    lines.append(
+        f"plan {_name(base, other)}: {counted(len(turns), 'recording')} of both sides, about {seconds}"
+    )
     return described, lines
 
 
@@ -128,7 +130,9 @@ def run_sides(base: Plan, other: NewSide, out: Path, *, as_json: bool) -> int:
         for side, outcome in sides.items():
             complete = outcome.cells - len(outcome.missing)
             print(f"Wrote {outcome.folder}")
-            print(f"{side}: {complete} of {counted(outcome.cells, 'cell is', 'cells are')} complete")
+            print(
+                f"{side}: {complete} of {counted(outcome.cells, 'recording is', 'recordings are')} complete"
+            )
         print(f"Compare: dds-analyze compare {done.base.folder} {done.new.folder} --paired")
         if alarms is not None:
             print(_in_words(alarms))

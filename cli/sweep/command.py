@@ -55,7 +55,7 @@ def main_command(
         bool,
         typer.Option(
             "--dry-run",
-            help="Show the cells and how long they take, and start each kind of them as far as its first message; record nothing.",
+            help="Show the recordings and how long they take, and start each kind of them as far as its first message; record nothing.",
         ),
     ] = False,
     printed: Annotated[
@@ -75,7 +75,7 @@ def main_command(
         str | None,
         typer.Option(
             metavar="STATISTIC:PERCENT",
-            help="Go on with passes until the interval of this statistic is so narrow in every cell (half its width in "
+            help="Go on with passes until the interval of this statistic is so narrow for every combination (half its width in "
             "percent of the value), for example latency_p99:5%.",
             show_default=False,
         ),
@@ -192,7 +192,7 @@ def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None) -> int:
         print(json.dumps(result))
     else:
         print(f"Wrote {done.folder}")
-        print(f"{complete} of {counted(done.cells, 'cell is', 'cells are')} complete")
+        print(f"{complete} of {counted(done.cells, 'recording is', 'recordings are')} complete")
     for name, reason in done.missing.items():
         print(f"{name}: {reason}", file=sys.stderr)
     for name, width in done.too_wide.items():

@@ -86,7 +86,7 @@ def _tell(refused: Mapping[str, str]) -> None:
     for name, reason in refused.items():
         names[reason].append(name)
     for reason, cells in names.items():
-        more = f" and {counted(len(cells) - 1, 'more cell')}" if len(cells) > 1 else ""
+        more = f" and {counted(len(cells) - 1, 'more recording')}" if len(cells) > 1 else ""
         print(f"{cells[0]}{more} cannot start: {reason}", file=sys.stderr)
 
 
@@ -117,15 +117,15 @@ def _shown(plan: Plan, until: Until | None) -> tuple[dict[str, object], list[str
         ]
     lines += _remarks(plan)
     lines.append(
-        f"plan {plan.name}: {counted(len(cells), 'cell')}, {len(plan.excluded)} left out, "
+        f"plan {plan.name}: {counted(len(cells), 'recording')}, {len(plan.excluded)} left out, "
         f"{counted(len(groups), 'start of a relay', 'starts of a relay')}, about {seconds}"
     )
     if until is not None:
         most = plan_seconds(plan, passes=until.max_passes)
         described["most_seconds"] = most.seconds
         lines.append(
-            f"until {until.statistic} is known to +-{until.percent:g} % in every cell: {until.max_passes} passes at "
-            f"most, about {most} if every cell takes all of them"
+            f"until {until.statistic} is known to +-{until.percent:g} % for every combination: {until.max_passes} passes at "
+            f"most, about {most} if each takes all of them"
         )
     return described, lines
 
@@ -137,7 +137,7 @@ def _remarks(plan: Plan) -> list[str]:
     left_out = Counter(reason for _, reason in plan.excluded).items()
     return [
         *(
-            f"left out by [[exclude]]: {counted(count, 'cell')}" + (f" ({reason})" if reason else "")
+            f"left out by [[exclude]]: {counted(count, 'combination')}" + (f" ({reason})" if reason else "")
             for reason, count in left_out
         ),
         *(f"warning: {warning}" for warning in depth_warnings(plan)),

@@ -104,7 +104,7 @@ def run_further_passes(
             return FurtherPasses(tuple(cells), too_wide)
         number += 1
         note(
-            f"pass {number}: {until.statistic} of {counted(len(too_wide), 'cell is', 'cells are')} "
+            f"pass {number}: {until.statistic} of {counted(len(too_wide), 'combination is', 'combinations are')} "
             f"wider than +-{until.percent:g} %"
         )
         of_pass = schedule_pass(plan, [cell for cell in plan.cells if cell.name in too_wide], number)

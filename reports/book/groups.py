@@ -34,6 +34,9 @@ LATENCY_MEANING = (
 METRIC_LABELS = {name: METRICS[name].label for name in ("latency", *METRICS)}
 """Metric -> label, in the order of the page's menu: the latency first."""
 
+METRIC_MENU = {"intermediate": "Time in relay (the paper's intermediate-process time)"}
+"""Metric -> its label in the page's menu, where the label alone is not enough."""
+
 STATISTIC_LABELS = {
     "p50": "median",
     "mean": "mean",

@@ -84,6 +84,10 @@ def recommendation_info(recommendation: Recommendation | None, vendors: VendorLa
     )
 
 
+_FITS = {Fit.INCONCLUSIVE: "not known"}
+"""Words of a fit in place of its name."""
+
+
 def _choice(setting: Setting) -> Setting:
     """Return a setting without its place, which is told apart."""
     return {**setting, **dict.fromkeys(PLACE_COLUMNS, ""), "setting": choice_of(str(setting["setting"]))}
@@ -136,7 +140,7 @@ def _said(told: Sequence[tuple[Candidate, str]], deadline: str, *, opens: bool) 
     elif all(candidate.fit is Fit.MISSES and candidate.measured for candidate, _ in told):
         said = f"every setting that was measured misses {deadline}."
     else:
-        said = f"inconclusive: no setting is shown to meet {deadline}."
+        said = f"nothing is shown to meet {deadline}, and nothing to miss it for sure."
     return said[0].upper() + said[1:] if opens else said
 
 
@@ -156,7 +160,7 @@ def _row(candidate: Candidate, name: str) -> tuple[str, ...]:
             rests += f", {counted(candidate.episodes, 'episode')}"
     return (
         name,
-        candidate.fit.value,
+        _FITS.get(candidate.fit, candidate.fit.value),
         _time(candidate.latency_ns),
         f"{_time(candidate.lower_ns)} to {_time(candidate.upper_ns)}",
         format_ratio(candidate.received_ratio),

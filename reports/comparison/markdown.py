@@ -13,6 +13,7 @@ from ..book.groups import METRIC_LABELS, STATISTIC_LABELS
 from ..changes import received_words, runs_words
 from ..text import markdown
 from .words import (
+    VERDICTS,
     both_words,
     change_with_interval,
     change_words,
@@ -111,7 +112,7 @@ def _statistics(groups: Sequence[ComparedGroup]) -> list[str]:
             "" if row["superiority"] is None else f"{row['superiority']:.0%}",
             runs_words(row),
             "" if row["smallest_ratio"] is None else change_words(row["smallest_ratio"]),
-            row["verdict"],
+            VERDICTS[row["verdict"]],
         )
         for group in groups
         for row in group.changes

@@ -16,6 +16,7 @@ from ..book.groups import METRIC_LABELS, STATISTIC_LABELS
 from ..changes import received_words, runs_words
 from .drawings import curve, strip
 from .words import (
+    VERDICTS,
     both_words,
     change_words,
     gate_interval_words,
@@ -93,7 +94,7 @@ def _group(group: ComparedGroup) -> dict[str, object]:
                 change_words(row["ratio"]),
                 interval_words(row),
                 runs_words(row),
-                row["verdict"],
+                VERDICTS[row["verdict"]],
             )
             for row in group.changes
         ],

@@ -21,6 +21,10 @@ LOST = "lost"
 """In place of a time that more messages never reached than the statistic leaves room for."""
 
 
+VERDICTS = {"worse": "slower", "better": "faster", "same": "the same", "inconclusive": "no clear change"}
+"""Verdict on a time -> its words."""
+
+
 def time_words(value_ns: float | None) -> str:
     """Write a time, as in `1.25 ms` or `lost`."""
     return LOST if value_ns is not None and math.isinf(value_ns) else format_duration(value_ns)

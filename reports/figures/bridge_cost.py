@@ -121,7 +121,7 @@ def bridge_cost_figure(info: BridgeCost) -> Figure | LeftOut:
         return LeftOut(
             name,
             title,
-            "no cell has a latency both in the same and in different domains with all else equal.",
+            "no combination of data, size and rate has a latency both in the same and in different domains with all else equal.",
         )
     return Figure(name, title, how_to_read, "bridge_cost", {"panels": info.panels})
 

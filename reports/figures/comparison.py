@@ -117,7 +117,9 @@ def domain_difference_figure(info: DomainDifference) -> Figure | LeftOut:
     )
     if not info.panels:
         return LeftOut(
-            name, title, "no cell was measured both in the same and in different domains with all else equal."
+            name,
+            title,
+            "no combination of data, size and rate was measured both in the same and in different domains with all else equal.",
         )
     return Figure(name, title, how_to_read, "pairs", {"panels": info.panels})
 

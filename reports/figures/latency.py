@@ -132,7 +132,7 @@ def heatmap_figure(info: Heatmap) -> Figure | LeftOut:
         "was not measured."
     )
     if not info.panels:
-        return LeftOut(name, title, "no data type was measured at two sizes or rates by one series.")
+        return LeftOut(name, title, "no data type was measured at two sizes or rates by one choice.")
     return Figure(name, title, how_to_read, "heatmap", {"panels": info.panels})
 
 

@@ -20,7 +20,14 @@ from dds_trace.tracefile.units.sizes import format_size
 from dds_trace.tracefile.visible import visible
 
 from ..book.findings import severity_counts, worst_first
-from ..book.groups import LATENCY_MEANING, METRIC_LABELS, STATISTIC_LABELS, data_type_label, group_labels
+from ..book.groups import (
+    LATENCY_MEANING,
+    METRIC_LABELS,
+    METRIC_MENU,
+    STATISTIC_LABELS,
+    data_type_label,
+    group_labels,
+)
 from ..book.overview import utc_words
 from ..book.sizes import HOW_TO_READ
 from ..figures import FIGURES, Figure, LeftOut, Scope
@@ -143,7 +150,11 @@ def _island(book: Book, figures: list[Figure]) -> dict[str, object]:
     filters = filters_info(groups)
     return {
         "title": visible(book.analysis.title),
-        "metrics": [{"key": key, "label": label} for key, label in METRIC_LABELS.items() if values.has(key)],
+        "metrics": [
+            {"key": key, "label": label, "menu": METRIC_MENU.get(key, label)}
+            for key, label in METRIC_LABELS.items()
+            if values.has(key)
+        ],
         "statistics": [{"key": key, "label": label} for key, label in STATISTIC_LABELS.items()],
         "filters": [{"key": one.key, "label": one.label, "options": one.options} for one in filters],
         "groups": {

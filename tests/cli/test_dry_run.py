@@ -82,7 +82,7 @@ def test_what_the_recorder_would_refuse_is_known_before_it_starts(call, plan, tm
     assert code == 10, err
     assert "cannot start: " in err
     assert reason in err
-    assert "plan small: 1 cell" in out
+    assert "plan small: 1 recording" in out
     assert not (tmp_path / "small").exists()
 
 

@@ -155,7 +155,7 @@ def test_dry_run_of_the_papers_plan_from_the_command_line(call):
     code, out, err = call(ROOT / "plans/paper.toml", "--dry-run")
     lines = out.splitlines()
     assert sum(line.startswith("  ros2-") for line in lines) == 5 * 780
-    assert lines[-1].startswith("plan paper: 3900 cells, 0 left out, 15 starts of a relay, about ")
+    assert lines[-1].startswith("plan paper: 3900 recordings, 0 left out, 15 starts of a relay, about ")
     assert (code, err) == (0, "")
 
 
@@ -164,7 +164,7 @@ def test_a_reason_is_told_once_for_all_its_cells(call, plan, unrehearsed):
     code, _, err = call(plan, "--dry-run")
     assert code == 10
     assert err.splitlines() == [
-        "one and 2 more cells cannot start: not installed",
+        "one and 2 more recordings cannot start: not installed",
         "four cannot start: no licence",
     ]
 
@@ -173,11 +173,11 @@ def test_a_reason_is_told_once_for_all_its_cells(call, plan, unrehearsed):
 def test_dry_run_names_what_is_left_out_and_what_cannot_be_carried(call, plan):
     code, out, _ = call(plan, "--dry-run")
     assert code == 0
-    assert "left out by [[exclude]]: 1 cell (for the test)" in out
+    assert "left out by [[exclude]]: 1 combination (for the test)" in out
     assert (
         "ros2_same_binary-4MB_1000Hz  0 s  asks 32000 of 10000 Mbit/s: will be cut off after 30 s more" in out
     )
-    assert "plan small: 3 cells, 1 left out, 1 start of a relay" in out
+    assert "plan small: 3 recordings, 1 left out, 1 start of a relay" in out
 
 
 @pytest.mark.usefixtures("unrehearsed")
@@ -224,8 +224,8 @@ def test_exit_codes_tell_complete_from_incomplete(call, plan, monkeypatch, tmp_p
     monkeypatch.setattr(
         dds_trace.recorder.sweep, "run_sweep", lambda *_arguments, **_options: outcomes.pop(0)
     )
-    assert call(plan) == (0, f"Wrote {tmp_path}\n3 of 3 cells are complete\n", "")
-    assert call(plan) == (10, f"Wrote {tmp_path}\n2 of 3 cells are complete\n", "a: no echo\n")
+    assert call(plan) == (0, f"Wrote {tmp_path}\n3 of 3 recordings are complete\n", "")
+    assert call(plan) == (10, f"Wrote {tmp_path}\n2 of 3 recordings are complete\n", "a: no echo\n")
 
 
 def test_interruption_has_the_shells_exit_code_and_says_how_to_go_on(call, plan, monkeypatch):

@@ -1,10 +1,22 @@
-"""The campaigns that the page is judged on are what they say they are."""
+"""The campaigns that the page is judged on are what they say they are, and every report of them is in plain words."""
+
+import html
+import re
 
 import pytest
 from four_campaigns import CAMPAIGNS
 
 from dds_trace.analyzer.verdicts.answers import Clarity
+from dds_trace.reports import load_reporter
+from dds_trace.reports.book.book import Book
 from dds_trace.reports.notebook import MOST_CHARACTERS
+
+OLD_WORDS = re.compile(
+    r"\bcells?\b|via builtin|null for want|keeping an event|\brecorder\b|\blibrary\b|the way was full|waits in reader"
+    r"|vendors against each other|per vendor\b|\bseries\b|\binconclusive\b",
+    re.IGNORECASE,
+)
+"""Words that newcomers did not understand on the page."""
 
 SHAPES = {
     # name -> groups, devices and links, runs of each group, whether messages are lost
@@ -28,6 +40,32 @@ def test_a_campaign_has_its_groups_places_runs_and_losses(name):
     assert len(first) <= MOST_CHARACTERS
     assert ("color:#e5484d" in first) == SHAPES[name][3], "losses are red in a notebook, too"
     assert first.count("<tbody>") == places
+    book = Book(analysis)
+    for kind in ("html", "md", "terminal"):
+        shown = visible_text(load_reporter(kind).render(book))
+        assert ("the paper's intermediate-process time" in shown) == (kind == "html")
+        old = [shown[max(0, found.start() - 60) : found.end() + 30] for found in OLD_WORDS.finditer(shown)]
+        assert old == [], f"{kind} of {name}"
+
+
+def visible_text(report):
+    """What a reader meets of a report, a page's labels for the blind included; its scripts and data draw the rest."""
+    kept = re.sub(r"<(script|style)\b.*?</\1>", " ", report, flags=re.DOTALL)
+    labels = " ".join(re.findall(r'(?:aria-label|title)="([^"]*)"', kept))
+    return html.unescape(f"{re.sub(r'<[^>]+>', ' ', kept)} {labels}")
+
+
+@pytest.mark.parametrize(
+    "old",
+    [
+        "Binary, via builtin", "Null for want of samples: p99.9 (takes 1000)", "keeping an event took 6 µs", "Recorder 6 µs",
+        "Library 90 µs", "the way was full", "Waits in reader", "Vendors against each other", "Size by rate, per vendor",
+        "| Series |", "in 3 cells", "one cell", "Inconclusive",
+    ],
+)  # fmt: skip
+def test_an_old_word_would_be_found(old):
+    assert OLD_WORDS.search(visible_text(f"<p>{old}</p>"))
+    assert OLD_WORDS.search(visible_text(f'<i aria-label="{old}"></i>'))
 
 
 def test_three_runs_allow_verdicts_in_the_study_and_the_radio_is_where_it_loses():

@@ -669,7 +669,7 @@ def five_hundred_groups() -> Analysis:
         for place, one in enumerate(analysis.sessions[:2])
     ]
     sources = [
-        Source(f"cells/ros2_builtin_binary-33KB_{group}Hz.{role}.mcap", "read", "", 240)
+        Source(f"traces/ros2_builtin_binary-33KB_{group}Hz.{role}.mcap", "read", "", 240)
         for group in groups
         for role in ("ping", "relay")
     ]
@@ -715,7 +715,7 @@ def _campaign_findings() -> list[Finding]:
             "few_samples",
             "all groups",
             "p99.9 is left out: it takes 1,000 messages.",
-            "Record more messages per cell.",
+            "Record at least 1000 messages a group to see all of them.",
         ),
     ]
 

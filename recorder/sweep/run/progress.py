@@ -47,7 +47,7 @@ class PlainProgress:
         """Keep the numbers; print a line if some cells are complete."""
         self._cells, self._done = cells, done
         if done:
-            self.note(f"{done} of {counted(cells, 'cell is', 'cells are')} there already")
+            self.note(f"{done} of {counted(cells, 'recording is', 'recordings are')} there already")
 
     def relay(self, name: str) -> None:
         """Print the name of the relay."""

@@ -68,7 +68,7 @@ function choose(filter, place, checked) {
 
 function selector(name, label) {
   const select = element("select", { id: `choose-${name}` });
-  for (const choice of CHOICES[name]) select.append(element("option", { value: choice.key }, choice.label));
+  for (const choice of CHOICES[name]) select.append(element("option", { value: choice.key }, choice.menu || choice.label));
   select.addEventListener("change", () => change(() => { view[name] = select.value; }));
   return element("label", {}, label, select);
 }

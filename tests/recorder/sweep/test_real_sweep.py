@@ -109,7 +109,7 @@ def test_killed_in_the_middle_and_resumed_each_cell_is_there_once(sweep):
 
     code, stdout, stderr = small.run()
     assert code == 0, stderr
-    assert "3 of 3 cells are complete" in stdout
+    assert "3 of 3 recordings are complete" in stdout
     check_pairs(small, small.cells)
     assert small.statuses() == {"complete": 3}
     assert {name: small.cells[name]["run_id"] for name in before} == before
@@ -207,7 +207,7 @@ def test_person_starts_what_is_printed_and_the_sweep_goes_on_by_echo(sweep, tmp_
         stdout, stderr = process.communicate()
         relay.terminate()
     assert process.returncode == 0, stderr
-    assert "2 of 2 cells are complete" in stdout
+    assert "2 of 2 recordings are complete" in stdout
     pings = small.traces("ping")
     assert len(pings) == 2
     served = read_trace(tmp_path / "relay-1.mcap").events[Stage.T3].run_id.tolist()
@@ -220,7 +220,7 @@ def test_cells_that_cannot_be_recorded_are_named_and_the_exit_code_tells(sweep):
     small = sweep('[axes]\ndata = "imu"\nrate = 50\nbridge = ["none", "routing-service"]\n')
     code, stdout, stderr = small.run()
     assert code == 10
-    assert "1 of 2 cells are complete" in stdout
+    assert "1 of 2 recordings are complete" in stdout
     assert "the bridge routing-service is not installed" in stderr.splitlines()[-1]
 
 

@@ -107,10 +107,10 @@ def test_markdown_says_the_answer_first_then_gates_then_groups():
         "0%",
         "3 and 3",
         "0 %",
-        "worse",
+        "slower",
     ]
     assert rows[2][1:6] == ["Latency p99", "5 ms", "6 ms", "+20 %", "-"]
-    assert rows[2][7:] == ["3 and 3, within one run", "", "inconclusive"]
+    assert rows[2][7:] == ["3 and 3, within one run", "", "no clear change"]
 
 
 def test_markdown_of_nothing():

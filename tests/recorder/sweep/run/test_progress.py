@@ -27,7 +27,7 @@ def test_plain_lines_for_a_log():
     assert type(progress) is PlainProgress
     tell(progress)
     assert there.file.getvalue().splitlines() == [
-        "1 of 3 cells are there already",
+        "1 of 3 recordings are there already",
         "relay: ros2",
         "[2/3] a_10Hz: RTT p50 0.92 p99 2.10 ms, 50/50 messages",
         "[2/3] b_10Hz: failed: [bold]no echo[/bold]",

@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import base64
 import gzip
+import re
 import shutil
 import sys
 import tarfile
@@ -29,10 +30,11 @@ from dds_trace.reports import load_reporter
 from dds_trace.reports.book.book import Book
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
 
 TOP = Path(__file__).parents[1]
 IMAGES, RESULTS = TOP / "docs" / "images", TOP / "docs" / "results"
+READING = TOP / "docs" / "reading-the-report.md"
 QUALITY = 80
 """Of WebP, 0 to 100: text stays sharp, a picture has 20 to 100 KB."""
 
@@ -54,36 +56,35 @@ class Picture:
     cell: str = ""
 
 
-def _figure(name: str, campaign: str, cell: str = "") -> Picture:
-    return Picture(campaign, f"#figure-{name}", cell=cell)
-
-
 LINK_CELL = "145 KB at 40 Hz"
 """What the link of `emulated-link` carries with trouble: 46 of its 54 Mbit/s."""
 
-PICTURES: Mapping[str, Picture] = {
-    "first-screen": Picture("loopback"),
-    "figures/vendor_comparison": _figure("vendor_comparison", "loopback"),
-    "figures/latency_by_rate": _figure("latency_by_rate", "emulated-link"),
-    "figures/latency_by_size": _figure("latency_by_size", "loopback"),
-    "figures/domain_difference": _figure("domain_difference", "loopback"),
-    "figures/bridge_cost": _figure("bridge_cost", "loopback"),
-    "figures/heatmap": _figure("heatmap", "emulated-link"),
-    "figures/received": _figure("received", "loopback"),
-    "figures/transfer_rate": _figure("transfer_rate", "emulated-link"),
-    "figures/sustainable": _figure("sustainable", "emulated-link"),
-    "figures/breakdown": _figure("breakdown", "loopback"),
-    "figures/wire_cost": _figure("wire_cost", "emulated-link"),
-    "figures/sent_again": _figure("sent_again", "emulated-link", LINK_CELL),
-    "figures/first_message": _figure("first_message", "emulated-link"),
-    "figures/one_way": _figure("one_way", "emulated-link"),
-    "figures/clock": _figure("clock", "two-clocks"),
-    "figures/percentile_curve": _figure("percentile_curve", "loopback", "502 KB"),
-    "figures/ecdf": _figure("ecdf", "loopback", "502 KB"),
-    "figures/timeline": _figure("timeline", "emulated-link", LINK_CELL),
-    "figures/host_load": _figure("host_load", "loopback", "502 KB"),
+CAMPAIGN_OF: Mapping[str, tuple[str, str]] = {
+    "latency_by_rate": ("emulated-link", ""),
+    "heatmap": ("emulated-link", ""),
+    "transfer_rate": ("emulated-link", ""),
+    "sustainable": ("emulated-link", ""),
+    "wire_cost": ("emulated-link", ""),
+    "sent_again": ("emulated-link", LINK_CELL),
+    "first_message": ("emulated-link", ""),
+    "one_way": ("emulated-link", ""),
+    "clock": ("two-clocks", ""),
+    "percentile_curve": ("loopback", "502 KB"),
+    "ecdf": ("loopback", "502 KB"),
+    "timeline": ("emulated-link", LINK_CELL),
+    "host_load": ("loopback", "502 KB"),
 }
-"""File below docs/images/, without .webp -> what is on it; one for each figure of the report."""
+"""Figure -> campaign and combination that show it well; others are taken of `loopback`."""
+
+
+def pictures() -> dict[str, Picture]:
+    """Return file below docs/images/, without .webp -> what is on it: the first screen, and each figure that is explained."""
+    names = re.findall(r"^### .+ \(`(\w+)`\)$", READING.read_text(encoding="utf-8"), re.MULTILINE)
+    found = {"first-screen": Picture("loopback")}
+    for name in names:
+        campaign, cell = CAMPAIGN_OF.get(name, ("loopback", ""))
+        found[f"figures/{name}"] = Picture(campaign, f"#figure-{name}", cell=cell)
+    return found
 
 
 def page_of(campaign: str) -> str:
@@ -96,16 +97,16 @@ def page_of(campaign: str) -> str:
     return put_back(gzip.decompress((RESULTS / campaign / "report.html.gz").read_bytes()).decode())
 
 
-def take(wanted: Iterable[str], out: Path) -> None:
+def take(wanted: Mapping[str, Picture], out: Path) -> None:
     """Take pictures, each campaign's page opened once.
 
     Args:
-        wanted: names of `PICTURES`.
+        wanted: name -> picture, of `pictures`.
         out: folder of the pictures.
     """
     of_campaign: dict[str, list[str]] = defaultdict(list)
-    for name in wanted:
-        of_campaign[PICTURES[name].campaign].append(name)
+    for name, picture in wanted.items():
+        of_campaign[picture.campaign].append(name)
     program = shutil.which("chromium") or shutil.which("chromium-browser")
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=program, args=["--headless", "--no-sandbox"])
@@ -113,11 +114,11 @@ def take(wanted: Iterable[str], out: Path) -> None:
             path = Path(folder) / "report.html"
             path.write_text(page_of(campaign), encoding="utf-8")
             for name in names:
-                tab = browser.new_page(viewport={"width": PICTURES[name].width, "height": 900})
+                tab = browser.new_page(viewport={"width": wanted[name].width, "height": 900})
                 tab.goto(path.as_uri())
                 taken = out / f"{name}.webp"
                 taken.parent.mkdir(parents=True, exist_ok=True)
-                taken.write_bytes(_shot(tab, PICTURES[name]))
+                taken.write_bytes(_shot(tab, wanted[name]))
                 print(f"{taken} {taken.stat().st_size / 1000:.0f} KB")
                 tab.close()
         browser.close()
@@ -133,6 +134,10 @@ def _shot(tab: Any, picture: Picture) -> bytes:
     tab.evaluate(IN_PLACE)
     if picture.select:
         part = tab.locator(picture.select)
+        if not part.count():
+            raise SystemExit(
+                f"screenshots: {picture.campaign} has no {picture.select}; name another campaign in CAMPAIGN_OF"
+            )
         part.scroll_into_view_if_needed()
         part.locator("svg").first.wait_for()
         tab.wait_for_timeout(300)  # a figure that is drawn may move the ones below
@@ -164,11 +169,17 @@ def main() -> int:
     parser.add_argument("names", nargs="*", help="ecdf, first-screen ...; all of them without")
     parser.add_argument("--out", type=Path, default=IMAGES)
     given = parser.parse_args()
-    wanted = [name for name in PICTURES if not given.names or name.rpartition("/")[2] in given.names]
-    if not wanted:
-        print(f"screenshots: no such picture; there are {', '.join(PICTURES)}", file=sys.stderr)
+    known = {name.rpartition("/")[2]: name for name in pictures()}
+    if unknown := set(given.names) - set(known):
+        print(
+            f"screenshots: no picture {', '.join(sorted(unknown))}; there are {', '.join(known)}",
+            file=sys.stderr,
+        )
         return 2
-    take(wanted, given.out)
+    take(
+        {name: pictures()[name] for short, name in known.items() if not given.names or short in given.names},
+        given.out,
+    )
     return 0
 
 

@@ -34,7 +34,7 @@ rate = 100
 """In the place of a page's plan: what it asks for would take minutes, and middlewares that not every machine has."""
 
 NOT_RUN = {
-    "dds-sweep new mine.toml": "asks questions: tests/cli/sweep answers them",
+    "dds-sweep new mine.toml": "asks questions: tests/cli/test_sweep_new.py answers them",
     "--against ~/venvs/kilted": "needs another environment with another ROS 2",
     "dds-analyze docker/runs": "what containers recorded; none is built here",
 }

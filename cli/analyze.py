@@ -54,7 +54,7 @@ def _known_kinds(kinds: list[str] | None) -> list[str] | None:
 app = command_app()
 
 
-@declare_command(app)
+@declare_command(app, "analyze")
 def main_command(
     folder: Annotated[
         Path,

@@ -31,7 +31,7 @@ def _option(name: str, *, help: str, metavar: str | None = None) -> OptionInfo: 
     return option
 
 
-@declare_command(app)
+@declare_command(app, "bridge")
 def main_command(
     name: Annotated[
         str | None, typer.Argument(metavar="[NAME]", help=f"{', '.join(BRIDGE_MODULES)}.", show_default=False)

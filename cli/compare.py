@@ -36,7 +36,7 @@ class ComparisonReport(str, Enum):
 app = command_app()
 
 
-@declare_command(app)
+@declare_command(app, "compare")
 def compare_command(
     base: Annotated[Path, typer.Argument(metavar="BASE", help="Traces before.", show_default=False)],
     new: Annotated[Path, typer.Argument(metavar="NEW", help="Traces after.", show_default=False)],

@@ -11,10 +11,11 @@ import re
 from typing import TYPE_CHECKING, Any
 
 import typer
-from typer.core import TyperCommand
+
+from .defaulted import DefaultedCommand
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
 WIDEST_COLUMNS = 120
 """Columns of help on a wide terminal; on a narrower one, its own."""
@@ -26,7 +27,7 @@ _SHOWN = str.maketrans({"\ue000": "\x1b[1m", "\ue001": "\x1b[2m", "\ue002": "\x1
 _HOLD = re.compile("|".join(map(re.escape, _HELD)))
 
 
-class QuickHelpCommand(TyperCommand):
+class QuickHelpCommand(DefaultedCommand):
     """A command whose help is written by click's formatter, one section for each panel of options."""
 
     def get_help(self, ctx: Any) -> str:
@@ -60,10 +61,24 @@ def command_app() -> typer.Typer:
     return typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 
 
-def declare_command(app: typer.Typer) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return the decorator that makes a function the command of an app, with -h and the quick help."""
+def declare_command(
+    app: typer.Typer,
+    table: str = "",
+    passes_over: Callable[[Mapping[str, Any]], Mapping[str, str]] | None = None,
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Return the decorator that makes a function the command of an app, with -h, the quick help and `dds-trace.toml`.
+
+    Args:
+        app: the app.
+        table: table of the command in the file; empty for none.
+        passes_over: see `DefaultedCommand`.
+    """
+    own: dict[str, Any] = {"table": table}
+    if passes_over is not None:
+        own["passes_over"] = staticmethod(passes_over)
+    command = type("Command", (QuickHelpCommand,), own)
     names = {"help_option_names": ["-h", "--help"], "max_content_width": WIDEST_COLUMNS}
-    return app.command(cls=QuickHelpCommand, context_settings=names)
+    return app.command(cls=command, context_settings=names)
 
 
 def _held(text: str) -> str:

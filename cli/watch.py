@@ -19,7 +19,7 @@ LOOK_SECONDS = 3.0
 app = command_app()
 
 
-@declare_command(app)
+@declare_command(app, "watch")
 def watch_command(
     folder: Annotated[
         Path,

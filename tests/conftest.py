@@ -58,6 +58,7 @@ def own_base_folders(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pyte
     """The folder of the caches, keys and running recordings of the test: no test reads what another left, or touches the user's own."""
     folder = tmp_path_factory.getbasetemp() / f"xdg-{uuid.uuid4().hex}"
     monkeypatch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
+    monkeypatch.setenv("DDS_TRACE_CONFIG", "")
     monkeypatch.setenv("XDG_STATE_HOME", str(folder / "state"))
     (folder / "run").mkdir(parents=True)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder / "run"))

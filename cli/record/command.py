@@ -12,10 +12,8 @@ from dds_trace.recorder import choices
 
 from ..errors import run_command
 from ..quick_help import command_app, declare_command
-from . import (
-    status,
-    words,
-)
+from . import status, words
+from .passed_over import passes_over
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -27,7 +25,7 @@ BRIDGED_PING_DOMAIN = 5
 app = command_app()
 
 
-@declare_command(app)
+@declare_command(app, "record", passes_over)
 def main_command(
     context: typer.Context,
     role: words.Role = None,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import signal
 import sys
 from enum import Enum
@@ -16,6 +17,7 @@ import typer
 from dds_trace.tracefile import OptionError, __version__, limits
 from dds_trace.tracefile.units.counts import counted
 
+from .. import defaults
 from ..errors import run_command
 from ..quick_help import command_app, declare_command
 from . import new
@@ -43,7 +45,7 @@ def _print_version(asked: bool) -> None:
         raise typer.Exit
 
 
-@declare_command(app)
+@declare_command(app, "sweep")
 def main_command(
     plan: Annotated[
         Path, typer.Argument(help="The plan, a TOML file such as plans/quick.toml.", show_default=False)
@@ -111,6 +113,9 @@ def main_command(
     [bold]dds-sweep new mine.toml[/bold]
     """
     from dds_trace.recorder.sweep import installed_middlewares, read_plan
+
+    # A plan says all of what is measured: no file of defaults adds to it.
+    os.environ[defaults.VARIABLE] = ""
 
     from .against import new_side, run_sides
     from .dry_run import dry_run as dry_run_of

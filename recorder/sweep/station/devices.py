@@ -244,8 +244,8 @@ class PrintedDevice:
 
 
 def printed_command(arguments: Sequence[str], number: int | str) -> str:
-    """Return the command line of a group's relay as a person types it."""
-    return f"dds-record {shlex.join(arguments)} --out relay-{number}.mcap"
+    """Return the command line of a group's relay as a person types it: without the defaults of that device."""
+    return f"DDS_TRACE_CONFIG= dds-record {shlex.join(arguments)} --out relay-{number}.mcap"
 
 
 class _PrintedRelay:

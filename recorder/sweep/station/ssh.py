@@ -67,7 +67,7 @@ class SshDevice:
         # The folder is not quoted, so that the shell there expands its ~.
         path = f"PATH={settings.path}:$PATH" if settings.path else ":"
         # The output of the setup must not be taken for an answer.
-        self._setup = f"{{ {path} && {settings.setup or ':'}; }} >&2 || exit 127;"
+        self._setup = f"export DDS_TRACE_CONFIG=; {{ {path} && {settings.setup or ':'}; }} >&2 || exit 127;"
         self._folder = folder
         self._remote = f'"$HOME"/.cache/dds-trace/{shlex.quote(sweep)}'
 

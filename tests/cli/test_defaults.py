@@ -1,0 +1,191 @@
+"""`dds-trace.toml`: where it is looked for, what counts more than it, what it may not say, and who never reads it."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from dds_trace.cli import analyze, bridge
+from dds_trace.cli.defaults import FILE_NAME, VARIABLE, find_files
+from dds_trace.cli.errors import run_command
+from dds_trace.cli.record import command as record
+from dds_trace.cli.sweep import command as sweep
+from dds_trace.recorder.sweep import printed_command
+
+ROS = ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY", "RMW_IMPLEMENTATION")
+
+
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    """A home with a repository in it, in a folder of which we work; nothing of ROS is set."""
+    (tmp_path / "repository/.git").mkdir(parents=True)
+    (tmp_path / "repository/deep/er").mkdir(parents=True)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.delenv("XDG_CONFIG_HOME", raising=False)
+    monkeypatch.delenv(VARIABLE)
+    for name in ROS:
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.chdir(tmp_path / "repository/deep/er")
+    return tmp_path
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Call a command; its exit code, stdout and stderr."""
+
+    def call(app, *arguments):
+        monkeypatch.setattr("sys.argv", ["dds-x", *arguments])
+        with pytest.raises(SystemExit) as ended:
+            run_command(app)
+        said = capsys.readouterr()
+        return ended.value.code or 0, said.out, said.err
+
+    return call
+
+
+@pytest.fixture
+def in_force(run):
+    """Return what `dds-record --print-config` says: option -> (value, source)."""
+
+    def call(*arguments):
+        code, out, err = run(record.app, "--print-config", *arguments)
+        assert (code, err) == (0, "")
+        return {
+            name: (value, source)
+            for name, value, source in (line.split(None, 2) for line in out.splitlines())
+        }
+
+    return call
+
+
+def write(folder, text):
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / FILE_NAME).write_text(text)
+    return folder / FILE_NAME
+
+
+def test_the_nearest_file_counts_up_to_the_repository_and_then_the_users_own(home, monkeypatch):
+    write(home, "")  # beyond the repository
+    assert find_files() == []
+    own = write(home / ".config/dds-trace", "")
+    assert find_files() == [own]
+    top = write(home / "repository", "")
+    assert find_files() == [top, own]
+    nearer = write(home / "repository/deep", "")
+    assert find_files() == [nearer, own]
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(home / "elsewhere"))
+    assert find_files() == [nearer]
+    monkeypatch.setenv(VARIABLE, str(own))
+    assert find_files() == [own]
+    monkeypatch.setenv(VARIABLE, "")
+    assert find_files() == []
+
+
+@pytest.mark.usefixtures("home")
+def test_outside_of_repository_and_home_only_the_working_directory_counts(tmp_path_factory, monkeypatch):
+    outside = tmp_path_factory.mktemp("outside") / "a"
+    write(outside.parent, "")
+    outside.mkdir()
+    monkeypatch.chdir(outside)
+    assert find_files() == []
+    here = write(outside, "")
+    assert find_files() == [here]
+
+
+def test_an_option_counts_before_ros_before_the_file_before_the_users_file_before_the_default(
+    home, in_force, monkeypatch
+):
+    near = write(home / "repository", "[record]\nrate = 20\ndomain = 7\nsize = 33000\nlabel = 'site=lab'\n")
+    own = write(home / ".config/dds-trace", "[record]\nrate = 5\ntuned = true\nrmw = 'rmw_x_cpp'\n")
+    monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_y_cpp")
+    said = in_force("--size", "1KB")
+    assert said["--size"] == ("1KB", "option")
+    assert said["--rmw"] == ("-", "environment: RMW_IMPLEMENTATION=rmw_y_cpp")
+    assert said["--rate"] == ("20", str(near))
+    assert said["--domain"] == ("7", str(near))
+    assert said["--label"] == ("site=lab", str(near))
+    assert said["--tuned"] == ("true", str(own))
+    assert said["--depth"] == ("10", "default")
+    monkeypatch.setenv("ROS_DOMAIN_ID", "3")
+    assert in_force()["--domain"] == ("-", "environment: ROS_DOMAIN_ID=3")
+    # The domain of a ping behind a bridge is not that of the environment.
+    assert in_force("--bridge", "builtin")["--domain"] == ("7", str(near))
+
+
+def test_options_of_the_other_role_are_passed_over_and_the_rest_is_taken(home, run):
+    write(
+        home / "repository",
+        "[record]\nrate = 20\ndomain = 7\nreliability = 'best_effort'\nlabel = ['a=b', 'c=d']\n",
+    )
+    taken = []
+
+    def take(role):
+        run(lambda: record.app(["--role", role, "--out", "x.mcap"], obj=taken.append, standalone_mode=True))
+        return taken.pop()
+
+    relay = take("relay")
+    assert (relay.node.domain_id, relay.node.qos.reliability, relay.ping) == (7, "best_effort", None)
+    ping = take("ping").ping
+    assert (ping.rate_hz, ping.labels) == (20.0, {"a": "b", "c": "d"})
+
+
+def test_whose_defaults_are_in_force_is_said(home, run):
+    path = write(home / "repository", "[analyze]\nsketch = true\n[record]\nrate = 3\n")
+    code, _, err = run(analyze.app, "nowhere")
+    assert code != 0
+    assert err.splitlines()[0].endswith(f": defaults of {path}: sketch")
+    assert "defaults of" not in run(analyze.app, "nowhere", "--sketch")[2]
+    assert "--print-config" in run(bridge.app, "--help")[1]  # its own: the bridge's configuration
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[record]\nraet = 1\n", "[record]: there is no 'raet'; did you mean 'rate'?"),
+        ("[recrod]\nrate = 1\n", "there is no 'recrod'; did you mean 'record'?"),
+        ("[record]\nrate = 'fast'\n", "[record]: rate: 'fast' is not a valid float."),
+        ("[record]\nreliability = 'most'\n", "[record]: reliability: 'most' is not one of"),
+        ("[record]\nrate = [1, 2]\n", "[record]: rate is a list; write one value"),
+        ("[record]\nforce = true\n", "[record]: force has no default; give --force each time"),
+        ("[record]\nself-test = true\n", "give --self-test each time"),
+        ("record = 1\n", "record is 1, not a table"),
+        ("[record\n", "Expected"),
+        ("\xff", "it is UTF-8 text"),
+    ],
+)
+def test_what_cannot_be_a_default_is_one_line_with_its_file(home, run, text, said):
+    path = home / "repository" / FILE_NAME
+    path.write_bytes(text.encode("latin-1"))
+    code, out, err = run(record.app, "--role", "ping", "--out", "x.mcap")
+    assert (code, out) == (2, "")
+    assert err.startswith(f"dds-x: {path}: ")
+    assert said in err
+    assert err.count("\n") == 1
+
+
+def test_a_named_file_that_is_missing_and_one_of_a_stranger_are_refused(home, run, monkeypatch):
+    path = write(home / "repository", "[record]\n")
+    real = path.stat()
+    monkeypatch.setattr("os.fstat", lambda _: os.stat_result((*real[:4], 4242, *real[5:])))
+    code, _, err = run(record.app, "--role", "ping", "--out", "x.mcap")
+    assert (code, "belongs to another user; remove it" in err) == (2, True)
+    monkeypatch.undo()
+    monkeypatch.setenv(VARIABLE, "/nonexistent.toml")
+    code, _, err = run(record.app, "--role", "ping", "--out", "x.mcap")
+    assert (code, "No such file or directory" in err) == (2, True)
+
+
+def test_a_sweep_starts_its_programs_without_any_file(home, run, monkeypatch):
+    write(home / "repository", "[record]\nreliability = 'best_effort'\n[sweep]\nout = 'there'\n")
+    (home / "plan.toml").write_text("[run]\nmessages = 1\n")
+    seen = {}
+
+    def dry_run(_plan, out, *_rest, **_options):
+        seen.update(out=str(out), variable=os.environ[VARIABLE], files=find_files())
+        return 0
+
+    monkeypatch.setattr("dds_trace.cli.sweep.dry_run.dry_run", dry_run)
+    assert run(sweep.app, str(home / "plan.toml"), "--dry-run")[0] == 0
+    assert seen == {"out": "there", "variable": "", "files": []}
+    assert printed_command(["--role", "relay"], 1).startswith(f"{VARIABLE}= dds-record ")

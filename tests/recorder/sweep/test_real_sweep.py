@@ -201,8 +201,8 @@ def test_person_starts_what_is_printed_and_the_sweep_goes_on_by_echo(sweep, tmp_
     while not lines or not lines[-1].startswith("start on the other device: "):
         lines.append(process.stderr.readline())
         assert lines[-1], f"ended: {lines}"
-    assert lines[0].startswith("relay 1: dds-record --role relay")
-    command = shlex.split(lines[-1].removeprefix("start on the other device: "))
+    assert lines[0].startswith("relay 1: DDS_TRACE_CONFIG= dds-record --role relay")
+    command = shlex.split(lines[-1].removeprefix("start on the other device: DDS_TRACE_CONFIG= "))
     with subprocess.Popen([BIN / command[0], *command[1:]], cwd=tmp_path, stderr=subprocess.DEVNULL) as relay:
         stdout, stderr = process.communicate()
         relay.terminate()

@@ -283,7 +283,7 @@ def test_printed_relay_is_a_command_line_for_a_person():
     device.start_half(["zenoh-bridge-dds", "--half", "relay"], "2-17-1.mcap")
     assert lines == [
         "start on the other device: DDS_TRACE_CONFIG= dds-record --role relay --device 'the robot' --out relay-1.mcap",
-        "end the relay there (Ctrl-C), then start: dds-record --role relay --out relay-2.mcap",
+        "end the relay there (Ctrl-C), then start: DDS_TRACE_CONFIG= dds-record --role relay --out relay-2.mcap",
         "and beside it: dds-bridge zenoh-bridge-dds --half relay",
     ]
     assert device.keeps_traces

@@ -45,6 +45,7 @@ setup(
     package_data={
         PACKAGE: ["py.typed"],
         f"{PACKAGE}.reports": ["report.schema.json"],
+        f"{PACKAGE}.reports.comparison": ["comparison.schema.json", "assets/*.*"],
         f"{PACKAGE}.reports.html": ["assets/*.*", "assets/*/*"],
     },
     data_files=[

@@ -193,7 +193,10 @@ def test_dry_run_warns_of_a_history_that_holds_too_few_messages(call, plan):
 @pytest.mark.usefixtures("unrehearsed")
 def test_dry_run_with_the_commands_for_the_other_device(call, plan):
     _, out, _ = call(plan, "--dry-run", "--print", "relay")
-    assert "relay 1: DDS_TRACE_CONFIG= dds-record --role relay --domain 10 --discovery subnet --out relay-1.mcap" in out
+    assert (
+        "relay 1: DDS_TRACE_CONFIG= dds-record --role relay --domain 10 --discovery subnet --out relay-1.mcap"
+        in out
+    )
 
 
 @pytest.mark.usefixtures("unrehearsed")

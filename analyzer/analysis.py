@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     import os
     from collections.abc import Mapping
 
+    from plotly.graph_objects import Figure
+
     from .model.finding import Finding
     from .model.source import Source
     from .verdicts.answers import CaseAnswer
@@ -201,6 +203,22 @@ class Analysis:
         """Return the first screen of the report, as a notebook shows it."""
         return _presenter().first_screen(self)
 
+    def plot(
+        self, name: str, *, panels: str | None = None, metric: str | None = None, statistic: str = "p50"
+    ) -> Figure:
+        """Return a figure of the report as a plotly `Figure`, to look at, change and save.
+
+        Args:
+            name: `latency_by_size` or `latency_by_rate`.
+            panels: what sets panels apart: `size`, `rate`, `device`, `link`, `middleware` or `bridge`; None as in the report.
+            metric: `latency`, `rtt`, `intermediate` or `response`; None for the report's.
+            statistic: `mean`, `min`, `p50`, `p90`, `p95`, `p99`, `p99_9` or `max`.
+
+        Raises:
+            OptionError: there is no such figure, dimension, metric or statistic, or nothing to draw.
+        """
+        return _presenter().plot(self, name, panels=panels, metric=metric, statistic=statistic)
+
     def show(self, folder: str | os.PathLike[str] | None = None) -> Path:
         """Write the HTML report, open it in this machine's browser and return its path.
 
@@ -218,6 +236,11 @@ class Presenter(Protocol):
 
     def first_screen(self, analysis: Analysis) -> str:
         """Return the first screen as HTML."""
+
+    def plot(
+        self, analysis: Analysis, name: str, *, panels: str | None, metric: str | None, statistic: str
+    ) -> Figure:
+        """Return a figure."""
 
     def show(self, analysis: Analysis, folder: Path | None) -> Path:
         """Write the report and open it."""

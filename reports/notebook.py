@@ -1,4 +1,4 @@
-"""An analysis in a notebook: its first screen as HTML, its whole report in the browser.
+"""An analysis in a notebook: its first screen as HTML, its figures as plotly values, its whole report in the browser.
 
 `analyzer.analysis.Presenter` names these functions; the analyzer finds this module by its name, as imports run one way.
 """
@@ -16,10 +16,13 @@ from dds_trace.tracefile.units.counts import counted
 from .book.book import Book
 from .book.findings import severity_counts
 from .book.sizes import HOW_TO_READ
+from .plotting import line_figure
 from .reporters import write_reports
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from plotly.graph_objects import Figure
 
     from dds_trace.analyzer.analysis import Analysis
 
@@ -51,7 +54,7 @@ def first_screen(analysis: Analysis) -> str:
         else "",
     ]
     further = f"Findings: {counts}. " if counts else ""
-    below = f"<p style='{_SOFT}'>{further}The whole report: <code>show()</code>.</p>"
+    below = f"<p style='{_SOFT}'>{further}The whole report: <code>show()</code>, its figures: <code>plot()</code>.</p>"
     said = _cut("".join(above))
     table = "" if sizes is None else _table(sizes, MOST_CHARACTERS - len(said) - len(below) - _BELOW)
     return f"<div>{said}{table}{below}</div>"
@@ -114,6 +117,18 @@ def _cell(cell: SizeCell | None) -> str:
         for text, leads in ((cell.p50, cell.leads_p50), (cell.p99, cell.leads_p99))
     )
     return f"{times} <span style='{_LOST}'>{escape(cell.lost)}</span>" if cell.lost else times
+
+
+def plot(
+    analysis: Analysis,
+    name: str,
+    *,
+    panels: str | None = None,
+    metric: str | None = None,
+    statistic: str = "p50",
+) -> Figure:
+    """Return a figure of the page as a plotly value (`plotting.line_figure`)."""
+    return line_figure(Book(analysis), name, panels, metric, statistic)
 
 
 def show(analysis: Analysis, folder: Path | None = None) -> Path:

@@ -7,9 +7,11 @@ from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
+import pytest
 from analyses import HOSTILE, Measured, make_analysis
 from four_campaigns import CAMPAIGNS
 
+from dds_trace import OptionError
 from dds_trace.reports.notebook import MOST_CHARACTERS, first_screen
 
 ROOT = Path(__file__).parents[2]
@@ -76,6 +78,76 @@ def test_strings_of_traces_stay_strings_and_short():
     assert "<script" not in text
     assert len(text) <= MOST_CHARACTERS
     assert first_screen(replace(hostile, title="")).startswith("<div>")
+
+
+def plotted():
+    """Two sizes and rates on two devices, with and without a bridge, which loses one message in four of the large size."""
+    lossy = [2_000_000, 3_000_000, 4_000_000, "lost_outbound"]
+    return make_analysis(
+        *(
+            Measured(
+                lossy if bridge == "builtin" and size == 1_000_000 else [factor * (1_000_000 + size)] * 4,
+                ping_device=device,
+                relay_device=device,
+                bridge=bridge,
+                domain_mode="same" if bridge == "none" else "different",
+                payload_bytes=size,
+                rate_hz=rate,
+            )
+            for device, factor in (("pi3", 3), ("pi4", 1))
+            for bridge in ("none", "builtin")
+            for size in (33_000, 1_000_000)
+            for rate in (5.0, 10.0)
+        )
+    )
+
+
+def test_a_figure_has_the_panels_names_and_numbers_of_the_report():
+    analysis = plotted()
+    figure = analysis.plot("latency_by_size", panels="device", statistic="p50")
+    assert [note.text for note in figure.layout.annotations] == [
+        "pi3, 5 Hz",
+        "pi4, 5 Hz",
+        "pi3, 10 Hz",
+        "pi4, 10 Hz",
+    ]
+    same, bridged, *rest = figure.data
+    assert len(rest) == 2 * 4 - 2
+    assert [trace.name for trace in figure.data if trace.showlegend] == [same.name, bridged.name]
+    assert bridged.name.endswith("through our built-in bridge")
+    rows = analysis.summary.filter(ping_device="pi3", rate_hz=5.0).sort("payload_bytes")
+    for trace, bridge in ((same, "none"), (bridged, "builtin")):
+        own = rows.filter(bridge=bridge)
+        assert list(trace.x) == own["payload_bytes"].to_list()
+        assert list(trace.y) == [value / 1e6 for value in own["latency_p50_ns"]]
+    assert bridged.marker.opacity == (1.0, 0.35), "what lost messages is faded"
+    assert "75 % received" in bridged.hovertext[1]
+    assert figure.layout.xaxis.ticktext == ("33 KB", "1 MB")
+    by_rate = analysis.plot("latency_by_rate", metric="rtt", panels="bridge")
+    assert by_rate.layout.yaxis.title.text == "Round trip, median (ms)"
+    assert {note.text.split(", ")[0] for note in by_rate.layout.annotations} == {
+        "same domain",
+        "through our built-in bridge",
+    }
+
+
+@pytest.mark.parametrize(
+    ("how", "said"),
+    [
+        ({"name": "latency"}, "no figure 'latency'; choose from latency_by_size, latency_by_rate"),
+        (
+            {"name": "latency_by_size", "panels": "colour"},
+            "no panels 'colour'; choose from size, rate, device",
+        ),
+        ({"name": "latency_by_size", "metric": "lag"}, "no metric 'lag'"),
+        ({"name": "latency_by_size", "statistic": "p98"}, "no statistic 'p98'"),
+        ({"name": "latency_by_size"}, "nothing was measured at two positions of its axis"),
+    ],
+)
+def test_what_cannot_be_drawn_is_one_line(how, said):
+    alone = make_analysis(Measured([1_000_000] * 3))
+    with pytest.raises(OptionError, match=said):
+        alone.plot(**how)
 
 
 def test_show_writes_the_report_and_opens_it(tmp_path, monkeypatch):

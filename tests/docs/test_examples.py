@@ -69,6 +69,7 @@ def desk(tmp_path_factory):
         (folder / plan).parent.mkdir(exist_ok=True)
         (folder / plan).write_text(SMALL_PLAN.format(domain=10))
     shutil.copy(SAMPLES / "losses" / "binary_600KB_20Hz.mcap", folder / "runs" / "ping.mcap")
+    shutil.copytree(SAMPLES / "same_domain", folder / "runs" / "two-sizes")
     (folder / "photos").mkdir()
     (folder / "photos" / "one.jpg").write_bytes(b"jpeg")
     write_bag2(folder / "drive", {"/lidar/points": [points(n) for n in range(20, 40)]})
@@ -92,6 +93,7 @@ def test_the_lists_of_what_is_not_run_are_of_these_pages():
 )
 def test_the_python_of_a_page_runs_from_top_to_bottom(page, desk, monkeypatch):
     monkeypatch.chdir(desk)
+    monkeypatch.setattr("webbrowser.open", lambda _: True)
     names = {}
     for block in examples("python", page):
         exec(compile(block.text, str(page), "exec"), names)

@@ -1,11 +1,8 @@
-"""An analysis in a notebook: short, without a script, readable on any ground; the report opens; the page in docs/ runs."""
+"""An analysis in a notebook: short, without a script, readable on any ground; figures; the report opens."""
 
-import re
-import shutil
 import webbrowser
 from dataclasses import replace
 from html.parser import HTMLParser
-from pathlib import Path
 
 import pytest
 from analyses import HOSTILE, Measured, make_analysis
@@ -14,8 +11,6 @@ from four_campaigns import CAMPAIGNS
 from dds_trace import OptionError
 from dds_trace.reports.notebook import MOST_CHARACTERS, first_screen
 
-ROOT = Path(__file__).parents[2]
-PAGE = ROOT / "docs" / "how-to" / "notebook.md"
 HARMLESS = {
     *("div", "p", "b", "ul", "li", "table", "caption", "thead", "tbody", "tr", "th", "td", "span", "code")
 }
@@ -157,16 +152,3 @@ def test_show_writes_the_report_and_opens_it(tmp_path, monkeypatch):
     assert path == tmp_path / "new" / "report.html"
     assert opened == [path.as_uri()]
     assert "<!doctype html>" in path.read_text(encoding="utf-8").lower()
-
-
-def test_the_cells_of_the_page_run_one_after_another(tmp_path, monkeypatch):
-    cells = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
-    assert len(cells) > 4
-    shutil.copytree(ROOT / "sample_traces", tmp_path / "runs")
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(webbrowser, "open", lambda _: True)
-    names = {}
-    for cell in cells:
-        exec(compile(cell, str(PAGE), "exec"), names)
-    assert (tmp_path / "runs" / "analysis" / "report.html").is_file()
-    assert set(names["c"].rows["verdict"]) <= {"same", "inconclusive"}

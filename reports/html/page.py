@@ -6,6 +6,8 @@ Equal input gives equal bytes: no clock, no random id.
 
 from __future__ import annotations
 
+import base64
+import io
 from dataclasses import asdict
 from importlib.resources import files
 from typing import TYPE_CHECKING
@@ -145,6 +147,16 @@ def _policy(*scripts: str, connect: str) -> str:
     )
 
 
+def _parquet(book: Book) -> str:
+    """Return the summary as a Parquet file in base64, for a reader who has the page alone: 100 KB for 500 groups.
+
+    No browser writes Parquet, and a writer in JavaScript would be larger than the file.
+    """
+    file = io.BytesIO()
+    book.analysis.summary.write_parquet(file, compression="zstd", compression_level=19, statistics=False)
+    return base64.b64encode(file.getvalue()).decode("ascii")
+
+
 def _island(book: Book, figures: list[Figure]) -> dict[str, object]:
     groups, values = book.groups, book.values
     filters = filters_info(groups)
@@ -180,6 +192,7 @@ def _island(book: Book, figures: list[Figure]) -> dict[str, object]:
         ],
         "values": values,
         "curves": book.curves,
+        "parquet": _parquet(book),
         "runs": [
             {
                 "group": run.group,

@@ -54,6 +54,7 @@ class FigureBlock {
     this.article.querySelector(".legend").replaceChildren(...this.legend());
     this.article.querySelector(".note").textContent = this.note(empty);
     for (const button of this.article.querySelectorAll("[data-save]")) button.disabled = empty;
+    showPanelChoice(this);
     this.showRows();
   }
 
@@ -105,10 +106,10 @@ class FigureBlock {
   }
 
   save(format) {
-    this.draw();
+    this.plan();
     const name = `dds-trace-${this.name.replaceAll("_", "-")}`;
-    if (format === "csv") saveCsv(name, this.drawn.columns, this.drawn.rows);
-    else savePicture(name, this.figure.title, this.drawn, format);
+    if (format === "csv") return saveCsv(name, this.drawn.columns, this.drawn.rows);
+    return savePicture(name, this, format);
   }
 }
 

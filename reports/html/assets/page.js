@@ -188,6 +188,8 @@ addEventListener("resize", () => {
 function start() {
   blocks = [...document.querySelectorAll("[data-figure]")].map((article) => new FigureBlock(article));
   buildFilters();
+  buildPictureBar();
+  document.getElementById("save-parquet").addEventListener("click", saveParquet);
   document.getElementById("groups-search").addEventListener("input", () => showGroups());
   document.getElementById("save-groups").addEventListener("click", () => {
     const { columns, rows } = showGroups();

@@ -5,7 +5,8 @@
 function rowsOf({ data, layout }) {
   const axisKey = (name) => `${name[0]}axis${name.slice(1)}`;
   const axes = (letter) => Object.keys(layout).filter((key) => key.startsWith(`${letter}axis`));
-  const topOf = (key) => Math.round((1 - layout[key].domain[1]) * layout.height);
+  // Axes over one another on one x axis are one panel.
+  const topOf = (key) => Math.round((1 - Math.max(...axes("y").filter((other) => layout[other].anchor === layout[key].anchor).map((other) => layout[other].domain[1]))) * layout.height);
   const tops = [...new Set(axes("y").map(topOf))].sort((a, b) => a - b);
   if (tops.length < 2) return [{ data, layout }];
   const starts = tops.map((top) => top - tops[0]);

@@ -11,6 +11,7 @@ import polars as pl
 import pytest
 from analyses import EVERY_ANALYSIS, HOSTILE, MS, Measured, make_analysis
 from campaigns import write_runs
+from four_campaigns import CAMPAIGNS
 from page_reader import EVERY_PAGE, Reader
 from roundtrip_frames import in_runs
 
@@ -421,6 +422,56 @@ def test_the_page_of_a_comparison_is_as_clean_and_keeps_the_theme(chromium, tmp_
     assert tab.evaluate(ground) != before
     assert (one.complaints, one.requests) == ([], [path.as_uri()])
     tab.context.close()
+
+
+def test_pictures_have_the_widths_of_print_on_white_in_any_theme(chromium, pages):
+    one = Reader(chromium, color_scheme="dark")
+    tab = one.open(pages("small campaign"))
+    for width, mm in (("column", 84), ("page", 174)):
+        tab.locator("#save-width").select_option(width)
+        for panel in (0, 2):
+            figure = tab.locator(
+                "#figure-vendor_comparison, [data-figure]:has([data-panel]:not([hidden]))"
+            ).first
+            figure.locator("[data-panel]").select_option(index=panel)
+            with tab.expect_download() as download:
+                figure.locator("[data-save=svg]").click()
+            svg = download.value.path().read_text(encoding="utf-8")
+            assert re.search(rf'<svg[^>]* width="{mm}mm" height="[0-9.]+mm"', svg)
+            assert "rgb(255, 255, 255)" in svg, "white ground"
+            subplots = len(set(re.findall(r'class="subplot (x\w*)"', svg)))
+            assert (subplots == 1) == bool(panel)
+    with tab.expect_download() as download:
+        figure.locator("[data-save=png]").click()
+    png = download.value.path().read_bytes()
+    assert abs(int.from_bytes(png[16:20], "big") - 174 / 25.4 * 600) < 10, "600 dots an inch"
+    assert tab.evaluate("document.documentElement.dataset.theme") == "dark"
+    assert one.complaints == []
+    tab.context.close()
+
+
+def test_a_picture_as_pdf_is_a_page_of_its_size(reader, pages):
+    tab = reader.open(pages("demo"))
+    tab.locator("#save-width").select_option("column")
+    height_px = tab.evaluate(
+        "(async () => { const picture = pictureOf(blocks.find(b => b.name === 'ecdf'));"
+        " layOutPictures([await svgOf(picture)], [picture]); return picture.layout.height; })()"
+    )
+    document = tab.pdf(prefer_css_page_size=True)
+    boxes = re.findall(rb"/MediaBox \[0 0 ([0-9.]+) ([0-9.]+)\]", document)
+    assert len(boxes) == 1, "one page, of nothing but the picture"
+    assert abs(float(boxes[0][0]) - 84 / 25.4 * 72) < 1.5
+    assert abs(float(boxes[0][1]) - height_px * 0.75) < 1.5
+    assert b"/Subtype /Image" not in document, "vectors"
+    assert reader.complaints == []
+
+
+def test_the_summary_is_saved_as_parquet(reader, pages):
+    tab = reader.open(pages("demo"))
+    with tab.expect_download() as download:
+        tab.locator("#save-parquet").click()
+    assert download.value.suggested_filename == "summary.parquet"
+    assert pl.read_parquet(download.value.path()).equals(CAMPAIGNS["demo"]().summary)
 
 
 def test_the_table_of_all_groups_is_saved_as_csv(reader, pages):

@@ -76,6 +76,9 @@ def test_a_mark_a_tile_a_row_a_finding_and_the_headline_open_their_group(reader,
         assert figures[:2] == tab.evaluate(
             "GROUP_FIGURES.filter(n => DATA.figures[n]).slice(0, 2).map(n => DATA.figures[n].title)"
         )
+        assert tab.locator("#group-figures .row").count() == len(tab.locator("#group-figures h3").all()), (
+            "one row a figure"
+        )
         assert tab.locator("#group-runs tbody tr").count() == 1, (
             "the fixture has the rows of one run of each group"
         )

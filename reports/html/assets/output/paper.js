@@ -47,5 +47,5 @@ function cutColumns(table) {
 }
 
 let toScreen = () => {};
-addEventListener("beforeprint", () => { toScreen = toPaper(); });
+addEventListener("beforeprint", () => { toScreen = document.getElementById("pictures") ? () => {} : toPaper(); });
 addEventListener("afterprint", () => toScreen());

@@ -21,7 +21,7 @@ from .findings.table import find_findings
 from .groups.batch import DEADLINE_METRIC, Wanted, group_exchanges
 from .groups.shapes import SHAPE_SCHEMA
 from .loading.events import total_copies
-from .loading.remote import is_remote
+from .loading.place import Place
 from .pairing.exchanges import find_exchanges
 from .pairing.parquet import write_summary
 from .pairing.provenance import provenance
@@ -37,23 +37,18 @@ if TYPE_CHECKING:
     from .engines.batches import BatchResult
     from .engines.local import Engine
     from .loading.campaign import Campaign, Progress
+    from .loading.place import Paths
     from .pairing.exchanges import Exchanges
     from .verdicts.job import Job
 
-OUTPUT_FOLDER = "analysis"
-"""Folder of the results by default, below the analyzed folder."""
 
-
-def default_output(path: Path) -> Path:
-    """Return the folder for the results of `path`: `analysis/` in it, beside it if it is a trace, here if it is remote."""
-    if is_remote(path):
-        return Path(OUTPUT_FOLDER)
-    is_trace = path.is_file() or (path / "metadata.yaml").is_file()
-    return (path.parent if is_trace else path) / OUTPUT_FOLDER
+def default_output(path: Paths) -> Path:
+    """Return the folder for the results of `path`, as `Place.default_output` does."""
+    return Place.of(path).default_output
 
 
 def analyze(
-    path: str | os.PathLike[str],
+    path: Paths,
     *,
     out: str | os.PathLike[str] | None = None,
     progress: Progress | None = None,
@@ -72,7 +67,7 @@ def analyze(
         a.summary.select("vendor", "payload_bytes", "latency_p50_ns", "latency_p99_ns")
 
     Args:
-        path: a folder (looked through to its depths), one trace file, or one rosbag2 folder.
+        path: a folder (looked through to its depths), one trace file, or one rosbag2 folder; or a list of such.
         out: folder for `roundtrips.parquet` and `summary.parquet`; None writes nothing. It is never looked
             into for traces, nor is `analysis/` in `path`.
         cache: keep the events of every trace in the user's cache (`$XDG_CACHE_HOME/dds-trace`), so that the next analysis
@@ -94,8 +89,8 @@ def analyze(
         TraceFormatError: `path` is one file, and it is no trace.
         OutputError: the results cannot be written, or `out` is the default folder and a symbolic link.
     """
-    folder, target = Path(path), Path(out) if out is not None else None
-    if target is not None and target == default_output(folder) and target.is_symlink():
+    place, target = Place.of(path), Path(out) if out is not None else None
+    if target is not None and target in place.own_folders and target.is_symlink():
         # Whoever made the folder of traces chose where it leads, not whoever analyzes them.
         raise OutputError(
             f"{target} is a link to {target.readlink()}; give that folder, or another, with --out"
@@ -109,19 +104,19 @@ def analyze(
             deadline_metric=deadline_metric,
             job=job,
         )
-        return _analyze(engine, folder, target, wanted, progress)
+        return _analyze(engine, place, target, wanted, progress)
     finally:
         engine.close()
 
 
 def _analyze(
-    engine: Engine, folder: Path, out: Path | None, wanted: Wanted, progress: Progress | None
+    engine: Engine, place: Place, out: Path | None, wanted: Wanted, progress: Progress | None
 ) -> Analysis:
-    own = {default_output(folder)} | ({out} if out is not None else set())
+    own = place.own_folders | ({out} if out is not None else set())
     outputs = {kind: out / f"{kind}.parquet" for kind in ("roundtrips", "summary")} if out else {}
     stale_rows = None if wanted.rows else outputs.pop("roundtrips", None)
 
-    campaign = engine.load(folder, own, progress)
+    campaign = engine.load(place, own, progress)
     exchanges = find_exchanges(campaign)
     grouping = group_exchanges(exchanges.held)
     batches = plan_batches(grouping, wanted)
@@ -152,7 +147,7 @@ def _analyze(
         write_summary(merged.summary.frame, outputs["summary"], told)
     timeline = merged.frames["timeline"]
     return Analysis(
-        title=folder.resolve().name,
+        title=place.folder.resolve().name,
         sources=campaign.sources,
         sessions=tuple(sorted(campaign.sessions.values(), key=lambda s: (s.wall_anchor_ns, s.session_id))),
         runs=_runs_by_start(campaign, exchanges),

@@ -9,7 +9,6 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from enum import Enum
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -21,8 +20,9 @@ from dds_trace.tracefile.units.durations import parse_duration
 
 from . import compare, watch
 from .desktop import open_page
-from .errors import run_command
-from .quick_help import command_app, declare_command
+from .paths import expand_paths
+from .program import run_program
+from .quick_help import Version, command_app, declare_command
 
 if TYPE_CHECKING:
     from dds_trace.analyzer import Analysis
@@ -51,17 +51,22 @@ def _known_kinds(kinds: list[str] | None) -> list[str] | None:
     return kinds
 
 
-app = command_app()
+def _complete_commands(incomplete: str) -> list[str]:
+    return [name for name in COMMANDS if name.startswith(incomplete)]
+
+
+app = command_app(completes=True)
 
 
 @declare_command(app, "analyze")
 def main_command(
-    folder: Annotated[
-        Path,
+    paths: Annotated[
+        list[str],
         typer.Argument(
-            metavar="FOLDER",
-            help="With traces at any depth: .mcap files, rosbag2 folders. Or one of these.",
+            metavar="PATH...",
+            help="Folders with traces at any depth, .mcap files, rosbag2 folders, or patterns: 'runs/*/pi4*.mcap'.",
             show_default=False,
+            autocompletion=_complete_commands,
         ),
     ],
     report: Annotated[
@@ -77,7 +82,7 @@ def main_command(
         Path | None,
         typer.Option(
             metavar="FOLDER",
-            help="Where files go. [dim]Default: analysis/ in the folder of the traces[/dim]",
+            help="Where files go. [dim]Default: analysis/ in the folder that all traces have in common[/dim]",
             show_default=False,
         ),
     ] = None,
@@ -86,7 +91,7 @@ def main_command(
         typer.Option(
             metavar="ADDRESS",
             help="Let the workers of a Dask scheduler do it, such as tcp://scheduler:8786; they read the traces "
-            "themselves, from shared folders or object storage (s3://bucket/runs as FOLDER).",
+            "themselves, from shared folders or object storage (s3://bucket/runs as PATH).",
             show_default=False,
         ),
     ] = None,
@@ -136,6 +141,7 @@ def main_command(
     open_it: Annotated[
         bool, typer.Option("--open", help="Write the HTML report and open it, where there is a desktop.")
     ] = False,
+    version: Version = False,  # noqa: ARG001 - its callback does it
 ) -> None:
     """Analyze traces: latency, losses and rates for every middleware, domain, size and frequency.
 
@@ -153,18 +159,18 @@ def main_command(
     from dds_trace.analyzer import Severity, analyze, default_output, export_tables, parse_job
     from dds_trace.reports import write_reports
 
-    limits.check(limits.INPUT, str(folder), "FOLDER")
     limits.check(limits.FOLDER, None if out is None else str(out), "--out")
     limits.check(limits.SCHEDULER, cluster, "--cluster")
-    target = default_output(folder) if out is None else out
+    traces = expand_paths(paths)
+    target = default_output(traces) if out is None else out
     deadline_ns, deadline_metric = _parse_deadline(deadline)
     job = None if recommend is None else parse_job(recommend)
     if topics:
-        _show_topics(folder, target)
+        _show_topics(traces, target)
         return
     with _reading_bar() as progress:
         analysis = analyze(
-            folder,
+            traces,
             out=target,
             progress=progress,
             cache=not no_cache,
@@ -226,12 +232,12 @@ def _parse_deadline(text: str | None) -> tuple[int | None, str]:
     return parse_duration(time, "--deadline"), metric
 
 
-def _show_topics(folder: Path, target: Path) -> None:
+def _show_topics(paths: list[Path], target: Path) -> None:
     from dds_trace.analyzer import analyze_topics
 
     from .analyze_text import print_topics
 
-    report = analyze_topics(folder, skip=[target])
+    report = analyze_topics(paths, skip=[target])
     print_topics(report)
     for source in report.sources:
         if source.status != "read":
@@ -252,11 +258,7 @@ COMMANDS: Mapping[str, typer.Typer] = {"compare": compare.app, "watch": watch.ap
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run `dds-analyze` with these arguments, or with those of the process."""
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    if given and given[0] in COMMANDS:
-        run_command(partial(COMMANDS[given[0]], given[1:], prog_name=f"dds-analyze {given[0]}"))
-    else:
-        run_command(partial(app, given, prog_name="dds-analyze"))
+    run_program("dds-analyze", app, COMMANDS, arguments)
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from dds_trace.recorder import choices
 from dds_trace.recorder.bridges import BRIDGE_MODULES
 
 from .errors import run_command
-from .quick_help import command_app, declare_command
+from .quick_help import Version, command_app, declare_command
 
 if TYPE_CHECKING:
     from typer.models import OptionInfo
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 LOOK_S = 0.2
 
-app = command_app()
+app = command_app(completes=True)
 
 
 def _option(name: str, *, help: str, metavar: str | None = None) -> OptionInfo:  # noqa: A002 - typer's word
@@ -47,8 +47,12 @@ def main_command(
         bool,
         _option("--check", help="Look whether the program is here and takes these options, and run nothing."),
     ] = False,
-    from_domain: Annotated[int, _option("--from", help="Domain of the ping. [dim]Default: 5[/dim]")] = 5,
-    to_domain: Annotated[int, _option("--to", help="Domain of the relay. [dim]Default: 10[/dim]")] = 10,
+    from_domain: Annotated[
+        int, _option("--from", metavar="ID", help="Domain of the ping. [dim]Default: 5[/dim]")
+    ] = 5,
+    to_domain: Annotated[
+        int, _option("--to", metavar="ID", help="Domain of the relay. [dim]Default: 10[/dim]")
+    ] = 10,
     topics: Annotated[
         list[str] | None,
         _option(
@@ -59,7 +63,11 @@ def main_command(
     ] = None,
     half: Annotated[
         choices.Role | None,
-        _option("--half", help="The half that runs here, with --listen or --peer. [dim]Default: ping[/dim]"),
+        _option(
+            "--half",
+            metavar="ROLE",
+            help="Half that runs here, ping or relay, with --listen or --peer. [dim]Default: ping[/dim]",
+        ),
     ] = None,
     listen: Annotated[
         str | None, _option("--listen", metavar="HOST:PORT", help="Where this half waits for the other one.")
@@ -72,17 +80,27 @@ def main_command(
         choices.Discovery | None,
         _option(
             "--discovery",
-            help="How far to look for nodes. [dim]Default: ROS_AUTOMATIC_DISCOVERY_RANGE, else subnet[/dim]",
+            metavar="RANGE",
+            help="How far to look for nodes, localhost or subnet. [dim]Default: ROS_AUTOMATIC_DISCOVERY_RANGE, else subnet[/dim]",
         ),
     ] = None,
     reliability: Annotated[
         choices.Reliability,
-        _option("--reliability", help="As of ping and relay. [dim]Default: reliable[/dim]"),
+        _option(
+            "--reliability",
+            metavar="QOS",
+            help="reliable or best_effort, as of ping and relay. [dim]Default: reliable[/dim]",
+        ),
     ] = choices.Reliability.RELIABLE,
     durability: Annotated[
-        choices.Durability, _option("--durability", help="As of ping and relay. [dim]Default: volatile[/dim]")
+        choices.Durability,
+        _option(
+            "--durability",
+            metavar="QOS",
+            help="volatile or transient_local, as of ping and relay. [dim]Default: volatile[/dim]",
+        ),
     ] = choices.Durability.VOLATILE,
-    depth: Annotated[int, _option("--depth", help="Messages kept. [dim]Default: 10[/dim]")] = 10,
+    depth: Annotated[int, _option("--depth", metavar="N", help="Messages kept. [dim]Default: 10[/dim]")] = 10,
     deadline: Annotated[
         str | None, _option("--deadline", metavar="TIME", help="As of ping and relay: 20ms, 1.5s.")
     ] = None,
@@ -92,6 +110,7 @@ def main_command(
     tuned: Annotated[
         bool, _option("--tuned", help="Settings for large messages, as of ping and relay.")
     ] = False,
+    version: Version = False,  # noqa: ARG001 - its callback does it
 ) -> None:
     """Run a bridge between the domains of a ping and a relay until Ctrl-C.
 

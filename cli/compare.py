@@ -94,7 +94,7 @@ def compare_command(
     side. Exit codes: 0 passed, or no gate given; 20 regressed; 21 inconclusive (too few runs or messages to tell); 22
     nothing to compare (no group in common).
 
-    [bold]dds-analyze compare main/ branch/ --fail-if "latency_p99 > +10%" --report md[/bold]
+    [bold]dds-analyze compare main/ branch/ --fail-if default --report md[/bold]
     """
     from dds_trace.analyzer import (
         CompareOptions,

@@ -85,7 +85,9 @@ class DefaultedCommand(TyperCommand):
         return bool(self.table) and not any("--print-config" in each.opts for each in self.params)
 
     def _options(self) -> list[Any]:
-        return [each for each in self.params if each.param_type_name == "option"]
+        """Return the options that change what the command does: not those that show something instead (version, completion)."""
+        options = [each for each in self.params if each.param_type_name == "option"]
+        return [each for each in options if each.expose_value and not each.is_eager]
 
     @property
     def _named(self) -> dict[str, Any]:
@@ -97,8 +99,6 @@ class DefaultedCommand(TyperCommand):
         """Print a line for each option: its name, the value in force, and where that is from."""
         rows = []
         for each in self._options():
-            if each.is_eager:
-                continue
             if each.name in in_force:
                 value, source = in_force[each.name].value, str(in_force[each.name].path)
             else:

@@ -8,9 +8,11 @@ file or a pipe gets the plain text, because `typer.echo` takes escape sequences 
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from dds_trace.tracefile.version import __version__
 
 from .defaulted import DefaultedCommand
 
@@ -44,21 +46,31 @@ class QuickHelpCommand(DefaultedCommand):
             with formatter.section(title):
                 formatter.write_dl(rows)
 
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        """Return options and arguments as the usage line has them: `[NAME]` may be left out, `NAME` may not."""
+        return [piece.removeprefix("{").removesuffix("}") for piece in super().collect_usage_pieces(ctx)]
+
     def _panels(self, ctx: Any) -> dict[str, list[tuple[str, str]]]:
-        """Return title -> (name, help) of each parameter, arguments first, in the order they are declared."""
-        panels: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
+        """Return title -> (name, help) of each parameter, in the order they are declared: arguments first, options of no panel last."""
+        panels: dict[str, list[tuple[str, str]]] = {"Arguments": []}
+        general: list[tuple[str, str]] = []
         for parameter in self.get_params(ctx):
             record = parameter.get_help_record(ctx)
             if record is not None:
                 kind = "Options" if parameter.param_type_name == "option" else "Arguments"
                 title = getattr(parameter, "rich_help_panel", None) or kind
-                panels.setdefault(title, []).append((record[0].rstrip(), _held(record[1])))
-        return {title: rows for title, rows in panels.items() if rows}
+                rows = general if title == "Options" else panels.setdefault(title, [])
+                rows.append((record[0].rstrip(), _held(record[1])))
+        return {title: rows for title, rows in {**panels, "Options": general}.items() if rows}
 
 
-def command_app() -> typer.Typer:
-    """Return an empty app; `declare_command` gives it its command."""
-    return typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+def command_app(*, completes: bool = False) -> typer.Typer:
+    """Return an empty app; `declare_command` gives it its command.
+
+    Args:
+        completes: whether it is a program by itself, with options that install or show its completion in the shell.
+    """
+    return typer.Typer(add_completion=completes, pretty_exceptions_enable=False, rich_markup_mode=None)
 
 
 def declare_command(
@@ -79,6 +91,19 @@ def declare_command(
     command = type("Command", (QuickHelpCommand,), own)
     names = {"help_option_names": ["-h", "--help"], "max_content_width": WIDEST_COLUMNS}
     return app.command(cls=command, context_settings=names)
+
+
+def _print_version(context: typer.Context, asked: bool) -> None:
+    """Print name and version of the program, and end it."""
+    if asked:
+        print(f"{context.info_name} {__version__}")
+        raise typer.Exit
+
+
+Version = Annotated[
+    bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Show the version.")
+]
+"""The option of every program that shows its version."""
 
 
 def _held(text: str) -> str:

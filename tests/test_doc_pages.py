@@ -9,8 +9,12 @@ from pathlib import Path
 import pytest
 from analyses import small_campaign
 
+from dds_trace.analyzer import GateOutcome
+from dds_trace.cli.sweep import command as sweep_command
+from dds_trace.recorder.sweep import sweep
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.figures import FIGURES, Scope
+from dds_trace.tracefile import TraceError
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("sample_traces/*.md")])
@@ -94,6 +98,24 @@ def test_a_quoted_line_is_what_the_code_says(line, said_by_the_code):
     fragments = [fragment.strip() for fragment in line.split("…") if fragment.strip()]
     assert max(map(len, fragments)) >= MEANINGFUL
     assert [part for part in fragments if not any(part in text for text in said_by_the_code)] == []
+
+
+def test_the_table_of_exit_codes_is_that_of_the_code():
+    """Every way in which one of our programs ends, each once."""
+    errors, more = {TraceError}, {TraceError}
+    while more:
+        more = {below for each in more for below in each.__subclasses__()}
+        errors |= more
+    known = {(each.exit_code, each.__name__) for each in errors if each.__module__ == TraceError.__module__}
+    known |= {(each.exit_code, each.name) for each in GateOutcome if each.exit_code}
+    for module in (sweep_command, sweep):
+        known |= {(code, name) for name, code in vars(module).items() if name.endswith("_EXIT_CODE")}
+    page = (ROOT / "docs/reference/exit-codes.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (\d+) \| `(\w+)` \|", page, re.MULTILINE)
+    assert len(rows) == len(set(rows))
+    assert {(int(code), name) for code, name in rows} == known
+    codes = [int(code) for code, _ in rows]
+    assert codes == sorted(codes)
 
 
 @pytest.mark.parametrize("page", [READING, GLOSSARY, TROUBLESHOOTING], ids=lambda page: page.stem)

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from ..groups.batch import Batch
     from ..loading.campaign import Campaign, Progress
     from ..loading.events import EventIndex, EventKey, EventPart
+    from ..loading.place import Place
     from ..model.source import Source
     from .batches import BatchResult
 
@@ -93,10 +94,13 @@ class ClusterEngine:
             ) from err
         self._loaded: list[_Future[LoadedTrace | str]] = []
 
-    def load(self, path: Path, skip: Collection[Path], progress: Progress | None) -> Campaign:
-        """Read every trace at or below `path`, each on a worker; only the descriptions come here."""
-        here = path if ":" in os.fspath(path) else path.resolve()
-        candidates = find_anywhere(here, [folder.resolve() for folder in skip])
+    def load(self, place: Place, skip: Collection[Path], progress: Progress | None) -> Campaign:
+        """Read every trace of a place, each on a worker; only the descriptions come here."""
+        here, *places = (
+            path if ":" in os.fspath(path) else path.resolve() for path in (place.folder, *place.parts)
+        )
+        closed = [folder.resolve() for folder in skip]
+        candidates = sorted({trace for part in places for trace in find_anywhere(part, closed)})
         loads = [self._client.submit(_load, os.fspath(c), pure=False) for c in candidates]
         said = [self._client.submit(_describe, load, pure=False) for load in loads]
         loaded: list[LoadedTrace] = []

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from ..groups.batch import Batch
     from ..loading.campaign import Campaign, Progress
     from ..loading.events import EventIndex
+    from ..loading.place import Place
     from .batches import BatchResult
 
 _MOST_WORKERS = 2  # each holds a batch; the writing of rows takes another core
@@ -29,8 +30,8 @@ _MOST_WORKERS = 2  # each holds a batch; the writing of rows takes another core
 class Engine(Protocol):
     """Loads traces, then works at batches; it is closed at the end."""
 
-    def load(self, path: Path, skip: Collection[Path], progress: Progress | None) -> Campaign:
-        """Load every trace at or below `path`; see `load_campaign`."""
+    def load(self, place: Place, skip: Collection[Path], progress: Progress | None) -> Campaign:
+        """Load every trace of a place; see `load_campaign`."""
 
     def work(self, batches: Sequence[Batch], index: EventIndex) -> Iterator[BatchResult]:
         """Yield the results of the batches in their order."""
@@ -49,9 +50,9 @@ class LocalEngine:
     def __init__(self, *, cache: bool) -> None:
         self._shelf = TraceShelf(TraceCache.open() if cache else None)
 
-    def load(self, path: Path, skip: Collection[Path], progress: Progress | None) -> Campaign:
+    def load(self, place: Place, skip: Collection[Path], progress: Progress | None) -> Campaign:
         """Read every trace that is not in the cache."""
-        return load_campaign(path, skip=skip, progress=progress, shelf=self._shelf)
+        return load_campaign(place, skip=skip, progress=progress, shelf=self._shelf)
 
     def work(self, batches: Sequence[Batch], index: EventIndex) -> Iterator[BatchResult]:
         """Yield the results of the batches, worked at on all cores; one batch waits in memory for its turn."""

@@ -8,10 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import MissingEventsError, TraceFormatError
+from dds_trace.tracefile.reading.trace import FOREIGN_HINT
 from dds_trace.tracefile.units.counts import counted
 
 from ..model.source import Source
 from .events import Copies, EventIndex, index_events
+from .place import Place
 from .remote import find_anywhere
 from .shelf import TraceShelf
 
@@ -76,25 +78,27 @@ class Campaign:
 
 
 def load_campaign(
-    path: Path,
+    place: Path | Place,
     *,
     skip: Collection[Path] = (),
     progress: Progress | None = None,
     shelf: TraceShelf | None = None,
 ) -> Campaign:
-    """Read every trace at or below `path`.
+    """Read every trace of a place.
 
     Args:
-        path: a folder, a trace file, or a rosbag2 folder.
+        place: a folder, a trace file, or a rosbag2 folder; or several.
         skip: folders that are not looked into (where results are written).
         progress: called before each trace is read.
         shelf: reads the traces and keeps their events; by default in memory and in temporary files.
 
     Raises:
-        MissingEventsError: there is nothing at `path`, or no trace among it.
-        TraceFormatError: `path` is one file or rosbag2 folder, and it is no trace.
+        MissingEventsError: there is nothing at a path, or no trace among it.
+        TraceFormatError: `place` is one file or rosbag2 folder, and it is no trace.
     """
-    candidates = find_anywhere(path, skip)
+    place = place if isinstance(place, Place) else Place.of(place)
+    path = place.folder
+    candidates = sorted({trace for part in place.parts for trace in find_anywhere(part, skip)})
     shelf = shelf or TraceShelf()
     loaded: list[LoadedTrace] = []
     skipped: list[Source] = []
@@ -110,7 +114,9 @@ def load_campaign(
     if candidates != [path]:
         skipped += [
             skipped_source(other, path, "neither an .mcap file nor a rosbag2 folder")
-            for other in _other_files(path, candidates, skip)
+            for other in sorted(
+                {each for part in place.parts for each in _other_files(part, candidates, skip)}
+            )
         ]
     return campaign_of(path, loaded, skipped)
 
@@ -215,9 +221,13 @@ def _relative(path: Path, folder: Path) -> str:
 
 
 def _nothing_found(path: Path, skipped: Sequence[Source]) -> str:
-    looked_at = [f"{source.path} ({source.detail})" for source in skipped[:_NAMED_AT_MOST]]
+    foreign = any(source.detail.endswith(FOREIGN_HINT) for source in skipped)
+    looked_at = [
+        f"{source.path} ({source.detail.removesuffix(FOREIGN_HINT)})" for source in skipped[:_NAMED_AT_MOST]
+    ]
     more = len(skipped) - len(looked_at)
     named = "; ".join(looked_at) + (f"; and {more} more" if more > 0 else "")
+    named += FOREIGN_HINT if foreign else ""
     return f"{path}: no trace here" + (
         f": looked at {named}"
         if named

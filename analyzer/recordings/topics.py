@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from array import array
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -16,7 +17,7 @@ from ..model.source import Source
 from .messages import find_recordings, iter_messages
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
+    from collections.abc import Callable, Collection, Sequence
     from pathlib import Path
 
     from .messages import RecordedMessage, Topic
@@ -86,7 +87,7 @@ class TopicReport:
 
 
 def analyze_topics(
-    path: Path,
+    path: Path | Sequence[Path],
     *,
     skip: Collection[Path] = (),
     progress: Callable[[Path], None] | None = None,
@@ -94,7 +95,7 @@ def analyze_topics(
     """Analyze the topics of every recording in a folder and below it, or of one recording.
 
     Args:
-        path: a folder, a `.mcap`, `.bag` or `.db3` file, or a rosbag2 folder.
+        path: a folder, a `.mcap`, `.bag` or `.db3` file, or a rosbag2 folder; or a list of such.
         skip: files and folders to leave out.
         progress: called with each recording before it is read.
 
@@ -103,7 +104,8 @@ def analyze_topics(
     """
     rows: list[Row] = []
     sources: list[Source] = []
-    for recording in find_recordings(path, skip=skip):
+    parts = [path] if isinstance(path, os.PathLike) else path
+    for recording in sorted({each for part in parts for each in find_recordings(part, skip=skip)}):
         if progress is not None:
             progress(recording)
         columns: dict[Topic, _Columns] = {}
@@ -122,7 +124,7 @@ def analyze_topics(
     if not any(source.status != "skipped" for source in sources):
         reasons = "; ".join(f"{source.path}: {source.detail}" for source in sources[:3])
         raise MissingEventsError(
-            f"{path}: no recording that can be read (.mcap, .bag, rosbag2 folder){': ' * bool(reasons)}{reasons}"
+            f"{', '.join(map(str, parts))}: no recording that can be read (.mcap, .bag, rosbag2 folder){': ' * bool(reasons)}{reasons}"
         )
     return TopicReport(pl.DataFrame(rows, schema=TOPIC_SCHEMA), tuple(sources))
 

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import sys
-from functools import partial
 from typing import TYPE_CHECKING
 
 import typer  # noqa: TC002 - it reads the annotation
 
 from dds_trace.recorder import choices
 
-from ..errors import run_command
-from ..quick_help import command_app, declare_command
+from ..program import run_program
+from ..quick_help import Version, command_app, declare_command
 from . import status, words
 from .passed_over import passes_over
 
@@ -22,7 +20,7 @@ if TYPE_CHECKING:
 
 BRIDGED_PING_DOMAIN = 5
 
-app = command_app()
+app = command_app(completes=True)
 
 
 @declare_command(app, "record", passes_over)
@@ -82,6 +80,7 @@ def main_command(
     recover_path: words.RecoverPath = None,
     self_test: words.SelfTest = False,
     check: words.Check = False,
+    version: Version = False,  # noqa: ARG001 - its callback does it
 ) -> None:
     """Record latency of ROS 2 / DDS messages as a ping or as a relay.
 
@@ -229,11 +228,7 @@ COMMANDS: Mapping[str, typer.Typer] = {"status": status.app}
 
 def main() -> None:
     """Run `dds-record` with the arguments of the process."""
-    given = sys.argv[1:]
-    if given and given[0] in COMMANDS:
-        run_command(partial(COMMANDS[given[0]], given[1:], prog_name=f"dds-record {given[0]}"))
-    else:
-        run_command(app)
+    run_program("dds-record", app, COMMANDS, None)
 
 
 if __name__ == "__main__":

@@ -31,8 +31,11 @@ def describe_progress(progress: PingProgress | RelayProgress) -> str:
         line = f"{counted(progress.relayed, 'message')} sent back in {counted(progress.runs, 'run')}"
         return f"{line}, {progress.foreign} without our stamp left alone" if progress.foreign else line
     p50, p99 = (format_duration(time_ns, "ms") for time_ns in (progress.rtt_p50_ns, progress.rtt_p99_ns))
+    warmup, lost_there = progress.warmup, progress.warmup_lost
+    beside = f" (+{warmup} warm-up{f', {lost_there} lost' if lost_there else ''})" if warmup else ""
     return (
-        f"sent {progress.sent}/{progress.planned}, received {progress.received}, lost {progress.lost}, "
+        f"sent {max(progress.sent - warmup, 0)}/{progress.planned - warmup}{beside}, "
+        f"received {progress.received - progress.warmup_received}, lost {progress.lost - lost_there}, "
         f"RTT p50 {p50}, p99 {p99}"
     )
 

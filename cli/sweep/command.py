@@ -8,18 +8,17 @@ import os
 import signal
 import sys
 from enum import Enum
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dds_trace.tracefile import OptionError, __version__, limits
+from dds_trace.tracefile import OptionError, limits
 from dds_trace.tracefile.units.counts import counted
 
 from .. import defaults
-from ..errors import run_command
-from ..quick_help import command_app, declare_command
+from ..program import run_program
+from ..quick_help import Version, command_app, declare_command
 from . import new
 
 if TYPE_CHECKING:
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
 INTERRUPTED_EXIT_CODE = 130
 """Exit code after Ctrl-C, as shells report it."""
 
-app = command_app()
+app = command_app(completes=True)
 
 
 class Printed(str, Enum):
@@ -39,19 +38,15 @@ class Printed(str, Enum):
     RELAY = "relay"
 
 
-def _print_version(asked: bool) -> None:
-    if asked:
-        print(f"dds-sweep {__version__}")
-        raise typer.Exit
-
-
 @declare_command(app, "sweep")
 def main_command(
     plan: Annotated[
-        Path, typer.Argument(help="The plan, a TOML file such as plans/quick.toml.", show_default=False)
+        Path,
+        typer.Argument(metavar="PLAN", help="A TOML file such as plans/quick.toml.", show_default=False),
     ],
     out: Annotated[
-        Path, typer.Option("--out", help="The traces go to OUT/NAME, NAME as the plan has it.")
+        Path,
+        typer.Option("--out", metavar="FOLDER", help="The traces go to OUT/NAME, NAME as the plan has it."),
     ] = Path("runs"),
     dry_run: Annotated[
         bool,
@@ -64,7 +59,8 @@ def main_command(
         Printed | None,
         typer.Option(
             "--print",
-            help="Show the commands to start on the other device instead of starting them, and wait for "
+            metavar="ROLE",
+            help="Show the commands of relay to start on the other device instead of starting them, and wait for "
             "each by its echo.",
             show_default=False,
         ),
@@ -98,9 +94,7 @@ def main_command(
         ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
-    version: Annotated[  # noqa: ARG001 - its callback does it
-        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Show the version.")
-    ] = False,
+    version: Version = False,  # noqa: ARG001 - its callback does it
 ) -> None:
     """Record every cell of a plan: one closed trace for each device and cell.
 
@@ -245,11 +239,7 @@ COMMANDS: Mapping[str, typer.Typer] = {"new": new.app}
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run `dds-sweep` with these arguments, or with those of the process."""
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    if given and given[0] in COMMANDS:
-        run_command(partial(COMMANDS[given[0]], given[1:], prog_name=f"dds-sweep {given[0]}"))
-    else:
-        run_command(partial(app, given, prog_name="dds-sweep"))
+    run_program("dds-sweep", app, COMMANDS, arguments)
 
 
 if __name__ == "__main__":

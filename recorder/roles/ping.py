@@ -264,7 +264,19 @@ class Ping(Generic[SentT, ReceivedT]):
         received = replies.received
         expected = self._published if self._ended else replies.highest + 1
         lost = max(expected - received, 0)
-        return PingProgress(self.plan.total, self._published, received, lost, p50_ns, p99_ns)
+        warmup = self.plan.warmup
+        warmed_up = replies.received_before(warmup)
+        return PingProgress(
+            self.plan.total,
+            self._published,
+            received,
+            lost,
+            p50_ns,
+            p99_ns,
+            warmup,
+            warmed_up,
+            max(min(expected, warmup) - warmed_up, 0),
+        )
 
 
 def _discard(*_event: int) -> None:

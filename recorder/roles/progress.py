@@ -24,6 +24,7 @@ class PingProgress:
         received: messages with at least one reply.
         lost: messages without one although a later message has one; at the end, all without one.
         rtt_p50_ns: median round trip so far, None before the first reply; likewise `rtt_p99_ns`.
+        warmup: messages of the warm-up among those planned; of them `warmup_received` and `warmup_lost` so far.
     """
 
     planned: int
@@ -32,6 +33,9 @@ class PingProgress:
     lost: int
     rtt_p50_ns: int | None = None
     rtt_p99_ns: int | None = None
+    warmup: int = 0
+    warmup_received: int = 0
+    warmup_lost: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -103,6 +103,10 @@ class Replies:
         counts = list(self._counts.values())
         return published == 0 or (bool(counts) and min(counts) >= published)
 
+    def received_before(self, sequence: int) -> int:
+        """Return the number of messages before `sequence` with at least one reply."""
+        return sum(map(bool, self._rtt_ns[:sequence]))
+
     def percentiles_ns(self) -> tuple[int | None, int | None]:
         """Return p50 and p99 of the round trips so far, in ns; None before the first reply."""
         return rtt_percentiles_ns(self._rtt_ns)

@@ -6,6 +6,7 @@ import shutil
 import polars as pl
 import pytest
 import typer
+from mcap.writer import Writer
 from trace_files import Message, run, write_pair
 
 import dds_trace.cli.analyze
@@ -121,6 +122,57 @@ def test_another_kind_of_report_is_refused_before_anything_is_read(runs, capsys)
     assert analyze(runs, "--report", "pdf") == 2
     assert "'pdf' is not one of 'html', 'md'" in capsys.readouterr().err
     assert not (runs / "analysis").exists()
+
+
+def test_several_paths_and_patterns_are_one_analysis(runs, tmp_path, capsys, monkeypatch):
+    """Of what they have in common: its name, its analysis/ for the results; each trace counts once."""
+    others = tmp_path / "others"
+    write_pair(others / "deep", TIMELINE, runs=[run(run_id=99, planned_messages=12, published=12)])
+    monkeypatch.chdir(tmp_path)
+    for given in (["runs", others / "deep"], ["runs/*.mcap", "others/**/*.mcap"], ["runs", "r*s", "others"]):
+        assert analyze(*given) == 0
+        shown = capsys.readouterr()
+        assert f"Latency report: {tmp_path.name}" in shown.out
+        rows = pl.read_parquet(tmp_path / "analysis" / "roundtrips.parquet")
+        assert rows["run_id"].unique().len() == 2
+        assert len(rows) == 2 * len(TIMELINE)
+        assert shown.err == ""
+    assert analyze("nothing/*.mcap", "runs") == 4
+    assert "nothing/*.mcap: no file or folder matches" in capsys.readouterr().err
+    assert analyze("runs", "gone") == 4
+    assert "gone: no such file or folder" in capsys.readouterr().err
+    assert analyze("s3://bucket/a", "runs") == 2
+    assert "of object storage one path is read" in capsys.readouterr().err
+    assert analyze(*runs.glob("*.mcap"), "--topics") == 0  # the topics of both files, ours or not
+    assert "/dds_trace/t1" in capsys.readouterr().out
+
+
+def test_a_misspelt_command_is_told_what_it_may_have_meant(runs, capsys, monkeypatch):
+    assert analyze("comapre", "a", "b") == 2
+    assert (
+        "there is no file or folder comapre; did you mean `dds-analyze compare`?" in capsys.readouterr().err
+    )
+    assert analyze("elsewhere") == 4  # near none
+    assert "did you mean" not in capsys.readouterr().err
+    monkeypatch.chdir(runs.parent)
+    runs.rename("comapre")
+    assert analyze("comapre") == 0
+
+
+def test_recordings_of_others_are_shown_the_way_to_topics(tmp_path, capsys):
+    for name in ("a", "b"):
+        with (tmp_path / f"{name}.mcap").open("wb") as file:
+            writer = Writer(file)
+            writer.start()
+            channel = writer.register_channel("/imu", "cdr", 0)
+            writer.add_message(channel, 1, b"1234", 1)
+            writer.finish()
+    for given, status in ((tmp_path, 4), (tmp_path / "a.mcap", 3)):
+        assert analyze(given) == status
+        said = capsys.readouterr().err
+        assert said.count("--topics") == said.count("\n") == 1
+        assert said.endswith("for recordings of others: `dds-analyze PATH --topics`\n")
+    assert analyze(tmp_path, "--topics") == 0
 
 
 def test_a_named_command_leaves_the_folder_command_alone(runs, monkeypatch, capsys):

@@ -2,12 +2,26 @@
 
 from __future__ import annotations
 
+import importlib
 import json
+import re
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
+import typer
+
+import dds_trace.cli.analyze
+import dds_trace.cli.bridge
+import dds_trace.cli.compare
+import dds_trace.cli.record.command
+import dds_trace.cli.record.status
+import dds_trace.cli.sweep.command
+import dds_trace.cli.sweep.new
+import dds_trace.cli.watch
+from dds_trace.tracefile import __version__
 
 HEAVY = (
     *("numpy", "polars", "pyarrow", "scipy", "pandas", "plotly", "jinja2", "rich", "pygments", "markdown_it"),
@@ -31,7 +45,9 @@ NOT_FOR_A_PING = {*HEAVY} - {
 }
 COMMANDS = {
     "dds-record": ("dds_trace.cli.record", []),
+    "dds-record status": ("dds_trace.cli.record", ["status"]),
     "dds-sweep": ("dds_trace.cli.sweep", []),
+    "dds-sweep new": ("dds_trace.cli.sweep", ["new"]),
     "dds-bridge": ("dds_trace.cli.bridge", []),
     "dds-analyze": ("dds_trace.cli.analyze", []),
     "dds-analyze compare": ("dds_trace.cli.analyze", ["compare"]),
@@ -39,8 +55,8 @@ COMMANDS = {
 }
 CALL = """
 import importlib, json, sys
-module, words, heavy = json.loads(sys.argv[1])
-sys.argv = ["command", *words]
+module, words, heavy, name = json.loads(sys.argv[1])
+sys.argv = [name, *words]
 code = 0
 try:
     importlib.import_module(module).main()
@@ -51,9 +67,13 @@ print(json.dumps({"code": code, "loaded": [name for name in heavy if name in sys
 SAMPLES = Path(__file__).parents[2] / "sample_traces"
 
 
-def called(module: str, *words: object) -> tuple[list[str], int, set[str]]:
+MARKS_IN_A_LINE = 4  # each takes a column while lines are broken, and none when they are shown
+MARKS = re.compile(r"\[/?(?:bold|dim)\]")
+
+
+def called(module: str, *words: object, name: str = "command") -> tuple[list[str], int, set[str]]:
     """Return the lines that a command printed, its exit code and the libraries of `HEAVY` that it loaded."""
-    arguments = json.dumps([module, [*map(str, words)], HEAVY])
+    arguments = json.dumps([module, [*map(str, words)], HEAVY, name])
     ran = subprocess.run([sys.executable, "-c", CALL, arguments], capture_output=True, text=True, check=False)
     assert ran.returncode == 0, ran.stderr
     *shown, said = ran.stdout.splitlines()
@@ -61,12 +81,91 @@ def called(module: str, *words: object) -> tuple[list[str], int, set[str]]:
     return shown, state["code"], set(state["loaded"])
 
 
+APPS = {
+    "dds-record": dds_trace.cli.record.command.app,
+    "dds-record status": dds_trace.cli.record.status.app,
+    "dds-sweep": dds_trace.cli.sweep.command.app,
+    "dds-sweep new": dds_trace.cli.sweep.new.app,
+    "dds-bridge": dds_trace.cli.bridge.app,
+    "dds-analyze": dds_trace.cli.analyze.app,
+    "dds-analyze compare": dds_trace.cli.compare.app,
+    "dds-analyze watch": dds_trace.cli.watch.app,
+}
+PROGRAMS = [name for name in COMMANDS if " " not in name]
+
+
 @pytest.mark.parametrize("command", COMMANDS)
-def test_help_loads_no_heavy_library(command):
+def test_help_loads_no_heavy_library_and_reads_well_at_80_columns(command, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
     module, words = COMMANDS[command]
-    shown, code, loaded = called(module, *words, "--help")
-    assert any("Usage" in line for line in shown)
+    shown, code, loaded = called(module, *words, "--help", name=command.split()[0])
     assert (code, loaded) == (0, set())
+    check_usage(shown[0], command)
+    assert max(map(len, shown)) <= 80
+    whole = " ".join(" ".join(shown).split())
+    assert re.findall(r"<[a-z_|]+>", whole) == []  # values are named by what they mean, not <int> or <a|b>
+    said = typer.main.get_command(APPS[command])
+    for text in (said.help, *(each.help for each in said.params)):
+        assert " ".join(MARKS.sub("", text).split()) in whole  # no word is cut
+    for line in re.findall(r"^\[bold\](dds-.*)\[/bold\]$", said.help, re.MULTILINE):
+        assert f"  {line}" in shown  # a command line to copy is one line
+    for line, following in pairwise(shown):
+        if goes_on(line, following):  # no line is broken before it is full
+            assert len(line) + 1 + len(following.split()[0]) > 78 - MARKS_IN_A_LINE, line
+    is_program = command in PROGRAMS
+    for option in ("--version", "--install-completion", "--show-completion"):
+        assert (option in whole) is is_program
+
+
+def check_usage(line, command):
+    """Optional arguments in brackets, others as they are named."""
+    assert re.fullmatch(rf"Usage: {command} \[OPTIONS\]( \[?[A-Z]+(\.toml)?\]?(\.\.\.)?)*", line)
+
+
+def goes_on(line, following):
+    """Whether a line of help goes on in the next one: within a paragraph, or in the column of what options mean."""
+    if not line.strip() or not following.strip() or not line.startswith("  "):
+        return False
+    indent, next_indent = (len(each) - len(each.lstrip()) for each in (line, following))
+    is_paragraph = indent == next_indent == 2 and not line.strip().startswith(
+        ("-", "[", *"ABCDEFGHIJKLMNOPQRSTUVWXYZ")
+    )
+    return next_indent > 2 or (is_paragraph and not following.strip().startswith("-"))
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_every_program_tells_its_version(program):
+    module, _ = COMMANDS[program]
+    shown, code, loaded = called(module, "--version", name=program)
+    assert (shown, code, loaded) == ([f"{program} {__version__}"], 0, set())
+
+
+@pytest.mark.parametrize(
+    ("program", "line", "completions"),
+    [
+        ("dds-record", "--transp", {"--transport"}),
+        ("dds-sweep", "plan.toml --against", {"--against"}),
+        ("dds-bridge", "--half ", {"ping", "relay"}),
+        ("dds-analyze", "--derived", {"--derived-mcap"}),
+        ("dds-analyze", "comp", {"compare"}),
+        ("dds-analyze", "compare --report j", {"json", "junit"}),
+        ("dds-analyze", "watch --ho", {"--host"}),
+    ],
+)
+def test_the_shell_is_told_how_a_line_may_go_on(program, line, completions, monkeypatch, capsys):
+    words = f"{program} {line}"
+    asked = f"_{program.upper().replace('-', '_')}_COMPLETE"
+    main = importlib.import_module(COMMANDS[program][0]).main
+    bash = {"COMP_WORDS": words.replace(" ", "\n"), "COMP_CWORD": str(words.count(" "))}
+    for shell, told in (("bash", bash), ("zsh", {"_TYPER_COMPLETE_ARGS": words})):
+        with monkeypatch.context() as told_so:
+            told_so.setattr(sys, "argv", [program])
+            for name, value in {**told, asked: f"complete_{shell}"}.items():
+                told_so.setenv(name, value)
+            with pytest.raises(SystemExit) as ended:
+                main()
+        assert ended.value.code == 0
+        assert completions <= set(re.findall(r"[\w-]+", capsys.readouterr().out))
 
 
 def test_a_usage_error_loads_no_heavy_library():

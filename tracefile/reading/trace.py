@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from .ring_events import RingBeside
     from .source import Batch, Source
 
+FOREIGN_HINT = "; for recordings of others: `dds-analyze PATH --topics`"
+"""End of the refusal of a recording that is whole and not ours."""
+
 _MOST_NOTES = 20  # nobody reads more lines about one trace
 
 _NO_JSON_OBJECT = {
@@ -121,7 +124,8 @@ class TraceBuilder:
         if not ours and (self.topics or not self.truncated):
             topics = ", ".join(sorted(self.topics)[:3]) or "none"
             what = f"no trace: it has no topic {TOPIC_PREFIX}* (its topics: {topics})"
-            raise TraceFormatError(self.path, "; ".join([what, *self.notes[:1]]))
+            hint = FOREIGN_HINT if self.topics else ""
+            raise TraceFormatError(self.path, "; ".join([what, *self.notes[:1]]) + hint)
 
     def _first_notes(self) -> list[str]:
         more = len(self.notes) - _MOST_NOTES

@@ -309,6 +309,10 @@ def test_progress_in_words():
     from dds_trace.cli.record.run import describe_progress
 
     line = describe_progress(PingProgress(410, 300, 298, 1, 815_000, 1_430_000))
+    warming = PingProgress(110, 4, 3, 0, warmup=10, warmup_received=3)
+    assert describe_progress(warming).startswith("sent 0/100 (+10 warm-up), received 0, lost 0, ")
+    running = PingProgress(110, 79, 76, 2, warmup=10, warmup_received=9, warmup_lost=1)
+    assert describe_progress(running).startswith("sent 69/100 (+10 warm-up, 1 lost), received 67, lost 1, ")
     assert line == "sent 300/410, received 298, lost 1, RTT p50 0.815 ms, p99 1.43 ms"
     assert describe_progress(PingProgress(410, 0, 0, 0)).endswith("RTT p50 -, p99 -")
     assert describe_progress(RelayProgress(7, 2, 0)) == "7 messages sent back in 2 runs"
@@ -348,6 +352,9 @@ def test_the_result_in_words_and_as_json(capsys):
         "lost": 0,
         "rtt_p50_ns": 800_000,
         "rtt_p99_ns": 900_000,
+        "warmup": 0,
+        "warmup_received": 0,
+        "warmup_lost": 0,
     }
 
 

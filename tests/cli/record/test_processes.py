@@ -82,7 +82,9 @@ def test_all_data_types_go_there_and_back(domain_id, tmp_path, serialization):
                 *("--messages", 20, "--warmup", 3, "--rate", 100, "--label", "room=lab", "--device", "pi4"),
             )
             assert done.status == 0, done.stderr
-            assert done.stdout.startswith(f"Wrote {tmp_path / data}.mcap\nsent 23/23, received 23, lost 0")
+            assert done.stdout.startswith(
+                f"Wrote {tmp_path / data}.mcap\nsent 20/20 (+3 warm-up), received 20, lost 0"
+            )
         done = command.stop()
     assert done.status == 0, done.stderr
     assert "69 messages sent back in 3 runs; 138 events, 0 dropped" in done.stdout
@@ -233,7 +235,9 @@ def test_progress_is_drawn_on_a_terminal_alone(domain_id, tmp_path):
         assert drawn.returncode == 0
         command.stop()
     assert b"waiting for an echo" in seen
-    assert re.search(rb"sent \d+/70, received \d+, lost 0, RTT p50 [\d.]+ ms, p99 [\d.]+ ms", seen)
+    assert re.search(
+        rb"sent \d+/60 \(\+10 warm-up\), received \d+, lost 0, RTT p50 [\d.]+ ms, p99 [\d.]+ ms", seen
+    )
     assert stdout.startswith(f"Wrote {tmp_path / 'drawn.mcap'}\n")
     assert "\x1b" not in stdout
 

@@ -1,0 +1,81 @@
+"""The place of the traces of an analysis: one path, or several and the folder that they have in common."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
+
+from dds_trace.tracefile import OptionError
+
+from .remote import is_remote
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    PathText: TypeAlias = str | os.PathLike[str]
+    Paths: TypeAlias = PathText | Sequence[PathText]
+    """One path, or several."""
+
+OUTPUT_FOLDER = "analysis"
+"""Folder of the results by default, below the analyzed folder."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where traces are looked for.
+
+    Attributes:
+        folder: the folder below which every name is told; of one path, the path itself.
+        parts: what is looked at, at or below `folder`.
+    """
+
+    folder: Path
+    parts: tuple[Path, ...]
+
+    @classmethod
+    def of(cls, paths: Paths) -> Place:
+        """Return the place of one path, or of several on this machine.
+
+        Raises:
+            OptionError: there is no path, or one of several is in object storage.
+        """
+        given = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
+        parts = tuple(dict.fromkeys(Path(path) for path in given))
+        if not parts:
+            raise OptionError("no path; give the folder that dds-record wrote into")
+        if len(parts) == 1:
+            return cls(parts[0], parts)
+        if any(map(is_remote, parts)):
+            raise OptionError("of object storage one path is read; give the folder that holds all of them")
+        if any(part.is_absolute() for part in parts):
+            parts = tuple(part.absolute() for part in parts)
+        return cls(Path(os.path.commonpath(parts)), parts)
+
+    @property
+    def default_output(self) -> Path:
+        """Folder for the results: `analysis/` in the folder, beside it if it is a trace, here if it is remote.
+
+        Raises:
+            OptionError: several paths have the root of the file system alone in common.
+        """
+        if self._is_scattered:
+            raise OptionError(
+                f"the {len(self.parts)} paths have no folder in common; say with --out where files go"
+            )
+        if is_remote(self.folder):
+            return Path(OUTPUT_FOLDER)
+        is_trace = self.folder.is_file() or (self.folder / "metadata.yaml").is_file()
+        return (self.folder.parent if is_trace else self.folder) / OUTPUT_FOLDER
+
+    @property
+    def own_folders(self) -> set[Path]:
+        """Folders of results by default, of all parts together and of each, which are not looked into."""
+        of_parts = {Place.of(part).default_output for part in self.parts}
+        return of_parts if self._is_scattered else of_parts | {self.default_output}
+
+    @property
+    def _is_scattered(self) -> bool:
+        """Whether several paths have the root of the file system alone in common."""
+        return len(self.parts) > 1 and os.fspath(self.folder) == self.folder.anchor

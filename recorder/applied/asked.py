@@ -12,12 +12,12 @@ import psutil
 
 from .profile_request import read_profile_request
 from .records import from_json, to_json
-from .vendors import vendor_facts
+from .vendors import VENDORS, vendor_facts
 
 if TYPE_CHECKING:
     from dds_trace.tracefile import JsonObject
 
-PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+PROFILE_VARIABLES = VENDORS["fastdds"].profile_variables
 """Where Fast DDS 2 and Fast DDS 3 look for the user's profile file."""
 
 _BUILTIN_TRANSPORTS = {"UDPv4": "udp", "UDPv6": "udp", "SHM": "shm", "LARGE_DATA": "large-data"}

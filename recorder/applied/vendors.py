@@ -1,4 +1,6 @@
-"""What each middleware leaves behind in a process, and what an asked transport means for it: one table.
+"""All that is known of a vendor by its name, in two tables: the middlewares themselves, and those of ROS 2 that stand on them.
+
+The first says what each leaves behind in a process, and what an asked transport means for it.
 
 Found by experiment with Fast DDS 2.14.5 (rmw_fastrtps of Jazzy), Cyclone DDS 11.0.1 and zenoh 1.10; Fast DDS 3 differs in
 the names of its files alone (`fastdds_` for `fastrtps_`). Connext was not tried (no licence), so nothing is expected of it.
@@ -59,6 +61,11 @@ class VendorFacts:
         transports: transport -> what must be seen.
         shared_memory: transport -> whether it asks for shared memory or for none, where a link is open either way.
         tuned: what `--tuned` sets.
+        profile_variables: variables of the environment that name a profile file of the user's.
+        variables: further ones that change what its ROS middleware does.
+        files: profile files that are read where a process starts.
+        builtin_transports: (transport, tuned) that its ROS middleware can be asked for -> value of
+            FASTDDS_BUILTIN_TRANSPORTS, None for what the user has set.
     """
 
     vendor: str
@@ -68,6 +75,10 @@ class VendorFacts:
     transports: Mapping[str, TransportFacts] = field(default_factory=dict)
     shared_memory: Mapping[str, bool] = field(default_factory=dict)
     tuned: TunedFacts = TunedFacts()
+    profile_variables: tuple[str, ...] = ()
+    variables: tuple[str, ...] = ()
+    files: tuple[str, ...] = ()
+    builtin_transports: Mapping[tuple[str, bool], str | None] = field(default_factory=dict)
 
 
 BUFFER_BYTES = 4_000_000
@@ -96,6 +107,21 @@ VENDORS: Mapping[str, VendorFacts] = {
                 "large-data": TransportFacts("LARGE_DATA", "tcp"),
             },
             tuned=TunedFacts(BUFFER_BYTES, BUFFER_BYTES, transport="udp"),
+            profile_variables=("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"),
+            variables=(
+                "FASTDDS_BUILTIN_TRANSPORTS",
+                "RMW_FASTRTPS_PUBLICATION_MODE",
+                "RMW_FASTRTPS_USE_QOS_FROM_XML",
+            ),
+            files=("DEFAULT_FASTDDS_PROFILES.xml", "DEFAULT_FASTRTPS_PROFILES.xml"),
+            builtin_transports={
+                ("default", False): None,
+                ("udp", False): "UDPv4",
+                ("shm", False): "SHM",
+                ("large-data", False): "LARGE_DATA",
+                ("default", True): "UDPv4?sockets_size=4MB",
+                ("udp", True): "UDPv4?sockets_size=4MB",
+            },
         ),
         VendorFacts(
             "cyclonedds",
@@ -115,6 +141,9 @@ VENDORS: Mapping[str, VendorFacts] = {
             memory={SEGMENT: re.compile(r"\d+\.zenoh")},
             shared_memory={"shm": True, "tcp": False},
             libraries={r"(lib)?zenohc?\.": "eclipse-zenoh", r"librmw_zenoh_cpp\.so": ""},
+            variables=(
+                "ZENOH_ROUTER_CHECK_ATTEMPTS",
+            ),  # the others are the backend's own, and kept as hashes
         ),
         VendorFacts(
             "socket",
@@ -144,3 +173,58 @@ def memory_owner(name: str) -> tuple[str, str] | None:
             if pattern.fullmatch(name):
                 return facts.vendor, role
     return None
+
+
+@dataclass(frozen=True, slots=True)
+class RosMiddleware:
+    """One middleware of ROS 2 (RMW).
+
+    Attributes:
+        vendor: its vendor, as in a session.
+        label: name of the vendor for people.
+        packages: ROS packages whose versions describe it.
+        stamps_reception: whether its `received_timestamp` is the time of the reception; False where it is that of the take.
+        has_durations: whether deadline and lifespan do anything.
+        router: program of its package without which its nodes do not find each other; empty where there is none.
+        router_port: TCP port at which the router listens unless it is told otherwise.
+    """
+
+    vendor: str
+    label: str
+    packages: tuple[str, ...]
+    stamps_reception: bool = True
+    has_durations: bool = True
+    router: str = ""
+    router_port: int = 0
+
+
+ROS_MIDDLEWARES: Mapping[str, RosMiddleware] = {
+    "rmw_fastrtps_cpp": RosMiddleware("fastdds", "Fast DDS", ("fastrtps", "fastdds", "rmw_fastrtps_cpp")),
+    "rmw_fastrtps_dynamic_cpp": RosMiddleware(
+        "fastdds", "Fast DDS", ("fastrtps", "fastdds", "rmw_fastrtps_dynamic_cpp")
+    ),
+    # Its source fills `received_timestamp` when the message is taken (a TODO in rmw_node.cpp, take_with_info).
+    "rmw_cyclonedds_cpp": RosMiddleware(
+        "cyclonedds", "Cyclone DDS", ("cyclonedds", "rmw_cyclonedds_cpp"), stamps_reception=False
+    ),
+    "rmw_connextdds": RosMiddleware(
+        "connext", "RTI Connext", ("rti_connext_dds_cmake_module", "rmw_connextdds")
+    ),
+    # By its README and design.md: multicast is off, sessions connect to a router at tcp/localhost:7447; deadline and lifespan
+    # are not implemented.
+    "rmw_zenoh_cpp": RosMiddleware(
+        "zenoh",
+        "Zenoh",
+        ("zenoh_cpp_vendor", "rmw_zenoh_cpp"),
+        has_durations=False,
+        router="rmw_zenohd",
+        router_port=7447,
+    ),
+}
+"""Identifier of an RMW -> what is known of it; one that is not here runs too, by its own name."""
+
+
+def ros_middleware(rmw: str) -> RosMiddleware:
+    """Return what is known of the RMW `rmw`; the vendor of an unknown one has its name."""
+    name = rmw.removeprefix("rmw_").removesuffix("_cpp")
+    return ROS_MIDDLEWARES.get(rmw, RosMiddleware(name, name, (rmw,)))

@@ -62,6 +62,7 @@ class Backend:
         has_congestion_control: whether TCP's congestion control can be chosen.
         transports: transports that can be chosen.
         environment: variables and files that change what the middleware does.
+        check_settings: refuses further options that have no meaning, by an `OptionError`.
     """
 
     name: str
@@ -78,6 +79,7 @@ class Backend:
     has_congestion_control: bool = False
     transports: tuple[Transport, ...] = (Transport.DEFAULT,)
     environment: MiddlewareEnvironment = field(default_factory=MiddlewareEnvironment)
+    check_settings: Callable[[NodeOptions], None] | None = None
 
     def open_node(self, options: NodeOptions) -> Node:
         """Open a node that has joined the domain and is not started yet.
@@ -119,6 +121,8 @@ class Backend:
             raise OptionError(
                 f"--peer {options.peers[0]}: the backend {self.name} finds the others by itself; leave it out"
             )
+        if self.check_settings is not None:
+            self.check_settings(options)
 
     def port_of(self, domain_id: int) -> int:
         """Return the port of the relay of `domain_id`, one that no DDS participant uses."""

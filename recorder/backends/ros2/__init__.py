@@ -7,17 +7,30 @@ for where it is used.
 from __future__ import annotations
 
 import os
+from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
+from ...applied.vendors import VENDORS
 from ...choices import Transport
 from ...host.environment import ConfigurationVariable, MiddlewareEnvironment
 from ..base import DDS_MEETING, Backend, Meeting
 from .fastdds_profile import applied_transport
-from .installation import INSTALL, check_installed, find_rmws, set_discovery_range
+from .installation import (
+    INSTALL,
+    check_installed,
+    check_settings,
+    check_vendor,
+    find_rmws,
+    set_discovery_range,
+)
 from .node import Ros2Node, running_rmw
+from .router import open_router
 
 if TYPE_CHECKING:
     from ..node import Node, NodeOptions
+
+
+_ROS_VARIABLES = ("RMW_IMPLEMENTATION", "ROS_DISTRO", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY")
 
 
 def _make_node(options: NodeOptions) -> Node:
@@ -26,8 +39,14 @@ def _make_node(options: NodeOptions) -> Node:
         os.environ["RMW_IMPLEMENTATION"] = options.rmw
     check_installed()
     set_discovery_range(options.discovery)
-    with applied_transport(options, running_rmw()) as settings:
-        return Ros2Node(options, settings)
+    rmw = running_rmw()
+    check_vendor(options, rmw)
+    with applied_transport(options, rmw) as settings, ExitStack() as undo:
+        router = open_router(rmw, options.discovery)
+        undo.callback(router.close)
+        node = Ros2Node(options, {**settings, **router.settings}, on_closed=router.close)
+        undo.pop_all()
+        return node
 
 
 BACKEND = Backend(
@@ -44,19 +63,11 @@ BACKEND = Backend(
     has_ros=True,
     transports=(Transport.DEFAULT, Transport.UDP, Transport.SHM, Transport.LARGE_DATA),
     environment=MiddlewareEnvironment(
-        settings=(
-            "RMW_IMPLEMENTATION",
-            "ROS_DISTRO",
-            "ROS_AUTOMATIC_DISCOVERY_RANGE",
-            "ROS_LOCALHOST_ONLY",
-            "FASTDDS_BUILTIN_TRANSPORTS",
-            "RMW_FASTRTPS_PUBLICATION_MODE",
-            "RMW_FASTRTPS_USE_QOS_FROM_XML",
+        settings=(*_ROS_VARIABLES, *(name for facts in VENDORS.values() for name in facts.variables)),
+        configuration=tuple(
+            ConfigurationVariable(name) for facts in VENDORS.values() for name in facts.profile_variables
         ),
-        configuration=(
-            ConfigurationVariable("FASTDDS_DEFAULT_PROFILES_FILE"),
-            ConfigurationVariable("FASTRTPS_DEFAULT_PROFILES_FILE"),
-        ),
-        files=("DEFAULT_FASTDDS_PROFILES.xml", "DEFAULT_FASTRTPS_PROFILES.xml"),
+        files=tuple(name for facts in VENDORS.values() for name in facts.files),
     ),
+    check_settings=check_settings,
 )

@@ -25,9 +25,9 @@ from typing import TYPE_CHECKING
 from dds_trace.tracefile import OptionError
 
 from ...applied.asked import PROFILE_VARIABLES
-from ...applied.vendors import BUFFER_BYTES
+from ...applied.vendors import BUFFER_BYTES, ros_middleware
 from ...choices import Discovery, Transport
-from .installation import NO_TUNING, set_transport, vendor_of
+from .installation import NO_TUNING, package_version, set_transport
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -187,7 +187,12 @@ def profile_environment(path: Path, environment: Mapping[str, str] = os.environ)
                 f"{name} names a profile already, and Fast DDS loads one: set the transports there, or unset it and "
                 "leave them to --transport and --tuned"
             )
-    return {**RANGE, **dict.fromkeys(PROFILE_VARIABLES, str(path))}
+    return {**RANGE, **dict.fromkeys(_read_variables(), str(path))}
+
+
+def _read_variables() -> tuple[str, ...]:
+    """Return the variables of the installed Fast DDS: 3 warns of the older one, and loads the same profile twice."""
+    return PROFILE_VARIABLES if package_version("fastdds") is None else PROFILE_VARIABLES[1:]
 
 
 @contextmanager
@@ -246,7 +251,7 @@ def applied_transport(options: NodeOptions, rmw: str) -> Iterator[dict[str, str]
         OptionError: the middleware is not Fast DDS, no settings for large messages are known for the transport, the user
             has a profile file, or an earlier node of this process has other transports.
     """
-    is_fastdds = vendor_of(rmw).name == "fastdds"
+    is_fastdds = ros_middleware(rmw).vendor == "fastdds"
     if not is_fastdds or options.discovery is not Discovery.LOCALHOST:
         set_transport(options, rmw)
         yield {}

@@ -7,7 +7,6 @@ import re
 import subprocess
 import sys
 from contextlib import suppress
-from dataclasses import dataclass
 from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,7 +14,9 @@ from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import BackendUnavailableError, OptionError
 
+from ...applied.vendors import VENDORS, ros_middleware
 from ...choices import Discovery, Transport
+from ..qos import DURATION_POLICIES, asked_durations
 from ..threaded import has_package
 
 if TYPE_CHECKING:
@@ -33,47 +34,6 @@ INSTALL = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Vendor:
-    """The vendor behind a ROS middleware.
-
-    Attributes:
-        name: vendor, as in a session.
-        label: name for people.
-        packages: ROS packages whose versions describe it.
-        stamps_reception: whether its `received_timestamp` is the time of the reception; False where it is that of the take.
-    """
-
-    name: str
-    label: str
-    packages: tuple[str, ...]
-    stamps_reception: bool = True
-
-
-VENDORS = {
-    "rmw_fastrtps_cpp": Vendor("fastdds", "Fast DDS", ("fastrtps", "fastdds", "rmw_fastrtps_cpp")),
-    "rmw_fastrtps_dynamic_cpp": Vendor(
-        "fastdds", "Fast DDS", ("fastrtps", "fastdds", "rmw_fastrtps_dynamic_cpp")
-    ),
-    # Its source fills `received_timestamp` when the message is taken (a TODO in rmw_node.cpp, take_with_info).
-    "rmw_cyclonedds_cpp": Vendor(
-        "cyclonedds", "Cyclone DDS", ("cyclonedds", "rmw_cyclonedds_cpp"), stamps_reception=False
-    ),
-    "rmw_connextdds": Vendor("connext", "RTI Connext", ("rti_connext_dds_cmake_module", "rmw_connextdds")),
-    "rmw_zenoh_cpp": Vendor("zenoh", "Zenoh", ("zenoh_cpp_vendor", "rmw_zenoh_cpp")),
-}
-
-FASTDDS_TRANSPORTS = {
-    (Transport.DEFAULT, False): None,
-    (Transport.UDP, False): "UDPv4",
-    (Transport.SHM, False): "SHM",
-    (Transport.LARGE_DATA, False): "LARGE_DATA",
-    (Transport.DEFAULT, True): "UDPv4?sockets_size=4MB",
-    (Transport.UDP, True): "UDPv4?sockets_size=4MB",
-}
-"""(transport, tuned) -> value of FASTDDS_BUILTIN_TRANSPORTS; None leaves the user's own value in place."""
-
-
 NO_TUNING = (
     "no settings for large messages are known for the transport {}: --tuned enlarges the buffers of UDP sockets, which do "
     "not carry them there; leave one of the two options out"
@@ -84,15 +44,8 @@ def find_rmws() -> Sequence[str | None]:
     """Return the ROS middlewares of this machine, `[None]` for wheels with their only one, nothing without rclpy."""
     if not has_package("rclpy"):
         return []
-    prefixes = filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
-    names = {file.name for prefix in prefixes for file in Path(prefix, RMW_INDEX).glob("rmw_*")}
+    names = {file.name for prefix in _prefixes() for file in Path(prefix, RMW_INDEX).glob("rmw_*")}
     return sorted(names) or [None]  # the wheels have no index, and one RMW built in
-
-
-def vendor_of(rmw: str) -> Vendor:
-    """Return the vendor of the ROS middleware `rmw`; that of an unknown one has its name."""
-    name = rmw.removeprefix("rmw_").removesuffix("_cpp")
-    return VENDORS.get(rmw, Vendor(name, name, (rmw,)))
 
 
 def check_installed() -> None:
@@ -142,22 +95,83 @@ def set_transport(options: NodeOptions, rmw: str) -> None:
     Raises:
         OptionError: the middleware is not Fast DDS, or no settings for large messages are known for the transport.
     """
-    chosen = (options.transport, options.tuned)
-    if chosen not in FASTDDS_TRANSPORTS:
+    asked = (options.transport.value, options.tuned)
+    builtin = VENDORS["fastdds"].builtin_transports
+    if asked not in builtin:
         raise OptionError(NO_TUNING.format(options.transport.value))
-    if (value := FASTDDS_TRANSPORTS[chosen]) is not None:
-        if vendor_of(rmw).name != "fastdds":
-            raise OptionError(f"transport and tuning are Fast DDS's, and the middleware here is {rmw}")
+    check_vendor(options, rmw)
+    if (value := builtin[asked]) is not None:
         os.environ["FASTDDS_BUILTIN_TRANSPORTS"] = value
 
 
+def check_settings(options: NodeOptions) -> None:
+    """Refuse settings of one vendor on the ROS middleware that is asked for by name, before anything is opened.
+
+    Raises:
+        OptionError: naming the setting and the middleware.
+    """
+    if options.rmw is not None:
+        check_vendor(options, options.rmw)
+
+
+def check_vendor(options: NodeOptions, rmw: str) -> None:
+    """Refuse settings that the vendor of a ROS middleware does not have.
+
+    Raises:
+        OptionError: naming the setting and the middleware.
+    """
+    known = ros_middleware(rmw)
+    if known.vendor != "fastdds":
+        if options.transport is not Transport.DEFAULT:
+            raise OptionError(
+                f"--transport {options.transport.value} is Fast DDS's, and the middleware here is {rmw}; leave it out"
+            )
+        if options.tuned:
+            raise OptionError(
+                f"--tuned: no settings for large messages of {rmw} are known here; leave it out, or give them by its own files"
+            )
+    durations = [policy for policy in DURATION_POLICIES if policy in asked_durations(options.qos)]
+    if durations and not known.has_durations:
+        raise OptionError(f"--{durations[0]}: {rmw} does not implement it; leave it out")
+
+
 def package_version(package: str) -> str | None:
-    """Return the version of a ROS package, from its wheel or the installation's `package.xml`; None if it is not here."""
+    """Return the version of a ROS package, wherever this installation tells it; None if nowhere.
+
+    From its wheel, its `package.xml`, the version file that CMake reads (minimal images leave `package.xml` out), or dpkg.
+    """
     with suppress(metadata.PackageNotFoundError):
         return metadata.version(f"ros-{package.replace('_', '-')}")
-    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
-        with suppress(OSError):
-            text = (Path(prefix) / "share" / package / "package.xml").read_text()
-            if version := re.search(r"<version>\s*([^<\s]+)", text):
-                return version[1]
+    for prefix in _prefixes():
+        for file, version in _VERSION_FILES:
+            with suppress(OSError):
+                if found := version.search(Path(prefix, file.format(package=package)).read_text()):
+                    return found[1]
+    return _debian_version(package)
+
+
+_VERSION_FILES = (
+    ("share/{package}/package.xml", re.compile(r"<version>\s*([^<\s]+)")),
+    (
+        "share/{package}/cmake/{package}Config-version.cmake",
+        re.compile(r'set\(\s*PACKAGE_VERSION\s+"([^"]+)"', re.IGNORECASE),
+    ),
+)
+"""File below a prefix of the installation, and the version in it."""
+
+DPKG_STATUS = Path("/var/lib/dpkg/status")
+
+
+def _debian_version(package: str) -> str | None:
+    """Return the version of the Debian package `ros-DISTRO-PACKAGE`, without its revision."""
+    distro = os.environ.get("ROS_DISTRO", "")
+    name = f"ros-{distro}-{package.replace('_', '-')}"
+    with suppress(OSError):
+        pattern = rf"^Package: {re.escape(name)}\n(?:[^\n]+\n)*?Version: (?:\d+:)?([^\n-]+)"
+        if distro and (found := re.search(pattern, DPKG_STATUS.read_text(errors="replace"), re.MULTILINE)):
+            return found[1]
     return None
+
+
+def _prefixes() -> list[str]:
+    return [prefix for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]

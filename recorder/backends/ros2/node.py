@@ -17,11 +17,12 @@ from typing import TYPE_CHECKING, Any
 
 from dds_trace.tracefile import BackendUnavailableError, OptionError, Qos
 
+from ...applied.vendors import ros_middleware
 from ...choices import ExecutorKind
 from ..node import Endpoint, Middleware, TopicView
 from ..qos import DURATION_POLICIES, asked_durations, duration_extra, incompatible_pairs
 from ..threaded import LAST_ACKNOWLEDGEMENT_S, ROUND_S, ThreadedNode
-from .installation import INSTALL, package_version, vendor_of
+from .installation import INSTALL, package_version
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -35,11 +36,18 @@ class Ros2Node(ThreadedNode):
     Args:
         options: options of the node.
         settings: further settings in effect, for `Middleware.settings`.
+        on_closed: callback behind its end.
     """
 
-    def __init__(self, options: NodeOptions, settings: Mapping[str, str] | None = None) -> None:
+    def __init__(
+        self,
+        options: NodeOptions,
+        settings: Mapping[str, str] | None = None,
+        on_closed: Callable[[], None] | None = None,
+    ) -> None:
         rclpy = _rclpy()
         super().__init__(options)
+        self._on_closed = on_closed
         self._context = rclpy.Context()
         rclpy.init(context=self._context, domain_id=options.domain_id)
         self._node = rclpy.create_node(
@@ -95,7 +103,7 @@ class Ros2Node(ThreadedNode):
     def _open_subscription(
         self, topic: str, type_name: str, receive: Receive[Any], qos: Qos | None, *, raw: bool
     ) -> _Ros2Subscription:
-        on_message = _with_info(receive, stamps_reception=vendor_of(running_rmw()).stamps_reception)
+        on_message = _with_info(receive, stamps_reception=ros_middleware(running_rmw()).stamps_reception)
         subscription = self._node.create_subscription(
             _message_class(type_name),
             topic,
@@ -173,6 +181,8 @@ class Ros2Node(ThreadedNode):
             self._node.destroy_node()
             self._context.try_shutdown()
             del self._executor
+        if self._on_closed is not None:
+            self._on_closed()
 
 
 class _ObjectPublisher:
@@ -376,8 +386,8 @@ def _other_definitions(topic: str, infos: Sequence[Any], own_name: str) -> Itera
 
 def _describe_middleware(options: NodeOptions, executor: str, further: Mapping[str, str]) -> Middleware:
     rmw = running_rmw()
-    vendor = vendor_of(rmw)
-    versions = {name: package_version(name) for name in ("rclpy", *vendor.packages)}
+    known = ros_middleware(rmw)
+    versions = {name: package_version(name) for name in ("rclpy", *known.packages)}
     settings = {
         "executor": executor,
         "discovery": options.discovery.value,
@@ -388,9 +398,9 @@ def _describe_middleware(options: NodeOptions, executor: str, further: Mapping[s
     }
     return Middleware(
         "ros2",
-        vendor.name,
+        known.vendor,
         rmw,
         {name: version for name, version in versions.items() if version},
         {name: value for name, value in settings.items() if value},
-        vendor.label,
+        known.label,
     )

@@ -14,10 +14,10 @@ from types import SimpleNamespace
 import pytest
 from processes import PATIENCE_S
 
+from dds_trace.recorder.applied.vendors import ros_middleware
 from dds_trace.recorder.backends import load_backend, open_node
 from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.backends.ros2 import node as ros2
-from dds_trace.recorder.backends.ros2.installation import vendor_of
 from dds_trace.recorder.choices import Discovery, ExecutorKind, Transport
 from dds_trace.recorder.payloads import BINARY, IMU, data_types
 from dds_trace.tracefile import BackendUnavailableError, OptionError, Qos
@@ -146,7 +146,7 @@ def test_the_time_of_the_take_is_no_reception_time(monkeypatch, rmw, received_ns
     monkeypatch.setattr(ros2, "_rclpy", lambda: new)
     got = []
     on_message = ros2._with_info(
-        lambda *message: got.append(message), stamps_reception=vendor_of(rmw).stamps_reception
+        lambda *message: got.append(message), stamps_reception=ros_middleware(rmw).stamps_reception
     )
     on_message("message", {"source_timestamp": 5, "received_timestamp": 7})
     assert got == [("message", 5, received_ns)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import textwrap
 from pathlib import Path  # noqa: TC003 - typer reads the annotations
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
@@ -123,5 +124,6 @@ def _answer(given: str | None, option: str, question: str, example: str, parse: 
         except OptionError as err:
             raise typer.BadParameter(str(err)) from err
 
-    answer: _T = typer.prompt(question, default=example, value_proc=typed)
+    shown = textwrap.fill(question, 78 - len(example), break_on_hyphens=False)  # the example stands behind it
+    answer: _T = typer.prompt(shown, default=example, value_proc=typed)
     return answer

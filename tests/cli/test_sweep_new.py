@@ -80,6 +80,9 @@ def test_enter_takes_the_answer_in_brackets_and_a_wrong_one_is_asked_again(new, 
         "'there': write here, USER@HOST",
     ):
         assert said in out
+    shown = out.replace("]: ", "]: \n").splitlines()  # what is typed is not echoed here
+    questions = [line for line in shown if not line.startswith(("Error: ", "Wrote "))]
+    assert max(map(len, questions)) <= 80
     assert len(cells_of(tmp_path / "mine.toml").cells) == 4
 
 

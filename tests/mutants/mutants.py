@@ -46,8 +46,8 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).parents[2]
 EQUIVALENT = Path(__file__).with_name("equivalent.json")
 LEAST_KILLED = 0.95
-MOST_TEST_SECONDS = 6.0
-"""Tests that a mutant's line runs through are taken, cheapest first, until they take this together."""
+MOST_TEST_SECONDS = 10.0
+"""Tests that run through a mutant's line are taken, cheapest first, until they take this together, at least one."""
 SPARE_SECONDS = 10.0
 WALL_FACTOR = 20.0  # of a child's processor time: other programs may share this machine
 LONGEST_SECONDS = 100_000.0
@@ -151,15 +151,32 @@ def import_all(modules: Sequence[Module], result: Path) -> int:
     return 0
 
 
-def run_all(items: Sequence[pytest.Item], files: Sequence[str], result: Path) -> int:
-    """Run every test once; keep its time, whether it passes and the lines that it runs through."""
-    lines, found = LinesRun(files), {}
-    lines.start()
-    begin = time.process_time()
+def time_all(items: Sequence[pytest.Item], result: Path) -> int:
+    """Run every test once; keep its processor time, or None if it fails."""
+    found, begin = {}, time.process_time()
     for number, passed in passes(items):
         now = time.process_time()
-        found[number] = (passed, now - begin, lines.take())
+        found[number] = now - begin if passed else None
         begin = now
+    result.write_bytes(pickle.dumps(found))
+    return 0
+
+
+def trace_all(items: Sequence[pytest.Item], files: Sequence[str], result: Path) -> int:
+    """Run every test once more, much slower; keep the lines that it runs through."""
+    lines, found = LinesRun(files), {}
+    ours = [
+        held
+        for name, module in sys.modules.items()
+        if name.startswith("dds_trace.")
+        for held in vars(module).values()
+    ]
+    caches = [held for held in ours if hasattr(held, "cache_clear")]
+    lines.start()
+    for number, _ in passes(items):
+        found[number] = lines.take()
+        for cached in caches:  # what one test was given from a cache, it runs through where it is alone
+            cached.cache_clear()
     sys.settrace(None)
     result.write_bytes(pickle.dumps(found))
     return 0
@@ -209,11 +226,19 @@ class Trials:
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         items = session.items
-        result, files = self._folder / "lines", [each.file for each in self._modules.values()]
-        pid = forked(lambda: run_all(items, files, result), LONGEST_SECONDS)
-        ended([pid])
-        runs = pickle.loads(result.read_bytes())
-        self.failing = [items[number].nodeid for number, (passed, _, _) in runs.items() if not passed]
+        times, lines = self._folder / "times", self._folder / "lines"
+        files = [each.file for each in self._modules.values()]
+        pids = {
+            forked(lambda: time_all(items, times), LONGEST_SECONDS),
+            forked(lambda: trace_all(items, files, lines), LONGEST_SECONDS),
+        }
+        while pids:
+            pids.remove(ended(list(pids))[0])
+        seconds, seen = (pickle.loads(each.read_bytes()) for each in (times, lines))
+        self.failing = [items[number].nodeid for number, took in seconds.items() if took is None]
+        runs = sorted(
+            (took, number, seen.get(number, set())) for number, took in seconds.items() if took is not None
+        )
         running: dict[int, tuple[str, int]] = {}
         for path, number in self._chosen:
             module = self._modules[path]
@@ -229,16 +254,16 @@ class Trials:
             self._await_one(running)
         return True
 
-    def _tests_of(self, module: Module, mutant: Mutant, runs: dict) -> list[int]:
+    @staticmethod
+    def _tests_of(module: Module, mutant: Mutant, runs: list[tuple[float, int, set]]) -> list[int]:
         lines = {(module.file, line) for line in mutant.lines}
-        cheapest = sorted((seconds, number) for number, (passed, seconds, seen) in runs.items()
-                          if passed and (mutant.runs_at_import or lines & seen))  # fmt: skip
         tests, total = [], 0.0
-        for seconds, number in cheapest:
-            total += seconds
-            if total > MOST_TEST_SECONDS:
-                break
-            tests.append(number)
+        for seconds, number, seen in runs:
+            if mutant.runs_at_import or lines & seen:
+                total += seconds
+                if tests and total > MOST_TEST_SECONDS:
+                    break
+                tests.append(number)
         return tests
 
     @staticmethod

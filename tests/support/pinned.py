@@ -1,0 +1,185 @@
+"""What every statistic says of a few drawn campaigns; run it to write these numbers anew, after a deliberate change.
+
+python tests/support/pinned_statistics.py
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from drawn_series import log_normal_groups
+
+from dds_trace.analyzer.clocks.fit import RelayedMessages, fit_clocks
+from dds_trace.analyzer.clocks.slews import slewed_ppm
+from dds_trace.analyzer.run_statistics import (
+    MEAN,
+    Run,
+    Statistic,
+    change_of_received,
+    change_of_runs,
+    find_modes,
+    find_trend,
+    find_warm_up,
+    interval_of_runs,
+    interval_within,
+    messages_to_close,
+    received_interval,
+    runs_to_decide,
+    runs_to_narrow,
+    runs_to_settle_ratio,
+    runs_to_settle_value,
+    spread_of_runs,
+)
+
+FOLDER = Path(__file__).parents[1] / "data" / "pinned"
+SECOND_NS = 1_000_000_000
+STATISTICS = {"mean": MEAN, "p50": Statistic(0.5), "p90": Statistic(0.9), "p99": Statistic(0.99)}
+
+
+def campaigns() -> dict[str, list[Any]]:
+    """Runs by campaign, in ms: alike, correlated, in bursts, with losses, two modes, few messages, one run."""
+    independent = log_normal_groups(1, 4, 400, 0.05, seed=5)[0]
+    correlated = log_normal_groups(1, 3, 700, 0.1, seed=6, correlation=0.8)[0]
+    draw = np.random.default_rng(7)
+    bursts, losses = independent.copy(), independent.copy()
+    for run in range(4):
+        for begin in draw.integers(0, 380, 3):
+            bursts[run, begin : begin + draw.integers(2, 20)] *= 6
+        losses[run, draw.integers(0, 400, 9)] = np.inf
+        losses[run, 50 + 60 * run : 58 + 60 * run] = np.inf
+    return {
+        "independent": list(independent),
+        "correlated": list(correlated),
+        "bursts": list(bursts),
+        "losses": list(losses),
+        "two modes": list(np.where(draw.random((4, 400)) < 0.3, 4, 1) * independent),
+        "short": list(log_normal_groups(1, 5, 45, 0.2, seed=8)[0]),
+        "one run": [correlated[0]],
+    }
+
+
+def statistics() -> dict[str, Any]:
+    """The numbers by campaign and function."""
+    said: dict[str, Any] = {}
+    base = campaigns()["independent"]
+    for name, values in campaigns().items():
+        runs, others = [Run(each) for each in values], [Run(1.1 * each) for each in base[: len(values)]]
+        received, whole = [np.isfinite(each) for each in values], [np.arange(400) % 97 > 0] * 3
+        first = values[0][received[0]]
+        of = said[name] = {
+            "trend": find_trend(first),
+            "warm-up": find_warm_up(np.where(np.arange(len(first)) < 30, 3.0, 1.0) * first),
+            "modes": find_modes(first),
+            "received": [received_interval(received, level) for level in (0.95, 0.8)],
+            "change of received": change_of_received(whole, received),
+        }
+        order = tuple(range(len(runs)))
+        for statistic, one in STATISTICS.items():
+            interval, change = interval_of_runs(runs, one), change_of_runs(others, runs, one)
+            of[statistic] = {
+                "interval": [interval, interval_of_runs(runs, one, 0.8), interval_within(runs[:1], one)],
+                "spread": spread_of_runs(runs, one),
+                "change": [change, change_of_runs(runs, others, one, 0.8)],
+                "paired": change_of_runs(others, runs, one, passes=(order[: len(others)], order)),
+                "settle": [runs_to_settle_ratio(change, 2.0), runs_to_settle_value(interval, 2.0)],
+                "close": None if one.quantile is None else messages_to_close(interval, one.quantile),
+            }
+    said["power"] = [
+        runs_to_decide(0.07, 0.05, 0.02),
+        runs_to_narrow(0.05, 0.03),
+        runs_to_decide(0.3, 0.1, 0.1, 0.8),
+    ]
+    return _plain(said)
+
+
+def clocks() -> dict[str, Any]:
+    """Fits of two clocks that part steadily, are stepped, are slewed, sit on one machine, or have few messages."""
+    said: dict[str, Any] = {}
+    for number, (name, messages, rate_hz, drift_ppb, step_ns, slew_ppm) in enumerate(
+        (
+            ("steady", 700, 20, 3_000, 0, 0),
+            ("stepped", 400, 10, -40_000, 2_000_000, 0),
+            ("slewed", 900, 10, 1_000, 0, 480),
+            ("few", 3, 1, 500, 0, 0),
+            ("one", 1, 1, 0, 0, 0),
+        )
+    ):
+        draw = np.random.default_rng([9, number])
+        sent = 40 * 86_400 * SECOND_NS + np.arange(messages) * (SECOND_NS // rate_hz)
+        arrived, left = (
+            sent + draw.exponential(200_000, messages).astype(np.int64) + each for each in (90_000, 130_000)
+        )
+        left = np.maximum(left, arrived)
+        back = left + 110_000 + draw.exponential(600_000, messages).astype(np.int64)
+
+        def theta(at: Any, begin: int = int(sent[0]), end: int = int(sent[-1])) -> Any:
+            late = at >= (begin + end) // 2
+            gained = np.clip(at - begin - 20 * SECOND_NS, 0, 15 * SECOND_NS) * slew_ppm / 1e6  # noqa: B023
+            return 7_000_000 + np.rint((at - begin) * drift_ppb / 1e9 + gained + late * step_ns).astype(
+                np.int64
+            )  # noqa: B023
+
+        stamps = sent, arrived + theta(arrived), left + theta(left), back
+        ((fit, offsets),) = fit_clocks([RelayedMessages(*stamps)])
+        raw = sent - theta(sent)
+        said[name] = {
+            "fit": fit,
+            "offsets": [offsets.offset_ns[::29].tolist(), offsets.bound_ns[::29].tolist()],
+            "slewed": slewed_ppm(sent[::rate_hz], raw[::rate_hz]),
+        }
+    one = np.array([1_000, 2_000, 3_500])
+    same = fit_clocks(
+        [
+            RelayedMessages(one, one, one, one + 10, same_boot=True),
+            RelayedMessages(one, one + 1, one + 2, one + 9),
+        ]
+    )
+    said["one machine"] = [fit for fit, _ in same]
+    return _plain(said)
+
+
+PINNED = {"statistics": statistics, "clocks": clocks}
+
+
+def assert_pinned(name: str) -> None:
+    """Whole numbers and words are what they were, others within the error of their arithmetic."""
+    pinned, found = _flat(json.loads((FOLDER / f"{name}.json").read_text())), _flat(PINNED[name]())
+    measured = {path for path, each in pinned.items() if isinstance(each, float)}
+    assert {path: each for path, each in found.items() if path not in measured} == {
+        path: each for path, each in pinned.items() if path not in measured
+    }
+    assert {path: found[path] for path in measured} == pytest.approx(
+        {path: pinned[path] for path in measured}, rel=1e-7, abs=1e-12
+    )
+
+
+def _plain(held: Any) -> Any:
+    if hasattr(held, "__dataclass_fields__"):
+        return _plain(asdict(held))
+    if isinstance(held, dict):
+        return {str(name): _plain(each) for name, each in held.items()}
+    if isinstance(held, list | tuple):
+        return [_plain(each) for each in held]
+    if isinstance(held, Enum):
+        return held.value
+    return held.item() if isinstance(held, np.generic) else held
+
+
+def _flat(held: Any, path: str = "") -> dict[str, Any]:
+    """The numbers and words below each other's names."""
+    parts = held.items() if isinstance(held, dict) else enumerate(held) if isinstance(held, list) else None
+    if parts is None:
+        return {path: held}
+    return {name: each for key, part in parts for name, each in _flat(part, f"{path}/{key}").items()}
+
+
+if __name__ == "__main__":
+    for kind, numbers in PINNED.items():
+        lines = (f"{json.dumps(name)}: {json.dumps(each)}" for name, each in numbers().items())
+        (FOLDER / f"{kind}.json").write_text("{\n" + ",\n".join(lines) + "\n}\n")

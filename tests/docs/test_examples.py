@@ -99,16 +99,8 @@ def test_the_python_of_a_page_runs_from_top_to_bottom(page, desk, monkeypatch):
         exec(compile(block.text, str(page), "exec"), names)
 
 
-@pytest.mark.parametrize("block", list(examples("toml")), ids=lambda block: block.name)
-def test_a_plan_of_a_page_is_one(block):
-    """What is a part of a plan on the page, such as `[search]`, is completed."""
-    start = "" if "[run]" in block.text else "[run]\nmessages = 10\n"
-    assert parse_plan(start + block.text, block.page.stem, block.name).cells
-
-
-@pytest.mark.parametrize("line", [line for line in LINES if not any(part in line for part in NOT_RUN)])
-def test_a_command_of_a_page_runs_as_far_as_its_first_message(line, desk, monkeypatch, capsys):
-    monkeypatch.chdir(desk)
+def run(line, monkeypatch):
+    """Run a command in this process as far as its first message; how it ended."""
     monkeypatch.setattr("dds_trace.cli.record.tools.rehearse", lambda *_: None)
     monkeypatch.setattr("dds_trace.recorder.sweep.rehearse_plan", lambda *_, **__: {})
     program, *arguments = shlex.split(line)
@@ -122,7 +114,35 @@ def test_a_command_of_a_page_runs_as_far_as_its_first_message(line, desk, monkey
     monkeypatch.setattr(sys, "argv", [program, *arguments, *more.get(program, [])])
     with pytest.raises(SystemExit) as ended:
         command.load()()
-    assert ended.value.code in ((0, 21) if "--fail-if" in arguments else (0,)), capsys.readouterr().err
+    return ended.value
+
+
+DEFAULTS = DOCS / "how-to" / "defaults.md"
+PLANS = [block for block in examples("toml") if block.page != DEFAULTS]
+
+
+@pytest.mark.parametrize("block", PLANS, ids=lambda block: block.name)
+def test_a_plan_of_a_page_is_one(block):
+    """What is a part of a plan on the page, such as `[search]`, is completed."""
+    start = "" if "[run]" in block.text else "[run]\nmessages = 10\n"
+    assert parse_plan(start + block.text, block.page.stem, block.name).cells
+
+
+def test_the_defaults_of_the_page_are_in_force(tmp_path, monkeypatch, capsys):
+    (block,) = examples("toml", DEFAULTS)
+    (tmp_path / "dds-trace.toml").write_text(block.text)
+    monkeypatch.setenv("DDS_TRACE_CONFIG", str(tmp_path / "dds-trace.toml"))
+    monkeypatch.chdir(tmp_path)
+    started = run("dds-record --role ping --out ping.mcap", monkeypatch)
+    assert started.code == 0
+    assert "dds-trace.toml" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("line", [line for line in LINES if not any(part in line for part in NOT_RUN)])
+def test_a_command_of_a_page_runs_as_far_as_its_first_message(line, desk, monkeypatch, capsys):
+    monkeypatch.chdir(desk)
+    ended = run(line, monkeypatch)
+    assert ended.code in ((0, 21) if "--fail-if" in line else (0,)), capsys.readouterr().err
 
 
 @pytest.mark.middleware

@@ -283,7 +283,7 @@ def _threshold(
     column: tuple[str, str],
     late: Mapping[tuple[Case, str], tuple[int, int, int]],
 ) -> Threshold | None:
-    """Judge the deadline of one choice: it passes if no message of any size and rate is late."""
+    """Judge the deadline of one choice: it passes if messages of each size and rate were judged and none is late."""
     mode, name = column
     judged: list[tuple[CaseAnswer, tuple[int, int, int]]] = []
     for case in cases:
@@ -300,10 +300,10 @@ def _threshold(
             "fail",
             f"{len(missing)} of {counted(len(judged), 'combination')}, worst {where}: {format_ratio(share)} late",
         )
-    unsure = sum(bool(counts[2]) for _, counts in judged)
+    unknown = sum(bool(unsure) or not of for _, (_, of, unsure) in judged)
     return (
-        Threshold("not known", f"in {unsure} of {counted(len(judged), 'combination')}")
-        if unsure
+        Threshold("not known", f"in {unknown} of {counted(len(judged), 'combination')}")
+        if unknown
         else Threshold("pass", "")
     )
 

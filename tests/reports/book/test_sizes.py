@@ -88,6 +88,15 @@ def test_unsent_messages_miss_the_deadline():
     )
 
 
+def test_a_deadline_that_no_message_was_judged_by_is_not_passed():
+    analysis = with_deadline(5 * MS, IN_TIME, Measured(around(MS), **ZENOH))
+    judged = pl.lit(0, analysis.details.freshness.schema["judged"])
+    untold = replace(analysis.details, freshness=analysis.details.freshness.with_columns(judged=judged))
+    table = Book(replace(analysis, details=untold)).sizes
+    outcomes = {(one.outcome, one.why) for place in table.places for one in place.thresholds}
+    assert outcomes == {("not known", "in 1 of 1 combination")}
+
+
 def test_without_answers_there_is_no_table():
     assert Book(make_analysis()).sizes is None
 

@@ -36,6 +36,7 @@ rate = 100
 NOT_RUN = {
     "dds-sweep new mine.toml": "asks questions: tests/cli/test_sweep_new.py answers them",
     "--against ~/venvs/kilted": "needs another environment with another ROS 2",
+    "--cluster tcp://scheduler:8786": "needs a Dask scheduler: tests/analyzer/engines/test_cluster.py starts one",
     "dds-analyze docker/runs": "what containers recorded; none is built here",
 }
 """Part of a line of a command -> why it is read, but not run."""

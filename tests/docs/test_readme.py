@@ -1,0 +1,93 @@
+"""README's command lines run, taken out of the file in their order and with one state: only what is long is made short."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+import signal
+import sys
+from contextlib import ExitStack
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import pytest
+from processes import RunningCommand
+
+from dds_trace.recorder.sweep import read_plan
+
+ROOT = Path(__file__).parents[2]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+LINE = re.compile(
+    r"^ {4}(?P<block>(?:dds-|pip|just).+)$|`(?P<inline>(?:dds-|pip |just )[^`\n]+)`", re.MULTILINE
+)
+LINES = [re.sub(r"\s{2,}#.*$", "", found["block"] or found["inline"]) for found in LINE.finditer(README)]
+SAMPLES = ROOT / "sample_traces"
+
+NOT_RUN = {
+    "pip install uv rust-just && just demo": "minutes; tests/cli/test_sweep.py holds its plan, tests/cli its two commands",
+    "pip install uv rust-just && just test": "runs this test",
+    "dds-record --self-test": "four seconds of measuring; tests/cli/record/test_command.py has it with a cost given",
+    "dds-sweep plans/quick.toml --out runs/quick": "minutes; its plan is read here, and tests/recorder/sweep runs sweeps",
+    "pip install '.[ros2]'": "needs the index: scripts/check_release.py installs each extra alone",
+    "pip install '.[analyze]'": "needs the index: scripts/check_release.py installs each extra alone",
+    "just docs": "tests/docs/test_site.py builds the site",
+}
+"""Line that is not run -> why."""
+
+SHORT = ["--messages", "5", "--warmup", "1", "--rate", "100", "--no-own-cost", "--backend", "socket"]
+"""Behind the line of a ping: few messages, and over sockets, since those over ROS 2 are the business of other tests."""
+
+
+def test_what_is_not_run_stands_in_the_readme():
+    assert [line for line in NOT_RUN if line not in LINES] == []
+    assert len([line for line in LINES if line not in NOT_RUN]) >= 10
+    for line in (line for line in NOT_RUN if line.startswith("dds-sweep")):
+        assert read_plan(ROOT / shlex.split(line)[1]).cells
+
+
+@pytest.mark.middleware
+def test_every_command_line_of_the_readme_runs(tmp_path, monkeypatch, domain_id, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain_id))
+    for side in ("base", "new"):  # recorded before, on the reader's side
+        shutil.copytree(SAMPLES / "losses", side)
+    with ExitStack() as stack:
+        relay = None
+        for line in (line for line in LINES if line not in NOT_RUN):
+            program, *words = shlex.split(line)
+            if program == "dds-record":
+                more = (
+                    ["--check"] if "--bridge" in words else []
+                )  # ROS 2 on both sides of a bridge, up to the first message
+                more += [] if "--bridge" in words else SHORT[-3:] if "relay" in words else SHORT
+                command = RunningCommand(program, *words, *more)
+                stack.callback(command.clean_up)
+                if "relay" in words:
+                    relay = command
+                    relay.wait_for_line("serves domain")
+                else:
+                    done = command.finish()
+                    is_here = "--bridge" not in words or done.status != 7  # no ROS 2 on this machine
+                    assert not is_here or done.status == 0, (line, done.stderr)
+                continue
+            if relay is not None:  # both devices' traces come into one folder
+                assert relay.stop(signal.SIGINT).status == 0
+                relay = shutil.move("relay.mcap", "runs/relay.mcap") and None
+            monkeypatch.setattr(sys, "argv", [program, *words])
+            with pytest.raises(SystemExit) as ended:
+                entry_points(group="console_scripts", name=program)[program].load()()
+            assert ended.value.code in ((0, 21) if "--fail-if" in words else (0, None)), (
+                line,
+                capsys.readouterr().err,
+            )
+    assert sorted(path.name for path in Path("runs/analysis").iterdir()) == [
+        "report.html",
+        "report.md",
+        "roundtrips.parquet",
+        "summary.parquet",
+    ]
+    (block,) = re.findall(r"^```python\n(.*?)^```$", README, re.MULTILINE | re.DOTALL)
+    names = {}
+    exec(compile(block, "README.md", "exec"), names)
+    assert set(names["a"].summary["received"]) == {5}

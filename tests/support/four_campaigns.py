@@ -118,7 +118,7 @@ def lossy_machine() -> Analysis:
 
 
 def demo() -> Analysis:
-    """What `just demo` records, six groups: ROS 2 on one machine, its three kinds of data, with and without a bridge."""
+    """What `plans/quick.toml` records, six groups: ROS 2 on one machine, its three kinds of data, with and without a bridge."""
     place = Place("vm", "vm", "loopback", 1.0, 1e9)
     data = [("binary", 33_000), ("string", 1405), ("imu", 296)]
     return make_analysis(

@@ -121,9 +121,8 @@ def clocks() -> dict[str, Any]:
         def theta(at: Any, begin: int = int(sent[0]), end: int = int(sent[-1])) -> Any:
             late = at >= (begin + end) // 2
             gained = np.clip(at - begin - 20 * SECOND_NS, 0, 15 * SECOND_NS) * slew_ppm / 1e6  # noqa: B023
-            return 7_000_000 + np.rint((at - begin) * drift_ppb / 1e9 + gained + late * step_ns).astype(
-                np.int64
-            )
+            shift = (at - begin) * drift_ppb / 1e9 + gained + late * step_ns  # noqa: B023
+            return 7_000_000 + np.rint(shift).astype(np.int64)
 
         stamps = sent, arrived + theta(arrived), left + theta(left), back
         ((fit, offsets),) = fit_clocks([RelayedMessages(*stamps)])

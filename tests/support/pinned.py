@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 from enum import Enum
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -118,12 +119,7 @@ def clocks() -> dict[str, Any]:
         left = np.maximum(left, arrived)
         back = left + 110_000 + draw.exponential(600_000, messages).astype(np.int64)
 
-        def theta(at: Any, begin: int = int(sent[0]), end: int = int(sent[-1])) -> Any:
-            late = at >= (begin + end) // 2
-            gained = np.clip(at - begin - 20 * SECOND_NS, 0, 15 * SECOND_NS) * slew_ppm / 1e6  # noqa: B023
-            shift = (at - begin) * drift_ppb / 1e9 + gained + late * step_ns  # noqa: B023
-            return 7_000_000 + np.rint(shift).astype(np.int64)
-
+        theta = partial(_theta, int(sent[0]), int(sent[-1]), drift_ppb, step_ns, slew_ppm)
         stamps = sent, arrived + theta(arrived), left + theta(left), back
         ((fit, offsets),) = fit_clocks([RelayedMessages(*stamps)])
         raw = sent - theta(sent)
@@ -141,6 +137,13 @@ def clocks() -> dict[str, Any]:
     )
     said["one machine"] = [fit for fit, _ in same]
     return _plain(said)
+
+
+def _theta(begin: int, end: int, drift_ppb: int, step_ns: int, slew_ppm: int, at: Any) -> Any:
+    """What the relay's clock is ahead: a drift, a jump halfway, fifteen seconds of a slew from the twentieth on."""
+    gained = np.clip(at - begin - 20 * SECOND_NS, 0, 15 * SECOND_NS) * slew_ppm / 1e6
+    jumped = (at >= (begin + end) // 2) * step_ns
+    return 7_000_000 + np.rint((at - begin) * drift_ppb / 1e9 + gained + jumped).astype(np.int64)
 
 
 PINNED = {"statistics": statistics, "clocks": clocks}

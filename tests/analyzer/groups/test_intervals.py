@@ -7,7 +7,9 @@ import polars as pl
 import pytest
 from roundtrip_frames import MS, S, roundtrips, with_one_way
 
-from dds_trace.analyzer.groups.intervals import interval_rows
+from dds_trace.analyzer.groups.intervals import interval_rows, one_way_rows
+from dds_trace.analyzer.run_statistics import Run, Statistic, interval_of_runs
+from dds_trace.analyzer.statistics.percentiles import PERCENTILES
 
 OUT_NS, BACK_NS = 2 * MS, 3 * MS
 """Medians of the two ways. Nobody can see the difference: the clocks seem to be off by half a millisecond."""
@@ -76,3 +78,65 @@ def test_on_one_machine_one_way_intervals_are_not_widened(measured):
     row = next(row for row in found if (row["metric"], row["percentile"]) == ("outbound", "p50"))
     assert row["low_ns"] <= np.quantile(measured[1]["outbound"], 0.5) <= row["high_ns"]
     assert row["high_ns"] - row["low_ns"] < 0.5 * MS
+
+
+def columns_of(values, sent_ns, **more):
+    """The columns of rows that have a latency and, where they are given, one-way times and what clocks leave open."""
+    held = {"latency_ns": values, "publish_ns": sent_ns, **more}
+    return lambda name: pl.Series(name, held.get(name, [None] * len(values)), pl.Int64)
+
+
+@pytest.mark.parametrize("runs", [1, 2, 3])
+@pytest.mark.parametrize("messages", [99, 100])
+def test_rows_are_the_statistics_of_the_runs_that_a_group_has(runs, messages):
+    values = np.random.default_rng(runs).integers(1, 9 * MS, messages)
+    run_of_row = np.sort(np.arange(messages) % runs)
+    sent = np.arange(messages) // 2 * MS  # two relays: two rows of one instant
+    parts = [Run(values[run_of_row == each], sent[run_of_row == each]) for each in range(runs)]
+    rows = list(interval_rows(7, columns_of(values, sent), run_of_row))
+    assert [row["percentile"] for row in rows] == [each.name for each in PERCENTILES]
+    for row, percentile in zip(rows, PERCENTILES, strict=True):
+        expected = interval_of_runs(parts, Statistic(percentile.quantile))
+        assert (row["group"], row["metric"], row["runs"], row["messages"]) == (7, "latency", runs, messages)
+        assert (row["low_ns"], row["high_ns"], row["typical_ns"]) == (*expected.range, expected.value)
+        is_supported = messages >= {"p99": 100, "p99_9": 1000}.get(percentile.name, 1)
+        estimate_ns = pytest.approx(np.quantile(values, percentile.quantile)) if is_supported else None
+        assert row["estimate_ns"] == estimate_ns
+    # Rows that are not in the order of T1 are the same, and so are those between which others were lost.
+    order = np.lexsort((-sent, run_of_row))
+    shuffled = list(interval_rows(7, columns_of(values[order], sent[order]), run_of_row))
+    assert [row["estimate_ns"] for row in shuffled] == [row["estimate_ns"] for row in rows]
+    later = np.lexsort((sent[order], run_of_row))
+    again = [Run(values[order][later][run_of_row == each], sent[run_of_row == each]) for each in range(runs)]
+    assert [row["low_ns"] for row in shuffled] == [
+        interval_of_runs(again, Statistic(each.quantile)).lower for each in PERCENTILES
+    ]
+    lost = columns_of([*values, None], [*sent, 10**12])
+    assert list(interval_rows(7, lost, np.append(run_of_row, 0))) == rows
+
+
+def test_one_way_rows_are_wider_by_the_worst_bound_and_those_of_a_round_trip_are_not():
+    values, sent = np.random.default_rng(1).integers(1, 9 * MS, 300), np.arange(300) * MS
+    run_of_row = np.repeat(np.arange(3), 100)
+    bounds = {"outbound_ns": values, "return_ns": values, "clock_bound_ns": [5, 9, *[7] * 298]}
+    rows = {
+        (row["metric"], row["percentile"]): row
+        for row in interval_rows(0, columns_of(values, sent, **bounds), run_of_row)
+    }
+    plain, wide = rows["latency", "p50"], rows["outbound", "p50"]
+    assert (wide["low_ns"], wide["high_ns"]) == (plain["low_ns"] - 9, plain["high_ns"] + 9)
+    assert wide["estimate_ns"] == plain["estimate_ns"]
+    unbound = columns_of(values, sent, outbound_ns=values)
+    found = {
+        row["metric"]: row for row in interval_rows(0, unbound, run_of_row) if row["percentile"] == "p50"
+    }
+    assert found["outbound"]["low_ns"] == found["latency"]["low_ns"] == plain["low_ns"]
+    one_way = list(one_way_rows(3, columns_of(values, sent, **bounds)))
+    assert [
+        (row["metric"], row["messages"], row["bound_max_ns"], row["bound_p50_ns"]) for row in one_way
+    ] == [
+        ("outbound", 300, 9, 7.0),
+        ("return", 300, 9, 7.0),
+    ]
+    assert {"mean_ns", "min_ns", "max_ns", "p50_ns", "p99_ns"} <= set(one_way[0])
+    assert "std_ns" not in one_way[0]

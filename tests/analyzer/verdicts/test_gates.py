@@ -6,13 +6,15 @@ import math
 import re
 from dataclasses import replace
 
+import numpy as np
 import polars as pl
 import pytest
 from roundtrip_frames import MS, in_runs, steady
 
-from dds_trace.analyzer.run_statistics import Change, DeliveryChange
-from dds_trace.analyzer.statistics.distributions import shift_for_power
+from dds_trace.analyzer.run_statistics import Change, DeliveryChange, holm_adjusted
+from dds_trace.analyzer.statistics.distributions import shift_for_power, student_cdf, student_quantile
 from dds_trace.analyzer.statistics.intervals import Basis, Interval
+from dds_trace.analyzer.verdicts import gates
 from dds_trace.analyzer.verdicts.compare import CompareOptions, compare_roundtrips
 from dds_trace.analyzer.verdicts.gate import (
     DEFAULT_GATES,
@@ -285,6 +287,7 @@ def side(value, low, high, *, runs=4, basis=Basis.BETWEEN_RUNS, samples=400, spr
         ("received_ratio < -1 points", 0.0, -0.03, None, "more runs of this kind do not decide"),
         ("received_ratio < 50%", 0.75, 0.0, 1.0, "about 36 runs a side would decide, there are 4"),
         ("received_ratio < 50%", 0.25, 0.0, 0.75, "about 16 runs a side would decide, there are 4"),
+        ("received_ratio < 50%", 0.75, 0.25, 1.0, "about 16 runs a side would decide, there are 4"),
         ("received_ratio < 50%", None, 0.3, 0.6, "more runs of this kind do not decide"),
     ],
 )
@@ -307,6 +310,8 @@ def test_how_many_runs_a_share_takes(text, value, low, high, wanted):
         ("latency_p50 > 12ms", 5),
         ("latency_p50 > +100%", 5),
         ("latency_p50 > -2000ms", None),
+        ("latency_p50 > -100%", None),  # a ratio of 0 is no limit that runs could settle
+        ("latency_p50 < -30%", 5),
         ("latency_p50 > +10%", None),  # where it is
     ],
 )
@@ -321,11 +326,71 @@ def test_how_many_runs_a_time_takes(text, wanted):
         assert said == f"about {wanted} runs a side would decide, there are {have}"
 
 
+@pytest.fixture
+def family(monkeypatch):
+    """What Holm's procedure is given and gives: `asked` by gate, and `answer` in its place once that is set."""
+
+    class Family:
+        def __init__(self):
+            self.asked: list[list[float]] = []
+            self.answer: list[float] | None = None
+
+        def adjust(self, p_values):
+            self.asked.append(list(p_values))
+            return holm_adjusted(p_values) if self.answer is None else np.array(self.answer)
+
+    one = Family()
+    monkeypatch.setattr(gates, "holm_adjusted", one.adjust)
+    return one
+
+
+def test_each_gate_asks_how_likely_its_groups_are_by_chance(family):
+    base = in_runs([5 * MS] * 40, runs=5, spread=0.003)
+    new = in_runs([6 * MS, 6 * MS, 6 * MS, None] * 10, runs=4, spread=0.003)
+    texts = [
+        "latency_p50 > 5.9ms",
+        "latency_p50 > +15%",
+        "received_ratio < 90%",
+        "received_ratio < -5 points",
+    ]
+    results = results_of(texts, base, new)
+    assert {each.outcome for each in results} == {GateOutcome.REGRESSED}
+    assert [len(each) for each in family.asked] == [1] * 4
+
+    def p_value(result, scale, degrees):
+        value, end, limit = (
+            scale(each)
+            for each in (
+                result.measured,
+                result.low if result.measured > result.gate.limit else result.high,
+                result.gate.limit,
+            )
+        )
+        reach = student_quantile(0.975, degrees)
+        return student_cdf(-reach * (value - limit) / (value - end), degrees)
+
+    (absolute,), _, (share,), (drop,) = family.asked
+    assert absolute == pytest.approx(p_value(results[0], math.log, 3), rel=1e-6)
+    assert share == pytest.approx(p_value(results[2], float, 3), rel=1e-6)
+    assert drop == pytest.approx(p_value(results[3], float, 3), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("adjusted", "outcome"),
+    [(0.02, "regressed"), ((1 - 0.95) / 2, "regressed"), (0.0251, "inconclusive"), (0.04, "inconclusive")],
+)
+def test_half_of_the_error_of_an_interval_may_be_chance(family, adjusted, outcome):
+    family.answer = [adjusted]
+    base, new = in_runs([5 * MS] * 40, spread=0.001), in_runs([6 * MS] * 40, spread=0.001)
+    (result,) = results_of(["latency_p50 > +10%"], base, new)
+    assert result.outcome.value == outcome
+
+
 def test_what_keeps_a_time_from_being_decided_comes_first():
     whole = side(10.0 * MS, 9.0 * MS, 11.0 * MS, spread=0.05)
     few = replace(whole, runs=2)
     short = side(None, None, None, samples=40)
-    gates = parse_gate("latency_p99 > +20%"), parse_gate("latency_p99 > 20ms")
+    by_ratio, by_value = parse_gate("latency_p99 > +20%"), parse_gate("latency_p99 > 20ms")
     for before, now, relative, alone in (
         (few, whole, "it takes 3 runs a side, there are 2 and 4", None),
         (whole, few, "it takes 3 runs a side, there are 4 and 2", "it takes 3 runs a side, there are 2"),
@@ -333,8 +398,8 @@ def test_what_keeps_a_time_from_being_decided_comes_first():
         (whole, short, "p99 takes 100 messages, there are 40", "p99 takes 100 messages, there are 40"),
     ):
         change = Change(before, now, Basis.BETWEEN_RUNS, ratio=1.0)
-        assert _wanted(gates[0], change) == relative
-        said = _wanted(gates[1], change)
+        assert _wanted(by_ratio, change) == relative
+        said = _wanted(by_value, change)
         assert said == alone if alone else said.startswith("about ")
 
 

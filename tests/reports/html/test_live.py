@@ -231,8 +231,8 @@ def test_what_a_sweep_is_recording_is_no_warning(watcher, tmp_path):
         path.unlink()
     (tmp_path / ".parts" / "b.ping.mcap").write_bytes(cut[: len(cut) // 2])
     watcher.refresh()
-    assert b".parts/b.ping.mcap" in fetch(watcher.address).read().partition(b"How it was recorded")[0]
+    assert b".parts/b.ping.mcap" in fetch(watcher.address).read().partition(b'id="recording-title"')[0]
     (tmp_path / "state.json").write_text(json.dumps({"cells": {}, "planned": 2, "left_s": 9}))
     write_runs(tmp_path, [2])
     watcher.refresh()
-    assert b".parts/b.ping.mcap" not in fetch(watcher.address).read().partition(b"How it was recorded")[0]
+    assert b".parts/b.ping.mcap" not in fetch(watcher.address).read().partition(b'id="recording-title"')[0]

@@ -57,6 +57,8 @@ def test_a_ring_as_we_write_it_has_the_documented_bytes(tmp_path):
     assert described["topics"] == {str(n): f"/dds_trace/t{n}" for n in (1, 2, 3, 4)}
     assert data[slots_at : slots_at + 64] == slot(0, 1)
     assert len(data) == slots_at + SLOTS * 64
+    assert len(ring.slots) == SLOTS
+    assert bytes(ring.words) == data[slots_at:]  # eight words a slot, and nothing beside the slots
     ring.close(delete=True)
     assert list(tmp_path.iterdir()) == []
 
@@ -189,3 +191,22 @@ def test_pending_slots_never_cross_the_end_of_the_ring(tmp_path):
     assert len(ring.pending(3, 6)) == 1
     assert len(ring.pending(4, 6)) == 2
     ring.close(delete=True)
+
+
+@pytest.mark.parametrize("whole", [0, 1, 3, SLOTS])
+@pytest.mark.parametrize("more", [0, 1, 63])
+def test_of_a_ring_that_was_cut_off_every_whole_slot_is_salvaged(tmp_path, whole, more):
+    path = ring_file(tmp_path / "r", *(slot(ticket, 1) for ticket in range(SLOTS)))
+    path.write_bytes(path.read_bytes()[: SLOTS_AT + 64 * whole + more])
+    salvaged = salvage_ring(path, 0, None)
+    assert salvaged is not None
+    assert (salvaged.slots["mark"] & ((1 << 56) - 1)).tolist() == list(range(whole))
+
+
+@pytest.mark.parametrize("slots_at", [0, 1 << 40])
+def test_slots_at_no_place_of_the_file_are_not_salvaged(tmp_path, slots_at):
+    path = ring_file(tmp_path / "r", slot(0, 1))
+    data = bytearray(path.read_bytes())
+    struct.pack_into("<Q", data, 24, slots_at)
+    path.write_bytes(data)
+    assert salvage_ring(path, 0, ping_session(state="open")) is None

@@ -89,6 +89,11 @@ bench-huge *args: setup
 bench-cluster *args: setup
     {{bin}}/python benchmarks/cluster.py {{args}}
 
+# The bars of the HTML page on four campaigns: bytes, heights, layout shift, answers, console, axe, Firefox (some minutes)
+bench-report *args: setup
+    uv pip install --quiet --python {{bin}}/python -e '.[browsers]'
+    {{bin}}/python benchmarks/report_page.py {{args}}
+
 # How often intervals and verdicts hold, by drawing: the tables of docs/explanation/coverage.md (--quick: about a minute)
 coverage *args: setup
     {{bin}}/python benchmarks/coverage.py {{args}}

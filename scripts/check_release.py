@@ -184,6 +184,8 @@ def build(folder: Path) -> Path:
     Raises:
         CheckError: one of the checks found something.
     """
+    for earlier in folder.glob("dds_trace-*"):  # of another version, perhaps
+        earlier.unlink()
     run(["uv", "build", "--quiet", "--out-dir", folder, TOP])
     built = sorted(folder.glob("dds_trace-*"))
     run(["uv", "tool", "run", "--quiet", "twine", "check", "--strict", *built])

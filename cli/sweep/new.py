@@ -73,9 +73,9 @@ def main_command(
         schema_text,
     )
 
+    limits.check(limits.PATH, str(plan), "PLAN.toml")
     if plan.suffix != ".toml":
         raise OptionError(f"{plan}: a plan is a .toml file; write {plan.with_suffix('.toml')}")
-    limits.check(limits.PATH, str(plan), "PLAN.toml")
     limits.check(limits.FILE_NAME, plan.stem, "PLAN.toml")
     if plan.exists():  # before anything is asked
         raise _exists(plan)

@@ -19,6 +19,8 @@ BASE = {
     "dds-analyze watch": ["runs", "--port", "0"],
     "dds-bridge": ["builtin", "--print-config"],
     "dds-sweep": ["p.toml", "--dry-run"],
+    # Every answer is read before the folder is missed, so nothing is written.
+    "dds-sweep new": ["gone/n.toml", "--send=imu @ 1", "--compare=nothing", "--relay=here"],
 }
 """Arguments beside the one option that is tried."""
 

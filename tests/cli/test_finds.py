@@ -141,6 +141,10 @@ FINDS: dict[str, list[tuple[list[str], int, str]]] = {
         ),
         (["\udcff"], 2, "there is no bridge '\\udcff'"),
     ],
+    "dds-sweep new": [
+        (["n.toml", "--send", "imu @ \u0661"], 2, "write a kind, a size and a rate"),
+        (["p.toml", "--send", "imu @ 1"], 5, "p.toml is there already; choose another name"),
+    ],
     "dds-sweep": [
         (["latin.toml", "--dry-run"], 2, "a plan is UTF-8 text"),
         (["/dev/zero", "--dry-run"], 2, "/dev/zero: no regular file"),

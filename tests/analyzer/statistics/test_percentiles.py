@@ -110,3 +110,8 @@ def test_the_true_p99_exceeds_the_largest_of_150_in_22_of_100_runs():
 def test_quantiles_are_no_percents(bad):
     with pytest.raises(ValueError, match="between 0 and 1"):
         planned_messages(bad)
+
+
+def test_a_quantile_that_is_one_of_the_values_is_not_spoiled_by_a_lost_neighbour():
+    assert quantile_of(np.array([1.0, 2.0, np.inf]), 0.5) == 2.0
+    assert quantile_of(np.array([1.0, 2.0, np.inf]), 0.75) == np.inf

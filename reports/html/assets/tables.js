@@ -10,7 +10,7 @@ function compareCells(a, b) {
 
 function isNumeric(rows, column) { return rows.some((row) => typeof row[column] === "number"); }
 
-const FIRST_ROWS = 60, ROWS_A_STEP = 150;   // shown at once, and added while the reader reads them
+const FIRST_ROWS = 25, ROWS_A_STEP = 80;   // shown at once, and added while the reader reads them
 
 /**
  * Puts the table into `place`. `sorting` {column, descending} survives when filters change the rows; the first `stay` columns

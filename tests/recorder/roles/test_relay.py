@@ -9,6 +9,7 @@ from fake_clock import FakeClock
 from fake_node import FakeNode, ListSink
 
 from dds_trace.recorder.payloads import data_types
+from dds_trace.recorder.roles import relay as relay_module
 from dds_trace.recorder.roles.relay import Relay
 from dds_trace.tracefile import Qos
 
@@ -115,3 +116,15 @@ def test_probes_call_back_behind_their_reply_and_messages_do_not():
     bench.node.deliver("imu_data", bench.message("imu", 7, 0))
     assert called == [1]
     assert (relay.traffic.sent, relay.traffic.received, relay.traffic.payload_bytes) == (1, 1, 296)
+
+
+def test_runs_are_counted_once_however_they_take_turns_and_old_ones_are_forgotten(monkeypatch):
+    monkeypatch.setattr(relay_module, "RECENT_RUNS", 3)
+    relay = object.__new__(relay_module.Relay)
+    relay._runs, relay._last_run, relay._recent_runs = 0, 0, {}
+    for run_id in (7, 8, 7, 9, 8, 7):
+        relay._note_run(run_id)
+    assert (relay._runs, list(relay._recent_runs)) == (3, [9, 8, 7])
+    relay._note_run(10)
+    relay._note_run(7)
+    assert (relay._runs, list(relay._recent_runs)) == (4, [8, 10, 7])  # 9 was the longest ago

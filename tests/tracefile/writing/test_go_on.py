@@ -84,8 +84,9 @@ def test_dropped_events_are_counted_on(tmp_path):
     sink = open_sink(tmp_path)
     sink.record(3, 7, 1 << 64, 0)  # out of range
     assert sink.go_on_in(destination(tmp_path, 2)).dropped_events == 1
+    assert read_trace(tmp_path / "2.mcap").sessions[0].dropped_events == 1  # from the ring's header
     sink.record(3, 7, 1 << 64, 0)
-    assert read_trace(tmp_path / "2.mcap").sessions[0].dropped_events == 2  # from the ring's header
+    assert read_trace(tmp_path / "2.mcap").sessions[0].dropped_events == 2
     assert sink.close().dropped_events == 2
     assert [read_trace(tmp_path / f"{n}.mcap").sessions[0].dropped_events for n in (1, 2)] == [1, 2]
 

@@ -211,10 +211,10 @@ def _with_interval(
 
 def _bridge_costs(book: Book) -> str:
     groups = book.groups
-    cells = [cell for panel in bridge_cost_info(book).panels for cell in panel.cells]
+    cells = bridge_cost_info(book).cells
     rows = []
-    for bridged in cells[:MOST_GROUPS]:
-        group = groups.groups[bridged.group]
+    for index, bridged in list(cells.items())[:MOST_GROUPS]:
+        group = groups.groups[index]
         cell = groups.cell_of(group)
         rows.append(
             (

@@ -2,40 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from plotly.graph_objects import Figure, Scatter
 from plotly.subplots import make_subplots
 
-from dds_trace.analyzer.model.parameters import PLACE_COLUMNS
 from dds_trace.tracefile.errors import OptionError
 from dds_trace.tracefile.units.durations import format_duration
 from dds_trace.tracefile.units.rates import format_rate
 from dds_trace.tracefile.units.sizes import format_size
-from dds_trace.tracefile.visible import visible
 
-from .book.groups import (
-    METRIC_LABELS,
-    STATISTIC_LABELS,
-    data_type_label,
-    device_label,
-    domain_label,
-    setting_labels,
-)
-from .figures.figure import over_two_positions, panels_info
-from .html.styles import series_styles
+from .book.groups import METRIC_LABELS, STATISTIC_LABELS
+from .figures.figure import Facet, Faceted, faceted_lines
+from .html.styles import line_styles
 from .text import format_ratio
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from .book.book import Book
-    from .book.groups import Cell, Series
-    from .figures.figure import Line, Panel
+    from .figures.figure import Line
     from .html.styles import Style
-
-    Word = Callable[[Cell, Series], str]
 
 _PANEL_WIDTH, _PANEL_HEIGHT = 330, 280
 _MS = 1e6
@@ -43,31 +31,29 @@ _MS = 1e6
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """The horizontal axis of a figure: what stands on it, how a position is written, and what sets panels apart."""
+    """The horizontal axis of a figure: its dimension, how a position is written, and what sets panels apart."""
 
     title: str
-    position: Callable[[Cell], float]
+    x: str
     label: Callable[[float], str]
     panels: str
 
 
 PLOTS: Mapping[str, Axis] = {
-    "latency_by_size": Axis(
-        "Message size", lambda cell: float(cell.payload_bytes), lambda at: format_size(round(at)), "rate"
-    ),
-    "latency_by_rate": Axis("Rate", lambda cell: cell.rate_hz, format_rate, "size"),
+    "latency_by_size": Axis("Message size", "size", lambda at: format_size(round(at)), "rate"),
+    "latency_by_rate": Axis("Rate", "rate", format_rate, "size"),
 }
 """Figure of the page -> its axis."""
 
-PANELS_BY: Mapping[str, Word] = {
-    "size": lambda cell, _: format_size(cell.payload_bytes),
-    "rate": lambda cell, _: format_rate(cell.rate_hz),
-    "device": lambda _, series: device_label(series),
-    "link": lambda _, series: visible(series.connectivity),
-    "middleware": lambda _, series: series.vendor_label,
-    "bridge": lambda _, series: domain_label(series),
+PANELS_BY: Mapping[str, str] = {
+    "size": "size",
+    "rate": "rate",
+    "device": "device",
+    "link": "link",
+    "middleware": "vendor",
+    "bridge": "way",
 }
-"""What panels may be set apart by -> the word of a group."""
+"""What panels may be set apart by -> its dimension of `book.facets`."""
 
 
 def line_figure(book: Book, name: str, panels: str | None, metric: str | None, statistic: str) -> Figure:
@@ -88,24 +74,12 @@ def line_figure(book: Book, name: str, panels: str | None, metric: str | None, s
     metric = _chosen("metric", metric or book.values.default_metric, METRIC_LABELS)
     _chosen("statistic", statistic, STATISTIC_LABELS)
     drawn = book.values.times_ns[metric][statistic]
-    # Neither unlike places nor the other axis of the plane ever share a line.
-    others = [PANELS_BY[key] for key in ("device", "link", axis.panels) if PANELS_BY[key] is not by]
-
-    def key(cell: Cell, series: Series) -> tuple[str, ...]:
-        return (by(cell, series), data_type_label(cell.data_type), *(word(cell, series) for word in others))
-
-    made = over_two_positions(
-        panels_info(
-            book.groups,
-            key,
-            lambda cell, series: _SEPARATOR.join(key(cell, series)),
-            axis.position,
-            drawn=lambda group: drawn[group] is not None,
-        )
-    )
-    if not made:
+    # What sets panels apart cannot tell lines apart, too.
+    lines = {"vendor": "way", "way": "vendor"}.get(by, "choice")
+    info = faceted_lines(book, Facet(axis.x, by, lines), lambda group: drawn[group] is not None)
+    if not info.panels:
         raise OptionError(f"{name}: nothing was measured at two positions of its axis ({axis.title.lower()})")
-    return _figure(book, axis, made, metric, statistic)
+    return _figure(book, axis, info, metric, statistic)
 
 
 def _chosen(what: str, value: str, known: Mapping[str, object]) -> str:
@@ -114,22 +88,21 @@ def _chosen(what: str, value: str, known: Mapping[str, object]) -> str:
     return value
 
 
-_SEPARATOR = "\0"
-"""Between the words of a panel; `visible` leaves none in a word."""
-
-
-def _figure(book: Book, axis: Axis, panels: tuple[Panel, ...], metric: str, statistic: str) -> Figure:
-    words = [panel.title.split(_SEPARATOR) for panel in panels]
-    columns = list(dict.fromkeys(first for first, *_ in words))
-    rows = list(dict.fromkeys(tuple(rest) for _, *rest in words))
-    varying = [len(set(column)) > 1 for column in zip(*words, strict=True)]
-    titles = {
-        (rows.index(tuple(own[1:])), columns.index(own[0])): ", ".join(
-            word for word, varies in zip(own, varying, strict=True) if varies
-        )
-        or own[1]
-        for own in words
-    }
+def _figure(book: Book, axis: Axis, info: Faceted, metric: str, statistic: str) -> Figure:
+    facet, facets = info.facet, book.facets
+    first = [panel.lines[0].groups[0] for panel in info.panels]
+    beside = [facets.label(facet.panels, group) for group in first]
+    if facet.panels == "size":
+        beside = [
+            f"{facets.label('data', group)} {label}" for group, label in zip(first, beside, strict=True)
+        ]
+    below = [
+        tuple(panel.title.split(", ")[1:]) if len(set(beside)) > 1 else (panel.title,)
+        for panel in info.panels
+    ]
+    columns, rows = list(dict.fromkeys(beside)), list(dict.fromkeys(below))
+    places = [(rows.index(low), columns.index(side)) for low, side in zip(below, beside, strict=True)]
+    titles = {place: panel.title for place, panel in zip(places, info.panels, strict=True)}
     figure = make_subplots(
         len(rows),
         len(columns),
@@ -139,12 +112,13 @@ def _figure(book: Book, axis: Axis, panels: tuple[Panel, ...], metric: str, stat
         ],
         vertical_spacing=0.28 / len(rows),
     )
-    choices, named = _choices(book), set[str]()
-    for place, panel in zip(titles, panels, strict=True):
+    options, named = facets.dimensions[facet.lines].options, set[str]()
+    styles = line_styles(facets)[facet.lines]
+    for place, panel in zip(places, info.panels, strict=True):
         row, column = (index + 1 for index in place)
         positions = sorted({at for line in panel.lines for at in line.x})
         for line in panel.lines:
-            label, style = choices[line.series]
+            label, style = options[line.line], styles[line.line]
             trace = _trace(book, line, (label, style), metric, statistic)
             figure.add_trace(trace.update(showlegend=label not in named), row, column)
             named.add(label)
@@ -158,18 +132,6 @@ def _figure(book: Book, axis: Axis, panels: tuple[Panel, ...], metric: str, stat
     return figure.update_layout(
         template="plotly_white", width=80 + _PANEL_WIDTH * len(columns), height=height, legend=legend
     )
-
-
-def _choices(book: Book) -> list[tuple[str, Style]]:
-    """Return label and style of each series without its place, which its panel tells."""
-    groups = book.groups
-    untold = {**dict.fromkeys(PLACE_COLUMNS, ""), **dict.fromkeys(("ping_domain_id", "relay_domain_id"))}
-    settings = [{**asdict(series), **untold} for series in groups.series]
-    labels = setting_labels(settings, groups.vendors)
-    of_label: dict[str, Style] = {}
-    for label, style in zip(labels, series_styles(groups), strict=True):
-        of_label.setdefault(label, style)
-    return [(label, of_label[label]) for label in labels]
 
 
 def _trace(book: Book, line: Line, choice: tuple[str, Style], metric: str, statistic: str) -> Scatter:

@@ -147,6 +147,9 @@ def _shot(browser: Any, address: str, picture: Picture) -> bytes | None:
             part = tab.locator(picture.select)
             if not part.count():
                 return None
+            part.locator(".fold:not([open])").evaluate_all(
+                "folds => { for (const fold of folds) fold.open = true; }"
+            )
             part.scroll_into_view_if_needed()
             part.locator("svg").first.wait_for()
             tab.wait_for_timeout(500)  # a figure that is drawn may move the ones below

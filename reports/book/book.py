@@ -6,6 +6,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from .answer import answer_info
+from .facets import facets_info
 from .findings import findings_info
 from .groups import groups_info
 from .numbers import curves_info, intervals_info, values_info
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from dds_trace.analyzer.analysis import Analysis
 
     from .answer import Conclusion
+    from .facets import Facets
     from .findings import FindingKind
     from .groups import Groups
     from .numbers import Curves, Intervals, Values
@@ -47,6 +49,11 @@ class Book:
     def groups(self) -> Groups:
         """Groups of `analysis.summary` with their series and cells."""
         return groups_info(self.analysis)
+
+    @cached_property
+    def facets(self) -> Facets:
+        """Dimensions of the groups: sizes, rates, middlewares, bridges, devices, links."""
+        return facets_info(self.groups)
 
     @cached_property
     def values(self) -> Values:

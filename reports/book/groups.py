@@ -192,10 +192,13 @@ def groups_of(rows: Sequence[Mapping[str, Any]], vendors: VendorLabels) -> Group
         Group(i, series_index[series_rows[i]], cell_index[cell_rows[i]], row["published"], row["received"])
         for i, row in enumerate(rows)
     )
+    return Groups(groups, series, cells, tuple(series_labels(series)), vendors)
+
+
+def series_labels(series: Sequence[Series]) -> list[str]:
+    """Label each series by its vendor and by the parameters in which any two of them differ."""
     parts = (*_LABEL_PARTS, (where_it_helps, _setting_label_of(series)))
-    return Groups(
-        groups, series, cells, tuple(tell_apart(series, lambda one: one.vendor_label, parts)), vendors
-    )
+    return tell_apart(series, lambda one: one.vendor_label, parts)
 
 
 def _setting_label_of(series: Iterable[Series]) -> Callable[[Series], str]:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 import polars as pl
 
 from dds_trace.analyzer.statistics.intervals import Basis
+from dds_trace.analyzer.statistics.percentiles import PERCENTILES
 from dds_trace.tracefile.units.quantities import MISSING
 
 from .groups import METRIC_LABELS, STATISTIC_LABELS
@@ -218,6 +219,44 @@ def _curve(values_ns: np.ndarray, counts: np.ndarray) -> tuple[int, ...]:
     wanted = np.maximum(1, np.ceil(levels * total - 1e-9))
     at_levels: list[int] = np.rint(values_ns[np.searchsorted(ranks, wanted)]).astype(np.int64).tolist()
     return tuple(at_levels)
+
+
+Planned: TypeAlias = "Mapping[int, Mapping[str, Mapping[str, int | None]]]"
+"""Group -> metric -> statistic -> time in ns over the messages planned; None where that message was lost. A percentile for
+which there are too few messages is not there."""
+
+
+def planned_percentiles(analysis: Analysis) -> Planned:
+    """Read the percentiles of the groups that lost messages, each lost or unsent one infinitely late.
+
+    A group that lost nothing has those of `Values`. Values are within the histogram's 0.1 %; means and maxima of what is
+    infinite in part are None.
+    """
+    counts = analysis.summary.select("received", "published", "unsent").fill_null(0).rows()
+    planned = {
+        group: sent + unsent for group, (got, sent, unsent) in enumerate(counts) if got < sent + unsent
+    }
+    needs = {percentile.name: percentile.needs for percentile in PERCENTILES}
+    of_group: dict[int, dict[str, dict[str, int | None]]] = {
+        group: {
+            metric: dict.fromkeys(name for name in STATISTIC_LABELS if messages >= needs.get(name, 1))
+            for metric in METRIC_LABELS
+        }
+        for group, messages in planned.items()
+    }
+    frame = analysis.distributions.filter(pl.col("group").is_in(list(planned))).sort("value_ns")
+    for (group, metric), rows in frame.group_by("group", "metric"):
+        if metric not in METRIC_LABELS:
+            continue
+        ranks = np.cumsum(rows["count"].to_numpy())
+        values_ns = rows["value_ns"].to_numpy()
+        own = of_group[int(str(group))][str(metric)]
+        own["min"] = round(float(values_ns[0]))
+        for percentile in PERCENTILES:
+            rank = max(1, math.ceil(percentile.quantile * planned[int(str(group))] - 1e-9))
+            if percentile.name in own and rank <= ranks[-1]:
+                own[percentile.name] = round(float(values_ns[np.searchsorted(ranks, rank)]))
+    return of_group
 
 
 def whole_ns(value_ns: float | None) -> int | None:

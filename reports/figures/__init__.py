@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from . import (
     breakdown,
     bridge_cost,
@@ -9,6 +11,7 @@ from . import (
     clocks,
     comparison,
     distribution,
+    dots,
     first_message,
     host_load,
     latency,
@@ -16,19 +19,28 @@ from . import (
     timeline,
     wire_cost,
 )
-from .figure import Figure, FigureMaker, LeftOut, Scope, figure_maker
+from .figure import Figure, FigureMaker, LeftOut, Scope, figure_maker, is_few
+
+if TYPE_CHECKING:
+    from ..book.book import Book
 
 FIGURES: list[FigureMaker] = [
-    comparison.VENDOR_COMPARISON,
+    dots.FIGURE,
     latency.LATENCY_BY_RATE,
     latency.LATENCY_BY_SIZE,
     comparison.DOMAIN_DIFFERENCE,
     bridge_cost.FIGURE,
-    latency.HEATMAP,
     capacity.RECEIVED,
-    capacity.TRANSFER_RATE,
-    capacity.SUSTAINABLE,
     breakdown.FIGURE,
+    comparison.VENDOR_COMPARISON,
+    comparison.BY_DEVICE,
+    latency.HEATMAP,
+    latency.RELAY_TIME,
+    distribution.RUN_SPREAD,
+    capacity.SUSTAINABLE,
+    capacity.TRANSFER_BY_RATE,
+    capacity.TRANSFER_BY_SIZE,
+    capacity.TRANSFER_RATE,
     wire_cost.FIGURE,
     sent_again.FIGURE,
     first_message.FIGURE,
@@ -41,4 +53,19 @@ FIGURES: list[FigureMaker] = [
 ]
 """The table of figures: one row each."""
 
-__all__ = ["FIGURES", "Figure", "FigureMaker", "LeftOut", "Scope", "figure_maker"]
+
+def drawn_figures(book: Book) -> list[tuple[FigureMaker, Figure | LeftOut]]:
+    """Draw every figure of the table; of a few groups the chart of dots stands in for those that need more."""
+    few = is_few(book)
+    made = []
+    for maker in FIGURES:
+        if maker is dots.FIGURE and not few:
+            continue
+        drawn = maker.draw(book)
+        if few and not maker.few and isinstance(drawn, Figure):
+            drawn = LeftOut(drawn.name, drawn.title, "so few groups are in the first figure, all in one.")
+        made.append((maker, drawn))
+    return made
+
+
+__all__ = ["FIGURES", "Figure", "FigureMaker", "LeftOut", "Scope", "drawn_figures", "figure_maker"]

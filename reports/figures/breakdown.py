@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from ..book.groups import data_type_label
-from .figure import Figure, LeftOut, Panel, figure_maker, panels_info, panels_plan
+from .figure import Facet, Figure, LeftOut, Panel, facet_panels, facet_plan, figure_maker, is_few
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from ..book.book import Book
-    from ..book.groups import Cell, Series
 
 
 PART_LABELS = {
@@ -39,21 +37,20 @@ class MeanPart:
 
 @dataclass(frozen=True, slots=True)
 class Breakdown:
-    """One panel per data type and series; x is the rank of the cell.
+    """One panel per data type, choice and place; x is the rank of the cell.
 
     Attributes:
         parts: group -> its parts in the order of time. The clock fit divides the two ways; `bound_ns` is the largest
             error of that division.
     """
 
+    facet: Facet
     panels: tuple[Panel, ...]
     parts: Mapping[int, tuple[MeanPart, ...]]
 
 
 def breakdown_info(book: Book) -> Breakdown:
     """Collect the means of `details.breakdown`, in panels by data type and series."""
-    groups = book.groups
-    label_of = dict(zip(groups.series, groups.labels, strict=True))
     parts: dict[int, list[MeanPart]] = {}
     columns = ("group", "part", "mean_ns", "bound_ns")
     for group, part, mean_ns, bound_ns in (
@@ -62,13 +59,9 @@ def breakdown_info(book: Book) -> Breakdown:
         bound = None if bound_ns is None else round(bound_ns)
         parts.setdefault(group, []).append(MeanPart(part, round(mean_ns), bound))
 
-    def title(cell: Cell, series: Series) -> str:
-        return f"{data_type_label(cell.data_type)}: {label_of[series]}"
-
-    panels = panels_info(
-        book.groups, lambda cell, series: (cell.data_type, series), title, drawn=lambda group: group in parts
-    )
-    return Breakdown(panels, {group: tuple(own_parts) for group, own_parts in parts.items()})
+    facet = Facet("cell" if is_few(book) else "plane", "choice", "")
+    panels = facet_panels(book, facet, parts.__contains__)
+    return Breakdown(facet, panels, {group: tuple(own_parts) for group, own_parts in parts.items()})
 
 
 def breakdown_figure(info: Breakdown) -> Figure | LeftOut:
@@ -88,7 +81,8 @@ def breakdown_figure(info: Breakdown) -> Figure | LeftOut:
         title,
         how_to_read,
         "breakdown",
-        panels_plan(
+        facet_plan(
+            info.facet,
             info.panels,
             names={name: label for name, label in PART_LABELS.items() if name in used},
             order=[name for name in PART_LABELS if name in used],
@@ -97,4 +91,4 @@ def breakdown_figure(info: Breakdown) -> Figure | LeftOut:
     )
 
 
-FIGURE = figure_maker(breakdown_info, breakdown_figure)
+FIGURE = figure_maker(breakdown_info, breakdown_figure, opened=False)

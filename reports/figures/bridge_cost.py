@@ -1,17 +1,17 @@
-"""Latency that a bridge adds, with the interval of the difference."""
+"""How many times as long a message takes through a bridge, and the latency that it adds, with their intervals."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from dds_trace.analyzer.model.parameters import BRIDGED_COLUMNS
 from dds_trace.tracefile.units.counts import counted
 
-from ..book.groups import data_type_label
 from ..book.numbers import whole_ns
 from ..changes import received_words, runs_words
-from .figure import Figure, LeftOut, figure_maker
+from .figure import Facet, Figure, LeftOut, Panel, facet_panels, facet_plan, figure_maker
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """Difference of one statistic in ns, with the ends of its interval if the samples support them.
+    """Difference of one statistic in ns and its ratio, with the ends of their intervals if the samples support them.
 
     Attributes:
         received: shares received in the same domain and through the bridge, as in `100.00% -> 98.50%`.
@@ -32,6 +32,8 @@ class Cost:
     low_ns: int | None
     high_ns: int | None
     ratio: float | None
+    ratio_low: float | None
+    ratio_high: float | None
     verdict: str
     received: str
     runs: str
@@ -42,41 +44,33 @@ class BridgedCell:
     """One cell through one bridge.
 
     Attributes:
-        group: index of the group through the bridge.
         costs: percentile (`p50` to `p99_9`) -> cost, for those that the samples support.
         bridge_cpu_percent: mean load of the bridge's processes during its runs, percent of one processor; None
             without samples.
     """
 
-    group: int
     costs: Mapping[str, Cost]
     bridge_cpu_percent: float | None
 
 
 @dataclass(frozen=True, slots=True)
-class BridgePanel:
-    """Bridged cells of one data type, sorted by cell, then series."""
-
-    title: str
-    cells: tuple[BridgedCell, ...]
-
-
-@dataclass(frozen=True, slots=True)
 class BridgeCost:
-    """One panel per data type.
+    """Groups through bridges, over their cell; x is its rank.
 
     Attributes:
         panels: panels with at least one cost.
+        cells: group -> its costs, by cell, then series.
         lost: groups through a bridge without any mark, because so much was lost that no percentile has a difference.
     """
 
-    panels: tuple[BridgePanel, ...]
+    facet: Facet
+    panels: tuple[Panel, ...]
+    cells: Mapping[int, BridgedCell]
     lost: int = 0
 
 
 def bridge_cost_info(book: Book) -> BridgeCost:
     """Assign the rows of `details.bridge_costs` to their groups."""
-    groups = book.groups
     # The comparison pools the numbers of domains, so a row belongs to the first of the groups that differ in nothing else.
     place: dict[tuple[object, ...], int] = {}
     for index, row in enumerate(book.analysis.summary.iter_rows(named=True)):
@@ -92,19 +86,25 @@ def bridge_cost_info(book: Book) -> BridgeCost:
         if group is not None and row["metric"] == "latency" and difference_ns is not None:
             ends = (whole_ns(row["difference_low_ns"]), whole_ns(row["difference_high_ns"]))
             costs.setdefault(group, {})[row["statistic"]] = Cost(
-                difference_ns, *ends, row["ratio"], row["verdict"], received_words(row), runs_words(row)
+                difference_ns,
+                *ends,
+                _finite(row["ratio"]),
+                _finite(row["ratio_low"]),
+                _finite(row["ratio_high"]),
+                row["verdict"],
+                received_words(row),
+                runs_words(row),
             )
     loads = book.bridge_loads
-    panels: dict[str, list[BridgedCell]] = {}
-    for one in sorted(groups.groups, key=lambda group: (group.cell, group.series)):
-        if one.index in costs:
-            title = data_type_label(groups.cell_of(one).data_type)
-            panels.setdefault(title, []).append(
-                BridgedCell(one.index, costs[one.index], loads.get(one.index))
-            )
+    ordered = sorted(book.groups.groups, key=lambda group: (group.cell, group.series))
+    cells = {
+        one.index: BridgedCell(costs[one.index], loads.get(one.index))
+        for one in ordered
+        if one.index in costs
+    }
+    facet = Facet("plane", "place")
     return BridgeCost(
-        tuple(BridgePanel(title, tuple(cells)) for title, cells in panels.items()),
-        len(compared - costs.keys()),
+        facet, facet_panels(book, facet, cells.__contains__), cells, len(compared - costs.keys())
     )
 
 
@@ -112,8 +112,8 @@ def bridge_cost_figure(info: BridgeCost) -> Figure | LeftOut:
     """Draw marks with intervals over cells."""
     name, title = "bridge_cost", "What a bridge costs"
     how_to_read = (
-        "Each mark is the latency through a bridge less that in the same domain, with its 95 % interval; an interval that "
-        "reaches the zero line shows no difference that these samples can prove, and where a bridge loses many messages the "
+        "Each mark is how many times as long a message takes through a bridge as in the same domain, with its 95 % interval, and "
+        "beside it the difference; an interval that reaches the line shows no difference that these samples can prove, and where a bridge loses many messages the "
         "share received is to be looked at first: a lost message is infinitely late"
         + (f"; {counted(info.lost, 'combination')} lost too much to have a mark." if info.lost else ".")
     )
@@ -123,7 +123,12 @@ def bridge_cost_figure(info: BridgeCost) -> Figure | LeftOut:
             title,
             "no combination of data, size and rate has a latency both in the same and in different domains with all else equal.",
         )
-    return Figure(name, title, how_to_read, "bridge_cost", {"panels": info.panels})
+    cells = {str(group): cell for group, cell in info.cells.items()}
+    return Figure(name, title, how_to_read, "bridge_cost", facet_plan(info.facet, info.panels, cells=cells))
 
 
-FIGURE = figure_maker(bridge_cost_info, bridge_cost_figure)
+FIGURE = figure_maker(bridge_cost_info, bridge_cost_figure, few=False)
+
+
+def _finite(ratio: float | None) -> float | None:
+    return None if ratio is None or not math.isfinite(ratio) else round(ratio, 4)

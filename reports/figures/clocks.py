@@ -7,15 +7,14 @@ from typing import TYPE_CHECKING
 
 from dds_trace.tracefile.visible import visible
 
-from ..book.groups import STATISTIC_LABELS, data_type_label
+from ..book.groups import STATISTIC_LABELS
 from ..book.numbers import whole_ns
-from .figure import Figure, LeftOut, Panel, figure_maker, panels_info, panels_plan
+from .figure import Facet, Figure, LeftOut, Panel, facet_panels, facet_plan, figure_maker, is_few
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from ..book.book import Book
-    from ..book.groups import Cell, Series
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,16 +28,15 @@ class Way:
 
 @dataclass(frozen=True, slots=True)
 class OneWay:
-    """One panel per data type and series; x is the rank of the cell."""
+    """One panel per data type, choice and place; x is the rank of the cell."""
 
+    facet: Facet
     panels: tuple[Panel, ...]
     ways: Mapping[int, Way]
 
 
 def one_way_info(book: Book) -> OneWay:
     """Collect the rows of `details.one_way`."""
-    groups = book.groups
-    label_of = dict(zip(groups.series, groups.labels, strict=True))
     ways_of_group: dict[int, dict[str, Way]] = {}
     for row in book.analysis.details.one_way.iter_rows(named=True):
         times = {name: whole_ns(row[f"{name}_ns"]) for name in STATISTIC_LABELS}
@@ -51,13 +49,9 @@ def one_way_info(book: Book) -> OneWay:
         if both.keys() == {"outbound", "return"}
     }
 
-    def title(cell: Cell, series: Series) -> str:
-        return f"{data_type_label(cell.data_type)}: {label_of[series]}"
-
-    panels = panels_info(
-        book.groups, lambda cell, series: (cell.data_type, series), title, drawn=lambda group: group in ways
-    )
-    return OneWay(panels, ways)
+    facet = Facet("cell" if is_few(book) else "plane", "choice", "")
+    panels = facet_panels(book, facet, ways.__contains__)
+    return OneWay(facet, panels, ways)
 
 
 def one_way_figure(info: OneWay) -> Figure | LeftOut:
@@ -70,10 +64,10 @@ def one_way_figure(info: OneWay) -> Figure | LeftOut:
     if not info.panels:
         return LeftOut(name, title, "no message has all four time stamps (a relay's trace is missing).")
     ways = {str(group): way for group, way in info.ways.items()}
-    return Figure(name, title, how_to_read, "one_way", panels_plan(info.panels, ways=ways))
+    return Figure(name, title, how_to_read, "one_way", facet_plan(info.facet, info.panels, ways=ways))
 
 
-ONE_WAY = figure_maker(one_way_info, one_way_figure)
+ONE_WAY = figure_maker(one_way_info, one_way_figure, opened=False)
 
 
 KNOTS_IN_PAGE = 4000
@@ -163,4 +157,4 @@ def clock_figure(info: Clock) -> Figure | LeftOut:
     return Figure(name, title, how_to_read, "clock", {"pairs": info.pairs, "decimated": info.decimated})
 
 
-CLOCK = figure_maker(clock_info, clock_figure)
+CLOCK = figure_maker(clock_info, clock_figure, opened=False)

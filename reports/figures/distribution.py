@@ -1,4 +1,4 @@
-"""How the values of a group are spread: the tail on an axis of rarity, and the body as the share of messages in time.
+"""How the values of a group are spread: from run to run, the tail on an axis of rarity, and the body as the share of messages in time.
 
 The share is of the messages planned: one that was lost, or was due and never left, is infinitely late, and the curve ends
 at the share received. That of the survivors, which came back, stands beside it. The tail is of the survivors.
@@ -6,14 +6,73 @@ at the share received. That of the survivors, which came back, stands beside it.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from dds_trace.analyzer.statistics.intervals import Basis
+from dds_trace.analyzer.statistics.percentiles import PERCENTILES
+
+from ..book.groups import METRIC_LABELS
 from ..book.numbers import any_curve
-from .figure import Figure, LeftOut, Scope, figure_maker
+from .figure import Facet, Figure, LeftOut, Panel, Scope, facet_panels, facet_plan, figure_maker, is_few
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from ..book.book import Book
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """How far the runs of each group differ, over its cell; x is the rank of the cell.
+
+    Attributes:
+        reaches: percentile -> group -> how far the 95 % interval of a typical run reaches to either side, as a ratio (0.05 is
+            5 %). Only intervals that come from the runs.
+        metric: what the percentiles are of.
+    """
+
+    facet: Facet
+    panels: tuple[Panel, ...]
+    reaches: Mapping[str, Mapping[int, float]]
+    metric: str
+
+
+def run_spread_info(book: Book, panels: str = "way", lines: str = "choice") -> Spread:
+    """Collect the intervals of `details.intervals` that come from the runs, with both ends."""
+    metric = book.values.default_metric
+    rows = book.analysis.details.intervals.filter(metric=metric, basis=Basis.BETWEEN_RUNS.value)
+    reaches: dict[str, dict[int, float]] = {percentile.name: {} for percentile in PERCENTILES}
+    for group, percentile, low_ns, high_ns in rows.select(
+        "group", "percentile", "low_ns", "high_ns"
+    ).iter_rows():
+        if low_ns and high_ns:
+            reaches[percentile][group] = round(math.sqrt(high_ns / low_ns) - 1, 5)
+    facet = Facet("cell" if is_few(book) else "plane", panels, lines)
+    drawn = {group for of_groups in reaches.values() for group in of_groups}
+    return Spread(facet, facet_panels(book, facet, drawn.__contains__), reaches, metric)
+
+
+def run_spread_figure(info: Spread) -> Figure | LeftOut:
+    """Draw a mark per group over cells, in percent."""
+    name, title = "run_spread", "Spread from run to run"
+    if not info.panels:
+        return LeftOut(name, title, "nothing was measured in three runs of its own.")
+    how_to_read = (
+        "Each mark is how far the 95 % interval of a typical run reaches to either side, in percent; a difference between two choices "
+        "that is smaller than this takes more runs to be proved."
+    )
+    reaches = {
+        name: {str(group): reach for group, reach in own.items()} for name, own in info.reaches.items()
+    }
+    plan = facet_plan(
+        info.facet, info.panels, value="spread", reaches=reaches, label=METRIC_LABELS[info.metric]
+    )
+    return Figure(name, title, how_to_read, "lines", plan)
+
+
+RUN_SPREAD = figure_maker(run_spread_info, run_spread_figure, opened=False)
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, TypeVar
 
-from ..book.groups import data_type_label
+from ..book.facets import MADE_OF
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Mapping
+    from collections.abc import Callable, Mapping
 
     from ..book.book import Book
-    from ..book.groups import Cell, Groups, Series
+    from ..book.groups import Group
 
 Info = TypeVar("Info")
 
@@ -29,8 +29,10 @@ class Figure:
         name: id in the page and in file names of downloads.
         title: heading of the figure.
         how_to_read: one sentence for the reader.
-        kind: function of `assets/kinds.js` that draws it.
+        kind: function of the page's scripts (`KINDS`) that draws it.
         plan: arguments of that function, as `json_island` writes them.
+        follows: whether the reader's metric and statistic are what it shows, so that title and file name say them; the
+            word Latency at the title's beginning gives way to the metric.
     """
 
     name: str
@@ -38,6 +40,7 @@ class Figure:
     how_to_read: str
     kind: str
     plan: Mapping[str, object]
+    follows: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,16 +63,29 @@ class Scope(Enum):
 
 @dataclass(frozen=True, slots=True)
 class FigureMaker:
-    """One row of the table of figures (`reports.figures.FIGURES`)."""
+    """One row of the table of figures (`reports.figures.FIGURES`).
+
+    Attributes:
+        scope: what one view shows.
+        draw: the figure of a book, or why there is none.
+        opened: whether the page shows it at once; any other is a line that opens it.
+        few: whether it says more of a few groups than the chart of dots (`FEW_GROUPS`), which stands in for the
+            others then.
+    """
 
     scope: Scope
     draw: Callable[[Book], Figure | LeftOut]
+    opened: bool
+    few: bool
 
 
 def figure_maker(
     info: Callable[[Book], Info],
     figure: Callable[[Info], Figure | LeftOut],
     scope: Scope = Scope.CAMPAIGN,
+    *,
+    opened: bool = True,
+    few: bool = True,
 ) -> FigureMaker:
     """Join the two steps of a figure into its row of the table.
 
@@ -77,81 +93,142 @@ def figure_maker(
         info: numbers of the figure, from the book; what tests compare.
         figure: plan of the figure, from these numbers alone.
         scope: what one view shows.
+        opened: whether the page shows it at once.
+        few: whether it is drawn of a few groups, too.
     """
-    return FigureMaker(scope, lambda book: figure(info(book)))
+    return FigureMaker(scope, lambda book: figure(info(book)), opened, few)
+
+
+FEW_GROUPS = 12
+"""Most groups that the chart of dots shows. Of so few, figures with an axis of sizes or rates have a dot or two each."""
+
+
+def is_few(book: Book) -> bool:
+    """Whether the chart of dots stands in for figures that need more groups."""
+    return 0 < len(book.groups.groups) <= FEW_GROUPS
+
+
+MOST_LINES = 7
+"""Most lines of one panel: more cannot be told apart, so that such a panel becomes several."""
+
+_ATOMS = ("device", "link", "data", "vendor", "way", "rest", "size", "rate")
+"""Dimensions that are made of no other, in the order in which rows of panels follow one another."""
+
+
+@dataclass(frozen=True, slots=True)
+class Facet:
+    """How groups are spread: along the axis, over lines, and over panels beside and below one another.
+
+    What is neither on the axis nor a line sets panels apart. The page spreads in the same way (`facets.js`).
+
+    Attributes:
+        x: `size` in bytes, `rate` in Hz, `load` (their product), `plane` (rank of the cell, each data type in panels of its own),
+            `cell` (the same for all data types) or another dimension of `book.facets` (place of the option).
+        panels: dimension whose values stand side by side; the others follow below.
+        lines: dimension with a line for each value; empty for one line a panel.
+    """
+
+    x: str
+    panels: str
+    lines: str = "choice"
 
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One series in one panel.
+    """One line of one panel.
 
     Attributes:
-        series: index into `Groups.series`.
+        line: place of its value among the options of the dimension of lines; 0 where there is none.
         x: ascending positions on the axis.
         groups: index of the group at each position.
     """
 
-    series: int
+    line: int
     x: tuple[float, ...]
     groups: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """One set of axes with its lines, by series."""
+    """One set of axes with its lines, at most `MOST_LINES`."""
 
     title: str
     lines: tuple[Line, ...]
 
 
-def panels_info(
-    groups: Groups,
-    key: Callable[[Cell, Series], Hashable],
-    title: Callable[[Cell, Series], str],
-    x: Callable[[Cell], float] | None = None,
-    drawn: Callable[[int], bool] = lambda _: True,
+@dataclass(frozen=True, slots=True)
+class Faceted:
+    """Groups of a figure, spread over panels; `facet` says how."""
+
+    facet: Facet
+    panels: tuple[Panel, ...]
+
+
+def faceted(book: Book, facet: Facet, drawn: Callable[[int], bool] = lambda _: True) -> Faceted:
+    """Spread groups as `facet_panels` does."""
+    return Faceted(facet, facet_panels(book, facet, drawn))
+
+
+def faceted_lines(book: Book, facet: Facet, drawn: Callable[[int], bool] = lambda _: True) -> Faceted:
+    """Spread groups over the panels that have two positions at least."""
+    return Faceted(facet, over_two_positions(facet_panels(book, facet, drawn)))
+
+
+def facet_panels(
+    book: Book, facet: Facet, drawn: Callable[[int], bool] = lambda _: True
 ) -> tuple[Panel, ...]:
-    """Spread groups over panels, in the order of their cells.
+    """Spread groups over panels and lines.
 
     Args:
-        groups: groups of the report.
-        key: groups of equal key share a panel.
-        title: heading of a panel, from the cell and series of its first group.
-        x: position of a group; the rank of its cell among all cells by default.
+        book: groups of the report and their dimensions.
+        facet: what is spread along what.
         drawn: whether the group of this index has the values that the figure draws; all groups by default.
     """
-    ordered = sorted(groups.groups, key=lambda group: (group.cell, group.series))
-    titles: dict[Hashable, str] = {}
-    points: dict[Hashable, dict[int, list[tuple[float, int]]]] = {}
-    for group in filter(lambda group: drawn(group.index), ordered):
-        cell, series = groups.cell_of(group), groups.series_of(group)
-        panel = key(cell, series)
-        at = float(group.cell) if x is None else x(cell)
-        titles.setdefault(panel, title(cell, series))
-        points.setdefault(panel, {}).setdefault(group.series, []).append((at, group.index))
-    return tuple(
-        Panel(
-            titles[panel],
-            tuple(
-                Line(series, tuple(at for at, _ in sorted(line)), tuple(group for _, group in sorted(line)))
-                for series, line in sorted(lines.items())
-            ),
-        )
-        for panel, lines in points.items()
-    )
+    facets, groups = book.facets, book.groups
+    used = {*_atoms(facet.x), *_atoms(facet.lines)}
+    columns = [key for key in _atoms(facet.panels) if key not in used]
+    if "size" in columns and "data" not in used:
+        columns.insert(0, "data")
+    rows = [key for key in _ATOMS if key not in used and key not in columns]
+    points: dict[tuple[int, ...], dict[int, list[tuple[float, int]]]] = {}
+    for group in sorted(groups.groups, key=lambda group: (group.cell, group.series)):
+        if not drawn(group.index):
+            continue
+        panel = tuple(facets.option(key, group.index) for key in (*rows, *columns))
+        line = facets.option(facet.lines, group.index) if facet.lines else 0
+        at = _position(book, facet.x, group)
+        points.setdefault(panel, {}).setdefault(line, []).append((at, group.index))
+    panels = []
+    for _, lines in sorted(points.items()):
+        (_, first), *_ = next(iter(lines.values()))
+        told = [facets.label(key, first) for key in (*columns, *rows) if facets.varies(key)]
+        title = ", ".join(label for label in told if label) or facets.label("data", first)
+        made = [
+            Line(line, tuple(at for at, _ in sorted(own)), tuple(group for _, group in sorted(own)))
+            for line, own in sorted(lines.items())
+        ]
+        parts = -(-len(made) // MOST_LINES)
+        most = -(-len(made) // parts)
+        for part in range(parts):
+            ending = f" ({part + 1} of {parts})" if parts > 1 else ""
+            panels.append(Panel(f"{title}{ending}", tuple(made[part * most : (part + 1) * most])))
+    return tuple(panels)
 
 
-def cell_panels(groups: Groups, drawn: Callable[[int], bool]) -> tuple[Panel, ...]:
-    """Spread groups over panels by data type and domain mode; x is the rank of the cell among all cells."""
+def _atoms(key: str) -> tuple[str, ...]:
+    return MADE_OF.get(key, (key,) if key else ())
 
-    def title(cell: Cell, series: Series) -> str:
-        mode = "same domain" if series.domain_mode == "same" else "different domains"
-        return f"{data_type_label(cell.data_type)}, {mode}"
 
-    def key(cell: Cell, series: Series) -> tuple[str, str]:
-        return cell.data_type, series.domain_mode
-
-    return panels_info(groups, key, title, drawn=drawn)
+def _position(book: Book, x: str, group: Group) -> float:
+    cell = book.groups.cell_of(group)
+    known = {
+        "size": float(cell.payload_bytes),
+        "rate": cell.rate_hz,
+        "load": cell.payload_bytes * cell.rate_hz,
+        "plane": float(group.cell),
+        "cell": float(group.cell),
+    }
+    return known[x] if x in known else float(book.facets.option(x, group.index))
 
 
 def over_two_positions(panels: tuple[Panel, ...]) -> tuple[Panel, ...]:
@@ -159,6 +236,7 @@ def over_two_positions(panels: tuple[Panel, ...]) -> tuple[Panel, ...]:
     return tuple(panel for panel in panels if len({x for line in panel.lines for x in line.x}) > 1)
 
 
-def panels_plan(panels: tuple[Panel, ...], **settings: object) -> dict[str, object]:
-    """Return the plan of a figure of panels: the panels beside the settings of its axes."""
-    return {"panels": panels, **settings}
+def facet_plan(facet: Facet, panels: tuple[Panel, ...], **settings: object) -> dict[str, object]:
+    """Return the plan of a figure of panels: how it is spread and its groups, beside the settings of its axes."""
+    groups = sorted(group for panel in panels for line in panel.lines for group in line.groups)
+    return {"facet": facet, "groups": groups, **settings}

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ..book.numbers import whole_ns
-from .figure import Figure, LeftOut, Panel, cell_panels, figure_maker, panels_plan
+from .figure import Facet, Figure, LeftOut, Panel, facet_panels, facet_plan, figure_maker, is_few
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -16,12 +16,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class FirstMessage:
-    """One panel per data type and domain mode; x is the rank of the cell.
+    """Groups over their cell; x is its rank.
 
     Attributes:
         times_ns: group -> time, median of its runs.
     """
 
+    facet: Facet
     panels: tuple[Panel, ...]
     times_ns: Mapping[int, int]
 
@@ -30,7 +31,8 @@ def first_message_info(book: Book) -> FirstMessage:
     """Collect `match_p50_ns` of `details.wire`."""
     rows = book.analysis.details.wire.select("group", "match_p50_ns").iter_rows()
     times_ns = {group: time for group, value in rows if (time := whole_ns(value)) is not None}
-    return FirstMessage(cell_panels(book.groups, lambda group: group in times_ns), times_ns)
+    facet = Facet("cell" if is_few(book) else "plane", "way")
+    return FirstMessage(facet, facet_panels(book, facet, times_ns.__contains__), times_ns)
 
 
 def first_message_figure(info: FirstMessage) -> Figure | LeftOut:
@@ -43,13 +45,10 @@ def first_message_figure(info: FirstMessage) -> Figure | LeftOut:
     if not info.panels:
         return LeftOut(name, title, "no DDS run was recorded with --wire.")
     values = {str(group): time_ns for group, time_ns in info.times_ns.items()}
-    return Figure(
-        name,
-        title,
-        how_to_read,
-        "cells",
-        panels_plan(info.panels, values_ns=values, label="Time to the first message"),
+    plan = facet_plan(
+        info.facet, info.panels, value="own", values_ns=values, label="Time to the first message"
     )
+    return Figure(name, title, how_to_read, "lines", plan)
 
 
-FIGURE = figure_maker(first_message_info, first_message_figure)
+FIGURE = figure_maker(first_message_info, first_message_figure, opened=False)

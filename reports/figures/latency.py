@@ -1,90 +1,83 @@
-"""Latency against rate with a panel per size, against size with a panel per rate, and over the plane of both."""
+"""Latency against rate, against size, and over the plane of both; the time in the relay beside it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile.units.rates import format_rate
-from dds_trace.tracefile.units.sizes import format_size
-
 from ..book.groups import data_type_label
-from .figure import Figure, LeftOut, Panel, figure_maker, over_two_positions, panels_info, panels_plan
+from .figure import Facet, Faceted, Figure, LeftOut, facet_plan, faceted_lines, figure_maker
 
 if TYPE_CHECKING:
     from ..book.book import Book
 
-
-@dataclass(frozen=True, slots=True)
-class LatencyByRate:
-    """One panel per data type and size; x is the rate in Hz. Only panels with two rates at least."""
-
-    panels: tuple[Panel, ...]
+OVER_RATE = {"x_title": "Rate (Hz)"}
+OVER_SIZE = {"x_title": "Message size"}
+"""Settings of the axis of a figure of lines."""
 
 
-def latency_by_rate_info(book: Book) -> LatencyByRate:
-    """Collect every group that has a neighbour at another rate."""
-    panels = panels_info(
-        book.groups,
-        key=lambda cell, _: (cell.data_type, cell.payload_bytes),
-        title=lambda cell, _: f"{data_type_label(cell.data_type)} {format_size(cell.payload_bytes)}",
-        x=lambda cell: cell.rate_hz,
-        drawn=book.values.timed,
-    )
-    return LatencyByRate(over_two_positions(panels))
+def latency_by_rate_info(book: Book, panels: str = "size", lines: str = "choice") -> Faceted:
+    """Collect every group with a time that has a neighbour at another rate; x is the rate in Hz."""
+    return faceted_lines(book, Facet("rate", panels, lines), book.values.timed)
 
 
-def latency_by_rate_figure(info: LatencyByRate) -> Figure | LeftOut:
+def latency_by_rate_figure(info: Faceted) -> Figure | LeftOut:
     """Draw lines over the rate, on a log axis."""
-    name, title = "latency_by_rate", "Latency against frequency, per size"
+    name, title = "latency_by_rate", "Latency against frequency"
     if not info.panels:
         return LeftOut(name, title, "no message size was measured at two rates.")
     how_to_read = (
         "A flat line does not care how often you send; a line that climbs to the right is running out of capacity, "
         "one that falls is waking up from sleep."
     )
-    return Figure(
-        name, title, how_to_read, "lines", panels_plan(info.panels, x_title="Rate (Hz)", x_unit="hz")
-    )
+    plan = facet_plan(info.facet, info.panels, value="statistic", **OVER_RATE)
+    return Figure(name, title, how_to_read, "lines", plan, follows=True)
 
 
-LATENCY_BY_RATE = figure_maker(latency_by_rate_info, latency_by_rate_figure)
+LATENCY_BY_RATE = figure_maker(latency_by_rate_info, latency_by_rate_figure, few=False)
 
 
-@dataclass(frozen=True, slots=True)
-class LatencyBySize:
-    """One panel per data type and rate; x is the payload in bytes. Only panels with two sizes at least."""
-
-    panels: tuple[Panel, ...]
+def latency_by_size_info(book: Book, panels: str = "rate", lines: str = "choice") -> Faceted:
+    """Collect every group with a time that has a neighbour of another size; x is the payload in bytes."""
+    return faceted_lines(book, Facet("size", panels, lines), book.values.timed)
 
 
-def latency_by_size_info(book: Book) -> LatencyBySize:
-    """Collect every group that has a neighbour of another size."""
-    panels = panels_info(
-        book.groups,
-        key=lambda cell, _: (cell.data_type, cell.rate_hz),
-        title=lambda cell, _: f"{data_type_label(cell.data_type)} at {format_rate(cell.rate_hz)}",
-        x=lambda cell: float(cell.payload_bytes),
-        drawn=book.values.timed,
-    )
-    return LatencyBySize(over_two_positions(panels))
-
-
-def latency_by_size_figure(info: LatencyBySize) -> Figure | LeftOut:
+def latency_by_size_figure(info: Faceted) -> Figure | LeftOut:
     """Draw lines over the payload size, on a log axis."""
-    name, title = "latency_by_size", "Latency against size, per frequency"
+    name, title = "latency_by_size", "Latency against size"
     if not info.panels:
         return LeftOut(name, title, "no data type was measured with two message sizes at one rate.")
     how_to_read = (
         "Latency should rise gently with size; a sudden step marks a limit on the way, such as a socket buffer, "
         "a shared-memory segment or the link itself."
     )
-    return Figure(
-        name, title, how_to_read, "lines", panels_plan(info.panels, x_title="Message size", x_unit="bytes")
+    plan = facet_plan(info.facet, info.panels, value="statistic", **OVER_SIZE)
+    return Figure(name, title, how_to_read, "lines", plan, follows=True)
+
+
+LATENCY_BY_SIZE = figure_maker(latency_by_size_info, latency_by_size_figure, few=False)
+
+
+def relay_time_info(book: Book, panels: str = "rate", lines: str = "choice") -> Faceted:
+    """Collect every group with a time in the relay that has a neighbour of another size; x is the payload in bytes."""
+    times = book.values.times_ns["intermediate"]["p50"]
+    return faceted_lines(book, Facet("size", panels, lines), lambda group: times[group] is not None)
+
+
+def relay_time_figure(info: Faceted) -> Figure | LeftOut:
+    """Draw lines over the payload size, on a log axis."""
+    name, title = "relay_time", "Time in the relay against size"
+    if not info.panels:
+        return LeftOut(name, title, "no data type has a time in the relay at two message sizes.")
+    how_to_read = (
+        "What passes between a message's arrival at the relay and its way back (the paper's intermediate-process time) is not part "
+        "of the latency; where it grows with size, the relay copies or serializes."
     )
+    plan = facet_plan(info.facet, info.panels, value="statistic", metric="intermediate", **OVER_SIZE)
+    return Figure(name, title, how_to_read, "lines", plan)
 
 
-LATENCY_BY_SIZE = figure_maker(latency_by_size_info, latency_by_size_figure)
+RELAY_TIME = figure_maker(relay_time_info, relay_time_figure, opened=False, few=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,4 +129,4 @@ def heatmap_figure(info: Heatmap) -> Figure | LeftOut:
     return Figure(name, title, how_to_read, "heatmap", {"panels": info.panels})
 
 
-HEATMAP = figure_maker(heatmap_info, heatmap_figure)
+HEATMAP = figure_maker(heatmap_info, heatmap_figure, opened=False, few=False)

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from ..book.groups import data_type_label
-from .figure import Figure, LeftOut, Panel, figure_maker, panels_info, panels_plan
+from .figure import Facet, Figure, LeftOut, Panel, facet_panels, facet_plan, figure_maker, is_few
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from ..book.book import Book
-    from ..book.groups import Cell, Series
 
 PART_LABELS = {
     "data": "Data, first time",
@@ -63,13 +61,14 @@ class WirePart:
 
 @dataclass(frozen=True, slots=True)
 class WireCost:
-    """One panel per data type and series; x is the rank of the cell.
+    """One panel per data type, choice and place; x is the rank of the cell.
 
     Attributes:
         parts: group -> its parts, in the order of `PART_LABELS`.
         incomplete: groups of which the kernel dropped packets, so that the bars are too low.
     """
 
+    facet: Facet
     panels: tuple[Panel, ...]
     parts: Mapping[int, tuple[WirePart, ...]]
     incomplete: tuple[int, ...]
@@ -77,7 +76,7 @@ class WireCost:
 
 def wire_cost_info(book: Book) -> WireCost:
     """Collect the classes of `details.wire_classes` and the groups' bytes per payload byte."""
-    details, groups = book.analysis.details, book.groups
+    details = book.analysis.details
     ratios = dict(details.wire.select("group", "bytes_per_payload_byte").drop_nulls().iter_rows())
     shares: dict[int, dict[str, float]] = {}
     for group, wire_class, share in details.wire_classes.select("group", "wire_class", "share").iter_rows():
@@ -85,14 +84,9 @@ def wire_cost_info(book: Book) -> WireCost:
             part = PART_OF_CLASS.get(wire_class, "other")
             of_group = shares.setdefault(group, {})
             of_group[part] = of_group.get(part, 0.0) + share
-    label_of = dict(zip(groups.series, groups.labels, strict=True))
 
-    def title(cell: Cell, series: Series) -> str:
-        return f"{data_type_label(cell.data_type)}: {label_of[series]}"
-
-    panels = panels_info(
-        groups, lambda cell, series: (cell.data_type, series), title, drawn=lambda group: group in shares
-    )
+    facet = Facet("cell" if is_few(book) else "plane", "choice", "")
+    panels = facet_panels(book, facet, shares.__contains__)
     parts = {
         group: tuple(
             WirePart(name, of_group[name] * ratios[group], of_group[name])
@@ -102,7 +96,7 @@ def wire_cost_info(book: Book) -> WireCost:
         for group, of_group in shares.items()
     }
     incomplete = details.wire.filter(~details.wire["complete"])["group"].to_list()
-    return WireCost(panels, parts, tuple(incomplete))
+    return WireCost(facet, panels, parts, tuple(incomplete))
 
 
 def wire_cost_figure(info: WireCost) -> Figure | LeftOut:
@@ -120,7 +114,8 @@ def wire_cost_figure(info: WireCost) -> Figure | LeftOut:
         title,
         how_to_read,
         "wire_cost",
-        panels_plan(
+        facet_plan(
+            info.facet,
             info.panels,
             names={name: label for name, label in PART_LABELS.items() if name in used},
             parts={str(group): parts for group, parts in info.parts.items()},

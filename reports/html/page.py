@@ -32,11 +32,11 @@ from ..book.groups import (
 )
 from ..book.overview import utc_words
 from ..book.sizes import HOW_TO_READ
-from ..figures import FIGURES, Figure, LeftOut, Scope
+from ..figures import Figure, LeftOut, Scope, drawn_figures
 from ..text import json_island
 from .filters import filters_info
 from .packing import packed, packed_script, policy_hash
-from .styles import series_styles
+from .styles import line_styles
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -52,9 +52,13 @@ SCRIPTS = (
     "units.js",
     "view.js",
     "layout.js",
-    "kinds.js",
-    "details.js",
-    "wire.js",
+    "kinds/facets.js",
+    "kinds/lines.js",
+    "kinds/bars.js",
+    "kinds/few.js",
+    "kinds/cell.js",
+    "kinds/details.js",
+    "kinds/wire.js",
     "tables.js",
     "output/export.js",
     "rows.js",
@@ -89,8 +93,8 @@ def live_script() -> str:
 
 
 def _render(book: Book, scripts: Iterable[str], version: str = "") -> str:
-    made = [(maker.scope, maker.draw(book)) for maker in FIGURES]
-    drawn = [(scope, figure) for scope, figure in made if isinstance(figure, Figure)]
+    made = drawn_figures(book)
+    drawn = [(maker, figure) for maker, figure in made if isinstance(figure, Figure)]
     unpack, plotly, script = _asset(UNPACK_SCRIPT), get_plotlyjs(), "\n".join(map(_asset, scripts))
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
@@ -114,8 +118,8 @@ def _render(book: Book, scripts: Iterable[str], version: str = "") -> str:
         group_names=group_labels(book.groups),
         most_linked=MOST_LINKED,
         worst=next(iter(worst_first(book.values)), None),
-        campaign_figures=[figure for scope, figure in drawn if scope is Scope.CAMPAIGN],
-        cell_figures=[figure for scope, figure in drawn if scope is Scope.CELL],
+        campaign_figures=[(maker, figure) for maker, figure in drawn if maker.scope is Scope.CAMPAIGN],
+        cell_figures=[(maker, figure) for maker, figure in drawn if maker.scope is Scope.CELL],
         left_out=[figure for _, figure in made if isinstance(figure, LeftOut)],
         surroundings=book.surroundings,
         record_tables=book.record_tables,
@@ -159,7 +163,7 @@ def _parquet(book: Book) -> str:
 
 def _island(book: Book, figures: list[Figure]) -> dict[str, object]:
     groups, values = book.groups, book.values
-    filters = filters_info(groups)
+    filters, styles = filters_info(groups), line_styles(book.facets)
     return {
         "title": visible(book.analysis.title),
         "metrics": [
@@ -175,10 +179,20 @@ def _island(book: Book, figures: list[Figure]) -> dict[str, object]:
             "cell": [group.cell for group in groups.groups],
             "filters": {one.key: one.of_group for one in filters},
         },
-        "series": [
-            {"label": label, "different": one.domain_mode == "different", **asdict(style)}
-            for label, one, style in zip(groups.labels, groups.series, series_styles(groups), strict=True)
-        ],
+        "series": [{"label": label} for label in groups.labels],
+        "dimensions": {
+            key: {
+                "label": dimension.label,
+                "of_group": dimension.of_group,
+                "options": [
+                    {"label": label, "short": short, **asdict(style)}
+                    for label, short, style in zip(
+                        dimension.options, dimension.short, styles[key], strict=True
+                    )
+                ],
+            }
+            for key, dimension in book.facets.dimensions.items()
+        },
         "cells": [
             {
                 "label": cell.label,
@@ -207,7 +221,12 @@ def _island(book: Book, figures: list[Figure]) -> dict[str, object]:
         ],
         "intervals": book.intervals,
         "figures": {
-            figure.name: {"title": figure.title, "kind": figure.kind, "plan": figure.plan}
+            figure.name: {
+                "title": figure.title,
+                "follows": figure.follows,
+                "kind": figure.kind,
+                "plan": figure.plan,
+            }
             for figure in figures
         },
     }

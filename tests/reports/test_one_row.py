@@ -13,7 +13,7 @@ from dds_trace.cli.analyze import main
 from dds_trace.reports import REPORT_MODULES, load_reporter
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.figures import FIGURES, Figure, LeftOut, figure_maker
-from dds_trace.reports.figures.figure import panels_info, panels_plan
+from dds_trace.reports.figures.figure import Facet, facet_plan, faceted
 from dds_trace.reports.html.packing import unpacked
 
 
@@ -22,17 +22,12 @@ def toy_figure():
     """Worst latency against size: what a newcomer would write, with the page's own kind of lines."""
 
     def worst_info(book):
-        return panels_info(
-            book.groups,
-            key=lambda cell, _: cell.rate_hz,
-            title=lambda cell, _: f"toy panel at {cell.rate_hz:g} Hz",
-            x=lambda cell: float(cell.payload_bytes),
-        )
+        return faceted(book, Facet("size", "rate"))
 
-    def worst_figure(panels):
-        if not panels:
+    def worst_figure(info):
+        if not info.panels:
             return LeftOut("toy", "A toy figure", "nothing was measured.")
-        plan = panels_plan(panels, x_title="Size", x_unit="bytes")
+        plan = facet_plan(info.facet, info.panels, x_title="Size")
         return Figure("toy", "A toy figure", "Read it from left to right.", "lines", plan)
 
     FIGURES.append(figure_maker(worst_info, worst_figure))
@@ -51,9 +46,9 @@ def test_a_toy_figure_is_drawn_after_the_others():
     )
     assert "A toy figure" in page
     assert "Read it from left to right." in page
-    (panel,) = island_of(page)["figures"]["toy"]["plan"]["panels"]
-    assert panel["title"] == "toy panel at 10 Hz"
-    assert panel["lines"] == [{"series": 0, "x": [7.0, 33000.0], "groups": [1, 0]}]
+    plan = island_of(page)["figures"]["toy"]["plan"]
+    assert plan["facet"] == {"x": "size", "panels": "rate", "lines": "choice"}
+    assert plan["groups"] == [0, 1]
 
 
 @pytest.mark.usefixtures("toy_figure")

@@ -17,6 +17,8 @@ function isOnScreen(part) {
   return bottom > 0 && top < innerHeight;
 }
 
+const FOLDED_ON_PHONES = ["received", "host_load"];
+
 class FigureBlock {
   constructor(article) {
     this.name = article.dataset.figure;
@@ -24,10 +26,15 @@ class FigureBlock {
     this.article = article;
     this.plot = article.querySelector(".plot");
     this.details = article.querySelector(".as-table");
+    this.fold = article.querySelector(".fold");
+    this.heading = article.querySelector("h3");
+    if (isNarrow(innerWidth) && FOLDED_ON_PHONES.includes(this.name)) this.fold.open = false;
+    this.all = false;   // more panels than MOST_PANELS
     this.painted = new Set();   // places of rows
     this.spoil();
     this.sorting = { column: -1, descending: false };
     this.details.addEventListener("toggle", () => this.showRows());
+    this.fold.addEventListener("toggle", () => { if (this.fold.open) this.redraw(); });
     for (const button of article.querySelectorAll("[data-save]")) {
       button.setAttribute("aria-label", `Save "${this.figure.title}" as ${button.textContent}`);
       button.addEventListener("click", () => this.save(button.dataset.save));
@@ -44,7 +51,9 @@ class FigureBlock {
   plan() {
     if (this.planned) return;
     this.planned = true;
-    this.drawn = KINDS[this.figure.kind](this.figure.plan, Math.floor(this.plot.clientWidth));
+    // A figure that is folded has no width of its own yet.
+    this.drawn = KINDS[this.figure.kind](this.figure.plan, Math.floor(this.plot.clientWidth || this.article.clientWidth), this.all);
+    this.heading.textContent = this.title();
     const empty = this.drawn.data.length === 0;
     this.rows = empty ? [] : rowsOf(this.drawn);
     this.plot.classList.toggle("bare", empty);
@@ -68,6 +77,13 @@ class FigureBlock {
     row.remove();
   }
 
+  /** Its own look changed: it was opened, or shows all panels. */
+  redraw() {
+    this.spoil();
+    this.draw(isOnScreen);
+    setTimeout(() => this.draw((row) => NEAR.has(row)));
+  }
+
   /** Draws every row, or only those that `wanted` of their elements picks. */
   draw(wanted = () => true) {
     this.plan();
@@ -79,6 +95,8 @@ class FigureBlock {
       if (!row.dataset.opens) {
         row.dataset.opens = "yes";
         row.on("plotly_click", ({ points: [point] }) => { const group = groupOfPoint(point); if (group !== null) openGroup(group); });
+        row.on("plotly_hover", ({ points: [point] }) => this.highlight(point.data.meta));
+        row.on("plotly_unhover", () => this.highlight(null));
       }
     });
   }
@@ -93,21 +111,61 @@ class FigureBlock {
     return notes.join(" ");
   }
 
+  /** What the figure shows, in the words of the chosen metric and statistic. */
+  title() {
+    const { title, follows } = this.figure;
+    return follows ? `${title.replace(/^Latency/, labelOf("metric"))}, ${labelOf("statistic")}` : title;
+  }
+
+  /** The beginning of the names of its files. */
+  fileName() {
+    const said = this.figure.follows ? `-${view.metric}-${view.statistic}` : "";
+    return `dds-trace-${this.name.replace(/^latency_/, "")}${said}`.replaceAll("_", "-");
+  }
+
+  /** One button for each line, which switches it off and on everywhere; the parts of stacked bars are named alone. */
   legend() {
-    if (this.drawn.parts) return this.drawn.parts.map(({ name, color, hatched }) => element("span", {}, swatch({ fill: color, hatched }), name));
-    return [...this.drawn.series].sort((a, b) => a - b).map((place) => {
-      const series = DATA.series[place];
-      return element("span", {}, swatch({ series, bar: this.figure.kind === "pairs" }), series.label);
-    });
+    const more = this.drawn.panels > this.drawn.shown ? [this.moreButton()] : [];
+    if (this.drawn.parts) return [...this.drawn.parts.map(({ name, color, hatched }) => element("span", {}, swatch({ color, bar: true, hatch: hatched ? "/" : "" }), name)), ...more];
+    if (!this.drawn.legend) return more;
+    const { dimension, options } = this.drawn.legend;
+    return [...options.map((option) => {
+      const look = lookOf(dimension, option);
+      const button = element("button", { type: "button", class: "line", "aria-pressed": String(!view.hidden.has(look.key)), "data-line": look.key }, swatch({ ...look, bar: this.figure.kind === "bars" }), look.label);
+      button.addEventListener("click", () => {
+        if (!view.hidden.delete(look.key)) view.hidden.add(look.key);
+        refreshAll();
+        this.article.querySelector(`[data-line="${look.key}"]`)?.focus();
+      });
+      for (const [on, off] of [["pointerenter", "pointerleave"], ["focus", "blur"]]) {
+        button.addEventListener(on, () => this.highlight(look.key));
+        button.addEventListener(off, () => this.highlight(null));
+      }
+      return button;
+    }), ...more];
+  }
+
+  moreButton() {
+    const button = element("button", { type: "button", class: "quiet more" }, `${this.drawn.shown} of ${this.drawn.panels} panels: show all`);
+    button.addEventListener("click", () => { this.all = true; this.redraw(); this.heading.scrollIntoView(); });
+    return button;
+  }
+
+  /** Fades every line but one; none without a key. Plotly binds each trace to its element. */
+  highlight(key) {
+    for (const node of this.plot.querySelectorAll(".trace")) {
+      const meta = node.__data__?.[0]?.trace?.meta;
+      node.style.opacity = !key || !meta || meta === key ? "" : "0.15";
+    }
   }
 
   showRows() {
-    if (this.details.open && this.drawn) showTable(this.article.querySelector(".table-place"), this.figure.title, this.drawn.columns, this.drawn.rows, { sorting: this.sorting });
+    if (this.details.open && this.drawn) showTable(this.article.querySelector(".table-place"), this.title(), this.drawn.columns, this.drawn.rows, { sorting: this.sorting });
   }
 
   save(format) {
     this.plan();
-    const name = `dds-trace-${this.name.replaceAll("_", "-")}`;
+    const name = this.fileName();
     if (format === "csv") return saveCsv(name, this.drawn.columns, this.drawn.rows);
     return savePicture(name, this, format);
   }
@@ -117,25 +175,28 @@ const SYMBOL_PATHS = {
   circle: "M4.5 0A4.5 4.5 0 1 1-4.5 0A4.5 4.5 0 1 1 4.5 0Z", square: "M-4-4H4V4H-4Z", diamond: "M0-5.5L5.5 0L0 5.5L-5.5 0Z",
   "triangle-up": "M0-5L5 4H-5Z", "triangle-down": "M0 5L5-4H-5Z", cross: "M-5-2H-2V-5H2V-2H5V2H2V5H-2V2H-5Z",
   hexagon: "M0-5L4.5-2.5V2.5L0 5L-4.5 2.5V-2.5Z", star: "M0-6L1.5-1.5H6L2.5 1.5L4 6L0 3L-4 6L-2.5 1.5L-6-1.5H-1.5Z",
+  pentagon: "M0-5L4.8-1.5L2.9 4H-2.9L-4.8-1.5Z", hourglass: "M4.5 5H-4.5L4.5-5H-4.5Z", bowtie: "M5 4.5V-4.5L-5 4.5V-4.5Z",
+  "diamond-tall": "M0-6L3.5 0L0 6L-3.5 0Z", "diamond-wide": "M0-3.5L6 0L0 3.5L-6 0Z", "triangle-left": "M-5 0L4-5V5Z", "triangle-right": "M5 0L-4-5V5Z",
+  "star-diamond": "M0-6L2-2L6 0L2 2L0 6L-2 2L-6 0L-2-2Z", hexagram: "M0-6L1.7-3H5.2L3.5 0L5.2 3H1.7L0 6L-1.7 3H-5.2L-3.5 0L-5.2-3H-1.7Z",
+  "star-triangle-up": "M0-6L1.5 1L6 4L0 3L-6 4L-1.5 1Z", x: "M-5-3L-3-5L0-2L3-5L5-3L2 0L5 3L3 5L0 2L-3 5L-5 3L-2 0Z",
 };
 const DASH_ARRAYS = { solid: "", dash: "6 4", dot: "2 3", dashdot: "6 3 2 3", longdash: "9 4", longdashdot: "9 3 2 3" };
+const HATCH_PATHS = { "/": "M-9 0L-3-6M-9 6L3-6M-3 6L9-6M3 6L9 0", "\\": "M9 0L3-6M9 6L-3-6M3 6L-9-6M-3 6L-9 0", x: "M-9 0L-3-6M-9 6L3-6M-3 6L9-6M3 6L9 0M9 0L3-6M9 6L-3-6M3 6L-9-6M-3 6L-9 0", "-": "M-9-2H9M-9 2H9", "|": "M-5-6V6M0-6V6M5-6V6", "+": "M-9-2H9M-9 2H9M-5-6V6M0-6V6M5-6V6", ".": "M-6-2h1M0-2h1M6-2h1M-3 2h1M3 2h1" };
 
-/** The small picture in a legend: line and symbol, or a plain or hatched bar. */
-function swatch({ series, bar = false, fill, hatched = bar && series.different }) {
+/** The small picture in a legend: line and symbol (drawn by plotly's own rule), or a plain or hatched bar. */
+function swatch({ color, symbol, dash, hatch = "", bar = false }) {
   const draw = (tag, attributes) => {
     const made = document.createElementNS("http://www.w3.org/2000/svg", tag);
     for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
     return made;
   };
   const picture = draw("svg", { width: 34, height: 14, viewBox: "-17 -7 34 14", "aria-hidden": "true" });
-  const color = fill || seriesColor(series);
-  if (fill || bar) {
-    picture.append(draw("rect", { x: -9, y: -6, width: 18, height: 12, fill: hatched ? "none" : color, stroke: color, "stroke-width": 1.2 }));
-    if (hatched) picture.append(draw("path", { d: "M-9 0L-3-6M-9 6L3-6M-3 6L9-6M3 6L9 0", stroke: color, "stroke-width": 1.6 }));
+  if (bar) {
+    picture.append(draw("rect", { x: -9, y: -6, width: 18, height: 12, fill: hatch ? "none" : color, stroke: color, "stroke-width": 1.2 }));
+    if (hatch) picture.append(draw("path", { d: HATCH_PATHS[hatch], stroke: color, "stroke-width": 1.4 }));
     return picture;
   }
-  const [symbol, variant = ""] = series.symbol.match(/^(.*?)(?:-(open|dot|open-dot))?$/).slice(1);
-  picture.append(draw("line", { x1: -17, x2: 17, y1: 0, y2: 0, stroke: color, "stroke-width": 1.8, "stroke-dasharray": DASH_ARRAYS[series.dash] }));
-  picture.append(draw("path", { d: SYMBOL_PATHS[symbol], fill: variant.includes("open") ? theme().ground : color, stroke: color, "stroke-width": 1.2 }));
+  picture.append(draw("line", { x1: -17, x2: 17, y1: 0, y2: 0, stroke: color, "stroke-width": 1.8, "stroke-dasharray": DASH_ARRAYS[dash] }));
+  picture.append(draw("path", { d: SYMBOL_PATHS[symbol], fill: color, stroke: color, "stroke-width": 1 }));
   return picture;
 }

@@ -4,10 +4,12 @@ const GROUP_FIGURES = ["timeline", "ecdf", "breakdown"];
 
 const groupName = (group) => `${cellOf(group).label}, ${seriesOf(group).label}`;
 
+const hoverKey = (text) => String(text ?? "").split("<br>").slice(0, 2).join("<br>");
+
 /** The group that the first two lines of a hover name (`groupHover`): how a mark is traced back to its group. */
 function groupOfHover(text) {
-  const named = String(text ?? "").split("<br>").slice(0, 2).join("<br>");
-  const group = Array.from({ length: DATA.groups.count }, (_, place) => place).find((place) => groupHover(place) === named);
+  const named = hoverKey(text);
+  const group = Array.from({ length: DATA.groups.count }, (_, place) => place).find((place) => hoverKey(groupHover(place)) === named);
   return group ?? null;
 }
 

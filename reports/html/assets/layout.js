@@ -11,8 +11,6 @@ function theme() {
   };
 }
 
-function seriesColor(series) { return theme().dark ? series.dark : series.light; }
-
 function axisStyle(colors) {
   return {
     gridcolor: colors.grid, linecolor: colors.line, zerolinecolor: colors.line, tickfont: { color: colors.soft, size: 11 },
@@ -20,19 +18,37 @@ function axisStyle(colors) {
   };
 }
 
-/** Panels {title, traces, x, y, height?, share?, shapes?, notes?} as one plotly figure; those of one `share` have one y range. */
-function gridOf(panels, width, { minWidth = 300, height = 215, yTitle = "", right = 16, below = 40 } = {}) {
+/** Whether a figure is as narrow as on a phone: smaller panels, and names of lines in the legend alone. */
+const isNarrow = (width) => width < 600;
+
+const MOST_PANELS = 24;   // of one figure, until the reader asks for all
+const END_STEP = 12;      // px between two labels at line ends
+
+/**
+ * Panels {title, traces, x, y, height?, share?, shapes?, notes?, ends?} as one plotly figure. Panels of one `share` have one y
+ * axis: beside one another, only the first names its ticks. `columns` panels stand side by side if there is room.
+ */
+function gridOf(panels, width, { minWidth = 300, height = 215, yTitle = "", left = 62, right = 16, below = 40, columns = 0, all = true } = {}) {
   const colors = theme();
-  const left = 62, gapX = 58, gapTop = 30, gapBelow = below;
+  const shown = all ? panels : panels.slice(0, MOST_PANELS);
+  const together = shown.every((panel) => panel.share !== undefined && panel.share === shown[0].share);
   const inner = Math.max(160, width - left - right);
-  const columns = Math.max(1, Math.min(panels.length, Math.floor((inner + gapX) / (minWidth + gapX))));
-  const panelWidth = (inner - (columns - 1) * gapX) / columns;
+  const perRow = (gap) => Math.max(1, Math.min(shown.length, Math.floor((inner + gap) / (minWidth + gap))));
+  let gapX = together ? 16 : 58;
+  const fits = perRow(gapX);
+  const rows = Math.ceil(shown.length / fits);
+  const beside = columns && columns <= fits ? columns * Math.max(1, Math.floor(fits / columns)) : Math.ceil(shown.length / rows) || 1;
+  const wide = Math.min(beside, shown.length) || 1;
+  const shares = (place) => place % wide > 0 && shown[place].share !== undefined && shown[place].share === shown[place - 1].share;
+  if (shown.every((_, place) => place % wide === 0 || shares(place))) gapX = 16;
+  const panelWidth = (inner - (wide - 1) * gapX) / wide;
+  const gapTop = 26;
   const heights = [];   // of the plots in each row, px
-  panels.forEach((panel, place) => { const row = Math.floor(place / columns); heights[row] = Math.max(heights[row] || 0, panel.height || height); });
+  shown.forEach((panel, place) => { const row = Math.floor(place / wide); heights[row] = Math.max(heights[row] || 0, panel.height || Math.round((isNarrow(width) ? 0.8 : 1) * height)); });
   const starts = [0];   // of each row, px from the top
-  for (const each of heights) starts.push(starts[starts.length - 1] + each + gapTop + gapBelow);
+  const titled = 16;   // px that the title of an axis takes; only the last row has one
+  heights.forEach((each, row) => starts.push(starts[starts.length - 1] + each + gapTop + below - (row < heights.length - 1 && below > 40 ? titled : 0)));
   const total = starts[starts.length - 1];
-  const leaders = new Map();   // share -> the first axis of it
   const data = [], annotations = [], shapes = [];
   const layout = {
     width, height: total, margin: { l: left, r: right, t: 0, b: 0, pad: 0 },
@@ -41,31 +57,68 @@ function gridOf(panels, width, { minWidth = 300, height = 215, yTitle = "", righ
     showlegend: false, hovermode: "closest", dragmode: "zoom", annotations, shapes,
     hoverlabel: { bgcolor: colors.raised, bordercolor: colors.soft, font: { color: colors.ink, size: 12 }, align: "left" },
   };
-  panels.forEach((panel, place) => {
+  const leaders = new Map();   // share -> the first axis of it
+  shown.forEach((panel, place) => {
     const suffix = place === 0 ? "" : String(place + 1);
-    const column = place % columns, row = Math.floor(place / columns);
+    const column = place % wide, row = Math.floor(place / wide);
     const x0 = (column * (panelWidth + gapX)) / inner;
     const top = 1 - (starts[row] + gapTop) / total;
     const bottom = 1 - (starts[row] + gapTop + heights[row]) / total;
     const leader = panel.share === undefined ? undefined : leaders.get(panel.share);
     if (panel.share !== undefined && leader === undefined) leaders.set(panel.share, `y${suffix}`);
+    const { startsAt, ...y } = panel.y;
     layout[`xaxis${suffix}`] = { ...axisStyle(colors), domain: [x0, x0 + panelWidth / inner], anchor: `y${suffix}`, ...panel.x(panelWidth) };
+    if (row < heights.length - 1 && below > 40) layout[`xaxis${suffix}`].title = undefined;
     layout[`yaxis${suffix}`] = {
-      ...axisStyle(colors), domain: [bottom, top], anchor: `x${suffix}`,
-      ...(leader ? { matches: leader } : {}), ...panel.y,
+      ...axisStyle(colors), domain: [bottom, top], anchor: `x${suffix}`, ...(leader ? { matches: leader } : {}), ...y, ...(shares(place) ? { showticklabels: false } : {}),
     };
     if (column === 0 && yTitle) {
-      layout[`yaxis${suffix}`].title = { text: plain(yTitle), font: { size: 11, color: colors.soft }, standoff: 6 };
+      const from = startsAt ? `${yTitle}<br><b>axis starts at ${startsAt}</b>` : plain(yTitle);
+      layout[`yaxis${suffix}`].title = { text: from, font: { size: 11, color: colors.soft }, standoff: 6 };
     }
     annotations.push({
-      text: `<b>${plain(shorten(panel.title, panelWidth / 6.6))}</b>`, xref: "paper", yref: "paper", x: x0, y: top, yshift: 6,
-      xanchor: "left", yanchor: "bottom", showarrow: false, font: { size: 12.5, color: colors.ink },
+      text: `<b>${plain(shorten(panel.title, panelWidth / 6.4))}</b>`, xref: "paper", yref: "paper", x: x0, y: top, yshift: 6,
+      xanchor: "left", yanchor: "bottom", showarrow: false, font: { size: 12, color: colors.ink },
     });
+    const lastOfRow = column === wide - 1 || place === shown.length - 1;
+    if (lastOfRow && panel.ends?.length) annotations.push(...endLabels(panel, heights[row], suffix));
+    if (panel.beside?.length) annotations.push(...besideMarks(panel, layout[`xaxis${suffix}`], panelWidth, heights[row], suffix));
     for (const note of panel.notes || []) annotations.push({ ...note(panelWidth, colors), xref: `x${suffix}`, showarrow: false, yref: "paper", y: bottom });
-    for (const shape of panel.shapes || []) shapes.push({ ...shape(colors), xref: `x${suffix}`, yref: `y${suffix} domain` });
+    for (const shape of panel.shapes || []) shapes.push({ xref: `x${suffix}`, yref: `y${suffix} domain`, ...shape(colors, suffix) });
     for (const trace of panel.traces) data.push({ ...trace, xaxis: `x${suffix}`, yaxis: `y${suffix}` });
   });
-  return { data, layout };
+  return { data, layout, panels: panels.length, shown: shown.length };
+}
+
+/** What is written to the right of marks (left of those at the edge), pushed apart where marks stand close. */
+function besideMarks({ beside, y }, x, width, height, suffix) {
+  const share = (axis, value) => ((axis.type === "log" ? Math.log10(value) : value) - axis.range[0]) / (axis.range[1] - axis.range[0]);
+  const ordered = beside.map((one) => ({ ...one, left: share(x, one.x) * width, at: share(y, one.y) * height })).sort((a, b) => a.at - b.at);
+  const placed = [];
+  for (const one of ordered) {
+    for (const other of placed) if (Math.abs(other.left - one.left) < 26 && one.at - other.at < 10) one.at = other.at + 10;
+    placed.push(one);
+  }
+  return placed.map((one) => {
+    const edge = one.left > width - 24;
+    return {
+      text: plain(one.text), xref: `x${suffix} domain`, x: one.left / width, xshift: edge ? -6 : 6, xanchor: edge ? "right" : "left", yref: `y${suffix} domain`, y: one.at / height,
+      yanchor: "middle", showarrow: false, font: { size: 9.5, color: one.color }, bgcolor: theme().ground, borderpad: 0, opacity: 0.9,
+    };
+  });
+}
+
+/** The names of the lines of a panel at their ends, pushed apart where they would hide one another. */
+function endLabels({ ends, y }, height, suffix) {
+  const at = (value) => (y.type === "log" ? Math.log10(value) : value);
+  const px = (value) => ((at(value) - y.range[0]) / (y.range[1] - y.range[0])) * height;
+  const ordered = ends.map((end) => ({ ...end, px: px(end.y) })).sort((a, b) => a.px - b.px);
+  ordered.forEach((end, place) => { end.at = place ? Math.max(end.px, ordered[place - 1].at + END_STEP) : Math.max(6, end.px); });
+  const over = ordered[ordered.length - 1].at - (height - 4);
+  if (over > 0) ordered.forEach((end, place) => { end.at = Math.min(end.at, height - 4 - END_STEP * (ordered.length - 1 - place)); });
+  return ordered.map((end) => ({
+    text: plain(shorten(end.text, 23)), xref: `x${suffix} domain`, x: 1, xshift: 5, yref: `y${suffix} domain`, y: end.at / height, xanchor: "left", yanchor: "middle", showarrow: false, font: { size: 10.5, color: end.color },
+  }));
 }
 
 function shorten(text, most) {
@@ -105,6 +158,14 @@ function loadAxis(values, title = "") {
     type: "log", tickmode: "array", tickvals: ticks, ticktext: ticks.map((value) => plain(formatBytesPerS(value))), zeroline: false, tickangle: 0,
     range: [Math.log10(low) - 0.12, Math.log10(high) + 0.12], title: { text: plain(title), font: { size: 11, color: theme().soft }, standoff: 4 },
   };
+}
+
+/** An axis of named options at 0, 1, 2 ... */
+function optionAxis(labels) {
+  return () => ({
+    type: "linear", range: [-0.5, labels.length - 0.5], tickmode: "array", tickvals: labels.map((_, place) => place),
+    ticktext: labels.map((label) => plain(label).replace(", ", "<br>").replace(" → ", " →<br>")), tickangle: 0, showgrid: false, zeroline: false,
+  });
 }
 
 /** An axis of cells: rates as ticks, sizes under them, a line between sizes. Cells stand at 0, 1, 2 ... */

@@ -81,6 +81,14 @@ function buildFilters() {
     ...DATA.filters.map(filterMenu), selector("metric", "Metric"), selector("statistic", "Statistic"), selector("scale", "Scale"),
     reset, element("span", { class: "count", role: "status" }),
   );
+  const spreading = element("p", { class: "choice", id: "spreading" });
+  const paper = element("button", { type: "button", class: "quiet", id: "paper" }, "The paper's figures");
+  paper.addEventListener("click", () => change(() => {
+    const on = isPaper();
+    for (const [name, key] of Object.entries(PAPER)) view[name] = on || !CHOICES[name].some((choice) => choice.key === key) ? CHOICES[name][0].key : key;
+  }));
+  spreading.append(selector("panels", "Panels by "), selector("lines", "Lines by "), selector("bars", "Bars over "), paper);
+  document.getElementById("figures-title").after(spreading);
   // What the tiles of the heatmap show is chosen beside it.
   document.querySelector("#figure-heatmap .legend")?.before(element("p", { class: "choice" }, selector("tiles", "Tiles show ")));
   form.addEventListener("submit", (event) => event.preventDefault());
@@ -96,7 +104,10 @@ document.addEventListener("click", (event) => {
   for (const menu of document.querySelectorAll(".filter[open]")) if (!menu.contains(event.target)) menu.open = false;
 });
 
+function isPaper() { return Object.entries(PAPER).every(([name, key]) => view[name] === key || !CHOICES[name].some((choice) => choice.key === key)); }
+
 function showFilters() {
+  document.getElementById("paper").setAttribute("aria-pressed", String(isPaper()));
   for (const filter of DATA.filters) {
     const menu = document.querySelector(`[data-filter="${filter.key}"]`);
     const places = view.chosen[filter.key];
@@ -124,7 +135,15 @@ function showCellChoice() {
     document.getElementById("choose-cell").focus();
   });
   const label = element("label", { for: "choose-cell" }, "Messages: ");
-  document.getElementById("cell-choice").replaceChildren(...(cells.length ? [label, select] : []));
+  const places = placesOfCell();
+  const where = element("select", { id: "choose-place" }, ...places.map((place) => element("option", { value: String(place) }, DATA.dimensions.place.options[place].label)));
+  where.value = String(shownPlace());
+  where.addEventListener("change", () => {
+    change(() => { view.place = Number(where.value); });
+    document.getElementById("choose-place").focus();
+  });
+  const on = places.length > 1 ? [element("label", { for: "choose-place" }, " on "), where] : [];
+  document.getElementById("cell-choice").replaceChildren(...(cells.length ? [label, select, ...on] : []));
 }
 
 // The address holds the view, so a link within the page must not replace it.

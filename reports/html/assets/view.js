@@ -6,6 +6,7 @@ const TILES = [
   { key: "received_ratio", label: "messages received" },
   { key: "transfer_rate_bytes_per_s", label: "transfer rate" },
 ];
+const AUTO = { key: "auto", label: "as each figure proposes" };
 const CHOICES = {};
 
 /** What can be chosen from the page's data; called again when a watched page gets newer data. */
@@ -15,15 +16,29 @@ function setChoices() {
     statistic: DATA.statistics,
     scale: SCALES,
     tiles: TILES,
+    // What stands side by side and what is a line; `auto` is what each figure proposes.
+    panels: [AUTO, ...dimensionChoices(["size", "rate", "vendor", "way", "device", "link"])],
+    lines: [AUTO, ...dimensionChoices(["choice", "size", "rate", "vendor", "way", "device", "link"])],
+    bars: [{ key: "size", label: "size" }, { key: "rate", label: "frequency" }],
   });
 }
 setChoices();
+
+/** The dimensions in which groups differ, as choices. */
+function dimensionChoices(keys) {
+  return keys.filter((key) => DATA.dimensions[key].options.length > 1).map((key) => ({ key, label: DATA.dimensions[key].label }));
+}
+
+/** The paper's figures: a panel for each middleware, bridge and device with a line per size; bars of both domains over sizes. */
+const PAPER = { panels: "vendor", lines: "size", bars: "size" };
 
 const view = {
   chosen: {},   // filter key -> Set of option places; a key that is not there means all
   group: null,  // the one that is open
   only: null,   // while one group alone is drawn
   cell: null,   // place in DATA.cells, or null for the first that passes
+  place: null,  // place among the options of the dimension place, or null for the first of the cell
+  hidden: new Set(),   // lines that the reader switched off in a legend, as `dimension/option`
 };
 
 function readAddress() {
@@ -43,6 +58,8 @@ function readAddress() {
   view.group = group < 0 ? null : group;
   const cell = DATA.cells.findIndex((one) => one.label === address.get("cell"));
   view.cell = cell < 0 ? null : cell;
+  const place = DATA.dimensions.place.options.findIndex((one) => one.label === address.get("place"));
+  view.place = place < 0 ? null : place;
 }
 
 function writeAddress() {
@@ -55,6 +72,7 @@ function writeAddress() {
   }
   if (view.cell !== null) address.set("cell", DATA.cells[view.cell].label);
   if (view.group !== null) address.set("group", groupName(view.group));
+  if (view.place !== null) address.set("place", DATA.dimensions.place.options[view.place].label);
   const text = address.toString();
   if (text !== location.hash.slice(1)) history.pushState(null, "", `#${text}`);  // so Back undoes a choice
 }
@@ -79,6 +97,23 @@ function shownCell() {
   if (counts.has(view.cell)) return view.cell;
   const most = Math.max(...counts.values());
   return [...counts.keys()].sort((a, b) => a - b).find((cell) => counts.get(cell) === most) ?? null;
+}
+
+/** Where the cell was measured: places of DATA.dimensions.place, and the one that the detail figures show. */
+function placesOfCell() {
+  const cell = shownCell();
+  const places = passingGroups().filter((group) => DATA.groups.cell[group] === cell).map((group) => DATA.dimensions.place.of_group[group]);
+  return [...new Set(places)].sort((a, b) => a - b);
+}
+function shownPlace() {
+  const places = placesOfCell();
+  return places.includes(view.place) ? view.place : places[0] ?? null;
+}
+
+/** The groups of the detail figures. */
+function cellGroups() {
+  const [cell, place] = [shownCell(), shownPlace()];
+  return passingGroups().filter((group) => DATA.groups.cell[group] === cell && DATA.dimensions.place.of_group[group] === place);
 }
 
 /** The chosen statistic of the chosen metric, in ns, or null. */

@@ -1,8 +1,9 @@
 from analyses import MS, Measured, make_analysis
 
+from dds_trace.reports.book.facets import facets_info
 from dds_trace.reports.book.groups import Cell, group_labels, groups_info
 from dds_trace.reports.html.filters import filters_info
-from dds_trace.reports.html.styles import series_styles
+from dds_trace.reports.html.styles import choice_styles
 
 
 def labels_of(*measured):
@@ -69,34 +70,67 @@ def test_series_and_cells_are_sorted_as_people_read():
     ]
 
 
+def styles_of(*measured):
+    return choice_styles(facets_info(groups_info(make_analysis(*measured))))
+
+
 def test_a_vendor_keeps_its_colour_whoever_else_was_measured():
-    alone = series_styles(groups_info(make_analysis(Measured([MS], vendor="zenoh"))))
-    among = series_styles(
-        groups_info(
-            make_analysis(
-                *(Measured([MS], vendor=name) for name in ("cyclonedds", "fastdds", "new", "zenoh"))
-            )
-        )
-    )
+    alone = styles_of(Measured([MS], vendor="zenoh"))
+    among = styles_of(*(Measured([MS], vendor=name) for name in ("cyclonedds", "fastdds", "new", "zenoh")))
     assert alone[0] == among[2]
     assert len({style.light for style in among}) == 4
 
 
 def test_ways_differ_by_dash_and_twins_by_symbol():
-    styles = series_styles(
-        groups_info(
-            make_analysis(
-                Measured([MS]),
-                Measured([MS], bridge="builtin", domain_mode="different"),
-                Measured([MS], reliability="best_effort"),
-            )
-        )
+    styles = styles_of(
+        Measured([MS]),
+        Measured([MS], bridge="builtin", domain_mode="different"),
+        Measured([MS], reliability="best_effort"),
     )
     assert [(style.dash, style.symbol) for style in styles] == [
         ("solid", "circle"),
-        ("solid", "circle-open"),
-        ("dash", "circle"),
+        ("solid", "hexagon"),
+        ("dash", "star"),
     ]
+
+
+def test_a_choice_looks_alike_at_every_place_and_like_no_other():
+    bridges = ("none", "builtin", "builtin-zenoh", "zenoh-bridge-dds", "fastddsrouter")
+    measured = [
+        Measured([MS], vendor=vendor, bridge=bridge, domain_mode="same" if bridge == "none" else "different", connectivity=link)
+        for vendor in ("fastdds", "cyclonedds", "connext", "zenoh", "new", "other")
+        for bridge in bridges
+        for link in ("wired", "wireless")
+    ]  # fmt: skip
+    facets = facets_info(groups_info(make_analysis(*measured)))
+    assert len(facets.dimensions["choice"].options) == len(facets.choices) == 30
+    assert facets.dimensions["place"].options == ("pi-one → pi-two, wired", "pi-one → pi-two, wireless")
+    styles = choice_styles(facets)
+    assert len({(style.light, style.symbol, style.dash) for style in styles}) == 30
+    assert len({(style.dark, style.symbol, style.dash) for style in styles}) == 30
+
+
+def test_a_bridge_is_short_at_the_end_of_a_line_and_has_its_vendor_only_where_two_are_bridged():
+    bridged = {"bridge": "builtin", "domain_mode": "different"}
+    one = facets_info(groups_info(make_analysis(Measured([MS]), Measured([MS], **bridged))))
+    assert one.dimensions["choice"].short == ("Fast DDS", "built-in")
+    two = make_analysis(
+        Measured([MS], **bridged), Measured([MS], vendor="zenoh", relay_vendor="zenoh", **bridged)
+    )
+    assert facets_info(groups_info(two)).dimensions["choice"].options == ("Fast DDS", "Zenoh")
+    four = make_analysis(
+        *(
+            Measured([MS], vendor=name, relay_vendor=name, **way)
+            for name in ("fastdds", "zenoh")
+            for way in ({}, bridged)
+        )
+    )
+    assert facets_info(groups_info(four)).dimensions["choice"].short == (
+        "Fast DDS",
+        "Fast DDS, built-in",
+        "Zenoh",
+        "Zenoh, built-in",
+    )
 
 
 def test_only_what_varies_can_be_filtered():

@@ -7,37 +7,34 @@ from analyses import EVERY_ANALYSIS, MS, Measured, make_analysis
 from dds_trace.analyzer.details import details_not_requested
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.numbers import curves_info, intervals_info, values_info
-from dds_trace.reports.figures import FIGURES, Figure, LeftOut
-from dds_trace.reports.figures.breakdown import Breakdown, MeanPart, breakdown_info
+from dds_trace.reports.figures import FIGURES, Figure, LeftOut, drawn_figures
+from dds_trace.reports.figures.breakdown import MeanPart, breakdown_info
 from dds_trace.reports.figures.bridge_cost import bridge_cost_info
 from dds_trace.reports.figures.capacity import (
-    Received,
-    TransferRate,
     received_info,
     sustainable_info,
+    transfer_by_rate_info,
+    transfer_by_size_info,
     transfer_rate_info,
 )
 from dds_trace.reports.figures.clocks import ClockPair, clock_info, one_way_info
 from dds_trace.reports.figures.comparison import (
-    DomainDifference,
-    Pair,
-    PairPanel,
-    VendorComparison,
+    by_device_info,
     domain_difference_info,
     vendor_comparison_info,
 )
-from dds_trace.reports.figures.distribution import DistributionCurves, distribution_info
-from dds_trace.reports.figures.figure import Line, Panel
+from dds_trace.reports.figures.distribution import DistributionCurves, distribution_info, run_spread_info
+from dds_trace.reports.figures.dots import dots_info
+from dds_trace.reports.figures.figure import MOST_LINES, Facet, Faceted, Line, Panel
 from dds_trace.reports.figures.host_load import DeviceLoad, host_load_info
 from dds_trace.reports.figures.latency import (
     Heatmap,
     HeatmapPanel,
-    LatencyByRate,
-    LatencyBySize,
     heatmap_info,
     latency_by_rate_figure,
     latency_by_rate_info,
     latency_by_size_info,
+    relay_time_info,
 )
 from dds_trace.reports.figures.timeline import GroupTimeline, Timeline, timeline_info
 from dds_trace.reports.text import json_island
@@ -75,39 +72,95 @@ def test_latency_by_rate_has_a_panel_per_size_with_two_rates(campaign):
         Line(1, (10.0,), (0,)),
         Line(2, (10.0,), (4,)),
     )
-    assert latency_by_rate_info(Book(campaign)) == LatencyByRate(
-        (Panel("Binary 33 KB", (line_same, line_bridged, line_zenoh)),)
+    assert latency_by_rate_info(Book(campaign)) == Faceted(
+        Facet("rate", "size", "choice"), (Panel("33 KB", (line_same, line_bridged, line_zenoh)),)
     )
 
 
 def test_latency_by_size_has_a_panel_per_rate_with_two_sizes(campaign):
     lines = (Line(0, (33_000.0, 67_000.0), (1, 3)), Line(1, (33_000.0,), (0,)), Line(2, (33_000.0,), (4,)))
-    assert latency_by_size_info(Book(campaign)) == LatencyBySize((Panel("Binary at 10 Hz", lines),))
+    by_size = Faceted(Facet("size", "rate", "choice"), (Panel("10 Hz", lines),))
+    assert latency_by_size_info(Book(campaign)) == by_size
+    # The relay is measured in every group, and a transfer rate takes two replies, which Zenoh did not get.
+    assert relay_time_info(Book(campaign)) == by_size
+    assert transfer_by_size_info(Book(campaign)).panels == (Panel("10 Hz", lines[:2]),)
+    assert transfer_by_rate_info(Book(campaign)).panels == (
+        Panel("33 KB", (Line(0, (10.0, 20.0), (1, 2)), Line(1, (10.0,), (0,)))),
+    )
+
+
+def test_the_papers_panel_is_one_vendor_way_and_place_with_a_line_per_size(campaign):
+    (panel,) = latency_by_rate_info(Book(campaign), panels="vendor", lines="size").panels
+    assert panel == Panel("Fast DDS, same domain", (Line(0, (10.0, 20.0), (1, 2)), Line(1, (10.0,), (3,))))
+
+
+def test_rows_are_places_and_no_panel_has_more_lines_than_can_be_told_apart():
+    vendors = [f"vendor {number}" for number in range(9)]
+    book = Book(
+        make_analysis(
+            *(
+                Measured([MS], vendor=name, relay_vendor=name, rate_hz=rate_hz, connectivity=link)
+                for name in vendors
+                for rate_hz in (10.0, 20.0)
+                for link in ("wired", "wireless")
+            )
+        )
+    )
+    panels = latency_by_rate_info(book).panels
+    assert [(panel.title, len(panel.lines)) for panel in panels] == [
+        ("wired (1 of 2)", 5),
+        ("wired (2 of 2)", 4),
+        ("wireless (1 of 2)", 5),
+        ("wireless (2 of 2)", 4),
+    ]
+    assert MOST_LINES == 7
+    # Along the places: the same vendors, now one position for each link.
+    assert {line.x for panel in by_device_info(book).panels for line in panel.lines} == {(0.0, 1.0)}
 
 
 def test_vendor_comparison_puts_groups_of_one_cell_above_one_another(campaign):
     # Cells: 33 KB at 10 Hz, 33 KB at 20 Hz, 67 KB at 10 Hz.
-    same = Panel("Binary, same domain", (Line(0, (0.0, 1.0, 2.0), (1, 2, 3)), Line(2, (0.0,), (4,))))
-    different = Panel("Binary, different domains", (Line(1, (0.0,), (0,)),))
-    assert vendor_comparison_info(Book(campaign)) == VendorComparison((same, different))
-    assert received_info(Book(campaign)) == Received((same, different))
+    lines = (Line(0, (0.0, 1.0, 2.0), (1, 2, 3)), Line(1, (0.0,), (0,)), Line(2, (0.0,), (4,)))
+    everything = Faceted(Facet("plane", "way", "choice"), (Panel("Binary", lines),))
+    assert vendor_comparison_info(Book(campaign)) == everything
+    assert received_info(Book(campaign)) == everything
+
+
+def test_a_panel_without_a_loss_is_left_out_of_what_was_received():
+    lossy = Measured([MS, "lost_return"], data_type="string", payload_bytes=100)
+    assert [panel.title for panel in received_info(Book(make_analysis(Measured([MS]), lossy))).panels] == [
+        "String"
+    ]
+    assert received_info(Book(make_analysis(Measured([MS])))).panels == ()
 
 
 def test_transfer_rate_stands_over_size_times_rate(campaign):
     # Zenoh's one reply spans no time and has no transfer rate.
     lines = (Line(0, (330_000.0, 660_000.0, 670_000.0), (1, 2, 3)), Line(1, (330_000.0,), (0,)))
-    assert transfer_rate_info(Book(campaign)) == TransferRate((Panel("Binary", lines),))
+    assert transfer_rate_info(Book(campaign)).panels == (Panel("Binary", lines),)
 
 
 def test_domain_difference_pairs_equal_groups(campaign):
-    assert domain_difference_info(Book(campaign)) == DomainDifference(
-        (PairPanel("Binary 33 KB", (Pair(10.0, 1, 0),)),)
-    )
+    info = domain_difference_info(Book(campaign))
+    assert info.pairs == ((1, 0),)
+    assert info.panels == (Panel("10 Hz", (Line(0, (33_000.0,), (1,)), Line(1, (33_000.0,), (0,)))),)
+
+
+def test_bars_are_of_the_messages_planned():
+    """Of ten planned: 4 ms is the median of all if one is lost, and the median is lost if six are."""
+    ramp = [n * MS for n in range(1, 10)]
+    some, most = Measured([*ramp, "lost_return"]), Measured([*ramp[:4], *["lost_return"] * 6], **BRIDGED)
+    info = domain_difference_info(Book(make_analysis(some, most)))
+    bridged, home = info.planned[0]["latency"], info.planned[1]["latency"]
+    assert (home["p50"], home["max"]) == (pytest.approx(5 * MS, rel=2e-3), None)
+    assert (bridged["p50"], bridged["min"]) == (None, pytest.approx(MS, rel=2e-3))
+    assert "p99" not in home, "ten messages have no p99"
 
 
 def test_domain_difference_pairs_no_unlike_groups():
     unlike = make_analysis(Measured([MS]), Measured([MS], reliability="best_effort", **BRIDGED))
-    assert domain_difference_info(Book(unlike)) == DomainDifference(())
+    info = domain_difference_info(Book(unlike))
+    assert (info.panels, info.pairs) == ((), ())
 
 
 def test_every_bridge_is_compared_with_the_same_domain():
@@ -117,7 +170,7 @@ def test_every_bridge_is_compared_with_the_same_domain():
         Measured([MS], bridge="zenoh-bridge-dds", domain_mode="different"),
     )
     # Sorted by bridge: builtin 0, none 1, zenoh-bridge-dds 2.
-    assert domain_difference_info(Book(both)).panels[0].pairs == (Pair(10.0, 1, 0), Pair(10.0, 1, 2))
+    assert domain_difference_info(Book(both)).pairs == ((1, 0), (1, 2))
 
 
 def test_heatmap_has_a_plane_per_series_with_two_tiles(campaign):
@@ -127,12 +180,12 @@ def test_heatmap_has_a_plane_per_series_with_two_tiles(campaign):
 
 def test_breakdown_stacks_the_parts_of_the_response(campaign):
     without_relay = Measured([MS], relay_device=None)
-    assert breakdown_info(Book(make_analysis(without_relay))) == Breakdown((), {})
+    assert breakdown_info(Book(make_analysis(without_relay))).panels == ()
     info = breakdown_info(Book(campaign))
     assert [panel.title for panel in info.panels] == [
-        "Binary: Fast DDS, same domain",
-        "Binary: Fast DDS, through our built-in bridge",
-        "Binary: Zenoh, same domain",
+        "Fast DDS, same domain",
+        "Fast DDS, through our built-in bridge",
+        "Zenoh, same domain",
     ]
     # Group 1: latencies of 1 and 2 ms, the way out 50 and 100 µs longer, the way back as much shorter.
     assert info.parts[1] == (
@@ -155,20 +208,46 @@ def test_bridge_cost_is_the_difference_with_its_interval():
         Measured([MS + ns for ns in mixed], connectivity="wireless"),
         Measured([3 * MS + ns for ns in mixed], connectivity="wireless", **BRIDGED),
     )
-    (panel,) = bridge_cost_info(Book(analysis)).panels
-    (cell,) = panel.cells
+    info = bridge_cost_info(Book(analysis))
+    ((group, cell),) = info.cells.items()
     cost = cell.costs["p50"]
     # Sorted by bridge: builtin is group 0. Samples of the bridge in the run (0 to 1.9 s): 30 % each.
-    assert (panel.title, cell.group, cell.bridge_cpu_percent) == ("Binary", 0, 30.0)
+    assert (info.panels, group) == ((Panel("Binary", (Line(1, (0.0,), (0,)),)),), 0)
+    assert cell.bridge_cpu_percent == 30.0
+    assert cost.ratio == pytest.approx(3, rel=0.02)
+    assert cost.ratio_low <= cost.ratio <= cost.ratio_high
     assert (cost.difference_ns, cost.verdict) == (2 * MS, "worse")
     # Three runs a way that spread by 3 %: Welch's t on their logarithms reaches 8 % of 3 ms.
     assert 1.8 * MS <= cost.low_ns <= 2 * MS <= cost.high_ns <= 2.2 * MS
     assert "p99" not in cell.costs
 
 
-def test_sustainable_needs_two_rates(campaign):
-    # 33 KB was sent at 10 and 20 Hz; 67 KB at one rate.
-    assert [panel.title for panel in sustainable_info(Book(campaign)).panels] == ["Binary 33 KB"]
+def test_sustainable_needs_two_rates_and_one_that_was_not_kept_up(campaign):
+    # 33 KB was sent at 10 and 20 Hz; 67 KB at one rate. Zenoh lost every other message.
+    assert [panel.title for panel in sustainable_info(Book(campaign)).panels] == ["33 KB"]
+    kept_up = make_analysis(Measured([MS, MS]), Measured([MS, MS], rate_hz=20.0))
+    assert sustainable_info(Book(kept_up)).panels == ()
+
+
+def test_the_spread_of_runs_is_how_far_their_interval_reaches():
+    mixed = [MS + n * 1000 for n in random.Random(1).sample(range(20), 20)]
+    analysis = make_analysis(Measured(mixed, runs=3), Measured([MS], rate_hz=20.0))
+    info = run_spread_info(Book(analysis))
+    (row,) = analysis.details.intervals.filter(metric="latency", percentile="p50", group=0).to_dicts()
+    assert info.reaches["p50"] == {0: pytest.approx((row["high_ns"] / row["low_ns"]) ** 0.5 - 1, abs=1e-5)}
+    assert info.panels == (Panel("Binary", (Line(0, (0.0,), (0,)),)),)
+
+
+def test_a_few_groups_are_one_chart_in_place_of_figures_with_a_dot_each(campaign):
+    assert dots_info(Book(campaign)).groups == (1, 0, 4, 2, 3), "by combination, then choice"
+    made = {figure.name: figure for _, figure in drawn_figures(Book(campaign))}
+    assert isinstance(made["dots"], Figure)
+    assert {name for name, figure in made.items() if isinstance(figure, LeftOut) and "so few groups" in figure.reason} >= {
+        "latency_by_rate", "latency_by_size", "domain_difference", "vendor_comparison", "received",
+    }  # fmt: skip
+    many = Book(EVERY_ANALYSIS["small campaign"]())
+    assert dots_info(many).groups == ()
+    assert "dots" not in {figure.name for _, figure in drawn_figures(many)}
 
 
 def test_clock_shows_offsets_since_the_first():
@@ -213,7 +292,8 @@ def test_without_details_the_figures_that_need_them_say_so(campaign):
     plain = replace(campaign, details=details_not_requested())
     left_out = {drawn.name for maker in FIGURES if isinstance(drawn := maker.draw(Book(plain)), LeftOut)}
     of_wire = {"wire_cost", "sent_again", "first_message"}
-    assert left_out == {"bridge_cost", "breakdown", "one_way", "clock", "host_load"} | of_wire
+    of_details = {"bridge_cost", "breakdown", "one_way", "clock", "host_load", "run_spread"}
+    assert left_out == of_details | of_wire | {"by_device"}
 
 
 def test_curves_are_the_inverse_of_the_histogram():
@@ -284,6 +364,7 @@ def test_nothing_empty_is_drawn():
     assert all(isinstance(maker.draw(empty), LeftOut) for maker in FIGURES)
     made = [maker.draw(lost) for maker in FIGURES]
     assert [figure.name for figure in made if isinstance(figure, Figure)] == [
+        "dots",
         "received",
         "timeline",
         "host_load",
@@ -291,7 +372,7 @@ def test_nothing_empty_is_drawn():
 
 
 def test_a_figure_left_out_says_why():
-    left_out = latency_by_rate_figure(LatencyByRate(()))
+    left_out = latency_by_rate_figure(Faceted(Facet("rate", "size"), ()))
     assert isinstance(left_out, LeftOut)
     assert left_out.reason == "no message size was measured at two rates."
 

@@ -106,6 +106,7 @@ def test_a_mark_a_tile_a_row_a_finding_and_the_headline_open_their_group(reader,
             figure,
         )
         assert found is not None or figure == "clock", figure
+    tab.locator("#figure-heatmap .fold").evaluate("fold => { fold.open = true; }")
     tab.evaluate("document.querySelector('#figure-heatmap .plot').scrollIntoView({block: 'center'})")
     tile = tab.locator("#figure-heatmap .plot .row .nsewdrag").first
     tile.wait_for(state="attached")

@@ -5,7 +5,7 @@
 function toPaper() {
   const root = document.documentElement;
   const themeBefore = root.dataset.theme;
-  const opened = [...document.querySelectorAll(".first details:not([open]), #recording details:not([open])")];
+  const opened = [...document.querySelectorAll(".first details:not([open]), #recording details:not([open]), .fold:not([open])")];
   setTheme("light");
   root.classList.add("paper");
   for (const details of opened) details.open = true;

@@ -1,0 +1,168 @@
+"""Dimensions along which a report spreads its groups over panels and lines, with the label of each value.
+
+`choice` is what a reader chooses between (middleware, way between the domains, whatever else differs) and `place` where it
+was measured (devices and link); both are made of dimensions of their own (`MADE_OF`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from dds_trace.tracefile.units.rates import format_rate
+from dds_trace.tracefile.units.sizes import format_size
+from dds_trace.tracefile.visible import visible
+
+from .groups import data_type_label, device_label, domain_label, series_labels
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from .groups import Cell, Groups, Series
+
+MADE_OF = {
+    "choice": ("vendor", "way", "rest"),
+    "place": ("device", "link"),
+    "cell": ("data", "size", "rate"),
+    "plane": ("size", "rate"),
+    "load": ("size", "rate"),
+}
+"""Dimension -> the dimensions that it is made of; the last three are positions on an axis alone."""
+
+LABELS = {
+    "data": "data",
+    "size": "size",
+    "rate": "frequency",
+    "vendor": "middleware",
+    "way": "bridge",
+    "rest": "other settings",
+    "device": "devices",
+    "link": "link",
+    "choice": "middleware and bridge",
+    "place": "devices and link",
+}
+"""Dimension -> its name for readers."""
+
+
+@dataclass(frozen=True, slots=True)
+class Dimension:
+    """One dimension.
+
+    Attributes:
+        label: name for readers.
+        options: label of each value that any group has, in the order of cells and series.
+        of_group: place of each group's value among the options.
+        short: label of each value at the end of a line.
+    """
+
+    label: str
+    options: tuple[str, ...]
+    of_group: tuple[int, ...]
+    short: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Facets:
+    """All dimensions, and for each option of `choice` the series without its place, for its look.
+
+    Attributes:
+        dimensions: key of `LABELS` -> dimension.
+        choices: one for each option of `choice`.
+    """
+
+    dimensions: Mapping[str, Dimension]
+    choices: tuple[Series, ...]
+
+    def option(self, key: str, group: int) -> int:
+        """Return the place of a group's value in a dimension."""
+        return self.dimensions[key].of_group[group]
+
+    def label(self, key: str, group: int) -> str:
+        """Return the label of a group's value in a dimension."""
+        return self.dimensions[key].options[self.option(key, group)]
+
+    def varies(self, key: str) -> bool:
+        """Whether groups differ in a dimension."""
+        return len(self.dimensions[key].options) > 1
+
+
+def facets_info(groups: Groups) -> Facets:
+    """List the values of every dimension among the groups."""
+    choice_of = [_apart_from_place(series) for series in groups.series]
+    choices = tuple(dict.fromkeys(choice_of))
+    names = dict(zip(choices, series_labels(choices), strict=True))
+    bridging = len({one.vendor_label for one in choices if one.domain_mode == "different"}) > 1
+
+    def choice(series: Series) -> Value:
+        name, way = names[_apart_from_place(series)], domain_label(series)
+        told = f"{series.vendor_label}, {way}"
+        bridge = SHORT_BRIDGES.get(series.bridge, visible(series.bridge))
+        brief = f"{series.vendor_label}, {bridge}" if bridging else bridge
+        at_home = series.domain_mode == "same" or series.bridge == "none"
+        short = name.replace(", same domain", "") if at_home else name.replace(told, brief)
+        return Value(_apart_from_place(series), name, short)
+
+    def rest(series: Series) -> Value:
+        name = names[_apart_from_place(series)].removeprefix(series.vendor_label)
+        return _named(name.replace(f", {domain_label(series)}", "", 1).removeprefix(", "))
+
+    def device(series: Series) -> Value:
+        return _named(device_label(series))
+
+    def link(series: Series) -> Value:
+        return _named(visible(series.connectivity))
+
+    of_cell: dict[str, Callable[[Cell], Value]] = {
+        "data": lambda cell: _named(data_type_label(cell.data_type)),
+        "size": lambda cell: Value(cell.payload_bytes, format_size(cell.payload_bytes)),
+        "rate": lambda cell: Value(cell.rate_hz, format_rate(cell.rate_hz)),
+    }
+    of_series: dict[str, Callable[[Series], Value]] = {
+        "vendor": lambda series: _named(series.vendor_label),
+        "way": lambda series: _named(domain_label(series)),
+        "rest": rest,
+        "device": device,
+        "link": link,
+        "choice": choice,
+        "place": lambda series: _named(f"{device(series).label}, {link(series).label}"),
+    }
+    dimensions = {}
+    for key, name in LABELS.items():
+        if key in of_cell:
+            own = [of_cell[key](cell) for cell in groups.cells]
+            values = [own[group.cell] for group in groups.groups]
+        else:
+            own = [of_series[key](series) for series in groups.series]
+            values = [own[group.series] for group in groups.groups]
+        distinct = {value.value: value for value in own}
+        if key in ("size", "rate"):
+            distinct = dict(sorted(distinct.items()))
+        rank = {value: place for place, value in enumerate(distinct)}
+        dimensions[key] = Dimension(
+            name,
+            tuple(value.label for value in distinct.values()),
+            tuple(rank[value.value] for value in values),
+            tuple(value.short or value.label for value in distinct.values()),
+        )
+    return Facets(dimensions, choices)
+
+
+SHORT_BRIDGES = {"builtin": "built-in", "builtin-zenoh": "built-in Zenoh"}
+"""Bridge -> what it is called at the end of a line; any other by its own name."""
+
+
+@dataclass(frozen=True, slots=True)
+class Value:
+    """One value of a dimension, its label, and what it is called at the end of a line if that differs."""
+
+    value: Any
+    label: str
+    short: str = ""
+
+
+def _named(label: str) -> Value:
+    return Value(label, label)
+
+
+def _apart_from_place(series: Series) -> Series:
+    return replace(series, ping_device="", relay_device=None, connectivity="")

@@ -1,0 +1,50 @@
+"""A few groups in one chart: each a line of its own with its time, the interval and what was received."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from .bridge_cost import BridgedCell, bridge_cost_info
+from .figure import FEW_GROUPS, Figure, LeftOut, figure_maker, is_few
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from ..book.book import Book
+
+
+@dataclass(frozen=True, slots=True)
+class Dots:
+    """Groups in the order of the chart, from the top; none where there are more than `FEW_GROUPS`.
+
+    Attributes:
+        cells: group through a bridge -> what that costs.
+    """
+
+    groups: tuple[int, ...]
+    cells: Mapping[int, BridgedCell]
+
+
+def dots_info(book: Book) -> Dots:
+    """Collect all groups of which a message was published, by cell and series."""
+    groups = sorted(book.groups.groups, key=lambda group: (group.cell, group.series))
+    if not is_few(book):
+        return Dots((), {})
+    return Dots(tuple(group.index for group in groups if group.published), bridge_cost_info(book).cells)
+
+
+def dots_figure(info: Dots) -> Figure | LeftOut:
+    """Draw a dot and its interval for each group, and its share received."""
+    name, title = "dots", "Latency at a glance"
+    if not info.groups:
+        return LeftOut(name, title, f"no message was published, or there are more than {FEW_GROUPS} groups.")
+    how_to_read = (
+        "Each line is one group, the dot its time with the 95 % interval, beside it the share received and how many times as long a "
+        "message takes through a bridge as in the same domain; times are of the messages that came back."
+    )
+    cells = {str(group): cell for group, cell in info.cells.items()}
+    return Figure(name, title, how_to_read, "dots", {"groups": info.groups, "cells": cells}, follows=True)
+
+
+FIGURE = figure_maker(dots_info, dots_figure)

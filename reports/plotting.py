@@ -14,7 +14,7 @@ from dds_trace.tracefile.units.rates import format_rate
 from dds_trace.tracefile.units.sizes import format_size
 
 from .book.groups import METRIC_LABELS, STATISTIC_LABELS
-from .figures.figure import Facet, Faceted, faceted_lines
+from .figures.figure import Facet, Faceted, faceted_lines, panel_keys
 from .html.styles import line_styles
 from .text import format_ratio
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from .book.book import Book
-    from .figures.figure import Line
+    from .figures.figure import Line, Panel
     from .html.styles import Style
 
 _PANEL_WIDTH, _PANEL_HEIGHT = 330, 280
@@ -88,18 +88,24 @@ def _chosen(what: str, value: str, known: Mapping[str, object]) -> str:
     return value
 
 
+def _parts(panels: tuple[Panel, ...]) -> list[str]:
+    """Return which part of its lines each panel has, as in `(1 of 2)`: such panels stand below one another."""
+    return [
+        panel.title.rpartition(" (")[2] if panel.title.endswith(")") and " of " in panel.title else ""
+        for panel in panels
+    ]
+
+
 def _figure(book: Book, axis: Axis, info: Faceted, metric: str, statistic: str) -> Figure:
     facet, facets = info.facet, book.facets
     first = [panel.lines[0].groups[0] for panel in info.panels]
-    beside = [facets.label(facet.panels, group) for group in first]
-    if facet.panels == "size":
-        beside = [
-            f"{facets.label('data', group)} {label}" for group, label in zip(first, beside, strict=True)
+    beside, below = (
+        [
+            (*(facets.label(key, group) for key in keys), part)
+            for group, part in zip(first, parts, strict=True)
         ]
-    below = [
-        tuple(panel.title.split(", ")[1:]) if len(set(beside)) > 1 else (panel.title,)
-        for panel in info.panels
-    ]
+        for keys, parts in zip(panel_keys(facet), ([""] * len(first), _parts(info.panels)), strict=True)
+    )
     columns, rows = list(dict.fromkeys(beside)), list(dict.fromkeys(below))
     places = [(rows.index(low), columns.index(side)) for low, side in zip(below, beside, strict=True)]
     titles = {place: panel.title for place, panel in zip(places, info.panels, strict=True)}

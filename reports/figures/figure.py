@@ -185,11 +185,7 @@ def facet_panels(
         drawn: whether the group of this index has the values that the figure draws; all groups by default.
     """
     facets, groups = book.facets, book.groups
-    used = {*_atoms(facet.x), *_atoms(facet.lines)}
-    columns = [key for key in _atoms(facet.panels) if key not in used]
-    if "size" in columns and "data" not in used:
-        columns.insert(0, "data")
-    rows = [key for key in _ATOMS if key not in used and key not in columns]
+    columns, rows = panel_keys(facet)
     points: dict[tuple[int, ...], dict[int, list[tuple[float, int]]]] = {}
     for group in sorted(groups.groups, key=lambda group: (group.cell, group.series)):
         if not drawn(group.index):
@@ -213,6 +209,15 @@ def facet_panels(
             ending = f" ({part + 1} of {parts})" if parts > 1 else ""
             panels.append(Panel(f"{title}{ending}", tuple(made[part * most : (part + 1) * most])))
     return tuple(panels)
+
+
+def panel_keys(facet: Facet) -> tuple[list[str], list[str]]:
+    """Return the dimensions that set panels apart: side by side, and below one another."""
+    used = {*_atoms(facet.x), *_atoms(facet.lines)}
+    columns = [key for key in _atoms(facet.panels) if key not in used]
+    if "size" in columns and "data" not in used:
+        columns.insert(0, "data")
+    return columns, [key for key in _ATOMS if key not in used and key not in columns]
 
 
 def _atoms(key: str) -> tuple[str, ...]:

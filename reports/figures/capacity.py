@@ -32,7 +32,7 @@ def received_figure(info: Faceted) -> Figure | LeftOut:
     return Figure(name, title, how_to_read, "lines", facet_plan(info.facet, info.panels, value="received"))
 
 
-RECEIVED = figure_maker(received_info, received_figure, few=False)
+RECEIVED = figure_maker(received_info, received_figure, opened=False, few=False)
 
 
 def transfer_rate_info(book: Book, panels: str = "way", lines: str = "choice") -> Faceted:

@@ -17,7 +17,7 @@ function isOnScreen(part) {
   return bottom > 0 && top < innerHeight;
 }
 
-const FOLDED_ON_PHONES = ["host_load"];
+const FOLDED_ON_PHONES = ["timeline", "host_load"];
 
 class FigureBlock {
   constructor(article) {

@@ -120,6 +120,7 @@ def test_losses_are_seen_on_marks_bars_and_curves(reader, pages):
 def test_a_legend_switches_a_line_off_and_shows_one_alone(reader, pages):
     tab = reader.open(pages("lossy machine"))
     traces = "blocks.find(b => b.name === 'latency_by_rate').drawn.data.map(t => t.meta)"
+    reader.draw_all()
     button = tab.locator("#figure-latency_by_rate .legend button").nth(1)
     line = button.get_attribute("data-line")
     assert line in tab.evaluate(traces)

@@ -29,7 +29,7 @@ class Dots:
 def dots_info(book: Book) -> Dots:
     """Collect all groups of which a message was published, by cell and series."""
     groups = sorted(book.groups.groups, key=lambda group: (group.cell, group.series))
-    if not is_few(book):
+    if not is_few(book) or not any(book.values.timed(group.index) for group in book.groups.groups):
         return Dots((), {})
     return Dots(tuple(group.index for group in groups if group.published), bridge_cost_info(book).cells)
 
@@ -38,7 +38,7 @@ def dots_figure(info: Dots) -> Figure | LeftOut:
     """Draw a dot and its interval for each group, and its share received."""
     name, title = "dots", "Latency at a glance"
     if not info.groups:
-        return LeftOut(name, title, f"no message was published, or there are more than {FEW_GROUPS} groups.")
+        return LeftOut(name, title, f"no message came back, or there are more than {FEW_GROUPS} groups.")
     how_to_read = (
         "Each line is one group, the dot its time with the 95 % interval, beside it the share received and how many times as long a "
         "message takes through a bridge as in the same domain; times are of the messages that came back."

@@ -364,7 +364,6 @@ def test_nothing_empty_is_drawn():
     assert all(isinstance(maker.draw(empty), LeftOut) for maker in FIGURES)
     made = [maker.draw(lost) for maker in FIGURES]
     assert [figure.name for figure in made if isinstance(figure, Figure)] == [
-        "dots",
         "received",
         "timeline",
         "host_load",

@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-import re
-from pathlib import Path
-
 import pytest
 
 from dds_trace.cli.errors import run_command
 from dds_trace.tracefile import NoEchoError, OptionError, OutputError, TraceFormatError
-from dds_trace.tracefile import errors as errors_module
-
-ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.parametrize(
@@ -40,15 +34,3 @@ def test_our_own_mistakes_keep_their_traceback():
 
     with pytest.raises(KeyError):
         run_command(fail)
-
-
-def test_the_table_of_exit_codes_names_every_error():
-    rows = re.findall(
-        r"^\| (\d+) \| `(\w+)` \|", (ROOT / "docs" / "reference" / "exit-codes.md").read_text(), re.MULTILINE
-    )
-    errors = {errors_module.TraceError, *errors_module.TraceError.__subclasses__()}
-    known = {
-        (str(each.exit_code), each.__name__) for each in errors if each.__module__ == errors_module.__name__
-    }
-    assert set(rows) == known
-    assert len({code for code, _ in rows}) == len(rows)

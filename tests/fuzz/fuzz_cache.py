@@ -34,9 +34,9 @@ class Target:
         shelf.load(self._trace, 0)
         self._json = cache.folder / f"{self._key}.json"
         self._events = cache.events_path(self._key)
+        shelf.close()  # entries are written beside what is read next
         self._good_json, self._good_events = self._json.read_bytes(), self._events.read_bytes()
-        self._entry = json.loads(cache.read_text(self._key))
-        shelf.close()
+        self._entry = json.loads(self._good_json[64:])
         self._shapes = (self._stranger, self._changed_json, self._changed_events, self._sealed)
 
     def try_input(self, data: bytes) -> None:

@@ -1,4 +1,4 @@
-"""A relay of the `socket` backend's TCP written apart from it, with stamps of its own and a known delay.
+"""A relay of the `socket` backend's TCP written apart from it, with stamps of its own and a known delay of every other message.
 
     python plain_echo.py PORT TOPIC TYPE DELAY_S
 
@@ -44,7 +44,8 @@ def main(port, topic, type_name, delay_s):
             continue
         at = body.index(b"dt1:")
         _, run, sequence, _ = body[at : at + 46].split(b":")
-        time.sleep(delay_s)
+        if int(sequence, 16) % 2:
+            time.sleep(delay_s)
         reply = body[: at + 38] + b"%08x" % RELAY_ID + body[at + 46 :]
         out_ns = time.monotonic_ns()
         write_frame(connection, back.encode(), reply)

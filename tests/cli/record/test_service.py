@@ -66,6 +66,9 @@ def test_a_rotated_relay_is_one_recording_to_all_who_ask(domain_id, tmp_path, ma
         )
         assert done.status == 0, done.stderr
         (listed,), text = status(command.pid)
+        while listed["messages"] < 310:  # the relay tells it twice a second
+            assert command.is_alive
+            (listed,), text = status(command.pid)
         assert (listed["state"], listed["role"], listed["domain_id"]) == ("running", "relay", domain_id)
         assert (listed["pid"], listed["messages"], listed["files"] > 2) == (command.pid, 310, True)
         assert text.startswith(f"relay  domain {domain_id}  socket  pid {command.pid}  310 messages, ")
@@ -169,7 +172,7 @@ def test_a_relay_stops_recording_and_not_itself_while_the_disk_is_short(domain_i
         line = command.wait_for_line("until then nothing is recorded, and the relay goes on sending back")
         assert f"{traces}/relay.mcap: the disk has " in line
         second = ping(domain_id, traces / "second.mcap", *SOCKET, "--messages", 20, "--rate", 100)
-        assert (second.status, "received 30, lost 0" in second.stdout) == (0, True), second.stderr
+        assert (second.status, "received 20, lost 0" in second.stdout) == (0, True), second.stderr
         assert "    not recording: " in status(command.pid)[1]
         short = ping(domain_id, traces / "short.mcap", *SOCKET, "--messages", 20, "--keep-free", keep_free)
         assert (short.status, (traces / "short.mcap").exists()) == (OutputError.exit_code, False)

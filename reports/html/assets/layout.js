@@ -6,7 +6,7 @@ function theme() {
   const of = (name) => style.getPropertyValue(`--${name}`).trim();
   return {
     dark: document.documentElement.dataset.theme === "dark",
-    ground: of("ground"), raised: of("raised"), ink: of("ink"), soft: of("soft"), line: of("line"), grid: of("grid"),
+    ground: of("ground"), raised: of("raised"), ink: of("ink"), soft: of("soft"), line: of("line"), grid: of("grid"), error: of("error"),
     parts: [of("part-a"), of("part-b"), of("part-c"), of("part-d")],
   };
 }

@@ -24,7 +24,7 @@ KINDS.dots = function dots(plan, width) {
   });
   const shares = {
     type: "bar", orientation: "h", x: passing.map((group) => 100 * shareOf(group)), y: passing.map(row), width: 0.5, text: passing.map((group) => formatRatio(shareOf(group))), textposition: "inside", insidetextanchor: "start", textfont: { size: 10, color: theme().ink },
-    marker: { color: passing.map((group) => (isLossy(group) ? theme().error : theme().grid)) }, hoverinfo: "text", hovertext: passing.map((group) => groupHover(group, sampleHover(group))),
+    marker: { color: passing.map((group) => (isLossy(group) ? theme().error : theme().grid)), opacity: passing.map((group) => (isLossy(group) ? 0.5 : 1)) }, hoverinfo: "text", hovertext: passing.map((group) => groupHover(group, sampleHover(group))),
   };
   const height = 30 + 24 * passing.length;
   const values = timed.flatMap((group) => [statisticOf(group), ...intervalOf(group)]);

@@ -3,15 +3,13 @@
     python scripts/screenshots.py                      # all of them, into docs/images/
     python scripts/screenshots.py ecdf first-screen    # some
 
-Each picture is of a real campaign that docs/results/ keeps: `loopback` as its stored page, which `just results` opens too,
-the others as their traces, analyzed and drawn by the present code.
+Each picture is of a real campaign, or of two together, whose traces docs/results/ keeps: analyzed and drawn by the present code.
 """
 
 from __future__ import annotations
 
 import argparse
 import base64
-import gzip
 import re
 import shutil
 import sys
@@ -22,7 +20,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from playwright.sync_api import sync_playwright
-from stored_report import put_back
 
 from dds_trace.analyzer import analyze
 from dds_trace.reports import load_reporter
@@ -38,8 +35,10 @@ QUALITY = 80
 """Of WebP, 0 to 100: text stays sharp, a picture has 20 to 100 KB."""
 
 
-CAMPAIGNS = ("loopback", "emulated-link", "two-clocks")
-"""Folders of docs/results/; where the first has no such figure, the next is looked at."""
+TWO_LINKS = "gallery+emulated-link"
+
+CAMPAIGNS = ("gallery", TWO_LINKS, "emulated-link", "two-clocks")
+"""Folders of docs/results/, joined by + where they are analyzed together; where the first has no such figure, the next is looked at."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +46,7 @@ class Picture:
     """What is taken: which campaign, which part of its page.
 
     Attributes:
-        campaign: folder of docs/results/.
+        campaign: one of `CAMPAIGNS`.
         select: CSS selector of the part; empty for the first screen.
         width: of the window, in CSS pixels.
         cell: words of the combination that is chosen at Messages; empty for the page's own choice.
@@ -63,41 +62,39 @@ LINK_CELL = "145 KB at 40 Hz"
 """What the link of `emulated-link` carries with trouble: 46 of its 54 Mbit/s."""
 
 CAMPAIGN_OF: Mapping[str, tuple[str, str]] = {
-    "latency_by_rate": ("emulated-link", ""),
-    "heatmap": ("emulated-link", ""),
-    "transfer_rate": ("emulated-link", ""),
-    "sustainable": ("emulated-link", ""),
+    "dots": ("emulated-link", ""),
+    "by_device": (TWO_LINKS, ""),
     "wire_cost": ("emulated-link", ""),
     "sent_again": ("emulated-link", LINK_CELL),
     "first_message": ("emulated-link", ""),
     "one_way": ("emulated-link", ""),
     "clock": ("two-clocks", ""),
-    "percentile_curve": ("loopback", "502 KB"),
-    "ecdf": ("loopback", "502 KB"),
+    "percentile_curve": ("gallery", "502 KB"),
+    "ecdf": ("gallery", "502 KB"),
     "timeline": ("emulated-link", LINK_CELL),
-    "host_load": ("loopback", "502 KB"),
+    "host_load": ("gallery", "502 KB"),
 }
-"""Figure -> campaign and combination that show it well; others are taken of `loopback`."""
+"""Figure -> campaign and combination that show it well; others are taken of `gallery`."""
 
 
 def pictures() -> dict[str, Picture]:
     """Return file below docs/images/, without .webp -> what is on it: the first screen, and each figure that is explained."""
     names = re.findall(r"^### .+ \(`(\w+)`\)$", READING.read_text(encoding="utf-8"), re.MULTILINE)
-    found = {"first-screen": Picture("loopback")}
+    found = {"first-screen": Picture("gallery", width=1360)}
     for name in names:
-        campaign, cell = CAMPAIGN_OF.get(name, ("loopback", ""))
+        campaign, cell = CAMPAIGN_OF.get(name, ("gallery", ""))
         found[f"figures/{name}"] = Picture(campaign, f"#figure-{name}", cell=cell)
     return found
 
 
 def page_of(campaign: str) -> str:
-    """Return the page of a campaign of docs/results/ as HTML."""
-    traces = RESULTS / campaign / "traces.tar.xz"
-    if traces.is_file():
-        with tempfile.TemporaryDirectory() as folder, tarfile.open(traces) as archive:
-            archive.extractall(Path(folder, campaign), filter="data")
-            return load_reporter("html").render(Book(analyze(Path(folder, campaign))))
-    return put_back(gzip.decompress((RESULTS / campaign / "report.html.gz").read_bytes()).decode())
+    """Return the page of a campaign, one of `CAMPAIGNS`, as HTML."""
+    with tempfile.TemporaryDirectory() as folder:
+        title = Path(folder, campaign.partition("+")[0])
+        for name in campaign.split("+"):
+            with tarfile.open(RESULTS / name / "traces.tar.xz") as archive:
+                archive.extractall(title / name, filter="data")
+        return load_reporter("html").render(Book(analyze(title)))
 
 
 def take(wanted: Mapping[str, Picture], out: Path) -> list[str]:
@@ -132,7 +129,7 @@ def take(wanted: Mapping[str, Picture], out: Path) -> list[str]:
 def _shot(browser: Any, address: str, picture: Picture) -> bytes | None:
     """Return a picture of a page as WebP, which Playwright itself does not write; None where the page has no such part."""
     # What is in view is drawn: a window as high as any figure.
-    height = 2400 if picture.select else 900
+    height = 2400 if picture.select else 1000
     tab = browser.new_page(viewport={"width": picture.width, "height": height})
     try:
         tab.goto(address)

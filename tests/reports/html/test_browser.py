@@ -208,13 +208,13 @@ def drawn(reader, name):
 def test_the_ecdf_is_of_the_messages_planned_and_the_survivors_stand_beside(reader, lossy_page):
     reader.open(lossy_page)
     reader.draw_all()
-    ends = {row["Series"]: row for row in drawn(reader, "ecdf")}  # the last row of each curve
+    ends = {row["Choice"]: row for row in drawn(reader, "ecdf")}  # the last row of each curve
     shares = {name: (row["Share of planned"], row["Share of survivors"]) for name, row in ends.items()}
     assert shares == {"Fast DDS, same domain": (100, 100), "Fast DDS, through our built-in bridge": (60, 100)}
     titles = reader.tab.locator("#figure-ecdf .annotation-text").all_text_contents()
     assert [title.split(", ")[0] for title in titles] == ["Messages planned", "Survivors"]
     medians = {
-        row["Series"]: row["Latency"] for row in drawn(reader, "ecdf") if row["Share of planned"] == 30
+        row["Choice"]: row["Latency"] for row in drawn(reader, "ecdf") if row["Share of planned"] == 30
     }
     assert medians == {"Fast DDS, same domain": 1_110_000, "Fast DDS, through our built-in bridge": 1_140_000}
     assert reader.complaints == []
@@ -300,7 +300,7 @@ def test_figures_download(reader, pages):
                 tab.locator(f"#figure-{figure} [data-save={kind}]").click()
             assert download.value.suggested_filename == f"dds-trace-{name}.{kind}"
             saved[kind] = download.value.path().read_bytes()
-        assert saved["csv"].decode("utf-8-sig").startswith('"Data","Size (bytes)","Rate (Hz)","Series"')
+        assert saved["csv"].decode("utf-8-sig").startswith('"Data","Size (bytes)","Rate (Hz)","Choice"')
         assert saved["svg"].startswith(b"<svg")
         assert saved["png"].startswith(b"\x89PNG")
     assert reader.complaints == []
@@ -490,7 +490,7 @@ def test_the_table_of_all_groups_is_saved_as_csv(reader, pages):
     assert download.value.suggested_filename == "dds-trace-groups.csv"
     lines = download.value.path().read_text(encoding="utf-8-sig").splitlines()
     assert len(lines) == 1 + 6
-    assert lines[0].startswith('"Data","Size (bytes)","Rate (Hz)","Series","Runs"')
+    assert lines[0].startswith('"Data","Size (bytes)","Rate (Hz)","Choice","Runs"')
 
 
 def test_a_watched_page_is_renewed_in_place(reader, tmp_path):

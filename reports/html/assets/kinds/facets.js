@@ -13,7 +13,7 @@ const MADE_OF = { choice: ["vendor", "way", "rest"], place: ["device", "link"], 
 const MOST_LINES = 7;
 const LOSSY = 0.99;   // who received less of what was planned is drawn hollow
 
-const GROUP_COLUMNS = [{ label: "Data" }, { label: "Size", unit: "bytes", format: (_, row) => row.size }, { label: "Rate", unit: "Hz", format: (value) => digits(value) }, { label: "Series" }];
+const GROUP_COLUMNS = [{ label: "Data" }, { label: "Size", unit: "bytes", format: (_, row) => row.size }, { label: "Rate", unit: "Hz", format: (value) => digits(value) }, { label: "Choice" }];
 
 function groupRow(group, ...values) {
   const cell = cellOf(group);

@@ -47,7 +47,7 @@ def recorder_drops(evidence: Evidence) -> Iterator[Finding]:
 
 
 def stopped_recordings(evidence: Evidence) -> Iterator[Finding]:
-    """Report relays that recorded nothing for a while before their disk was full, and went on sending back."""
+    """Report relays that dropped events while their disk was short, and went on sending back."""
     for session in evidence.campaign.sessions.values():
         stopped = session.extra.get("stopped")
         if isinstance(stopped, str) and stopped:
@@ -55,7 +55,7 @@ def stopped_recordings(evidence: Evidence) -> Iterator[Finding]:
                 Severity.ERROR,
                 "recording_stopped",
                 evidence.session_name(session),
-                f"The relay recorded nothing for a while, and went on sending back: {_shortened(stopped)}.",
+                f"The relay could not record all that it sent back: {_shortened(stopped)}.",
                 "Messages of that time have no T3 and T4, and count as lost on the way out if they did not come back: make "
                 "room and record again.",
             )

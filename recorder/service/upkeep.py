@@ -62,6 +62,7 @@ class Upkeep:
         self._failed_s: float | None = None
         self.shortage: OutputError | None = None
         self._is_short = False
+        self._dropped = 0  # events that were dropped when the disk became short
         shortage = find_shortage(options.destination.trace_path, options.keep_free)
         if shortage is not None:
             raise shortage
@@ -98,17 +99,18 @@ class Upkeep:
         )
         if (shortage is not None) != self._is_short:
             self._is_short = shortage is not None
-            self.shortage = self.shortage or shortage
             self._stop_or_go_on(shortage)
         elif not self._is_short and self._rotation is not None and self._is_due(self._rotation):
             self._rotate(self._rotation, describe)
+        if self._options.ping is not None or self.sink.dropped_events > self._dropped:
+            self.shortage = self.shortage or shortage
         stopped = None if shortage is None else str(shortage)
         self._running.tell(path=self.destination.path, messages=messages, files=self._count, stopped=stopped)
         so_far = counted(messages, "message")
         self._manager.look(
             f"{so_far}, into {self.destination.path}"
             if stopped is None
-            else f"{so_far}, not recorded: {stopped}"
+            else f"{so_far}, waiting for room: {stopped}"
         )
 
     def close_trace(self, **described: Json) -> ClosedTrace:
@@ -117,13 +119,14 @@ class Upkeep:
         return self.sink.close(**described, **stopped)
 
     def _stop_or_go_on(self, shortage: OutputError | None) -> None:
-        """Have a relay record nothing while the disk is short, and go on without; a ping has no other purpose, and ends its run."""
+        """Have a relay write nothing while the disk is short, and go on; a ping has no other purpose, and ends its run."""
         if shortage is None:
             self.sink.resume()
-            self._note("there is room on the disk again: recording goes on")
+            self._note("there is room on the disk again: writing goes on")
         elif self._options.ping is None:
             self.sink.pause()
-            self._note(f"{shortage}; until then nothing is recorded, and the relay goes on sending back")
+            self._dropped = self.sink.dropped_events
+            self._note(f"{shortage}; until then events wait in the ring, and the relay goes on sending back")
         else:
             self._note(f"{shortage}; the run ends here")
 

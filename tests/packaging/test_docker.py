@@ -82,5 +82,5 @@ def test_the_commands_of_the_compose_file_cross_two_domains(start, domains, tmp_
         process.communicate(timeout=60)
     assert relay.returncode == 0
     analysis = analyze(tmp_path)
-    assert analysis.summary["received"].to_list() == [200]
+    assert analysis.summary["received"].to_list() == [100]
     assert analysis.summary["bridge"].to_list() == ["builtin"]

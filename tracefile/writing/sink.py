@@ -293,7 +293,9 @@ class TraceSink:
 
     def _write(self, topic: str, text: str) -> None:
         with self._write_lock:
-            if self._closed is None and not self._is_paused:
+            if (
+                self._closed is None and not self._is_paused
+            ):  # a host sample of that time is not worth the room
                 self._texts.append((topic, text, self._session.wall_ns(self._clock_ns())))
                 self._flush()
 
@@ -313,20 +315,16 @@ class TraceSink:
         return self._files.writer.bytes_written
 
     def pause(self) -> None:
-        """Keep nothing until `resume`: events are counted as dropped. What was kept before comes into the file."""
+        """Write nothing until `resume`: events wait in the ring, whose room on the disk is its own; of more, the newest are dropped."""
         with self._write_lock:
-            with self._record_lock:
-                self._is_paused = True
-                self._limit = self._attention = self._head
-            self._flush()
+            self._is_paused = self._closed is None
 
     def resume(self) -> None:
-        """Keep events again."""
-        with self._write_lock, self._record_lock:
+        """Write again, first what waits."""
+        with self._write_lock:
+            self._is_paused = False
             if self._closed is None:
-                self._is_paused = False
-                self._limit = self._files.drained + self._slot_count
-                self._attention = self._files.drained + self._quarter
+                self._flush()
 
     def go_on_in(self, destination: TraceDestination, **session_extra: Json) -> ClosedTrace | None:
         """Close the file with `session_extra` and go on in another one, from one event to the next.
@@ -369,6 +367,7 @@ class TraceSink:
                 return self._closed
             with self._record_lock:  # from here on every event is dropped, and counted
                 head = self._limit = self._attention = self._head
+            self._is_paused = False
             return self._end(self._files, head, session_extra)
 
     def _end(self, files: TraceFiles, head: int, session_extra: Mapping[str, Json]) -> ClosedTrace:
@@ -408,12 +407,14 @@ class TraceSink:
 
     def _flush_to(self, files: TraceFiles, head: int) -> bool:
         """Move the events up to ticket `head`, then the texts, to a file; the caller holds the write lock."""
+        if self._is_paused:
+            return False
         began_ns, had = time.monotonic_ns(), files.drained
         try:
             with _quick_switches(only_if=head - had >= self._quarter):
                 while files.drained < head:
                     files.move_chunk(head)
-                    if files is self._files and not self._is_paused:
+                    if files is self._files:
                         self._limit = files.drained + self._slot_count
                         self._attention = files.drained + self._quarter
             if head > had:

@@ -136,9 +136,10 @@ def test_entries_stay_while_another_analysis_has_them_open(runs, traces, monkeyp
 
 
 def test_events_that_are_gone_in_the_middle_are_read_from_their_trace(runs, traces, files_read):
-    cache = TraceCache.open()
-    shelf = dds_trace.analyzer.loading.shelf.TraceShelf(cache)
-    shelf.load(runs / "ping0.mcap", 0)
+    first = dds_trace.analyzer.loading.shelf.TraceShelf(TraceCache.open())
+    first.load(runs / "ping0.mcap", 0)
+    first.close()
+    shelf = dds_trace.analyzer.loading.shelf.TraceShelf(TraceCache.open())
     known = shelf.load(runs / "ping0.mcap", 0)
     files_read.clear()
     shutil.rmtree(traces)

@@ -147,7 +147,7 @@ def test_a_killed_relay_is_listed_as_killed_and_its_oldest_files_alone_went(doma
         assert read_trace(trace).sessions[0].role == "relay"
 
 
-def test_a_relay_stops_recording_and_not_itself_while_the_disk_is_short(domain_id, tmp_path):
+def test_a_relay_stops_writing_and_not_itself_while_the_disk_is_short(domain_id, tmp_path):
     disk = os.statvfs(tmp_path)
     margin = 1_000_000_000  # others write here, too
     keep_free = disk.f_bavail * disk.f_frsize - margin
@@ -169,26 +169,25 @@ def test_a_relay_stops_recording_and_not_itself_while_the_disk_is_short(domain_i
             os.close(filler)
             ended = long.finish()
         assert (ended.status, "the run ends here" in ended.stderr) == (OutputError.exit_code, True)
-        line = command.wait_for_line("until then nothing is recorded, and the relay goes on sending back")
+        line = command.wait_for_line("until then events wait in the ring, and the relay goes on sending back")
         assert f"{traces}/relay.mcap: the disk has " in line
         second = ping(domain_id, traces / "second.mcap", *SOCKET, "--messages", 20, "--rate", 100)
         assert (second.status, "received 20, lost 0" in second.stdout) == (0, True), second.stderr
-        assert "    not recording: " in status(command.pid)[1]
+        assert "    waiting for room: " in status(command.pid)[1]
         short = ping(domain_id, traces / "short.mcap", *SOCKET, "--messages", 20, "--keep-free", keep_free)
         assert (short.status, (traces / "short.mcap").exists()) == (OutputError.exit_code, False)
         (tmp_path / "filler").unlink()
-        command.wait_for_line("there is room on the disk again: recording goes on")
+        command.wait_for_line("there is room on the disk again: writing goes on")
         third = ping(domain_id, traces / "third.mcap", *SOCKET, "--messages", 5, "--warmup", 0, "--rate", 100)
         assert third.status == 0, third.stderr
         stopped = command.stop()
-    assert stopped.status == OutputError.exit_code
+    assert stopped.status == 0, stopped.stderr  # all of it found room
     assert "are to be kept (--keep-free)" in stopped.stderr
     assert " sent back in 4 runs; " in stopped.stdout
     trace, cut = read_trace(traces / "relay.mcap"), read_trace(traces / "long.mcap")
     of_runs = [trace.events[Stage.T3].run_id.tolist().count(run_of(traces / name)) for name in NAMES]
-    assert (trace.truncated, trace.sessions[0].state, of_runs) == (None, "closed", [30, 0, 5])
-    assert trace.sessions[0].dropped_events >= 60
+    assert (trace.truncated, trace.sessions[0].state, of_runs) == (None, "closed", [30, 30, 5])
+    assert trace.sessions[0].dropped_events == 0
     assert (cut.runs[0].state, cut.sessions[0].state) == ("finished", "closed")
     assert "are to be kept" in cut.sessions[0].extra["error"]
-    found = {finding.code: finding for finding in analyze(traces).findings}
-    assert "The relay recorded nothing for a while" in found["recording_stopped"].what
+    assert "recording_stopped" not in {finding.code for finding in analyze(traces).findings}

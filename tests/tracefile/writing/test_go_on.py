@@ -5,6 +5,8 @@ from __future__ import annotations
 import errno
 import os
 import threading
+import time
+from dataclasses import replace
 
 import pytest
 from event_cdr import unpack_event
@@ -138,22 +140,30 @@ def test_what_cannot_be_written_stays_in_the_old_ring_and_the_recording_goes_on(
     assert [trace.sessions[0].state for trace in found] == ["open", "closed"]
 
 
-def test_a_pause_keeps_what_was_before_and_behind_and_counts_what_was_between(tmp_path):
-    sink = open_sink(tmp_path)
+def test_in_a_pause_events_wait_in_the_ring_and_only_those_beyond_it_are_dropped(tmp_path):
+    place = replace(destination(tmp_path, 1), ring_slots=8, chunk_seconds=0.01)
+    sink = TraceSink(place, relay_session(state="open"))
     sink.record(3, 7, 0, 1000)
     sink.pause()
-    for sequence in range(1, 4):
-        assert sink.record_and_stamp((3, 4), 7, sequence, 1000, 0, 0, 9, 2) > 0
-    sink.write_json("/dds_trace/host", {"cpu_percent": 1})
     size = (tmp_path / "1.mcap").stat().st_size
-    sink.pause()
+    for sequence in range(1, 13):
+        sink.record(3, 7, sequence, 1000)
+    sink.write_json("/dds_trace/host", {"cpu_percent": 1})
+    time.sleep(0.1)  # ten times as long as a chunk waits
     assert (tmp_path / "1.mcap").stat().st_size == size
-    assert read_trace(tmp_path / "1.mcap").sessions[0].dropped_events == 6  # of a recorder that is killed now
+    assert sink.go_on_in(destination(tmp_path, 2)) is None
+    left = read_trace(tmp_path / "1.mcap")  # of a recorder that is killed now
+    dropped = sink.dropped_events
+    assert dropped >= 4
+    assert (left.sessions[0].dropped_events, left.event_count) == (dropped, 13 - dropped)
     sink.resume()
-    sink.record(3, 7, 4, 1000)
+    sink.record(3, 7, 13, 1000)
+    sink.pause()
+    sink.record(3, 7, 14, 1000)
     closed = sink.close()
-    assert (closed.events, closed.dropped_events) == (2, 6)
-    assert (sequences(tmp_path / "1.mcap"), len(read_trace(tmp_path / "1.mcap").host_samples)) == ([0, 4], 0)
+    assert (closed.events, closed.dropped_events, closed.ring_events) == (15 - dropped, dropped, 0)
+    found = read_trace(tmp_path / "1.mcap")
+    assert (sequences(tmp_path / "1.mcap")[-2:], len(found.host_samples)) == ([13, 14], 0)
     sink.resume()
-    sink.record(3, 7, 5, 1000)
-    assert sink.dropped_events == 7  # closed is closed
+    sink.record(3, 7, 15, 1000)
+    assert sink.dropped_events == dropped + 1  # closed is closed

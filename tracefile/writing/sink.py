@@ -367,7 +367,6 @@ class TraceSink:
                 return self._closed
             with self._record_lock:  # from here on every event is dropped, and counted
                 head = self._limit = self._attention = self._head
-            self._is_paused = False
             return self._end(self._files, head, session_extra)
 
     def _end(self, files: TraceFiles, head: int, session_extra: Mapping[str, Json]) -> ClosedTrace:
@@ -403,12 +402,10 @@ class TraceSink:
 
     def _flush(self) -> bool:
         """Move the ring's events so far, then the texts, to the file; return whether all of it is there."""
-        return self._flush_to(self._files, self._head)
+        return not self._is_paused and self._flush_to(self._files, self._head)
 
     def _flush_to(self, files: TraceFiles, head: int) -> bool:
         """Move the events up to ticket `head`, then the texts, to a file; the caller holds the write lock."""
-        if self._is_paused:
-            return False
         began_ns, had = time.monotonic_ns(), files.drained
         try:
             with _quick_switches(only_if=head - had >= self._quarter):

@@ -15,6 +15,7 @@ import contextlib
 import importlib.util
 import io
 import json
+import os
 import shutil
 import sys
 import tempfile
@@ -188,7 +189,7 @@ def in_firefox(paths: dict[str, Path]) -> dict[str, tuple[str, ...]]:
         from marionette_driver.marionette import Marionette  # noqa: PLC0415 - an extra of its own
         from marionette_driver.wait import Wait  # noqa: PLC0415
 
-        client = Marionette(bin=program, headless=True, startup_timeout=180)
+        client = Marionette(bin=program, headless=True, startup_timeout=180, gecko_log=os.devnull)
         errors = {}
         try:
             client.start_session()

@@ -124,9 +124,8 @@ class TraceShelf:
         self._cache = cache
         self._left = MOST_HELD_EVENTS
         self._spill: tempfile.TemporaryDirectory[str] | None = None
-        self._keeping = ThreadPoolExecutor(
-            1, thread_name_prefix="keep"
-        )  # of events that are in memory as well
+        # Writes what is in memory as well, while the next trace is read.
+        self._keeping = ThreadPoolExecutor(1, thread_name_prefix="keep")
 
     def load(self, path: Path, position: int) -> LoadedTrace:
         """Load one trace, from the cache if it is there.

@@ -80,7 +80,7 @@ KeepFree = Annotated[
     _role(
         "--keep-free",
         metavar="SIZE",
-        help="Stop recording before the disk has less free: 500MB, 10%, or 0. [dim]Default: 5% of it, at most 1GB[/dim]",
+        help="Write no more before the disk has less free: 500MB, 10%, or 0. [dim]Default: 5% of it, at most 1GB[/dim]",
     ),
 ]
 FailIfLost = Annotated[

@@ -40,7 +40,7 @@ class Upkeep:
     Attributes:
         sink: the sink.
         destination: the place of the file that is written now.
-        shortage: the first reason why nothing was recorded for a while, the disk having less space than is to be kept.
+        shortage: the first reason why events were dropped, or a ping's run ends: the disk has less space than is to be kept.
 
     Raises:
         OutputExistsError: there is a trace already.

@@ -61,7 +61,7 @@ class Upkeep:
         self._count = 1
         self._failed_s: float | None = None
         self.shortage: OutputError | None = None
-        self._is_short = False
+        self._short: OutputError | None = None  # while the disk is short
         self._dropped = 0  # events that were dropped when the disk became short
         shortage = find_shortage(options.destination.trace_path, options.keep_free)
         if shortage is not None:
@@ -94,16 +94,15 @@ class Upkeep:
             messages: messages so far.
             describe: returns the fields of the session that are known now.
         """
-        shortage = find_shortage(
-            self.destination.trace_path, self._options.keep_free, was_short=self._is_short
-        )
-        if (shortage is not None) != self._is_short:
-            self._is_short = shortage is not None
+        was_short = self._short is not None
+        shortage = find_shortage(self.destination.trace_path, self._options.keep_free, was_short=was_short)
+        self._blame_disk()
+        self._short = shortage
+        if (shortage is not None) != was_short:
             self._stop_or_go_on(shortage)
-        elif not self._is_short and self._rotation is not None and self._is_due(self._rotation):
+        elif shortage is None and self._rotation is not None and self._is_due(self._rotation):
             self._rotate(self._rotation, describe)
-        if self._options.ping is not None or self.sink.dropped_events > self._dropped:
-            self.shortage = self.shortage or shortage
+        self._blame_disk()
         stopped = None if shortage is None else str(shortage)
         self._running.tell(path=self.destination.path, messages=messages, files=self._count, stopped=stopped)
         so_far = counted(messages, "message")
@@ -115,8 +114,14 @@ class Upkeep:
 
     def close_trace(self, **described: Json) -> ClosedTrace:
         """Close the trace of a relay with these fields of its session, and what kept it from recording."""
+        self._blame_disk()
         stopped: JsonObject = {} if self.shortage is None else {"stopped": str(self.shortage)}
         return self.sink.close(**described, **stopped)
+
+    def _blame_disk(self) -> None:
+        """Keep the reason why the disk is short, once events were dropped for it or a ping's run ends."""
+        if self._options.ping is not None or self.sink.dropped_events > self._dropped:
+            self.shortage = self.shortage or self._short
 
     def _stop_or_go_on(self, shortage: OutputError | None) -> None:
         """Have a relay write nothing while the disk is short, and go on; a ping has no other purpose, and ends its run."""

@@ -82,9 +82,22 @@ def domain_id(domains: DomainLease) -> int:
 _SHM_BEFORE = pytest.StashKey["set[Path]"]()
 
 
+class ToldAtOnce:
+    """Failures are printed when they happen: a worker that dies later takes pytest's own account of them with it."""
+
+    def __init__(self, terminal: pytest.TerminalReporter) -> None:
+        self._terminal = terminal
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        if report.failed:
+            self._terminal.write_line(f"\n{report.when} of {report.nodeid} failed:\n{report.longreprtext}")
+
+
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """Note the shared-memory files of others."""
+    """Note the shared-memory files of others; tell of failures where there is a terminal, which no worker has."""
     session.config.stash[_SHM_BEFORE] = middleware_files()
+    if terminal := session.config.pluginmanager.get_plugin("terminalreporter"):
+        session.config.pluginmanager.register(ToldAtOnce(terminal))
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:

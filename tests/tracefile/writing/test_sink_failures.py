@@ -5,87 +5,28 @@ from __future__ import annotations
 import errno
 import json
 import os
-import resource
 import shutil
 import subprocess
 import sys
-from typing import TYPE_CHECKING
 
 import full_disk_recorder
+import limited_sinks
 import pytest
-from trace_files import ping_session, run
+from limited_sinks import open_sink, sequences, stamp
+from trace_files import run
 
-from dds_trace.tracefile import OutputError, Stage, TraceDestination, TraceSink
-from dds_trace.tracefile.format.ring import ring_path
+from dds_trace.tracefile import OutputError
 from dds_trace.tracefile.reading.reader import read_trace
 from dds_trace.tracefile.recovery.recover import recover
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
 
-NEVER_S = 3600.0
-
-
-def open_sink(path: Path, **options) -> TraceSink:
-    destination = TraceDestination(path, **{"chunk_seconds": NEVER_S, **options})
-    return TraceSink(destination, ping_session(state="open"), clock_ns=lambda: 0)
-
-
-def stamp(sink: TraceSink, first: int, end: int) -> None:
-    for sequence in range(first, end):
-        sink.record(1, 1, sequence, 1000 * sequence)
-
-
-def sequences(path: Path) -> list[int]:
-    return read_trace(path).events[Stage.T1].sequence.tolist()
-
-
-@pytest.fixture
-def file_size_limit() -> Iterator:
-    """Set the largest size that a file may grow to; the system's own limit comes back afterwards."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
-    resource.setrlimit(resource.RLIMIT_FSIZE, before)
-
-
-def test_a_disk_that_is_full_in_the_middle_of_a_chunk(tmp_path, file_size_limit):
-    path = tmp_path / "a.mcap"
-    sink = open_sink(path, ring_slots=9000)  # a quarter is more than is pending before the disk is full
-    stamp(sink, 0, 1000)
-    sink.write_run(run(state="started"))
-    size = path.stat().st_size
-    stamp(sink, 1000, 3000)
-    file_size_limit(size + 100)
-    sink.write_run(run(state="finished"))
-    assert isinstance(sink.error, OutputError)
-    assert str(path) in str(sink.error)
-    assert "ulimit" in str(sink.error)
-    assert path.stat().st_size == size  # the part that fitted is cut off again
-    stamp(sink, 3000, 10_100)
-    closed = sink.close()
-    assert (closed.events, closed.ring_events, closed.dropped_events) == (1000, 9000, 100)
-    assert closed.error is sink.error
-    assert sequences(path) == list(range(10_000))  # the ring is still there
-
-
-def test_writing_goes_on_when_there_is_room_again(tmp_path, file_size_limit):
-    path = tmp_path / "a.mcap"
-    sink = open_sink(path)
-    file_size_limit(path.stat().st_size + 10)
-    stamp(sink, 0, 500)
-    sink.write_run(run(state="started"))
-    error = sink.error
-    assert error is not None
-    file_size_limit(resource.RLIM_INFINITY)
-    stamp(sink, 500, 600)
-    closed = sink.close()
-    assert (closed.events, closed.ring_events, closed.dropped_events) == (600, 0, 0)
-    assert closed.error is error  # said, although all is well now
-    assert not ring_path(path).exists()
-    trace = read_trace(path)
-    assert trace.truncated is None
-    assert [described.run_id for described in trace.runs] == [run().run_id]
+@pytest.mark.parametrize("scenario", limited_sinks.SCENARIOS)
+def test_a_limit_of_the_size_of_files(tmp_path, scenario):
+    ended = subprocess.run(
+        [sys.executable, limited_sinks.__file__, scenario, tmp_path],
+        stderr=subprocess.PIPE, text=True, check=False,
+    )  # fmt: skip
+    assert (ended.returncode, ended.stderr) == (0, "")
 
 
 def test_a_real_disk_that_is_full(tmp_path):
@@ -109,20 +50,6 @@ def test_a_real_disk_that_is_full(tmp_path):
     assert report_of_recovery.dropped_events == told["dropped_events"]
     assert sequences(tmp_path / "whole.mcap") == found
     assert read_trace(tmp_path / "whole.mcap").sessions[0].dropped_events == told["dropped_events"]
-
-
-def test_no_room_for_the_ring_at_the_start(tmp_path, file_size_limit):
-    file_size_limit(10_000)
-    with pytest.raises(OutputError, match="ring"):
-        open_sink(tmp_path / "a.mcap")
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_no_room_at_all_at_the_start(tmp_path, file_size_limit):
-    file_size_limit(4)
-    with pytest.raises(OutputError, match="cannot write"):
-        open_sink(tmp_path / "a.mcap")
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("number", [errno.EROFS, errno.EACCES])

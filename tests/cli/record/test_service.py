@@ -12,6 +12,7 @@ from contextlib import suppress
 
 import pytest
 from processes import ping, relay, run, running
+from small_disk import needs_root, small_disk
 
 from dds_trace.analyzer import analyze
 from dds_trace.tracefile import OutputError, Stage, read_trace
@@ -32,7 +33,8 @@ def status(pid):
     )
 
 
-NAMES = ("first.mcap", "second.mcap", "third.mcap")
+ROOM = 100_000_000
+"""Bytes that recordings may take of a small disk; a ring has 4 MB."""
 
 
 def run_of(path):
@@ -147,47 +149,63 @@ def test_a_killed_relay_is_listed_as_killed_and_its_oldest_files_alone_went(doma
         assert read_trace(trace).sessions[0].role == "relay"
 
 
+@needs_root
 def test_a_relay_stops_writing_and_not_itself_while_the_disk_is_short(domain_id, tmp_path):
-    disk = os.statvfs(tmp_path)
-    margin = 1_000_000_000  # others write here, too
-    keep_free = disk.f_bavail * disk.f_frsize - margin
-    if keep_free < margin:
-        pytest.skip("too little room on this disk")
-    traces = tmp_path / "traces"
-    traces.mkdir()
-    with relay(domain_id, traces / "relay.mcap", *SOCKET, "--keep-free", keep_free) as command:
-        first = ping(domain_id, traces / "first.mcap", *SOCKET, "--messages", 20, "--rate", 100)
+    with small_disk(tmp_path / "disk", 4 * ROOM) as disk:
+        short_of_disk(domain_id, disk)
+
+
+def short_of_disk(domain_id, disk):
+    """A relay and pings whose disk is filled and made free again."""
+    keep_free = disk.free_bytes - ROOM
+    of_disk = ("--backend", "socket", "--discovery", "localhost", "--keep-free", keep_free)
+    traces = disk.outside
+
+    def on_disk(role, name, *more):
+        words = ("--role", role, "--domain", domain_id, "--out", disk.inside / name, *of_disk, *more)
+        return running("dds-record", *words, prefix=disk.prefix)
+
+    def of_ping(name, *more):
+        with on_disk("ping", name, *more) as command:
+            return command.finish()
+
+    with on_disk("relay", "relay.mcap") as command:
+        command.wait_for_line("serves domain")
+        first = of_ping("first.mcap", "--messages", 20, "--rate", 100)
         assert first.status == 0, first.stderr
-        words = ("--role", "ping", "--domain", domain_id, "--out", traces / "long.mcap", *SOCKET)
-        with running("dds-record", *words, "--keep-free", keep_free, "--messages", 10_000) as long:
+        with on_disk("ping", "long.mcap", "--messages", 10_000) as long:
             long.wait_for_line("waiting for an echo")
             while not (traces / "long.mcap").exists():
                 assert long.is_alive
                 time.sleep(0.01)
-            filler = os.open(tmp_path / "filler", os.O_CREAT | os.O_WRONLY)
-            os.posix_fallocate(filler, 0, 2 * margin)
-            os.close(filler)
+            with (traces / "filler").open("wb") as filler:
+                os.posix_fallocate(filler.fileno(), 0, 2 * ROOM)
             ended = long.finish()
         assert (ended.status, "the run ends here" in ended.stderr) == (OutputError.exit_code, True)
         line = command.wait_for_line("until then events wait in the ring, and the relay goes on sending back")
-        assert f"{traces}/relay.mcap: the disk has " in line
-        second = ping(domain_id, traces / "second.mcap", *SOCKET, "--messages", 20, "--rate", 100)
+        assert f"{disk.inside}/relay.mcap: the disk has " in line
+        second = ping(domain_id, traces.parent / "second.mcap", *SOCKET, "--messages", 20, "--rate", 100)
         assert (second.status, "received 20, lost 0" in second.stdout) == (0, True), second.stderr
         assert "    waiting for room: " in status(command.pid)[1]
-        short = ping(domain_id, traces / "short.mcap", *SOCKET, "--messages", 20, "--keep-free", keep_free)
+        short = of_ping("short.mcap", "--messages", 20)
         assert (short.status, (traces / "short.mcap").exists()) == (OutputError.exit_code, False)
-        (tmp_path / "filler").unlink()
+        (traces / "filler").unlink()
         command.wait_for_line("there is room on the disk again: writing goes on")
-        third = ping(domain_id, traces / "third.mcap", *SOCKET, "--messages", 5, "--warmup", 0, "--rate", 100)
+        third = of_ping("third.mcap", "--messages", 5, "--warmup", 0, "--rate", 100)
         assert third.status == 0, third.stderr
         stopped = command.stop()
     assert stopped.status == 0, stopped.stderr  # all of it found room
     assert "are to be kept (--keep-free)" in stopped.stderr
     assert " sent back in 4 runs; " in stopped.stdout
     trace, cut = read_trace(traces / "relay.mcap"), read_trace(traces / "long.mcap")
-    of_runs = [trace.events[Stage.T3].run_id.tolist().count(run_of(traces / name)) for name in NAMES]
+    runs = [
+        run_of(path) for path in (traces / "first.mcap", traces.parent / "second.mcap", traces / "third.mcap")
+    ]
+    of_runs = [trace.events[Stage.T3].run_id.tolist().count(each) for each in runs]
     assert (trace.truncated, trace.sessions[0].state, of_runs) == (None, "closed", [30, 30, 5])
     assert trace.sessions[0].dropped_events == 0
     assert (cut.runs[0].state, cut.sessions[0].state) == ("finished", "closed")
     assert "are to be kept" in cut.sessions[0].extra["error"]
-    assert "recording_stopped" not in {finding.code for finding in analyze(traces).findings}
+    assert "recording_stopped" not in {
+        finding.code for finding in analyze(traces, out=traces.parent / "analysis").findings
+    }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 import subprocess
 import sys
 from html.parser import HTMLParser
@@ -11,6 +10,7 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
+from page_reader import open_browser
 
 import dds_trace
 from dds_trace.analyzer.model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
@@ -98,12 +98,7 @@ def test_the_reference_has_every_name_of_the_code(site):
 
 @pytest.mark.browser
 def test_a_reader_searches_it_from_the_folder(site):
-    program = shutil.which("chromium") or shutil.which("chromium-browser")
-    if program is None:
-        pytest.skip("Chromium is not installed (apt-get install chromium)")
-    playwright = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
-    with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=program, args=["--headless", "--no-sandbox"])
+    with open_browser() as browser:
         tab = browser.new_page()
         requests, complaints = [], []
         tab.on("request", lambda request: requests.append(request.url))
@@ -115,6 +110,5 @@ def test_a_reader_searches_it_from_the_folder(site):
         first = tab.locator("#search-results li a").first
         first.wait_for()
         assert "findings" in first.get_attribute("href")
-        browser.close()
     assert complaints == []
     assert {request for request in requests if not request.startswith(("file:", "data:"))} == set()

@@ -1,9 +1,7 @@
 """One browser and one set of pages for all browser tests of a worker."""
 
-import shutil
-
 import pytest
-from page_reader import EVERY_PAGE, FLAGS, Reader
+from page_reader import EVERY_PAGE, Reader, open_browser
 
 from dds_trace.reports import load_reporter
 from dds_trace.reports.book.book import Book
@@ -11,15 +9,9 @@ from dds_trace.reports.book.book import Book
 
 @pytest.fixture(scope="session")
 def chromium():
-    """One browser; Playwright gives it a fresh profile."""
-    program = shutil.which("chromium") or shutil.which("chromium-browser")
-    if program is None:
-        pytest.skip("Chromium is not installed (apt-get install chromium)")
-    playwright = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
-    with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=program, args=list(FLAGS))
+    """One browser."""
+    with open_browser() as browser:
         yield browser
-        browser.close()
 
 
 @pytest.fixture(scope="session")

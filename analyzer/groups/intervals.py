@@ -10,7 +10,7 @@ import polars as pl
 from ..model.metrics import METRICS
 from ..pairing.one_way import knots_of
 from ..run_statistics.between_runs import interval_of_runs
-from ..run_statistics.runs import Run, Statistic
+from ..run_statistics.runs import Run, Runs, Statistic
 from ..run_statistics.spread import spread_of_runs
 from ..statistics.intervals import Basis
 from ..statistics.percentiles import PERCENTILES, quantile_of, summarize_values
@@ -105,7 +105,7 @@ def interval_rows(
         if values.null_count() == len(values):
             continue
         runs = _runs(values, sent_ns, run_of_row)
-        ordered = runs[0].ordered if len(runs) == 1 else np.sort(np.concatenate([run.values for run in runs]))
+        ordered = runs.all_ordered
         for percentile in PERCENTILES:
             statistic = Statistic(percentile.quantile)
             interval = interval_of_runs(runs, statistic)
@@ -133,14 +133,14 @@ def interval_rows(
             }
 
 
-def _runs(values: pl.Series, sent_ns: NDArray[np.int64], run_of_row: NDArray[np.int64]) -> list[Run]:
+def _runs(values: pl.Series, sent_ns: NDArray[np.int64], run_of_row: NDArray[np.int64]) -> Runs:
     """Return the values of each run that has any, in the order of T1: several relays of a run side by side."""
     if values.null_count():
         present = values.is_not_null().to_numpy()
         values, sent_ns, run_of_row = values.drop_nulls(), sent_ns[present], run_of_row[present]
     edges = np.flatnonzero(np.diff(run_of_row)) + 1
     parts = zip(np.split(values.to_numpy(), edges), np.split(sent_ns, edges), strict=True)
-    return [Run(*_in_order(*part)) for part in parts]
+    return Runs(Run(*_in_order(*part)) for part in parts)
 
 
 def _in_order(values: NDArray[np.int64], sent_ns: NDArray[np.int64]) -> Sequence[NDArray[np.int64]]:

@@ -22,7 +22,7 @@ import numpy as np
 from ..statistics.distributions import student_quantile
 from ..statistics.intervals import RUNS_TO_TELL, Basis, Interval, without_open_end
 from .bursts import COSINES, long_run_variance
-from .runs import joined_runs
+from .runs import Runs, joined_runs
 from .tails import episodes_of, tails_of
 from .within_run import interval_within
 
@@ -79,7 +79,9 @@ def units_of(runs: Sequence[Run], statistic: Statistic) -> Units:
         runs: in the order of time; at least one message in all.
         statistic: what is estimated.
     """
-    held = _joined_where_short([run for run in runs if len(run)], statistic.needs)
+    held = Runs.of(runs)
+    if min(held.lengths) < statistic.needs:
+        held = Runs(_joined_where_short([run for run in runs if len(run)], statistic.needs))
     episodes = None
     independent = [_independent_for_mean(run) for run in held] if statistic.quantile is None else []
     if statistic.quantile is not None:
@@ -110,12 +112,12 @@ def _joined_where_short(runs: Sequence[Run], needs: int) -> list[Run]:
     return [joined_runs(group) for group in groups if group]
 
 
-def _joined_to(runs: list[Run], most: int) -> list[Run]:
+def _joined_to(runs: Runs, most: int) -> Runs:
     """Join neighbouring runs into at most `most` groups, whose numbers of runs differ by one at most."""
     if len(runs) <= most:
         return runs
     parts = np.array_split(np.arange(len(runs)), most)
-    return [joined_runs([runs[place] for place in part]) for part in parts]
+    return Runs(joined_runs([runs[place] for place in part]) for part in parts)
 
 
 def _independent_for_mean(run: Run) -> float:

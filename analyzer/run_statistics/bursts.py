@@ -14,12 +14,15 @@ there are cosines.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     Float64 = NDArray[np.float64]
@@ -67,17 +70,70 @@ def share_inflation(places: NDArray[np.intp], messages: int) -> float:
         places: of the messages that count, 0 ... messages - 1, rising, shape (events,).
         messages: length of the series.
     """
-    share = len(places) / messages if messages else 0.0
+    return share_inflations(cells_of([messages]), places, np.array([0, len(places)]))[0] if messages else 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cells:
+    """The cells that neighbours of several series are added up in, those of the first series first.
+
+    Attributes:
+        lengths: messages of each series.
+        of_messages: intp, the cell of each message, shape (messages,).
+        widths: int64, messages in each cell, shape (cells,).
+        edges: the first cell of each series and the number of all, shape (series + 1,).
+    """
+
+    lengths: tuple[int, ...]
+    of_messages: NDArray[np.intp]
+    widths: Int64
+    edges: NDArray[np.intp]
+
+
+def cells_of(lengths: Sequence[int]) -> Cells:
+    """Return the cells of series of these lengths.
+
+    Args:
+        lengths: messages of each, at least one series.
+    """
+    cells = [min(messages, _CELLS) for messages in lengths]
+    edges = np.cumsum([0, *cells])
+    widths = [_widths(messages, of_series) for messages, of_series in zip(lengths, cells, strict=True)]
+    joined = np.concatenate(widths)
+    return Cells(tuple(lengths), np.repeat(np.arange(len(joined)), joined), joined, edges)
+
+
+def share_inflations(cells: Cells, places: NDArray[np.intp], edges: NDArray[np.intp]) -> list[float]:
+    """Return `share_inflation` of several series.
+
+    Args:
+        cells: of the series.
+        places: of the messages that count among those of all series, rising, shape (events,).
+        edges: the first of these in each series and the number of all, shape (series + 1,).
+    """
+    counts = np.bincount(cells.of_messages[places], minlength=len(cells.widths))
+    of_cells = cells.edges.tolist()
+    shares = [
+        events / messages if messages else 0.0
+        for events, messages in zip(np.diff(edges).tolist(), cells.lengths, strict=True)
+    ]
+    return [
+        _inflation(counts[begin:end], cells.widths[begin:end], share, messages)
+        for begin, end, share, messages in zip(of_cells, of_cells[1:], shares, cells.lengths, strict=False)
+    ]
+
+
+def _inflation(counts: Int64, widths: Int64, share: float, messages: int) -> float:
+    """Return the variance of a share over that of independent messages, from the events in each cell."""
     if messages < 2 * COSINES or not 0 < share < 1:
         return 1.0
-    cells = min(messages, _CELLS)
-    counts = np.bincount(((places + 1) * cells - 1) // messages, minlength=cells)  # by the cells of `_edges`
-    centred = counts - share * _widths(messages, cells)
-    return _projected_variance(centred, messages) / (share * (1 - share))
+    return _projected_variance(counts - share * widths, messages) / (share * (1 - share))
 
 
 def _projected_variance(sums: Float64, messages: int) -> float:
-    return float(2 / messages * np.square(_cosines(len(sums)) @ sums).mean())
+    projections = _cosines(len(sums)) @ sums
+    # `mean` of so few numbers costs more than all that is before it.
+    return float(2 / messages * (np.add.reduce(projections * projections) / COSINES))
 
 
 @lru_cache(maxsize=64)
@@ -105,31 +161,40 @@ def _cosines(cells: int) -> Float64:
     return np.asarray(waves)
 
 
-def positions_of(places: NDArray[np.intp], messages: int, sent_ns: Int64 | None = None) -> Float64:
-    """Return when events happened, float64, in mean distances of the messages since the first one; shape (events,).
+def positions_of(messages: int, sent_ns: Int64 | None = None) -> Float64:
+    """Return when the messages of a series were sent, float64, in their mean distances since the first; shape (messages,).
 
     Args:
-        places: of the messages that count, 0 ... messages - 1, rising, shape (events,).
         messages: length of the series.
-        sent_ns: when each message of the series was sent, int64 ns, rising; None where they are equally far apart.
+        sent_ns: when each of them was sent, int64 ns, rising; None where they are equally far apart.
     """
-    if sent_ns is None or not len(places):
-        return places.astype(np.float64)
+    if sent_ns is None or not messages:
+        return np.arange(messages, dtype=np.float64)
     step = float(sent_ns[-1] - sent_ns[0]) / max(1, messages - 1)
-    since_ns = (sent_ns[places] - sent_ns[0]).astype(np.float64)
-    return np.asarray(since_ns / (step or 1.0))
+    return np.asarray((sent_ns - sent_ns[0]) / (step or 1.0))
 
 
-def episode_ends(positions: Float64, gap: float) -> NDArray[np.intp]:
+def episode_ends(
+    positions: Float64, gaps: Float64 | float, edges: NDArray[np.intp] | None = None
+) -> NDArray[np.intp]:
     """Return the place in `positions` of the last event of each episode; shape (episodes,).
 
     Args:
-        positions: of the events, rising, shape (events,).
-        gap: the next event ends an episode if it is farther away.
+        positions: of the events, rising within a series, shape (events,).
+        gaps: the next event ends an episode if it is farther away; one number, or one for each event.
+        edges: the first event of each of several series and the number of all; None for one series.
     """
     if not len(positions):
         return np.empty(0, np.intp)
-    return np.append((positions[1:] - positions[:-1] > gap).nonzero()[0], len(positions) - 1)
+    is_end = np.ones(len(positions), np.bool_)
+    np.greater(
+        positions[1:] - positions[:-1], gaps if isinstance(gaps, float) else gaps[:-1], out=is_end[:-1]
+    )
+    if edges is not None:
+        is_end[edges[1:] - 1] = (
+            True  # of a series without events that is the end of the one before it, or of all
+        )
+    return is_end.nonzero()[0]
 
 
 def episode_sizes(places: NDArray[np.intp], messages: int, sent_ns: Int64 | None = None) -> Int64:
@@ -146,8 +211,8 @@ def episode_sizes(places: NDArray[np.intp], messages: int, sent_ns: Int64 | None
         messages: length of the series.
         sent_ns: when each message of the series was sent, int64 ns, rising; None where they are equally far apart.
     """
-    positions = positions_of(places, messages, sent_ns)
-    return sizes_at(positions, gap_of(len(places), messages, EPISODE_GAP_SHARE))
+    positions = positions_of(messages, sent_ns)[places]
+    return sizes_between(episode_ends(positions, gap_of(len(places), messages, EPISODE_GAP_SHARE)))
 
 
 def gap_of(events: int, messages: int, share: float) -> float:
@@ -155,9 +220,8 @@ def gap_of(events: int, messages: int, share: float) -> float:
     return max(share * messages / events, LEAST_GAP) if events else np.inf
 
 
-def sizes_at(positions: Float64, gap: float) -> Int64:
-    """Return the number of events in each episode at a gap; see `episode_ends`."""
-    ends = episode_ends(positions, gap)
+def sizes_between(ends: NDArray[np.intp]) -> Int64:
+    """Return the number of events in each episode; see `episode_ends`."""
     sizes = ends + 1
     sizes[1:] -= ends[:-1] + 1
     return sizes

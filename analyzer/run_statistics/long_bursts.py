@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..statistics.intervals import EPISODES_TO_TELL
-from .bursts import EPISODE_GAP_SHARE, episode_ends, gap_of
+from .bursts import EPISODE_GAP_SHARE, episode_ends, gap_of, sizes_between
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -68,14 +68,16 @@ def bursts_to_count(below: Sequence[Float64], beyond: Sequence[Float64], message
     if not 0 < events < messages:
         return None
     gap = gap_of(events, messages, EPISODE_GAP_SHARE)
-    rows = [_rows(positions, gap) for positions in below]
-    sizes = np.concatenate([of_run for _, __, of_run in rows])
+    edges = np.cumsum([0, *map(len, below)])
+    sizes = sizes_between(episode_ends(np.concatenate(below), gap, edges))
     by_chance = 1 - (1 - events / messages) ** math.floor(gap)
     going_on = float(np.count_nonzero(sizes > 1)) / len(sizes)
     bursts = None
     for probability in (by_chance, max(by_chance, going_on)):
         longest = _longest_row(len(sizes), probability)
-        kept = [_joined_rows(of_run, longest, gap, messages) for of_run in rows]
+        if sizes.max() <= longest:
+            return None
+        kept = [_joined_rows(_rows(positions, gap), longest, gap, messages) for positions in below]
         count, inside = sum(len(first) for first, _ in kept), _inside(kept, beyond)
         if not 0 < count < BURSTS_TO_TELL or inside < LEAST_PART * sum(map(len, beyond)):
             return None

@@ -9,11 +9,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..statistics.percentiles import minimum_messages
+from .bursts import Cells, cells_of, positions_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -41,6 +43,57 @@ class Levels:
         return values / level if self.is_ratio else values - level
 
 
+@dataclass(frozen=True, slots=True)
+class Threshold:
+    """Where the tail of a group begins.
+
+    Attributes:
+        value: the order statistic of all messages next to the quantile, on the side of the bulk.
+        is_upper: whether the tail lies above it (quantiles from p50 on) or below.
+        is_part: whether messages equal to the value are part of the tail.
+    """
+
+    value: float
+    is_upper: bool
+    is_part: bool
+
+    def is_beyond(self, values: Values) -> NDArray[np.bool_]:
+        """Return which values lie in the tail.
+
+        Where the value is infinite, the lost messages do: more of them than the quantile leaves room for, but
+        comparing with infinity as with a number would make a series of lost and received ones look constant.
+        """
+        if math.isinf(self.value):
+            return ~np.isfinite(values)
+        if self.is_upper:
+            return values >= self.value if self.is_part else values > self.value
+        return values <= self.value if self.is_part else values < self.value
+
+
+def threshold_of(ordered: Values, quantile: float) -> Threshold:
+    """Return where the tail of a series begins.
+
+    Of a clock that ticks once a millisecond many values are equal: those at the quantile are part of the tail if that
+    brings its share closer to the one that the quantile leaves, and if no others are.
+
+    Args:
+        ordered: its values, rising, at least one.
+        quantile: between 0 and 1, both excluded.
+    """
+    is_upper = quantile >= 0.5
+    messages = len(ordered)
+    position = (messages - 1) * quantile
+    value = ordered[math.floor(position) if is_upper else math.ceil(position)]
+    below, after = int(ordered.searchsorted(value, "left")), int(ordered.searchsorted(value, "right"))
+    if math.isinf(value):
+        counts = (messages - below, messages - below)
+    else:
+        counts = (messages - after, messages - below) if is_upper else (below, after)
+    wanted = messages * (1 - quantile if is_upper else quantile)
+    misfits = [(count in {0, messages}, abs(count - wanted)) for count in counts]
+    return Threshold(float(value), is_upper, is_part=misfits[1] < misfits[0])
+
+
 class Run:
     """The values of one run in the order of time; what was computed of them is kept.
 
@@ -52,7 +105,6 @@ class Run:
     def __init__(self, values: Values, sent_ns: Int64 | None = None) -> None:
         self.values = values
         self.sent_ns = sent_ns
-        self._relative: tuple[tuple[bool, float], tuple[Values, Values]] | None = None
 
     def __len__(self) -> int:
         return len(self.values)
@@ -67,15 +119,116 @@ class Run:
         """The median, by the median-unbiased definition."""
         return Statistic(0.5).of_run(self)
 
-    def relative(self, levels: Levels, level: float) -> tuple[Values, Values]:
-        """Return the values relative to a level, in the order of time and rising.
 
-        Every percentile of a group asks for the same level, which is kept; another one takes its place.
+@dataclass(frozen=True, slots=True, eq=False)
+class Beyond:
+    """The messages of several runs beyond a threshold, those of the first run first.
+
+    Attributes:
+        places: intp, where they stand in the arrays of `Runs`, rising, shape (events,).
+        positions: float64, when they were sent (`Runs.positions`), shape (events,).
+        edges: intp, the first of each run and the number of all, shape (runs + 1,).
+    """
+
+    places: NDArray[np.intp]
+    positions: NDArray[np.float64]
+    edges: NDArray[np.intp]
+
+    def of_runs(self, values: Values) -> list[Values]:
+        """Cut an array of all of them into those of each run."""
+        return [values[begin:end] for begin, end in pairwise(self.edges.tolist())]
+
+
+class Runs(tuple[Run, ...]):  # noqa: SLOT001 - what is kept needs a `__dict__`
+    """The runs of a group side by side: what the statistics of all of them rest on is computed once, for all at a time.
+
+    Arrays have the messages of the first run in the order of time, then those of the second, and so on.
+    """
+
+    @classmethod
+    def of(cls, runs: Sequence[Run]) -> Runs:
+        """Return the runs side by side; as they are if they stand so already."""
+        return runs if isinstance(runs, Runs) else cls(runs)
+
+    @cached_property
+    def lengths(self) -> tuple[int, ...]:
+        """Messages of each run."""
+        return tuple(map(len, self))
+
+    @cached_property
+    def joined(self) -> Runs:
+        """The runs as one series (`joined_runs`)."""
+        return self if len(self) == 1 else Runs([joined_runs(self)])
+
+    @cached_property
+    def edges(self) -> NDArray[np.intp]:
+        """The first message of each run and the number of all, shape (runs + 1,)."""
+        return np.cumsum([0, *self.lengths])
+
+    @cached_property
+    def levels(self) -> Levels:
+        """The median of each run; to be taken off if one is not above zero. One run alone is left as it is.
+
+        A run whose median is infinite is given the middle level of the others.
         """
-        key = levels.is_ratio, level
-        if self._relative is None or self._relative[0] != key:
-            self._relative = key, (levels.relative(self.values, level), levels.relative(self.ordered, level))
-        return self._relative[1]
+        medians = np.array([run.median for run in self])
+        is_finite = np.isfinite(medians)
+        if len(self) == 1 or not is_finite.any():
+            return Levels((0.0,) * len(self), is_ratio=False)
+        medians[~is_finite] = np.median(medians[is_finite])
+        return Levels(tuple(medians.tolist()), is_ratio=bool((medians > 0).all()))
+
+    @cached_property
+    def relative(self) -> Values:
+        """The values relative to the level of their run."""
+        return self._relative([run.values for run in self])
+
+    @cached_property
+    def ordered(self) -> Values:
+        """The same, rising."""
+        return _merged(self._relative([run.ordered for run in self])) if len(self) > 1 else self[0].ordered
+
+    def _relative(self, of_runs: Sequence[Values]) -> Values:
+        if len(self) == 1:
+            return of_runs[0]
+        levels = self.levels
+        pairs = zip(of_runs, levels.of_runs, strict=True)
+        return np.concatenate([levels.relative(values, level) for values, level in pairs])
+
+    @cached_property
+    def all_ordered(self) -> Values:
+        """The values themselves, rising."""
+        return _merged(np.concatenate([run.ordered for run in self])) if len(self) > 1 else self[0].ordered
+
+    @cached_property
+    def positions(self) -> NDArray[np.float64]:
+        """When each message was sent, in mean distances of its run's messages since the first of them."""
+        return np.concatenate([positions_of(len(run), run.sent_ns) for run in self])
+
+    @cached_property
+    def cells(self) -> Cells:
+        """The cells that neighbouring messages are added up in."""
+        return cells_of(self.lengths)
+
+    @cached_property
+    def _beyond(self) -> dict[float, Beyond]:
+        return {}
+
+    def beyond(self, quantile: float) -> Beyond:
+        """Return the messages beyond a quantile of all of them, each relative to the level of its run; they are kept."""
+        if quantile not in self._beyond:
+            self._beyond[quantile] = self.where(threshold_of(self.ordered, quantile).is_beyond(self.relative))
+        return self._beyond[quantile]
+
+    def where(self, is_meant: NDArray[np.bool_]) -> Beyond:
+        """Return the messages of a mask."""
+        places = is_meant.nonzero()[0]
+        return Beyond(places, self.positions[places], places.searchsorted(self.edges))
+
+
+def _merged(rising_parts: Values) -> Values:
+    """Sort what rises part by part; the stable sort merges such parts in a fraction of the time of the default one."""
+    return np.sort(rising_parts, kind="stable")
 
 
 def joined_runs(runs: Sequence[Run]) -> Run:

@@ -10,8 +10,8 @@ import numpy as np
 
 from .between_runs import Scale, scale_of
 from .bursts import COSINES, long_run_variance
-from .runs import quantile_at
-from .tails import inflation_of
+from .runs import Runs, quantile_at
+from .tails import inflations_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -44,11 +44,18 @@ def spread_of_runs(runs: Sequence[Run], statistic: Statistic) -> Spread:
         runs: those that do not support the statistic are left out.
         statistic: what is estimated.
     """
-    held = [run for run in runs if len(run) >= max(statistic.needs, 2 * COSINES + 1)]
+    needs = max(statistic.needs, 2 * COSINES + 1)
+    held = Runs.of(runs)
+    if min(held.lengths, default=0) < needs:
+        held = Runs(run for run in runs if len(run) >= needs)
     values = np.array([statistic.of_run(run) for run in held])
     if not held or scale_of(values) is not Scale.LOGARITHM:
         return Spread(None, None)
-    errors = [_log_error(run, statistic, value) for run, value in zip(held, values.tolist(), strict=True)]
+    errors = (
+        [_log_error_of_mean(run, value) for run, value in zip(held, values.tolist(), strict=True)]
+        if statistic.quantile is None
+        else _log_errors(held, statistic.quantile)
+    )
     if any(error is None for error in errors):
         return Spread(None, None)
     within_squared = float(np.mean([error * error for error in errors if error is not None]))
@@ -58,20 +65,24 @@ def spread_of_runs(runs: Sequence[Run], statistic: Statistic) -> Spread:
     return Spread(between, math.sqrt(within_squared))
 
 
-def _log_error(run: Run, statistic: Statistic, value: float) -> float | None:
-    """Return the standard error of the logarithm of a run's statistic; None where it is not finite.
+def _log_error_of_mean(run: Run, value: float) -> float:
+    """Return the standard error of the logarithm of a run's mean."""
+    variance = max(float(run.values.var()), long_run_variance(run.values))
+    return math.sqrt(variance / len(run)) / value
 
-    Of a quantile: half of the logarithm's rise over one standard error of the share below it to either side (R.
-    Woodruff, "Confidence intervals for medians and other position measures", JASA 47, 1952).
+
+def _log_errors(runs: Runs, share: float) -> list[float | None]:
+    """Return the standard error of the logarithm of each run's quantile; None where it is not finite.
+
+    Half of the logarithm's rise over one standard error of the share below it to either side (R. Woodruff, "Confidence
+    intervals for medians and other position measures", JASA 47, 1952).
     """
-    n = len(run)
-    if statistic.quantile is None:
-        variance = max(float(run.values.var()), long_run_variance(run.values))
-        return math.sqrt(variance / n) / value
-    share = statistic.quantile
-    error = math.sqrt(share * (1 - share) * max(1.0, inflation_of(run, share)) / n)
-    steps = [min(max(share + side * error, 0.5 / n), 1 - 0.5 / n) for side in (-1, 1)]
-    low, high = (quantile_at(run.ordered, (n + 1 / 3) * step + 1 / 3) for step in steps)
-    if low <= 0 or math.isinf(high):
-        return None
-    return math.log(high / low) * error / (steps[1] - steps[0])
+    errors: list[float | None] = []
+    for run, inflation in zip(runs, inflations_of(runs, share), strict=True):
+        n = len(run)
+        error = math.sqrt(share * (1 - share) * max(1.0, inflation) / n)
+        steps = [min(max(share + side * error, 0.5 / n), 1 - 0.5 / n) for side in (-1, 1)]
+        low, high = (quantile_at(run.ordered, (n + 1 / 3) * step + 1 / 3) for step in steps)
+        is_finite = low > 0 and not math.isinf(high)
+        errors.append(math.log(high / low) * error / (steps[1] - steps[0]) if is_finite else None)
+    return errors

@@ -16,19 +16,18 @@ from .bursts import (
     equal_episodes,
     gap_of,
     independent_squares,
-    positions_of,
-    share_inflation,
-    sizes_at,
+    share_inflations,
+    sizes_between,
 )
 from .long_bursts import bursts_to_count, level_below
-from .runs import Levels
+from .runs import Runs, threshold_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from .runs import Run, Values
+    from .runs import Run
 
     Int64 = NDArray[np.int64]
 
@@ -64,33 +63,6 @@ class Tail:
     bursts: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Threshold:
-    """Where the tail of a group begins.
-
-    Attributes:
-        value: the order statistic of all messages next to the quantile, on the side of the bulk.
-        is_upper: whether the tail lies above it (quantiles from p50 on) or below.
-        is_part: whether messages equal to the value are part of the tail.
-    """
-
-    value: float
-    is_upper: bool
-    is_part: bool
-
-    def is_beyond(self, values: Values) -> NDArray[np.bool_]:
-        """Return which values lie in the tail.
-
-        Where the value is infinite, the lost messages do: more of them than the quantile leaves room for, but
-        comparing with infinity as with a number would make a series of lost and received ones look constant.
-        """
-        if math.isinf(self.value):
-            return ~np.isfinite(values)
-        if self.is_upper:
-            return values >= self.value if self.is_part else values > self.value
-        return values <= self.value if self.is_part else values < self.value
-
-
 def tails_of(runs: Sequence[Run], quantile: float) -> list[Tail]:
     """Return for each run what lies beyond a quantile of the group, levels of runs set aside.
 
@@ -101,77 +73,45 @@ def tails_of(runs: Sequence[Run], quantile: float) -> list[Tail]:
         runs: at least one message each.
         quantile: between 0 and 1, both excluded.
     """
-    levels = levels_of(runs)
-    beyond = _places_beyond(runs, levels, quantile)
-    positions = _positions(runs, beyond)
-    below = level_below(quantile)
+    group = Runs.of(runs)
+    beyond, below = group.beyond(quantile), level_below(quantile)
+    positions = beyond.of_runs(beyond.positions)
     bursts = None
     if below is not None:
-        wider = _positions(runs, _places_beyond(runs, levels, below))
-        bursts = bursts_to_count(wider, positions, sum(map(len, runs)))
+        wider = group.beyond(below)
+        bursts = bursts_to_count(wider.of_runs(wider.positions), positions, int(group.edges[-1]))
+    events = np.diff(beyond.edges)
+    counts = list(zip(events.tolist(), group.lengths, strict=True))
+    gaps = [gap_of(count, messages, TAIL_GAP_SHARE) for count, messages in counts]
+    ends = episode_ends(beyond.positions, np.repeat(gaps, events), beyond.edges)
+    rows = np.diff(episode_ends(beyond.positions, LEAST_GAP, beyond.edges).searchsorted(beyond.edges))
+    sizes, episodes = sizes_between(ends), ends.searchsorted(beyond.edges).tolist()
+    inflations = share_inflations(group.cells, beyond.places, beyond.edges)
     return [
-        _tail(run, places, of_run, bursts)
-        for run, places, of_run in zip(runs, beyond, positions, strict=True)
+        Tail(
+            messages=count,
+            sizes=sizes[begin:end],
+            inflation=inflation,
+            squares=independent_squares(count, messages, gap),
+            rows=of_rows,
+            bursts=bursts,
+        )
+        for (count, messages), begin, end, inflation, gap, of_rows in zip(
+            counts, episodes, episodes[1:], inflations, gaps, rows.tolist(), strict=False
+        )
     ]
 
 
-def _places_beyond(runs: Sequence[Run], levels: Levels, quantile: float) -> list[NDArray[np.intp]]:
-    if len(runs) == 1:
-        alone = threshold_of_run(runs[0].ordered, quantile)
-        return [alone.is_beyond(runs[0].values).nonzero()[0]]
-    threshold = threshold_of(runs, levels, quantile)
-    return [
-        threshold.is_beyond(run.relative(levels, level)[0]).nonzero()[0]
-        for run, level in zip(runs, levels.of_runs, strict=True)
-    ]
-
-
-def _positions(runs: Sequence[Run], places: Sequence[NDArray[np.intp]]) -> list[NDArray[np.float64]]:
-    return [positions_of(of_run, len(run), run.sent_ns) for run, of_run in zip(runs, places, strict=True)]
-
-
-def _tail(run: Run, places: NDArray[np.intp], positions: NDArray[np.float64], bursts: int | None) -> Tail:
-    gap = gap_of(len(places), len(run), TAIL_GAP_SHARE)
-    return Tail(
-        messages=len(places),
-        sizes=sizes_at(positions, gap),
-        inflation=share_inflation(places, len(run)),
-        squares=independent_squares(len(places), len(run), gap),
-        rows=len(episode_ends(positions, LEAST_GAP)) if len(places) else 0,
-        bursts=bursts,
-    )
-
-
-def inflation_of(run: Run, quantile: float) -> float:
-    """Return what `tails_of` says of the inflation of one run alone, without the rest that it finds out.
+def inflations_of(runs: Runs, quantile: float) -> list[float]:
+    """Return for each run what `tails_of` says of the inflation of that run alone, without the rest that it finds out.
 
     Args:
-        run: at least one message.
+        runs: at least one message each.
         quantile: between 0 and 1, both excluded.
     """
-    threshold = threshold_of_run(run.ordered, quantile)
-    return share_inflation(threshold.is_beyond(run.values).nonzero()[0], len(run))
-
-
-def threshold_of_run(ordered: Values, quantile: float) -> Threshold:
-    """Return where the tail of one run begins; see `threshold_of`.
-
-    Args:
-        ordered: its values, rising, at least one.
-        quantile: between 0 and 1, both excluded.
-    """
-    is_upper = quantile >= 0.5
-    messages = len(ordered)
-    position = (messages - 1) * quantile
-    value = ordered[math.floor(position) if is_upper else math.ceil(position)]
-    below, after = int(ordered.searchsorted(value, "left")), int(ordered.searchsorted(value, "right"))
-    if np.isinf(value):
-        counts = (messages - below, messages - below)
-    else:
-        counts = (messages - after, messages - below) if is_upper else (below, after)
-    wanted = messages * (1 - quantile if is_upper else quantile)
-    misfits = [(count in {0, messages}, abs(count - wanted)) for count in counts]
-    return Threshold(float(value), is_upper, is_part=misfits[1] < misfits[0])
+    is_beyond = [threshold_of(run.ordered, quantile).is_beyond(run.values) for run in runs]
+    places = np.concatenate(is_beyond).nonzero()[0]
+    return share_inflations(runs.cells, places, places.searchsorted(runs.edges))
 
 
 def episodes_of(tails: Sequence[Tail]) -> int | None:
@@ -201,65 +141,3 @@ def episodes_of(tails: Sequence[Tail]) -> int | None:
     ninth = 2 / (9 * (len(tails) - 1))
     least_likely = (1 - ninth + NormalDist().inv_cdf(LIKELY) * math.sqrt(ninth)) ** 3
     return min(equal, max(1, round(least_likely * len(tails) / variation)))
-
-
-def levels_of(runs: Sequence[Run]) -> Levels:
-    """Return the median of each run; to be taken off if one is not above zero. One run alone is left as it is.
-
-    A run whose median is infinite is given the middle level of the others.
-    """
-    medians = np.array([run.median for run in runs])
-    is_finite = np.isfinite(medians)
-    if len(runs) == 1 or not is_finite.any():
-        return Levels((0.0,) * len(runs), is_ratio=False)
-    medians[~is_finite] = np.median(medians[is_finite])
-    return Levels(tuple(medians.tolist()), is_ratio=bool((medians > 0).all()))
-
-
-def threshold_of(runs: Sequence[Run], levels: Levels, quantile: float) -> Threshold:
-    """Return where the tail of a group begins.
-
-    The quantile of all messages lies between the least and the greatest of the runs' own, so that only what lies
-    there is looked at. Of a clock that ticks once a millisecond many values are equal: those at the quantile are
-    part of the tail if that brings its share closer to the one that the quantile leaves, and if no others are.
-
-    Args:
-        runs: at least one message each.
-        levels: of the runs.
-        quantile: between 0 and 1, both excluded.
-    """
-    is_upper = quantile >= 0.5
-    messages = sum(len(run) for run in runs)
-    position = (messages - 1) * quantile
-    place = math.floor(position) if is_upper else math.ceil(position)
-    between, below = _between_quantiles(runs, levels, quantile)
-    value = float(np.partition(between, place - below)[place - below])
-    wanted = messages * (1 - quantile if is_upper else quantile)
-    outside = messages - below - len(between) if is_upper else below
-
-    def misfit(candidate: Threshold) -> tuple[bool, float]:
-        count = int(np.count_nonzero(candidate.is_beyond(between))) + (outside if math.isfinite(value) else 0)
-        return count in {0, messages}, abs(count - wanted)
-
-    return min((Threshold(value, is_upper, is_part) for is_part in (False, True)), key=misfit)
-
-
-def _between_quantiles(runs: Sequence[Run], levels: Levels, quantile: float) -> tuple[Values, int]:
-    """Return the relative values from the least to the greatest of the runs' quantiles, and how many lie below."""
-    pairs = list(zip(runs, levels.of_runs, strict=True))
-    ranks = [quantile * len(run) for run in runs]
-    first, last = (
-        [run.relative(levels, level)[1][place] for (run, level), place in zip(pairs, of_runs, strict=True)]
-        for of_runs in (
-            [max(math.floor(rank) - 1, 0) for rank in ranks],
-            [min(math.ceil(rank), len(run) - 1) for rank, run in zip(ranks, runs, strict=True)],
-        )
-    )
-    low, high = min(first), max(last)
-    parts, below = [], 0
-    for run, level in pairs:
-        _, relative = run.relative(levels, level)
-        begin, end = relative.searchsorted(low, "left"), relative.searchsorted(high, "right")
-        parts.append(relative[begin:end])
-        below += int(begin)
-    return np.concatenate(parts), below

@@ -18,7 +18,7 @@ from ..statistics.distributions import student_quantile
 from ..statistics.intervals import Basis, Interval, without_open_end
 from ..statistics.order_statistics import order_statistic_ranks
 from .bursts import COSINES, long_run_variance
-from .runs import joined_runs, quantile_at
+from .runs import Runs, quantile_at
 from .tails import episodes_of, tails_of
 
 if TYPE_CHECKING:
@@ -38,18 +38,20 @@ def interval_within(runs: Sequence[Run], statistic: Statistic, confidence: float
         statistic: what is estimated.
         confidence: between 0 and 1, both excluded.
     """
-    series = joined_runs(runs) if runs else None
-    if series is None or len(series) < statistic.needs:
+    group = Runs.of(runs).joined
+    (series,) = group
+    if not runs or len(series) < statistic.needs:
         samples = sum(len(run) for run in runs)
         return Interval(None, None, None, confidence, samples, samples, Basis.WITHIN_RUN, len(runs), 0, None)
     if statistic.quantile is None:
         return _mean_within(series, confidence, len(runs))
-    return _quantile_within(series, statistic.quantile, confidence, len(runs))
+    return _quantile_within(group, statistic.quantile, confidence, len(runs))
 
 
-def _quantile_within(series: Run, quantile: float, confidence: float, runs: int) -> Interval:
+def _quantile_within(group: Runs, quantile: float, confidence: float, runs: int) -> Interval:
+    (series,) = group
     n, ordered = len(series), series.ordered
-    (tail,) = tails_of([series], quantile)
+    (tail,) = tails_of(group, quantile)
     episodes = episodes_of([tail])
     independent = max(1, int(n / max(1.0, tail.inflation * _price_of_estimating(confidence))))
     lowest, highest = order_statistic_ranks(independent, quantile, confidence)

@@ -9,22 +9,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dds_trace.analyzer.run_statistics.runs import Levels, Run
+from dds_trace.analyzer.run_statistics.runs import Levels, Run, Runs, Threshold, threshold_of
 from dds_trace.analyzer.run_statistics.tails import (
     Tail,
-    Threshold,
     episodes_of,
-    inflation_of,
-    levels_of,
+    inflations_of,
     tails_of,
-    threshold_of,
-    threshold_of_run,
 )
 
 
 def threshold_alone(values, quantile):
-    runs = [Run(values)]
-    return threshold_of(runs, levels_of(runs), quantile)
+    return threshold_of(np.sort(values), quantile)
 
 
 def test_the_tail_begins_at_an_order_statistic():
@@ -41,10 +36,16 @@ def test_the_tail_begins_at_an_order_statistic():
 )
 @settings(deadline=None)
 def test_a_group_has_the_threshold_of_all_its_values(groups, quantile):
-    runs = [Run(np.array(values, np.float64)) for values in groups]
-    levels = levels_of(runs)
+    runs = Runs(Run(np.array(values, np.float64)) for values in groups)
+    levels = runs.levels
     relative = [levels.relative(run.values, level) for run, level in zip(runs, levels.of_runs, strict=True)]
-    assert threshold_of(runs, levels, quantile) == threshold_alone(np.concatenate(relative), quantile)
+    beyond = runs.beyond(quantile)
+    threshold = threshold_alone(np.concatenate(relative), quantile)
+    places = [threshold.is_beyond(values).nonzero()[0].tolist() for values in relative]
+    begins = np.cumsum([0, *map(len, groups)]).tolist()
+    assert [of_run.tolist() for of_run in beyond.of_runs(beyond.places)] == [
+        [begin + place for place in of_run] for begin, of_run in zip(begins, places, strict=False)
+    ]
 
 
 @given(
@@ -52,11 +53,10 @@ def test_a_group_has_the_threshold_of_all_its_values(groups, quantile):
     quantile=st.sampled_from([0.01, 0.1, 0.5, 0.9, 0.99]),
 )
 @settings(deadline=None)
-def test_one_run_alone_has_the_same_threshold_and_inflation_either_way(values, quantile):
-    run = Run(np.array(values, np.float64))
-    assert threshold_of_run(run.ordered, quantile) == threshold_of([run], levels_of([run]), quantile)
-    (tail,) = tails_of([run], quantile)
-    assert inflation_of(run, quantile) == tail.inflation
+def test_one_run_alone_has_the_same_inflation_either_way(values, quantile):
+    runs = Runs([Run(np.array(values, np.float64))])
+    (tail,) = tails_of(runs, quantile)
+    assert inflations_of(runs, quantile) == [tail.inflation]
 
 
 @pytest.mark.parametrize(("quantile", "messages"), [(0.9, 10), (0.99, 10), (0.5, 10), (0.2, 90), (0.05, 90)])
@@ -109,16 +109,16 @@ def test_runs_without_an_episode_limit_the_number():
 
 
 def test_levels_that_are_not_positive_are_taken_off():
-    assert levels_of([Run(np.array([-2, -1, 0])), Run(np.array([4, 5, 6]))]) == Levels(
+    assert Runs([Run(np.array([-2, -1, 0])), Run(np.array([4, 5, 6]))]).levels == Levels(
         (-1, 5), is_ratio=False
     )
-    assert levels_of([Run(np.array([1, 2, 3])), Run(np.array([4, 5, 6]))]) == Levels((2, 5), is_ratio=True)
+    assert Runs([Run(np.array([1, 2, 3])), Run(np.array([4, 5, 6]))]).levels == Levels((2, 5), is_ratio=True)
 
 
 def test_a_run_that_lost_most_is_given_the_level_of_the_others():
     runs = [Run(np.array([2.0, math.inf, math.inf])), Run(np.array([3.0, 4.0, 5.0]))]
-    assert levels_of(runs) == Levels((4, 4), is_ratio=True)
-    assert levels_of([Run(np.full(3, math.inf))] * 2) == Levels((0, 0), is_ratio=False)
+    assert Runs(runs).levels == Levels((4, 4), is_ratio=True)
+    assert Runs([Run(np.full(3, math.inf))] * 2).levels == Levels((0, 0), is_ratio=False)
 
 
 def test_a_pause_of_the_sender_ends_an_episode():

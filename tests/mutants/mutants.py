@@ -1,9 +1,9 @@
 """Change one operator or number of the core at a time and see whether a test notices: `just mutants`.
 
 The tests of a part are collected once. For each mutant this process forks, the child gives the loaded module the changed
-code, runs the tests that pass through the changed line, cheapest first, and ends at the first that fails. Nothing is
-written to the tree. What was computed by an import may have gone elsewhere by then, so a mutant of a line that runs at
-import and that nobody noticed is tried once more with everything imported anew.
+code, runs the tests that pass through the changed line, those first that are cheap and have noticed changes of this module,
+and ends at the first that fails. Nothing is written to the tree. What was computed by an import may have gone elsewhere by
+then, so a mutant of a line that runs at import and that nobody noticed is tried once more with everything imported anew.
 """
 
 from __future__ import annotations
@@ -48,7 +48,9 @@ EQUIVALENT = Path(__file__).with_name("equivalent.json")
 LEAST_KILLED = 0.95
 MOST_TEST_SECONDS = 10.0
 """Tests that run through a mutant's line are taken, cheapest first, until they take this together, at least one."""
-SPARE_SECONDS = 10.0
+SPARE_SECONDS = 5.0
+TIMES_LONGER = 3.0
+"""A child whose tests take so many times as long as without the mutant, and this time to spare, has a loop without an end."""
 WALL_FACTOR = 20.0  # of a child's processor time: other programs may share this machine
 LONGEST_SECONDS = 100_000.0
 SURVIVED, KILLED = 0, 1
@@ -205,12 +207,12 @@ def ended(pids: Sequence[int]) -> tuple[int, int]:
     """Wait for one of these children; return its process id and 0 if it returned 0."""
     while True:
         for pid in pids:
-            done, status = os.waitpid(pid, os.WNOHANG)
+            done, status = os.waitpid(pid, os.WNOHANG if len(pids) > 1 else 0)
             if done:
                 with suppress(ProcessLookupError):
                     os.killpg(pid, signal.SIGKILL)
                 return pid, int(status != 0)
-        time.sleep(0.003)
+        time.sleep(0.01)
 
 
 class Trials:
@@ -221,6 +223,7 @@ class Trials:
     ) -> None:
         self._modules, self._chosen, self._folder, self._jobs = modules, chosen, folder, jobs
         self.survivors: list[tuple[str, int]] = []
+        self._kills: Counter[tuple[str, int]] = Counter()  # by module and number of the test
         self.failing: list[str] = []
 
     @pytest.hookimpl(tryfirst=True)
@@ -242,14 +245,15 @@ class Trials:
         running: dict[int, tuple[str, int]] = {}
         for path, number in self._chosen:
             module = self._modules[path]
-            tests = [items[each] for each in self._tests_of(module, module.mutants[number], runs)]
+            tests = self._tests_of(module, module.mutants[number], runs)
             if not tests:
                 self.survivors.append((path, number))
                 continue
             if len(running) == self._jobs:
                 self._await_one(running)
-            pid = forked(partial(self._try, module, number, tests), SPARE_SECONDS + 5 * MOST_TEST_SECONDS)
-            running[pid] = path, number
+            tests.sort(key=lambda each: seconds[each] / (1 + self._kills[path, each]))
+            longest = SPARE_SECONDS + TIMES_LONGER * sum(seconds[each] for each in tests)
+            running[forked(partial(self._try, module, number, items, tests), longest)] = path, number
         while running:
             self._await_one(running)
         return True
@@ -266,16 +270,21 @@ class Trials:
                 tests.append(number)
         return tests
 
-    @staticmethod
-    def _try(module: Module, number: int, items: Sequence[pytest.Item]) -> int:
+    def _try(self, module: Module, number: int, items: Sequence[pytest.Item], tests: Sequence[int]) -> int:
         grafting.graft(sys.modules[module.name], module.mutated(number))
-        return SURVIVED if all(passed for _, passed in passes(items)) else KILLED
+        for place, passed in passes([items[each] for each in tests]):
+            if not passed:
+                (self._folder / f"killer-{os.getpid()}").write_text(str(tests[place]))
+                return KILLED
+        return SURVIVED
 
     def _await_one(self, running: dict[int, tuple[str, int]]) -> None:
         pid, status = ended(list(running))
         mutant = running.pop(pid)
         if status == SURVIVED:
             self.survivors.append(mutant)
+        with suppress(FileNotFoundError):  # none where a mutant runs on without an end
+            self._kills[mutant[0], int((self._folder / f"killer-{pid}").read_text())] += 1
 
 
 def pytest_words(tests: Sequence[str], folder: Path) -> list[str]:

@@ -7,7 +7,8 @@ What is left out, each by a rule, because no test of behaviour could tell the tw
 - annotations, `contravariant=` and what stands under `if TYPE_CHECKING`: they are for the type checker;
 - `assert`, and `strict=` of `zip`: they guard against our own mistakes and change nothing for a caller who makes none;
 - `copy=`, `maxsize=`, `stacklevel=`, `daemon=` and `buffering=`: what they change is speed, or the line that a warning names;
-- module constants whose names say that they bound work, not results (`_AT_ONCE` and the like, `WORK_BOUNDS`).
+- module constants whose names say that they bound work, not results (`_AT_ONCE`, `_BLOCK_MESSAGES` and the like,
+  `WORK_BOUNDS`): tests of blocks give each of them other sizes and find the same results.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ OPERATORS: dict[type[ast.AST], type[ast.AST]] = {
 UNTOLD_KEYWORDS = frozenset(
     {"strict", "copy", "maxsize", "stacklevel", "daemon", "buffering", "contravariant", "covariant"}
 )
-WORK_BOUNDS = ("AT_ONCE", "_BATCH", "CHUNK_ROWS", "CACHE", "BUFFER")
+WORK_BOUNDS = ("AT_ONCE", "_BATCH", "CHUNK_ROWS", "CACHE", "BUFFER", "_BLOCK")
 """Ends and parts of the names of constants that say how much is done at a time; results do not depend on them."""
 
 

@@ -1,0 +1,104 @@
+"""Lines through windows: by hand, and many windows at once against one after another told plainly."""
+
+from __future__ import annotations
+
+import numpy as np
+import plain_clock_fit
+import pytest
+from plain_clock_fit import find_windows
+
+from dds_trace.analyzer.clocks.lines import DRIFT, DRIFT_LIMIT_PPB, Lines, OffsetIntervals
+from dds_trace.analyzer.clocks.windows import fit_windows
+
+S = 1_000_000_000
+
+
+def intervals(*messages):
+    """Bounds from (time, lower, upper) of each message."""
+    return OffsetIntervals(*(np.array(each, float) for each in zip(*messages, strict=True)))
+
+
+def lines_of(*messages):
+    return Lines.through(intervals(*messages), np.array([0]), np.array([len(messages)]))
+
+
+def test_clocks_part_by_500_ppm_at_most():
+    assert (DRIFT_LIMIT_PPB, DRIFT) == (500_000, 5e-4)
+    lines = lines_of((2e6, -10, 10))
+    assert lines.exist.tolist() == [True]
+    assert lines.steepness.tolist() == [[-5e-4, 5e-4]]
+    low, high = lines.range_at(np.array([[2e6, 3e6, 1e6]]))
+    assert low.tolist() == [[-10, -510, -510]]
+    assert high.tolist() == [[10, 510, 510]]
+
+
+def test_lines_through_two_messages():
+    # From a in [0, 10] at the first to b in [20, 30] at the second: 2a - b before them, 2b - a behind, (a + b) / 2 between.
+    lines = lines_of((0, 0, 10), (1e5, 20, 30))
+    assert lines.steepness == pytest.approx(np.array([[1e-4, 3e-4]]), rel=1e-12)
+    low, high = lines.range_at(np.array([[-1e5, 0, 5e4, 1e5, 2e5]]))
+    assert low == pytest.approx(np.array([[-30, 0, 10, 20, 30]]), abs=1e-9)
+    assert high == pytest.approx(np.array([[0, 10, 20, 30, 60]]), abs=1e-9)
+
+
+def test_messages_that_contradict_each_other_by_no_more_than_rounding_have_a_line():
+    assert lines_of((0, -5, 0), (0, 0.001, 5)).exist.tolist() == [True]
+    assert lines_of((0, -5, 0), (0, 0.0010001, 5)).exist.tolist() == [False]
+
+
+def drawn(seed, lengths=(1, 2, 3, 40, 70, 7, 150), fast=40.0):
+    """Messages of several stretches with gaps between, of a clock that bends in the longest."""
+    draw, stretches, time, first = np.random.default_rng(seed), [], [], 0
+    begin = 0.0
+    for length in lengths:
+        count = length + int(draw.integers(0, 3))
+        time.append(begin + np.cumsum(draw.integers(1, 5, count)) * 5e7)
+        begin = time[-1][-1] + 3e10
+        stretches.append((first, first + count - int(draw.integers(0, 2)) * (length > 10)))
+        first += count
+    at = np.concatenate(time)
+    theta = draw.integers(-300, 300) * at / 1e9 + 1e-4 * np.abs(at - time[-1].mean()) * (at >= time[-1][0])
+    below, above = (np.rint(fast + draw.exponential(3e4, len(at))) for _ in range(2))
+    return OffsetIntervals(at, theta - below, theta + above), stretches
+
+
+def test_many_windows_are_fitted_as_one_after_another():
+    halved = 0
+    for seed in range(5):
+        points, stretches = drawn(seed)
+        lower, upper = points.lower.copy(), points.upper.copy()
+        plain = [each for start, stop in stretches for each in find_windows(points, start, stop)]
+        low, high = lower.copy(), upper.copy()
+        for start, stop, lines in plain:
+            lowest, highest = lines.range_at(points.time[start:stop])
+            low[start:stop], high[start:stop] = (
+                np.maximum(low[start:stop], lowest),
+                np.minimum(high[start:stop], highest),
+            )
+        windows = fit_windows(points, stretches)
+        assert [windows.start.tolist(), windows.stop.tolist()] == [
+            list(each) for each in zip(*plain, strict=True)
+        ][:2]
+        assert points.lower == pytest.approx(low, abs=1e-4)
+        assert points.upper == pytest.approx(high, abs=1e-4)
+        untouched = np.ones(len(low), np.bool_)
+        for place, (start, stop, lines) in enumerate(plain):
+            untouched[start:stop] = False
+            assert windows.steepness[place] == pytest.approx(
+                [lines.slope.min(), lines.slope.max()], abs=1e-12
+            )
+            time = points.time[start:stop]
+            ends = np.array(lines.range_at(time[[0, -1]]))
+            assert windows.first[place] == pytest.approx(
+                [ends[:, 0].mean(), np.ptp(ends[:, 0]) / 2], abs=1e-4
+            )
+            assert windows.last[place] == pytest.approx([ends[:, 1].mean(), np.ptp(ends[:, 1]) / 2], abs=1e-4)
+            best = plain_clock_fit._Best.of(points.part(start, stop), lines)
+            assert (windows.time[place], windows.offset[place], windows.bound[place]) == pytest.approx(
+                (best.time, best.offset, best.bound), rel=1e-9, abs=1e-4
+            )
+        assert np.array_equal(points.lower[untouched], lower[untouched])
+        assert np.array_equal(points.upper[untouched], upper[untouched])
+        halved += len(plain) > len(stretches) + 1
+    assert halved > 1, "clocks that never bend would prove little"
+    assert len(fit_windows(points, []).start) == 0

@@ -36,9 +36,10 @@ if TYPE_CHECKING:
     from .reading.storage import find_traces
     from .reading.trace import Trace
     from .recovery.recover import RecoveryReport, recover
-    from .threads import run_in_background
+    from .threads import Turn, run_in_background
     from .version import __version__
     from .writing.destination import ClosedTrace, TraceDestination
+    from .writing.packing import ExpectedPair
     from .writing.sink import TraceSink
 else:
     __getattr__, __dir__ = contents_page(__name__)
@@ -55,6 +56,7 @@ __all__ = [
     "BridgeError",
     "ClosedTrace",
     "EventColumns",
+    "ExpectedPair",
     "Json",
     "JsonObject",
     "LossesError",
@@ -76,6 +78,7 @@ __all__ = [
     "TraceError",
     "TraceFormatError",
     "TraceSink",
+    "Turn",
     "__version__",
     "find_traces",
     "iter_event_batches",

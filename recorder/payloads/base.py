@@ -78,10 +78,18 @@ class Form(Generic[SentT, ReceivedT]):
     Attributes:
         stamp: place of the stamp in a message.
         payload_bytes_of: returns the application bytes of a received message.
+        sizing_bytes_of: returns how many of the first bytes of a message decide, together with its length, what
+            `payload_bytes_of` returns; None for message objects.
     """
 
     stamp: StampPlace[SentT, ReceivedT]
     payload_bytes_of: Callable[[ReceivedT], int]
+    sizing_bytes_of: Callable[[RawMessage], int] | None = None
+
+
+def sized_by_length(_message: RawMessage) -> int:
+    """Return 0, `Form.sizing_bytes_of` of a type whose payload follows from the message's length and that of its first string."""
+    return 0
 
 
 class Maker(Protocol):

@@ -75,6 +75,13 @@ def payload_bytes_of(message: RawMessage) -> int:
     return int(data_bytes) if 0 <= padding < 4 else 0
 
 
+def sizing_bytes_of(message: RawMessage) -> int:
+    """Return the offset behind the length of `data`."""
+    (encoding_bytes,) = _UINT32.unpack_from(message, _ENCODING_OFFSET)
+    step_offset = _ENCODING_OFFSET + 4 + encoding_bytes + 1
+    return int(step_offset + -step_offset % 4 + 8)
+
+
 def object_bytes_of(message: RosMessage) -> int:
     """Return the length of `data` of an image object."""
     return len(message.data)
@@ -84,7 +91,7 @@ BINARY = DataType(
     name="binary",
     topic="binary_image",
     type_name="sensor_msgs/msg/Image",
-    raw=Form(RAW_HEADER_STAMP, payload_bytes_of),
+    raw=Form(RAW_HEADER_STAMP, payload_bytes_of, sizing_bytes_of),
     objects=Form(HEADER_STAMP, object_bytes_of),
     object_stamp=HEADER_STAMP,
     make=make_payload,

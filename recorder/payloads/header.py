@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import OptionError
 
-from .base import DataType, Form
+from .base import DataType, Form, sized_by_length
 from .stamp import HEADER_STAMP, RAW_HEADER_STAMP
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def header_data_type(type_name: str) -> DataType:
         name=match[2].lower(),
         topic=f"data_{match[1]}_{match[2]}",
         type_name=type_name,
-        raw=Form(RAW_HEADER_STAMP, payload_bytes_of),
+        raw=Form(RAW_HEADER_STAMP, payload_bytes_of, sized_by_length),
         objects=None,
         object_stamp=HEADER_STAMP,
         make=partial(_refuse_to_make, type_name),

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import OptionError
 
-from .base import DataType, Form, Message, Payload
+from .base import DataType, Form, Message, Payload, sized_by_length
 from .cdr import CdrWriter
 from .stamp import HEADER_STAMP, RAW_HEADER_STAMP, stamp_text
 
@@ -48,7 +48,7 @@ IMU = DataType(
     name="imu",
     topic="imu_data",
     type_name="sensor_msgs/msg/Imu",
-    raw=Form(RAW_HEADER_STAMP, payload_bytes_of),
+    raw=Form(RAW_HEADER_STAMP, payload_bytes_of, sized_by_length),
     objects=Form(HEADER_STAMP, payload_bytes_of),
     object_stamp=HEADER_STAMP,
     make=make_payload,

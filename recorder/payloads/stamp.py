@@ -27,6 +27,7 @@ _RELAY = slice(38, 46)
 _SECOND_NS = 1_000_000_000
 _TIME = struct.Struct("<iI")  # builtin_interfaces/Time
 _NANOSECONDS_AT = 4
+_LENGTH_BYTES = 4  # of a string, before its text
 _pack_nanoseconds_into = struct.Struct("<I").pack_into
 
 
@@ -87,10 +88,11 @@ class RawStampPlace:
         time_offset: offset of `header.stamp`, None where there is no header.
     """
 
-    __slots__ = ("_end", "_last", "_nanoseconds", "_relay", "_start", "_time")
+    __slots__ = ("_end", "_last", "_nanoseconds", "_relay", "_start", "_time", "begin_at")
 
     def __init__(self, text_offset: int, time_offset: int | None) -> None:
         self._start = text_offset
+        self.begin_at = text_offset - _LENGTH_BYTES
         self._end = text_offset + STAMP_BYTES
         self._relay = slice(text_offset + _RELAY.start, text_offset + _RELAY.stop)
         self._time = time_offset
@@ -135,6 +137,15 @@ class RawStampPlace:
         if stamp is not None:
             self._last = bytes(text[: _RUN.stop]), stamp.run_id
         return stamp
+
+    def begin_of(self, message: RawMessage, run_id: int, sequence: int, end: int) -> bytes:
+        """Return the bytes from `begin_at` to `end`, to the stamp's at least, of message `sequence` of a run that is like `message`.
+
+        The length of the string that begins with the stamp is among them.
+        """
+        return bytes(
+            message[self.begin_at : self._start] + stamp_text(run_id, sequence) + message[self._end : end]
+        )
 
     def reply(self, message: RawMessage, relay_id_text: bytes) -> bytearray | None:
         """Return the message with the relay's id in place: bytes as a copy, a `bytearray`, which is the callback's, itself."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from dds_trace.tracefile import OptionError
 from dds_trace.tracefile.limits import MAX_HELD_BYTES
 
-from .base import DataType, Form, Message, Payload, check_stop
+from .base import DataType, Form, Message, Payload, check_stop, sized_by_length
 from .cdr import CdrWriter
 from .stamp import RAW_STRING_STAMP, STAMP_BYTES, STRING_STAMP, stamp_text
 
@@ -75,7 +75,7 @@ STRING = DataType(
     name="string",
     topic="string_data",
     type_name="std_msgs/msg/String",
-    raw=Form(RAW_STRING_STAMP, payload_bytes_of),
+    raw=Form(RAW_STRING_STAMP, payload_bytes_of, sized_by_length),
     objects=Form(STRING_STAMP, object_bytes_of),
     object_stamp=STRING_STAMP,
     make=make_payload,

@@ -33,7 +33,8 @@ CORE = {
         ),
     ),
     "sink": Part(
-        ("tracefile/writing/sink.py", "tracefile/writing/event_chunks.py"), ("tests/tracefile/writing",)
+        ("tracefile/writing/sink.py", "tracefile/writing/packing.py", "tracefile/writing/event_chunks.py"),
+        ("tests/tracefile/writing",),
     ),
     "gates": Part(("analyzer/verdicts/gate.py", "analyzer/verdicts/gates.py"), ("tests/analyzer/verdicts",)),
 }

@@ -81,6 +81,8 @@ class ListSink:
     clock: Clock
     events: list[tuple[int, ...]] = field(default_factory=list)
     runs: list[Run] = field(default_factory=list)
+    expected: tuple[int, ...] | None = None
+    foreseen: int = 0
 
     def record(self, *event: int) -> None:
         self.events.append(event)
@@ -118,6 +120,32 @@ class ListSink:
             *(stages[0], run_id, sequence, monotonic_ns, 0, source_ns, received_ns, payload_bytes, relay_id)
         )
         return self.stamp(stages[1], run_id, sequence, 0, 0, 0, payload_bytes, relay_id)
+
+    def expect(
+        self, stages: tuple[int, int], run_id: int, sequence: int, payload_bytes: int, relay_id: int
+    ) -> tuple[int, ...]:
+        self.expected = (*stages, run_id, sequence, payload_bytes, relay_id)
+        return self.expected
+
+    def record_expected(
+        self, expected: tuple[int, ...], monotonic_ns: int, source_ns: int, received_ns: int
+    ) -> bool:
+        if expected is not self.expected:
+            return False
+        arrival, departure, *rest = expected
+        run_id, sequence, payload_bytes, relay_id = rest
+        self.foreseen += 1
+        self.record_and_stamp(
+            (arrival, departure),
+            run_id,
+            sequence,
+            monotonic_ns,
+            source_ns,
+            received_ns,
+            payload_bytes,
+            relay_id,
+        )
+        return True
 
     def write_run(self, run: Run) -> None:
         self.runs.append(run)

@@ -41,6 +41,7 @@ ACTIONS: dict[str, Callable[[TraceSink], object]] = {
     "record": lambda sink: sink.record(1, 1, BEFORE, STAMPED_NS, 3, 0, 0, 9, 0),
     "stamp": lambda sink: sink.stamp(1, 1, BEFORE, 3, 0, 0, 9, 0),
     "record_and_stamp": lambda sink: sink.record_and_stamp((1, 1), 1, BEFORE, 6_000, 0, 0, 9, 0),
+    "record_expected": lambda sink: sink.record_expected(sink.expect((1, 1), 1, BEFORE, 9, 0), 6_000, 0, 0),
     "write_run": lambda sink: sink.write_run(run(state="started")),
     "close": lambda sink: sink.close(),
     "go_on_in": go_on,

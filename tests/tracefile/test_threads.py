@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import sys
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 import pytest
 
-from dds_trace.tracefile.threads import in_order
+from dds_trace.tracefile.threads import Turn, in_order
 
 
 def results(jobs, threads=2, most_jobs=4, most_size=100):
@@ -75,3 +77,59 @@ def test_jobs_that_nobody_wants_any_more_never_begin():
         results.close()
         busy.set()
     assert begun == []
+
+
+@pytest.fixture
+def _quick_switches():
+    interval_s = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    yield
+    sys.setswitchinterval(interval_s)
+
+
+@pytest.mark.usefixtures("_quick_switches")
+def test_one_thread_at_a_time_has_its_turn():
+    turn, total, inside = Turn(), [0], []
+
+    def add():
+        for _ in range(2000):
+            with turn:
+                inside.append(1)
+                before = total[0]
+                assert len(inside) == 1
+                total[0] = before + 1
+                inside.pop()
+
+    with ThreadPoolExecutor(4) as pool:
+        for done in [pool.submit(add) for _ in range(4)]:
+            done.result()
+    assert total == [8000]
+    assert not turn.is_awaited
+
+
+def test_who_waits_for_a_turn_is_told():
+    turn, had = Turn(), []
+
+    def take_turn():
+        with turn:
+            had.append(1)
+
+    turn.take()
+    waiting = [threading.Thread(target=take_turn) for _ in range(3)]
+    for thread in waiting:
+        thread.start()
+    while not turn.is_awaited:
+        time.sleep(0.001)
+    assert not had
+    turn.give(None)
+    turn.wake()
+    for thread in waiting:
+        thread.join(60)
+    assert had == [1, 1, 1]
+
+
+def test_a_turn_is_given_back_behind_an_error():
+    turn = Turn()
+    with pytest.raises(KeyError), turn:
+        raise KeyError
+    turn.take()

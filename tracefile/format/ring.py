@@ -21,7 +21,7 @@ A slot is one event and its mark:
 Tickets count the events of a session: 0, 1, 2 ... Ticket t lies in slot t modulo slots. The mark is stored
 last and the packer zeroes a slot first, so a slot is an event exactly if its mark names a stage and the ticket
 belongs there. An event that is stamped while it is packed (`TraceSink.stamp`) gets its time and its mark in two
-stores behind all else. Events go to the trace in order of their tickets, in whole chunks; if the complete chunks
+stores behind all else; one that was packed before it came (`TraceSink.expect`) likewise, and without a mark it is none. Events go to the trace in order of their tickets, in whole chunks; if the complete chunks
 of the trace hold n events then these are tickets 0..n-1, and what the ring adds is every ticket from n on. There
 is no counter that would have to agree with the file: a kill between a chunk and its bookkeeping neither doubles
 nor loses an event.
@@ -76,8 +76,8 @@ SLOT_PAIR_STRUCT = struct.Struct("<QQqqqqIIQQQqqqqIIQ")
 """Two slots that lie one behind the other."""
 
 SLOT_WORDS = SLOT_BYTES // 8
-TIME_WORD, MARK_WORD = 2, 7
-"""Positions of the monotonic time and of the mark among the words of a slot."""
+TIME_WORD, SOURCE_WORD, RECEIVED_WORD, MARK_WORD = 2, 4, 5, 7
+"""Positions of the monotonic time, of the middleware's two times and of the mark among the words of a slot."""
 
 SLOT_DTYPE = np.dtype(
     {

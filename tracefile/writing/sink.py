@@ -1,6 +1,6 @@
 """`TraceSink`, which keeps the events of a recording node.
 
-The hot path packs an event into a ring file (`dds_trace.tracefile.format.ring`) and returns. The event of a message that is
+The hot path (`EventPacker`) packs an event into a ring file (`dds_trace.tracefile.format.ring`) and returns. The event of a message that is
 about to leave (T1, T4) is stamped in the ring as well, so that no message is on its way without it. A thread of the sink's
 own moves what is in the ring to the trace, a chunk every `chunk_seconds` or whenever a quarter of the ring is used. A slot
 is used again only after its chunk is in the file, so at every instant an event is in the file or in the ring, and a process
@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import json
 import queue
-import struct
 import sys
 import threading
 import time
@@ -22,16 +21,8 @@ from typing import TYPE_CHECKING
 
 from ..errors import OutputError
 from ..format.events import RUN_TOPIC, SESSION_TOPIC
-from ..format.ring import (
-    MARK_WORD,
-    SLOT_BYTES,
-    SLOT_PAIR_STRUCT,
-    SLOT_STRUCT,
-    SLOT_WORDS,
-    STAGE_MARKS,
-    TIME_WORD,
-)
 from ..threads import run_in_background
+from .packing import EventPacker
 from .trace_files import TraceFiles
 
 if TYPE_CHECKING:
@@ -45,10 +36,8 @@ if TYPE_CHECKING:
 BUSY_SWITCH_INTERVAL_S = 1e-4
 """Longest time that a thread keeps the GIL while another fills the ring (see `_quick_switches`)."""
 
-_pack_into, _pack_pair_into = SLOT_STRUCT.pack_into, SLOT_PAIR_STRUCT.pack_into
 
-
-class TraceSink:
+class TraceSink(EventPacker):
     """Trace while it is recorded.
 
     Args:
@@ -69,7 +58,6 @@ class TraceSink:
         clock_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self._session = session
-        self._clock_ns = clock_ns
         self._flush_seconds = destination.flush_seconds
         self._error: OutputError | None = None
         self._closed: ClosedTrace | None = None
@@ -77,211 +65,12 @@ class TraceSink:
         self._saved_ns = time.monotonic_ns()  # what was recorded until then is in the file
         self._longest_unsaved_ns = 0
         self._measures_unsaved = destination.fsync
-        self._use(TraceFiles(destination, session, session.wall_ns(clock_ns())))
-        self._dropped = 0
         self._is_paused = False
-        self._record_lock = threading.Lock()
         self._write_lock = threading.Lock()
-        self._wake: queue.SimpleQueue[bool] = queue.SimpleQueue()  # True: drain now; False: the end
+        files = TraceFiles(destination, session, session.wall_ns(clock_ns()))
+        super().__init__(files, clock_ns, queue.SimpleQueue())  # True: drain now; False: the end
         self._thread = threading.Thread(target=self._drain, name="trace-sink", daemon=True)
         self._thread.start()
-
-    def _use(self, files: TraceFiles) -> None:
-        """Send the next event to the ring of these files, its ticket 0; the caller holds the record lock, if there is one."""
-        self._files = files
-        self._memory = files.ring.memory
-        self._words = files.ring.words
-        self._slots_at = files.ring.slots_at
-        self._slot_count = len(files.ring.slots)
-        self._head = 0  # ticket of the next event; all below are packed
-        self._limit = self._slot_count  # the ring is full when the head is here
-        self._quarter = self._slot_count // 4
-        self._attention = self._quarter  # the head is next looked at here; never above the limit
-
-    def record(
-        self,
-        stage: int,
-        run_id: int,
-        sequence: int,
-        monotonic_ns: int,
-        scheduled_ns: int = 0,
-        source_ns: int = 0,
-        received_ns: int = 0,
-        payload_bytes: int = 0,
-        relay_id: int = 0,
-    ) -> None:
-        """Keep one event, or count it as dropped: when the ring is full, the sink closed, or a value out of range.
-
-        Never raises and never waits for the disk. The lock makes ticket, slot and mark one step, so that the
-        ring has no holes; it is only ever held by a thread that runs or waits for the GIL, so that waiting
-        for it is waiting for the GIL, as every Python call does.
-
-        Args:
-            stage: 1 to 4, for T1 to T4.
-            run_id: the random number of the run.
-            sequence: the message's number in the run.
-            monotonic_ns: the time stamp, on this device's monotonic clock.
-            scheduled_ns: T0 on the same clock (T1 only).
-            source_ns: the middleware's source time stamp, ns since 1970; 0 if unknown.
-            received_ns: the middleware's reception time stamp, ns since 1970; 0 if unknown.
-            payload_bytes: application bytes of the message.
-            relay_id: the relay that handled the message; 0 on T1.
-        """
-        with self._record_lock:
-            head = self._head
-            if head >= self._attention and not self._has_room(head):
-                return
-            try:
-                _pack_into(
-                    self._memory,
-                    self._slots_at + head % self._slot_count * SLOT_BYTES,
-                    run_id,
-                    sequence,
-                    monotonic_ns,
-                    scheduled_ns,
-                    source_ns,
-                    received_ns,
-                    payload_bytes,
-                    relay_id,
-                    STAGE_MARKS[stage] + head,
-                )
-            except (struct.error, LookupError, TypeError):
-                self._drop()
-            else:
-                self._head = head + 1
-
-    def stamp(
-        self,
-        stage: int,
-        run_id: int,
-        sequence: int,
-        scheduled_ns: int = 0,
-        source_ns: int = 0,
-        received_ns: int = 0,
-        payload_bytes: int = 0,
-        relay_id: int = 0,
-    ) -> int:
-        """Read the clock, keep the event of this instant, and return its time stamp; arguments as for `record`.
-
-        What is known before is packed before, so that only two stores lie between the clock and the return: a process
-        that is killed at any instruction behind the return, where the message leaves, has left its event.
-        """
-        now = self._clock_ns
-        with self._record_lock:
-            head = self._head
-            if head >= self._attention and not self._has_room(head):
-                return now()
-            slot = head % self._slot_count
-            try:
-                mark = STAGE_MARKS[stage] + head
-                _pack_into(
-                    self._memory,
-                    self._slots_at + slot * SLOT_BYTES,
-                    run_id,
-                    sequence,
-                    0,
-                    scheduled_ns,
-                    source_ns,
-                    received_ns,
-                    payload_bytes,
-                    relay_id,
-                    0,  # no mark: not an event yet
-                )
-            except (struct.error, LookupError, TypeError):
-                self._drop()
-                return now()
-            words, following = self._words, head + 1
-            time_at = slot * SLOT_WORDS + TIME_WORD
-            mark_at = slot * SLOT_WORDS + MARK_WORD
-            words[time_at] = monotonic_ns = now()
-            words[mark_at] = mark
-            self._head = following
-        return monotonic_ns
-
-    def record_and_stamp(
-        self,
-        stages: tuple[int, int],
-        run_id: int,
-        sequence: int,
-        monotonic_ns: int,
-        source_ns: int,
-        received_ns: int,
-        payload_bytes: int,
-        relay_id: int,
-    ) -> int:
-        """Keep the arrival of a message, and stamp its departure: `record`, then `stamp`, in one step and one pack.
-
-        Caches are cold when a message arrives, and what is touched costs more than what is computed.
-
-        Args:
-            stages: stages of the arrival and of the departure.
-            run_id: of both, as for `record`; so are `sequence`, `payload_bytes` and `relay_id`.
-            sequence: the message's number in the run.
-            monotonic_ns: time stamp of the arrival; `source_ns` and `received_ns` are its as well.
-            source_ns: the middleware's source time stamp, ns since 1970; 0 if unknown.
-            received_ns: the middleware's reception time stamp, ns since 1970; 0 if unknown.
-            payload_bytes: application bytes of the message.
-            relay_id: the relay that handled the message.
-
-        Returns:
-            The time stamp of the departure.
-        """
-        now = self._clock_ns
-        with self._record_lock:
-            head = self._head
-            slot = head % self._slot_count
-            if head + 1 < self._attention and slot + 1 < self._slot_count:
-                arrival, departure = stages
-                try:
-                    mark = STAGE_MARKS[departure] + head + 1
-                    _pack_pair_into(
-                        self._memory,
-                        self._slots_at + slot * SLOT_BYTES,
-                        run_id,
-                        sequence,
-                        monotonic_ns,
-                        0,
-                        source_ns,
-                        received_ns,
-                        payload_bytes,
-                        relay_id,
-                        STAGE_MARKS[arrival] + head,
-                        run_id,
-                        sequence,
-                        0,
-                        0,
-                        0,
-                        0,
-                        payload_bytes,
-                        relay_id,
-                        0,  # no mark: not an event yet
-                    )
-                except (struct.error, LookupError, TypeError):
-                    pass  # out of range, so dropped below
-                else:
-                    words, at, following = self._words, (slot + 1) * SLOT_WORDS, head + 2
-                    words[at + TIME_WORD] = departure_ns = now()
-                    words[at + MARK_WORD] = mark
-                    self._head = following
-                    return departure_ns
-        self.record(
-            stages[0], run_id, sequence, monotonic_ns, 0, source_ns, received_ns, payload_bytes, relay_id
-        )
-        return self.stamp(stages[1], run_id, sequence, 0, 0, 0, payload_bytes, relay_id)
-
-    def _has_room(self, head: int) -> bool:
-        """Wake the draining thread and return whether there is a free slot; the caller holds the record lock."""
-        if head >= self._limit:
-            self._drop()
-            return False
-        self._wake.put(True)
-        self._attention = self._limit
-        return True
-
-    def _drop(self) -> None:
-        self._dropped += 1
-        if self._closed is None:
-            self._files.ring.note_dropped(self._dropped)
 
     def write_run(self, run: Run) -> None:
         """Write a run's description; when this returns it is in the file, after all events before it."""
@@ -346,7 +135,7 @@ class TraceSink:
             part = int(str(self._session.extra.get("part", 1))) + 1
             session = replace(self._session, extra={**self._session.extra, **session_extra, "part": part})
             files = TraceFiles(destination, session, session.wall_ns(self._clock_ns()))
-            with self._record_lock:
+            with self._packing:
                 old, head = self._files, self._head
                 files.ring.note_dropped(self._dropped)
                 self._use(files)
@@ -365,8 +154,9 @@ class TraceSink:
         with self._write_lock:
             if self._closed is not None:
                 return self._closed
-            with self._record_lock:  # from here on every event is dropped, and counted
+            with self._packing:  # from here on every event is dropped, and counted
                 head = self._limit = self._attention = self._head
+                self._expected = None
             return self._end(self._files, head, session_extra)
 
     def _end(self, files: TraceFiles, head: int, session_extra: Mapping[str, Json]) -> ClosedTrace:
@@ -374,7 +164,7 @@ class TraceSink:
         self._flush_to(files, head)
         if self._measures_unsaved:
             session_extra = {**session_extra, "longest_unsaved_ns": self._longest_unsaved_ns}
-        with self._record_lock:
+        with self._packing:
             session = self._session.closed(self._dropped, **session_extra)
         self._texts.append((SESSION_TOPIC, session.to_json(), session.wall_ns(self._clock_ns())))
         if self._flush_to(files, head):
@@ -383,10 +173,10 @@ class TraceSink:
         else:
             files.writer.abandon()
             self._texts.clear()
-        with self._record_lock:
+        with self._packing:
             closed = files.closed(head, self._dropped, self._error)
             if files is self._files:
-                self._closed = closed
+                self._closed, self._is_closed = closed, True
             files.ring.close(delete=not closed.ring_events)
         return closed
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Protocol, TypeAlias
 from dds_trace.tracefile import OptionError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from ..node import RawMessage, Receive
 
@@ -58,14 +58,14 @@ class Links(Protocol):
     def announce(self) -> None:
         """Send the node's own greeting, as it is now, to all peers."""
 
-    def send(self, topic: str, message: RawMessage) -> None:
-        """Send `message` to all peers that subscribe to `topic`; it is copied when this returns."""
+    def sender(self, topic: str) -> Callable[[RawMessage], None]:
+        """Return a function that sends a message to all peers that subscribe to `topic`; it is copied when that returns."""
 
     def poll(self) -> None:
         """Keep the connections up for one round of at most `ROUND_S`; raise the error of a callback."""
 
     def interrupt(self) -> None:
-        """End a wait of another thread in `send`."""
+        """End a wait of another thread in sending."""
 
     def close(self) -> None:
         """End all connections; the thread that polls has ended."""

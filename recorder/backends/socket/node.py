@@ -81,7 +81,7 @@ class SocketNode(ThreadedNode):
         _check_qos(qos or self._options.qos, PROTOCOLS[self._options.transport])
         self._own.publishers = {**self._own.publishers, topic: type_name}
         self._links.announce()
-        return _SocketPublisher(partial(self._links.send, topic), partial(self._withdraw_publisher, topic))
+        return _SocketPublisher(self._links.sender(topic), partial(self._withdraw_publisher, topic))
 
     def create_subscription(
         self, topic: str, type_name: str, receive: Receive[RawMessage], *, qos: Qos | None = None

@@ -8,13 +8,14 @@ import threading
 import time
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING
 
 from ..threaded import ROUND_S
 from .links import RETRY_S, Greeting, bound_socket
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from ..node import RawMessage
     from .links import Address, Receivers
@@ -89,8 +90,11 @@ class UdpLinks:
         for address in {*self._wanted, *self._peers}:
             self._send_to([address], b"", self._own.to_bytes())
 
-    def send(self, topic: str, message: RawMessage) -> None:
-        """Send a message in one or more datagrams to each subscriber."""
+    def sender(self, topic: str) -> Callable[[RawMessage], None]:
+        """Return a function that sends a message in one or more datagrams to each subscriber."""
+        return partial(self._send, topic)
+
+    def _send(self, topic: str, message: RawMessage) -> None:
         takers = [
             address for address, peer in list(self._peers.items()) if topic in peer.greeting.subscriptions
         ]

@@ -51,6 +51,35 @@ def test_every_data_type_is_served_at_once(name, size):
     ]
 
 
+@pytest.mark.parametrize("name", ["binary", "string", "imu"])
+def test_the_next_message_of_a_run_is_foreseen(name):
+    """Whatever comes, events and replies are those of a message that comes alone."""
+    bench, data_type = Bench(), data_types()[name]
+    sizes = {"binary": (1000, 1001), "string": (91, 92), "imu": (None, None)}[name]
+    came = [
+        *((7, sequence, sizes[0]) for sequence in range(4)),
+        (7, 4, sizes[1]),  # as the string's, perhaps of the same length on the way
+        (7, 5, sizes[1]),
+        (7, 9, sizes[1]),
+        (8, 0, sizes[1]),
+        (7, 10, sizes[1]),
+        (7, 11, sizes[1]),
+    ]
+    for run_id, sequence, size in came:
+        bench.node.deliver(data_type.topic, bytearray(bench.message(name, run_id, sequence, size)), 11, 12)
+    raw, sent = data_type.raw, bench.node.publishers[data_type.relay_topic].sent
+    assert [raw.stamp.read(reply) for reply in sent] == [
+        (run_id, sequence, RELAY) for run_id, sequence, _ in came
+    ]
+    assert [event[1:3] + event[5:] for event in bench.sink.events if event[0] == 3] == [
+        (run_id, sequence, 11, 12, raw.payload_bytes_of(bench.message(name, run_id, sequence, size)), RELAY)
+        for run_id, sequence, size in came
+    ]
+    assert [event[1:3] for event in bench.sink.events if event[0] == 4] == [each[:2] for each in came]
+    assert (bench.relay.progress().relayed, bench.relay.progress().runs) == (len(came), 2)
+    assert bench.sink.foreseen == (6 if name == "imu" else 5)
+
+
 def test_both_events_are_kept_before_the_reply_leaves():
     """A relay that is killed while it hands the reply over leaves no T2 without T3 and T4."""
     bench = Bench()

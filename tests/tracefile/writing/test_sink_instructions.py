@@ -49,13 +49,108 @@ def test_killed_at_every_instruction_of_an_event(tmp_path, method):
     assert is_kept[-1]
 
 
-def test_killed_at_every_instruction_of_an_arrival_and_its_departure(tmp_path):
-    kept = kept_after_kills(tmp_path, "record_and_stamp", 1)
+@pytest.mark.parametrize("method", ["record_and_stamp", "record_expected"])
+def test_killed_at_every_instruction_of_an_arrival_and_its_departure(tmp_path, method):
+    kept = kept_after_kills(tmp_path, method, 1)
     arrived = [*EARLIER, (BEFORE, 6_000)]
     states = [EARLIER, arrived, [*arrived, (BEFORE, STAMPED_NS)]]
     numbers = [states.index(events) for events in kept]
     assert numbers == sorted(numbers)  # once one of them is whole it stays
     assert set(numbers) == {0, 1, 2}
+
+
+PAIR = (3, 4)
+
+
+def open_pairs(folder, slots=64):
+    destination = TraceDestination(folder / "pairs.mcap", ring_slots=slots, chunk_seconds=3600.0)
+    return TraceSink(destination, ping_session(state="open"), clock_ns=lambda: 42)
+
+
+def pairs_of(sink):
+    """Sequence, time and source time of each arrival, then of each departure."""
+    closed = sink.close()
+    assert closed.dropped_events == 0
+    stages = read_trace(closed.path).events
+    return [
+        list(
+            zip(
+                stages[stage].sequence.tolist(),
+                stages[stage].monotonic_ns.tolist(),
+                stages[stage].source_ns.tolist(),
+                strict=True,
+            )
+        )
+        for stage in (Stage.T3, Stage.T4)
+    ]
+
+
+@pytest.mark.parametrize("slots", [5, 6, 64])
+def test_an_expected_pair_is_the_one_that_would_have_been_kept(tmp_path, slots):
+    sink = open_pairs(tmp_path, slots)
+    for sequence in range(9):
+        expected = sink.expect(PAIR, 1, sequence, 9, 2)
+        if expected is None or not sink.record_expected(expected, 40, 7, 8):
+            sink.record_and_stamp(PAIR, 1, sequence, 40, 7, 8, 9, 2)
+        sink.write_run(run(state="started"))  # drains the ring
+    assert pairs_of(sink) == [
+        [(sequence, 40, 7) for sequence in range(9)],
+        [(sequence, 42, 0) for sequence in range(9)],
+    ]
+
+
+def test_an_expected_pair_that_does_not_come_is_no_event(tmp_path):
+    sink = open_pairs(tmp_path)
+    assert sink.expect(PAIR, 1, 0, 9, 2) is not None
+    assert pairs_of(sink) == [[], []]
+
+
+def another_event(sink):
+    sink.record(3, 1, 5, 41)
+
+
+def another_expected(sink):
+    sink.expect(PAIR, 1, 5, 9, 2)
+
+
+def an_event_that_is_dropped(sink):
+    sink.record(3, 1, 5, "no time")
+
+
+def another_file(sink):
+    destination = TraceDestination(sink._files.writer.path.with_name("next.mcap"), ring_slots=64)
+    assert sink.go_on_in(destination) is not None
+
+
+@pytest.mark.parametrize(
+    "meanwhile", [another_event, another_expected, an_event_that_is_dropped, another_file]
+)
+def test_what_takes_the_place_of_an_expected_pair_stays_whole(tmp_path, meanwhile):
+    sink = open_pairs(tmp_path)
+    expected = sink.expect(PAIR, 1, 0, 9, 2)
+    meanwhile(sink)
+    assert not sink.record_expected(expected, 40, 0, 0)
+    before = sink._head
+    sink.record_and_stamp(PAIR, 1, 6, 43, 0, 0, 9, 2)
+    assert sink._head == before + 2
+    sink.close()
+
+
+@pytest.mark.parametrize("times", [(1 << 63, 0, 0), (1, 1 << 63, 0), (1, 0, "late")])
+def test_an_expected_pair_of_times_out_of_range_is_not_kept(tmp_path, times):
+    sink = open_pairs(tmp_path)
+    expected = sink.expect(PAIR, 1, 0, 9, 2)
+    assert not sink.record_expected(expected, *times)
+    assert pairs_of(sink) == [[], []]
+
+
+def test_a_closed_sink_expects_nothing(tmp_path):
+    sink = open_pairs(tmp_path)
+    expected = sink.expect(PAIR, 1, 0, 9, 2)
+    sink.close()
+    assert not sink.record_expected(expected, 40, 0, 0)
+    assert sink.expect(PAIR, 1, 0, 9, 2) is None
+    assert sink.dropped_events == 0
 
 
 @pytest.mark.parametrize("slots", [5, 6, 64])

@@ -1,6 +1,6 @@
 """What every statistic says of a few drawn campaigns; run it to write these numbers anew, after a deliberate change.
 
-python tests/support/pinned_statistics.py
+python tests/support/pinned.py
 """
 
 from __future__ import annotations
@@ -10,11 +10,12 @@ from dataclasses import asdict
 from enum import Enum
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 from drawn_series import log_normal_groups
+from pinned_series import SERIES
 
 from dds_trace.analyzer.clocks.fit import RelayedMessages, fit_clocks
 from dds_trace.analyzer.clocks.slews import slewed_ppm
@@ -37,6 +38,9 @@ from dds_trace.analyzer.run_statistics import (
     runs_to_settle_value,
     spread_of_runs,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 FOLDER = Path(__file__).parents[1] / "data" / "pinned"
 SECOND_NS = 1_000_000_000
@@ -65,38 +69,43 @@ def campaigns() -> dict[str, list[Any]]:
     }
 
 
-def statistics() -> dict[str, Any]:
-    """The numbers by campaign and function."""
-    said: dict[str, Any] = {}
-    base = campaigns()["independent"]
-    for name, values in campaigns().items():
-        runs, others = [Run(each) for each in values], [Run(1.1 * each) for each in base[: len(values)]]
-        received, whole = [np.isfinite(each) for each in values], [np.arange(400) % 97 > 0] * 3
-        first = values[0][received[0]]
-        of = said[name] = {
-            "trend": find_trend(first),
-            "warm-up": find_warm_up(np.where(np.arange(len(first)) < 30, 3.0, 1.0) * first),
-            "modes": find_modes(first),
-            "received": [received_interval(received, level) for level in (0.95, 0.8)],
-            "change of received": change_of_received(whole, received),
-        }
-        order = tuple(range(len(runs)))
-        for statistic, one in STATISTICS.items():
-            interval, change = interval_of_runs(runs, one), change_of_runs(others, runs, one)
-            of[statistic] = {
-                "interval": [interval, interval_of_runs(runs, one, 0.8), interval_within(runs[:1], one)],
-                "spread": spread_of_runs(runs, one),
-                "change": [change, change_of_runs(runs, others, one, 0.8)],
-                "paired": change_of_runs(others, runs, one, passes=(order[: len(others)], order)),
-                "settle": [runs_to_settle_ratio(change, 2.0), runs_to_settle_value(interval, 2.0)],
-                "close": None if one.quantile is None else messages_to_close(interval, one.quantile),
-            }
-    said["power"] = [
+def detectors(name: str) -> dict[str, Any]:
+    """What the functions of one run, and of what was received, say of a campaign."""
+    values = campaigns()[name]
+    received, whole = [np.isfinite(each) for each in values], [np.arange(400) % 97 > 0] * 3
+    first = values[0][received[0]]
+    return {
+        "trend": find_trend(first),
+        "warm-up": find_warm_up(np.where(np.arange(len(first)) < 30, 3.0, 1.0) * first),
+        "modes": find_modes(first),
+        "received": [received_interval(received, level) for level in (0.95, 0.8)],
+        "change of received": change_of_received(whole, received),
+    }
+
+
+def of_statistic(name: str, statistic: str) -> dict[str, Any]:
+    """What is said of one statistic of a campaign, alone and beside the independent one."""
+    values, base, one = campaigns()[name], campaigns()["independent"], STATISTICS[statistic]
+    runs, others = [Run(each) for each in values], [Run(1.1 * each) for each in base[: len(values)]]
+    order = tuple(range(len(runs)))
+    interval, change = interval_of_runs(runs, one), change_of_runs(others, runs, one)
+    return {
+        "interval": [interval, interval_of_runs(runs, one, 0.8), interval_within(runs[:1], one)],
+        "spread": spread_of_runs(runs, one),
+        "change": [change, change_of_runs(runs, others, one, 0.8)],
+        "paired": change_of_runs(others, runs, one, passes=(order[: len(others)], order)),
+        "settle": [runs_to_settle_ratio(change, 2.0), runs_to_settle_value(interval, 2.0)],
+        "close": None if one.quantile is None else messages_to_close(interval, one.quantile),
+    }
+
+
+def power() -> list[Any]:
+    """How many runs it takes."""
+    return [
         runs_to_decide(0.07, 0.05, 0.02),
         runs_to_narrow(0.05, 0.03),
         runs_to_decide(0.3, 0.1, 0.1, 0.8),
     ]
-    return _plain(said)
 
 
 def clocks() -> dict[str, Any]:
@@ -136,7 +145,7 @@ def clocks() -> dict[str, Any]:
         ]
     )
     said["one machine"] = [fit for fit, _ in same]
-    return _plain(said)
+    return said
 
 
 def _theta(begin: int, end: int, drift_ppb: int, step_ns: int, slew_ppm: int, at: Any) -> Any:
@@ -146,19 +155,27 @@ def _theta(begin: int, end: int, drift_ppb: int, step_ns: int, slew_ppm: int, at
     return 7_000_000 + np.rint((at - begin) * drift_ppb / 1e9 + gained + jumped).astype(np.int64)
 
 
-PINNED = {"statistics": statistics, "clocks": clocks}
+PINNED: dict[str, dict[str, Callable[[], Any]]] = {
+    "statistics": {
+        **{name: partial(detectors, name) for name in campaigns()},
+        **{f"{name}, {one}": partial(of_statistic, name, one) for name in campaigns() for one in STATISTICS},
+        "power": power,
+    },
+    "series": SERIES,
+    "clocks": {"clocks": clocks},
+}
 
 
-def assert_pinned(name: str) -> None:
+def assert_pinned(file: str, name: str) -> None:
     """Whole numbers and words are what they were, others within the error of their arithmetic."""
-    pinned, found = _flat(json.loads((FOLDER / f"{name}.json").read_text())), _flat(PINNED[name]())
+    pinned = _flat(json.loads((FOLDER / f"{file}.json").read_text())[name])
+    found = _flat(_plain(PINNED[file][name]()))
     measured = {path for path, each in pinned.items() if isinstance(each, float)}
     assert {path: each for path, each in found.items() if path not in measured} == {
         path: each for path, each in pinned.items() if path not in measured
     }
-    assert {path: found[path] for path in measured} == pytest.approx(
-        {path: pinned[path] for path in measured}, rel=1e-7, abs=1e-12
-    )
+    for path in measured:
+        assert found[path] == pytest.approx(pinned[path], rel=1e-7, abs=1e-12), path
 
 
 def _plain(held: Any) -> Any:
@@ -182,6 +199,6 @@ def _flat(held: Any, path: str = "") -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    for kind, numbers in PINNED.items():
-        lines = (f"{json.dumps(name)}: {json.dumps(each)}" for name, each in numbers().items())
+    for kind, parts in PINNED.items():
+        lines = (f"{json.dumps(name)}: {json.dumps(_plain(numbers()))}" for name, numbers in parts.items())
         (FOLDER / f"{kind}.json").write_text("{\n" + ",\n".join(lines) + "\n}\n")

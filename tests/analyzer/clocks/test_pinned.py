@@ -6,4 +6,4 @@ from pinned import assert_pinned
 
 
 def test_fits_say_of_drawn_clocks_what_they_said():
-    assert_pinned("clocks")
+    assert_pinned("clocks", "clocks")

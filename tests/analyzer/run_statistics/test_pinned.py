@@ -1,9 +1,16 @@
-"""No statistic changes unseen: what each said of drawn campaigns when it was written (`tests/support/pinned.py`)."""
+"""No statistic changes unseen: what each said of drawn campaigns and series when it was written (`tests/support/pinned.py`)."""
 
 from __future__ import annotations
 
-from pinned import assert_pinned
+import pytest
+from pinned import PINNED, assert_pinned
 
 
-def test_every_statistic_says_of_drawn_campaigns_what_it_said():
-    assert_pinned("statistics")
+@pytest.mark.parametrize("name", PINNED["statistics"])
+def test_every_statistic_says_of_drawn_campaigns_what_it_said(name):
+    assert_pinned("statistics", name)
+
+
+@pytest.mark.parametrize("name", PINNED["series"])
+def test_every_detector_says_of_drawn_series_what_it_said(name):
+    assert_pinned("series", name)

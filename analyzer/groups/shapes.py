@@ -48,17 +48,18 @@ def shape_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
         `OWN_NS`.
     """
     rows: list[dict[str, object]] = []
+    sent_ns = roundtrips.measured["publish_ns"].to_numpy()
+    of_metric = {name: roundtrips.measured[name].fill_null(0).to_numpy() for name in ("latency_ns", "rtt_ns")}
     for number, exchange in enumerate(batch.exchanges):
-        first, after = roundtrips.bounds[number : number + 2].tolist()
-        metric = "latency_ns" if exchange.relay_recorded else "rtt_ns"
-        part = roundtrips.measured.slice(first, after - first).filter(pl.col(metric) > 0)
+        here = slice(*roundtrips.bounds[number : number + 2].tolist())
+        latency_ns = of_metric["latency_ns" if exchange.relay_recorded else "rtt_ns"][here]
+        came = latency_ns > 0
         rows.append(
             {
                 "group": int(batch.group_of_exchange[number]),
                 "run_id": exchange.run.run_id,
                 "relay_id": exchange.relay_id,
-                "p50_ns": part[metric].median() if part.height else None,
-                **shape_of(part[metric].to_numpy(), part["publish_ns"].to_numpy()),
+                **shape_of(latency_ns[came], sent_ns[here][came]),
             }
         )
     return pl.DataFrame(rows, schema=SHAPE_SCHEMA, strict=False)
@@ -74,7 +75,7 @@ def shape_of(latency_ns: Int64, sent_ns: Int64) -> dict[str, float]:
     shape: dict[str, float] = {}
     if not len(latency_ns):
         return shape
-    p50_ns = float(np.median(latency_ns))
+    shape["p50_ns"] = p50_ns = float(np.median(latency_ns))
     warm_up = find_warm_up(latency_ns)
     if warm_up is not None and warm_up.is_sure() and abs(warm_up.ratio - 1) * p50_ns >= OWN_NS:
         shape["warm_up_messages"], shape["warm_up_ratio"] = warm_up.messages, warm_up.ratio

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import tempfile
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,6 +23,7 @@ from .remote import local_copy
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+    from concurrent.futures import Future
 
     from dds_trace.tracefile import EventColumns
     from dds_trace.tracefile.format.json_fields import JsonObject
@@ -113,6 +114,28 @@ class _KeptEvents:
         return part.load()
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _EventsBeingStored:
+    """Events of one stage, run and relay of a trace that is put into a file meanwhile.
+
+    Attributes:
+        stored: the trace with the places of its events, once they are written.
+        label: stage, run and relay.
+    """
+
+    stored: Future[LoadedTrace]
+    label: EventKey
+
+    def load(self) -> EventColumns:
+        """Read the events, once they are written.
+
+        Raises:
+            OutputError: they could not be kept.
+            TraceFormatError: they are gone, and the trace no longer has them.
+        """
+        return self.stored.result().parts[self.label].load()
+
+
 class TraceShelf:
     """Reads traces and keeps their events.
 
@@ -124,15 +147,15 @@ class TraceShelf:
         self._cache = cache
         self._left = MOST_HELD_EVENTS
         self._spill: tempfile.TemporaryDirectory[str] | None = None
-        # Writes what is in memory as well, while the next trace is read.
+        # Writes while the next trace is read.
         self._keeping = ThreadPoolExecutor(1, thread_name_prefix="keep")
+        self._storing: Future[LoadedTrace] | None = None
 
     def load(self, path: Path, position: int) -> LoadedTrace:
         """Load one trace, from the cache if it is there.
 
         Raises:
             TraceFormatError: it is no trace.
-            OutputError: the events do not fit into memory, and the folder for temporary files cannot be written.
         """
         key = self._cache.key_of(path) if self._cache else ""
         if self._cache and (known := _known(self._cache, key, path, position)):
@@ -143,8 +166,14 @@ class TraceShelf:
             if self._cache:
                 self._keeping.submit(_keep_if_it_can, self._cache, key, loaded)
             return loaded
-        kept = _keep_if_it_can(self._cache, key, loaded) if self._cache else None
-        return kept or self._spilled(loaded, position)
+        if self._storing is not None:
+            wait([self._storing])  # one trace at a time is in memory beside the one that is read
+        self._storing = self._keeping.submit(self._kept_or_spilled, key, loaded, position)
+        parts = {
+            label: replace(part, events=_EventsBeingStored(self._storing, label))
+            for label, part in loaded.parts.items()
+        }
+        return LoadedTrace(loaded.trace, parts)
 
     def close(self) -> None:
         """Remove temporary files and close the cache."""
@@ -153,6 +182,10 @@ class TraceShelf:
             self._spill.cleanup()
         if self._cache is not None:
             self._cache.close()
+
+    def _kept_or_spilled(self, key: str, loaded: LoadedTrace, position: int) -> LoadedTrace:
+        kept = _keep_if_it_can(self._cache, key, loaded) if self._cache else None
+        return kept or self._spilled(loaded, position)
 
     def _spilled(self, loaded: LoadedTrace, position: int) -> LoadedTrace:
         """Put the events into a temporary file."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,7 +29,7 @@ _TWICE_AT_MOST = {"latency": "rtt_ns"}
 """Metric -> column of twice the time that a message took at most whose stamps do not give the metric itself."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class RunRows:
     """The round trips of one run.
 
@@ -55,9 +56,11 @@ class RunRows:
 
     def survivors(self, metric: str) -> Run:
         """Return a metric of the messages that have it, ns."""
-        value = self.rows[f"{metric}_ns"]
-        is_known = value.is_not_null()
-        return Run(value.filter(is_known).to_numpy(), self.rows["publish_ns"].filter(is_known).to_numpy())
+        value, sent_ns = self.rows[f"{metric}_ns"], self.rows["publish_ns"]
+        if value.null_count():
+            is_known = value.is_not_null()
+            value, sent_ns = value.filter(is_known), sent_ns.filter(is_known)
+        return Run(value.to_numpy(), sent_ns.to_numpy())
 
     def _floats(self, name: str) -> NDArray[np.float64]:
         """Return a column, NaN for null."""
@@ -69,7 +72,7 @@ class RunRows:
         """T1 of every message that left."""
         return self.rows.filter(pl.col("outcome") != UNSENT)["publish_ns"]
 
-    @property
+    @cached_property
     def received(self) -> NDArray[np.bool_]:
         """For each message whether its reply came back."""
         return (self.rows["outcome"] == "completed").to_numpy()
@@ -77,7 +80,7 @@ class RunRows:
     @property
     def is_lost(self) -> bool:
         """Whether no reply came back."""
-        return not bool((self.rows["outcome"] == "completed").any())
+        return not self.received.any()
 
 
 def split_runs(rows: pl.DataFrame) -> tuple[RunRows, ...]:

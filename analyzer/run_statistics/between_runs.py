@@ -79,8 +79,8 @@ def units_of(runs: Sequence[Run], statistic: Statistic) -> Units:
         runs: in the order of time; at least one message in all.
         statistic: what is estimated.
     """
-    held = Runs.of(runs)
-    if min(held.lengths) < statistic.needs:
+    held = group = Runs.of(runs)
+    if min(group.lengths) < statistic.needs:
         held = Runs(_joined_where_short([run for run in runs if len(run)], statistic.needs))
     episodes = None
     independent = [_independent_for_mean(run) for run in held] if statistic.quantile is None else []
@@ -92,7 +92,7 @@ def units_of(runs: Sequence[Run], statistic: Statistic) -> Units:
             held = _joined_to(held, max(RUNS_TO_TELL, round(math.sqrt(episodes))))
     return Units(
         values=np.array([statistic.of_run(run) for run in held]),
-        messages=sum(len(run) for run in runs),
+        messages=sum(group.lengths),
         independent=max(1, int(sum(independent))),
         runs=len(runs),
         episodes=episodes,
@@ -152,7 +152,7 @@ def interval_of_runs(runs: Sequence[Run], statistic: Statistic, confidence: floa
 
 def measured_units(runs: Sequence[Run], statistic: Statistic) -> Units | None:
     """Return the units of a group, or None where there are fewer than `RUNS_TO_TELL`."""
-    if sum(len(run) > 0 for run in runs) < RUNS_TO_TELL:
+    if sum(messages > 0 for messages in Runs.of(runs).lengths) < RUNS_TO_TELL:
         return None
     units = units_of(runs, statistic)
     return units if len(units) >= RUNS_TO_TELL else None
@@ -182,7 +182,8 @@ def interval_of_units(units: Units, statistic: Statistic, confidence: float = 0.
 
 def scale_of(values: Float64) -> Scale:
     """Return the scale on which values can be averaged."""
-    is_positive, is_finite = bool((values > 0).all()), bool(np.isfinite(values).all())
+    few = values.tolist()
+    is_positive, is_finite = min(few) > 0, all(map(math.isfinite, few))
     return {
         (True, True): Scale.LOGARITHM,
         (False, True): Scale.LINEAR,

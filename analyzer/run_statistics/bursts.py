@@ -115,7 +115,7 @@ def share_inflations(cells: Cells, places: NDArray[np.intp], edges: NDArray[np.i
     of_cells = cells.edges.tolist()
     shares = [
         events / messages if messages else 0.0
-        for events, messages in zip(np.diff(edges).tolist(), cells.lengths, strict=True)
+        for events, messages in zip((edges[1:] - edges[:-1]).tolist(), cells.lengths, strict=True)
     ]
     return [
         _inflation(counts[begin:end], cells.widths[begin:end], share, messages)

@@ -69,13 +69,19 @@ def find_modes(values: NDArray[Any], inflation: float = 1.0) -> Modes | None:
     logs = np.log(values.astype(np.float64))
     low, first, third, high = np.quantile(logs, [0.005, 0.25, 0.75, 0.995]).tolist()
     deviation = min(float(np.clip(logs, low, high).std()), (third - first) / 1.34)
-    if deviation <= 0 or len(np.unique(values[:: max(1, len(values) // 10_000)])) < LEAST_VALUES:
+    if deviation <= 0 or not _has_values(values[:: max(1, len(values) // 10_000)]):
         return None
     width = 0.9 * deviation * n ** (-1 / 5)
     edges = np.linspace(low - 3 * width, high + 3 * width, _BINS + 1)
     counts = np.histogram(logs, edges)[0].astype(np.float64) / max(1.0, inflation)
     bin_widths = width / (edges[1] - edges[0])
     return _deepest(_smoothed(counts, bin_widths), counts, (edges[1:] + edges[:-1]) / 2, bin_widths)
+
+
+def _has_values(values: NDArray[Any]) -> bool:
+    """Tell whether there are `LEAST_VALUES` different ones, which the first few mostly say."""
+    few = values[: 4 * LEAST_VALUES]
+    return len(set(few.tolist())) >= LEAST_VALUES or len(np.unique(values)) >= LEAST_VALUES
 
 
 def _smoothed(counts: Float64, deviation: float) -> Float64:

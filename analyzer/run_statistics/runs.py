@@ -115,9 +115,14 @@ class Run:
         return np.sort(self.values)
 
     @cached_property
-    def median(self) -> float:
-        """The median, by the median-unbiased definition."""
-        return Statistic(0.5).of_run(self)
+    def _quantiles(self) -> dict[float, float]:
+        return {}
+
+    def quantile(self, share: float) -> float:
+        """Return a quantile, by the median-unbiased definition (`Statistic.of_run`); it is kept."""
+        if share not in self._quantiles:
+            self._quantiles[share] = quantile_at(self.ordered, (len(self) + 1 / 3) * share + 1 / 3)
+        return self._quantiles[share]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -171,7 +176,7 @@ class Runs(tuple[Run, ...]):  # noqa: SLOT001 - what is kept needs a `__dict__`
 
         A run whose median is infinite is given the middle level of the others.
         """
-        medians = np.array([run.median for run in self])
+        medians = np.array([run.quantile(0.5) for run in self])
         is_finite = np.isfinite(medians)
         if len(self) == 1 or not is_finite.any():
             return Levels((0.0,) * len(self), is_ratio=False)
@@ -280,7 +285,7 @@ class Statistic:
         """
         if self.quantile is None:
             return float(run.values.mean())
-        return quantile_at(run.ordered, (len(run) + 1 / 3) * self.quantile + 1 / 3)
+        return run.quantile(self.quantile)
 
 
 MEAN = Statistic(None)
@@ -293,9 +298,12 @@ def quantile_at(ordered: Values, position: float) -> float:
         ordered: the values rising, at least one.
         position: is moved to the nearest order statistic if it lies outside.
     """
-    position = min(max(position, 1.0), float(len(ordered)))
+    count = len(ordered)
+    position = min(max(position, 1.0), float(count))
     below = math.floor(position)
     share = position - below
     low = float(ordered[below - 1])
-    high = float(ordered[min(below, len(ordered) - 1)])
-    return low if share == 0 or low == high else low + (high - low) * share
+    if share == 0 or below == count:
+        return low
+    high = float(ordered[below])
+    return low if low == high else low + (high - low) * share

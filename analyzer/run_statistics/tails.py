@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     Int64 = NDArray[np.int64]
 
 LIKELY = 0.95
-
+_LIKELY_DEVIATIONS = NormalDist().inv_cdf(LIKELY)
 
 TAIL_GAP_SHARE = 0.5
 """Two messages of a tail closer than this share of their mean distance are one episode. Two in five independent ones are,
@@ -80,11 +80,11 @@ def tails_of(runs: Sequence[Run], quantile: float) -> list[Tail]:
     if below is not None:
         wider = group.beyond(below)
         bursts = bursts_to_count(wider.of_runs(wider.positions), positions, int(group.edges[-1]))
-    events = np.diff(beyond.edges)
+    events = beyond.edges[1:] - beyond.edges[:-1]
     counts = list(zip(events.tolist(), group.lengths, strict=True))
     gaps = [gap_of(count, messages, TAIL_GAP_SHARE) for count, messages in counts]
     ends = episode_ends(beyond.positions, np.repeat(gaps, events), beyond.edges)
-    rows = np.diff(episode_ends(beyond.positions, LEAST_GAP, beyond.edges).searchsorted(beyond.edges))
+    rows = episode_ends(beyond.positions, LEAST_GAP, beyond.edges).searchsorted(beyond.edges)
     sizes, episodes = sizes_between(ends), ends.searchsorted(beyond.edges).tolist()
     inflations = share_inflations(group.cells, beyond.places, beyond.edges)
     return [
@@ -97,7 +97,7 @@ def tails_of(runs: Sequence[Run], quantile: float) -> list[Tail]:
             bursts=bursts,
         )
         for (count, messages), begin, end, inflation, gap, of_rows in zip(
-            counts, episodes, episodes[1:], inflations, gaps, rows.tolist(), strict=False
+            counts, episodes, episodes[1:], inflations, gaps, (rows[1:] - rows[:-1]).tolist(), strict=False
         )
     ]
 
@@ -134,10 +134,11 @@ def episodes_of(tails: Sequence[Tail]) -> int | None:
     equal = min(equal, sum(len(tail.sizes) if tail.rows is None else tail.rows for tail in tails))
     if tails[0].bursts is not None:
         equal = min(equal, tails[0].bursts)
-    messages = np.array([tail.messages for tail in tails])
-    if len(tails) < RUNS_TO_TELL or not messages.var():
+    counts = [tail.messages for tail in tails]
+    if len(tails) < RUNS_TO_TELL or min(counts) == max(counts):
         return equal
+    messages = np.array(counts)
     variation = float(messages.var(ddof=1)) / float(messages.mean()) ** 2
     ninth = 2 / (9 * (len(tails) - 1))
-    least_likely = (1 - ninth + NormalDist().inv_cdf(LIKELY) * math.sqrt(ninth)) ** 3
+    least_likely = (1 - ninth + _LIKELY_DEVIATIONS * math.sqrt(ninth)) ** 3
     return min(equal, max(1, round(least_likely * len(tails) / variation)))

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     Float64 = NDArray[np.float64]
 
 BLOCKS = 32
+_PAIRS = np.triu_indices(BLOCKS, 1)
 MESSAGES_TO_TELL = 4 * BLOCKS
 P_VALUE_TO_TELL = 0.001
 """A campaign has hundreds of runs. Simulated with 1000 to 2000 runs each of 300, 1000 and 5000 messages, a run without a
@@ -55,7 +56,7 @@ def find_trend(values: NDArray[Any]) -> Trend | None:
     if len(values) < MESSAGES_TO_TELL:
         return None
     medians = block_medians(values, BLOCKS)
-    first, second = np.triu_indices(BLOCKS, 1)
+    first, second = _PAIRS
     rises = medians[second] - medians[first]
     slope = float(np.median(rises / (second - first)))
     apart = np.arange(BLOCKS) - (BLOCKS - 1) / 2

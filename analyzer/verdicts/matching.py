@@ -11,7 +11,7 @@ from ..model.runs import delivered_runs, split_runs
 from ..model.setting import without_relay
 from ..model.unsent import UNSENT
 from ..run_statistics.received import received_interval
-from ..run_statistics.runs import joined_runs
+from ..run_statistics.runs import Runs, joined_runs
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -43,16 +43,16 @@ class MatchedGroup:
     def __init__(self, rows: pl.DataFrame) -> None:
         self.runs = split_runs(rows)
         self._published = int((rows["outcome"] != UNSENT).sum())
-        self._delivered: dict[str, list[Run]] = {}
+        self._delivered: dict[str, Runs] = {}
         self._survivors: dict[str, Run] = {}
 
     def __len__(self) -> int:
         return self._published
 
-    def delivered(self, metric: str) -> list[Run]:
+    def delivered(self, metric: str) -> Runs:
         """Return a metric of every message of each run, ns, infinite for a lost one."""
         if metric not in self._delivered:
-            self._delivered[metric] = delivered_runs(self.runs, metric)
+            self._delivered[metric] = Runs(delivered_runs(self.runs, metric))
         return self._delivered[metric]
 
     def survivors(self, metric: str) -> Run:

@@ -9,10 +9,12 @@ const SEEN = new IntersectionObserver((entries) => {
     if (isIntersecting) NEAR.add(target);
     else NEAR.delete(target);
   }
-  for (const block of blocks) block.draw((row) => NEAR.has(row));
+  drawNear();
 }, { rootMargin: "400px" });
 
+/** Whether a part is in the window. What a closed fold holds has a place for the browser, but nobody sees it. */
 function isOnScreen(part) {
+  if (part.parentElement.closest("details:not([open])")) return false;
   const { top, bottom } = part.getBoundingClientRect();
   return bottom > 0 && top < innerHeight;
 }
@@ -45,6 +47,7 @@ class FigureBlock {
   spoil() {
     this.planned = false;
     this.painted.clear();
+    this.heading.textContent = this.title();
   }
 
   /** Works out what is drawn, and takes its room on the page: links within it land where they say before all is drawn. */
@@ -53,7 +56,6 @@ class FigureBlock {
     this.planned = true;
     // A figure that is folded has no width of its own yet.
     this.drawn = KINDS[this.figure.kind](this.figure.plan, Math.floor(this.plot.clientWidth || this.article.clientWidth), this.all);
-    this.heading.textContent = this.title();
     const empty = this.drawn.data.length === 0;
     this.rows = empty ? [] : rowsOf(this.drawn);
     this.plot.classList.toggle("bare", empty);
@@ -81,7 +83,7 @@ class FigureBlock {
   redraw() {
     this.spoil();
     this.draw(isOnScreen);
-    setTimeout(() => this.draw((row) => NEAR.has(row)));
+    drawNear();
   }
 
   /** Draws every row, or only those that `wanted` of their elements picks. */
@@ -181,7 +183,7 @@ const SYMBOL_PATHS = {
   "star-triangle-up": "M0-6L1.5 1L6 4L0 3L-6 4L-1.5 1Z", x: "M-5-3L-3-5L0-2L3-5L5-3L2 0L5 3L3 5L0 2L-3 5L-5 3L-2 0Z",
 };
 const DASH_ARRAYS = { solid: "", dash: "6 4", dot: "2 3", dashdot: "6 3 2 3", longdash: "9 4", longdashdot: "9 3 2 3" };
-const HATCH_PATHS = { "/": "M-9 0L-3-6M-9 6L3-6M-3 6L9-6M3 6L9 0", "\\": "M9 0L3-6M9 6L-3-6M3 6L-9-6M-3 6L-9 0", x: "M-9 0L-3-6M-9 6L3-6M-3 6L9-6M3 6L9 0M9 0L3-6M9 6L-3-6M3 6L-9-6M-3 6L-9 0", "-": "M-9-2H9M-9 2H9", "|": "M-5-6V6M0-6V6M5-6V6", "+": "M-9-2H9M-9 2H9M-5-6V6M0-6V6M5-6V6", ".": "M-6-2h1M0-2h1M6-2h1M-3 2h1M3 2h1" };
+const HATCH_PATHS = { "/": "M-9 0L-3-6M-9 6L3-6M-3 6L9-6M3 6L9 0", "\\": "M9 0L3-6M9 6L-3-6M3 6L-9-6M-3 6L-9 0", "-": "M-9-2H9M-9 2H9", "|": "M-5-6V6M0-6V6M5-6V6", "+": "M-9-2H9M-9 2H9M-5-6V6M0-6V6M5-6V6", ".": "M-6-2h1M0-2h1M6-2h1M-3 2h1M3 2h1" };
 
 /** The small picture in a legend: line and symbol (drawn by plotly's own rule), or a plain or hatched bar. */
 function swatch({ color, symbol, dash, hatch = "", bar = false }) {

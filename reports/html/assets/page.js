@@ -17,13 +17,20 @@ let redrawing = 0;
 /** Draws what the reader sees now and does the rest in small steps, so that neither he nor the next change waits for it. */
 function redraw(more = []) {
   for (const block of blocks) block.spoil();
-  for (const block of blocks) if (isOnScreen(block.article)) block.draw(isOnScreen);
+  for (const block of blocks) if (isOnScreen(block.plot)) block.draw(isOnScreen);
   redrawing += 1;
-  later([...blocks.map((block) => () => block.plan()), ...more, ...blocks.map((block) => () => block.draw((row) => NEAR.has(row)))], redrawing);
+  const job = redrawing;
+  const rest = [...blocks.map((block) => () => block.plan()), ...more, drawNear];
+  requestAnimationFrame(() => later(rest, job));   // not before the reader sees what is drawn
+}
+
+/** Draws the rows that are near the window, each in a turn of its own. */
+function drawNear() {
+  later(blocks.flatMap((block) => [...block.plot.children].filter((row) => NEAR.has(row)).map((row) => () => block.draw((one) => one === row))));
 }
 
 /** One step a turn of the event loop, until a newer change has steps of its own. */
-function later([step, ...rest], job) {
+function later([step, ...rest], job = redrawing) {
   if (!step) return;
   setTimeout(() => {
     if (job !== redrawing) return;

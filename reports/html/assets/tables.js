@@ -44,29 +44,53 @@ function showTable(place, caption, columns, rows, { sorting = { column: -1, desc
   });
   const body = element("tbody");
   const table = element("table", { class: "data", "data-stay": stay }, element("caption", { class: "unseen" }, caption), element("thead", {}, head), body);
+  const before = place.querySelector("table");
+  if (before && stay) { table.className = before.className; table.style.cssText = before.style.cssText; }   // its columns stay, most likely
   const scroll = element("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": caption }, table);
   const left = rows.length - MOST_ROWS;
   const notes = left > 0 ? [element("p", { class: "note" }, `${formatCount(left)} more rows are in the CSV file.`)] : [];
   const shown = sorted.slice(0, MOST_ROWS);
-  const add = (from, to) => {
-    body.append(...shown.slice(from, to).map((row) => tableRow(columns, row, numeric)));
-    keepColumns(scroll, stay);
-  };
+  const texts = shown.map((row) => columns.map((column, at) => cellText(column, row, at)));
+  const first = whole ? shown.length : FIRST_ROWS;
+  // The columns are at once as wide as they will be, so that nothing moves when rows are added.
+  if (shown.length > first) columns.forEach((_, at) => head.children[at].append(roomFor(texts.map((row) => row[at]))));
+  const add = (from, to) => body.append(...shown.slice(from, to).map((row, at) => tableRow(texts[from + at], row, numeric)));
   place.replaceChildren(scroll, ...notes);
-  add(0, whole ? shown.length : FIRST_ROWS);
+  add(0, first);
+  keepColumns(scroll, stay);
   const more = (from) => setTimeout(() => {
     if (!body.isConnected) return;   // another table has taken its place
     add(from, from + ROWS_A_STEP);
     if (from + ROWS_A_STEP < shown.length) more(from + ROWS_A_STEP);
   });
-  if (!whole && shown.length > FIRST_ROWS) more(FIRST_ROWS);
+  if (shown.length > first) more(first);
 }
 
-function tableRow(columns, row, numeric) {
+function cellText(column, row, at) {
+  const value = row[at];
+  return value === null || value === undefined ? MISSING : typeof value === "number" && column.format ? column.format(value, row) : String(value);
+}
+
+const RULER = document.createElement("canvas").getContext("2d");
+const WIDTHS = new Map();   // text, its digits as zeros -> px in a table
+
+/** An element without height that is as wide as the widest text; digits are of one width in tables. */
+function roomFor(texts) {
+  RULER.font = `${0.85 * parseFloat(getComputedStyle(document.documentElement).fontSize)}px ${getComputedStyle(document.body).fontFamily}`;
+  let most = 0;
+  for (const text of texts) {
+    const pattern = text.replace(/\d/g, "0");
+    if (!WIDTHS.has(pattern)) WIDTHS.set(pattern, RULER.measureText(pattern).width);
+    most = Math.max(most, WIDTHS.get(pattern));
+  }
+  const room = element("span", { class: "room" });
+  room.style.width = `${Math.ceil(most)}px`;
+  return room;
+}
+
+function tableRow(texts, row, numeric) {
   const line = element("tr", row.group === undefined ? {} : { "data-group": row.group });
-  columns.forEach((column, at) => {
-    const value = row[at];
-    const shown = value === null || value === undefined ? MISSING : typeof value === "number" && column.format ? column.format(value, row) : String(value);
+  texts.forEach((shown, at) => {
     // The last of what names the group is the button that opens it; the whole row does so for a pointer.
     const opens = row.group !== undefined && at === GROUP_COLUMNS.length - 1;
     const cell = element("td", numeric[at] ? { class: "number" } : {}, opens ? element("button", { type: "button", class: "opens" }, shown) : shown);

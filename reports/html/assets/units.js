@@ -34,7 +34,8 @@ function formatRatio(value) {
   return `${percent.toFixed(2).replace(/0+$/, "").replace(/\.$/, "")} %`;
 }
 
-const formatCount = (value) => (value === null || value === undefined ? MISSING : Math.trunc(value).toLocaleString("en-US"));
+const COUNTS = new Intl.NumberFormat("en-US");
+const formatCount = (value) => (value === null || value === undefined ? MISSING : COUNTS.format(Math.trunc(value)));
 const counted = (count, one, many = `${one}s`) => `${formatCount(count)} ${count === 1 ? one : many}`;
 const signed = (value, format) => (value > 0 ? "+" : "") + format(value);
 

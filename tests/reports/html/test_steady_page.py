@@ -1,0 +1,69 @@
+"""Nothing moves on the page but what the reader moves, and a change draws what he sees and no more."""
+
+import pytest
+from four_campaigns import CAMPAIGNS
+from page_reader import Reader
+
+pytestmark = pytest.mark.browser
+
+HEIGHTS = """() => blocks.flatMap(({name, rows, plot}) => rows.map(({layout}, place) => {
+    const row = plot.children[place];
+    return [name, layout.height, row.clientHeight || layout.height, row.querySelector(".main-svg").height.baseVal.value];
+}))"""
+
+# What plotly is told to draw before the page lets the browser paint; a part of a closed fold is not visible.
+DRAWN = """async () => {
+    const real = Plotly.react, drawn = [];
+    Plotly.react = (row, ...rest) => { drawn.push(row); return real(row, ...rest); };
+    change(() => { view.statistic = view.statistic === "p50" ? "p90" : "p50"; });
+    Plotly.react = real;
+    const seen = row => { const { top, bottom } = row.getBoundingClientRect(); return row.checkVisibility() && bottom > 0 && top < innerHeight; };
+    const shown = drawn.map(seen), rows = [...document.querySelectorAll(".plot .row")].filter(seen).length;
+    await new Promise(requestAnimationFrame);
+    return [shown, rows];
+}"""
+
+
+@pytest.mark.parametrize("name", CAMPAIGNS)
+def test_every_figure_is_as_high_as_its_room(chromium, pages, name):
+    """Also of what is folded: `clientHeight` is 0 there, and the room is the planned one when it is opened."""
+    for width in (1360, 390) if name == "lossy machine" else (1360,):
+        one = Reader(chromium, viewport={"width": width, "height": 900})
+        tab = one.open(pages(name))
+        tab.evaluate("for (const block of blocks) block.plan()")
+        before = tab.evaluate("document.documentElement.scrollHeight")
+        one.draw_all()
+        heights = tab.evaluate(HEIGHTS)
+        assert len(heights) > 5
+        assert [one for one in heights if not one[1] == one[2] == one[3]] == []
+        assert tab.evaluate("document.documentElement.scrollHeight") == before
+        tab.context.close()
+
+
+@pytest.mark.parametrize("name", ["lossy machine", "500 groups"])
+def test_a_change_draws_the_rows_in_sight_and_no_other(reader, pages, name):
+    tab = reader.open(pages(name))
+    tab.evaluate("for (const block of blocks) block.plan()")
+    most = 0
+    for place in range(0, tab.evaluate("document.documentElement.scrollHeight"), 1400):
+        tab.evaluate(f"scrollTo(0, {place})")
+        shown, rows = tab.evaluate(DRAWN)
+        assert all(shown), place
+        assert len(shown) == rows, place
+        most = max(most, rows)
+    assert 0 < most < tab.locator(".plot .row").count() / 3
+
+
+@pytest.mark.parametrize("name", ["lossy machine", "500 groups", "hostile strings"])
+def test_columns_are_at_once_as_wide_as_all_their_rows_need(reader, pages, name):
+    tab = reader.open(pages(name))
+    widths = "[...document.querySelectorAll('#groups-table thead th')].map(th => Math.round(th.getBoundingClientRect().width))"
+    count = tab.evaluate("DATA.groups.count")
+    first = tab.evaluate(f"(() => {{ showGroups(); return {widths}; }})()")
+    tab.locator("#groups-table tbody tr").nth(count - 1).wait_for(state="attached")
+    assert tab.evaluate(widths) == first
+    assert len(first) > 10
+    # As wide as without the room that is kept for what comes.
+    tab.evaluate("for (const room of document.querySelectorAll('#groups-table .room')) room.remove()")
+    assert all(abs(now - then) <= 3 for now, then in zip(tab.evaluate(widths), first, strict=True))
+    assert reader.complaints == []

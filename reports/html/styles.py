@@ -32,7 +32,8 @@ SYMBOLS = (
     *("triangle-right", "star-diamond", "hexagram", "diamond-wide", "star-triangle-up", "x"),
 )
 DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "longdashdot")
-HATCHES = ("", "/", "\\", "x", "-", "|", "+", ".")
+# A bar crossed out (x) was lost, so no hatching here is.
+HATCHES = ("", "/", "\\", "-", "|", "+", ".")
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,7 +30,7 @@ KINDS.bars = function bars(plan, width, all) {
       traces: panel.lines.map((line) => {
         const look = lookOf(facet.lines, line.option);
         const lost = line.points.map((point) => point.value === Infinity);
-        const hatch = line.points.map((point, place) => (lost[place] ? "x" : facet.lines === "choice" && base.has(point.group) ? look.hatch : facet.lines === "choice" ? "" : look.hatch));
+        const hatch = lost.map((is) => (is ? "x" : look.hatch));
         return {
           type: "bar", name: plain(look.label), meta: look.key, x: line.points.map((point) => positions.indexOf(point.x)), y: line.points.map((point) => (point.value === Infinity ? top : point.value * S)),
           text: line.points.map((point, place) => (isLossy(point.group) ? `${shareText(point.group)} received` : thick > 9 && base.has(point.group) && !lost[place] ? differenceText(plannedTime(plan, base.get(point.group)), point.value) : "")),

@@ -77,7 +77,9 @@ Object.assign(KINDS, {
     });
     const lines = (key, format) => groups.flatMap((group) => plan.groups[group].filter((load) => load[key].some((value) => value !== null)).map((load) => {
       const points = load.elapsed_s.map((at, place) => ({ at, value: load[key][place] })).filter((point) => point.value !== null);
-      return marks(choiceLook(group), points, { x: (point) => point.at, y: (point) => point.value, size: 6, symbol: load.role === "relay" ? "x" : undefined, hover: (point) => groupHover(group, `${load.role}: ${format(point.value)}`) });
+      const trace = marks(choiceLook(group), points, { x: (point) => point.at, y: (point) => point.value, size: 6, hover: (point) => groupHover(group, `${load.role}: ${format(point.value)}`) });
+      if (load.role === "relay") Object.assign(trace.marker, { size: 8, line: { color: theme().ink, width: 1.6 } });
+      return trace;
     }));
     const [cpu, signal] = [lines("cpu_percent", (value) => `${digits(value)} %`), lines("signal_dbm", (value) => `${digits(value)} dBm`)];
     const panels = [];
@@ -88,7 +90,7 @@ Object.assign(KINDS, {
     panels.forEach((_, place) => { if (place && drawn.layout[`xaxis${place + 1}`]) drawn.layout[`xaxis${place + 1}`].matches = "x"; });
     return {
       ...drawn, legend: choicesOf(inCell), missing: 0,
-      foot: `Crosses are the relay's device.${plan.decimated ? " Thinned for drawing: samples are left out at even steps." : ""}`,
+      foot: `Marks with a rim are of the relay's device.${plan.decimated ? " Thinned for drawing: samples are left out at even steps." : ""}`,
       columns: [...GROUP_COLUMNS, { label: "Device" }, { label: "Time", unit: "s", format: digits }, { label: "Busiest processor", unit: "%", format: digits }, { label: "Wi-Fi signal", unit: "dBm", format: digits }],
       rows: groups.flatMap((group) => plan.groups[group].flatMap((load) => load.elapsed_s.map((at, place) => groupRow(group, load.role, at, load.cpu_percent[place], load.signal_dbm[place])))),
     };

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
-from dds_trace.analyzer.clocks.boots import ping_boots, ping_wall_offsets, share_boot
+from dds_trace.analyzer.clocks.boots import (
+    machine_of,
+    ping_boots,
+    ping_wall_offsets,
+    session_of_run,
+    share_boot,
+)
 from dds_trace.tracefile.format.descriptions import Run, Session
 
 S = 1_000_000_000
@@ -69,3 +75,12 @@ def test_two_sessions_share_a_boot_by_the_kernels_text():
     assert share_boot(one, session(2, "a", 0, 0, "two")) is False
     assert share_boot(one, session(2, "a", 0, 0)) is None
     assert share_boot(one, None) is None
+
+
+def test_a_machine_is_named_by_its_boot_or_its_device():
+    assert machine_of(session(1, "pi", 0, 0, "b1")) == "b1"
+    assert machine_of(session(1, "pi", 0, 0)) == machine_of(session(1, "pi", 0, 0, "")) == "pi"
+
+
+def test_a_run_names_its_session_or_none():
+    assert (session_of_run(run(1, 0xAB)), session_of_run(UNNAMED)) == (0xAB, -1)

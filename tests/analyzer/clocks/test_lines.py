@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+
 import numpy as np
 import plain_clock_fit
 import pytest
@@ -44,6 +46,16 @@ def test_lines_through_two_messages():
 def test_messages_that_contradict_each_other_by_no_more_than_rounding_have_a_line():
     assert lines_of((0, -5, 0), (0, 0.001, 5)).exist.tolist() == [True]
     assert lines_of((0, -5, 0), (0, 0.0010001, 5)).exist.tolist() == [False]
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_messages_that_only_a_steeper_line_joins_have_that_one(way):
+    lines = lines_of((0, 0, 0), (1e5, way * 51, way * 51))  # where rounding leaves one of two, it is both
+    assert lines.exist.tolist() == [True]
+    assert lines.steepness == pytest.approx(np.full((1, 2), way * 5.1e-4))
+    low, high = lines.range_at(np.array([[0, 1e5, 2e5]]))
+    assert low == pytest.approx(high, abs=1e-9)
+    assert low == pytest.approx(np.array([[0, way * 51, way * 102]]), abs=1e-9)
 
 
 def drawn(seed, lengths=(1, 2, 3, 40, 70, 7, 150), fast=40.0):
@@ -101,4 +113,13 @@ def test_many_windows_are_fitted_as_one_after_another():
         assert np.array_equal(points.upper[untouched], upper[untouched])
         halved += len(plain) > len(stretches) + 1
     assert halved > 1, "clocks that never bend would prove little"
-    assert len(fit_windows(points, []).start) == 0
+
+
+def test_messages_without_a_common_line_are_windows_of_their_own():
+    points = intervals((0, -5, 0), (0, 0.01, 5))
+    windows = fit_windows(points, [(0, 2)])
+    assert (windows.start.tolist(), windows.stop.tolist()) == ([0, 1], [1, 2])
+    assert windows.offset.tolist() == pytest.approx([-2.5, 2.505])
+    assert windows.bound.tolist() == pytest.approx([2.5, 2.495])
+    nothing = fit_windows(points, [])
+    assert {len(getattr(nothing, field.name)) for field in fields(nothing)} == {0}

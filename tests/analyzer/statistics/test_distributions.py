@@ -85,6 +85,11 @@ def test_shifts_are_those_of_the_noncentral_t(degrees, shift):
     assert shift_for_power(degrees) == pytest.approx(shift, abs=1e-8)
 
 
+def test_shifts_with_many_degrees_are_sums_of_two_normal_quantiles():
+    assert shift_for_power(1e6) == pytest.approx(1.959964 + 0.841621, abs=1e-4)
+    assert shift_for_power(1e6, 0.5, 0.5) == pytest.approx(0.674490, abs=1e-4)  # below one
+
+
 def test_a_true_difference_of_that_shift_is_found_in_80_of_100():
     samples = np.random.default_rng(1).standard_normal((20_000, 5)) + shift_for_power(4) / math.sqrt(5)
     t = samples.mean(axis=1) / samples.std(axis=1, ddof=1) * math.sqrt(5)
@@ -102,6 +107,16 @@ def test_a_true_difference_of_that_shift_is_found_in_80_of_100():
 )
 def test_poisson_limits_are_garwoods(count, low, high):
     assert poisson_limits(count) == (pytest.approx(low, abs=6e-3), pytest.approx(high, abs=6e-3))
+
+
+def test_limits_of_no_event_are_those_of_an_exponential():
+    for confidence in (0.5, 0.95, 0.999999):
+        assert poisson_limits(0, confidence) == (
+            0.0,
+            pytest.approx(-math.log((1 - confidence) / 2), rel=1e-9),
+        )
+    assert poisson_cdf(0, 2.0) == pytest.approx(math.exp(-2), rel=1e-12)
+    assert poisson_cdf(3, 0.0) == poisson_cdf(3, -1.0) == 1.0
 
 
 @given(count=st.integers(1, 60))

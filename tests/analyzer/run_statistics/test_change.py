@@ -10,10 +10,11 @@ from drawn_series import log_normal_groups
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dds_trace.analyzer.run_statistics.change import Verdict, change_of_runs
+from dds_trace.analyzer.run_statistics.between_runs import interval_of_runs
+from dds_trace.analyzer.run_statistics.change import Change, Verdict, _within, change_of_runs
 from dds_trace.analyzer.run_statistics.runs import MEAN, Run, Statistic
 from dds_trace.analyzer.statistics.distributions import student_quantile
-from dds_trace.analyzer.statistics.intervals import Basis
+from dds_trace.analyzer.statistics.intervals import Basis, Interval
 
 P50, P99 = Statistic(0.5), Statistic(0.99)
 
@@ -197,3 +198,68 @@ def test_the_smallest_ratio_is_found_in_80_of_100():
     )
     found = [change_of_runs(runs_of(base), runs_of(smallest * new), P50).ratio_low > 1 for base, new in pairs]
     assert np.mean(found) == pytest.approx(0.8, abs=0.06)
+
+
+@pytest.mark.parametrize(
+    ("ends", "verdict"),
+    [
+        ((0.9, 1.1), Verdict.SAME),  # on the edges of the tolerance
+        ((0.899, 1.1), Verdict.INCONCLUSIVE),
+        ((0.9, 1.101), Verdict.INCONCLUSIVE),
+        ((0.8, 0.999), Verdict.BETTER),
+        ((0.8, 1.0), Verdict.INCONCLUSIVE),
+        ((1.001, 1.2), Verdict.WORSE),
+        ((1.0, 1.2), Verdict.INCONCLUSIVE),
+        ((None, 0.5), Verdict.INCONCLUSIVE),
+        ((2.0, None), Verdict.INCONCLUSIVE),
+    ],
+)
+def test_a_verdict_begins_where_its_interval_ends(ends, verdict):
+    side = interval_of_runs(constant_runs(1.0, 1.0, 1.0), P50)
+    assert (
+        Change(side, side, Basis.BETWEEN_RUNS, ratio_low=ends[0], ratio_high=ends[1]).verdict(0.1) is verdict
+    )
+    within = Change(side, side, Basis.WITHIN_RUN, ratio_low=ends[0], ratio_high=ends[1])
+    assert within.verdict(0.1) is Verdict.INCONCLUSIVE
+
+
+def side(value, lower, upper, basis=Basis.WITHIN_RUN):
+    return Interval(value, lower, upper, 0.95, 100, 100, basis, 1, 0, None)
+
+
+def test_two_intervals_within_runs_are_put_together():
+    # 10 (8 to 14) and 20 (16 to 25): 10 - hypot(4, 4), 10 + hypot(5, 2); 2 times and through hypot of the logarithms.
+    change = _within(side(10.0, 8.0, 14.0), side(20.0, 16.0, 25.0))
+    assert (change.difference, change.ratio, change.basis) == (10, 2, Basis.WITHIN_RUN)
+    assert (change.difference_low, change.difference_high) == pytest.approx(
+        (10 - math.sqrt(32), 10 + math.sqrt(29))
+    )
+    low = math.log(2) - math.hypot(math.log(20 / 16), math.log(14 / 10))
+    high = math.log(2) + math.hypot(math.log(25 / 20), math.log(10 / 8))
+    assert (change.ratio_low, change.ratio_high) == pytest.approx((math.exp(low), math.exp(high)))
+    touching = _within(
+        side(0.5, 0.0, 14.0), side(20.0, 16.0, 25.0)
+    )  # no logarithm of zero, but a ratio of the values
+    assert (touching.ratio, touching.ratio_low, touching.ratio_high) == (40, None, None)
+    assert touching.difference_low == pytest.approx(19.5 - math.hypot(4, 13.5))
+    small = _within(side(0.5, 0.25, 0.75), side(0.5, 0.25, 0.75))
+    assert small.ratio_low == pytest.approx(math.exp(-math.hypot(math.log(2), math.log(1.5))))
+
+
+@pytest.mark.parametrize(
+    ("base", "new", "difference", "ratio"),
+    [
+        ((None, None, None), (2.0, 1.0, 3.0), None, None),
+        ((2.0, 1.0, 3.0), (None, None, None), None, None),
+        ((0.0, -1.0, 1.0), (2.0, 1.0, 3.0), 2.0, None),
+        ((2.0, 1.0, 3.0), (0.0, -1.0, 1.0), -2.0, None),
+        ((math.inf, 1.0, math.inf), (2.0, 1.0, 3.0), -math.inf, None),
+        ((2.0, 1.0, 3.0), (math.inf, 1.0, math.inf), math.inf, math.inf),
+        ((math.inf, 1.0, math.inf), (math.inf, 1.0, math.inf), None, None),
+    ],
+)
+def test_what_is_unknown_or_infinite_has_no_ends(base, new, difference, ratio):
+    change = _within(side(*base), side(*new))
+    assert (change.difference, change.ratio) == (difference, ratio)
+    if None in base + new or math.inf in base + new:
+        assert (change.difference_low, change.difference_high) == (None, None)

@@ -56,3 +56,17 @@ def test_few_messages_do_not_tell():
     assert find_modes(np.array([1.0, 10.0] * 99)) is None
     assert find_modes(np.exp(GENERATOR.standard_normal(3000)), inflation=20) is None
     assert find_modes(np.full(1000, 5)) is None
+
+
+def two_of(values: int, messages: int = 200):
+    """Two modes of values that are all different within so many steps."""
+    steps = np.arange(messages) % (values // 2) / 1000
+    return np.where(np.arange(messages) % 2, 1 + steps, 3 + steps)
+
+
+def test_two_hundred_messages_of_thirty_values_can_tell():
+    assert find_modes(two_of(30)).share == pytest.approx(0.5)
+    assert find_modes(two_of(28)) is None
+    assert find_modes(two_of(30)[:-1]) is None
+    assert find_modes(two_of(30), inflation=1.01) is None
+    assert find_modes(two_of(30), inflation=0.5) is not None  # no message counts twice

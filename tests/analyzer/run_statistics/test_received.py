@@ -10,9 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dds_trace.analyzer.run_statistics.change import Verdict
-from dds_trace.analyzer.run_statistics.delivery import change_of_received
+from dds_trace.analyzer.run_statistics.delivery import DeliveryChange, change_of_received
 from dds_trace.analyzer.run_statistics.received import received_interval, wilson_ends
+from dds_trace.analyzer.statistics.distributions import student_quantile
 from dds_trace.analyzer.statistics.intervals import Basis
+from dds_trace.analyzer.statistics.power import smallest_shift
 
 
 def losing(messages: int, *lost: tuple[int, int]):
@@ -132,3 +134,44 @@ def test_equal_losses_are_rarely_told_apart():
     draws = np.random.default_rng(5).random((300, 2, 5, 500)) > 0.02
     verdicts = [change_of_received(list(base), list(new)).verdict() for base, new in draws]
     assert np.mean([verdict is not Verdict.INCONCLUSIVE for verdict in verdicts]) <= 0.07
+
+
+@pytest.mark.parametrize(
+    ("ends", "verdict"),
+    [
+        ((-0.1, 0.1), Verdict.SAME),  # on the edges of the tolerance
+        ((-0.101, 0.1), Verdict.INCONCLUSIVE),
+        ((-0.1, 0.101), Verdict.INCONCLUSIVE),
+        ((-0.5, -0.001), Verdict.WORSE),
+        ((-0.5, 0.0), Verdict.INCONCLUSIVE),
+        ((0.001, 0.5), Verdict.BETTER),
+        ((0.0, 0.5), Verdict.INCONCLUSIVE),
+        ((None, -0.5), Verdict.INCONCLUSIVE),
+        ((0.5, None), Verdict.INCONCLUSIVE),
+    ],
+)
+def test_a_verdict_begins_where_its_interval_ends(ends, verdict):
+    side = received_interval([losing(100)] * 3)
+    assert DeliveryChange(side, side, 0.0, *ends, Basis.BETWEEN_RUNS).verdict(0.1) is verdict
+    assert DeliveryChange(side, side, 0.0, *ends, Basis.WITHIN_RUN).verdict(0.1) is Verdict.INCONCLUSIVE
+    assert DeliveryChange(side, side, 0.0, 0.0, 0.0, Basis.BETWEEN_RUNS).verdict() is Verdict.SAME
+
+
+def test_the_ends_of_a_change_are_those_of_its_sides():
+    base, new = (
+        [losing(400, (at, at + 2)) for at in (10, 60, 200)],
+        [losing(400, (at, at + 9)) for at in (9, 80, 300, 310)],
+    )
+    change = change_of_received(base, new, 0.9)
+    one, other = received_interval(base, 0.9), received_interval(new, 0.9)
+    assert (change.base, change.new, change.basis) == (one, other, Basis.BETWEEN_RUNS)
+    assert change.difference == other.value - one.value == pytest.approx(-7 / 400)
+    low = change.difference - math.hypot(other.value - other.lower, one.upper - one.value)
+    high = change.difference + math.hypot(other.upper - other.value, one.value - one.lower)
+    assert (change.difference_low, change.difference_high) == pytest.approx((low, high))
+    # Two degrees of freedom, as the side with fewer runs has.
+    error = (change.difference - low) / student_quantile(0.95, 2)
+    assert change.smallest_drop == pytest.approx(smallest_shift(error, 2, 0.9))
+    single = change_of_received(base[:2], new)
+    assert (single.basis, single.smallest_drop) == (Basis.WITHIN_RUN, None)
+    assert change_of_received([], new).difference_low is None

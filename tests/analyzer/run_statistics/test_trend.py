@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from drawn_series import autoregressive
 
-from dds_trace.analyzer.run_statistics.trend import BLOCKS, block_medians, find_trend
+from dds_trace.analyzer.run_statistics.trend import BLOCKS, Trend, block_medians, find_trend
 
 
 def test_blocks_are_equally_long():
@@ -49,3 +51,19 @@ def test_a_burst_is_no_trend():
     values = np.exp(0.3 * np.random.default_rng(3).standard_normal(1000))
     values[900:960] *= 10
     assert not find_trend(values).is_sure()
+
+
+def test_what_is_sure_begins_at_its_limits():
+    assert Trend(-0.1, 0.001).is_sure(0.1)
+    assert Trend(0.0, 0.0).is_sure()
+    assert not Trend(0.1, 0.001).is_sure(0.101)
+    assert not Trend(0.1, 0.00101).is_sure()
+
+
+def test_a_single_rise_is_less_than_chance_makes():
+    # Equal blocks but the last: 31 of 496 pairs rise, 30 after the step of two; variance 32 31 69 / 18 = 3802.7.
+    values = np.ones(4 * BLOCKS)
+    values[-4:] = 2
+    trend = find_trend(values)
+    assert trend.p_value == pytest.approx(math.erfc(30 / math.sqrt(2 * 3802 + 4 / 3)), rel=0.2)
+    assert trend.change == 0.0

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dds_trace.analyzer.run_statistics.superiority import probability_of_superiority
 from dds_trace.analyzer.run_statistics.two_samples import fieller_ends, mover_ends, paired_test, welch_test
 
 numbers = st.lists(st.floats(-100, 100), min_size=3, max_size=8)
@@ -73,3 +74,17 @@ def test_a_ratio_to_nothing_has_no_end():
     low, high = fieller_ends(some, mixed, welch_test(some, mixed), 0.95)
     assert 0 < low < 3
     assert high == math.inf
+
+
+def test_how_often_one_of_a_side_is_faster_is_a_count_of_pairs():
+    assert probability_of_superiority(np.array([1.0, 2, 3]), np.array([0.0])) == 1.0
+    assert probability_of_superiority(np.array([1.0, 2, 3]), np.array([9.0])) == 0.0
+    # 2 is below 3, 4 and inf, and equal to 2; inf is equal to inf: (3.5 + 0.5) of eight pairs.
+    assert probability_of_superiority(np.array([2.0, 3, 4, np.inf]), np.array([2.0, np.inf])) == 0.5
+    assert probability_of_superiority(np.empty(0), np.ones(1)) is None
+    assert probability_of_superiority(np.ones(1), np.empty(0)) is None
+    draw = np.random.default_rng(1)
+    for _ in range(10):
+        base, new = (np.sort(draw.integers(0, 6, int(draw.integers(1, 9)))) for _ in range(2))
+        pairs = [(other < one) + (other == one) / 2 for one in base for other in new]
+        assert probability_of_superiority(base, new) == pytest.approx(np.mean(pairs), rel=1e-12)

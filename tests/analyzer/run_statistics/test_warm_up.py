@@ -10,7 +10,7 @@ from drawn_series import autoregressive
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dds_trace.analyzer.run_statistics.warm_up import find_warm_up, mser_truncation
+from dds_trace.analyzer.run_statistics.warm_up import WarmUp, find_warm_up, mser_truncation
 
 
 def test_the_begin_that_costs_most_is_left_out():
@@ -70,3 +70,18 @@ def test_short_and_constant_runs():
     assert (step.messages, step.is_sure()) == (25, True)
     assert step.ratio == pytest.approx(2)
     assert math.isclose(step.p_value, 0.0)
+
+
+def test_what_is_sure_begins_at_its_limits():
+    assert WarmUp(5, 2.0, 1e-3).is_sure(1.0)
+    assert WarmUp(5, 0.5, 1e-3).is_sure(1.0)  # half as slow is as far from the rest
+    assert WarmUp(1, 1.0, 0.0).is_sure()
+    assert not WarmUp(5, 2.0, 1e-3).is_sure(1.001)
+    assert not WarmUp(5, 2.0, 1.001e-3).is_sure(1.0)
+    assert not WarmUp(0, 2.0, 1e-3).is_sure()
+
+
+def test_the_shortest_run_that_tells():
+    run = np.array([20.0] * 10 + [10.0, 11.0] * 95)
+    assert find_warm_up(run).messages == 10
+    assert find_warm_up(run[:-1]) is None

@@ -209,10 +209,11 @@ class Analysis:
         """Return a figure of the report as a plotly `Figure`, to look at, change and save.
 
         Args:
-            name: `latency_by_size` or `latency_by_rate`.
+            name: `latency_by_size`, `latency_by_rate`, `vendor_comparison`, `by_device`, `relay_time`, `received`, `run_spread`,
+                `sustainable`, `transfer_by_size`, `transfer_by_rate` or `transfer_rate`.
             panels: what sets panels apart: `size`, `rate`, `device`, `link`, `middleware` or `bridge`; None as in the report.
-            metric: `latency`, `rtt`, `intermediate` or `response`; None for the report's.
-            statistic: `mean`, `min`, `p50`, `p90`, `p95`, `p99`, `p99_9` or `max`.
+            metric: `latency`, `rtt`, `intermediate` or `response`; None for the report's. For figures of such times.
+            statistic: `mean`, `min`, `p50`, `p90`, `p95`, `p99`, `p99_9` or `max`. For figures of times and of their spread.
 
         Raises:
             OptionError: there is no such figure, dimension, metric or statistic, or nothing to draw.

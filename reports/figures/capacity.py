@@ -97,13 +97,7 @@ TRANSFER_BY_RATE = figure_maker(transfer_by_rate_info, transfer_by_rate_figure, 
 
 def sustainable_info(book: Book, panels: str = "size", lines: str = "choice") -> Faceted:
     """Collect the panels in which a rate was not kept up, over two rates at least; x is the rate asked for, in Hz."""
-    achieved, received = (book.values.plain[name] for name in ("achieved_rate_hz", "received_ratio"))
-
-    def replies(group: int) -> float | None:
-        got, share = achieved[group], received[group]
-        return None if got is None or share is None else got * share / rates[group]
-
-    rates = [book.groups.cell_of(group).rate_hz for group in book.groups.groups]
+    replies = replies_of(book)
     spread = faceted_lines(book, Facet("rate", panels, lines), lambda group: replies(group) is not None)
     return _not_flat(spread, lambda group: (replies(group) or 0) < KEPT_UP)
 
@@ -122,6 +116,18 @@ def sustainable_figure(info: Faceted) -> Figure | LeftOut:
 
 
 SUSTAINABLE = figure_maker(sustainable_info, sustainable_figure, opened=False, few=False)
+
+
+def replies_of(book: Book) -> Callable[[int], float | None]:
+    """Return what gives a group's replies per second as a share of the rate asked for; None where one is not known."""
+    achieved, received = (book.values.plain[name] for name in ("achieved_rate_hz", "received_ratio"))
+    rates = [book.groups.cell_of(group).rate_hz for group in book.groups.groups]
+
+    def replies(group: int) -> float | None:
+        got, share = achieved[group], received[group]
+        return None if got is None or share is None else got * share / rates[group]
+
+    return replies
 
 
 KEPT_UP = 0.99

@@ -9,7 +9,10 @@ from analyses import HOSTILE, Measured, make_analysis
 from four_campaigns import CAMPAIGNS
 
 from dds_trace import OptionError
+from dds_trace.reports.book.book import Book
+from dds_trace.reports.figures import Figure, drawn_figures
 from dds_trace.reports.notebook import MOST_CHARACTERS, first_screen
+from dds_trace.reports.plotting import PLOTS
 
 HARMLESS = {
     *("div", "p", "b", "ul", "li", "table", "caption", "thead", "tbody", "tr", "th", "td", "span", "code")
@@ -126,6 +129,43 @@ def test_a_figure_has_the_panels_names_and_numbers_of_the_report():
     }
 
 
+def lines_of_page(analysis):
+    """Name -> plan of every figure of lines or marks that the page has."""
+    made = (figure for _, figure in drawn_figures(Book(analysis)))
+    return {one.name: one.plan for one in made if isinstance(one, Figure) and one.kind == "lines"}
+
+
+def test_every_figure_of_lines_on_the_page_is_plotted_with_the_same_groups():
+    analyses = plotted(), CAMPAIGNS["lossy machine"]()
+    of_page = [lines_of_page(analysis) for analysis in analyses]
+    assert set().union(*of_page) == set(PLOTS)
+    for analysis, plans in zip(analyses, of_page, strict=True):
+        for name, plan in plans.items():
+            figure = analysis.plot(name)
+            assert sum(len(trace.x) for trace in figure.data) == len(plan["groups"]), name
+            assert len({trace.legendgroup for trace in figure.data}) > 1, name
+
+
+def test_figures_of_other_things_than_times_show_them_in_their_unit():
+    analysis = plotted()
+    lossy = 4  # of 16 groups, three in four came back
+    assert (
+        sorted(value for trace in analysis.plot("received").data for value in trace.y)[:lossy] == [75] * lossy
+    )
+    kept = [value for trace in analysis.plot("sustainable").data for value in trace.y]
+    assert min(kept) == pytest.approx(75)
+    assert all(line.mode == "markers" for line in analysis.plot("received").data)
+    rates = analysis.plot("transfer_by_size", panels="device")
+    assert rates.layout.yaxis.title.text == "Transfer rate (MB/s)"
+    expected = sorted(analysis.summary["transfer_rate_bytes_per_s"] / 1e6)
+    assert sorted(value for trace in rates.data for value in trace.y) == pytest.approx(expected)
+    relay = analysis.plot("relay_time", metric="rtt")
+    assert relay.layout.yaxis.title.text == "Time in relay, median (ms)", "its times are always those"
+    places = analysis.plot("by_device").layout.xaxis
+    assert list(places.tickvals) == [0, 1]
+    assert [text.split(",")[0] for text in places.ticktext] == ["pi3", "pi4"]
+
+
 @pytest.mark.parametrize(
     ("how", "said"),
     [
@@ -136,7 +176,9 @@ def test_a_figure_has_the_panels_names_and_numbers_of_the_report():
         ),
         ({"name": "latency_by_size", "metric": "lag"}, "no metric 'lag'"),
         ({"name": "latency_by_size", "statistic": "p98"}, "no statistic 'p98'"),
-        ({"name": "latency_by_size"}, "nothing was measured at two positions of its axis"),
+        ({"name": "latency_by_size"}, "no data type was measured with two message sizes at one rate"),
+        ({"name": "received"}, "every message came back"),
+        ({"name": "vendor_comparison", "statistic": "p99_9"}, "no group has a value of"),
     ],
 )
 def test_what_cannot_be_drawn_is_one_line(how, said):

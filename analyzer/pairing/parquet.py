@@ -129,8 +129,17 @@ def write_summary(summary: pl.DataFrame, path: Path, provenance: Mapping[str, st
     with _telling(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as draft:
-            schema = _schema(SUMMARY_COLUMNS).with_metadata(dict(provenance))
-            pq.write_table(summary.to_arrow().cast(schema), draft, compression="zstd")
+            pq.write_table(summary_table(summary, provenance), draft, compression="zstd")
+
+
+def summary_table(summary: pl.DataFrame, provenance: Mapping[str, str] | None = None) -> pa.Table:
+    """Return `summary` with the exact types of its columns, meaning and unit in each field's metadata.
+
+    Args:
+        summary: frame of `Analysis.summary`.
+        provenance: metadata of the table.
+    """
+    return summary.to_arrow().cast(_schema(SUMMARY_COLUMNS).with_metadata(dict(provenance or {})))
 
 
 def _schema(columns: tuple[Column, ...]) -> pa.Schema:

@@ -12,10 +12,12 @@ from dataclasses import asdict
 from importlib.resources import files
 from typing import TYPE_CHECKING
 
+import pyarrow.parquet as pq
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
+from dds_trace.analyzer.pairing.parquet import summary_table
 from dds_trace.tracefile.files import replacing
 from dds_trace.tracefile.units.rates import format_rate
 from dds_trace.tracefile.units.sizes import format_size
@@ -154,10 +156,12 @@ def _policy(*scripts: str, connect: str) -> str:
 def _parquet(book: Book) -> str:
     """Return the summary as a Parquet file in base64, for a reader who has the page alone: 100 KB for 500 groups.
 
-    No browser writes Parquet, and a writer in JavaScript would be larger than the file.
+    Units and meanings are in the metadata of its fields, as in the file that an analysis writes. No browser writes Parquet, and a
+    writer in JavaScript would be larger than the file.
     """
     file = io.BytesIO()
-    book.analysis.summary.write_parquet(file, compression="zstd", compression_level=19, statistics=False)
+    table = summary_table(book.analysis.summary)
+    pq.write_table(table, file, compression="zstd", compression_level=19, write_statistics=False)
     return base64.b64encode(file.getvalue()).decode("ascii")
 
 

@@ -13,6 +13,7 @@ from analyses import EVERY_ANALYSIS, HOSTILE, MS, Measured, make_analysis
 from campaigns import write_runs
 from four_campaigns import CAMPAIGNS
 from page_reader import EVERY_PAGE, Reader
+from pyarrow.parquet import read_schema
 from roundtrip_frames import in_runs
 
 from dds_trace.analyzer.verdicts.compare import compare_roundtrips
@@ -481,6 +482,9 @@ def test_the_summary_is_saved_as_parquet(reader, pages):
         tab.locator("#save-parquet").click()
     assert download.value.suggested_filename == "summary.parquet"
     assert pl.read_parquet(download.value.path()).equals(CAMPAIGNS["demo"]().summary)
+    described = read_schema(download.value.path())
+    assert described.field("latency_p50_ns").metadata[b"unit"] == b"ns"
+    assert all(field.metadata[b"meaning"] for field in described)
 
 
 def test_the_table_of_all_groups_is_saved_as_csv(reader, pages):

@@ -51,6 +51,7 @@ MOST_TEST_SECONDS = 10.0
 SPARE_SECONDS = 5.0
 TIMES_LONGER = 3.0
 """A child whose tests take so many times as long as without the mutant, and this time to spare, has a loop without an end."""
+MOST_CALLS = 200
 WALL_FACTOR = 20.0  # of a child's processor time: other programs may share this machine
 LONGEST_SECONDS = 100_000.0
 SURVIVED, KILLED = 0, 1
@@ -105,14 +106,20 @@ def modules_of(part: Part) -> list[Module]:
 
 
 class LinesRun:
-    """The lines of some files that code runs through, as `sys.settrace` tells them; `take` hands them over."""
+    """The lines of some files that code runs through, as `sys.settrace` tells them; `take` hands them over.
+
+    A function that is called again and again is followed the first `MOST_CALLS` times only: what it does later on and never did
+    before is not seen, so that this test may be left out where a mutant of such a line is tried.
+    """
 
     def __init__(self, files: Sequence[str]) -> None:
         self._files = frozenset(files)
         self._seen: set[tuple[str, int]] = set()
+        self._calls: Counter[int] = Counter()
 
     def take(self) -> set[tuple[str, int]]:
         seen, self._seen = self._seen, set()
+        self._calls.clear()
         return seen
 
     def start(self) -> None:
@@ -120,9 +127,10 @@ class LinesRun:
         sys.settrace(self._enter)
 
     def _enter(self, frame, _event, _argument):
-        file = frame.f_code.co_filename
-        if file not in self._files:
+        file, code = frame.f_code.co_filename, id(frame.f_code)
+        if file not in self._files or self._calls[code] == MOST_CALLS:
             return None
+        self._calls[code] += 1
         seen = self._seen
 
         def line(frame, event, _argument):
@@ -153,20 +161,8 @@ def import_all(modules: Sequence[Module], result: Path) -> int:
     return 0
 
 
-def time_all(items: Sequence[pytest.Item], result: Path) -> int:
-    """Run every test once; keep its processor time, or None if it fails."""
-    found, begin = {}, time.process_time()
-    for number, passed in passes(items):
-        now = time.process_time()
-        found[number] = now - begin if passed else None
-        begin = now
-    result.write_bytes(pickle.dumps(found))
-    return 0
-
-
-def trace_all(items: Sequence[pytest.Item], files: Sequence[str], result: Path) -> int:
-    """Run every test once more, much slower; keep the lines that it runs through."""
-    lines, found = LinesRun(files), {}
+def measure(items: Sequence[pytest.Item], numbers: Sequence[int], files: Sequence[str], result: Path) -> int:
+    """Run tests once; keep the processor time of each, None if it fails, and the lines that it runs through."""
     ours = [
         held
         for name, module in sys.modules.items()
@@ -174,11 +170,14 @@ def trace_all(items: Sequence[pytest.Item], files: Sequence[str], result: Path) 
         for held in vars(module).values()
     ]
     caches = [held for held in ours if hasattr(held, "cache_clear")]
+    lines, found, begin = LinesRun(files), {}, time.process_time()
     lines.start()
-    for number, _ in passes(items):
-        found[number] = lines.take()
+    for place, passed in passes([items[number] for number in numbers]):
+        took = time.process_time() - begin
+        found[numbers[place]] = (took if passed else None), lines.take()
         for cached in caches:  # what one test was given from a cache, it runs through where it is alone
             cached.cache_clear()
+        begin = time.process_time()
     sys.settrace(None)
     result.write_bytes(pickle.dumps(found))
     return 0
@@ -229,19 +228,22 @@ class Trials:
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         items = session.items
-        times, lines = self._folder / "times", self._folder / "lines"
         files = [each.file for each in self._modules.values()]
+        results = [self._folder / f"measured-{job}" for job in range(self._jobs)]
         pids = {
-            forked(lambda: time_all(items, times), LONGEST_SECONDS),
-            forked(lambda: trace_all(items, files, lines), LONGEST_SECONDS),
+            forked(
+                partial(measure, items, range(job, len(items), self._jobs), files, result), LONGEST_SECONDS
+            )
+            for job, result in enumerate(results)
         }
         while pids:
             pids.remove(ended(list(pids))[0])
-        seconds, seen = (pickle.loads(each.read_bytes()) for each in (times, lines))
-        self.failing = [items[number].nodeid for number, took in seconds.items() if took is None]
-        runs = sorted(
-            (took, number, seen.get(number, set())) for number, took in seconds.items() if took is not None
-        )
+        measured = {
+            number: each for result in results for number, each in pickle.loads(result.read_bytes()).items()
+        }
+        self.failing = [items[number].nodeid for number, (took, _) in measured.items() if took is None]
+        seconds = {number: took for number, (took, _) in measured.items() if took is not None}
+        runs = sorted((took, number, measured[number][1]) for number, took in seconds.items())
         running: dict[int, tuple[str, int]] = {}
         for path, number in self._chosen:
             module = self._modules[path]

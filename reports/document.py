@@ -7,13 +7,13 @@ from contextlib import suppress
 from importlib.resources import files
 from typing import TYPE_CHECKING
 
+import polars as pl
+
 from dds_trace.analyzer import DETAIL_FRAMES, to_json
 from dds_trace.tracefile.files import replacing
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    import polars as pl
 
     from .book.book import Book
 
@@ -60,8 +60,8 @@ def _document(book: Book) -> dict[str, object]:
         "sources": analysis.sources,
         "sessions": [json.loads(session.to_json()) for session in analysis.sessions],
         "runs": [json.loads(run.to_json()) for run in analysis.runs],
-        "groups": analysis.summary.to_dicts(),
-        **{name: _rows(getattr(details, name)) if details.requested else None for name in DETAIL_FRAMES},
+        "groups": analysis.summary,
+        **{name: getattr(details, name) if details.requested else None for name in DETAIL_FRAMES},
         "answers": details.answers if details.requested else None,
         "deadline_ns": details.deadline_ns,
         "deadline_metric": details.deadline_metric,
@@ -69,19 +69,35 @@ def _document(book: Book) -> dict[str, object]:
     }
 
 
-def _rows(frame: pl.DataFrame) -> list[dict[str, object]]:
-    identifiers = [name for name in _IDENTIFIERS if name in frame.columns]
-    rows = frame.to_dicts()
-    for row in rows:
-        row.update({name: f"{row[name]:016x}" for name in identifiers})
-    return rows
-
-
 def _lines(value: object) -> str:
-    """Write a value as JSON, a list with one element per line."""
-    if isinstance(value, (list, tuple)) and value:
-        return "[\n" + ",\n".join(map(_text, value)) + "\n]"
-    return _text(value)
+    """Write a value as JSON, a list or table with one element or row per line."""
+    if isinstance(value, pl.DataFrame):
+        lines = _rows(value)
+    elif isinstance(value, (list, tuple)):
+        lines = [_text(element) for element in value]
+    else:
+        return _text(value)
+    return "[\n" + ",\n".join(lines) + "\n]" if lines else "[]"
+
+
+def _rows(frame: pl.DataFrame) -> list[str]:
+    """Write each row of a table as a JSON object, column by column: a campaign has a row for each ten seconds."""
+    named = ", ".join(f"{json.dumps(name)}: %s" for name in frame.columns)
+    return ["{" + named % values + "}" for values in zip(*map(_column, frame), strict=True)]
+
+
+def _column(series: pl.Series) -> list[str]:
+    """Write each value of a column as JSON; NaN and infinity become null."""
+    values = series.to_list()
+    if series.name in _IDENTIFIERS:
+        return [f'"{value:016x}"' for value in values]
+    if series.dtype.is_numeric() or series.dtype == pl.Boolean:
+        with suppress(ValueError):  # not finite
+            return json.dumps(values, allow_nan=False)[1:-1].split(", ") if values else []
+    if series.dtype not in (pl.String, pl.Null):
+        return [_text(value) for value in values]
+    texts = {value: _text(value) for value in set(values)}
+    return [texts[value] for value in values]
 
 
 def _text(value: object) -> str:

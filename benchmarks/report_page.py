@@ -221,6 +221,8 @@ def firefox() -> Iterator[Callable[[Path], tuple[str, ...] | None]]:
         from marionette_driver.wait import Wait  # noqa: PLC0415
 
         client = Marionette(bin=program, headless=True, startup_timeout=180, gecko_log=os.devnull)
+        client.start_session()
+    client.timeout.script = client.timeout.page_load = 300
 
     def errors(path: Path) -> tuple[str, ...]:
         client.navigate(path.as_uri())
@@ -232,9 +234,6 @@ def firefox() -> Iterator[Callable[[Path], tuple[str, ...] | None]]:
             return tuple(client.execute_script(_FIREFOX_ERRORS, script_args=[path.as_uri()]))
 
     try:
-        with contextlib.redirect_stdout(io.TextIOWrapper(io.BytesIO())):
-            client.start_session()
-        client.timeout.script = client.timeout.page_load = 300
         yield errors
     finally:
         client.cleanup()

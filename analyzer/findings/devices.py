@@ -47,5 +47,6 @@ def cpu_saturation(evidence: Evidence) -> Iterator[Finding]:
                 evidence.session_name(evidence.campaign.sessions[session_id]),
                 f"In {most} of {counted(seconds, 'second')} {words[of_cause.index(most)]}.",
                 "Latencies here hold time spent waiting for the processor: lower rate or size, or free the device.",
+                evidence.groups_of_sessions.get(session_id, ()),
                 effect=most / seconds,
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -11,7 +12,7 @@ from ..model.names import name_groups
 from ..pairing.device_pairs import pair_devices
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
     from pathlib import Path
 
     import polars as pl
@@ -82,6 +83,16 @@ class Evidence:
     def exchange_groups(self) -> list[int]:
         """Return the group of each exchange in `grouping`."""
         return [int(group) for group in self.grouping.group_of_exchange]
+
+    @cached_property
+    def groups_of_sessions(self) -> Mapping[int, tuple[int, ...]]:
+        """Session -> the groups that it took part in; a session without an exchange is missing."""
+        groups: dict[int, dict[int, None]] = defaultdict(dict)
+        for exchange, group in zip(self.grouping.exchanges, self.exchange_groups(), strict=True):
+            for session in (exchange.ping, exchange.relay):
+                if session is not None:
+                    groups[session.session_id][group] = None
+        return {session_id: tuple(own) for session_id, own in groups.items()}
 
     def session_name(self, session: Session) -> str:
         """Name a session: `relay on beta (relay.mcap)`."""

@@ -43,6 +43,7 @@ def recorder_drops(evidence: Evidence) -> Iterator[Finding]:
                 evidence.session_name(session),
                 f"The recorder dropped {counted(session.dropped_events, 'event')}; messages that it dropped count as lost.",
                 "Do not trust losses here; record to a faster disk, at a lower rate or with a larger ring.",
+                evidence.groups_of_sessions.get(session.session_id, ()),
             )
 
 
@@ -58,6 +59,7 @@ def stopped_recordings(evidence: Evidence) -> Iterator[Finding]:
                 f"The relay could not record all that it sent back: {_shortened(stopped)}.",
                 "Messages of that time have no T3 and T4, and count as lost on the way out if they did not come back: make "
                 "room and record again.",
+                evidence.groups_of_sessions.get(session.session_id, ()),
             )
 
 
@@ -94,6 +96,7 @@ def unclosed_sessions(evidence: Evidence) -> Iterator[Finding]:
                 "The recording has no clean end: it was killed, lost power, or still goes on; "
                 "how many events it dropped is not known.",
                 "Stop recordings with Ctrl-C or --duration and analyze again.",
+                evidence.groups_of_sessions.get(session.session_id, ()),
             )
 
 
@@ -109,6 +112,7 @@ def slow_disks(evidence: Evidence) -> Iterator[Finding]:
                 f"For {format_duration(unsaved_ns)} events were not on the disk, though --fsync was given: a power loss "
                 "then would have taken more than the last second.",
                 "Nothing is missing here; to be safe the next time, record to a faster disk, or put less load on the machine.",
+                evidence.groups_of_sessions.get(session.session_id, ()),
             )
 
 
@@ -196,6 +200,7 @@ def failed_bridges(evidence: Evidence) -> Iterator[Finding]:
                 f"The bridge {bridge.get('bridge')} {_BRIDGE_FAILURES[bridge['state']]}: {failure.rstrip('.')}. "
                 f"Its last words: {_last_words(bridge)}.",
                 "Losses here are the bridge's: repeat the runs; its whole output is in the session of the trace.",
+                evidence.groups_of_sessions.get(session.session_id, ()),
             )
 
 
@@ -211,6 +216,7 @@ def failed_recordings(evidence: Evidence) -> Iterator[Finding]:
                 evidence.session_name(session),
                 f"The run ended before its plan, or with nobody left to answer: {_shortened(error)}.",
                 "Messages behind the failure count as lost: repeat the run.",
+                evidence.groups_of_sessions.get(session.session_id, ()),
             )
 
 

@@ -23,7 +23,8 @@ class Finding:
         where: the file, run, group or device it is about, in words.
         what: one sentence with the figures.
         action: one sentence: what to do next.
-        groups: row numbers in `summary` of the groups it is about; empty where it is about a file, run or device.
+        groups: row numbers in `summary` of the groups it is about, or that a recording it is about took part in; empty where it is
+            about a file or device.
         count: how many findings of its kind it stands for; more than one only for the last of very many.
         effect: size of what it says, 0 to 1: the share of messages, or of the value, that it touches; 1 where it
             touches all. Of equal severity the largest come first.

@@ -169,6 +169,10 @@ class SideError:
         return not self.groups or group in self.groups
 
 
+OF_A_RECORDING = frozenset({"recorder_drops", "recording_stopped", "bridge_failed", "ended_by_error"})
+"""Errors of a whole recording: what else they spoiled is not known, so no group of that side is judged, whichever they name."""
+
+
 def errors_of(side: str, findings: Iterable[Finding], groups: Sequence[Key]) -> Iterator[SideError]:
     """Yield each finding of severity error.
 
@@ -181,5 +185,7 @@ def errors_of(side: str, findings: Iterable[Finding], groups: Sequence[Key]) -> 
         if finding.severity is Severity.ERROR:
             yield SideError(
                 f"{side}: {finding.code} ({finding.where}): {finding.what}",
-                frozenset(groups[number] for number in finding.groups),
+                frozenset(
+                    () if finding.code in OF_A_RECORDING else (groups[number] for number in finding.groups)
+                ),
             )

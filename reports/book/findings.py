@@ -100,6 +100,7 @@ def findings_info(analysis: Analysis, groups: Groups, values: Values) -> tuple[F
     """Gather the findings by kind, the most severe first."""
     rank = {group: place for place, group in enumerate(worst_first(values))}
     labels = group_labels(groups)
+    recordings = tuple({f"{session.role} on {session.device} (" for session in analysis.sessions})
     together: dict[tuple[str, str], list[Finding]] = {}
     for finding in analysis.findings:
         together.setdefault((finding.severity.value, finding.code), []).append(finding)
@@ -109,7 +110,7 @@ def findings_info(analysis: Analysis, groups: Groups, values: Values) -> tuple[F
             code,
             _title(code),
             sum(finding.count for finding in same),
-            tuple(_one(finding, labels, rank) for finding in same),
+            tuple(_one(finding, labels, rank, recordings) for finding in same),
         )
         for (severity, code), same in together.items()
     )
@@ -125,8 +126,12 @@ def severity_counts(kinds: Sequence[FindingKind]) -> tuple[tuple[str, str], ...]
     )
 
 
-def _one(finding: Finding, labels: Sequence[str], rank: Mapping[int, int]) -> OneFinding:
-    named = tuple(labels[group] for group in finding.groups)
+def _one(
+    finding: Finding, labels: Sequence[str], rank: Mapping[int, int], recordings: tuple[str, ...]
+) -> OneFinding:
+    # What is about a recording keeps its name (`Evidence.session_name`), and links to its groups.
+    is_of_recording = finding.where.startswith(recordings)
+    named = () if is_of_recording else tuple(labels[group] for group in finding.groups)
     many = len(named) > _MOST_NAMED
     if len(named) == len(labels) > 1:
         where = f"all {len(named)} groups"

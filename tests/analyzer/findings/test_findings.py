@@ -125,6 +125,7 @@ def test_recorder_drops(tmp_path):
     assert finding.severity is Severity.ERROR
     assert "17 events" in finding.what
     assert finding.where == "relay on beta (relay.mcap)"
+    assert finding.groups == (0,), "what the recording took part in"
 
 
 def test_a_disk_that_kept_events_waiting(tmp_path):
@@ -138,6 +139,21 @@ def test_a_disk_that_kept_events_waiting(tmp_path):
     assert finding.severity is Severity.INFO
     assert finding.what.startswith("For 1.65 s events were not on the disk")
     assert finding.where == "relay on beta (relay.mcap)"
+
+
+def test_a_finding_of_a_recording_has_the_groups_of_that_recording_alone(tmp_path):
+    messages = sound(20)
+    write_pair(tmp_path / "one", messages, runs=[described(messages)])
+    write_pair(
+        tmp_path / "two",
+        messages,
+        ping=ping_session(session_id=0x77, state="open"),
+        runs=[described(messages, run_id=2, payload_bytes=50_000, extra={"session_id": f"{0x77:016x}"})],
+    )
+    found = findings(tmp_path)["unclosed_session"]
+    assert found.where == "ping on alpha (two/ping.mcap)"
+    sizes = analyze(tmp_path).summary["payload_bytes"].to_list()
+    assert [sizes[group] for group in found.groups] == [50_000]
 
 
 def test_unclosed_session(tmp_path):

@@ -11,6 +11,7 @@ import polars as pl
 import pytest
 from roundtrip_frames import MS, in_runs, steady
 
+from dds_trace.analyzer.model.finding import Finding, Severity
 from dds_trace.analyzer.run_statistics import Change, DeliveryChange, holm_adjusted
 from dds_trace.analyzer.statistics.distributions import shift_for_power, student_cdf, student_quantile
 from dds_trace.analyzer.statistics.intervals import Basis, Interval
@@ -31,7 +32,7 @@ from dds_trace.analyzer.verdicts.gates import (
     options_for,
     overall_outcome,
 )
-from dds_trace.analyzer.verdicts.sides import SideError
+from dds_trace.analyzer.verdicts.sides import SideError, errors_of
 from dds_trace.tracefile.errors import OptionError
 
 
@@ -208,6 +209,16 @@ def test_a_finding_of_severity_error_leaves_its_groups_inconclusive():
     for groups, outcome in ((frozenset(), "inconclusive"), (frozenset({("other",)}), "regressed")):
         (result,) = judge_gates(replace(found, errors=(SideError("new: recorder_drops", groups),)), gates)
         assert result.outcome.value == outcome
+
+
+def test_an_error_of_a_recording_is_about_the_whole_side_though_it_names_its_groups():
+    keys = [("one",), ("other",)]
+    of_recording, of_group = (
+        Finding(Severity.ERROR, code, "where", "What.", "Do.", groups=(1,))
+        for code in ("recorder_drops", "not_applied")
+    )
+    told = list(errors_of("new", [of_recording, of_group], keys))
+    assert [[one.is_about(key) for key in keys] for one in told] == [[True, True], [False, True]]
 
 
 def test_many_groups_are_adjusted_by_holm():

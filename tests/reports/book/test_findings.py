@@ -58,6 +58,17 @@ def test_a_finding_links_to_its_groups_the_worst_first():
     assert kind.listed[0].places == (2, 1, 0), "losses first, then the slowest"
 
 
+def test_a_finding_of_a_recording_keeps_its_name_and_links_to_its_groups():
+    analysis = analysis_with()
+    session = analysis.sessions[0]
+    where = f"{session.role} on {session.device} (ping.mcap); and 3 more"
+    found = Finding(Severity.WARNING, "cpu_saturated", where, "It was busy.", "Free it.", (4, 0, 1, 2))
+    (kind,) = Book(replace(analysis, findings=(found,))).findings
+    (one,) = kind.listed
+    assert (one.where, one.groups) == (where, ())
+    assert one.places == (0, 1, 2, 4), "alike, so in the order of the table"
+
+
 @pytest.mark.parametrize(
     ("groups", "where"),
     [

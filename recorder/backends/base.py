@@ -57,7 +57,8 @@ class Backend:
         speaks_dds: whether its nodes meet those of other backends that speak DDS.
         relay_port: number of the relay's port among the 250 of the domain, of which DDS participants use 0, 1 and
             those from 10 on; None where the relay does not listen.
-        has_client_library: whether a message passes a client library whose floor can be measured.
+        make_pair: opens two nodes on this device, one that subscribes and one that publishes, for a backend whose nodes do
+            not hear themselves; None where one node does both.
         has_ros: whether it runs on a ROS middleware with an executor, both of which can be chosen.
         has_congestion_control: whether TCP's congestion control can be chosen.
         transports: transports that can be chosen.
@@ -74,7 +75,7 @@ class Backend:
     meeting_needs: str
     speaks_dds: bool = False
     relay_port: int | None = None
-    has_client_library: bool = True
+    make_pair: Callable[[NodeOptions], tuple[Node, Node]] | None = None
     has_ros: bool = False
     has_congestion_control: bool = False
     transports: tuple[Transport, ...] = (Transport.DEFAULT,)
@@ -94,6 +95,17 @@ class Backend:
             return self.make_node(options)
         except ImportError as err:
             raise BackendUnavailableError(f"{self.label} cannot be loaded ({err}); {self.install}") from err
+
+    def open_pair(self, options: NodeOptions) -> tuple[Node, Node]:
+        """Open a node that subscribes and one that publishes to it: the same node, where nodes hear themselves.
+
+        Errors as for `open_node`.
+        """
+        if self.make_pair is None:
+            node = self.open_node(options)
+            return node, node
+        self.check(options)
+        return self.make_pair(options)
 
     def check(self, options: NodeOptions) -> None:
         """Refuse options that have no meaning here: an option that is ignored is one that its user believes in.

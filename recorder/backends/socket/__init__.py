@@ -7,8 +7,10 @@ Nagle's delay, `udp` is UDP with fragments of 60 KB and nothing sent again. See 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from ...choices import Discovery, Transport
 from ..base import Backend, Meeting
 from .node import PROTOCOLS, SocketNode
 
@@ -20,6 +22,19 @@ def _make_node(options: NodeOptions) -> Node:
     """Open a node that listens (a relay) or connects (a ping)."""
     peers = () if options.listens else BACKEND.peer_addresses(options)
     return SocketNode(options, BACKEND.port_of(options.domain_id), peers)
+
+
+def _make_pair(options: NodeOptions) -> tuple[Node, Node]:
+    """Open a node that listens at a port that is free, and one that connects to it, on this device."""
+    local = replace(options, discovery=Discovery.LOCALHOST, peers=())
+    if options.transport is Transport.UDP:
+        local = replace(local, qos=replace(options.qos, reliability="best_effort"))
+    subscribes = SocketNode(replace(local, listens=True), 0, ())
+    try:
+        return subscribes, SocketNode(replace(local, listens=False), 0, [("127.0.0.1", subscribes.port)])
+    except BaseException:
+        subscribes.close()
+        raise
 
 
 BACKEND = Backend(
@@ -34,7 +49,7 @@ BACKEND = Backend(
         "blocks its port {port}"
     ),
     relay_port=8,
-    has_client_library=False,
+    make_pair=_make_pair,
     has_congestion_control=True,
     transports=tuple(PROTOCOLS),
 )

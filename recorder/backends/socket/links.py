@@ -52,6 +52,10 @@ class Greeting:
 class Links(Protocol):
     """The connections of one node."""
 
+    @property
+    def port(self) -> int:
+        """Port at which peers reach the node; 0 if they do not."""
+
     def greetings(self) -> list[Greeting]:
         """Return the greetings of the peers that are connected now."""
 

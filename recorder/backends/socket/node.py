@@ -34,7 +34,7 @@ class SocketNode(ThreadedNode):
 
     Args:
         options: options of the node.
-        port: port of the relay in this domain.
+        port: port of the relay in this domain; 0 for a node that listens at any that is free.
         peers: host and port of each relay that a ping connects to; empty for a node that listens.
 
     Raises:
@@ -73,6 +73,11 @@ class SocketNode(ThreadedNode):
             if options.tuned:
                 settings["tuned"] = "nothing to tune: the kernel sizes the buffers of TCP itself"
         self._middleware = Middleware("socket", "socket", None, {"kernel": platform.release()}, settings)
+
+    @property
+    def port(self) -> int:
+        """Port at which the node listens; 0 if it does not."""
+        return self._links.port
 
     def create_publisher(
         self, topic: str, type_name: str, *, qos: Qos | None = None

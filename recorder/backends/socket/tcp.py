@@ -72,6 +72,11 @@ class TcpLinks:
             self._listener.listen()
             self._selector.register(self._listener, selectors.EVENT_READ, self._accept)
 
+    @property
+    def port(self) -> int:
+        """Port at which connections are accepted; 0 for none."""
+        return 0 if self._listener is None else int(self._listener.getsockname()[1])
+
     def greetings(self) -> list[Greeting]:
         """Return the greetings of the connected peers."""
         return [peer.greeting for peer in self._connected]

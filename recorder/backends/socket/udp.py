@@ -81,6 +81,11 @@ class UdpLinks:
         """Size of the receive buffer as the kernel reports it: twice that asked for, its bookkeeping included (socket(7))."""
         return self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
 
+    @property
+    def port(self) -> int:
+        """Port at which datagrams arrive."""
+        return int(self._socket.getsockname()[1])
+
     def greetings(self) -> list[Greeting]:
         """Return the greetings of those who greeted not long ago."""
         return [peer.greeting for peer in list(self._peers.values())]

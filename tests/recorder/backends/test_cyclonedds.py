@@ -71,6 +71,35 @@ def test_bytes_arrive_as_they_were_sent(domain_id, data_type):
         assert node.error is None
 
 
+def test_all_that_waits_is_handed_on_in_its_order_and_each_to_its_reader(domain_id):
+    """A wait tells which readers have something; each then gives one message, and triggers again for the next."""
+    messages = [IMU.make(None, seed).messages[0].data for seed in range(5)]
+    got = {"one": [], "two": []}
+    with (
+        open_node("cyclonedds", options(domain_id)) as there,
+        open_node("cyclonedds", options(domain_id, name="two")) as here,
+    ):
+        for topic, kept in got.items():
+            there.create_subscription(
+                topic, IMU.type_name, lambda message, *_, kept=kept: kept.append(bytes(message))
+            )
+        there.create_subscription("closed", IMU.type_name, pytest.fail).close()
+        publishers = [here.create_publisher(topic, IMU.type_name) for topic in (*got, "closed")]
+        deadline = time.monotonic() + PATIENCE_S
+        while any(len(here.look_at(topic).subscriptions) < 1 for topic in got):
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        for message in messages:
+            for publisher in publishers:
+                publisher.publish(message)
+        there.start()
+        while any(len(kept) < len(messages) for kept in got.values()):
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        assert there.error is None
+    assert got == {topic: [bytes(message) for message in messages] for topic in got}
+
+
 def test_quality_of_service_that_never_matches_is_seen(domain_id):
     with (
         open_node("cyclonedds", options(domain_id, name="one")) as one,

@@ -14,6 +14,7 @@ import pytest
 from backend_pairs import all_data_types, events
 from processes import PATIENCE_S, ping, relay, running
 
+from dds_trace.recorder import measure_floor
 from dds_trace.recorder.backends import open_node
 from dds_trace.recorder.backends.node import NodeOptions, message_objects_of
 from dds_trace.recorder.backends.socket import BACKEND
@@ -58,6 +59,16 @@ def test_all_data_types_go_there_and_back(domain_id, tmp_path, protocol, more):
         assert session.connectivity == "loopback"
         assert session.host["middleware"]["protocol"] == protocol
         assert session.host["middleware"]["tuned"] == "false"
+
+
+@pytest.mark.parametrize("transport", [Transport.DEFAULT, Transport.UDP])
+def test_the_own_share_of_sockets_is_measured_beside_a_relay_of_the_domain(domain_id, transport):
+    """Two nodes of one process, at a port of their own, as nodes on sockets do not hear themselves."""
+    with open_node("socket", options(domain_id, listens=True)) as relay_node:
+        floor = measure_floor("socket", options(domain_id, transport=transport), 20, PATIENCE_S, 200)
+        assert relay_node.count_participants() == 1
+    assert 0 < floor.median_ns <= floor.p99_ns < 1e9
+    assert (floor.messages, floor.rate_hz) == (20, 200)
 
 
 def independent_delays(domain_id, folder, delay_s):

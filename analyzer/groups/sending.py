@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
+from ..statistics.percentiles import quantile_of
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -59,25 +61,28 @@ def sending_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
         monotonic clock; null without one.
     """
     rows: list[dict[str, object]] = []
+    scheduled = roundtrips.measured["scheduled_ns"]
+    is_planned, scheduled_ns = scheduled.is_not_null().to_numpy(), scheduled.fill_null(0).to_numpy()
+    all_sent_ns = roundtrips.measured["publish_ns"].to_numpy()
     for number, exchange in enumerate(batch.exchanges):
-        first, after = roundtrips.bounds[number : number + 2].tolist()
-        part = roundtrips.measured.slice(first, after - first)
-        planned = part.select("scheduled_ns", "publish_ns").drop_nulls()
-        waited_ns = planned["publish_ns"] - planned["scheduled_ns"]
-        stood = find_stand_stills(planned["scheduled_ns"].to_numpy(), planned["publish_ns"].to_numpy())
-        free_ns = waited_ns.filter(pl.Series(~stood.held_up))
-        elapsed_ns, late_ns = held_schedule(part["publish_ns"].to_numpy(), exchange.run.rate_hz)
+        here = slice(*roundtrips.bounds[number : number + 2].tolist())
+        sent_ns, planned = all_sent_ns[here], is_planned[here]
+        due_ns, left_ns = scheduled_ns[here][planned], sent_ns[planned]
+        stood = find_stand_stills(due_ns, left_ns)
+        waited_ns = left_ns - due_ns
+        free_ns = waited_ns[~stood.held_up]
+        elapsed_ns, late_ns = held_schedule(sent_ns, exchange.run.rate_hz)
         rows.append(
             {
                 "group": int(batch.group_of_exchange[number]),
                 "run_id": exchange.run.run_id,
                 "relay_id": exchange.relay_id,
-                "messages": len(part),
+                "messages": len(sent_ns),
                 "elapsed_ns": elapsed_ns,
                 "behind_ns": late_ns,
-                "late": int((free_ns > LATE_NS).sum()),
-                "late_max_ns": free_ns.max(),
-                "late_p99_ns": waited_ns.quantile(0.99, "linear"),
+                "late": int(np.count_nonzero(free_ns > LATE_NS)),
+                "late_max_ns": int(free_ns.max()) if len(free_ns) else None,
+                "late_p99_ns": quantile_of(np.sort(waited_ns), 0.99) if len(waited_ns) else None,
                 "still": len(stood.lasted_ns),
                 "still_ns": max(stood.lasted_ns, default=None),
                 "still_end_ns": stood.longest_end_ns,

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
 import polars as pl
 from roundtrip_frames import roundtrips, with_one_way
 
-from dds_trace.analyzer.pairing.one_way import KNOT_SCHEMA, fit_devices, segment_table
+from dds_trace.analyzer.pairing.one_way import KNOT_SCHEMA, _usable, fit_devices, segment_table
+from dds_trace.analyzer.pairing.pair import MISSING
 
 MESSAGE = {"publish_ns": 0, "relay_in_ns": 1100, "relay_out_ns": 1200, "receive_ns": 300}
 ONE_WAY = ["outbound_ns", "return_ns", "clock_bound_ns"]
@@ -65,3 +67,24 @@ def test_a_relay_that_was_rebooted_between_two_runs_has_no_step():
     assert segment_table(fits)["relay_boot"].to_list() == ["aa", "bb"]
     (unknown,) = fit_devices(rebooted.with_columns(relay_boot=pl.lit(None, pl.String)), {})
     assert len(unknown.steps) == 1  # without the boot id it cannot be told from a step
+
+
+def test_stamps_of_a_sane_clock_are_usable_up_to_its_edges():
+    sane_ns = 1 << 60
+
+    def usable(*messages):
+        stamps = np.array(messages, np.int64).T
+        names = ("publish_ns", "relay_in_ns", "relay_out_ns", "receive_ns")
+        return _usable(dict(zip(names, stamps, strict=True)), slice(None)).tolist()
+
+    assert usable((0, 1100, 1200, 300), (0, 500, 800, 300), (0, 500, 801, 300)) == [True, True, False]
+    low, high = -sane_ns + 2, sane_ns - 1
+    assert usable((low, 0, 0, low), (high, 0, 0, high), (0, low, low, 0), (0, high, high, 0)) == [True] * 4
+    for place in range(4):
+        for beyond in (low - 1, high + 1, MISSING):
+            damaged = [5, 5, 5, 5]
+            damaged[place] = beyond
+            if beyond > 0 and place in (1, 3):  # the times themselves would agree
+                assert usable(damaged, (0, 0, 0, 0)) == [False, True]
+            else:
+                assert not usable(damaged, (0, 0, 0, 0))[0]

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from trace_files import run
 
-from dds_trace.analyzer.pairing.pair import Published
+from dds_trace.analyzer.model.unsent import MOST_MESSAGES
+from dds_trace.analyzer.pairing.pair import MISSING, Published
 from dds_trace.analyzer.pairing.unsent import count_unsent, settled
 from dds_trace.tracefile import EventColumns
 
@@ -66,3 +69,33 @@ def test_the_last_message_of_a_killed_ping_may_never_have_left():
     assert settled(run(state="started"), published(5), t2).tolist() == [True, True, True, True, False]
     t2 = replies((0, 150 * MS), (4, 500 * MS))  # answered, so it left; 1, 2 and 3 are lost
     assert settled(run(state="started"), published(5), t2).tolist() == [True, True, True, True, True]
+
+
+def late(count, *, by_ns):
+    """`published`, so much later on the clock."""
+    whole = published(count)
+    return replace(whole, scheduled_ns=whole.scheduled_ns + by_ns, publish_ns=whole.publish_ns + by_ns)
+
+
+@pytest.mark.parametrize(("skipped", "unsent"), [(0, 0), (-3, 0), (2**60, MOST_MESSAGES)])
+def test_skipped_messages_are_counted_within_reason(skipped, unsent):
+    assert count_unsent(run(extra={"skipped_messages": skipped}), published(5), replies()) == unsent
+
+
+def test_without_a_plan_nothing_was_due():
+    ten_s = {"rate_hz": 10.0, "planned_messages": 100, "warmup_messages": 0, "published": 5}
+    ended = {"ended_ns": 10_000 * MS}
+    assert count_unsent(run(**ten_s, extra=ended), published(5), replies()) == 95
+    assert count_unsent(run(**ten_s, extra=ended), published(0), replies()) == 0
+    assert count_unsent(run(**{**ten_s, "rate_hz": 0.0}, extra=ended), published(5), replies()) == 0
+    assert count_unsent(run(**{**ten_s, "rate_hz": 1.0}, extra=ended), published(5), replies()) == 6
+    assert (
+        count_unsent(run(**ten_s, extra={**ended, "data_source": "topic:/a"}), published(5), replies()) == 0
+    )
+    unknown = replace(published(5), scheduled_ns=np.full(5, MISSING))
+    assert count_unsent(run(**ten_s, extra=ended), unknown, replies()) == 0
+    # 40 s after boot: from T0 of the first, not from zero; the run ended at its last T1 if it does not tell.
+    shifted = late(5, by_ns=40_000 * MS)
+    assert count_unsent(run(**ten_s, extra={"ended_ns": 41_250 * MS}), shifted, replies()) == 8
+    assert count_unsent(run(**ten_s), shifted, replies()) == 0
+    assert count_unsent(run(**ten_s), shifted, replies((0, 41_250 * MS))) == 8

@@ -90,7 +90,8 @@ class Turn:
             if turn.is_awaited:
                 turn.wake()
 
-    and everywhere else `with turn:`.
+    and everywhere else `with turn:`. Unlike a lock it is not for a thread that a signal handler may interrupt by an exception:
+    between `take` and `try` the token would be lost.
 
     Attributes:
         take: takes the token, or raises `IndexError` if another thread has it.

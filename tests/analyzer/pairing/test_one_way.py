@@ -80,6 +80,8 @@ def test_stamps_of_a_sane_clock_are_usable_up_to_its_edges():
     assert usable((0, 1100, 1200, 300), (0, 500, 800, 300), (0, 500, 801, 300)) == [True, True, False]
     low, high = -sane_ns + 2, sane_ns - 1
     assert usable((low, 0, 0, low), (high, 0, 0, high), (0, low, low, 0), (0, high, high, 0)) == [True] * 4
+    for edge in (low, high):
+        assert usable((edge, 0, 0, edge), (MISSING, 0, 0, 0), (0, 0, 0, MISSING)) == [True, False, False]
     for place in range(4):
         for beyond in (low - 1, high + 1, MISSING):
             damaged = [5, 5, 5, 5]

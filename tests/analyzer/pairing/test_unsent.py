@@ -99,3 +99,16 @@ def test_without_a_plan_nothing_was_due():
     assert count_unsent(run(**ten_s, extra={"ended_ns": 41_250 * MS}), shifted, replies()) == 8
     assert count_unsent(run(**ten_s), shifted, replies()) == 0
     assert count_unsent(run(**ten_s), shifted, replies((0, 41_250 * MS))) == 8
+
+
+def test_a_ping_that_died_does_not_say_how_many_left():
+    died = run(
+        rate_hz=10.0, planned_messages=100, warmup_messages=0, published=0, extra={"ended_ns": 1250 * MS}
+    )
+    assert count_unsent(died, published(5), replies()) == 8
+
+
+def test_a_killed_ping_without_a_reply_waited_two_seconds():
+    # 0 ... 30 in three seconds: those of the first one would have been given up.
+    known = settled(run(state="started"), published(31), replies())
+    assert known.tolist() == [True] * 11 + [False] * 20

@@ -14,6 +14,7 @@ from xml.etree import ElementTree as ET
 
 import pytest
 import yaml
+from warm_start import stand_ins
 
 pytestmark = pytest.mark.timeout(300)
 
@@ -60,7 +61,7 @@ def desk(tmp_path, domain_id):
 
 def bash(script, folder, environment):
     """A script as a step of a composite action, or GitLab's runner, has it run."""
-    path = f"{folder / 'bin'}:{Path(sys.executable).parent}:{os.environ['PATH']}"
+    path = f"{folder / 'bin'}:{stand_ins()}:{Path(sys.executable).parent}:{os.environ['PATH']}"
     return subprocess.run(
         ["bash", "--noprofile", "--norc", "-eo", "pipefail", "-c", script],
         cwd=folder,

@@ -10,6 +10,7 @@ from textwrap import dedent
 from xml.etree import ElementTree as ET
 
 import pytest
+from warm_start import stand_ins
 
 pytestmark = [pytest.mark.middleware, pytest.mark.timeout(300)]
 
@@ -44,7 +45,7 @@ def desk(tmp_path, domain_id):
 
     def prepare(base_sizes):
         environment = os.environ | {
-            "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}",
+            "PATH": f"{stand_ins()}:{Path(sys.executable).parent}:{os.environ['PATH']}",
             "GITHUB_STEP_SUMMARY": str(tmp_path / "summary.md"),
         }
         (tmp_path / "base.toml").write_text(PLAN.format(domain=domain_id, sizes=base_sizes))

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import html
 import json
-import subprocess
 import sys
 from pathlib import Path
 
 import loopback_sshd
 import pytest
 from namespaces import needs_namespaces
+from processes import run
+from warm_start import stand_ins
 
 from dds_trace.tracefile import read_trace
 
@@ -45,18 +46,9 @@ def environment(tmp_path):
     """The folder of a Python environment whose dds-record runs ours."""
     program = tmp_path / "venv/bin/dds-record"
     program.parent.mkdir(parents=True)
-    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m dds_trace.cli.record "$@"\n')
+    program.write_text(f'#!/bin/sh\nexec "{stand_ins() / "dds-record"}" "$@"\n')
     program.chmod(0o755)
     return tmp_path / "venv"
-
-
-def command(module, *arguments):
-    return subprocess.run(
-        [sys.executable, "-m", f"dds_trace.cli.{module}", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
 
 
 def starts_of(folder):
@@ -80,8 +72,8 @@ class Started:
 
 def test_another_plan_is_recorded_in_turns_and_compared_cell_by_cell_and_pass_by_pass(plan, tmp_path):
     """The plans ask for unlike sizes, so no group of one side has the parameters of one of the other."""
-    done = command("sweep", plan("p", "1KB"), "--out", tmp_path / "runs", "--against", plan("q", "2KB"))
-    assert done.returncode == 0, done.stderr
+    done = run("dds-sweep", plan("p", "1KB"), "--out", tmp_path / "runs", "--against", plan("q", "2KB"))
+    assert done.status == 0, done.stderr
     folder = tmp_path / "runs/p-against-q"
     assert starts_of(folder) == [
         ("base", 1),
@@ -95,8 +87,8 @@ def test_another_plan_is_recorded_in_turns_and_compared_cell_by_cell_and_pass_by
     words = printed.removeprefix("Compare: dds-analyze ").split()
     assert words == ["compare", str(folder / "base"), str(folder / "new"), "--paired"]
     for options in (words, words[:-1]):  # in turns is pass by pass, said or not
-        compared = command("analyze", *options, "--report", "md")
-        assert compared.returncode == 0, compared.stderr
+        compared = run("dds-analyze", *options, "--report", "md")
+        assert compared.status == 0, compared.stderr
         shown = html.unescape(compared.stdout)
         row = next(line for line in shown.splitlines() if "| Round trip median |" in line)
         assert row.startswith("| Binary 1 KB at 200 Hz |")
@@ -106,11 +98,11 @@ def test_another_plan_is_recorded_in_turns_and_compared_cell_by_cell_and_pass_by
 
 
 def test_another_environment_is_compared_pass_by_pass(plan, environment, tmp_path):
-    done = command("sweep", plan("p", "1KB"), "--out", tmp_path, "--against", environment, "--json")
-    assert done.returncode == 0, done.stderr
+    done = run("dds-sweep", plan("p", "1KB"), "--out", tmp_path, "--against", environment, "--json")
+    assert done.status == 0, done.stderr
     sides = json.loads(done.stdout)
-    compared = command("analyze", "compare", sides["base"], sides["new"], "--report", "md")
-    assert compared.returncode == 0, compared.stderr
+    compared = run("dds-analyze", "compare", sides["base"], sides["new"], "--report", "md")
+    assert compared.status == 0, compared.stderr
     row = next(line for line in compared.stdout.splitlines() if "| Round trip median |" in line)
     assert "| 3 pairs |" in row
     assert "environment" not in compared.stdout.lower()  # the same machine, program and Python
@@ -119,8 +111,8 @@ def test_another_environment_is_compared_pass_by_pass(plan, environment, tmp_pat
 
 def test_plans_of_unlike_length_are_refused_in_one_line_before_anything_is_recorded(plan, tmp_path):
     two = plan("q", "2KB", 'reliability = ["reliable", "best_effort"]\n')
-    done = command("sweep", plan("p", "1KB"), "--out", tmp_path / "runs", "--against", two)
-    assert (done.returncode, done.stdout) == (2, "")
+    done = run("dds-sweep", plan("p", "1KB"), "--out", tmp_path / "runs", "--against", two)
+    assert (done.status, done.stdout) == (2, "")
     assert done.stderr.endswith(
         ": the base has 1 cell and the new side 2; give plans whose cells stand in the same order, one for one\n"
     )
@@ -131,10 +123,9 @@ def test_plans_of_unlike_length_are_refused_in_one_line_before_anything_is_recor
 @needs_namespaces("tc", "iproute2")
 def test_both_sides_have_namespaces_of_their_own(plan, tmp_path):
     network = "[network]\nnamespaces = true\n"
-    done = command(
-        "sweep", plan("p", "1KB", network, repeats=1), "--out", tmp_path, "--against", "SAME", "--json"
-    )
-    assert done.returncode == 0, done.stderr
+    arguments = (plan("p", "1KB", network, repeats=1), "--out", tmp_path, "--against", "SAME", "--json")
+    done = run("dds-sweep", *arguments, environment={"COLUMNS": "80"})  # cold: one in a namespace has to be
+    assert done.status == 0, done.stderr
     result = json.loads(done.stdout)
     assert result["missing"] == {"base": {}, "new": {}}
     assert result["false_alarms"]["deals"] == 1
@@ -149,8 +140,8 @@ def test_both_sides_have_namespaces_of_their_own(plan, tmp_path):
 def test_another_environment_and_another_device_are_refused_in_one_line(plan, environment, tmp_path):
     robot = '[devices.relay]\nssh = "pi@192.0.2.1"\n'  # reserved for documentation: nothing is asked there
     base = plan("p", "1KB", robot)
-    done = command("sweep", base, "--out", tmp_path / "runs", "--against", environment)
-    assert (done.returncode, done.stdout) == (2, "")
+    done = run("dds-sweep", base, "--out", tmp_path / "runs", "--against", environment)
+    assert (done.status, done.stdout) == (2, "")
     assert "--against ENVIRONMENT is for sweeps on one machine" in done.stderr
     assert done.stderr.count("\n") == 1
     assert not (tmp_path / "runs").exists()
@@ -169,8 +160,8 @@ def test_a_relay_over_ssh_serves_both_sides(plan, tmp_path):
         )
         base = plan("p", "1KB", robot, repeats=1)
         base.write_text(base.read_text().replace("[run]", '[run]\ndiscovery = "localhost"'))
-        done = command("sweep", base, "--out", tmp_path, "--against", "SAME", "--json")
-    assert done.returncode == 0, done.stderr
+        done = run("dds-sweep", base, "--out", tmp_path, "--against", "SAME", "--json")
+    assert done.status == 0, done.stderr
     result = json.loads(done.stdout)
     assert {
         read_trace(path).sessions[0].device

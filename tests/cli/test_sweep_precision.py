@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from processes import run
+from warm_start import stand_ins
 
 from dds_trace.analyzer import FalseAlarms, analyze, half_widths
 from dds_trace.cli.sweep.against import _in_words
@@ -40,12 +40,7 @@ def plan(tmp_path, domain_id):
 
 
 def sweep(*arguments):
-    return subprocess.run(
-        [sys.executable, "-m", "dds_trace.cli.sweep", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    return run("dds-sweep", *arguments)
 
 
 def passes_in(folder):
@@ -66,14 +61,14 @@ def test_until_adds_passes_and_says_which_cells_are_still_too_wide(plan, tmp_pat
         "--json",
     )
     done = sweep(*options)
-    assert done.returncode == 11, done.stderr
+    assert done.status == 11, done.stderr
     result = json.loads(done.stdout)
     assert (result["cells"], result["missing"], list(result["too_wide"])) == (3, {}, [CELL])
     assert f"{CELL}: rtt_p50 is known to +-" in done.stderr
     assert passes_in(tmp_path / "runs/p") == [1, 2, 3]
     # Whatever the runs were: within +-10000 % everything is precise enough, and nothing is recorded again.
     again = sweep(plan(2), "--out", tmp_path / "runs", "--until", "rtt_p50:10000%", "--json")
-    assert again.returncode == 0, again.stderr
+    assert again.status == 0, again.stderr
     assert json.loads(again.stdout)["too_wide"] == {}
     assert passes_in(tmp_path / "runs/p") == [1, 2, 3]
 
@@ -92,7 +87,7 @@ def test_until_a_tail_is_known_to_five_percent_or_the_passes_are_used_up(plan, t
     rows = analyze(folder, details=False).load_messages()
     width = half_widths(rows, {CELL: run_ids}, "latency_p99")[CELL]
     assert passes in ([1, 2, 3], [1, 2, 3, 4])
-    assert (done.returncode, list(result["too_wide"])) == ((0, []) if width <= 5 else (11, [CELL]))
+    assert (done.status, list(result["too_wide"])) == ((0, []) if width <= 5 else (11, [CELL]))
     if len(passes) == 3:
         assert width <= 5
     if width > 5:
@@ -102,7 +97,7 @@ def test_until_a_tail_is_known_to_five_percent_or_the_passes_are_used_up(plan, t
 @pytest.mark.middleware
 def test_a_against_a_prints_how_often_the_comparison_errs_and_leaves_two_folders_to_compare(plan, tmp_path):
     done = sweep(plan(3), "--out", tmp_path / "runs", "--against", "SAME", "--json")
-    assert done.returncode == 0, done.stderr
+    assert done.status == 0, done.stderr
     result = json.loads(done.stdout)
     assert (result["cells"], result["missing"]) == (6, {"base": {}, "new": {}})
     alarms = result["false_alarms"]
@@ -110,16 +105,8 @@ def test_a_against_a_prints_how_often_the_comparison_errs_and_leaves_two_folders
     assert alarms["of_dealt"] == 4 * alarms["of_measured"] > 0
     for side in ("base", "new"):
         assert passes_in(Path(result[side])) == [1, 2, 3]
-    compared = subprocess.run(
-        [
-            *(sys.executable, "-m", "dds_trace.cli.analyze", "compare"),
-            *(result["base"], result["new"], "--paired", "--report", "md"),
-        ],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert compared.returncode == 0, compared.stderr
+    compared = run("dds-analyze", "compare", result["base"], result["new"], "--paired", "--report", "md")
+    assert compared.status == 0, compared.stderr
 
 
 @pytest.mark.middleware
@@ -127,12 +114,10 @@ def test_another_python_environment_records_the_new_side(plan, tmp_path):
     """The environment is a folder whose dds-record runs ours with a device name of its own: the base is not run by it."""
     program = tmp_path / "venv/bin/dds-record"
     program.parent.mkdir(parents=True)
-    program.write_text(
-        f'#!/bin/sh\nexec "{sys.executable}" -m dds_trace.cli.record "$@" --device elsewhere\n'
-    )
+    program.write_text(f'#!/bin/sh\nexec "{stand_ins() / "dds-record"}" "$@" --device elsewhere\n')
     program.chmod(0o755)
     done = sweep(plan(1), "--out", tmp_path / "runs", "--against", tmp_path / "venv", "--json")
-    assert done.returncode == 0, done.stderr
+    assert done.status == 0, done.stderr
     result = json.loads(done.stdout)
     devices = {
         side: {read_trace(path).sessions[0].device for path in Path(result[side]).glob("*.mcap")}
@@ -156,7 +141,7 @@ def test_another_python_environment_records_the_new_side(plan, tmp_path):
 )
 def test_options_that_make_no_sense_are_refused(plan, tmp_path, options, message):
     done = sweep(plan(3), "--out", tmp_path / "runs", *options)
-    assert (done.returncode, done.stdout) == (2, "")
+    assert (done.status, done.stdout) == (2, "")
     assert message in done.stderr
     assert not (tmp_path / "runs").exists()
 

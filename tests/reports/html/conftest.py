@@ -1,4 +1,6 @@
-"""One browser and one set of pages for all browser tests of a worker."""
+"""One browser, one tab and one set of pages for all browser tests of a worker."""
+
+from functools import cache
 
 import pytest
 from page_reader import EVERY_PAGE, Reader, open_browser
@@ -15,23 +17,52 @@ def chromium():
 
 
 @pytest.fixture(scope="session")
-def pages(tmp_path_factory):
-    """Name of an analysis -> the report's file."""
-    folder = tmp_path_factory.mktemp("pages")
-    written = {}
+def show(tmp_path_factory):
+    """Puts a page where readers find all of them: a browser compiles a script again that stands at another address."""
+    path = tmp_path_factory.mktemp("pages") / "page.html"
 
-    def page_of(name):
-        if name not in written:
-            path = folder / f"{name.replace(' ', '_')}.html"
-            path.write_text(load_reporter("html").render(Book(EVERY_PAGE[name]())), encoding="utf-8")
-            written[name] = path.as_uri()
-        return written[name]
+    def address_of(page):
+        path.write_text(page, encoding="utf-8")
+        return path.as_uri()
 
-    return page_of
+    return address_of
+
+
+@pytest.fixture(scope="session")
+def pages(show):
+    """Name of an analysis -> the address of its report, until the next is asked for."""
+    rendered = cache(lambda name: load_reporter("html").render(Book(EVERY_PAGE[name]())))
+    return lambda name: show(rendered(name))
+
+
+@pytest.fixture(scope="session")
+def tab(chromium):
+    """The tab that the readers share."""
+    return chromium.new_page()
 
 
 @pytest.fixture
-def reader(chromium):
-    one = Reader(chromium)
-    yield one
-    one.tab.context.close()
+def new_tab(chromium):
+    """A tab of the test's own, for what stays with a tab."""
+    context = chromium.new_context()
+    yield context.new_page()
+    context.close()
+
+
+@pytest.fixture
+def read_with(tab):
+    """Makes the reader of the test: with what window, and with which colours."""
+    readers = []
+
+    def begin(**options):
+        readers.append(Reader(tab, **options))
+        return readers[-1]
+
+    yield begin
+    for one in readers:
+        one.leave()
+
+
+@pytest.fixture
+def reader(read_with):
+    return read_with()

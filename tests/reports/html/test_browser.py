@@ -121,10 +121,10 @@ def test_a_link_within_the_page_keeps_the_view_and_opens_its_finding(reader, pag
 
 @pytest.mark.parametrize("viewport", [(1280, 800), (390, 844)])
 def test_the_first_screen_says_what_was_measured_what_came_out_and_what_is_doubtful(
-    chromium, pages, viewport
+    read_with, pages, viewport
 ):
     width, height = viewport
-    one = Reader(chromium, viewport={"width": width, "height": height})
+    one = read_with(viewport={"width": width, "height": height})
     tab = one.open(pages("small campaign"))
     seen = [".headline", ".counts .warning", ".counts .info", ".brief" if width < 960 else ".measured dl"]
     for part in seen:
@@ -132,10 +132,9 @@ def test_the_first_screen_says_what_was_measured_what_came_out_and_what_is_doubt
         assert box is not None, part
         assert box["y"] + box["height"] <= height, part
     assert tab.evaluate("document.documentElement.scrollWidth") <= width, "nothing sticks out to the side"
-    tab.context.close()
 
 
-def test_a_recommendation_stands_first_and_does_not_stick_out_on_a_phone(chromium, tmp_path):
+def test_a_recommendation_stands_first_and_does_not_stick_out_on_a_phone(read_with, show):
     analysis = EVERY_ANALYSIS["small campaign"]()
     rows = [(ns, 5000 + place * 100) for place, ns in enumerate((MS, 40 * MS))]
     frame = pl.concat(
@@ -148,15 +147,13 @@ def test_a_recommendation_stands_first_and_does_not_stick_out_on_a_phone(chromiu
     )
     recommendation = recommend_settings(frame, Job("binary", 33_000, 10.0, 50 * MS, 0.9))
     details = replace(analysis.details, recommendation=recommendation)
-    path = tmp_path / "advice.html"
-    path.write_text(load_reporter("html").render(Book(replace(analysis, details=details))), encoding="utf-8")
-    one = Reader(chromium, viewport={"width": 390, "height": 844})
-    tab = one.open(path.as_uri())
+    page = load_reporter("html").render(Book(replace(analysis, details=details)))
+    one = read_with(viewport={"width": 390, "height": 844})
+    tab = one.open(show(page))
     assert "the deadline of 50 ms" in tab.locator(".headline").first.inner_text()
     assert tab.locator(".advice tbody tr").count() == 2
     assert tab.locator(".advice .fit").all_inner_texts() == ["meets", "misses"]
     assert tab.evaluate("document.documentElement.scrollWidth") <= 390
-    tab.context.close()
 
 
 def test_an_address_with_nonsense_shows_everything(reader, pages):
@@ -182,7 +179,7 @@ def test_metric_and_statistic_change_the_numbers(reader, pages):
 
 
 @pytest.fixture(scope="module")
-def lossy_page(tmp_path_factory):
+def lossy_report():
     """A base of 40 messages, all back; through a bridge 30 of 40 sent came back and 10 more never left."""
     ramp = [MS + 10_000 * number for number in range(40)]
     bridged = [*ramp[:30], *["lost_return"] * 10]
@@ -192,9 +189,12 @@ def lossy_page(tmp_path_factory):
     analysis = make_analysis(
         Measured(ramp), Measured(bridged, bridge="builtin", domain_mode="different", unsent=10), *others
     )
-    path = tmp_path_factory.mktemp("lossy") / "lossy.html"
-    path.write_text(load_reporter("html").render(Book(analysis)), encoding="utf-8")
-    return path.as_uri()
+    return load_reporter("html").render(Book(analysis))
+
+
+@pytest.fixture
+def lossy_page(show, lossy_report):
+    return show(lossy_report)
 
 
 def drawn(reader, name):
@@ -332,8 +332,8 @@ def test_page_and_python_write_numbers_alike(reader, pages):
     assert tab.evaluate("[formatNs(null), formatRatio(null), formatCount(null)]") == ["-", "-", "-"]
 
 
-def test_dark_follows_the_system_and_the_button(chromium, pages):
-    one = Reader(chromium, color_scheme="dark")
+def test_dark_follows_the_system_and_the_button(read_with, pages):
+    one = read_with(color_scheme="dark")
     tab = one.open(pages("small campaign"))
     ground = "getComputedStyle(document.body).backgroundColor"
     dark = tab.evaluate(ground)
@@ -341,7 +341,6 @@ def test_dark_follows_the_system_and_the_button(chromium, pages):
     assert tab.evaluate(ground) != dark
     assert tab.locator("#theme").get_attribute("aria-pressed") == "false"
     assert one.complaints == []
-    tab.context.close()
 
 
 def test_print_has_every_figure(reader, pages):
@@ -369,8 +368,8 @@ def test_print_has_every_figure(reader, pages):
         ),
     ],
 )
-def test_axe_finds_nothing_against_wcag_aa(chromium, pages, name, scheme, width):
-    one = Reader(chromium, color_scheme=scheme, viewport={"width": width, "height": 900})
+def test_axe_finds_nothing_against_wcag_aa(read_with, pages, name, scheme, width):
+    one = read_with(color_scheme=scheme, viewport={"width": width, "height": 900})
     tab = one.open(pages(name))
     one.draw_all()
     tab.evaluate(
@@ -379,7 +378,6 @@ def test_axe_finds_nothing_against_wcag_aa(chromium, pages, name, scheme, width)
     )
     # Not inside the plots: each has a label and a table, and thousands of marks that axe has no rule for.
     assert violations(tab, "{exclude: ['.plot svg']}") == []
-    tab.context.close()
 
 
 def violations(tab, where):
@@ -397,20 +395,19 @@ def violations(tab, where):
 @pytest.mark.parametrize("name", ["lossy machine", "study"])
 @pytest.mark.parametrize(("scheme", "width"), [("light", 1360), ("dark", 420)])
 def test_axe_finds_nothing_in_the_first_screen_of_a_campaign_with_losses(
-    chromium, pages, name, scheme, width
+    read_with, pages, name, scheme, width
 ):
-    one = Reader(chromium, color_scheme=scheme, viewport={"width": width, "height": 900})
+    one = read_with(color_scheme=scheme, viewport={"width": width, "height": 900})
     tab = one.open(pages(name))
     tab.evaluate("for (const details of document.querySelectorAll('.first details')) details.open = true")
     assert violations(tab, "{include: ['.first']}") == []
     assert tab.evaluate("document.documentElement.scrollWidth") <= width, "nothing sticks out to the side"
     assert tab.locator(".sizes .lost").count() > 0
     assert tab.locator(".headline").inner_text().partition(" % of the messages never came back")[1]
-    tab.context.close()
 
 
 @pytest.mark.parametrize(("scheme", "width"), [("light", 1360), ("dark", 420)])
-def test_the_page_of_a_comparison_is_as_clean_and_keeps_the_theme(chromium, tmp_path, scheme, width):
+def test_the_page_of_a_comparison_is_as_clean_and_keeps_the_theme(read_with, tmp_path, scheme, width):
     places = {"bridge": "builtin", "domain_mode": "different"}, {"payload_bytes": 7}
     base, new = (
         pl.concat([in_runs([MS, None, MS], **places[0]), *(in_runs([ms] * 40, **one) for one in places)])
@@ -419,7 +416,7 @@ def test_the_page_of_a_comparison_is_as_clean_and_keeps_the_theme(chromium, tmp_
     found = compare_roundtrips(base, new)
     path = tmp_path / "compared.html"
     path.write_text(page.render(comparison_info(found), "main → branch"), encoding="utf-8")
-    one = Reader(chromium, color_scheme=scheme, viewport={"width": width, "height": 900})
+    one = read_with(color_scheme=scheme, viewport={"width": width, "height": 900})
     one.tab.goto(path.as_uri())
     tab = one.tab
     tab.evaluate("for (const details of document.querySelectorAll('details')) details.open = true")
@@ -431,11 +428,10 @@ def test_the_page_of_a_comparison_is_as_clean_and_keeps_the_theme(chromium, tmp_
     tab.locator("#theme").click()
     assert tab.evaluate(ground) != before
     assert (one.complaints, one.requests) == ([], [path.as_uri()])
-    tab.context.close()
 
 
-def test_pictures_have_the_widths_of_print_on_white_in_any_theme(chromium, pages):
-    one = Reader(chromium, color_scheme="dark")
+def test_pictures_have_the_widths_of_print_on_white_in_any_theme(read_with, pages):
+    one = read_with(color_scheme="dark")
     tab = one.open(pages("small campaign"))
     for width, mm in (("column", 84), ("page", 174)):
         tab.locator("#save-width").select_option(width)
@@ -457,7 +453,6 @@ def test_pictures_have_the_widths_of_print_on_white_in_any_theme(chromium, pages
     assert abs(int.from_bytes(png[16:20], "big") - 174 / 25.4 * 600) < 10, "600 dots an inch"
     assert tab.evaluate("document.documentElement.dataset.theme") == "dark"
     assert one.complaints == []
-    tab.context.close()
 
 
 def test_a_picture_as_pdf_is_a_page_of_its_size(reader, pages):
@@ -542,7 +537,7 @@ def test_a_campaign_of_the_paper_paints_within_two_seconds(chromium, pages):
     """The bar of the page itself; up to three tries, since other programs share the machine."""
     painted_ms = []
     while len(painted_ms) < 3 and min(painted_ms, default=2000) >= 2000:
-        one = Reader(chromium)
+        one = Reader(chromium.new_page())
         one.tab.goto(pages("500 groups"))
         painted_ms.append(one.tab.evaluate(FIRST_PAINT))
         one.tab.context.close()

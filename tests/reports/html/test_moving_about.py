@@ -16,8 +16,8 @@ new PerformanceObserver(list => {
 
 
 @pytest.mark.parametrize("name", ["demo", "lossy machine"])
-def test_links_land_where_they_say_and_nothing_shifts(chromium, pages, name):
-    one = Reader(chromium)
+def test_links_land_where_they_say_and_nothing_shifts(new_tab, pages, name):
+    one = Reader(new_tab)
     one.tab.add_init_script(SHIFTS)
     tab = one.open(pages(name))
     height = tab.evaluate("document.documentElement.scrollHeight")
@@ -33,7 +33,6 @@ def test_links_land_where_they_say_and_nothing_shifts(chromium, pages, name):
     assert abs(tab.evaluate("document.documentElement.scrollHeight") - height) < 100
     assert tab.evaluate("window.shifted") < 0.05
     assert one.complaints == []
-    tab.context.close()
 
 
 @pytest.mark.parametrize("name", ["demo", "lossy machine"])
@@ -114,8 +113,8 @@ def test_a_mark_a_tile_a_row_a_finding_and_the_headline_open_their_group(reader,
     assert reader.complaints == []
 
 
-def test_the_theme_is_remembered_where_the_browser_allows_it(chromium, pages):
-    one = Reader(chromium, color_scheme="light")
+def test_the_theme_is_remembered_where_the_browser_allows_it(new_tab, pages):
+    one = Reader(new_tab, color_scheme="light")
     tab = one.open(pages("demo"))
     tab.locator("#theme").click()
     allowed = tab.evaluate("remembered()") == "dark"
@@ -124,7 +123,6 @@ def test_the_theme_is_remembered_where_the_browser_allows_it(chromium, pages):
     tab.evaluate("Object.defineProperty(window, 'localStorage', { get() { throw new Error('refused'); } })")
     assert tab.evaluate("remembered('light')") is None
     assert one.complaints == []
-    tab.context.close()
 
 
 def test_a_narrower_window_draws_narrower_figures(reader, pages):
@@ -189,12 +187,11 @@ def test_what_is_seen_answers_before_the_rest_is_drawn(reader, pages):
     assert 0 < drawn < rows / 3
 
 
-def test_a_browser_that_cannot_unpack_says_so(chromium, pages):
-    one = Reader(chromium)
+def test_a_browser_that_cannot_unpack_says_so(new_tab, pages):
+    one = Reader(new_tab)
     one.tab.add_init_script("delete window.DecompressionStream")
     one.tab.goto(pages("demo"))
     said = one.tab.locator("#cannot-unpack")
     said.wait_for()
     assert "browser of 2023 or later" in said.inner_text()
     assert one.tab.locator(".sizes").count() == 1, "the answer and its table need no script"
-    one.tab.context.close()

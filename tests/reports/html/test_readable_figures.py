@@ -2,7 +2,6 @@
 
 import pytest
 from four_campaigns import CAMPAIGNS
-from page_reader import Reader
 
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.figures.comparison import domain_difference_info
@@ -188,11 +187,10 @@ def test_a_few_groups_are_one_chart(reader, pages):
 
 
 @pytest.mark.parametrize(("width", "most"), [(1360, 7_000), (390, 12_000)])
-def test_a_page_of_126_groups_is_no_longer_than_it_has_to_be(chromium, pages, width, most):
-    one = Reader(chromium, viewport={"width": width, "height": 900})
+def test_a_page_of_126_groups_is_no_longer_than_it_has_to_be(read_with, pages, width, most):
+    one = read_with(viewport={"width": width, "height": 900})
     tab = one.open(pages("lossy machine"))
     one.draw_all()
     tab.evaluate("showGroups()")
     assert tab.evaluate("document.documentElement.scrollHeight") <= most
     assert tab.evaluate("document.documentElement.scrollWidth") <= width
-    tab.context.close()

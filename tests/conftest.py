@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import fcntl
 import os
+import shutil
 import tempfile
 import uuid
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import kept
 import pytest
 from hypothesis import settings
 from shared_memory import middleware_files, remove_orphans
@@ -94,13 +96,19 @@ class ToldAtOnce:
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """Note the shared-memory files of others; tell of failures where there is a terminal, which no worker has."""
+    """Note the shared-memory files of others; tell of failures where there is a terminal, which no worker has.
+
+    Before the workers start, which have the environment of this process.
+    """
     session.config.stash[_SHM_BEFORE] = middleware_files()
+    if not hasattr(session.config, "workerinput"):
+        os.environ[kept.VARIABLE] = tempfile.mkdtemp(prefix="dds-trace-kept-")
     if terminal := session.config.pluginmanager.get_plugin("terminalreporter"):
         session.config.pluginmanager.register(ToldAtOnce(terminal))
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Remove what killed processes left, once all workers are done."""
+    """Remove what was kept and what killed processes left, once all workers are done."""
     if not hasattr(session.config, "workerinput"):
+        shutil.rmtree(os.environ.pop(kept.VARIABLE), ignore_errors=True)
         remove_orphans(session.config.stash[_SHM_BEFORE])

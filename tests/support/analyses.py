@@ -11,6 +11,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import polars as pl
+from kept import kept
 from roundtrip_frames import rows_by_group
 
 from dds_trace import Analysis, Details, Finding, Severity, Source
@@ -764,7 +765,7 @@ EVERY_ANALYSIS = {
     "ping without relay": cache(ping_without_relay),
     "nothing came back": cache(nothing_came_back),
     "hostile strings": cache(hostile),
-    "small campaign": cache(small_campaign),
+    "small campaign": kept(small_campaign),
     "over a lossy wire": cache(over_a_lossy_wire),
-    "500 groups": cache(five_hundred_groups),
+    "500 groups": kept(five_hundred_groups),
 }

@@ -29,7 +29,7 @@ from dds_trace.tracefile.units.quantities import format_quantity
 from dds_trace.tracefile.units.rates import format_rate
 from dds_trace.tracefile.visible import visible
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.timeout(300)]  # whoever opens a campaign first makes it
 
 BYTES_PER_S = {"GB/s": 1e9, "MB/s": 1e6, "KB/s": 1e3, "B/s": 1}
 

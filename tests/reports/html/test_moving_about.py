@@ -5,7 +5,7 @@ import re
 import pytest
 from page_reader import Reader
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.timeout(300)]  # whoever opens a campaign first makes it
 
 SHIFTS = """
 window.shifted = 0;

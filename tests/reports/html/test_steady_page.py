@@ -2,9 +2,8 @@
 
 import pytest
 from four_campaigns import CAMPAIGNS
-from page_reader import Reader
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.timeout(300)]  # whoever opens a campaign first makes it
 
 HEIGHTS = """() => blocks.flatMap(({name, rows, plot}) => rows.map(({layout}, place) => {
     const row = plot.children[place];
@@ -25,10 +24,10 @@ DRAWN = """async () => {
 
 
 @pytest.mark.parametrize("name", CAMPAIGNS)
-def test_every_figure_is_as_high_as_its_room(chromium, pages, name):
+def test_every_figure_is_as_high_as_its_room(read_with, pages, name):
     """Also of what is folded: `clientHeight` is 0 there, and the room is the planned one when it is opened."""
     for width in (1360, 390) if name == "lossy machine" else (1360,):
-        one = Reader(chromium, viewport={"width": width, "height": 900})
+        one = read_with(viewport={"width": width, "height": 900})
         tab = one.open(pages(name))
         tab.evaluate("for (const block of blocks) block.plan()")
         before = tab.evaluate("document.documentElement.scrollHeight")
@@ -37,7 +36,6 @@ def test_every_figure_is_as_high_as_its_room(chromium, pages, name):
         assert len(heights) > 5
         assert [one for one in heights if not one[1] == one[2] == one[3]] == []
         assert tab.evaluate("document.documentElement.scrollHeight") == before
-        tab.context.close()
 
 
 @pytest.mark.parametrize("name", ["lossy machine", "500 groups"])

@@ -31,16 +31,20 @@ const END_STEP = 12;      // px between two labels at line ends
 function gridOf(panels, width, { minWidth = 300, height = 215, yTitle = "", left = 62, right = 16, below = 40, columns = 0, all = true } = {}) {
   const colors = theme();
   const shown = all ? panels : panels.slice(0, MOST_PANELS);
-  const together = shown.every((panel) => panel.share !== undefined && panel.share === shown[0].share);
   const inner = Math.max(160, width - left - right);
-  const perRow = (gap) => Math.max(1, Math.min(shown.length, Math.floor((inner + gap) / (minWidth + gap))));
-  let gapX = together ? 16 : 58;
-  const fits = perRow(gapX);
-  const rows = Math.ceil(shown.length / fits);
-  const beside = columns && columns <= fits ? columns * Math.max(1, Math.floor(fits / columns)) : Math.ceil(shown.length / rows) || 1;
-  const wide = Math.min(beside, shown.length) || 1;
-  const shares = (place) => place % wide > 0 && shown[place].share !== undefined && shown[place].share === shown[place - 1].share;
-  if (shown.every((_, place) => place % wide === 0 || shares(place))) gapX = 16;
+  const wideBy = (gap) => {
+    const fits = Math.max(1, Math.min(shown.length, Math.floor((inner + gap) / (minWidth + gap))));
+    const rows = Math.ceil(shown.length / fits);
+    const beside = columns && columns <= fits ? columns * Math.max(1, Math.floor(fits / columns)) : Math.ceil(shown.length / rows) || 1;
+    return Math.min(beside, shown.length) || 1;
+  };
+  const shared = (wide, place) => place % wide > 0 && shown[place].share !== undefined && shown[place].share === shown[place - 1].share;
+  // Close together if the panels of each row share their axis. How many stand in a row must not follow from that where axes are
+  // shared at all: on a log axis all panels do, on a linear one those of a row, and the figure would change its height with the scale.
+  const close = wideBy(16);
+  const gapX = shown.every((_, place) => place % close === 0 || shared(close, place)) ? 16 : 58;
+  const wide = shown.every((panel) => panel.share !== undefined) ? close : wideBy(gapX);
+  const shares = (place) => shared(wide, place);
   const panelWidth = (inner - (wide - 1) * gapX) / wide;
   const gapTop = 26;
   const heights = [];   // of the plots in each row, px

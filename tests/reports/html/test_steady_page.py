@@ -38,6 +38,14 @@ def test_every_figure_is_as_high_as_its_room(read_with, pages, name):
         assert tab.evaluate("document.documentElement.scrollHeight") == before
 
 
+@pytest.mark.parametrize("name", ["study", "500 groups"])
+def test_a_scale_changes_no_height(reader, pages, name):
+    tab = reader.open(pages(name))
+    heights = """scale => { view.scale = scale; return blocks.map(block => { block.spoil(); block.plan();
+        return [block.name, block.rows.map(({layout}) => layout.height)]; }); }"""
+    assert tab.evaluate(heights, "linear") == tab.evaluate(heights, "log")
+
+
 @pytest.mark.parametrize("name", ["lossy machine", "500 groups"])
 def test_a_change_draws_the_rows_in_sight_and_no_other(reader, pages, name):
     tab = reader.open(pages(name))

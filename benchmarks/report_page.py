@@ -127,7 +127,7 @@ class Figures:
 
 def measured(browser: Any, campaign: str, path: Path) -> Figures:
     """Open a page in Chromium and measure it."""
-    one = Reader(browser)
+    one = Reader(browser.new_page())
     one.tab.add_init_script(SHIFTS)
     tab = one.open(path.as_uri())
     tab.wait_for_timeout(1000)
@@ -152,7 +152,7 @@ def measured(browser: Any, campaign: str, path: Path) -> Figures:
     shift = tab.evaluate("window.shifted")
     messages = one.complaints
     tab.context.close()
-    narrow = Reader(browser, viewport={"width": 390, "height": 844})
+    narrow = Reader(browser.new_page(), viewport={"width": 390, "height": 844})
     narrow.open(path.as_uri()).wait_for_timeout(1000)
     phone = narrow.tab.evaluate(_HEIGHT)
     narrow.tab.context.close()
@@ -189,7 +189,7 @@ def violations(browser: Any, path: Path) -> Iterator[str]:
         yield "axe-core is not here (pip install axe-playwright-python)"
         return
     for look in ("light", "dark", "paper"):
-        one = Reader(browser, color_scheme="dark" if look == "dark" else "light")
+        one = Reader(browser.new_page(), color_scheme="dark" if look == "dark" else "light")
         tab = one.open(path.as_uri())
         if look == "light":  # plots look alike to axe, which leaves them out; paper draws all itself
             one.draw_all()

@@ -19,7 +19,6 @@ import contextlib
 import importlib.util
 import io
 import json
-import os
 import shutil
 import sys
 import tempfile
@@ -214,13 +213,16 @@ def firefox() -> Iterator[Callable[[Path], tuple[str, ...] | None]]:
     if program is None or importlib.util.find_spec("marionette_driver") is None:
         yield lambda _: None
         return
-    with contextlib.redirect_stdout(
+    quiet = contextlib.redirect_stdout(
         io.TextIOWrapper(io.BytesIO())
-    ):  # its helpers tell Firefox's version there
+    )  # its helpers tell Firefox's version there
+    with tempfile.TemporaryDirectory() as folder, quiet:
         from marionette_driver.marionette import Marionette  # noqa: PLC0415 - an extra of its own
         from marionette_driver.wait import Wait  # noqa: PLC0415
 
-        client = Marionette(bin=program, headless=True, startup_timeout=180, gecko_log=os.devnull)
+        # A file of our own: Marionette removes the one it is given, /dev/null too where it may.
+        log = Path(folder, "firefox.log")
+        client = Marionette(bin=program, headless=True, startup_timeout=180, gecko_log=str(log))
         client.start_session()
     client.timeout.script = client.timeout.page_load = 300
 

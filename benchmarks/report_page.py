@@ -55,6 +55,7 @@ new PerformanceObserver(list => {
     for (const entry of list.getEntries()) if (!entry.hadRecentInput) window.shifted += entry.value;
 }).observe({type: "layout-shift", buffered: true});
 """
+TAKE_SHIFTED = "[window.shifted, window.shifted = 0][0]"
 # From the event to the first task after the frame that shows what it changed.
 ANSWER = """async ([id, value]) => {
     const select = document.getElementById(id);
@@ -135,20 +136,22 @@ def measured(browser: Any, campaign: str, path: Path) -> Figures:
     thread = tab.context.new_cdp_session(tab)
     thread.send("Performance.enable", {"timeDomain": "threadTicks"})
     yardstick = min(_worked_ms(tab, thread, YARDSTICK)[1] for _ in range(5))
-    worst = 0.0
+    worst, shift = 0.0, 0.0
     for place in range(0, tall, 700):
         tab.evaluate(f"scrollTo(0, {place})")
         tab.wait_for_timeout(300)
         fastest = [float("inf")] * len(CHANGES)
-        for _ in range(TRIES):
+        for turn in range(TRIES):
             fastest = [
                 min(best, *_worked_ms(tab, thread, ANSWER, list(each)))
                 for best, each in zip(fastest, CHANGES, strict=True)
             ]
+            tab.wait_for_timeout(50)  # what a frame has shifted is told behind it
+            shifted = tab.evaluate(TAKE_SHIFTED)
+            shift += shifted if turn == 0 else 0.0  # the same changes again are no more of the page
             if max(fastest) <= worst:
                 break
         worst = max(worst, *fastest)
-    shift = tab.evaluate("window.shifted")
     messages = one.complaints
     tab.context.close()
     narrow = Reader(browser.new_page(), viewport={"width": 390, "height": 844})

@@ -73,3 +73,15 @@ def test_columns_are_at_once_as_wide_as_all_their_rows_need(reader, pages, name)
     tab.evaluate("for (const room of document.querySelectorAll('#groups-table .room')) room.remove()")
     assert all(abs(now - then) <= 3 for now, then in zip(tab.evaluate(widths), first, strict=True))
     assert reader.complaints == []
+
+
+def test_the_buttons_of_a_figure_stay_where_they_are_whatever_its_note_says(reader, pages):
+    """The percentile whose bars cannot be drawn brings a note; the median has none."""
+    tab = reader.open(pages("500 groups"))
+    places = """statistic => { change(() => { view.statistic = statistic; }); for (const block of blocks) block.plan();
+        return [...document.querySelectorAll("#figure-domain_difference .actions > :not(.note)")].map(one => one.offsetLeft); }"""
+    notes = "document.querySelector('#figure-domain_difference .note').textContent"
+    median = tab.evaluate(places, "p50")
+    assert tab.evaluate(notes) == ""
+    assert tab.evaluate(places, "p90") == median
+    assert "never came" in tab.evaluate(notes)

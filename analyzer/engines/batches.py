@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from itertools import pairwise
 from sys import getsizeof
 from typing import TYPE_CHECKING
+from zlib import crc32
 
 import numpy as np
 
 from ..groups.batch import Batch
-from ..groups.frames import frames_of
+from ..groups.frames import detail_frames, summary_frames
 from ..groups.measure import measure_batch, metric_values
 from ..loading.events import merge_parts
 from ..model.metrics import METRICS
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from ..loading.events import Copies, EventKey, EventPart
     from ..pairing.exchanges import Exchange
     from ..pairing.roundtrips import RoundTrips
+    from .known_details import KnownDetails
 
 BATCH_EVENTS = 1_000_000
 """Events of a batch, unless one group alone has more: a hundred megabytes while it is worked at. Of a campaign of few
@@ -40,7 +42,11 @@ WHOLE_GROUP_EVENTS = 8_000_000
 
 
 def plan_batches(grouping: Grouping, wanted: Wanted) -> list[Batch]:
-    """Return batches of whole groups, in their order; a group too large for one comes in parts of whole runs."""
+    """Return batches of whole groups, in their order; a group too large for one comes in parts of whole runs.
+
+    Some groups end their batch though it is not full, chosen by their parameters and events alone: so a new run changes few
+    batches beside its own, and the details of the others are known (`known_details.py`).
+    """
     exchanges, groups = grouping.exchanges, grouping.group_of_exchange
     events_before = np.cumsum([0, *(sum(exchange.counts) for exchange in exchanges)]).tolist()
 
@@ -50,6 +56,7 @@ def plan_batches(grouping: Grouping, wanted: Wanted) -> list[Batch]:
     spans: list[
         tuple[int, int, bool]
     ] = []  # first exchange, the one behind the last, whether of whole groups
+    parameters, last_first = grouping.parameters.rows(), 0
     edges = [0, *(np.flatnonzero(np.diff(groups)) + 1).tolist(), len(exchanges)]
     for first, after in pairwise(edges):
         if (
@@ -57,14 +64,25 @@ def plan_batches(grouping: Grouping, wanted: Wanted) -> list[Batch]:
             and len({e.run.run_id for e in exchanges[first:after]}) > 1
         ):
             spans += ((*part, False) for part in _parts_of_group(exchanges, first, after, events))
-        elif spans and spans[-1][2] and events(spans[-1][0], after) <= BATCH_EVENTS:
+        elif (
+            spans
+            and spans[-1][2]
+            and events(spans[-1][0], after) <= BATCH_EVENTS
+            and not _ends_batch(parameters[groups[first - 1]], events(last_first, first))
+        ):
             spans[-1] = (spans[-1][0], after, True)
         else:
             spans.append((first, after, True))
+        last_first = first
     return [
         Batch(exchanges[first:after], groups[first:after], len(exchanges), whole, wanted)
         for first, after, whole in spans
     ]
+
+
+def _ends_batch(parameters: tuple[object, ...], events: int) -> bool:
+    """Return whether a batch ends behind this group: one in as many as fill it, by what looks like chance and is none."""
+    return crc32(repr(parameters).encode()) < (events << 32) // BATCH_EVENTS
 
 
 def _parts_of_group(
@@ -111,20 +129,26 @@ class BatchResult:
         return object.__sizeof__(self) + rows + sum(map(getsizeof, (self.values or {}).values()))
 
 
-def work_at(batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]]) -> BatchResult:
+def work_at(
+    batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]], known: KnownDetails | None = None
+) -> BatchResult:
     """Pair and measure a batch.
 
     Args:
         batch: the batch.
         parts: for each of its `event_keys` the rows of the event index, traces in rising order.
+        known: the details that earlier analyses have made.
     """
     copies, roundtrips = _pair(batch, parts)
     values = None
     if batch.wanted.rows and not batch.whole:
         exchanges = len(batch.exchanges)
         values = {metric: metric_values(roundtrips, metric, 0, exchanges) for metric in METRICS}
+    frames = summary_frames(batch, roundtrips)
+    if batch.wanted.details:
+        frames |= known.frames_of(batch, parts, roundtrips) if known else detail_frames(batch, roundtrips)
     return BatchResult(
-        frames=frames_of(batch, roundtrips),
+        frames=frames,
         counts=roundtrips.counts,
         statistics=measure_batch(roundtrips, batch.group_of_exchange),
         copies=copies,

@@ -13,6 +13,7 @@ from ..loading.cache import TraceCache
 from ..loading.campaign import load_campaign
 from ..loading.shelf import TraceShelf
 from .batches import work_at
+from .known_details import KnownDetails
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
@@ -44,11 +45,12 @@ class LocalEngine:
     """This machine as an `Engine`.
 
     Args:
-        cache: whether the user's cache keeps events for the next analysis.
+        cache: whether the user's cache keeps events and details for the next analysis.
     """
 
     def __init__(self, *, cache: bool) -> None:
-        self._shelf = TraceShelf(TraceCache.open() if cache else None)
+        self._cache = TraceCache.open() if cache else None
+        self._shelf = TraceShelf(self._cache)
 
     def load(self, place: Place, skip: Collection[Path], progress: Progress | None) -> Campaign:
         """Read every trace that is not in the cache."""
@@ -57,8 +59,14 @@ class LocalEngine:
     def work(self, batches: Sequence[Batch], index: EventIndex) -> Iterator[BatchResult]:
         """Yield the results of the batches, worked at on all cores; one batch waits in memory for its turn."""
         workers = min(_MOST_WORKERS, len(os.sched_getaffinity(0)))
+        known = KnownDetails(self._cache, self._shelf.keys) if self._cache else None
         jobs = (
-            (1, partial(work_at, batch, {key: index[key] for key in batch.event_keys() if key in index}))
+            (
+                1,
+                partial(
+                    work_at, batch, {key: index[key] for key in batch.event_keys() if key in index}, known
+                ),
+            )
             for batch in batches
         )
         with ThreadPoolExecutor(workers, thread_name_prefix="analyze") as pool:

@@ -47,10 +47,14 @@ DETAIL_MAKERS: Mapping[str, Maker] = {
 """The same for frames that take more time than rows and summary together: made only where they are asked for."""
 
 
-def frames_of(batch: Batch, roundtrips: RoundTrips) -> Frames:
-    """Make every frame of one batch that is asked for."""
-    makers = {**MAKERS, **DETAIL_MAKERS} if batch.wanted.details else MAKERS
-    return {name: make(batch, roundtrips) for name, make in makers.items()}
+def summary_frames(batch: Batch, roundtrips: RoundTrips) -> Frames:
+    """Make the frames of one batch that every analysis has."""
+    return {name: make(batch, roundtrips) for name, make in MAKERS.items()}
+
+
+def detail_frames(batch: Batch, roundtrips: RoundTrips) -> Frames:
+    """Make the frames of one batch that take time; they depend on its exchanges, their events and the deadline alone."""
+    return {name: make(batch, roundtrips) for name, make in DETAIL_MAKERS.items()}
 
 
 def concatenate_frames(parts: Sequence[Frames]) -> Frames:

@@ -1,11 +1,12 @@
-"""The cache of read traces: in the user's own cache folder, sealed with a key that only this user has.
+"""The cache of read traces, and of what was made of them: in the user's own cache folder, sealed with a key that only this user has.
 
     $XDG_CACHE_HOME/dds-trace/traces/KEY.json     the seal of the entry, then the trace without its events as JSON
     $XDG_CACHE_HOME/dds-trace/traces/KEY.events   its events (`analyzer/loading/event_store.py`)
+    $XDG_CACHE_HOME/dds-trace/traces/KEY.details  sealed frames (`analyzer/engines/known_details.py`)
     $XDG_STATE_HOME/dds-trace/cache-key           32 random bytes
 
-KEY is the HMAC-SHA-256 of the trace's content. The seal is the HMAC of KEY and of the JSON, which holds the HMACs of the
-events. So an entry that somebody else wrote, or that was written for another trace, or that a disk has damaged, is not
+KEY is the HMAC-SHA-256 of the trace's content, or of all that the frames are made of. The seal is the HMAC of KEY and of what
+follows it; the JSON holds the HMACs of the events. So an entry that somebody else wrote, or that was written for another trace, or that a disk has damaged, is not
 used: the trace is read again. The key is not kept beside the entries, because caches are copied (a CI server restores
 them) and what comes with a copy must not vouch for it.
 
@@ -48,8 +49,11 @@ time are removed."""
 MOST_TEXT_BYTES = 256 << 20
 """Largest JSON of an entry; a trace with more descriptions than that is read anew each time."""
 
-_NAME = re.compile(r"([0-9a-f]{64})\.(json|events)(\.[0-9a-f]{8}\.part)?")
+_NAME = re.compile(r"([0-9a-f]{64})\.(json|events|details)(\.[0-9a-f]{8}\.part)?")
 """Names of the files of an entry, and of their drafts."""
+
+_WHOLE = ({"json", "events"}, {"details"})
+"""Endings of the files of one entry."""
 
 _KEY_BYTES = 32
 _SEAL_BYTES = 64  # hexadecimal digits
@@ -124,34 +128,38 @@ class TraceCache:
             digest.update(np.ascontiguousarray(column).data)
         return digest.hexdigest()
 
-    def write_text(self, key: str, text: str) -> None:
-        """Write the JSON of an entry, which makes it one; its events are there already.
+    def key_of_text(self, purpose: str, text: str) -> str:
+        """Return the key of what follows from a text alone."""
+        digest = self._hash(purpose.encode())
+        digest.update(text.encode())
+        return digest.hexdigest()
+
+    def write(self, key: str, ending: str, content: bytes, most_bytes: int = MOST_TEXT_BYTES) -> None:
+        """Write a sealed file of an entry; the JSON of a trace comes last, its events are there already.
 
         Raises:
             OSError: it cannot be written, or is too large for an entry.
         """
-        encoded = text.encode()
-        if len(encoded) > MOST_TEXT_BYTES:
-            raise OSError(f"{len(encoded)} bytes of descriptions are too many to keep")
-        with replacing(self.folder / f"{key}.json") as draft:
-            draft.write_bytes(self._seal(key, encoded) + encoded)
+        if len(content) > most_bytes:
+            raise OSError(f"{len(content)} bytes are too many to keep")
+        with replacing(self.folder / f"{key}.{ending}") as draft:
+            draft.write_bytes(self._seal(key, content) + content)
 
-    def read_text(self, key: str) -> bytes:
-        """Return the JSON of an entry as it was written, and note that the entry was used.
+    def read(self, key: str, ending: str, most_bytes: int = MOST_TEXT_BYTES) -> bytes:
+        """Return a sealed file of an entry as it was written, and note that the entry was used.
 
         Raises:
             OSError: there is no such entry.
-            ValueError: this user did not write it, or not so, or for another trace.
+            ValueError: this user did not write it, or not so, or for another key.
         """
-        path = self.folder / f"{key}.json"
-        with open_regular(path, follow_links=False) as stream:
-            if os.fstat(stream.fileno()).st_size > _SEAL_BYTES + MOST_TEXT_BYTES:
+        with open_regular(self.folder / f"{key}.{ending}", follow_links=False) as stream:
+            if os.fstat(stream.fileno()).st_size > _SEAL_BYTES + most_bytes:
                 raise ValueError("larger than an entry is")
-            seal, text = stream.read(_SEAL_BYTES), stream.read(MOST_TEXT_BYTES)
-            if not hmac.compare_digest(seal, self._seal(key, text)):
+            seal, content = stream.read(_SEAL_BYTES), stream.read(most_bytes)
+            if not hmac.compare_digest(seal, self._seal(key, content)):
                 raise ValueError("not sealed by this user")
             os.utime(stream.fileno())
-        return text
+        return content
 
     def close(self) -> None:
         """Close the cache; unless another analysis has it open, remove what is too much."""
@@ -179,8 +187,12 @@ class TraceCache:
             else:
                 entries.setdefault(matched[1], {})[matched[2]] = status
         left = min(MOST_BYTES, shutil.disk_usage(self._descriptor).total // 10)
-        whole = {key: files for key, files in entries.items() if len(files) == 2}
-        for key in sorted(whole, key=lambda key: whole[key]["json"].st_mtime_ns, reverse=True):
+        whole = {key: files for key, files in entries.items() if set(files) in _WHOLE}
+        used_ns = {
+            key: max(status.st_mtime_ns for ending, status in files.items() if ending != "events")
+            for key, files in whole.items()
+        }
+        for key in sorted(whole, key=used_ns.__getitem__, reverse=True):
             left -= sum(status.st_size for status in whole[key].values())
             if left >= 0:
                 del entries[key]
@@ -200,10 +212,10 @@ class TraceCache:
     def _hash(self, purpose: bytes) -> hmac.HMAC:
         return hmac.new(self._secret, purpose + b"\0", _DIGEST)
 
-    def _seal(self, key: str, text: bytes) -> bytes:
+    def _seal(self, key: str, content: bytes) -> bytes:
         digest = self._hash(b"entry")
         digest.update(key.encode() + b"\0")
-        digest.update(text)
+        digest.update(content)
         return digest.hexdigest().encode()
 
 

@@ -141,10 +141,14 @@ class TraceShelf:
 
     Args:
         cache: the open cache that keeps events for the next analysis, closed with the shelf; None keeps nothing.
+
+    Attributes:
+        keys: position of a trace that was loaded -> its key in the cache; empty without one.
     """
 
     def __init__(self, cache: TraceCache | None = None) -> None:
         self._cache = cache
+        self.keys: dict[int, str] = {}
         self._left = MOST_HELD_EVENTS
         self._spill: tempfile.TemporaryDirectory[str] | None = None
         # Writes while the next trace is read.
@@ -158,6 +162,8 @@ class TraceShelf:
             TraceFormatError: it is no trace.
         """
         key = self._cache.key_of(path) if self._cache else ""
+        if self._cache:
+            self.keys[position] = key
         if self._cache and (known := _known(self._cache, key, path, position)):
             return known
         loaded = load_trace(path, position)
@@ -225,7 +231,7 @@ def _keep(cache: TraceCache, key: str, loaded: LoadedTrace) -> LoadedTrace:
         for part, whole in zip(stored.parts.values(), loaded.parts.values(), strict=True)
         if isinstance(part.events, StoredEvents)
     ]
-    cache.write_text(key, json.dumps(_to_dict(stored, seals)))
+    cache.write(key, "json", json.dumps(_to_dict(stored, seals)).encode())
     return _sealed(stored, cache, seals)
 
 
@@ -259,7 +265,7 @@ class _Entry(TypedDict):
 def _known(cache: TraceCache, key: str, path: Path, position: int) -> LoadedTrace | None:
     """Return the entry of this content; None if the cache has none that can be used."""
     try:
-        entry: _Entry = json.loads(cache.read_text(key))
+        entry: _Entry = json.loads(cache.read(key, "json"))
         file = cache.events_path(key)
         if entry["format"] != _FORMAT or file.stat().st_size != entry["bytes"]:
             return None

@@ -26,7 +26,8 @@ def plan(*groups):
         for run_id, events in group
     )
     group_of_exchange = np.repeat(np.arange(len(groups), dtype=np.uint32), [len(group) for group in groups])
-    batches = plan_batches(Grouping(pl.DataFrame(), exchanges, group_of_exchange), Wanted())
+    parameters = pl.DataFrame({"payload_bytes": [1000 * number for number in range(len(groups))]})
+    batches = plan_batches(Grouping(parameters, exchanges, group_of_exchange), Wanted())
     place = {id(exchange): position for position, exchange in enumerate(exchanges)}
     assert {batch.all_exchanges for batch in batches} == {len(exchanges)}
     return batches, [
@@ -35,6 +36,13 @@ def plan(*groups):
     ]
 
 
+@pytest.fixture
+def full(monkeypatch):
+    """No group ends a batch that has room."""
+    monkeypatch.setattr(dds_trace.analyzer.engines.batches, "_ends_batch", lambda *_: False)
+
+
+@pytest.mark.usefixtures("full")
 def test_small_groups_share_a_batch_until_it_is_full():
     _, cut = plan([(1, 40), (2, 20)], [(3, 40)], [(4, 1)])
     assert cut == [([0, 1, 2], [0, 0, 1], True), ([3], [2], True)]
@@ -62,3 +70,26 @@ def test_a_group_too_large_comes_in_parts_of_whole_runs():
 def test_one_run_is_never_cut():
     _, cut = plan([(1, 500), (1, 500)])
     assert cut == [([0, 1], [0, 0], True)]
+
+
+@pytest.mark.parametrize("events", [1, 7, 20, 60])
+def test_a_new_run_changes_few_batches(events):
+    """Each batch that stays has its details known; full ones alone would shift all edges behind the new run."""
+    groups = [[(number, events)] for number in range(400)]
+    before = {tuple(of_batch) for of_batch, _, _ in plan(*groups)[1]}
+    changed = []
+    for grown in range(0, 400, 40):
+        more = [[*group, (1000, 3)] if number == grown else group for number, group in enumerate(groups)]
+        cut = plan(*more)[1]
+        # As positions of exchanges are shifted by the new one behind its group, in the numbers of before.
+        after = [tuple(place - (place > grown) for place in of_batch) for of_batch, _, _ in cut]
+        changed.append(sum(one not in before or grown in one for one in after))
+    assert max(changed) <= 8
+    assert sum(changed) / len(changed) <= 3
+    mean = 400 * events / len(before)
+    assert mean > 50  # of 100 that fill a batch
+
+
+def test_a_batch_ends_behind_groups_that_fill_one_as_often_as_they_do():
+    ends = sum(dds_trace.analyzer.engines.batches._ends_batch((number,), 10) for number in range(10_000))
+    assert 900 < ends < 1100

@@ -116,13 +116,13 @@ def test_the_least_recently_used_entries_leave_a_cache_that_is_full(tmp_path, tr
         write_runs(tmp_path / f"runs{number}", [number])
         analyze(tmp_path / f"runs{number}", cache=True)
     sizes = {path.name: path.stat().st_size for path in traces.iterdir()}
-    assert len(sizes) == 12
+    assert len(sizes) == 15
     for path in traces.iterdir():
         os.utime(path, (1, 1))
     monkeypatch.setattr(dds_trace.analyzer.loading.cache, "MOST_BYTES", sum(sizes.values()) // 3 + 64)
     analyze(tmp_path / "runs1", cache=True)
-    assert len(names_in(traces)) == 4
-    for path in traces.glob("*.json"):
+    assert len(names_in(traces)) == 5
+    for path in (*traces.glob("*.json"), *traces.glob("*.details")):
         assert path.stat().st_mtime > 1
 
 
@@ -130,7 +130,7 @@ def test_entries_stay_while_another_analysis_has_them_open(runs, traces, monkeyp
     other = TraceCache.open()
     monkeypatch.setattr(dds_trace.analyzer.loading.cache, "MOST_BYTES", 0)
     analyze(runs, cache=True)
-    assert len(names_in(traces)) == 4
+    assert len(names_in(traces)) == 5
     other.close()
     assert names_in(traces) == []
 
@@ -186,10 +186,10 @@ def test_a_damaged_entry_is_read_anew(runs, traces, files_read, ending, damage):
 
 def test_an_entry_of_another_trace_is_not_believed(tmp_path, runs, traces, files_read):
     first = analyze(runs, cache=True)
-    keys = {path.stem for path in traces.iterdir()}
+    keys = {path.stem for path in traces.glob("*.json")}
     write_runs(tmp_path / "forged", range(1), latency_ns=9999)
     analyze(tmp_path / "forged", cache=True)
-    forged = sorted({path.stem for path in traces.iterdir()} - keys)
+    forged = sorted({path.stem for path in traces.glob("*.json")} - keys)
     for ending in ("json", "events"):
         for key in keys:
             shutil.copy(traces / f"{forged[0]}.{ending}", traces / f"{key}.{ending}")
@@ -225,9 +225,9 @@ def test_a_key_that_is_damaged_or_open_to_others_is_made_anew(runs, own_base_fol
 def forge(cache, traces, change):
     """Change the JSON of every entry and seal it again, as only this user can."""
     for path in traces.glob("*.json"):
-        entry = json.loads(cache.read_text(path.stem))
+        entry = json.loads(cache.read(path.stem, "json"))
         change(entry)
-        cache.write_text(path.stem, json.dumps(entry))
+        cache.write(path.stem, "json", json.dumps(entry).encode())
 
 
 @pytest.mark.parametrize(
@@ -265,7 +265,7 @@ def test_a_disk_that_is_full_costs_the_cache_and_not_the_analysis(runs, monkeypa
         raise OSError(28, "No space left on device")
 
     whole = analyze(runs)
-    monkeypatch.setattr(TraceCache, "write_text", full)
+    monkeypatch.setattr(TraceCache, "write", full)
     assert_same_results(analyze(runs, cache=True), whole)
 
 

@@ -1,0 +1,138 @@
+"""Detail frames of batches in the user's cache, so that the next analysis makes those of new runs alone.
+
+They take most of the time of an analysis, and follow from what a batch holds: the descriptions of its exchanges, the content
+of the traces that its events are in, the deadline, and the code. The HMAC of all that is their key, so nothing is ever used
+for another batch; what this user did not seal is not used either (`analyzer/loading/cache.py`).
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import platform
+from contextlib import suppress
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import polars as pl
+
+import dds_trace.tracefile
+from dds_trace.tracefile.version import __version__
+
+from ..groups.frames import DETAIL_MAKERS, detail_frames
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from dds_trace.tracefile import Run, Session
+
+    from ..groups.batch import Batch
+    from ..groups.frames import Frames
+    from ..loading.cache import TraceCache
+    from ..loading.events import EventKey, EventPart
+    from ..pairing.roundtrips import RoundTrips
+
+MOST_BYTES = 64 << 20
+"""Largest frames of one batch that are kept."""
+
+
+class KnownDetails:
+    """The detail frames that earlier analyses have made.
+
+    Args:
+        cache: the open cache.
+        trace_keys: position of a trace in the campaign -> its key in the cache.
+    """
+
+    def __init__(self, cache: TraceCache, trace_keys: Mapping[int, str]) -> None:
+        self._cache = cache
+        self._trace_keys = trace_keys
+        self._texts: dict[int, tuple[Run | Session, str]] = {}  # one session is described in many exchanges
+
+    def frames_of(
+        self, batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]], roundtrips: RoundTrips
+    ) -> Frames:
+        """Return the detail frames of a batch: known ones, or new ones, which are known from then on."""
+        key, first = self._key_of(batch, parts), int(batch.group_of_exchange[0])
+        with suppress(OSError, ValueError, LookupError, TypeError, pl.exceptions.PolarsError):
+            return _shifted(_unpacked(self._cache.read(key, "details", MOST_BYTES)), first)
+        frames = detail_frames(batch, roundtrips)
+        with suppress(OSError):  # a full disk costs the cache, not the analysis
+            self._cache.write(key, "details", _packed(_shifted(frames, -first)), MOST_BYTES)
+        return frames
+
+    def _key_of(self, batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]]) -> str:
+        """Return the key of everything that the frames depend on, the numbers of groups but for their order left out."""
+        wanted, groups = batch.wanted, batch.group_of_exchange.tolist()
+        held = [
+            (
+                group - groups[0],
+                self._text_of(exchange.run),
+                self._text_of(exchange.ping),
+                exchange.relay_id,
+                self._text_of(exchange.relay) if exchange.relay is not None else None,
+                (exchange.start_ns, exchange.end_ns, exchange.counts, exchange.relays, exchange.flows),
+                exchange.replied_ns,
+                [
+                    [(part.count, self._trace_keys[part.trace]) for part in parts.get(key, ())]
+                    for key in exchange.event_keys()
+                ],
+            )
+            for group, exchange in zip(groups, batch.exchanges, strict=True)
+        ]
+        asked = (batch.whole, wanted.deadline_ns, wanted.deadline_metric)
+        return self._cache.key_of_text("details", json.dumps([code_of_analysis(), asked, held]))
+
+    def _text_of(self, described: Run | Session) -> str:
+        known = self._texts.get(id(described))
+        if known is None:
+            known = self._texts[id(described)] = described, described.to_json()
+        return known[1]
+
+
+@cache
+def code_of_analysis() -> tuple[object, ...]:
+    """Return what another result of the same batch would come from: versions, and each file of our own with size and time."""
+    rooms = (Path(__file__).parents[1], Path(dds_trace.tracefile.__file__).parent)
+    files = sorted(file for room in rooms for file in room.rglob("*.py"))
+    return (
+        __version__,
+        platform.python_version(),
+        *(version(name) for name in ("numpy", "polars")),
+        *((file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in files),
+    )
+
+
+def _shifted(frames: Frames, groups: int) -> Frames:
+    """Return the frames with other numbers of groups: a campaign with one more group numbers those behind it anew."""
+    shifted = (pl.col("group").cast(pl.Int64) + groups).cast(pl.UInt32)
+    return {name: frame.with_columns(shifted) for name, frame in frames.items()}
+
+
+def _packed(frames: Frames) -> bytes:
+    """Return the frames as a line of JSON with name and bytes of each, and the Arrow files behind it."""
+    files = []
+    for frame in frames.values():
+        stream = io.BytesIO()
+        frame.write_ipc(stream, compression="lz4")
+        files.append(stream.getvalue())
+    head = json.dumps([(name, len(file)) for name, file in zip(frames, files, strict=True)])
+    return b"".join([head.encode(), b"\n", *files])
+
+
+def _unpacked(packed: bytes) -> Frames:
+    """Return what `_packed` packed.
+
+    Raises:
+        ValueError, LookupError, TypeError, PolarsError: it is something else.
+    """
+    head, _, files = packed.partition(b"\n")
+    frames, begin = {}, 0
+    for name, size in json.loads(head):
+        frames[name] = pl.read_ipc(io.BytesIO(files[begin : begin + size]), use_pyarrow=False)
+        begin += size
+    if frames.keys() != DETAIL_MAKERS.keys():
+        raise ValueError("other frames than are made")
+    return frames

@@ -1,0 +1,197 @@
+"""The details that an earlier analysis made: the same numbers, made for new runs alone, and never those of anything else."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from dataclasses import fields
+
+import polars as pl
+import pytest
+from campaigns import assert_same_results, write_runs
+from polars.testing import assert_frame_equal
+
+import dds_trace.analyzer.engines.batches
+from dds_trace.analyzer import analyze
+from dds_trace.analyzer.engines import known_details
+from dds_trace.analyzer.loading.cache import TraceCache
+
+
+@pytest.fixture(autouse=True)
+def small_batches(monkeypatch):
+    """Each group is a batch of its own."""
+    monkeypatch.setattr(dds_trace.analyzer.engines.batches, "BATCH_EVENTS", 1)
+
+
+@pytest.fixture
+def runs(tmp_path):
+    write_runs(tmp_path / "runs", range(6), groups=3)
+    return tmp_path / "runs"
+
+
+@pytest.fixture
+def made(monkeypatch):
+    """Payload sizes of the groups whose details are made from here on."""
+    sizes = []
+
+    def making(batch, roundtrips):
+        sizes.extend(sorted({exchange.run.payload_bytes for exchange in batch.exchanges}))
+        return real(batch, roundtrips)
+
+    real = known_details.detail_frames
+    monkeypatch.setattr(known_details, "detail_frames", making)
+    return sizes
+
+
+@pytest.fixture
+def kept(own_base_folders):
+    """Paths of the details in the cache."""
+    return lambda: sorted((own_base_folders / "cache/dds-trace/traces").glob("*.details"))
+
+
+def assert_as_without_cache(runs, found, **asked):
+    expected = analyze(runs, **asked)
+    assert_same_results(found, expected)
+    for field in fields(expected.details):
+        one, other = getattr(found.details, field.name), getattr(expected.details, field.name)
+        if isinstance(other, pl.DataFrame):
+            assert_frame_equal(one, other, check_exact=True)
+        else:
+            assert one == other, field.name
+
+
+def test_a_second_analysis_makes_no_details_and_says_the_same(runs, made):
+    first = analyze(runs, cache=True)
+    assert sorted(made) == [1000, 1001, 1002]
+    made.clear()
+    again = analyze(runs, cache=True)
+    assert made == []
+    assert_as_without_cache(runs, first)
+    assert_as_without_cache(runs, again)
+
+
+def test_a_new_run_makes_those_of_its_group_alone(runs, made):
+    analyze(runs, cache=True)
+    made.clear()
+    write_runs(runs, [7], groups=3)
+    found = analyze(runs, cache=True)
+    assert made == [1001]
+    assert_as_without_cache(runs, found)
+
+
+def test_a_new_group_before_the_others_numbers_them_anew(tmp_path, made):
+    runs = tmp_path / "runs"
+    write_runs(runs, [1, 2, 4, 5], groups=3)  # 1001 and 1002 bytes
+    analyze(runs, cache=True)
+    made.clear()
+    write_runs(runs, [3], groups=3)  # 1000 bytes: the first group now
+    found = analyze(runs, cache=True)
+    assert made == [1000]
+    assert found.details.intervals["group"].unique().sort().to_list() == [0, 1, 2]
+    assert_as_without_cache(runs, found)
+
+
+def test_traces_that_moved_are_known_and_other_traces_under_their_names_are_not(runs, made):
+    analyze(runs, cache=True)
+    made.clear()
+    for path in list(runs.iterdir()):
+        path.rename(path.with_name(f"moved_{path.name}"))
+    assert_as_without_cache(runs, analyze(runs, cache=True))
+    assert made == []
+    write_runs(runs, [10], latency_ns=999, groups=3)
+    for role in ("ping", "relay"):
+        (runs / f"{role}10.mcap").replace(runs / f"moved_{role}4.mcap")
+    assert_as_without_cache(runs, analyze(runs, cache=True))
+    assert made == [1001]
+
+
+def test_a_copy_of_a_trace_is_looked_at(runs, made):
+    """Its events are the same ones; whether they are is not known before they are merged."""
+    analyze(runs, cache=True)
+    made.clear()
+    shutil.copy(runs / "ping2.mcap", runs / "copy.mcap")
+    assert_as_without_cache(runs, analyze(runs, cache=True))
+    assert made == [1002]
+
+
+@pytest.mark.parametrize(
+    "asked", [{"deadline_ns": 500}, {"deadline_ns": 600}, {"deadline_ns": 500, "deadline_metric": "rtt"}]
+)
+def test_another_deadline_is_another_detail(runs, made, asked):
+    analyze(runs, cache=True)
+    analyze(runs, cache=True, deadline_ns=500, deadline_metric="latency")
+    made.clear()
+    found = analyze(runs, cache=True, **asked)
+    assert sorted(made) == [1000, 1001, 1002]
+    assert_as_without_cache(runs, found, **asked)
+
+
+def test_other_code_makes_its_own(runs, made, monkeypatch):
+    """What is known of one version is not told by another: also of one that somebody is just working at."""
+    analyze(runs, cache=True)
+    made.clear()
+    monkeypatch.setattr(known_details, "code_of_analysis", lambda: ("another",))
+    analyze(runs, cache=True)
+    assert len(made) == 3
+
+
+def test_every_file_that_can_change_a_number_is_part_of_the_code():
+    named = {each[0] for each in known_details.code_of_analysis() if isinstance(each, tuple)}
+    assert {
+        "intervals.py",
+        "bursts.py",
+        "one_way.py",
+        "freshness.py",
+        "events.py",
+        "known_details.py",
+        "reader.py",
+    } <= named
+
+
+def test_without_details_there_is_nothing_to_know(runs, kept):
+    analyze(runs, cache=True, details=False)
+    assert kept() == []
+
+
+@pytest.mark.parametrize("damage", ["flip", "cut", "lengthen", "pipe", "link", "other"])
+def test_damaged_and_foreign_details_are_made_anew(runs, made, kept, damage):
+    analyze(runs, cache=True)
+    made.clear()
+    others = [path.read_bytes() for path in kept()]
+    for number, path in enumerate(kept()):
+        whole = path.read_bytes()
+        if damage == "pipe":
+            path.unlink()
+            os.mkfifo(path)
+        elif damage == "link":
+            path.rename(path.with_suffix(".moved"))
+            path.symlink_to(path.with_suffix(".moved"))
+        else:
+            path.write_bytes(
+                {
+                    "flip": whole[:-100] + bytes([whole[-100] ^ 1]) + whole[-99:],
+                    "cut": whole[:-1],
+                    "lengthen": whole + b" ",
+                    "other": others[number - 1],
+                }[damage]
+            )
+    assert_as_without_cache(runs, analyze(runs, cache=True))
+    assert sorted(made) == [1000, 1001, 1002]
+
+
+@pytest.mark.parametrize("packed", [b"", b"[]", b"[]\n", b'[["intervals", 9]]\nnot arrow', b"3\n", b"\xff\n"])
+def test_sealed_nonsense_is_made_anew(runs, made, kept, packed):
+    analyze(runs, cache=True)
+    made.clear()
+    cache = TraceCache.open()
+    for path in kept():
+        cache.write(path.stem, "details", packed)
+    cache.close()
+    assert_as_without_cache(runs, analyze(runs, cache=True))
+    assert sorted(made) == [1000, 1001, 1002]
+
+
+def test_details_that_are_too_large_are_not_kept(runs, kept, monkeypatch):
+    monkeypatch.setattr(known_details, "MOST_BYTES", 100)
+    assert_as_without_cache(runs, analyze(runs, cache=True))
+    assert kept() == []

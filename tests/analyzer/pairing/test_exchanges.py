@@ -337,6 +337,18 @@ def test_relay_events_without_their_ping_have_no_row_and_a_finding(tmp_path):
     assert finding.where == "other.mcap, relay 00000003"
 
 
+def test_relay_events_without_their_ping_that_two_files_hold_are_told_as_copies(tmp_path):
+    write_pair(tmp_path, TWO)
+    session = relay_session(session_id=3, relay_id=3)
+    for name, sequences in (("first", (0, 1)), ("second", (1, 2))):
+        timeline = [Message(s, t3=600 + s, t4=700 + s) for s in sequences]
+        write_trace(tmp_path / f"{name}.mcap", session, (), relay_events(timeline, run_id=99, relay_id=3))
+    findings = {f.code: f for f in analyze(tmp_path).findings}
+    assert "6 events" in findings["orphan_relay_events"].what
+    assert findings["overlapping_files"].where == "second.mcap"
+    assert findings["overlapping_files"].what.startswith("2 of its events are also in first.mcap;")
+
+
 @pytest.mark.parametrize(
     ("runs", "sessions", "code"),
     [

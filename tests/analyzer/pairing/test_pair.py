@@ -68,6 +68,12 @@ def test_warmup_messages_have_no_row_and_are_no_orphans():
     assert paired.orphans == 0
 
 
+def test_the_first_number_behind_the_warmup_is_an_orphan_without_its_t1():
+    published, paired = pair(t1=[(0, 10), (3, 40)], t2=[(0, 11), (1, 21), (2, 31)], warmup=2)
+    assert published.sequence.tolist() == [3]
+    assert paired.orphans == 1
+
+
 def test_a_run_of_warmup_only_has_no_rows():
     published, paired = pair(t1=[(0, 10), (1, 20)], t2=[(0, 11)], warmup=5)
     assert len(published) == 0

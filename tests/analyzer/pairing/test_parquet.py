@@ -22,6 +22,7 @@ from trace_files import (
 import dds_trace.analyzer.pairing.parquet
 from dds_trace.analyzer import analyze
 from dds_trace.analyzer.model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
+from dds_trace.analyzer.pairing.parquet import roundtrips_writer, write_summary
 from dds_trace.tracefile import OutputError, Stage, __version__
 
 TIMELINE = [Message(s, t0=1000 * s, t1=1000 * s + 5, t3=900, t4=930, t2=1000 * s + 205) for s in range(12)]
@@ -69,6 +70,31 @@ def test_files_tell_types_units_and_meanings(tmp_path):
     assert b"tail" not in summary.field("latency_p50_ns").metadata[b"meaning"]
     assert b"tail" not in summary.field("response_p99_ns").metadata[b"meaning"]
     assert summary.field("transfer_rate_bytes_per_s").metadata[b"unit"] == b"B/s"
+
+
+def test_times_and_sequence_numbers_are_stored_as_deltas(tmp_path):
+    write_pair(tmp_path, TIMELINE)
+    outputs = analyze(tmp_path, out=tmp_path / "out").outputs
+    group = pq.read_metadata(outputs["roundtrips"]).row_group(0)
+    columns = [group.column(number) for number in range(group.num_columns)]
+    assert {column.compression for column in columns} == {"ZSTD"}
+    units = {column.name: column.unit for column in ROUNDTRIP_COLUMNS}
+    by_delta = {column.path_in_schema for column in columns if "DELTA_BINARY_PACKED" in column.encodings}
+    assert by_delta == {name for name, unit in units.items() if unit in {"ns", "UTC"}} | {"sequence"}
+    by_dictionary = {column.path_in_schema for column in columns if column.has_dictionary_page}
+    assert by_dictionary == set(units) - by_delta - {"reordered"}  # a bit each needs none
+
+
+def test_folders_above_are_made_and_may_be_there(tmp_path):
+    write_pair(tmp_path, TIMELINE)
+    analysis = analyze(tmp_path)
+    folder = tmp_path / "runs" / "today"
+    for _ in range(2):
+        with roundtrips_writer(folder / "rows" / "a.parquet"):
+            pass
+        write_summary(analysis.summary, folder / "summaries" / "b.parquet", {})
+    assert pq.read_metadata(folder / "rows" / "a.parquet").num_rows == 0
+    assert pq.read_metadata(folder / "summaries" / "b.parquet").num_rows == 1
 
 
 def test_files_tell_who_wrote_them_by_which_contract_of_what_and_when(tmp_path):

@@ -16,6 +16,7 @@ from trace_files import RELAY_SESSION_ID, relay_session
 from dds_trace.tracefile import OutputError, OutputExistsError, Stage, TraceDestination, TraceSink, read_trace
 from dds_trace.tracefile.format.ring import ring_path
 from dds_trace.tracefile.reading.first_session import read_first_session
+from dds_trace.tracefile.writing.trace_files import TraceFiles
 
 FILES = 6
 
@@ -112,6 +113,20 @@ def test_a_file_that_is_there_or_cannot_be_made_leaves_the_recording_where_it_is
     assert (sink.close().events, sequences(tmp_path / "1.mcap")) == (2, [0, 1])
     assert (tmp_path / "2.mcap").read_text() == "somebody's"
     assert sink.go_on_in(destination(tmp_path, 4)) is None  # closed
+
+
+def test_events_that_wait_for_the_disk_keep_the_recording_where_it_is(tmp_path, monkeypatch):
+    def fail(_files, _head):
+        raise OutputError("the disk failed")
+
+    sink = open_sink(tmp_path)
+    with monkeypatch.context() as broken:
+        broken.setattr(TraceFiles, "move_chunk", fail)
+        sink.record(3, 7, 0, 1000)
+        assert sink.go_on_in(destination(tmp_path, 2)) is None
+    assert str(sink.error) == "the disk failed"
+    assert not (tmp_path / "2.mcap").exists()
+    assert (sink.close().events, sequences(tmp_path / "1.mcap")) == (1, [0])
 
 
 def test_what_cannot_be_written_stays_in_the_old_ring_and_the_recording_goes_on(tmp_path, monkeypatch):

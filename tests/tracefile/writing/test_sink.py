@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import threading
 import time
 from contextlib import suppress
@@ -33,6 +34,8 @@ from dds_trace.tracefile import (
     __version__,
 )
 from dds_trace.tracefile.format.ring import ring_path
+from dds_trace.tracefile.writing.sink import BUSY_SWITCH_INTERVAL_S
+from dds_trace.tracefile.writing.trace_files import TraceFiles
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -230,6 +233,27 @@ def test_a_quarter_of_the_ring_wakes_the_draining_thread(tmp_path):
         sink.record(1, 1, sequence, sequence)
     wait_until(lambda: path.stat().st_size > before)
     assert sink.close().events == 17
+
+
+@pytest.mark.parametrize(("waiting", "is_shorter"), [(15, False), (16, True)])
+def test_a_quarter_of_the_ring_is_moved_with_short_turns_of_the_interpreter(
+    tmp_path, monkeypatch, waiting, is_shorter
+):
+    sink = open_sink(tmp_path / "a.mcap", ring_slots=64)
+    turns, move = [], TraceFiles.move_chunk
+
+    def note(files, head):
+        turns.append(sys.getswitchinterval())
+        return move(files, head)
+
+    monkeypatch.setattr(TraceFiles, "move_chunk", note)
+    usual = sys.getswitchinterval()
+    for sequence in range(waiting):
+        sink.record(1, 1, sequence, sequence)
+    sink.write_json(HOST_TOPIC, {})
+    assert turns == [pytest.approx(BUSY_SWITCH_INTERVAL_S if is_shorter else usual)]
+    assert sys.getswitchinterval() == usual
+    assert sink.close().events == waiting
 
 
 def test_a_full_ring_drops_and_counts(tmp_path):

@@ -14,7 +14,7 @@ from instruction_kills import BEFORE, STAMPED_NS
 from trace_files import ping_session, run
 
 from dds_trace.tracefile import Stage, TraceDestination, TraceError, TraceSink, read_trace
-from dds_trace.tracefile.format.ring import ring_path
+from dds_trace.tracefile.format.ring import SLOT_WORDS, ring_path
 from dds_trace.tracefile.recovery.recover import recover
 
 
@@ -155,25 +155,148 @@ def test_a_closed_sink_expects_nothing(tmp_path):
 
 @pytest.mark.parametrize("slots", [5, 6, 64])
 def test_an_arrival_and_its_departure_are_two_events_wherever_the_ring_ends(tmp_path, slots):
-    def keep(name, act):
-        destination = TraceDestination(tmp_path / name, ring_slots=slots, chunk_seconds=3600.0)
-        sink = TraceSink(destination, ping_session(state="open"), clock_ns=lambda: 42)
-        for sequence in range(9):
-            act(sink, sequence)
-            sink.write_run(run(state="started"))  # drains the ring
-        closed = sink.close()
-        assert closed.dropped_events == 0
-        stages = read_trace(closed.path).events
-        return [(stages[stage].sequence.tolist(), stages[stage].monotonic_ns.tolist()) for stage in Stage]
+    sink = open_pairs(tmp_path, slots)
+    for sequence in range(9):
+        assert sink.record_and_stamp(PAIR, 1, sequence, 40, 7, 8, 9, 2) == 42
+        sink.write_run(run(state="started"))  # drains the ring
+    closed = sink.close()
+    assert closed.dropped_events == 0
+    stages = read_trace(closed.path).events
+    assert [fields_of(stages[stage]) for stage in (Stage.T3, Stage.T4)] == [
+        [(sequence, 40, 0, 7, 8, 9) for sequence in range(9)],
+        [(sequence, 42, 0, 0, 0, 9) for sequence in range(9)],
+    ]
 
-    def one_by_one(sink, sequence):
-        sink.record(3, 1, sequence, 40, 0, 7, 8, 9, 2)
-        assert sink.stamp(4, 1, sequence, 0, 0, 0, 9, 2) == 42
 
-    def together(sink, sequence):
-        assert sink.record_and_stamp((3, 4), 1, sequence, 40, 7, 8, 9, 2) == 42
+def fields_of(events):
+    """Sequence, time, scheduled, source and received time, and bytes of each event."""
+    names = ("sequence", "monotonic_ns", "scheduled_ns", "source_ns", "received_ns", "payload_bytes")
+    return list(zip(*(getattr(events, name).tolist() for name in names), strict=True))
 
-    assert keep("together.mcap", together) == keep("apart.mcap", one_by_one)
+
+@pytest.fixture
+def apart(monkeypatch):
+    """The heads at which an arrival was recorded apart from its departure."""
+    heads, record = [], TraceSink.record
+
+    def note(sink, *event):
+        if event[0] == PAIR[0]:
+            heads.append(sink._head)
+        record(sink, *event)
+
+    monkeypatch.setattr(TraceSink, "record", note)
+    return heads
+
+
+@pytest.mark.parametrize(("before", "expected"), [(0, [4]), (1, [3])])
+def test_a_pair_is_one_step_up_to_the_quarter_that_wakes_the_draining_thread(
+    tmp_path, apart, before, expected
+):
+    sink = open_pairs(tmp_path, 16)
+    with sink._write_lock:  # the draining thread stands still
+        for sequence in range(before):
+            sink.record(1, 1, sequence, 41)
+        for sequence in range(5):
+            sink.record_and_stamp(PAIR, 1, sequence, 40, 7, 8, 9, 2)
+    assert apart == expected
+    assert pairs_of(sink)[1] == [(sequence, 42, 0) for sequence in range(5)]
+
+
+@pytest.mark.parametrize(("before", "expected"), [(0, []), (1, [15])])
+def test_a_pair_is_one_step_unless_the_ring_ends_between_its_places(tmp_path, apart, before, expected):
+    sink = open_pairs(tmp_path, 16)
+    for sequence in range(before):
+        sink.record(1, 1, sequence, 41)
+    for sequence in range(9):
+        sink.record_and_stamp(PAIR, 1, sequence, 40, 7, 8, 9, 2)
+        sink.write_run(run(state="started"))  # drains the ring
+    assert apart == expected
+    assert pairs_of(sink)[1] == [(sequence, 42, 0) for sequence in range(9)]
+
+
+def with_free_places(folder, free):
+    """A sink of eight slots, three of which are used a second time, with so many free; its draining thread stands still."""
+    sink = open_pairs(folder, 8)
+    for sequence in range(3):
+        sink.record(1, 1, sequence, 41)
+    sink.write_run(run(state="started"))  # drains the ring
+    sink._write_lock.acquire()
+    for sequence in range(3, 11 - free):
+        sink.record(1, 1, sequence, 41)
+    return sink
+
+
+@pytest.mark.parametrize(("free", "arrived", "left"), [(2, [0], [0]), (1, [0], []), (0, [], [])])
+def test_a_pair_in_a_full_ring_takes_no_place_of_another_event(tmp_path, free, arrived, left):
+    sink = with_free_places(tmp_path, free)
+    assert sink.record_and_stamp(PAIR, 1, 0, 40, 7, 8, 9, 2) == 42
+    assert sink.dropped_events == 2 - free
+    sink._write_lock.release()
+    stages = read_trace(sink.close().path).events
+    assert stages[Stage.T1].sequence.tolist() == list(range(11 - free))
+    assert [stages[stage].sequence.tolist() if stage in stages else [] for stage in (Stage.T3, Stage.T4)] == [
+        arrived,
+        left,
+    ]
+
+
+@pytest.mark.parametrize(("free", "is_expected"), [(3, True), (2, True), (1, False), (0, False)])
+def test_a_pair_is_expected_where_both_places_are_free(tmp_path, free, is_expected):
+    sink = with_free_places(tmp_path, free)
+    expected = sink.expect(PAIR, 1, 0, 9, 2)
+    assert (expected is not None) is is_expected
+    if expected:
+        assert sink.record_expected(expected, 40, 7, 8)
+    sink._write_lock.release()
+    stages = read_trace(sink.close().path).events
+    assert stages[Stage.T1].sequence.tolist() == list(range(11 - free))
+    if expected:
+        assert [fields_of(stages[stage]) for stage in (Stage.T3, Stage.T4)] == [
+            [(0, 40, 0, 7, 8, 9)],
+            [(0, 42, 0, 0, 0, 9)],
+        ]
+
+
+@pytest.mark.parametrize(("before", "is_expected"), [(6, True), (7, False), (8, True)])
+def test_a_pair_is_expected_unless_the_ring_ends_between_its_places(tmp_path, before, is_expected):
+    sink = open_pairs(tmp_path, 8)
+    for sequence in range(before):
+        sink.record(1, 1, sequence, 41)
+        sink.write_run(run(state="started"))  # drains the ring
+    assert (sink.expect(PAIR, 1, 0, 9, 2) is not None) is is_expected
+    sink.close()
+
+
+@pytest.mark.parametrize("act", ["stamp", "record_and_stamp", "record_expected"])
+def test_only_time_and_mark_are_missing_when_the_clock_is_read(tmp_path, act):
+    """Words of the event's slot at that instant: without a mark it is none."""
+    opened, seen = [], []
+
+    def clock_ns():
+        seen.extend(sink._words[SLOT_WORDS : 2 * SLOT_WORDS].tolist() for sink in opened)
+        return 42
+
+    destination = TraceDestination(tmp_path / "a.mcap", ring_slots=64, chunk_seconds=3600.0)
+    sink = TraceSink(destination, ping_session(state="open"), clock_ns=clock_ns)
+    opened.append(sink)
+    if act == "stamp":
+        sink.record(1, 1, 4, 40)
+        assert sink.stamp(1, 1, 5, 3, 7, 8, 9, 2) == 42
+    elif act == "record_and_stamp":
+        assert sink.record_and_stamp(PAIR, 1, 5, 40, 7, 8, 9, 2) == 42
+    else:
+        assert sink.record_expected(sink.expect(PAIR, 1, 5, 9, 2), 40, 7, 8)
+    of_the_event = [3, 7, 8] if act == "stamp" else [0, 0, 0]
+    assert seen == [[1, 5, 0, *of_the_event, 9 + (2 << 32), 0]]
+    opened.clear()
+    sink.close()
+
+
+def test_an_expected_pair_has_neither_times_nor_marks(tmp_path):
+    sink = open_pairs(tmp_path)
+    assert sink.expect(PAIR, 1, 5, 9, 2) is not None
+    assert sink._words[: 2 * SLOT_WORDS].tolist() == [1, 5, 0, 0, 0, 0, 9 + (2 << 32), 0] * 2
+    assert pairs_of(sink) == [[], []]
 
 
 def test_an_arrival_out_of_range_is_dropped_with_its_departure(tmp_path):

@@ -1,0 +1,99 @@
+"""The rows of a few exchanges at once: whose rows lie where, what is left out, and what the middleware stamped."""
+
+from __future__ import annotations
+
+import numpy as np
+from trace_files import event, ping_session, relay_session, run
+
+from dds_trace.analyzer.pairing.exchanges import Exchange
+from dds_trace.analyzer.pairing.pair import middleware_stamps, published_messages
+from dds_trace.analyzer.pairing.roundtrips import pair_exchanges
+from dds_trace.tracefile import EVENT_DTYPE, EventColumns
+
+RELAY = 7
+
+
+def columns(*events):
+    return EventColumns.from_records(np.array(list(events), EVENT_DTYPE))
+
+
+def exchange(run_id, **described):
+    """A run whose messages relay 7 may have answered."""
+    session = relay_session(relay_id=RELAY)
+    return Exchange(run(run_id=run_id, **described), ping_session(), RELAY, session, 0, 0, (1, 1, 1, 1))
+
+
+def pair(exchanges, events, **options):
+    """Round trips of events given as one list for each stage and run: (sequence, ns, source ns, received ns)."""
+    keys = [key for each in exchanges for key in each.event_keys()]
+    held = [
+        columns(*(event(s, ns, scheduled_ns=ns, source_ns=a, received_ns=b) for s, ns, a, b in of_stage))
+        for of_run in events
+        for of_stage in of_run
+    ]
+    return pair_exchanges(exchanges, dict(zip(keys, held, strict=True)), **options)
+
+
+def plain(*stamps):
+    return [(sequence, ns, 0, 0) for sequence, ns in stamps]
+
+
+def test_messages_of_unknown_fate_have_no_row():
+    """Of the first run the ping was killed after T1 of 2; the second one is whole."""
+    killed, whole = exchange(1, state="started"), exchange(2)
+    found = pair(
+        [killed, whole],
+        [
+            (plain((0, 10), (1, 20), (2, 30)), plain((0, 15)), plain((0, 900)), plain((0, 901))),
+            (plain((0, 40), (1, 50)), plain((1, 58)), plain((0, 800), (1, 810)), plain((1, 811))),
+        ],
+    )
+    assert found.bounds.tolist() == [0, 2, 4]
+    assert found.measured.select("sequence", "publish_ns", "receive_ns", "relay_in_ns").rows() == [
+        (0, 10, 15, 900),
+        (1, 20, None, None),
+        (0, 40, None, 800),
+        (1, 50, 58, 810),
+    ]
+    assert found.measured["outcome"].to_list() == ["completed", "lost_outbound", "lost_in_relay", "completed"]
+    assert found.counts.select("published", "received", "in_flight").rows() == [(2, 1, 1), (2, 1, 0)]
+    assert found.exchange_of_row().tolist() == [0, 0, 1, 1]
+    assert found.described["run_id"].to_list() == [1, 2]
+
+
+def test_stamps_of_the_middleware_lie_beside_their_rows():
+    """Arrivals of both runs have some, replies of the second alone."""
+    events = [
+        (plain((0, 10), (1, 20)), plain((0, 15)), [(0, 900, 3, 4)], plain((0, 901))),
+        (plain((0, 40), (1, 50)), [(1, 58, 0, 6)], [(0, 800, 7, 0), (1, 810, 8, 9)], plain((1, 811))),
+    ]
+    found = pair([exchange(1), exchange(2)], events)
+    assert {series.name: series.to_list() for series in found.stamps} == {
+        "relay_source_ns": [3, 0, 7, 8],
+        "relay_received_ns": [4, 0, 0, 9],
+        "reply_source_ns": [0, 0, 0, 0],
+        "reply_received_ns": [0, 0, 0, 6],
+    }
+    without = pair([exchange(1), exchange(2)], events, details=False)
+    assert without.stamps == ()
+    assert without.clock_fits == (None, None)
+    assert without.measured["outbound_ns"].null_count() == 4
+
+
+def test_a_message_has_the_stamps_of_the_event_that_it_was_paired_with():
+    published = published_messages(columns(event(1, 10), event(2, 20)), 0)
+    replies = columns(
+        event(0, 12, source_ns=1, received_ns=2),  # of no message
+        event(1, 18, source_ns=3, received_ns=4),  # later than the first
+        event(1, 15, source_ns=5, received_ns=6),
+        event(1, 15, source_ns=7, received_ns=8),  # the same again
+        event(2, 25, source_ns=0, received_ns=9),
+    )
+    source_ns, received_ns = middleware_stamps(published, replies, np.array([15, 25]))
+    assert (source_ns.tolist(), received_ns.tolist()) == ([5, 0], [6, 9])
+    only_source = columns(event(1, 15, source_ns=5))
+    assert [each.tolist() for each in middleware_stamps(published, only_source, np.array([15, 25]))] == [
+        [5, 0],
+        [0, 0],
+    ]
+    assert middleware_stamps(published, columns(event(1, 15)), np.array([15, 25])) == ()

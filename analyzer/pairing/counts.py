@@ -97,5 +97,5 @@ def _span_ns(starts_ns: NDArray[np.int64], ends_ns: NDArray[np.int64]) -> int | 
     """Return the time from the first start to the last end, None without both."""
     if not (len(starts_ns) and len(ends_ns)):
         return None
-    # Of arrays and not of numbers: stamps that are damage may be too far apart for an int64, and wrap in silence.
-    return int((ends_ns.max(keepdims=True) - starts_ns.min(keepdims=True))[0])
+    # An array and not a number: stamps that are damage may be too far apart for an int64, and wrap in silence.
+    return int((ends_ns.max(keepdims=True) - starts_ns.min())[0])

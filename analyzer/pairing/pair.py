@@ -85,7 +85,7 @@ class Published:
         if not len(self):
             return np.full(len(sequence), -1, np.int64)
         first = self.sequence[0]
-        if int(self.sequence[-1]) - int(first) == len(self) - 1:
+        if int(self.sequence[-1]) - int(first) < len(self):  # no number is left out
             offset = sequence - first  # below `first` this wraps to something huge
             return np.where(offset < len(self), offset.astype(np.int64), -1)
         row = np.minimum(np.searchsorted(self.sequence, sequence), len(self) - 1)

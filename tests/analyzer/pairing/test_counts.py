@@ -60,6 +60,15 @@ def test_every_kind_of_message_is_counted_once():
     assert list(counts) == list(COUNT_SCHEMA)
 
 
+def test_a_reply_that_the_relay_saw_only_once_is_a_gap():
+    """It has no intermediate time either, so none below zero."""
+    only_in = count([(0, 100)], [(0, 200)], t3=[(0, 50)])
+    only_out = count([(0, 100)], [(0, 200)], t4=[(0, 50)])
+    for counts in (only_in, only_out):
+        assert counts["relay_gaps"] == 1
+        assert (counts["negative_intermediate"], counts["negative_latency"]) == (0, 0)
+
+
 def test_times_below_zero_are_counted():
     # rtt 90 - 100 = -10; intermediate 40 - 50 = -10; latency (200 - 100 - (350 - 50)) // 2 = -100.
     assert count([(0, 100)], [(0, 90)])["negative_rtt"] == 1

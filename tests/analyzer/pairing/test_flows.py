@@ -39,6 +39,12 @@ def test_a_run_of_one_message_overlaps_what_goes_on_around_it():
     assert list(find_overlaps(spans((0, 10), (5, 5)))) == [Overlap(1, 2, 1.0, True)]
 
 
+def test_a_run_of_one_message_at_the_edge_of_another_run_overlaps_it():
+    assert list(find_overlaps(spans((0, 10), (10, 10)))) == [Overlap(1, 2, 1.0, False)]
+    assert list(find_overlaps(spans((5, 5), (5, 15)))) == [Overlap(1, 2, 1.0, False)]
+    assert list(find_overlaps([RunSpan(0, 9, 1, "a"), RunSpan(10, 10, 2, "a")])) == []
+
+
 instants = st.integers(0, 6 * OVERLAP_NS)
 
 

@@ -31,6 +31,14 @@ def test_one_way_times_take_four_stamps_that_agree():
     assert aligned.drop(ONE_WAY).equals(frame.drop(ONE_WAY))
 
 
+def test_a_way_may_take_no_time():
+    # The clocks are apart by 1000 or 1001 ns, by the even one of the two.
+    aligned = with_one_way(
+        roundtrips([{"publish_ns": 0, "relay_in_ns": 1000, "relay_out_ns": 1000, "receive_ns": 1}])
+    )
+    assert aligned.select("outbound_ns", "return_ns").rows() == [(0, 1)]
+
+
 def test_one_way_columns_are_int64_without_a_relay():
     aligned = with_one_way(roundtrips([{"publish_ns": 0}], relay_device=None))
     assert aligned["outbound_ns"].to_list() == [None]
@@ -64,6 +72,7 @@ def test_a_relay_that_was_rebooted_between_two_runs_has_no_step():
     rebooted = pl.DataFrame([knot(*each) for each in knots], schema=KNOT_SCHEMA, orient="row")
     fits = fit_devices(rebooted, {})
     assert [(f.relay_boot, f.segments[0].messages, f.steps) for f in fits] == [("aa", 1, ()), ("bb", 2, ())]
+    assert [f.boot for f in fits] == [0, 0]  # no run is known to name its session
     assert segment_table(fits)["relay_boot"].to_list() == ["aa", "bb"]
     (unknown,) = fit_devices(rebooted.with_columns(relay_boot=pl.lit(None, pl.String)), {})
     assert len(unknown.steps) == 1  # without the boot id it cannot be told from a step

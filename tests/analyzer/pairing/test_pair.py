@@ -81,7 +81,9 @@ def test_a_run_of_warmup_only_has_no_rows():
     assert paired.reordered.tolist() == []
 
 
-@pytest.mark.parametrize("sequences", [(3, 4, 5, 6), (3, 4, 6), (3, 4, 7), (3, 5, 7, 9), (3,), (2, 2**63)])
+@pytest.mark.parametrize(
+    "sequences", [(3, 4, 5, 6), (3, 4, 6), (3, 4, 7), (3, 5, 9), (3, 5, 7, 9), (3,), (2, 2**63)]
+)
 def test_each_message_has_the_row_that_a_search_finds_and_no_other_number_has_one(sequences):
     """Also where one, two or three T1 are missing, and the numbers are not those of the rows."""
     published, _ = pair(t1=[(each, 10 + row) for row, each in enumerate(sequences)], warmup=1)
@@ -94,6 +96,12 @@ def test_the_earliest_of_several_replies_counts():
     _, paired = pair(t1=[(0, 10), (1, 20), (2, 30)], t2=[(1, 29), (0, 18), (1, 25), (1, 27), (2, 34)])
     assert paired.receive_ns.tolist() == [18, 25, 34]
     assert paired.duplicates.tolist() == [0, 2, 0]
+
+
+def test_the_earliest_of_several_replies_counts_where_most_messages_have_none():
+    _, paired = pair(t1=[(s, 10 * s) for s in range(9)], t2=[(3, 35), (3, 38)])
+    assert paired.receive_ns.tolist() == [MISSING] * 3 + [35] + [MISSING] * 5
+    assert paired.duplicates.tolist() == [0, 0, 0, 1, 0, 0, 0, 0, 0]
 
 
 def test_the_same_reply_recorded_twice_is_one_reply():
@@ -180,6 +188,7 @@ def test_sequence_numbers_below_the_first_one_are_orphans():
 def test_no_schedule_is_no_schedule_at_boot():
     published = published_messages(columns(event(0, 10), event(1, 20)), 0)
     assert published.scheduled_ns.tolist() == [MISSING, MISSING]
-    # One zero among others is an instant like any other.
+    # One zero among others is an instant like any other, and so is that of a single message.
     published = published_messages(columns(event(0, 10), event(1, 20, scheduled_ns=15)), 0)
     assert published.scheduled_ns.tolist() == [0, 15]
+    assert published_messages(columns(event(0, 10)), 0).scheduled_ns.tolist() == [0]

@@ -2,6 +2,7 @@
 
 import json
 import os
+from types import SimpleNamespace
 
 import polars as pl
 import pyarrow as pa
@@ -23,6 +24,7 @@ import dds_trace.analyzer.pairing.parquet
 from dds_trace.analyzer import analyze
 from dds_trace.analyzer.model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
 from dds_trace.analyzer.pairing.parquet import roundtrips_writer, write_summary
+from dds_trace.analyzer.pairing.provenance import provenance
 from dds_trace.tracefile import OutputError, Stage, __version__
 
 TIMELINE = [Message(s, t0=1000 * s, t1=1000 * s + 5, t3=900, t4=930, t2=1000 * s + 205) for s in range(12)]
@@ -120,6 +122,33 @@ def test_files_tell_who_wrote_them_by_which_contract_of_what_and_when(tmp_path):
             "ping": False,
             "relay": None,
         }
+
+
+def test_of_many_traces_and_sessions_the_first_thousand_are_named(tmp_path):
+    numbers = range(1001)
+    campaign = SimpleNamespace(
+        folder=tmp_path,
+        sources=[SimpleNamespace(path=f"{number:04}.mcap", status="used") for number in reversed(numbers)],
+        sessions={
+            number: ping_session(session_id=number, wall_anchor_ns=1001 - number) for number in numbers
+        },
+    )
+    exchanges = SimpleNamespace(
+        held=[SimpleNamespace(start_ns=5, end_ns=7), SimpleNamespace(start_ns=3, end_ns=9)]
+    )
+    told = provenance(campaign, exchanges)
+    sources, clocks = json.loads(told["dds_trace.sources"]), json.loads(told["dds_trace.clocks"])
+    assert sources == {
+        "folder": tmp_path.name,
+        "count": 1001,
+        "names": [f"{number:04}.mcap" for number in range(1000)],
+    }
+    assert clocks["count"] == 1001
+    assert [int(each["session_id"], 16) for each in clocks["sessions"]] == list(range(1000, 0, -1))
+    assert json.loads(told["dds_trace.recorded"]) == {
+        "first": "1970-01-01T00:00:00.000000003Z",
+        "last": "1970-01-01T00:00:00.000000009Z",
+    }
 
 
 def test_utc_is_told_of_each_clock_by_its_own_anchor_and_only_after_it(tmp_path):

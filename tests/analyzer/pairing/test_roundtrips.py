@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import polars as pl
 from trace_files import event, ping_session, relay_session, run
 
 from dds_trace.analyzer.pairing.exchanges import Exchange
 from dds_trace.analyzer.pairing.pair import middleware_stamps, published_messages
+from dds_trace.analyzer.pairing.parquet import table_of
 from dds_trace.analyzer.pairing.roundtrips import pair_exchanges
 from dds_trace.tracefile import EVENT_DTYPE, EventColumns
 
@@ -59,6 +63,38 @@ def test_messages_of_unknown_fate_have_no_row():
     assert found.counts.select("published", "received", "in_flight").rows() == [(2, 1, 1), (2, 1, 0)]
     assert found.exchange_of_row().tolist() == [0, 0, 1, 1]
     assert found.described["run_id"].to_list() == [1, 2]
+
+
+def test_a_run_and_its_relay_are_alone_unless_it_is_told():
+    found = pair([exchange(1)], [(plain((0, 10)), (), (), ())])
+    assert found.described["setting"].to_list() == [""]
+
+
+def test_one_event_tells_who_took_part():
+    def told(*counts):
+        one = Exchange(run(), ping_session(), RELAY, None, 0, 0, counts)
+        return one.took_part, one.relay_recorded
+
+    assert told(5, 0, 0, 0) == (False, False)
+    assert told(5, 1, 0, 0) == (True, False)
+    assert told(5, 0, 1, 0) == told(5, 0, 0, 1) == (True, True)
+
+
+def test_texts_are_dictionaries_that_share_their_positions_where_one_holds_throughout():
+    found = pair(
+        [exchange(1, data_type="imu"), exchange(2)],
+        [(plain((0, 10), (1, 20)), (), (), ()), (plain((0, 40)), (), (), ())],
+    )
+    table = table_of(replace(found, described=found.described.with_columns(rmw=pl.Series([None, "rmw_a"]))))
+    assert table["data_type"].to_pylist() == ["imu", "imu", "binary"]
+    assert table["rmw"].to_pylist() == [None, None, "rmw_a"]
+    assert table["vendor"].to_pylist() == ["fastdds"] * 3
+
+    def positions_at(name):
+        return table[name].chunk(0).indices.buffers()[1].address
+
+    assert positions_at("vendor") == positions_at("ping_device")
+    assert len({positions_at(name) for name in ("vendor", "data_type", "rmw")}) == 3
 
 
 def test_stamps_of_the_middleware_lie_beside_their_rows():

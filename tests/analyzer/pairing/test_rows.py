@@ -1,6 +1,7 @@
 """The store of rows: in memory while they are few, else in their file; whole, lazily and by group."""
 
 import gc
+import shutil
 
 import polars as pl
 import pytest
@@ -59,6 +60,26 @@ def test_many_rows_leave_memory_for_a_temporary_file_that_goes_away(analysis, tm
     del again
     gc.collect()
     assert not folder.exists()
+
+
+def test_rows_up_to_the_bound_stay_in_memory(analysis, tmp_path, monkeypatch):
+    monkeypatch.setattr(dds_trace.analyzer.pairing.rows, "MOST_HELD_ROWS", 5)
+    monkeypatch.setattr(dds_trace.analyzer.pairing.rows, "tempfile", None)  # there is no other place
+    again = analyze(tmp_path / "traces", details=False)
+    assert_frame_equal(again.rows.load(), analysis.rows.load())
+
+
+def test_a_temporary_file_may_be_gone_already(analysis, tmp_path, monkeypatch):
+    monkeypatch.setattr(dds_trace.analyzer.pairing.rows, "MOST_HELD_ROWS", 4)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    again = analyze(tmp_path / "traces", details=False)
+    (folder,) = tmp_path.glob("dds-analyze-*")
+    shutil.rmtree(folder)
+    told = []
+    monkeypatch.setattr("sys.unraisablehook", told.append)
+    del again
+    gc.collect()
+    assert told == []
 
 
 def test_a_store_without_rows_has_their_columns():

@@ -39,6 +39,15 @@ def test_chunks_come_twice_as_often(tmp_path):
     assert TraceDestination(tmp_path / "a.mcap", fsync=True).flush_seconds == 0.5
 
 
+def test_without_an_event_nothing_was_unsaved(tmp_path):
+    path = tmp_path / "a.mcap"
+    sink = TraceSink(TraceDestination(path, fsync=True), ping_session(state="open"))
+    sink.write_json("/dds_trace/host", {"cpu_percent": 1})
+    sink.close()
+    (session,) = read_trace(path).sessions
+    assert session.extra["longest_unsaved_ns"] == 0
+
+
 @pytest.mark.parametrize("fsync", [True, False])
 def test_the_longest_time_that_an_event_was_not_on_the_disk_is_in_the_closed_session(
     tmp_path, monkeypatch, fsync

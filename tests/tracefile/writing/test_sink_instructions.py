@@ -292,6 +292,26 @@ def test_only_time_and_mark_are_missing_when_the_clock_is_read(tmp_path, act):
     sink.close()
 
 
+@pytest.mark.parametrize("act", ["stamp", "record_and_stamp", "record_expected"])
+def test_what_lies_in_the_ring_is_read_before_it_is_in_the_file(tmp_path, act):
+    sink = open_pairs(tmp_path)
+    for sequence in range(3):
+        if act == "stamp":
+            sink.record(3, 1, sequence, 40)
+            sink.stamp(4, 1, sequence)
+        elif act == "record_and_stamp":
+            sink.record_and_stamp(PAIR, 1, sequence, 40, 0, 0, 0, 0)
+        else:
+            assert sink.record_expected(sink.expect(PAIR, 1, sequence, 0, 0), 40, 0, 0)
+    stages = read_trace(tmp_path / "pairs.mcap").events
+    assert [fields_of(stages[stage]) for stage in (Stage.T3, Stage.T4)] == [
+        [(sequence, 40, 0, 0, 0, 0) for sequence in range(3)],
+        [(sequence, 42, 0, 0, 0, 0) for sequence in range(3)],
+    ]
+    assert [stages[stage].relay_id.tolist() for stage in (Stage.T3, Stage.T4)] == [[0] * 3] * 2
+    sink.close()
+
+
 def test_an_expected_pair_has_neither_times_nor_marks(tmp_path):
     sink = open_pairs(tmp_path)
     assert sink.expect(PAIR, 1, 5, 9, 2) is not None

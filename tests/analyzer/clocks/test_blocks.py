@@ -83,6 +83,15 @@ def test_windows_are_worked_at_in_blocks_that_hold_each_once(lengths, blocks, mo
     assert list(windows._blocks(stop - np.array(lengths, np.intp), stop)) == blocks
 
 
+def test_windows_of_several_blocks_tell_their_messages_from_the_first_of_all(monkeypatch):
+    monkeypatch.setattr(windows, "_BLOCK_WINDOWS", 1)
+    offset = np.repeat([0.0, 50.0, 90.0], 3)
+    points = OffsetIntervals(np.arange(9) * TICK_NS * 1.0, offset - 2, offset + 2)
+    found = windows.fit_windows(points, [(0, 3), (3, 6), (7, 9)])
+    assert (found.start.tolist(), found.stop.tolist()) == ([0, 3, 7], [3, 6, 9])
+    assert found.offset.tolist() == [0, 50, 90]
+
+
 def test_a_stretch_is_cut_into_windows_of_equal_length_none_too_long():
     second = WINDOW_NS / 10
     time = np.arange(40) * second  # each stretch lies between its first message and its last

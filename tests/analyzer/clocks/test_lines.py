@@ -10,7 +10,7 @@ import pytest
 from plain_clock_fit import find_windows
 
 from dds_trace.analyzer.clocks.lines import DRIFT, DRIFT_LIMIT_PPB, Lines, OffsetIntervals
-from dds_trace.analyzer.clocks.windows import fit_windows
+from dds_trace.analyzer.clocks.windows import _are_bent, fit_windows
 
 S = 1_000_000_000
 
@@ -46,6 +46,26 @@ def test_lines_through_two_messages():
 def test_messages_that_contradict_each_other_by_no_more_than_rounding_have_a_line():
     assert lines_of((0, -5, 0), (0, 0.001, 5)).exist.tolist() == [True]
     assert lines_of((0, -5, 0), (0, 0.0010001, 5)).exist.tolist() == [False]
+
+
+def test_a_message_whose_offset_two_others_know_exactly_is_narrowed_to_it():
+    points = intervals((0, 5, 5), (1e6, 0, 10), (2e6, 5, 5))
+    fit_windows(points, [(0, 3)])
+    assert (points.lower.tolist(), points.upper.tolist()) == ([5, 5, 5], [5, 5, 5])
+
+
+@pytest.mark.parametrize("way", [1, -1])
+@pytest.mark.parametrize(("messages", "is_bent"), [(30, False), (31, True), (32, True)])
+def test_halves_of_sixteen_messages_are_asked_whether_the_clock_bends(messages, is_bent, way):
+    """From the middle on the clock gains 100 ppm; a line reaches all messages, but puts the first ones off."""
+    time = np.arange(messages) * S / 4
+    offset = way * np.maximum(time - time[messages // 2], 0) * 1e-4
+    bound = 1.4e-5 * time[-1]
+    points = OffsetIntervals(time, offset - bound, offset + bound)
+    start, stop = np.array([0]), np.array([messages])
+    lines = Lines.through(points, start, stop)
+    assert lines.exist.tolist() == [True]
+    assert _are_bent(points, start, stop, lines).tolist() == [is_bent]
 
 
 @pytest.mark.parametrize("way", [1, -1])

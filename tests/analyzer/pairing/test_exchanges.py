@@ -153,9 +153,9 @@ def test_two_relays_give_two_rows_a_message_each_with_its_own_outcome(tmp_path):
         (far, 0, "lost_return", None, "pi34"),
         (far, 1, "lost_outbound", None, "pi34"),
     ]
-    assert analysis.summary.select("relay_device", "published", "received").rows() == [
-        ("pi17", 2, 2),
-        ("pi34", 2, 0),
+    assert analysis.summary.select("relay_device", "published", "received", "setting").rows() == [
+        ("pi17", 2, 2, "relays=2"),
+        ("pi34", 2, 0, "relays=2"),
     ]
 
 
@@ -289,6 +289,27 @@ def test_a_relay_restarted_under_its_old_id_gets_the_last_session_before_its_eve
     analysis = analyze(tmp_path)
     assert [r["latency_ns"] for r in rows(analysis)] == [55, 50]
     assert "doubtful_session" in codes(analysis)
+
+
+@pytest.mark.parametrize(
+    ("t3", "t4", "device"),
+    [(900, 1100, "before"), (1000, 1100, "after"), (None, 1100, "after"), (None, 900, "before")],
+)
+def test_the_first_event_of_a_relay_tells_which_of_its_sessions_it_was(tmp_path, t3, t4, device):
+    """The second session starts at 1000 on the relay's clock; where no T3 is kept, the T4 tells."""
+    messages = [Message(0, t0=0, t1=10, t3=t3, t4=t4, t2=500)]
+    sessions = [
+        relay_session(session_id=50, device="before"),
+        relay_session(
+            session_id=51,
+            device="after",
+            monotonic_anchor_ns=1000,
+            wall_anchor_ns=WALL_ANCHOR_NS + 1000,
+        ),
+    ]
+    write_trace(tmp_path / "ping.mcap", ping_session(), [run()], ping_events(messages))
+    write_trace(tmp_path / "relay.mcap", sessions, (), relay_events(messages))
+    assert [row["relay_device"] for row in rows(analyze(tmp_path))] == [device]
 
 
 def test_merged_pings_are_told_apart_by_what_the_run_names(tmp_path):

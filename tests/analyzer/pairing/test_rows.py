@@ -69,7 +69,8 @@ def test_rows_up_to_the_bound_stay_in_memory(analysis, tmp_path, monkeypatch):
     assert_frame_equal(again.rows.load(), analysis.rows.load())
 
 
-def test_a_temporary_file_may_be_gone_already(analysis, tmp_path, monkeypatch):
+@pytest.mark.usefixtures("analysis")
+def test_a_temporary_file_may_be_gone_already(tmp_path, monkeypatch):
     monkeypatch.setattr(dds_trace.analyzer.pairing.rows, "MOST_HELD_ROWS", 4)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     again = analyze(tmp_path / "traces", details=False)

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dds_trace.analyzer.statistics.histogram import histogram_of
+from dds_trace.analyzer.statistics.histogram import RELATIVE_ERROR, histogram_of
 
 
 def test_histogram_by_hand():
@@ -14,6 +14,11 @@ def test_histogram_by_hand():
     histogram = histogram_of(np.array([-3, 0, 1, 5, 5, 2047, 4096, 4099, 4100]))
     assert histogram.value_ns.tolist() == [-3.0, 0.0, 1.0, 5.0, 2047.0, 4097.5, 4101.5]
     assert histogram.count.tolist() == [1, 1, 1, 2, 1, 2, 1]
+
+
+def test_the_largest_error_is_half_of_the_widest_bucket():
+    # An octave has 1024 buckets, of which the first are the widest for their values: 1/1024.
+    assert RELATIVE_ERROR == 1 / 2048
 
 
 def test_histogram_of_nothing():

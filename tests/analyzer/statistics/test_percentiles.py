@@ -112,6 +112,23 @@ def test_quantiles_are_no_percents(bad):
         planned_messages(bad)
 
 
+@pytest.mark.parametrize("bad", [0.0, 1.0, 1.5, 95.0])
+def test_a_confidence_is_no_percent(bad):
+    with pytest.raises(ValueError, match="between 0 and 1"):
+        planned_messages(0.99, confidence=bad)
+
+
+def test_an_error_of_arithmetic_takes_no_further_message():
+    # 0.5**5 = (1 - 0.9375) / 2: five messages, each of which 200,000 count as.
+    assert planned_messages(0.5, 0.9375) == 5
+    assert planned_messages(0.5, 0.9375, math.nextafter(200_000, math.inf)) == 1_000_000
+    assert planned_messages(0.5, 0.9375, 200_000 + 1e-9) == 1_000_001
+
+
+def test_two_values_have_a_deviation():
+    assert summarize([10, 20])["std"] == math.sqrt(50)
+
+
 def test_a_quantile_that_is_one_of_the_values_is_not_spoiled_by_a_lost_neighbour():
     assert quantile_of(np.array([1.0, 2.0, np.inf]), 0.5) == 2.0
     assert quantile_of(np.array([1.0, 2.0, np.inf]), 0.75) == np.inf

@@ -45,6 +45,21 @@ def test_the_runs_that_it_takes_decide_in_80_of_100(distance):
         assert fewer > distance
 
 
+def test_the_runs_of_unlike_spreads_by_hand():
+    # 3.7611 standard errors with four degrees of freedom: of five runs on one side 3.7611 / sqrt(5) = 1.6820 spreads.
+    assert [runs_to_decide(distance, 0.1, 0.0) for distance in (0.1683, 0.1681)] == [5, 6]
+    # Of three runs on both sides, which have as many degrees, 3.7611 sqrt(2 / 3) = 3.0709.
+    assert [runs_to_decide(distance, 0.1, 0.1) for distance in (0.3072, 0.3070)] == [3, 4]
+    # Spreads of 3 and 1 have 0.1^2 / (0.3^4 + 0.1^4) = 1.22 (runs - 1) degrees: with ten 10.75 in whole quarters.
+    enough = smallest_shift(math.sqrt(0.1 / 10), 10.75)
+    for spreads in ((0.3, 0.1), (0.1, 0.3)):
+        assert [runs_to_decide(enough * share, *spreads) for share in (1 + 1e-9, 1 - 1e-9)] == [10, 11]
+
+
+def test_a_distance_that_is_just_found_is_enough():
+    assert runs_to_decide(smallest_shift(math.sqrt(0.05), 4.0), 0.5, 0.0) == 5
+
+
 def test_what_lies_at_the_limit_is_never_decided():
     assert runs_to_decide(0.0, 0.05, 0.05) is None
     assert runs_to_decide(1e-4, 0.05, 0.05) is None
@@ -68,6 +83,12 @@ def test_the_runs_of_a_narrow_interval():
     assert runs_to_narrow(0.05, 0.0) is None
 
 
+def test_the_fewest_runs_of_a_narrow_interval_by_hand():
+    # Student's t over the root of the runs: 4.3027 / sqrt(3) = 2.4841, 3.1824 / sqrt(4) = 1.5912.
+    widths = (2.485, 2.483, 1.592, 1.591)
+    assert [runs_to_narrow(1.0, half_width) for half_width in widths] == [3, 4, 4, 5]
+
+
 def test_messages_that_close_an_interval():
     assert messages_to_close(interval(1, 2, samples=1000, independent=900, episodes=4), 0.99) == 0
     # Four episodes in 1000 messages: ten take 2500.
@@ -75,3 +96,11 @@ def test_messages_that_close_an_interval():
     # 368 independent messages for p99; 100 of 1000 are: 3680.
     assert messages_to_close(interval(1, None, samples=1000, independent=100, episodes=9), 0.99) == 2680
     assert messages_to_close(interval(None, None, samples=0, independent=0, episodes=None), 0.99) is None
+    # One episode: nine more. None: nothing to go by.
+    assert messages_to_close(interval(1, None, samples=1000, independent=900, episodes=1), 0.99) == 9000
+    assert messages_to_close(interval(1, None, samples=1000, independent=900, episodes=0), 0.99) is None
+    # Two messages that are worth one or none: 368 times as many.
+    for independent in (1, 0):
+        assert (
+            messages_to_close(interval(1, None, samples=2, independent=independent, episodes=9), 0.99) == 734
+        )

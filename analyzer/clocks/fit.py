@@ -36,12 +36,16 @@ from .stretches import find_stretches
 from .windows import fit_windows
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from .windows import Windows
 
 Int64 = NDArray[np.int64]
 Float64 = NDArray[np.float64]
+
+
+_BLOCK_MESSAGES = 1 << 13
+"""Messages that are worked at together."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,29 +199,30 @@ class _Points:
         Raises:
             ValueError: a message has `rtt < intermediate`.
         """
-        out_ns = messages.relay_in_ns - messages.publish_ns  # theta's upper end
-        back_ns = messages.relay_out_ns - messages.receive_ns  # its lower end
-        if np.any(back_ns > out_ns):
-            raise ValueError("a message spent more time in the relay than under way: leave it out of the fit")
+        order = _order_of(messages)
+        first = 0 if order is None else int(order[0])
+        time_origin_ns = int(_half_way(messages.publish_ns[first], messages.receive_ns[first]))
+        offset_origin_ns = int(messages.relay_in_ns[first] - messages.publish_ns[first])
+        least_out_ns, most_back_ns = np.inf, -np.inf
+        for block in _blocks(len(messages.publish_ns)):
+            taken = block if order is None else order[block]
+            publish_ns, receive_ns = messages.publish_ns[taken], messages.receive_ns[taken]
+            out_ns = messages.relay_in_ns[taken] - publish_ns  # theta's upper end
+            back_ns = messages.relay_out_ns[taken] - receive_ns  # its lower end
+            if (back_ns > out_ns).any():
+                raise ValueError(
+                    "a message spent more time in the relay than under way: leave it out of the fit"
+                )
+            least_out_ns, most_back_ns = min(least_out_ns, out_ns.min()), max(most_back_ns, back_ns.max())
+            slack = DRIFT / 2 * (receive_ns - publish_ns)  # the clocks part a little on the way to the middle
+            points.time[block] = _half_way(publish_ns, receive_ns) - time_origin_ns
+            np.subtract(back_ns - offset_origin_ns, slack, out=points.lower[block])
+            np.add(out_ns - offset_origin_ns, slack, out=points.upper[block])
         is_one_machine = messages.same_boot
         if is_one_machine is None:
             is_one_machine = messages.ping_device == messages.relay_device
         # Two devices may have one name, and a time namespace another clock on one machine: zero has to agree, too.
-        same_clock = is_one_machine and bool(np.all(out_ns >= 0) and np.all(back_ns <= 0))
-
-        rtt_ns = messages.receive_ns - messages.publish_ns
-        half_way_ns = messages.publish_ns + (rtt_ns >> 1)
-        order = None
-        if np.any(half_way_ns[1:] < half_way_ns[:-1]):
-            order = np.argsort(half_way_ns, kind="stable")
-            out_ns, back_ns, rtt_ns, half_way_ns = (
-                each[order] for each in (out_ns, back_ns, rtt_ns, half_way_ns)
-            )
-        time_origin_ns, offset_origin_ns = int(half_way_ns[0]), int(out_ns[0])
-        slack = DRIFT / 2 * rtt_ns  # the clocks part a little on the way to the middle
-        np.subtract(half_way_ns, time_origin_ns, out=points.time, casting="unsafe")
-        np.subtract(back_ns - offset_origin_ns, slack, out=points.lower)
-        np.add(out_ns - offset_origin_ns, slack, out=points.upper)
+        same_clock = is_one_machine and bool(least_out_ns >= 0 and most_back_ns <= 0)
         return cls(points, order, time_origin_ns, offset_origin_ns, same_clock)
 
     def offsets(self) -> ClockOffsets:
@@ -226,13 +231,39 @@ class _Points:
         if self.same_clock:
             zero = np.zeros(len(low), np.int64)
             return ClockOffsets(zero, zero)
-        offset_ns = np.rint((low + high) / 2).astype(np.int64) + self.offset_origin_ns
-        bound_ns = np.ceil((high - low) / 2 + 0.5).astype(np.int64)  # half a nanosecond for the rounding
+        offset_ns, bound_ns = np.empty((2, len(low)), np.int64)
+        for block in _blocks(len(low)):
+            offset_ns[block] = np.rint((low[block] + high[block]) / 2)
+            bound_ns[block] = np.ceil(
+                (high[block] - low[block]) / 2 + 0.5
+            )  # half a nanosecond for the rounding
+        offset_ns += self.offset_origin_ns
         if self.order is not None:
             at = np.empty_like(self.order)
             at[self.order] = np.arange(len(at))
             offset_ns, bound_ns = offset_ns[at], bound_ns[at]
         return ClockOffsets(offset_ns, bound_ns)
+
+
+def _blocks(messages: int) -> Iterator[slice]:
+    """Yield the messages in blocks whose arrays stay in the cache of a core: a third of the time of whole arrays."""
+    return (slice(first, first + _BLOCK_MESSAGES) for first in range(0, messages, _BLOCK_MESSAGES))
+
+
+def _half_way(publish_ns: Int64, receive_ns: Int64) -> Int64:
+    """Return the instants halfway between T1 and T2."""
+    return publish_ns + ((receive_ns - publish_ns) >> 1)
+
+
+def _order_of(messages: RelayedMessages) -> Int64 | None:
+    """Return the positions of the messages in the order of their instants; None where they have it."""
+    last_ns: int | None = None
+    for block in _blocks(len(messages.publish_ns)):
+        at_ns = _half_way(messages.publish_ns[block], messages.receive_ns[block])
+        if (at_ns[1:] < at_ns[:-1]).any() or (last_ns is not None and at_ns[0] < last_ns):
+            return np.argsort(_half_way(messages.publish_ns, messages.receive_ns), kind="stable")
+        last_ns = int(at_ns[-1])
+    return None
 
 
 def fit_clocks(fits: Sequence[RelayedMessages]) -> list[tuple[ClockFit, ClockOffsets]]:

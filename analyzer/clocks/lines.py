@@ -100,7 +100,7 @@ class Boundary:
             np.maximum(reached, self.height[:, of_piece] + self.slope[:, of_piece] * time, out=reached)
         return reached
 
-    def take(self, windows: Bools | Intp) -> Boundary:
+    def take(self, windows: Bools | Intp | slice) -> Boundary:
         """Return the boundaries of some of the windows."""
         return Boundary(self.slope[windows], self.height[windows], self.breaks[windows])
 
@@ -167,7 +167,7 @@ class Lines:
         x = time - self.centre[:, None]
         return -self.below.reach(x), self.above.reach(x)
 
-    def take(self, windows: Bools | Intp) -> Lines:
+    def take(self, windows: Bools | Intp | slice) -> Lines:
         """Return the lines of some of the windows."""
         return Lines(
             self.exist[windows],

@@ -30,6 +30,9 @@ _BLOCK_WINDOWS = 1 << 12
 """Messages and windows that are worked at together, unless one window has more: arrays of two megabytes, which memory that was
 just freed has room for."""
 
+_CACHED_MESSAGES = 1 << 14
+"""Messages whose bounds are narrowed together: their arrays stay in the cache of a core."""
+
 _INSTANTS = 17
 """Instants of a window at which its bound is looked at, from its first to its last message."""
 
@@ -109,7 +112,7 @@ def fit_windows(points: OffsetIntervals, stretches: Sequence[tuple[int, int]]) -
     if not stretches:
         return Windows.concatenate(fitted)
     start, stop = _cut(points.time, stretches)
-    for first, after in _blocks(start, stop):
+    for first, after in _blocks(start, stop, _BLOCK_MESSAGES):
         begin, end = int(start[first]), int(stop[after - 1])
         of_block = _fit_levels(points.part(begin, end), start[first:after] - begin, stop[first:after] - begin)
         of_block = of_block.take(np.argsort(of_block.start))
@@ -133,11 +136,11 @@ def _cut(time: Float64, stretches: Sequence[tuple[int, int]]) -> tuple[Intp, Int
     return np.concatenate(starts), np.concatenate(stops)
 
 
-def _blocks(start: Intp, stop: Intp) -> Iterator[tuple[int, int]]:
-    """Yield first and after of windows that are worked at together."""
+def _blocks(start: Intp, stop: Intp, messages: int) -> Iterator[tuple[int, int]]:
+    """Yield first and after of windows that are worked at together, of so many messages unless one has more."""
     first = 0
     while first < len(start):
-        last = int(np.searchsorted(stop, start[first] + _BLOCK_MESSAGES, side="right"))
+        last = int(np.searchsorted(stop, start[first] + messages, side="right"))
         after = min(max(last, first + 1), first + _BLOCK_WINDOWS)
         yield first, after
         first = after
@@ -158,10 +161,11 @@ def _fit_levels(points: OffsetIntervals, start: Intp, stop: Intp) -> Windows:
             own, own_start, own_stop = lines.take(is_whole), start[is_whole], stop[is_whole]
             windows = Windows.of(left, own_start, own_stop, own)
             here = slice(int(own_start[0]), int(own_stop[-1]))
-            low, high = _narrow(left, own_start, own_stop, own)
             if origin is None:
-                points.lower[here], points.upper[here] = low, high
+                _narrow(left, own_start, own_stop, own, points.lower[here], points.upper[here])
             else:
+                low, high = left.lower[here].copy(), left.upper[here].copy()
+                _narrow(left, own_start, own_stop, own, low, high)
                 points.lower[origin[here]], points.upper[origin[here]] = low, high
                 windows = replace(windows, start=origin[own_start], stop=origin[own_stop - 1] + 1)
             fitted.append(windows)
@@ -214,17 +218,27 @@ def _are_bent(points: OffsetIntervals, start: Intp, stop: Intp, lines: Lines) ->
     return bent
 
 
-def _narrow(points: OffsetIntervals, start: Intp, stop: Intp, lines: Lines) -> tuple[Float64, Float64]:
-    """Return the lowest and the highest offset of each message from the first window to the last, gaps between included."""
-    here = slice(int(start[0]), int(stop[-1]))
+def _narrow(
+    points: OffsetIntervals, start: Intp, stop: Intp, lines: Lines, lowest: Float64, highest: Float64
+) -> None:
+    """Put the lowest and the highest offset of each message into `lowest` and `highest`, which may be those of `points`.
+
+    They are of the messages from the first window to the last, gaps between included.
+    """
     following = np.append(start[1:], stop[-1])
-    x = points.time[here] - np.repeat(lines.centre, following - start)
-    low = _least(-points.lower[here], lines.below, start, stop, following, x)
-    low, high = np.negative(low, out=low), _least(points.upper[here], lines.above, start, stop, following, x)
-    alone = low > high
-    if alone.any():
-        low, high = np.where(alone, points.lower[here], low), np.where(alone, points.upper[here], high)
-    return low, high
+    for first, after in _blocks(start, stop, _CACHED_MESSAGES):
+        own = slice(first, after)
+        here = slice(int(start[first]), int(following[after - 1]))
+        there = slice(here.start - int(start[0]), here.stop - int(start[0]))
+        edges, part = (start[own], stop[own], following[own]), lines.take(own)
+        x = points.time[here] - np.repeat(part.centre, edges[2] - edges[0])
+        low = _least(-points.lower[here], part.below, *edges, x)
+        np.negative(low, out=low)
+        high = _least(points.upper[here], part.above, *edges, x)
+        alone = low > high
+        if alone.any():
+            low[alone], high[alone] = points.lower[here][alone], points.upper[here][alone]
+        lowest[there], highest[there] = low, high
 
 
 def _least(own: Float64, boundary: Boundary, start: Intp, stop: Intp, following: Intp, x: Float64) -> Float64:

@@ -77,10 +77,9 @@ def test_stretches_are_those_of_every_message_held_against_every_other(blocks, p
     ],
 )
 def test_windows_are_worked_at_in_blocks_that_hold_each_once(lengths, blocks, monkeypatch):
-    monkeypatch.setattr(windows, "_BLOCK_MESSAGES", 10)
     monkeypatch.setattr(windows, "_BLOCK_WINDOWS", 3)
     stop = np.cumsum(lengths).astype(np.intp)
-    assert list(windows._blocks(stop - np.array(lengths, np.intp), stop)) == blocks
+    assert list(windows._blocks(stop - np.array(lengths, np.intp), stop, 10)) == blocks
 
 
 def test_windows_of_several_blocks_tell_their_messages_from_the_first_of_all(monkeypatch):

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from plain_clock_fit import plain_fit
 from roundtrip_frames import MS, S
 
+from dds_trace.analyzer.clocks import fit as fit_module
 from dds_trace.analyzer.clocks import windows
 from dds_trace.analyzer.clocks.fit import RelayedMessages, fit_clocks
 from dds_trace.analyzer.clocks.lines import DRIFT, Lines, OffsetIntervals
@@ -354,6 +355,8 @@ def test_windows_are_cut_into_blocks_without_a_trace_of_it(monkeypatch):
     in_one_block = fit_clocks([RelayedMessages(*stamps) for stamps in drawn])
     monkeypatch.setattr(windows, "_BLOCK_MESSAGES", 1000)
     monkeypatch.setattr(windows, "_BLOCK_WINDOWS", 5)
+    monkeypatch.setattr(windows, "_CACHED_MESSAGES", 50)
+    monkeypatch.setattr(fit_module, "_BLOCK_MESSAGES", 7)
     in_many = fit_clocks([RelayedMessages(*stamps) for stamps in drawn])
     for (fit, offsets), (other, of_other) in zip(in_one_block, in_many, strict=True):
         assert fit == other

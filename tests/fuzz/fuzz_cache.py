@@ -91,7 +91,7 @@ class Target:
     def _sealed(self, data: bytes) -> bool:
         """The bytes are changes to the values of the JSON, which is then sealed as we do."""
         shelf, cache = opened()
-        cache.write_text(self._key, json.dumps(changed_fields(self._entry, data)))
+        cache.write(self._key, "json", json.dumps(changed_fields(self._entry, data)).encode())
         shelf.close()
         return True
 

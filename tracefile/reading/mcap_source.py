@@ -34,6 +34,7 @@ _UNSUSPECTED_STEPS = 2_000_000
 _STEP_BYTES = 4  # a recorded message that is no event takes more than that, packed as it may be
 _ROOM_CHUNKS = 100_000  # chunks that are looked at before the first is unpacked
 _BYTES_AHEAD = 32 << 20  # their bytes together: much larger chunks are unpacked one after the other
+_SMALL_FILE_BYTES = 1 << 19  # read by the caller alone: a block of it is unpacked before a thread has started
 
 
 class McapSource:
@@ -103,7 +104,7 @@ class McapSource:
         if self._is_of_others():
             return
         steps_left = _UNSUSPECTED_STEPS + self._file.size // _STEP_BYTES
-        for block in in_order(self._jobs, self._pool, _blocks_ahead(), _BYTES_AHEAD):
+        for block in self._blocks():
             yield from self._batches_of(block)
             steps_left -= block.steps
             self._jobs.take_back(block)
@@ -114,6 +115,12 @@ class McapSource:
                 )
                 break
         yield Batch(notes=self._closing_notes(), truncated=self._jobs.truncated)
+
+    def _blocks(self) -> Iterator[Block]:
+        """Yield the blocks in order; of a small file without other threads, whose start takes longer than its few blocks."""
+        if self._file.size <= _SMALL_FILE_BYTES:
+            return (job() for _, job in self._jobs)
+        return in_order(self._jobs, self._pool, _blocks_ahead(), _BYTES_AHEAD)
 
     def _batches_of(self, block: Block) -> Iterator[Batch]:
         batch = Batch(notes=block.notes)

@@ -42,6 +42,7 @@ from dds_trace.tracefile import (
     iter_event_batches,
     read_trace,
 )
+from dds_trace.tracefile.reading import mcap_source
 from dds_trace.tracefile.reading.storage import open_source
 
 FIELDS = EVENT_DTYPE.names
@@ -111,7 +112,9 @@ MATRIX = [
 
 
 @pytest.mark.parametrize("options", MATRIX, ids=lambda options: "-".join(map(str, options.values())))
-def test_every_way_of_storing_gives_the_same_events(tmp_path, options):
+@pytest.mark.parametrize("small_bytes", [-1, 1 << 19], ids=["threads", "one thread"])
+def test_every_way_of_storing_gives_the_same_events(tmp_path, options, small_bytes, monkeypatch):
+    monkeypatch.setattr(mcap_source, "_SMALL_FILE_BYTES", small_bytes)
     messages = [Message(n, t0=n * 1000, t1=n * 1000 + 7, t2=n * 1000 + 500 + n) for n in range(600)]
     events = ping_events(messages)
     path = write_trace(

@@ -25,6 +25,7 @@ from trace_files import (
 from dds_trace.tracefile import EVENT_DTYPE, Stage, TraceFormatError, read_trace
 from dds_trace.tracefile.format.framing import MAGIC
 from dds_trace.tracefile.mcapfile.file import RecordFile
+from dds_trace.tracefile.reading import mcap_source
 
 FIELDS = EVENT_DTYPE.names
 MESSAGES = [Message(n, t0=n * 1000, t1=n * 1000 + 7, t2=n * 1000 + 500) for n in range(12)]
@@ -37,6 +38,12 @@ SHAPES = [
     if chunked or compression == "none"
 ]
 shapes = pytest.mark.parametrize("options", SHAPES, ids=lambda options: "-".join(map(str, options.values())))
+
+
+@pytest.fixture(autouse=True)
+def in_threads(monkeypatch):
+    """Small as these files are, they are read as large ones: by several threads."""
+    monkeypatch.setattr(mcap_source, "_SMALL_FILE_BYTES", -1)
 
 
 def rows(columns):

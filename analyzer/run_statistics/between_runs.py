@@ -158,7 +158,7 @@ def measured_units(runs: Sequence[Run], statistic: Statistic) -> Units | None:
     return units if len(units) >= RUNS_TO_TELL else None
 
 
-def interval_of_units(units: Units, statistic: Statistic, confidence: float = 0.95) -> Interval:
+def interval_of_units(units: Units, statistic: Statistic, confidence: float) -> Interval:
     """Return the interval of a statistic from at least `RUNS_TO_TELL` units; see `interval_of_runs`."""
     value, lower, upper = ends_of_units(units.values, confidence)
     if statistic.quantile is not None:

@@ -81,7 +81,7 @@ def change_of_received(
     difference = ends[1][0] - ends[0][0]
     smallest = None
     if is_between:
-        degrees = max(1, min(side.runs for side in sides) - 1)
+        degrees = min(side.runs for side in sides) - 1
         error = (difference - low) / student_quantile((1 + confidence) / 2, degrees)
         smallest = smallest_shift(error, degrees, confidence)
     return DeliveryChange(before, after, difference, low, high, basis, smallest)

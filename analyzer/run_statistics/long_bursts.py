@@ -65,7 +65,7 @@ def bursts_to_count(below: Sequence[Float64], beyond: Sequence[Float64], message
         messages: of all runs.
     """
     events = sum(map(len, below))
-    if not 0 < events < messages:
+    if not events:
         return None
     gap = gap_of(events, messages, EPISODE_GAP_SHARE)
     edges = np.cumsum([0, *map(len, below)])
@@ -79,7 +79,7 @@ def bursts_to_count(below: Sequence[Float64], beyond: Sequence[Float64], message
             return None
         kept = [_joined_rows(_rows(positions, gap), longest, gap, messages) for positions in below]
         count, inside = sum(len(first) for first, _ in kept), _inside(kept, beyond)
-        if not 0 < count < BURSTS_TO_TELL or inside < LEAST_PART * sum(map(len, beyond)):
+        if count >= BURSTS_TO_TELL or inside < LEAST_PART * sum(map(len, beyond)):
             return None
         bursts = count if bursts is None else bursts
     return bursts

@@ -86,12 +86,13 @@ def _has_values(values: NDArray[Any]) -> bool:
 
 def _smoothed(counts: Float64, deviation: float) -> Float64:
     """Return the counts under a normal kernel, whose deviation is given in bins."""
-    return np.convolve(counts, _kernel(round(max(deviation, 0.5), 2)), mode="same")[: len(counts)]
+    return np.convolve(counts, _kernel(round(max(deviation, 0.5), 2)), mode="same")
 
 
 @lru_cache(maxsize=64)
 def _kernel(deviation: float) -> Float64:
-    reach = min(math.ceil(4 * deviation), _BINS // 2 - 1)
+    # At most 83 bins: the deviation of values is no more than half of their range, and the kernel's a third of theirs.
+    reach = math.ceil(4 * deviation)
     weights = np.exp(-0.5 * np.square(np.arange(-reach, reach + 1) / deviation))
     return np.asarray(weights / weights.sum())
 
@@ -110,10 +111,11 @@ def _deepest(density: Float64, counts: Float64, centres: Float64, bin_widths: fl
         & (density <= DEEPEST_VALLEY * lower_peak)
         & (lower_peak - density >= SURE_DEVIATIONS * noise)
     )
-    if not is_valley.any():
+    valleys = is_valley.nonzero()[0]
+    if not len(valleys):
         return None
-    place = int(np.argmin(np.where(is_valley, density / np.maximum(lower_peak, 1e-300), np.inf)))
-    low_peak, high_peak = int(np.argmax(density[: place + 1])), place + int(np.argmax(density[place:]))
+    place = int(valleys[np.argmin(density[valleys] / lower_peak[valleys])])
+    low_peak, high_peak = int(np.argmax(density[:place])), place + int(np.argmax(density[place:]))
     return Modes(
         low=math.exp(centres[low_peak]),
         high=math.exp(centres[high_peak]),

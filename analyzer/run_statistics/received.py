@@ -84,8 +84,10 @@ def _few_episodes(sizes: Int64, n: int, confidence: float) -> tuple[float, float
     lower end as the mean one. Without an episode the events are supposed to come singly.
     """
     fewest, most = poisson_limits(len(sizes), confidence)
-    mean = float(sizes.mean()) if len(sizes) else 1.0
-    weighted = max(2 * mean - 1, float(np.square(sizes).sum() / sizes.sum())) if len(sizes) else 1.0
+    if not len(sizes):
+        return 0.0, min(most / n, 1.0)
+    mean = float(sizes.mean())
+    weighted = max(2 * mean - 1, float(np.square(sizes).sum() / sizes.sum()))
     return min(fewest * mean / n, 1.0), min(most * weighted / n, 1.0)
 
 

@@ -84,11 +84,10 @@ def threshold_of(ordered: Values, quantile: float) -> Threshold:
     messages = len(ordered)
     position = (messages - 1) * quantile
     value = ordered[math.floor(position) if is_upper else math.ceil(position)]
-    below, after = int(ordered.searchsorted(value, "left")), int(ordered.searchsorted(value, "right"))
     if math.isinf(value):
-        counts = (messages - below, messages - below)
-    else:
-        counts = (messages - after, messages - below) if is_upper else (below, after)
+        return Threshold(float(value), is_upper, is_part=False)
+    below, after = int(ordered.searchsorted(value, "left")), int(ordered.searchsorted(value, "right"))
+    counts = (messages - after, messages - below) if is_upper else (below, after)
     wanted = messages * (1 - quantile if is_upper else quantile)
     misfits = [(count in {0, messages}, abs(count - wanted)) for count in counts]
     return Threshold(float(value), is_upper, is_part=misfits[1] < misfits[0])

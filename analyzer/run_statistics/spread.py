@@ -46,7 +46,7 @@ def spread_of_runs(runs: Sequence[Run], statistic: Statistic) -> Spread:
     """
     needs = max(statistic.needs, 2 * COSINES + 1)
     held = Runs.of(runs)
-    if min(held.lengths, default=0) < needs:
+    if any(messages < needs for messages in held.lengths):
         held = Runs(run for run in runs if len(run) >= needs)
     values = np.array([statistic.of_run(run) for run in held])
     if not held or scale_of(values) is not Scale.LOGARITHM:

@@ -65,15 +65,16 @@ def find_warm_up(values: NDArray[Any]) -> WarmUp | None:
     """
     if len(values) < MESSAGES_TO_TELL:
         return None
-    usable = len(values) // BATCH * BATCH
-    batches = np.median(np.log(values[:usable].astype(np.float64)).reshape(-1, BATCH), axis=1)
+    count = len(values) // BATCH
+    batches = np.median(np.log(values[: count * BATCH].astype(np.float64)).reshape(count, BATCH), axis=1)
     left_out = mser_truncation(batches)
     if not left_out:
         return WarmUp(0, 1.0, 1.0)
     begin, rest = batches[:left_out], batches[left_out:]
     difference = float(begin.mean() - rest.mean())
     head = float(begin[: max(1, len(begin) // 4)].mean() - rest.mean())
-    windows = rest[: len(rest) // left_out * left_out].reshape(-1, left_out).mean(axis=1) - rest.mean()
+    count = len(rest) // left_out
+    windows = rest[: count * left_out].reshape(count, left_out).mean(axis=1) - rest.mean()
     if head / difference < HEAD_SHARE or abs(difference) <= np.abs(windows).max():
         return WarmUp(0, 1.0, 1.0)
     variance = max(float(rest.var(ddof=1)), long_run_variance(rest))

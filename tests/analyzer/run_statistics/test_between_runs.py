@@ -43,6 +43,7 @@ def test_two_runs_say_something_of_themselves_only():
     assert interval_of_runs(runs, P50) == interval_within(runs, P50)
     assert interval_of_runs(runs, P50).basis is Basis.WITHIN_RUN
     assert interval_of_runs([], P50).value is None
+    assert interval_of_runs([Run(np.empty(0))] * 3, P50).value is None
     assert interval_of_runs([*runs, Run(np.empty(0))], P50).basis is Basis.WITHIN_RUN
 
 
@@ -103,6 +104,22 @@ def test_a_short_rest_joins_its_neighbour():
     runs = [Run(draws.random(length)) for length in lengths]
     assert len(units_of(runs, Statistic(0.9))) == 5
     assert len(units_of(runs, P99)) == 3  # 150; 40 + 70; 150 + 30
+
+
+def test_joining_ends_where_there_are_as_many_messages_as_a_percentile_needs():
+    def units(*lengths: int) -> int:
+        return len(units_of([Run(np.arange(1.0, 1 + length)) for length in lengths], P99))
+
+    assert [units(40), units(150, 40)] == [1, 1]
+    assert [units(150, 40, 60), units(150, 40, 59)] == [2, 1]
+
+
+def test_what_units_are_worth_by_hand():
+    assert units_of([Run(np.array([5.0]))], P50).independent == 1
+    # A drift through the run is seen from two messages a cosine on.
+    drifts = [[Run(np.arange(1.0, 1 + messages))] * 3 for messages in (23, 24)]
+    assert units_of(drifts[0], MEAN).independent == 3 * 23
+    assert units_of(drifts[1], MEAN).independent < 3 * 24
 
 
 def test_units_hold_as_many_episodes_as_there_are_units():

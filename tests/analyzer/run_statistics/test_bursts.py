@@ -13,6 +13,7 @@ from dds_trace.analyzer.run_statistics.bursts import (
     episode_sizes,
     equal_episodes,
     long_run_variance,
+    positions_of,
     share_inflation,
 )
 
@@ -74,6 +75,13 @@ def test_an_episode_ends_at_a_gap():
     # 1000 messages: a mean distance of 100, a gap of 5.
     assert episode_sizes(places(line), 1000).tolist() == [3, 2, 1, 4]
     assert episode_sizes(places(""), 100).tolist() == []
+
+
+def test_positions_are_counted_in_mean_distances():
+    assert positions_of(3).tolist() == [0.0, 1.0, 2.0]
+    assert positions_of(3, np.array([5, 10, 25])).tolist() == [0.0, 0.5, 2.0]
+    assert positions_of(2, np.array([5, 5])).tolist() == [0.0, 0.0]
+    assert positions_of(1, np.array([5])).tolist() == [0.0]
 
 
 def test_a_gap_is_one_of_time():

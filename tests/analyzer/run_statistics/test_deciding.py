@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from dds_trace.analyzer.run_statistics.between_runs import interval_of_runs
 from dds_trace.analyzer.run_statistics.change import change_of_runs
@@ -57,3 +59,16 @@ def test_joined_runs_count_as_what_they_are_joined_of():
 def test_one_run_does_not_tell_how_runs_spread():
     one = change_of_runs(constant_runs([1.0]), constant_runs([1.05]), P50)
     assert runs_to_settle_ratio(one, 1.1) is None
+
+
+@pytest.mark.parametrize("value", [None, -1.0, 0.0, math.inf])
+def test_what_has_no_logarithm_is_never_settled(value):
+    change = change_of_runs(constant_runs(LEVELS), constant_runs(LEVELS), P50)
+    assert runs_to_settle_ratio(replace(change, ratio=value), 1.1) is None
+    assert runs_to_settle_value(replace(change.base, value=value), 1.1) is None
+
+
+def test_values_below_one_have_a_logarithm():
+    change = change_of_runs(constant_runs(LEVELS), constant_runs(0.95 * LEVELS), P50)
+    assert runs_to_settle_ratio(change, 0.9) == runs_to_decide(math.log(0.95 / 0.9), SPREAD, SPREAD)
+    assert runs_to_settle_value(change.new, 0.9) == runs_to_decide(math.log(0.95 / 0.9), SPREAD, 0.0)

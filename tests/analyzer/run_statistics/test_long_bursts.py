@@ -62,6 +62,14 @@ def test_a_burst_that_holds_little_of_a_tail_does_not_decide_it():
     assert bursts_to_count([below], [np.concatenate([in_burst, elsewhere])], MESSAGES) is None
 
 
+def test_what_lies_between_bursts_is_in_none():
+    # Two of 32 messages of a tail are in bursts, the others between the first burst and the second.
+    below = below_with((301, 8), (1101, 8), (1501, 8))
+    beyond = np.concatenate([[301.0, 302.0], np.arange(400.0, 1000.0, 20)])
+    assert bursts_to_count([below], [beyond], MESSAGES) is None
+    assert bursts_to_count([below], [beyond[:20]], MESSAGES) == 3
+
+
 def test_rows_that_all_go_on_are_no_bursts():
     # Rows of two, three and six in turn: what would be a burst among singles is one of many here.
     rows = [(place, (2, 3, 6)[turn % 3]) for turn, place in enumerate(range(10, 1990, 40))]

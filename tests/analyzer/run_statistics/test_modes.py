@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from statistics import NormalDist
+
 import numpy as np
 import pytest
 from drawn_series import autoregressive
@@ -70,3 +72,33 @@ def test_two_hundred_messages_of_thirty_values_can_tell():
     assert find_modes(two_of(30)[:-1]) is None
     assert find_modes(two_of(30), inflation=1.01) is None
     assert find_modes(two_of(30), inflation=0.5) is not None  # no message counts twice
+
+
+def with_smaller(share: float, messages: int):
+    """Messages of thirty values at 1, and a share of them at 4."""
+    values = 1 + np.arange(messages) % 30 / 1000
+    values[: round(share * messages)] += 3
+    return values
+
+
+def test_a_mode_has_a_tenth_of_the_messages():
+    assert [find_modes(with_smaller(share, 2000)).share for share in (0.1, 0.9)] == [0.1, 0.1]
+    assert [find_modes(with_smaller(share, 2000)) for share in (0.0995, 0.9005)] == [None, None]
+
+
+def test_narrow_modes_are_not_smoothed_away():
+    # Each mode lies in a single bin. Under the narrowest kernel, half a bin, the peak of 24 messages is 0.79 * 24 = 18.9
+    # high, above the 9 that four deviations of chance ask for; under three times that width it would be 6.4.
+    found = find_modes(with_smaller(0.12, 200))
+    assert (found.share, found.valley) == (0.12, 0.0)
+
+
+def test_a_shallow_valley_is_none_however_sure():
+    # Normal modes d deviations apart have a valley of 2 exp(-d^2 / 8) of their peaks: 0.75 of 2.8, 0.27 of 4, which the
+    # kernel, a quarter of their deviation wide, makes 0.30.
+    normal = np.array([NormalDist().inv_cdf((place + 0.5) / 20_000) for place in range(20_000)])
+    shallow, deep = (
+        find_modes(np.exp(0.2 * np.concatenate([normal, normal + apart]))) for apart in (2.8, 4.0)
+    )
+    assert shallow is None
+    assert deep.valley == pytest.approx(0.30, abs=0.01)

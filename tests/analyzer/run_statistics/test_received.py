@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dds_trace.analyzer.run_statistics.bursts import COSINES, share_inflation
 from dds_trace.analyzer.run_statistics.change import Verdict
 from dds_trace.analyzer.run_statistics.delivery import DeliveryChange, change_of_received
 from dds_trace.analyzer.run_statistics.received import received_interval, wilson_ends
 from dds_trace.analyzer.statistics.distributions import student_quantile
-from dds_trace.analyzer.statistics.intervals import Basis
+from dds_trace.analyzer.statistics.intervals import Basis, Interval
 from dds_trace.analyzer.statistics.power import smallest_shift
 
 
@@ -56,8 +58,23 @@ def test_what_is_rarer_is_counted():
 
 def test_without_messages_there_is_no_ratio():
     found = received_interval([])
-    assert (found.value, found.lower, found.upper, found.samples) == (None, None, None, 0)
-    assert received_interval([np.empty(0, np.bool_)]).value is None
+    assert found == Interval(None, None, None, 0.95, 0, 0, Basis.WITHIN_RUN, 0, 0, None)
+    assert received_interval([np.empty(0, np.bool_)]) == replace(found, runs=1)
+
+
+def test_from_ten_episodes_on_the_share_is_normal():
+    places = np.arange(40, 1000, 100)
+    nine, ten = (losing(1000, *((place, place + 1) for place in places[:count])) for count in (9, 10))
+    assert received_interval([nine]).lower == pytest.approx(1 - 17.0848 / 1000, abs=1e-7)  # Garwood's of nine
+    independent = 1000 / max(share_inflation(places, 1000), 0.25)
+    low, high = wilson_ends(0.01, independent, student_quantile(0.975, COSINES))
+    found = received_interval([ten])
+    assert (found.episodes, found.lower, found.upper) == (10, pytest.approx(1 - high), pytest.approx(1 - low))
+
+
+def test_no_share_is_below_none_or_above_all():
+    assert wilson_ends(0.0, 9, 2.1)[0] == 0.0  # -2e-17 by its arithmetic
+    assert wilson_ends(1.0, 9, 2.0)[1] == 1.0  # 1 + 2e-16
 
 
 def test_wilson_by_hand():

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dds_trace.analyzer.run_statistics.runs import MEAN, Run, Statistic, joined_runs, quantile_at
+from dds_trace.analyzer.run_statistics.runs import MEAN, Run, Runs, Statistic, joined_runs, quantile_at
 
 
 @given(values=st.lists(st.integers(0, 10**12), min_size=1, max_size=80), q=st.floats(0.01, 0.99))
@@ -33,6 +33,7 @@ def test_lost_messages_are_infinitely_late():
     assert Statistic(0.3).of_run(run) < 2
     assert MEAN.of_run(run) == math.inf
     assert quantile_at(np.array([math.inf, math.inf]), 1.5) == math.inf
+    assert quantile_at(np.array([1.0, 2.0, math.inf]), 2.0) == 2.0
 
 
 def test_joined_runs_follow_each_other_in_time():
@@ -41,5 +42,14 @@ def test_joined_runs_follow_each_other_in_time():
     joined = joined_runs([first, second])
     assert joined.values.tolist() == [1, 2, 3, 4, 5]
     assert np.diff(joined.sent_ns).tolist() == [10, 10, 20, 20]
+    third, one = Run(np.array([6, 7, 8]), np.array([50, 70, 110])), Run(np.array([9]), np.array([7]))
+    assert np.diff(joined_runs([first, third, one]).sent_ns).tolist() == [10, 10, 30, 20, 40, 0]
     assert joined_runs([first]) is first
+    assert len(joined_runs([])) == 0
     assert joined_runs([first, Run(np.array([7]))]).sent_ns is None
+
+
+def test_the_values_of_two_runs_in_order():
+    runs = Runs([Run(np.array([5, 1, 3])), Run(np.array([4, 2]))])
+    assert runs.all_ordered.tolist() == [1, 2, 3, 4, 5]
+    assert Runs(runs[:1]).all_ordered.tolist() == [1, 3, 5]

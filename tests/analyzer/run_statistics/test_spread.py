@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from drawn_series import log_normal_groups
 
-from dds_trace.analyzer.run_statistics.runs import MEAN, Run, Statistic
+from dds_trace.analyzer.run_statistics.runs import MEAN, Run, Runs, Statistic
 from dds_trace.analyzer.run_statistics.spread import Spread, spread_of_runs
+from dds_trace.analyzer.run_statistics.tails import inflations_of
 
 
 @pytest.mark.parametrize("statistic", [Statistic(0.5), Statistic(0.9), MEAN])
@@ -43,3 +44,23 @@ def test_what_has_no_logarithm_has_no_spread():
     one = spread_of_runs([Run(np.random.default_rng(1).random(1000) + 1)], Statistic(0.5))
     assert one.between is None
     assert 0.005 < one.within < 0.02
+
+
+@pytest.mark.parametrize("missing", [0.0, math.inf])
+def test_an_error_that_reaches_what_has_no_logarithm_is_unknown(missing):
+    # The median of 100 is finite and above zero, and one standard error beside it 46 of them are not.
+    values = np.arange(100.0, 200.0)
+    values[np.arange(46) * 2] = missing
+    assert 100 < Statistic(0.5).of_run(Run(values)) < 200
+    assert spread_of_runs([Run(values)], Statistic(0.5)) == Spread(None, None)
+
+
+@pytest.mark.parametrize(("quantile", "steps"), [(0.99, (0.0, 0.995)), (0.01, (0.005, 0.0))])
+def test_an_error_ends_half_a_message_before_the_end(quantile, steps):
+    run = Run(np.exp(np.random.default_rng(1).standard_normal(100)))
+    (inflation,) = inflations_of(Runs([run]), quantile)
+    error = math.sqrt(0.99 * 0.01 * max(1.0, inflation) / 100)
+    low, high = steps[0] or quantile - error, steps[1] or quantile + error
+    ends = np.quantile(run.values, [low, high], method="median_unbiased")
+    found = spread_of_runs([run], Statistic(quantile)).within
+    assert found == pytest.approx(math.log(ends[1] / ends[0]) * error / (high - low))

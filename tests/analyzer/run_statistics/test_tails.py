@@ -108,6 +108,11 @@ def test_runs_without_an_episode_limit_the_number():
     assert episodes_of([tail_of(*[1] * 30), tail_of()]) == 30  # two runs tell nothing of their spread
 
 
+def test_episodes_of_unlike_sizes_are_worth_fewer():
+    assert episodes_of([tail_of(9, 1, 1)]) == 1  # 11^2 / 83 = 1.46
+    assert episodes_of([tail_of(4, 4, 4)]) == 3
+
+
 def test_levels_that_are_not_positive_are_taken_off():
     assert Runs([Run(np.array([-2, -1, 0])), Run(np.array([4, 5, 6]))]).levels == Levels(
         (-1, 5), is_ratio=False

@@ -67,3 +67,15 @@ def test_a_single_rise_is_less_than_chance_makes():
     trend = find_trend(values)
     assert trend.p_value == pytest.approx(math.erfc(30 / math.sqrt(2 * 3802 + 4 / 3)), rel=0.2)
     assert trend.change == 0.0
+
+
+@pytest.mark.parametrize(("raised", "correlation"), [(8.2e-9, 0.0), (8.3e-9, 0.95)])
+def test_what_is_below_a_billionth_of_the_level_is_no_correlation(raised, correlation):
+    # A line from 1 to 32, at 16.5 in its middle, of which half a billionth is 8.25e-9. Sixteen neighbours of the 32 blocks
+    # are raised: 29 pairs of neighbours are alike and two are not, 27 / 32 + (1 + 3 * 27 / 32) / 32 = 0.954, at most 0.95.
+    medians = np.arange(1.0, BLOCKS + 1)
+    medians[8:24] += raised
+    # All 496 pairs rise; 495 after the step of two.
+    variance = BLOCKS * (BLOCKS - 1) * (2 * BLOCKS + 5) / 18 * (1 + correlation) / (1 - correlation)
+    expected = math.erfc(495 / math.sqrt(2 * variance))
+    assert find_trend(np.repeat(medians, 4)).p_value == pytest.approx(expected, rel=1e-6)

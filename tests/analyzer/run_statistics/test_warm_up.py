@@ -76,6 +76,7 @@ def test_what_is_sure_begins_at_its_limits():
     assert WarmUp(5, 2.0, 1e-3).is_sure(1.0)
     assert WarmUp(5, 0.5, 1e-3).is_sure(1.0)  # half as slow is as far from the rest
     assert WarmUp(1, 1.0, 0.0).is_sure()
+    assert not WarmUp(5, 1.1, 1e-3).is_sure(0.2)
     assert not WarmUp(5, 2.0, 1e-3).is_sure(1.001)
     assert not WarmUp(5, 2.0, 1.001e-3).is_sure(1.0)
     assert not WarmUp(0, 2.0, 1e-3).is_sure()
@@ -85,3 +86,9 @@ def test_the_shortest_run_that_tells():
     run = np.array([20.0] * 10 + [10.0, 11.0] * 95)
     assert find_warm_up(run).messages == 10
     assert find_warm_up(run[:-1]) is None
+
+
+def test_the_first_batch_of_a_short_begin_is_like_its_others():
+    rest = [10.0, 11.0] * 95
+    assert find_warm_up(np.array([40.0] * 20 + rest)).messages == 20
+    assert find_warm_up(np.array([12.0] * 5 + [40.0] * 15 + rest)).messages == 0  # it came later

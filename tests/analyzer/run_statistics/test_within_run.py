@@ -74,6 +74,12 @@ def test_a_mean_by_hand():
     assert interval_within([Run(np.arange(10))], MEAN).lower is None  # too few to see how they depend
 
 
+def test_a_mean_has_ends_from_25_messages_on():
+    few, enough = (interval_within([Run(np.arange(messages))], MEAN) for messages in (24, 25))
+    assert (few.lower, few.value, few.upper, few.independent) == (None, 11.5, None, 24)
+    assert enough.lower < 12 < enough.upper
+
+
 @pytest.mark.parametrize("correlation", [0.0, 0.5, 0.8, 0.95])
 def test_nineteen_of_twenty_means_are_held(correlation):
     found = [interval_within([Run(run)], MEAN) for run in autoregressive(400, 2000, correlation, seed=3)]

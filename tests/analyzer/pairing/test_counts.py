@@ -75,7 +75,9 @@ def test_times_below_zero_are_counted():
     assert count([(0, 100)], [(0, 190)], [(0, 50)], [(0, 40)])["negative_intermediate"] == 1
     assert count([(0, 100)], [(0, 200)], [(0, 50)], [(0, 350)])["negative_latency"] == 1
     fine = count([(0, 100)], [(0, 200)], [(0, 50)], [(0, 150)])  # latency 0
-    assert [fine[f"negative_{metric}"] for metric in ("rtt", "intermediate", "latency")] == [0, 0, 0]
+    at_once = count([(0, 100)], [(0, 100)], [(0, 50)], [(0, 50)])  # all three 0
+    for counts in (fine, at_once):
+        assert [counts[f"negative_{metric}"] for metric in ("rtt", "intermediate", "latency")] == [0, 0, 0]
 
 
 def test_a_run_that_is_all_warmup_has_zeros_and_no_spans():

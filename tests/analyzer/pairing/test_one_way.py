@@ -78,6 +78,20 @@ def test_a_relay_that_was_rebooted_between_two_runs_has_no_step():
     assert len(unknown.steps) == 1  # without the boot id it cannot be told from a step
 
 
+def test_a_segment_is_told_with_the_step_that_began_it():
+    def knot(at_s, offset_ns):
+        return (0, 1, 1, "ping-pi", "relay-pi", 1, at_s * 10**9, offset_ns, 101, None, None)
+
+    knots = [knot(0, 0), knot(1, 10**9), knot(2, 3 * 10**9)]
+    table = segment_table(fit_devices(pl.DataFrame(knots, schema=KNOT_SCHEMA, orient="row"), {}))
+    assert table.select("segment", "at_ns", "offset_ns", "step_before_ns").rows() == [
+        (0, 0, 0, None),
+        (1, 10**9, 10**9, 10**9),
+        (2, 2 * 10**9, 3 * 10**9, 2 * 10**9),
+    ]
+    assert table["step_bound_ns"].to_list() == [None, 500_203, 500_203]
+
+
 def test_stamps_of_a_sane_clock_are_usable_up_to_its_edges():
     sane_ns = 1 << 60
 

@@ -49,6 +49,9 @@ def test_a_loss_is_unknown_only_without_any_event_of_the_relay():
     # The relay's trace is there, though all it holds of this run is a warm-up message.
     _, with_warmup = pair(t1=[(0, 10), (1, 20), (2, 30)], t2=[(1, 25)], t3=[(0, 1)], t4=[(0, 2)], warmup=1)
     assert outcomes(with_warmup) == [Outcome.COMPLETED, Outcome.LOST_OUTBOUND]
+    for only in ("t3", "t4"):  # one event of it is enough
+        _, one = pair(t1=[(0, 10), (1, 20)], warmup=1, **{only: [(0, 1)]})
+        assert outcomes(one) == [Outcome.LOST_OUTBOUND]
 
 
 def test_a_departure_without_arrival_was_not_lost_on_the_way_out():
@@ -77,8 +80,18 @@ def test_the_first_number_behind_the_warmup_is_an_orphan_without_its_t1():
 def test_a_run_of_warmup_only_has_no_rows():
     published, paired = pair(t1=[(0, 10), (1, 20)], t2=[(0, 11)], warmup=5)
     assert len(published) == 0
+    assert published.rows(np.array([0, 5], np.uint64)).tolist() == [-1, -1]
     assert paired.receive_ns.tolist() == []
     assert paired.reordered.tolist() == []
+
+
+@pytest.mark.parametrize(
+    ("sizes", "told"),
+    [((), (2**32 - 1, 0)), ((0,), (0, 0)), ((7, 3, 9), (3, 9)), ((2**32 - 1,), (2**32 - 1,) * 2)],
+)
+def test_the_range_of_payloads_is_that_of_all_publications(sizes, told):
+    t1 = columns(*(event(s, 10 * s, payload_bytes=size) for s, size in enumerate(sizes)))
+    assert published_messages(t1, 1).payload_range_bytes == told
 
 
 @pytest.mark.parametrize(

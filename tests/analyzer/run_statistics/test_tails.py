@@ -74,6 +74,7 @@ def test_beyond_what_is_all_the_same_lies_nothing():
 def test_beyond_an_infinite_threshold_are_the_lost():
     values = np.arange(1000.0)
     values[300:350] = math.inf
+    assert threshold_alone(values, 0.99) == Threshold(math.inf, is_upper=True, is_part=False)
     (tail,) = tails_of([Run(values)], 0.99)
     assert (tail.messages, tail.sizes.tolist()) == (50, [50])
     assert tail.inflation > 10
@@ -118,6 +119,9 @@ def test_levels_that_are_not_positive_are_taken_off():
         (-1, 5), is_ratio=False
     )
     assert Runs([Run(np.array([1, 2, 3])), Run(np.array([4, 5, 6]))]).levels == Levels((2, 5), is_ratio=True)
+    assert Runs([Run(np.array([-1, 0, 1])), Run(np.array([4, 5, 6]))]).levels == Levels(
+        (0, 5), is_ratio=False
+    )
 
 
 def test_a_run_that_lost_most_is_given_the_level_of_the_others():

@@ -63,7 +63,8 @@ def test_a_distance_that_is_just_found_is_enough():
 def test_what_lies_at_the_limit_is_never_decided():
     assert runs_to_decide(0.0, 0.05, 0.05) is None
     assert runs_to_decide(1e-4, 0.05, 0.05) is None
-    assert runs_to_decide(-0.2, 0.0, 0.0) == 3
+    assert runs_to_decide(0.0, 0.0, 0.0) is None
+    assert runs_to_decide(1.0, 0.1, 0.1) == runs_to_decide(-0.2, 0.0, 0.0) == 3
     assert runs_to_decide(-0.2, 0.05, 0.05) == runs_to_decide(0.2, 0.05, 0.05)
 
 

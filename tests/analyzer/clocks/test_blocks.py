@@ -65,6 +65,15 @@ def test_stretches_are_those_of_every_message_held_against_every_other(blocks, p
     assert found > 50, "clocks that never jump would prove nothing"
 
 
+@pytest.mark.parametrize(("after", "stop"), [(62, 2), (63, 1)])
+def test_the_first_sixty_four_messages_behind_a_step_tell_who_belongs_before_it(after, stop):
+    """All at one instant: the first cannot be of the new clock, the second can until one message knows better."""
+    new = [(90, 200)] * after + [(150, 200)]
+    lower, upper = np.array([(0, 0), (0, 120), (90, 200), *new, (90, 200)], float).T
+    points = OffsetIntervals(np.zeros(len(lower)), lower, upper)
+    assert list(find_stretches(points)) == [(0, stop), (2, len(lower))]
+
+
 @pytest.mark.parametrize(
     ("lengths", "blocks"),
     [

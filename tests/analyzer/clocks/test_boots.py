@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dds_trace.analyzer.clocks.boots import (
+    boot_id_of,
     machine_of,
     ping_boots,
     ping_wall_offsets,
@@ -45,9 +46,11 @@ def test_boots_are_told_apart_by_the_wall_clock_at_monotonic_zero():
         session(2, "a", 1501 * S, 600 * S),  # same boot, wall clock one second on
         session(3, "a", 5000 * S, 50 * S),  # after a reboot
         session(4, "b", 1000 * S, 100 * S),
+        session(5, "a", 1502 * S, 600 * S),  # two seconds on: another boot
     ]
-    boots = ping_boots(sessions, [run(10, 1), run(20, 2), run(30, 3), run(40, 4), run(50, 77)])
-    assert boots == {10: 900, 20: 900, 30: 4950, 40: 900, 50: 0}
+    runs = [run(10, 1), run(20, 2), run(30, 3), run(40, 4), run(50, 77), run(60, 5)]
+    boots = ping_boots(sessions, runs)
+    assert boots == {10: 900, 20: 900, 30: 4950, 40: 900, 50: 0, 60: 902}
     assert ping_boots([], [UNNAMED]) == {6: 0}
 
 
@@ -75,6 +78,10 @@ def test_two_sessions_share_a_boot_by_the_kernels_text():
     assert share_boot(one, session(2, "a", 0, 0, "two")) is False
     assert share_boot(one, session(2, "a", 0, 0)) is None
     assert share_boot(one, None) is None
+    for no_text in ("", 5):
+        nameless = session(2, "a", 0, 0, no_text)
+        assert boot_id_of(nameless) is None
+        assert share_boot(nameless, nameless) is None
 
 
 def test_a_machine_is_named_by_its_boot_or_its_device():

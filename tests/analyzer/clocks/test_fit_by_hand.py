@@ -21,7 +21,14 @@ def test_a_message_that_took_no_time_tells_the_offset():
     fit, offsets = fitted((100, 105, 105, 100))
     assert (offsets.offset_ns.tolist(), offsets.bound_ns.tolist()) == ([5], [1])
     assert (fit.segments[0].start_ns, fit.segments[0].end_ns, fit.segments[0].messages) == (100, 100, 1)
-    assert (fit.segments[0].drift_ppb, fit.segments[0].drift_bound_ppb) == pytest.approx((0, 500_000))
+    told = fit.segments[0].drift_ppb, fit.segments[0].drift_bound_ppb
+    assert told == pytest.approx((0, 500_000), rel=1e-12)
+
+
+def test_two_messages_that_took_no_time_tell_the_drift():
+    fit, _ = fitted((0, 0, 0, 0), (S, S + 100_000, S + 100_000, S))
+    assert fit.segments[0].drift_ppb == pytest.approx(100_000, rel=1e-12)
+    assert fit.segments[0].drift_bound_ppb == pytest.approx(0, abs=1e-6)
 
 
 def test_one_machine_may_take_no_time_either_way():

@@ -48,6 +48,48 @@ def test_messages_that_contradict_each_other_by_no_more_than_rounding_have_a_lin
     assert lines_of((0, -5, 0), (0, 0.0010001, 5)).exist.tolist() == [False]
 
 
+@pytest.mark.parametrize("twice", [0, 1e5])
+@pytest.mark.parametrize("slow_first", [True, False])
+def test_of_two_messages_at_one_instant_the_faster_one_counts(twice, slow_first):
+    fast, slow = (twice, -5, 5), (twice, -10, 10)
+    both = (slow, fast) if slow_first else (fast, slow)
+    lines = lines_of(*both, (1e5, -5, 5)) if twice == 0 else lines_of((0, -5, 5), *both)
+    assert lines.exist.tolist() == [True]
+    assert lines.steepness == pytest.approx(np.array([[-1e-4, 1e-4]]), rel=1e-12)
+    low, high = lines.range_at(np.array([[-1e5, 0, 5e4, 1e5, 2e5]]))
+    assert low == pytest.approx(np.array([[-15, -5, -5, -5, -15]]), abs=1e-9)
+    assert high == pytest.approx(np.array([[15, 5, 5, 5, 15]]), abs=1e-9)
+
+
+@pytest.mark.parametrize("place", [0, 1, 2])
+def test_a_message_that_contradicts_itself_is_in_no_window(place):
+    messages = [(0, 0, 10), (1e6, 2, 8), (2e6, 1, 9)]
+    messages[place] = (place * 1e6, 5, 4.9)
+    points = intervals(*messages)
+    found = fit_windows(points, [(0, 3)])
+    assert place not in {
+        message
+        for start, stop in zip(found.start.tolist(), found.stop.tolist(), strict=True)
+        for message in range(start, stop)
+    }
+    assert (found.stop - found.start).sum() == 2
+    assert (points.lower[place], points.upper[place]) == (5, 4.9)
+
+
+def test_without_a_stretch_there_is_no_window():
+    found = fit_windows(intervals((0, 0, 10)), [])
+    assert [found.start.shape, found.stop.shape, found.time.shape] == [(0,)] * 3
+    assert [found.steepness.shape, found.first.shape, found.last.shape] == [(0, 2)] * 3
+
+
+def test_a_half_that_agrees_exactly_does_not_bend():
+    """Sixteen messages that know little, and sixteen that took no time."""
+    bound = np.repeat([10.0, 0.0], 16)
+    points = OffsetIntervals(np.arange(32) * S / 4, -bound, bound)
+    start, stop = np.array([0]), np.array([32])
+    assert _are_bent(points, start, stop, Lines.through(points, start, stop)).tolist() == [False]
+
+
 def test_a_message_whose_offset_two_others_know_exactly_is_narrowed_to_it():
     points = intervals((0, 5, 5), (1e6, 0, 10), (2e6, 5, 5))
     fit_windows(points, [(0, 3)])

@@ -169,6 +169,8 @@ def test_what_is_proven_counts_not_what_is_likely(way):
     assert slew.end_ns == 15 * S
     (slew,) = of_knots([10, 10], [0, 7], [1, 2], way)  # at one instant: a nanosecond
     assert slew.rate_ppm == pytest.approx(way * 7000 * 1e6)
+    (slew,) = of_knots([10, 10, 10], [0, 7, 20], [1, 2, 1], way)  # the fastest of three pairs
+    assert slew.rate_ppm == pytest.approx(way * 20_000 * 1e6)
 
 
 def test_no_knot_or_one_tells_no_rate():

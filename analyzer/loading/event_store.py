@@ -105,10 +105,10 @@ def write_events(path: Path, parts: Mapping[Label, EventColumns]) -> dict[Label,
 
 
 def _write_column(stream: BinaryIO, values: NDArray[np.integer]) -> Column:
-    first = int(values[0])
-    if (values == values[0]).all():
+    first, last = int(values[0]), int(values[-1])  # which tell of most columns that they are neither
+    if first == last and (values == values[0]).all():
         return "constant", first
-    if values[-1] > values[0] and int(values[-1]) - first == len(values) - 1 and (np.diff(values) == 1).all():
+    if last - first == len(values) - 1 and (np.diff(values) == 1).all():
         return "counting", first
     offset = stream.tell()
     stream.write(np.ascontiguousarray(values).data)

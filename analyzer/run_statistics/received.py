@@ -88,7 +88,7 @@ def _few_episodes(sizes: Int64, n: int, confidence: float) -> tuple[float, float
         return 0.0, min(most / n, 1.0)
     mean = float(sizes.mean())
     weighted = max(2 * mean - 1, float(np.square(sizes).sum() / sizes.sum()))
-    return min(fewest * mean / n, 1.0), min(most * weighted / n, 1.0)
+    return fewest * mean / n, min(most * weighted / n, 1.0)
 
 
 def wilson_ends(share: float, independent: float, quantile: float) -> tuple[float, float]:

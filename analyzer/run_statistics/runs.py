@@ -255,7 +255,9 @@ def _steps_ns(run: Run) -> Int64:
     """Return the time since the message before, for the first one the mean of the run."""
     times = run.sent_ns
     assert times is not None
-    step = int(times[-1] - times[0]) // max(1, len(times) - 1) if len(times) else 0
+    if not len(times):
+        return times
+    step = int(times[-1] - times[0]) // max(1, len(times) - 1)
     return np.diff(times, prepend=times[:1] - step)
 
 

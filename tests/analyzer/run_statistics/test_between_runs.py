@@ -38,6 +38,11 @@ def test_three_runs_by_hand():
     assert found.unit_spread == pytest.approx(1)
 
 
+def test_three_messages_in_as_many_runs_are_three_units():
+    found = interval_of_runs(constant_runs(1, math.e, math.e**2, messages=1), P50)
+    assert (found.basis, found.units, found.value) == (Basis.BETWEEN_RUNS, 3, pytest.approx(math.e))
+
+
 def test_two_runs_say_something_of_themselves_only():
     runs = [Run(values) for values in log_normal_groups(1, 2, 500, 0.05, seed=1)[0]]
     assert interval_of_runs(runs, P50) == interval_within(runs, P50)

@@ -134,10 +134,16 @@ def test_one_lost_run_of_five_is_no_proof():
     assert change.ratio_high > 10
 
 
+def test_the_ratio_beside_lost_runs_is_that_of_mean_reciprocals():
+    # (1 + 1/2 + 0) / 3 over 1/4.
+    assert change_of_runs(constant_runs(1, 2, math.inf), constant_runs(4, 4, 4), P50).ratio == 2.0
+
+
 def test_times_below_zero_have_a_difference_and_no_ratio():
     change = change_of_runs(constant_runs(-1, 0, 1), constant_runs(9, 10, 11), MEAN)
     assert change.difference == 10
     assert change.difference_low == pytest.approx(10 - 2.776445 * math.sqrt(2 / 3), rel=1e-5)
+    assert change.difference_high == pytest.approx(10 + 2.776445 * math.sqrt(2 / 3), rel=1e-5)
     assert (change.ratio, change.verdict(0.05)) == (None, Verdict.INCONCLUSIVE)
 
 

@@ -36,6 +36,15 @@ def test_rows_longer_than_chance_are_counted():
     assert bursts_to_count([below_with((301, 4))], [below[20:40]], MESSAGES) is None
 
 
+def test_rows_may_have_gaps_where_few_messages_are_beyond():
+    # One message in a hundred, gaps of four: a row goes on by 1 - 0.99^4 = 4 %, and chance makes one of 3.9 messages.
+    def with_row(length: int):
+        return np.union1d(np.arange(50.0, 10_000, 100), 5_001.0 + np.arange(length))
+
+    found = [bursts_to_count([with_row(length)], [5_001.0 + np.arange(3)], 10_000) for length in (3, 4)]
+    assert found == [None, 1]
+
+
 def test_pieces_of_a_burst_are_one():
     # Two rows of eight with two fast messages between: nearer than a twentieth of the 1000 messages that a row has.
     in_burst = 301.0 + np.arange(8)

@@ -71,6 +71,9 @@ def test_two_hundred_messages_of_thirty_values_can_tell():
     assert find_modes(two_of(28)) is None
     assert find_modes(two_of(30)[:-1]) is None
     assert find_modes(two_of(30), inflation=1.01) is None
+    assert find_modes(np.sort(two_of(30, 240))).share == pytest.approx(
+        0.5
+    )  # of which the first half has fifteen
     assert find_modes(two_of(30), inflation=0.5) is not None  # no message counts twice
 
 
@@ -102,3 +105,16 @@ def test_a_shallow_valley_is_none_however_sure():
     )
     assert shallow is None
     assert deep.valley == pytest.approx(0.30, abs=0.01)
+
+
+def test_a_value_that_most_messages_have_leaves_no_width():
+    values = np.full(1000, 5.0)
+    values[:150] = 20 + np.arange(150) / 100
+    assert find_modes(values) is None
+
+
+def test_of_two_valleys_the_deeper_one_counts():
+    # The second is lower, and less deep below the peak of the third mode.
+    normal = np.array([NormalDist().inv_cdf((place + 0.5) / 2000) for place in range(2000)])
+    logs = np.concatenate([normal] * 4 + [normal + 4.8] * 5 + [normal[::2] + 9.6] * 2)
+    assert find_modes(np.exp(0.2 * logs)).share == pytest.approx(0.4, abs=0.01)

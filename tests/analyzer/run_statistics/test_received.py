@@ -62,6 +62,14 @@ def test_without_messages_there_is_no_ratio():
     assert received_interval([np.empty(0, np.bool_)]) == replace(found, runs=1)
 
 
+def test_ends_of_a_few_messages_are_cut():
+    one = received_interval([losing(1)])
+    assert (one.lower, one.upper, one.independent) == (0.0, 1.0, 1)
+    assert (
+        received_interval([losing(7, (2, 5))]).lower == 0.0
+    )  # 5.57 outages of five messages are more than seven
+
+
 def test_from_ten_episodes_on_the_share_is_normal():
     places = np.arange(40, 1000, 100)
     nine, ten = (losing(1000, *((place, place + 1) for place in places[:count])) for count in (9, 10))

@@ -44,6 +44,8 @@ def test_joined_runs_follow_each_other_in_time():
     assert np.diff(joined.sent_ns).tolist() == [10, 10, 20, 20]
     third, one = Run(np.array([6, 7, 8]), np.array([50, 70, 110])), Run(np.array([9]), np.array([7]))
     assert np.diff(joined_runs([first, third, one]).sent_ns).tolist() == [10, 10, 30, 20, 40, 0]
+    empty = Run(np.empty(0), np.empty(0, np.int64))
+    assert np.diff(joined_runs([first, empty, second]).sent_ns).tolist() == [10, 10, 20, 20]
     assert joined_runs([first]) is first
     assert len(joined_runs([])) == 0
     assert joined_runs([first, Run(np.array([7]))]).sent_ns is None

@@ -32,6 +32,7 @@ def test_a_short_series_by_hand():
 def test_what_a_run_does_not_support_has_no_value():
     found = interval_within([Run(np.arange(99))], P99)
     assert (found.value, found.lower, found.upper, found.samples) == (None, None, None, 99)
+    assert interval_within([Run(np.arange(100))], P99).value == pytest.approx(0.99 * 99)
     assert interval_within([], P50).value is None
 
 

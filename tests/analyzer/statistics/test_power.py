@@ -88,6 +88,9 @@ def test_the_fewest_runs_of_a_narrow_interval_by_hand():
     # Student's t over the root of the runs: 4.3027 / sqrt(3) = 2.4841, 3.1824 / sqrt(4) = 1.5912.
     widths = (2.485, 2.483, 1.592, 1.591)
     assert [runs_to_narrow(1.0, half_width) for half_width in widths] == [3, 4, 4, 5]
+    assert runs_to_narrow(1.0, student_quantile(0.975, 4) / math.sqrt(5)) == 5  # just as narrow
+    most = student_quantile(0.975, 999) / math.sqrt(1000)
+    assert [runs_to_narrow(1.0, most * share) for share in (1 + 1e-9, 1 - 1e-9)] == [1000, None]
 
 
 def test_messages_that_close_an_interval():

@@ -69,6 +69,12 @@ def test_a_reply_that_the_relay_saw_only_once_is_a_gap():
         assert (counts["negative_intermediate"], counts["negative_latency"]) == (0, 0)
 
 
+def test_the_least_and_the_most_payload_are_told():
+    published = published_messages(columns(event(0, 10, payload_bytes=3), event(1, 20, payload_bytes=9)), 0)
+    counts = count_messages(published, pair_messages(published, columns(), columns(), columns()))
+    assert (counts["least_payload_bytes"], counts["most_payload_bytes"]) == (3, 9)
+
+
 def test_times_below_zero_are_counted():
     # rtt 90 - 100 = -10; intermediate 40 - 50 = -10; latency (200 - 100 - (350 - 50)) // 2 = -100.
     assert count([(0, 100)], [(0, 90)])["negative_rtt"] == 1

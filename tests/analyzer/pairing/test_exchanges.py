@@ -202,6 +202,7 @@ def test_a_run_without_a_relay_has_rows_of_losses(tmp_path):
         (0, 1, "lost_unknown"),
     ]
     assert [rows(analysis)[0][name] for name in NO_RELAY_COLUMNS] == [None] * 6
+    assert rows(analysis)[0]["setting"] == ""
     assert {"no_relay", "nothing_received"} <= codes(analysis)
 
 

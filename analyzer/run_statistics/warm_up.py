@@ -96,5 +96,8 @@ def mser_truncation(series: Float64) -> int:
     left = np.arange(n, 0, -1)
     sums = np.cumsum(centred[::-1])[::-1]
     squares = np.cumsum(np.square(centred)[::-1])[::-1]
-    criterion = (squares - sums * sums / left) / (left * left)
+    about_mean = squares - sums * sums / left
+    # A rest of equal values has nothing left but the rounding of the sums, whose least is anywhere.
+    about_mean[about_mean <= n * np.finfo(np.float64).eps * squares[0]] = 0
+    criterion = about_mean / (left * left)
     return int(np.argmin(criterion[: n // 4 + 1]))

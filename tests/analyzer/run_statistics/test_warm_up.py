@@ -19,6 +19,14 @@ def test_the_begin_that_costs_most_is_left_out():
     assert mser_truncation(np.array([5.0] * 8)) == 0
 
 
+@pytest.mark.parametrize("rest", [0.0, 0.1, 1.7, 123.4])
+def test_no_more_is_left_out_where_the_rest_is_constant(rest):
+    """Of a clock that ticks coarsely, say; rounding alone would choose among the values that are alike."""
+    assert mser_truncation(np.array([rest + 2.08, rest + 0.69] + [rest] * 38)) == 2
+    series = np.exp([rest / 100 + 2.08] * 5 + [rest / 100 + 0.69] * 5 + [rest / 100] * 190)
+    assert find_warm_up(series).messages == 10
+
+
 @given(values=st.lists(st.floats(-100, 100), min_size=8, max_size=60))
 def test_the_criterion_is_whites(values):
     series = np.array(values)

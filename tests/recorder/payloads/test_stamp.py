@@ -97,6 +97,15 @@ def test_stamp_and_time_are_written_in_place():
     assert message[-1] == 0x2A
 
 
+@pytest.mark.parametrize(("end", "begin"), [(67, 67), (64, 64), (62, 62)])
+def test_the_begin_of_a_message_that_is_like_another(end, begin):
+    """From the length of the string that the stamp begins, four bytes before it, to where it is asked for."""
+    message = header_message(stamp_text(0x0123456789ABCDEF, 7, 0)) + b"payload"
+    next_one = header_message(stamp_text(0x0123456789ABCDEF, 8, 0)) + b"payload"
+    assert RAW_HEADER_STAMP.begin_at == 12
+    assert RAW_HEADER_STAMP.begin_of(message, 0x0123456789ABCDEF, 8, end) == next_one[12:begin]
+
+
 @pytest.mark.parametrize("digit", [1, 1 << 60])
 def test_runs_that_take_turns_are_told_apart(digit):
     """A place remembers the last run that it read; one digit, the first or the last, is another run."""

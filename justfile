@@ -39,7 +39,7 @@ fix: setup
 
 # All tests that end within minutes; each worker takes neighbours, which share what they make
 test *args: setup
-    {{bin}}/pytest -m 'not slow' -n 8 --dist worksteal {{args}}
+    {{bin}}/pytest -m 'not slow' -n 6 --dist worksteal {{args}}
 
 # Tests that take longer than a minute each (kills, long sweeps)
 test-slow *args: setup

@@ -39,9 +39,6 @@ fix: setup
 
 # All tests that end within minutes; each worker takes neighbours, which share what they make
 test *args: setup
-    @# In a new clone the assertions are rewritten once, on both cores, not by each worker for itself.
-    @test -d tests/__pycache__ || for part in 'analyzer,reports' 'cli,docs,recorder,tracefile'; do \
-        eval "{{bin}}/pytest --collect-only -q tests/{$part}" >/dev/null & done; wait
     {{bin}}/pytest -m 'not slow' -n 6 --dist worksteal {{args}}
 
 # Tests that take longer than a minute each (kills, long sweeps)

@@ -82,7 +82,7 @@ is_pinning = True
 def on_processor(place: int) -> tuple[str, ...]:
     """Return the words that keep a program on one processor of those that this process may use."""
     usable = sorted(os.sched_getaffinity(0)) if is_pinning else []
-    return ("taskset", "--cpu-list", str(usable[place])) if len(usable) > place > -1 else ()
+    return ("taskset", "--cpu-list", str(usable[place])) if len(usable) > place else ()
 
 
 @contextmanager

@@ -234,9 +234,8 @@ class _Points:
         offset_ns, bound_ns = np.empty((2, len(low)), np.int64)
         for block in _blocks(len(low)):
             offset_ns[block] = np.rint((low[block] + high[block]) / 2)
-            bound_ns[block] = np.ceil(
-                (high[block] - low[block]) / 2 + 0.5
-            )  # half a nanosecond for the rounding
+            # Half a nanosecond for the rounding.
+            bound_ns[block] = np.ceil((high[block] - low[block]) / 2 + 0.5)
         offset_ns += self.offset_origin_ns
         if self.order is not None:
             at = np.empty_like(self.order)

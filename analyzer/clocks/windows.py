@@ -161,12 +161,9 @@ def _fit_levels(points: OffsetIntervals, start: Intp, stop: Intp) -> Windows:
             own, own_start, own_stop = lines.take(is_whole), start[is_whole], stop[is_whole]
             windows = Windows.of(left, own_start, own_stop, own)
             here = slice(int(own_start[0]), int(own_stop[-1]))
-            if origin is None:
-                _narrow(left, own_start, own_stop, own, points.lower[here], points.upper[here])
-            else:
-                low, high = left.lower[here].copy(), left.upper[here].copy()
-                _narrow(left, own_start, own_stop, own, low, high)
-                points.lower[origin[here]], points.upper[origin[here]] = low, high
+            _narrow(left, own_start, own_stop, own)
+            if origin is not None:
+                points.lower[origin[here]], points.upper[origin[here]] = left.lower[here], left.upper[here]
                 windows = replace(windows, start=origin[own_start], stop=origin[own_stop - 1] + 1)
             fitted.append(windows)
         halved = ~is_whole & (stop - start > 1)
@@ -218,18 +215,12 @@ def _are_bent(points: OffsetIntervals, start: Intp, stop: Intp, lines: Lines) ->
     return bent
 
 
-def _narrow(
-    points: OffsetIntervals, start: Intp, stop: Intp, lines: Lines, lowest: Float64, highest: Float64
-) -> None:
-    """Put the lowest and the highest offset of each message into `lowest` and `highest`, which may be those of `points`.
-
-    They are of the messages from the first window to the last, gaps between included.
-    """
+def _narrow(points: OffsetIntervals, start: Intp, stop: Intp, lines: Lines) -> None:
+    """Narrow the bounds of the windows' messages in place; messages between two windows keep theirs."""
     following = np.append(start[1:], stop[-1])
     for first, after in _blocks(start, stop, _CACHED_MESSAGES):
         own = slice(first, after)
         here = slice(int(start[first]), int(following[after - 1]))
-        there = slice(here.start - int(start[0]), here.stop - int(start[0]))
         edges, part = (start[own], stop[own], following[own]), lines.take(own)
         x = points.time[here] - np.repeat(part.centre, edges[2] - edges[0])
         low = _least(-points.lower[here], part.below, *edges, x)
@@ -238,7 +229,7 @@ def _narrow(
         alone = low > high
         if alone.any():
             low[alone], high[alone] = points.lower[here][alone], points.upper[here][alone]
-        lowest[there], highest[there] = low, high
+        points.lower[here], points.upper[here] = low, high
 
 
 def _least(own: Float64, boundary: Boundary, start: Intp, stop: Intp, following: Intp, x: Float64) -> Float64:

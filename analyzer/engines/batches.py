@@ -56,7 +56,7 @@ def plan_batches(grouping: Grouping, wanted: Wanted) -> list[Batch]:
     spans: list[
         tuple[int, int, bool]
     ] = []  # first exchange, the one behind the last, whether of whole groups
-    parameters, last_first = grouping.parameters.rows(), 0
+    parameters, is_ended = grouping.parameters.rows(), False
     edges = [0, *(np.flatnonzero(np.diff(groups)) + 1).tolist(), len(exchanges)]
     for first, after in pairwise(edges):
         if (
@@ -64,16 +64,11 @@ def plan_batches(grouping: Grouping, wanted: Wanted) -> list[Batch]:
             and len({e.run.run_id for e in exchanges[first:after]}) > 1
         ):
             spans += ((*part, False) for part in _parts_of_group(exchanges, first, after, events))
-        elif (
-            spans
-            and spans[-1][2]
-            and events(spans[-1][0], after) <= BATCH_EVENTS
-            and not _ends_batch(parameters[groups[first - 1]], events(last_first, first))
-        ):
+        elif spans and spans[-1][2] and events(spans[-1][0], after) <= BATCH_EVENTS and not is_ended:
             spans[-1] = (spans[-1][0], after, True)
         else:
             spans.append((first, after, True))
-        last_first = first
+        is_ended = _ends_batch(parameters[groups[first]], events(first, after))
     return [
         Batch(exchanges[first:after], groups[first:after], len(exchanges), whole, wanted)
         for first, after, whole in spans

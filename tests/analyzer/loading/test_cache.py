@@ -8,6 +8,7 @@ import shutil
 
 import pytest
 from campaigns import assert_same_results, write_runs
+from file_damage import DAMAGES
 
 import dds_trace.analyzer.loading.cache
 import dds_trace.analyzer.loading.shelf
@@ -149,32 +150,8 @@ def test_events_that_are_gone_in_the_middle_are_read_from_their_trace(runs, trac
     shelf.close()
 
 
-def flip_a_bit(path):
-    data = bytearray(path.read_bytes())
-    data[len(data) // 2] ^= 1
-    path.write_bytes(data)
-
-
-def cut(path):
-    path.write_bytes(path.read_bytes()[:-1])
-
-
-def lengthen(path):
-    path.write_bytes(path.read_bytes() + b" ")
-
-
-def make_a_pipe(path):
-    path.unlink()
-    os.mkfifo(path)
-
-
-def make_a_link(path):
-    path.rename(path.with_suffix(".moved"))
-    path.symlink_to(path.with_suffix(".moved"))
-
-
 @pytest.mark.parametrize("ending", ["json", "events"])
-@pytest.mark.parametrize("damage", [flip_a_bit, cut, lengthen, make_a_pipe, make_a_link])
+@pytest.mark.parametrize("damage", DAMAGES)
 def test_a_damaged_entry_is_read_anew(runs, traces, files_read, ending, damage):
     first = analyze(runs, cache=True)
     files_read.clear()

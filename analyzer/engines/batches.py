@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dds_trace.tracefile.threads import Here
+
 from ..groups.batch import Batch
 from ..groups.frames import detail_frames, summary_frames
 from ..groups.measure import measure_batch, metric_values
@@ -20,6 +22,7 @@ from ..pairing.roundtrips import pair_exchanges
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
+    from concurrent.futures import Executor
 
     import polars as pl
     import pyarrow as pa
@@ -127,7 +130,10 @@ class BatchResult:
 
 
 def work_at(
-    batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]], known: KnownDetails | None = None
+    batch: Batch,
+    parts: Mapping[EventKey, Sequence[EventPart]],
+    known: KnownDetails | None = None,
+    pool: Executor | None = None,
 ) -> BatchResult:
     """Pair and measure a batch.
 
@@ -135,21 +141,29 @@ def work_at(
         batch: the batch.
         parts: for each of its `event_keys` the rows of the event index, traces in rising order.
         known: the details that earlier analyses have made.
+        pool: other threads that measure once it is paired; None: this thread does all.
     """
     copies, roundtrips = _pair(batch, parts)
+    wanted, pool = batch.wanted, pool or Here()
+    statistics = pool.submit(measure_batch, roundtrips, batch.group_of_exchange)
+    summary = pool.submit(summary_frames, batch, roundtrips)
+    details: Frames = {}
+    if wanted.details:
+        details = (
+            known.frames_of(batch, parts, roundtrips, pool)
+            if known
+            else detail_frames(batch, roundtrips, pool)
+        )
     values = None
-    if batch.wanted.rows and not batch.whole:
+    if wanted.rows and not batch.whole:
         exchanges = len(batch.exchanges)
         values = {metric: metric_values(roundtrips, metric, 0, exchanges) for metric in METRICS}
-    frames = summary_frames(batch, roundtrips)
-    if batch.wanted.details:
-        frames |= known.frames_of(batch, parts, roundtrips) if known else detail_frames(batch, roundtrips)
     return BatchResult(
-        frames=frames,
+        frames=summary.result() | details,
         counts=roundtrips.counts,
-        statistics=measure_batch(roundtrips, batch.group_of_exchange),
+        statistics=statistics.result(),
         copies=copies,
-        table=table_of(roundtrips) if batch.wanted.rows else None,
+        table=table_of(roundtrips) if wanted.rows else None,
         values=values,
     )
 

@@ -25,6 +25,7 @@ from ..groups.frames import DETAIL_MAKERS, detail_frames
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+    from concurrent.futures import Executor
 
     from dds_trace.tracefile import Run, Session
 
@@ -52,13 +53,17 @@ class KnownDetails:
         self._texts: dict[int, tuple[Run | Session, str]] = {}  # one session is described in many exchanges
 
     def frames_of(
-        self, batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]], roundtrips: RoundTrips
+        self,
+        batch: Batch,
+        parts: Mapping[EventKey, Sequence[EventPart]],
+        roundtrips: RoundTrips,
+        pool: Executor,
     ) -> Frames:
-        """Return the detail frames of a batch: known ones, or new ones, which are known from then on."""
+        """Return the detail frames of a batch: known ones, or new ones, made by a pool, which are known from then on."""
         key, first = self._key_of(batch, parts), int(batch.group_of_exchange[0])
         with suppress(OSError, ValueError, LookupError, TypeError, pl.exceptions.PolarsError):
             return _shifted(_unpacked(self._cache.read(key, "details", MOST_BYTES)), first)
-        frames = detail_frames(batch, roundtrips)
+        frames = detail_frames(batch, roundtrips, pool)
         with suppress(OSError):  # a full disk costs the cache, not the analysis
             self._cache.write(key, "details", _packed(_shifted(frames, -first)), MOST_BYTES)
         return frames

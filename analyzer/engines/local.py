@@ -12,7 +12,7 @@ from dds_trace.tracefile.threads import in_order
 from ..loading.cache import TraceCache
 from ..loading.campaign import load_campaign
 from ..loading.shelf import TraceShelf
-from .batches import work_at
+from .batches import BATCH_EVENTS, work_at
 from .known_details import KnownDetails
 
 if TYPE_CHECKING:
@@ -57,21 +57,36 @@ class LocalEngine:
         return load_campaign(place, skip=skip, progress=progress, shelf=self._shelf)
 
     def work(self, batches: Sequence[Batch], index: EventIndex) -> Iterator[BatchResult]:
-        """Yield the results of the batches, worked at on all cores; one batch waits in memory for its turn."""
+        """Yield the results of the batches, worked at on all cores; one batch waits in memory for its turn.
+
+        Of a large one, whose arrays are long, what follows its pairing is made side by side: short ones wait for Python's lock.
+        """
         workers = min(_MOST_WORKERS, len(os.sched_getaffinity(0)))
         known = KnownDetails(self._cache, self._shelf.keys) if self._cache else None
-        jobs = (
-            (
-                1,
-                partial(
-                    work_at, batch, {key: index[key] for key in batch.event_keys() if key in index}, known
-                ),
+        with (
+            ThreadPoolExecutor(workers, thread_name_prefix="analyze") as pool,
+            ThreadPoolExecutor(workers, thread_name_prefix="measure") as measuring,
+        ):
+            jobs = (
+                (
+                    1,
+                    partial(
+                        work_at,
+                        batch,
+                        {key: index[key] for key in batch.event_keys() if key in index},
+                        known,
+                        measuring if _is_large(batch) else None,
+                    ),
+                )
+                for batch in batches
             )
-            for batch in batches
-        )
-        with ThreadPoolExecutor(workers, thread_name_prefix="analyze") as pool:
             yield from in_order(jobs, pool, workers + 1, workers + 1, helping=False)
 
     def close(self) -> None:
         """Remove temporary files."""
         self._shelf.close()
+
+
+def _is_large(batch: Batch) -> bool:
+    """Return whether one group, or one run of a group, has more events than a batch is to have."""
+    return sum(sum(exchange.counts) for exchange in batch.exchanges) > BATCH_EVENTS

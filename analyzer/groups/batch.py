@@ -121,15 +121,15 @@ class Batch:
         return list(dict.fromkeys(key for exchange in self.exchanges for key in exchange.event_keys()))
 
 
-def grouped_rows(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
-    """Return the measured columns with `group`, run_id, relay_id, bridge and rate_hz.
+def grouped_rows(batch: Batch, roundtrips: RoundTrips, described: Sequence[str]) -> pl.DataFrame:
+    """Return the measured columns with `group` and these columns of `RoundTrips.described`.
 
-    No other parameters, as texts take more memory than numbers.
+    No others: each takes memory for every row, and most are texts.
     """
     exchange = roundtrips.exchange_of_row()
     return roundtrips.measured.with_columns(
         pl.Series("group", roundtrips.per_row(batch.group_of_exchange)),
-        *(roundtrips.described[n].gather(exchange) for n in ("run_id", "relay_id", "bridge", "rate_hz")),
+        *(roundtrips.described[name].gather(exchange) for name in described),
     )
 
 

@@ -40,6 +40,23 @@ STAGES = (
 )
 """The parts of a response in the order of time; each a column of `break_down`'s frame."""
 
+_USED = (
+    "group",
+    "run_id",
+    "relay_id",
+    "bridge",
+    "scheduled_ns",
+    "publish_ns",
+    "relay_in_ns",
+    "relay_out_ns",
+    "receive_ns",
+    "outbound_ns",
+    "intermediate_ns",
+    "return_ns",
+    "clock_bound_ns",
+)
+"""Columns of a batch's rows that its parts are made of, beside `STAMP_COLUMNS`: the others would be copied for nothing."""
+
 STAMP_COLUMNS = (*MIDDLEWARE_STAMPS[Stage.T3], *MIDDLEWARE_STAMPS[Stage.T2])
 """`source_ns` and `received_ns` of T3 and of T2, i64, ns since 1970, null or 0 where the trace has none."""
 
@@ -49,7 +66,11 @@ def breakdown_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
 
     Percentiles of parts of a group do not add up, so a group that is here in part has no rows.
     """
-    rows = grouped_rows(batch, roundtrips).with_columns(roundtrips.stamps)
+    rows = (
+        grouped_rows(batch, roundtrips, ["run_id", "relay_id", "bridge"])
+        .select(_USED)
+        .with_columns(roundtrips.stamps)
+    )
     if not batch.whole:
         return summarize_breakdown(break_down(rows.head(0)), ["group"])
     ping_wall = {e.run.run_id: e.ping.wall_anchor_ns - e.ping.monotonic_anchor_ns for e in batch.exchanges}
@@ -64,7 +85,7 @@ def response_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
 
     A group that is here in part has no row, as in `breakdown_frame`.
     """
-    rows = grouped_rows(batch, roundtrips)
+    rows = grouped_rows(batch, roundtrips, ["rate_hz"])
     return response_against_latency(rows if batch.whole else rows.head(0), ["group"])
 
 
@@ -93,19 +114,25 @@ def break_down(
     stamps = {name: pl.when(pl.col(name) != 0).then(pl.col(name)) for name in STAMP_COLUMNS}
     direct = pl.when(pl.col("bridge") == "none")
     ping, relay = _offset("run_id", pl.UInt64, ping_wall), _offset("relay_id", pl.UInt32, relay_wall)
+    stamped = roundtrips.with_columns(missing).with_columns(
+        _relay_delivery=pl.col("relay_in_ns") - (stamps["relay_received_ns"] - relay),
+        _ping_delivery=pl.col("receive_ns") - (stamps["reply_received_ns"] - ping),
+        # How long after T4 (T1) the middleware stamped the message, by the same anchor.
+        _relay_write=direct.then(stamps["reply_source_ns"] - relay - pl.col("relay_out_ns")),
+        _ping_write=direct.then(stamps["relay_source_ns"] - ping - pl.col("publish_ns")),
+    )
+    keys = ["run_id", "relay_id"]
+    anchors = stamped.select(keys).join(
+        _anchors(stamped), on=keys, how="left", nulls_equal=True, maintain_order="left"
+    )
     return (
-        roundtrips.with_columns(missing)
+        stamped.drop("_relay_write", "_ping_write")
+        .hstack(anchors.drop(keys))
         .with_columns(
-            _relay_delivery=pl.col("relay_in_ns") - (stamps["relay_received_ns"] - relay),
-            _ping_delivery=pl.col("receive_ns") - (stamps["reply_received_ns"] - ping),
-            # How long after T4 (T1) the middleware stamped the message, by the same anchor.
-            _relay_write=direct.then(stamps["reply_source_ns"] - relay - pl.col("relay_out_ns")),
-            _ping_write=direct.then(stamps["relay_source_ns"] - ping - pl.col("publish_ns")),
+            relay_delivery_ns=pl.when("_relay_sound").then("_relay_delivery"),
+            ping_delivery_ns=pl.when("_ping_sound").then("_ping_delivery"),
         )
-        .with_columns(
-            relay_delivery_ns=_if_sound("_relay_delivery", "_relay_write"),
-            ping_delivery_ns=_if_sound("_ping_delivery", "_ping_write"),
-        )
+        .drop("_relay_delivery", "_ping_delivery", "_relay_sound", "_ping_sound")
         .with_columns(
             waiting_ns=pl.col("publish_ns") - pl.col("scheduled_ns"),
             outbound_transport_ns=pl.col("outbound_ns") - pl.col("relay_delivery_ns"),
@@ -113,29 +140,33 @@ def break_down(
             return_transport_ns=pl.col("return_ns") - pl.col("ping_delivery_ns"),
             delivery_bound_ns=pl.when(
                 pl.col("relay_delivery_ns").is_not_null() & pl.col("ping_delivery_ns").is_not_null(),
-            ).then(
-                _larger(
-                    _anchor_bound("_relay_delivery", "_relay_write"),
-                    _anchor_bound("_ping_delivery", "_ping_write"),
-                )
-            ),
+            ).then("_anchor_bound"),
         )
-        .drop("_relay_delivery", "_ping_delivery", "_relay_write", "_ping_write")
+        .drop("_anchor_bound")
     )
 
 
-def _shortest(column: str) -> pl.Expr:
-    return pl.col(column).min().over("run_id", "relay_id")
+def _anchors(stamped: pl.DataFrame) -> pl.DataFrame:
+    """Judge the anchors of each run and relay by the shortest of its deliveries and of its writes.
 
-
-def _if_sound(delivery: str, write: str) -> pl.Expr:
-    """Keep deliveries of the runs whose stamps agree with the anchor: nothing arrives or leaves before its time."""
-    return pl.when((_shortest(delivery) >= 0) & (_shortest(write).fill_null(0) >= 0)).then(pl.col(delivery))
-
-
-def _anchor_bound(delivery: str, write: str) -> pl.Expr:
-    """Bound the error of an anchor: if it were later than the shortest delivery, that would be negative; likewise early."""
-    return _larger(_shortest(delivery), _shortest(write))
+    Returns:
+        `run_id`, `relay_id`, `_relay_sound` and `_ping_sound`: whether its stamps agree with the anchor: nothing arrives or
+        leaves before its time; `_anchor_bound`: how far the anchors may be off, as one that were later than the shortest
+        delivery would make that negative, likewise early.
+    """
+    names = ("_relay_delivery", "_relay_write", "_ping_delivery", "_ping_write")
+    relay, relay_write, ping, ping_write = map(pl.col, names)
+    return (
+        stamped.group_by("run_id", "relay_id")
+        .agg(pl.col(*names).min())
+        .select(
+            "run_id",
+            "relay_id",
+            _relay_sound=(relay >= 0) & (relay_write.fill_null(0) >= 0),
+            _ping_sound=(ping >= 0) & (ping_write.fill_null(0) >= 0),
+            _anchor_bound=_larger(_larger(relay, relay_write), _larger(ping, ping_write)),
+        )
+    )
 
 
 def _larger(one: pl.Expr, other: pl.Expr) -> pl.Expr:
@@ -172,13 +203,13 @@ def summarize_breakdown(parts: pl.DataFrame, group_columns: Sequence[str]) -> pl
     both = pl.col("clock_bound_ns") + pl.col("delivery_bound_ns")
     bounds |= {name: both.mean() for name in ("outbound_transport_ns", "return_transport_ns")}
     keys = list(group_columns)
+    used = dict.fromkeys((*keys, *STAGES, *whole, "clock_bound_ns", "delivery_bound_ns"))
+    shown = _kept(parts.select(*used), parts.select(coarse).to_series())
     # A group is shown in detail if every message that could be shown at all can be.
-    in_detail = parts.filter(coarse).with_columns(
-        detailed=detailed.all().over(keys) if keys else detailed.all()
-    )
+    in_detail = shown.select(detailed.all().over(keys) if keys else detailed.all()).to_series()
     tables = []
-    for columns, chosen in ((STAGES, pl.col("detailed")), (whole, ~pl.col("detailed"))):
-        rows = in_detail.filter(chosen)
+    for columns, chosen in ((STAGES, in_detail), (whole, ~in_detail)):
+        rows = _kept(shown, chosen)
         for order, name in enumerate(columns):
             values = pl.col(name)
             made = [
@@ -192,6 +223,11 @@ def summarize_breakdown(parts: pl.DataFrame, group_columns: Sequence[str]) -> pl
             ]
             tables.append(rows.group_by(keys, maintain_order=True).agg(made))
     return pl.concat(tables).sort([*keys, "order"], maintain_order=True)
+
+
+def _kept(rows: pl.DataFrame, chosen: pl.Series) -> pl.DataFrame:
+    """Return the rows of a mask; all of them, as mostly, are not copied."""
+    return rows if chosen.all() else rows.filter(chosen)
 
 
 def response_against_latency(roundtrips: pl.DataFrame, group_columns: Sequence[str]) -> pl.DataFrame:

@@ -22,6 +22,7 @@ from .timeline import timeline_frame
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
+    from concurrent.futures import Executor
 
     from ..pairing.roundtrips import RoundTrips
     from .batch import Batch
@@ -52,9 +53,16 @@ def summary_frames(batch: Batch, roundtrips: RoundTrips) -> Frames:
     return {name: make(batch, roundtrips) for name, make in MAKERS.items()}
 
 
-def detail_frames(batch: Batch, roundtrips: RoundTrips) -> Frames:
-    """Make the frames of one batch that take time; they depend on its exchanges, their events and the deadline alone."""
-    return {name: make(batch, roundtrips) for name, make in DETAIL_MAKERS.items()}
+def detail_frames(batch: Batch, roundtrips: RoundTrips, pool: Executor) -> Frames:
+    """Make the frames of one batch that take time; they depend on its exchanges, their events and the deadline alone.
+
+    Args:
+        batch: the batch.
+        roundtrips: its rows.
+        pool: makes each of them.
+    """
+    begun = {name: pool.submit(make, batch, roundtrips) for name, make in DETAIL_MAKERS.items()}
+    return {name: frame.result() for name, frame in begun.items()}
 
 
 def concatenate_frames(parts: Sequence[Frames]) -> Frames:

@@ -60,20 +60,17 @@ def freshness_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     wanted = batch.wanted
     runs = roundtrips.described.select("run_id", "relay_id").iter_rows()
     unsent = dict(zip(runs, roundtrips.counts["unsent"].to_list(), strict=True))
-    of_runs = summarize_freshness(
-        grouped_rows(batch, roundtrips), wanted.deadline_ns, f"{wanted.deadline_metric}_ns", unsent
-    )
+    rows = grouped_rows(batch, roundtrips, ["run_id", "relay_id"])
+    of_runs = summarize_freshness(rows, wanted.deadline_ns, f"{wanted.deadline_metric}_ns", unsent)
     return with_group(batch, roundtrips, of_runs)
 
 
 def outage_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     """List the outages: `group` u32, then the columns of `outage_table`, a row per outage."""
     wanted = batch.wanted
-    return with_group(
-        batch,
-        roundtrips,
-        outage_table(grouped_rows(batch, roundtrips), wanted.deadline_ns, f"{wanted.deadline_metric}_ns"),
-    )
+    rows = grouped_rows(batch, roundtrips, ["run_id", "relay_id"])
+    outages = outage_table(rows, wanted.deadline_ns, f"{wanted.deadline_metric}_ns")
+    return with_group(batch, roundtrips, outages)
 
 
 def summarize_freshness(

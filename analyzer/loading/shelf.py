@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from .cache import TraceCache
     from .events import EventKey
 
-MOST_HELD_EVENTS = 24_000_000
+MOST_HELD_EVENTS = 12_000_000
 """Events that stay in memory, 56 bytes each; those of further traces wait in files."""
 
 LARGEST_HELD_EVENTS = 4_000_000

@@ -159,10 +159,15 @@ class Runs(tuple[Run, ...]):  # noqa: SLOT001 - what is kept needs a `__dict__`
         """Messages of each run."""
         return tuple(map(len, self))
 
-    @cached_property
+    @property
     def joined(self) -> Runs:
         """The runs as one series (`joined_runs`)."""
-        return self if len(self) == 1 else Runs([joined_runs(self)])
+        # Kept, one run would hold itself and so its arrays, until the collector of garbage comes by.
+        return self if len(self) == 1 else self._joined
+
+    @cached_property
+    def _joined(self) -> Runs:
+        return Runs([joined_runs(self)])
 
     @cached_property
     def edges(self) -> NDArray[np.intp]:

@@ -10,7 +10,7 @@ from functools import partial
 
 import pytest
 
-from dds_trace.tracefile.threads import Turn, in_order
+from dds_trace.tracefile.threads import Here, Turn, in_order
 
 
 def results(jobs, threads=2, most_jobs=4, most_size=100):
@@ -24,6 +24,14 @@ def test_results_keep_the_order_of_their_jobs():
 
 def test_no_job_is_no_result():
     assert results([]) == []
+
+
+def test_an_executor_without_threads_does_each_job_at_once():
+    done = []
+    assert Here().submit(done.append, 1).result() is None
+    assert done == [1]
+    with pytest.raises(ZeroDivisionError):
+        Here().submit(divmod, 1, 0)
 
 
 def test_who_waits_does_the_jobs_that_nobody_has_begun():

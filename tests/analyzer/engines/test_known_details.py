@@ -34,9 +34,9 @@ def made(monkeypatch):
     """Payload sizes of the groups whose details are made from here on."""
     sizes = []
 
-    def making(batch, roundtrips):
+    def making(batch, roundtrips, pool):
         sizes.extend(sorted({exchange.run.payload_bytes for exchange in batch.exchanges}))
-        return real(batch, roundtrips)
+        return real(batch, roundtrips, pool)
 
     real = known_details.detail_frames
     monkeypatch.setattr(known_details, "detail_frames", making)

@@ -1,6 +1,7 @@
 """What the second analysis of a grown campaign reads, and that nothing it keeps changes a number."""
 
 import shutil
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -90,16 +91,37 @@ def test_small_memory_changes_nothing(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("cache", [False, True])
+def test_a_large_batch_measured_side_by_side_says_the_same(tmp_path, monkeypatch, cache):
+    runs = tmp_path / "runs"
+    write_runs(runs, range(6), groups=2)
+    whole = analyze(runs)
+    threads = set()
+
+    def measure_batch(*of_batch):
+        threads.add(threading.current_thread().name.partition("_")[0])
+        return measure(*of_batch)
+
+    measure = dds_trace.analyzer.engines.batches.measure_batch
+    monkeypatch.setattr(dds_trace.analyzer.engines.batches, "measure_batch", measure_batch)
+    monkeypatch.setattr(dds_trace.analyzer.engines.local, "BATCH_EVENTS", 10)
+    found = analyze(runs, cache=cache)
+    assert threads == {"measure"}
+    assert_same_results(found, whole)
+    for name in ("intervals", "one_way", "breakdown", "responses", "freshness", "outages", "clock_knots"):
+        assert_frame_equal(getattr(found.details, name), getattr(whole.details, name), check_exact=True)
+
+
+@pytest.mark.parametrize("cache", [False, True])
 def test_a_large_trace_waits_in_a_file_and_a_small_one_in_memory(tmp_path, monkeypatch, cache):
     runs = tmp_path / "runs"
     write_runs(runs, range(2))
     in_files = []
 
-    def work_at(batch, parts, known):
+    def work_at(batch, parts, known, pool):
         in_files.extend(
             not isinstance(part.events, EventColumns) for of_key in parts.values() for part in of_key
         )
-        return dds_trace.analyzer.engines.batches.work_at(batch, parts, known)
+        return dds_trace.analyzer.engines.batches.work_at(batch, parts, known, pool)
 
     monkeypatch.setattr(dds_trace.analyzer.engines.local, "work_at", work_at)
     whole = analyze(runs)

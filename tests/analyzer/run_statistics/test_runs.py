@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import gc
 import math
+import weakref
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dds_trace.analyzer.run_statistics.between_runs import interval_of_runs
 from dds_trace.analyzer.run_statistics.runs import MEAN, Run, Runs, Statistic, joined_runs, quantile_at
+from dds_trace.analyzer.run_statistics.spread import spread_of_runs
 
 
 @given(values=st.lists(st.integers(0, 10**12), min_size=1, max_size=80), q=st.floats(0.01, 0.99))
@@ -55,3 +59,18 @@ def test_the_values_of_two_runs_in_order():
     runs = Runs([Run(np.array([5, 1, 3])), Run(np.array([4, 2]))])
     assert runs.all_ordered.tolist() == [1, 2, 3, 4, 5]
     assert Runs(runs[:1]).all_ordered.tolist() == [1, 3, 5]
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_runs_that_nobody_uses_are_gone_at_once(count):
+    """What is kept of a run of millions of messages is hundreds of megabytes, which must not wait for the collector."""
+    runs = Runs([Run(np.arange(200), np.arange(200)) for _ in range(count)])
+    interval_of_runs(runs, Statistic(0.9))
+    spread_of_runs(runs, Statistic(0.9))
+    array = weakref.ref(runs.all_ordered)
+    gc.disable()
+    try:
+        del runs
+        assert array() is None
+    finally:
+        gc.enable()

@@ -28,6 +28,8 @@ def visible(text: object, most: int = MAX_SHOWN_CHARACTERS) -> str:
     shown = str(text)
     if len(shown) > most:
         shown = shown[: most - 1] + "…"
+    if shown.isprintable():  # what nearly every text is: no character of a hidden category is printable
+        return shown
     return "".join(_spelled(c) if _is_hidden(c) else c for c in shown)
 
 

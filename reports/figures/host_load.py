@@ -52,31 +52,13 @@ def host_load_info(book: Book) -> HostLoad:
     samples = book.analysis.details.host_samples.filter(
         pl.col("cpu_busiest_percent").is_not_null() | pl.col("wifi_signal_dbm").is_not_null()
     ).sort("wall_ns")
-    groups: dict[tuple[int, str], list[pl.DataFrame]] = {}
-    for run in book.run_times:
-        if run.session is None:
-            continue
-        first, last = run.session.wall_ns(run.origin_ns), run.session.wall_ns(run.last_ns)
-        devices = _devices(book, run.group)
-        during = samples.filter(pl.col("wall_ns").is_between(first, last)).filter(
-            (pl.col("session_id") == run.session.session_id)
-            | ((pl.col("role") == "relay") & pl.col("device").is_in(devices)),
-        )
-        for role in ("ping", "relay"):
-            own = during.filter(role=role).unique(["device", "wall_ns"], maintain_order=True)
-            elapsed = ((pl.col("wall_ns") - first) / 1e9).round(1).alias("elapsed_s")
-            if own.height:
-                groups.setdefault((run.group, role), []).append(own.with_columns(elapsed))
-    total = sum(part.height for parts in groups.values() for part in parts)
-    step = max(1, -(-total // SAMPLES_IN_PAGE))
+    during = _during_runs(samples, book)
+    step = max(1, -(-during.height // SAMPLES_IN_PAGE))
     loads_of_group: dict[int, tuple[DeviceLoad, ...]] = {}
-    for (group, role), parts in groups.items():
-        rows = pl.concat(parts).sort("elapsed_s").gather_every(step)
+    for (group, role), rows in during.partition_by("group", "role", as_dict=True).items():
+        drawn = rows.gather_every(step)
         load = DeviceLoad(
-            role,
-            tuple(rows["elapsed_s"].to_list()),
-            tuple(rows["cpu_busiest_percent"].round().cast(pl.Int32).to_list()),
-            tuple(rows["wifi_signal_dbm"].round().cast(pl.Int32).to_list()),
+            role, *(tuple(drawn[name].to_list()) for name in ("elapsed_s", "cpu_percent", "signal_dbm"))
         )
         loads_of_group[group] = (*loads_of_group.get(group, ()), load)
     return HostLoad(loads_of_group, decimated=step > 1)
@@ -98,6 +80,52 @@ def host_load_figure(info: HostLoad) -> Figure | LeftOut:
 FIGURE = figure_maker(host_load_info, host_load_figure, Scope.CELL)
 
 
-def _devices(book: Book, group: int) -> list[str]:
-    device = book.analysis.summary["relay_device"][group]
-    return [] if device is None else [device]
+def _during_runs(samples: pl.DataFrame, book: Book) -> pl.DataFrame:
+    """Return the samples of the ping's session and of the relay's device during each run.
+
+    Args:
+        samples: rows of `details.host_samples`, rising in `wall_ns`.
+        book: with the runs.
+
+    Returns:
+        `group`, `role` and the columns of `DeviceLoad`, by time within a role of a group; a sample in the time of several
+        runs has a row for each.
+    """
+    relay_device = book.analysis.summary["relay_device"]
+    runs = pl.DataFrame(
+        [
+            {
+                "group": run.group,
+                "ping_session_id": run.session.session_id,
+                "relay_device": relay_device[run.group],
+                "first_ns": run.session.wall_ns(run.origin_ns),
+                "last_ns": run.session.wall_ns(run.last_ns),
+            }
+            for run in book.run_times
+            if run.session is not None
+        ],
+        schema={
+            "group": pl.Int64,
+            "ping_session_id": samples.schema["session_id"],
+            "relay_device": pl.String,
+            "first_ns": pl.Int64,
+            "last_ns": pl.Int64,
+        },
+    ).with_row_index("run")
+    first = samples["wall_ns"].search_sorted(runs["first_ns"], "left")
+    after = samples["wall_ns"].search_sorted(runs["last_ns"], "right")
+    of_run = runs.with_columns(sample=pl.int_ranges(first, after)).explode("sample").drop_nulls("sample")
+    at_relay = (pl.col("role") == "relay") & (pl.col("device") == pl.col("relay_device"))
+    return (
+        pl.concat([of_run, samples[of_run["sample"]]], how="horizontal")
+        .filter((pl.col("session_id") == pl.col("ping_session_id")) | at_relay)
+        .unique(["run", "role", "device", "wall_ns"], keep="first", maintain_order=True)
+        .select(
+            "group",
+            "role",
+            elapsed_s=((pl.col("wall_ns") - pl.col("first_ns")) / 1e9).round(1),
+            cpu_percent=pl.col("cpu_busiest_percent").round().cast(pl.Int32),
+            signal_dbm=pl.col("wifi_signal_dbm").round().cast(pl.Int32),
+        )
+        .sort("role", "elapsed_s", maintain_order=True)
+    )

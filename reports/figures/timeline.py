@@ -13,7 +13,11 @@ from .figure import Figure, LeftOut, Scope, figure_maker
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from numpy.typing import NDArray
+
     from ..book.book import Book
+
+    Float64 = NDArray[np.float64]
 
 
 POINTS_IN_PAGE = 40_000
@@ -62,24 +66,25 @@ def timeline_info(book: Book) -> Timeline:
     """Thin the rows of `analysis.timeline` to what a page can hold: the extremes of each slice of time."""
     frame = book.analysis.timeline.sort("group", "elapsed_s", "run_id", "relay_id", "sequence")
     share = max(FEWEST_POINTS, POINTS_IN_PAGE // max(1, book.analysis.summary.height))
+    is_back = pl.col("outcome") == "completed"
+    back, lost = frame.filter(is_back), frame.filter(~is_back).partition_by("group", as_dict=True)
+    thinned = _thinned(back, share)
+    drawn = thinned.partition_by("group", as_dict=True)
     groups = []
-    decimated = book.analysis.timeline_decimated
-    for (group,), rows in frame.group_by(["group"], maintain_order=True):
-        drawn, thinned = _thinned(rows.filter(pl.col("outcome") == "completed"), share)
-        lost_at, lost_count = _crosses(
-            rows.filter(pl.col("outcome") != "completed")["elapsed_s"].to_numpy(), share
-        )
-        decimated = decimated or thinned
+    for (group,) in frame.select("group").unique(maintain_order=True).iter_rows():
+        of_group = drawn.get((group,), frame.clear())
+        lost_at, lost_count = _crosses(lost.get((group,), frame.clear())["elapsed_s"].to_numpy(), share)
         groups.append(
             GroupTimeline(
-                int(str(group)),
-                tuple(round(value, 4) for value in drawn["elapsed_s"].to_list()),
-                tuple(drawn["latency_ns"].to_list()),
-                tuple(drawn["rtt_ns"].to_list()),
+                group,
+                tuple(round(value, 4) for value in of_group["elapsed_s"].to_list()),
+                tuple(of_group["latency_ns"].to_list()),
+                tuple(of_group["rtt_ns"].to_list()),
                 lost_at,
                 lost_count,
             )
         )
+    decimated = book.analysis.timeline_decimated or thinned.height < back.height
     return Timeline(tuple(groups), decimated, _outages(book))
 
 
@@ -126,29 +131,39 @@ def _outages(book: Book) -> dict[int, tuple[tuple[float, float], ...]]:
     return {group: tuple(sorted(of_group)) for group, of_group in spans.items() if of_group}
 
 
-def _slices(elapsed_s: np.ndarray, count: int) -> np.ndarray:
-    """Return for each instant which of `count` equal slices of time holds it."""
-    start, end = elapsed_s.min(), elapsed_s.max()
-    if end <= start:
-        return np.zeros(len(elapsed_s), dtype=np.int64)
-    place: np.ndarray = np.minimum((elapsed_s - start) / (end - start) * count, count - 1).astype(np.int64)
+def _slices(
+    elapsed_s: Float64, start_s: Float64 | np.float64, end_s: Float64 | np.float64, count: int
+) -> NDArray[np.int64]:
+    """Return for each instant which of `count` equal slices of the time from `start_s` to `end_s` holds it."""
+    lasted_s = np.where(end_s > start_s, end_s - start_s, 1.0)  # all at one instant are in the first slice
+    place: NDArray[np.int64] = np.minimum((elapsed_s - start_s) / lasted_s * count, count - 1).astype(
+        np.int64
+    )
     return place
 
 
-def _thinned(rows: pl.DataFrame, share: int) -> tuple[pl.DataFrame, bool]:
-    """Keep about `share` rows: the least and the greatest value of each slice of time."""
-    if rows.height <= share:
-        return rows, False
-    place = pl.Series("place", _slices(rows["elapsed_s"].to_numpy(), share // 2))
-    ranked = rows.with_row_index("row").with_columns(place, value=pl.coalesce("latency_ns", "rtt_ns"))
-    by_value = ranked.sort("value", "row")
-    keep = pl.concat([by_value.unique("place", keep=end, maintain_order=True) for end in ("first", "last")])
-    return keep.unique("row").sort("row"), True
+def _thinned(rows: pl.DataFrame, share: int) -> pl.DataFrame:
+    """Keep about `share` rows of each group that has more: the least and the greatest value of each slice of its time."""
+    at = pl.col("elapsed_s")
+    times = rows.select(at, start=at.min().over("group"), end=at.max().over("group"))
+    elapsed_s, start_s, end_s = (column.to_numpy() for column in times)
+    ranked = rows.with_row_index("row").with_columns(
+        pl.Series("place", _slices(elapsed_s, start_s, end_s, share // 2)),
+        value=pl.coalesce("latency_ns", "rtt_ns"),
+        is_many=pl.len().over("group") > share,
+    )
+    by_value = ranked.filter("is_many").sort("value", "row")
+    extremes = [
+        by_value.unique(["group", "place"], keep=end, maintain_order=True)["row"] for end in ("first", "last")
+    ]
+    return rows.filter(~ranked["is_many"] | ranked["row"].is_in(pl.concat(extremes).implode()))
 
 
-def _crosses(lost_s: np.ndarray, share: int) -> tuple[tuple[float, ...], tuple[int, ...]]:
+def _crosses(lost_s: Float64, share: int) -> tuple[tuple[float, ...], tuple[int, ...]]:
     """Return at most `share` crosses, each at its first loss, and the losses behind each."""
     if len(lost_s) <= share:
         return tuple(round(float(at), 4) for at in lost_s), (1,) * len(lost_s)
-    _, first, count = np.unique(_slices(lost_s, share), return_index=True, return_counts=True)
+    _, first, count = np.unique(
+        _slices(lost_s, lost_s.min(), lost_s.max(), share), return_index=True, return_counts=True
+    )
     return tuple(round(float(at), 4) for at in lost_s[first]), tuple(int(n) for n in count)

@@ -18,14 +18,14 @@ VARIABLE = "DDS_TRACE_TESTS_KEPT"
 """Names the folder of this test run; the session makes it and takes it away. Without one nothing is kept."""
 
 
-def kept(make: Callable[[], T]) -> Callable[[], T]:
-    """Return a function that gives the one value of `make`; it is not to be changed."""
+def kept(make: Callable[[], T], name: str = "") -> Callable[[], T]:
+    """Return a function that gives the one value of `make`, known by a name or as the function; it is not to be changed."""
 
     @cache
     def value() -> T:
         if VARIABLE not in os.environ:
             return make()
-        path = Path(os.environ[VARIABLE], f"{make.__module__}-{make.__qualname__}")
+        path = Path(os.environ[VARIABLE], name or f"{make.__module__}-{make.__qualname__}")
         with path.with_suffix(".lock").open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
             if not path.exists():

@@ -84,6 +84,24 @@ class Reader:
     def draw_all(self):
         self.tab.evaluate("for (const block of blocks) block.draw()")
 
+    def draw_all_as_planned(self):
+        """Draw every figure; returns the number of rows of panels, those not as high as their rooms, and how much the page grew.
+
+        Also of what is folded: `clientHeight` is 0 there, and the room is the planned one when it is opened.
+        """
+        self.tab.evaluate("for (const block of blocks) block.plan()")
+        height = "document.documentElement.scrollHeight"
+        planned = self.tab.evaluate(height)
+        self.draw_all()
+        heights = self.tab.evaluate(
+            """() => blocks.flatMap(({name, rows, plot}) => rows.map(({layout}, place) => {
+                const row = plot.children[place];
+                return [name, layout.height, row.clientHeight || layout.height, row.querySelector(".main-svg").height.baseVal.value];
+            }))"""
+        )
+        misfits = [one for one in heights if not one[1] == one[2] == one[3]]
+        return len(heights), misfits, self.tab.evaluate(height) - planned
+
     def marks(self, figure):
         """How many points, bars or tiles plotly drew in a figure."""
         return self.tab.evaluate(

@@ -1,8 +1,9 @@
 """One browser, one tab and one set of pages for all browser tests of a worker."""
 
-from functools import cache
+from functools import partial
 
 import pytest
+from kept import kept
 from page_reader import EVERY_PAGE, Reader, open_browser
 
 from dds_trace.reports import load_reporter
@@ -31,8 +32,8 @@ def show(tmp_path_factory):
 @pytest.fixture(scope="session")
 def pages(show):
     """Name of an analysis -> the address of its report, until the next is asked for."""
-    rendered = cache(lambda name: load_reporter("html").render(Book(EVERY_PAGE[name]())))
-    return lambda name: show(rendered(name))
+    rendered = {name: kept(partial(_rendered, name), f"page of {name}") for name in EVERY_PAGE}
+    return lambda name: show(rendered[name]())
 
 
 @pytest.fixture(scope="session")
@@ -66,3 +67,7 @@ def read_with(tab):
 @pytest.fixture
 def reader(read_with):
     return read_with()
+
+
+def _rendered(name):
+    return load_reporter("html").render(Book(EVERY_PAGE[name]()))

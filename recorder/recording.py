@@ -63,8 +63,10 @@ WIRE_LOOKS = 4
 """Looks of silence after which a relay writes what its capture of the wire has counted."""
 QUIET_LOOKS = 10
 """Idle looks before a relay collects garbage."""
-HOPELESS_S = 3.0
-"""Part of the wait for an echo after which quality of service that can never match ends it."""
+HOPELESS_S = 2.6
+"""Part of the wait for an echo after which quality of service that can never match ends it.
+
+Not in step with Fast DDS, which each 3 s drops the port of a side that it cannot reach, and opens it anew."""
 ALL_RELAYS_S = 3.0
 """Longest wait for the other relays in sight after a first one has answered."""
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 MAX_WAITING = 64
 """Messages that may wait for those before them to be published; more are counted and left out."""
 RATE_MESSAGES = 10
-"""Number of arrivals from which the topic's rate is taken,"""
+"""Number of messages from which the topic's rate is taken,"""
 RATE_S = 3.0
 """or the time after which those that came by then are enough."""
 LOOK_S = 0.05
@@ -89,17 +89,18 @@ class LiveFeed:
         self._own_types = own_types
         self._data_type: DataType | None = None
         self._sample: Message | None = None
-        self._arrivals_ns: deque[int] = deque(maxlen=RATE_MESSAGES)
+        self._sent_ns: deque[int] = deque(maxlen=RATE_MESSAGES)
         self._waiting: queue.SimpleQueue[tuple[Message, int]] = queue.SimpleQueue()
         self._is_keeping = False
         self._error: OptionError | None = None
 
-    def receive(self, message: RosMessage, _source_ns: int = 0, _received_ns: int = 0, /) -> None:
+    def receive(self, message: RosMessage, source_ns: int = 0, _received_ns: int = 0, /) -> None:
         """Take a message of the topic, on the thread of the source's node."""
         arrival_ns = time.monotonic_ns()
         if self._sample is None:
             self._take_sample(message)
-        self._arrivals_ns.append(arrival_ns)
+        # Where this side was held up, messages arrive in a bunch; when they were published tells the rate all the same.
+        self._sent_ns.append(source_ns or arrival_ns)
         if not self._is_keeping or self._error is not None:
             return
         if self._waiting.qsize() >= MAX_WAITING:
@@ -126,7 +127,7 @@ class LiveFeed:
         """
         began_s: float | None = None
         while not stop.is_set() and time.monotonic() < deadline_s and self._error is None:
-            arrivals = len(self._arrivals_ns)
+            arrivals = len(self._sent_ns)
             if arrivals and began_s is None:
                 began_s = time.monotonic()
             is_time = began_s is not None and time.monotonic() - began_s > RATE_S
@@ -135,13 +136,13 @@ class LiveFeed:
             time.sleep(LOOK_S)
         if self._error is not None:
             raise self._error
-        arrivals_ns = list(self._arrivals_ns)
-        if self._sample is None or self._data_type is None or len(arrivals_ns) < 2:
+        sent_ns = list(self._sent_ns)
+        if self._sample is None or self._data_type is None or len(sent_ns) < 2:
             raise OptionError(
-                f"{self._where}: {counted(len(arrivals_ns), 'message')} came; look whether its publisher sends, "
+                f"{self._where}: {counted(len(sent_ns), 'message')} came; look whether its publisher sends, "
                 "or give a longer --wait"
             )
-        rate_hz = (len(arrivals_ns) - 1) / (arrivals_ns[-1] - arrivals_ns[0]) * 1e9
+        rate_hz = (len(sent_ns) - 1) / max(max(sent_ns) - min(sent_ns), 1) * 1e9
         return Payload(
             self._data_type,
             (self._sample,),

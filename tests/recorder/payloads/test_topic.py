@@ -1,4 +1,4 @@
-"""A live source: what is kept, what is left out, and the rate that is taken from its arrivals."""
+"""A live source: what is kept, what is left out, and the rate at which it is published."""
 
 from __future__ import annotations
 
@@ -48,6 +48,15 @@ def test_the_first_message_is_for_probes_and_only_what_comes_later_is_sent(feed)
     stop = threading.Event()
     stop.set()
     assert feed.take(stop) is None
+
+
+@pytest.mark.parametrize("is_stamped", [True, False])
+def test_the_rate_is_the_publishers_where_its_middleware_stamps_messages(feed, is_stamped):
+    """All arrive in a bunch, as they do where the receiver was held up."""
+    for number in range(10):
+        feed.receive(message(), 1_700_000_000_000_000_000 + number * 40_000_000 if is_stamped else 0)
+    rate_hz = payload_of(feed).rate_hz
+    assert rate_hz == 25 if is_stamped else rate_hz > 1_000
 
 
 def test_messages_of_ours_do_not_echo(feed):

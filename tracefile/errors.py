@@ -35,6 +35,9 @@ class TraceFormatError(TraceError):
         self.what = what
         self.offset = offset
 
+    def __reduce__(self) -> tuple[type, tuple[str, str, int | None]]:
+        return type(self), (self.path, self.what, self.offset)  # for another process
+
 
 class MissingEventsError(TraceError):
     """Folder or file without an event to analyze."""

@@ -25,6 +25,7 @@ import shutil
 import stat
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -61,18 +62,41 @@ _BLOCK_BYTES = 4 << 20
 _DIGEST = "sha256"  # the quickest of hashlib on machines whose processor has instructions for it
 
 
+@dataclass(frozen=True, slots=True)
+class Sealer:
+    """Makes the seals of this user's entries, here or in a worker process.
+
+    Attributes:
+        secret: this user's key.
+    """
+
+    secret: bytes = field(repr=False)
+
+    def hash(self, purpose: bytes) -> hmac.HMAC:
+        """Return an HMAC that has begun with its purpose."""
+        return hmac.new(self.secret, purpose + b"\0", _DIGEST)
+
+    def seal_of(self, *columns: NDArray[Any]) -> str:
+        """Return the seal of the columns in the file of an entry; the JSON, which has a seal itself, says the others."""
+        digest = self.hash(b"events")
+        for column in columns:
+            digest.update(np.ascontiguousarray(column).data)
+        return digest.hexdigest()
+
+
 class TraceCache:
     """The open cache of this user.
 
     Attributes:
         folder: the folder of the entries, in which only this user can write.
+        sealer: makes its seals.
     """
 
     def __init__(self, folder: Path, descriptor: int, secret: bytes) -> None:
         """Take an open folder; see `open`."""
         self.folder = folder
+        self.sealer = Sealer(secret)
         self._descriptor = descriptor
-        self._secret = secret
         self._pool = ThreadPoolExecutor(len(os.sched_getaffinity(0)), thread_name_prefix="cache")
 
     @classmethod
@@ -100,7 +124,7 @@ class TraceCache:
         Raises:
             TraceFormatError: it cannot be read.
         """
-        digest = self._hash(b"trace")
+        digest = self.sealer.hash(b"trace")
         if is_remote(path):
             digest.update(remote_key(path).encode())
             return digest.hexdigest()
@@ -121,16 +145,9 @@ class TraceCache:
         """Return the path of the events of an entry."""
         return self.folder / f"{key}.events"
 
-    def seal_of(self, *columns: NDArray[Any]) -> str:
-        """Return the seal of the columns in the file of an entry; the JSON, which has a seal itself, says the others."""
-        digest = self._hash(b"events")
-        for column in columns:
-            digest.update(np.ascontiguousarray(column).data)
-        return digest.hexdigest()
-
     def key_of_text(self, purpose: str, text: str) -> str:
         """Return the key of what follows from a text alone."""
-        digest = self._hash(purpose.encode())
+        digest = self.sealer.hash(purpose.encode())
         digest.update(text.encode())
         return digest.hexdigest()
 
@@ -209,11 +226,8 @@ class TraceCache:
         offsets = range(0, size, _BLOCK_BYTES)
         return map(digest_of, offsets) if len(offsets) < 2 else self._pool.map(digest_of, offsets)
 
-    def _hash(self, purpose: bytes) -> hmac.HMAC:
-        return hmac.new(self._secret, purpose + b"\0", _DIGEST)
-
     def _seal(self, key: str, content: bytes) -> bytes:
-        digest = self._hash(b"entry")
+        digest = self.sealer.hash(b"entry")
         digest.update(key.encode() + b"\0")
         digest.update(content)
         return digest.hexdigest().encode()

@@ -27,6 +27,9 @@ if TYPE_CHECKING:
     Progress = Callable[[int, int, Path], None]
     """Called before each trace is read with the number done, the number of all, and its path."""
 
+    LoadAll = Callable[[Sequence[Path]], Iterator[LoadedTrace | TraceFormatError]]
+    """Yields each trace at its position among those that are one, or why a file is none."""
+
 _FILES_OF_A_SWEEP = frozenset({"state.json", "max_rate.json", "max_rate.csv", "max_rate.svg"})
 """Files that `dds-sweep` writes beside its traces; they are not listed as skipped."""
 
@@ -82,7 +85,7 @@ def load_campaign(
     *,
     skip: Collection[Path] = (),
     progress: Progress | None = None,
-    shelf: TraceShelf | None = None,
+    load_all: LoadAll | None = None,
 ) -> Campaign:
     """Read every trace of a place.
 
@@ -90,7 +93,7 @@ def load_campaign(
         place: a folder, a trace file, or a rosbag2 folder; or several.
         skip: folders that are not looked into (where results are written).
         progress: called before each trace is read.
-        shelf: reads the traces and keeps their events; by default in memory and in temporary files.
+        load_all: reads the traces and keeps their events; by default in memory and in temporary files.
 
     Raises:
         MissingEventsError: there is nothing at a path, or no trace among it.
@@ -99,18 +102,19 @@ def load_campaign(
     place = place if isinstance(place, Place) else Place.of(place)
     path = place.folder
     candidates = sorted({trace for part in place.parts for trace in find_anywhere(part, skip)})
-    shelf = shelf or TraceShelf()
+    found = (load_all or TraceShelf().load_all)(candidates)
     loaded: list[LoadedTrace] = []
     skipped: list[Source] = []
-    for position, candidate in enumerate(candidates):
+    for number, candidate in enumerate(candidates):
         if progress is not None:
-            progress(position, len(candidates), candidate)
-        try:
-            loaded.append(shelf.load(candidate, len(loaded)))
-        except TraceFormatError as err:
-            if candidates == [path]:
-                raise
-            skipped.append(skipped_source(candidate, path, err.what))
+            progress(number, len(candidates), candidate)
+        one = next(found)
+        if not isinstance(one, TraceFormatError):
+            loaded.append(one)
+        elif candidates == [path]:
+            raise one
+        else:
+            skipped.append(skipped_source(candidate, path, one.what))
     if candidates != [path]:
         skipped += [
             skipped_source(other, path, "neither an .mcap file nor a rosbag2 folder")

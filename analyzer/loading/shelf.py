@@ -22,13 +22,13 @@ from .events import EventPart, split_trace
 from .remote import local_copy
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from concurrent.futures import Future
 
     from dds_trace.tracefile import EventColumns
     from dds_trace.tracefile.format.json_fields import JsonObject
 
-    from .cache import TraceCache
+    from .cache import Sealer, TraceCache
     from .events import EventKey
 
 MOST_HELD_EVENTS = 12_000_000
@@ -61,6 +61,12 @@ class LoadedTrace:
         """Number of its events."""
         return sum(part.count for part in self.parts.values())
 
+    def at(self, position: int) -> LoadedTrace:
+        """Return the trace at another position in its campaign."""
+        return LoadedTrace(
+            self.trace, {label: replace(part, trace=position) for label, part in self.parts.items()}
+        )
+
 
 def load_trace(path: Path, position: int) -> LoadedTrace:
     """Read one trace, events in memory.
@@ -80,20 +86,30 @@ def load_trace(path: Path, position: int) -> LoadedTrace:
     return LoadedTrace(replace(trace, events={}), split_trace(trace, position))
 
 
+def loaded_or_error(
+    load: Callable[[Path, int], LoadedTrace], path: Path, position: int
+) -> LoadedTrace | TraceFormatError:
+    """Load one trace, or return why it is none."""
+    try:
+        return load(path, position)
+    except TraceFormatError as err:
+        return err
+
+
 @dataclass(frozen=True, slots=True)
 class _KeptEvents:
     """Events of one stage, run and relay in the cache; read from their trace again where it no longer has them as written.
 
     Attributes:
-        cache: the cache that has the file; closed or not.
         stored: their place.
+        sealer: makes the seal that they are checked by.
         seal: their seal.
         label: stage, run and relay.
         trace: path of their trace.
     """
 
-    cache: TraceCache
     stored: StoredEvents
+    sealer: Sealer
     seal: str
     label: EventKey
     trace: Path
@@ -106,7 +122,7 @@ class _KeptEvents:
         """
         with suppress(OSError):
             events = self.stored.load()
-            if self.cache.seal_of(*self.stored.arrays(events)) == self.seal:
+            if self.sealer.seal_of(*self.stored.arrays(events)) == self.seal:
                 return events
         part = load_trace(self.trace, 0).parts.get(self.label)
         if part is None or part.count != self.stored.count:
@@ -141,19 +157,29 @@ class TraceShelf:
 
     Args:
         cache: the open cache that keeps events for the next analysis, closed with the shelf; None keeps nothing.
+        folder: takes temporary files; None: one of its own, removed with the shelf.
 
     Attributes:
         keys: position of a trace that was loaded -> its key in the cache; empty without one.
     """
 
-    def __init__(self, cache: TraceCache | None = None) -> None:
+    def __init__(self, cache: TraceCache | None = None, folder: Path | None = None) -> None:
         self._cache = cache
+        self._folder = folder
         self.keys: dict[int, str] = {}
         self._left = MOST_HELD_EVENTS
-        self._spill: tempfile.TemporaryDirectory[str] | None = None
+        self._own_folder: tempfile.TemporaryDirectory[str] | None = None
         # Writes while the next trace is read.
         self._keeping = ThreadPoolExecutor(1, thread_name_prefix="keep")
         self._storing: Future[LoadedTrace] | None = None
+
+    def load_all(self, paths: Sequence[Path]) -> Iterator[LoadedTrace | TraceFormatError]:
+        """Load traces, positions counted without what is none; of such a file the error is yielded."""
+        position = 0
+        for path in paths:
+            found = loaded_or_error(self.load, path, position)
+            position += isinstance(found, LoadedTrace)
+            yield found
 
     def load(self, path: Path, position: int) -> LoadedTrace:
         """Load one trace, from the cache if it is there.
@@ -161,12 +187,10 @@ class TraceShelf:
         Raises:
             TraceFormatError: it is no trace.
         """
-        key = self._cache.key_of(path) if self._cache else ""
-        if self._cache:
-            self.keys[position] = key
-        if self._cache and (known := _known(self._cache, key, path, position)):
+        known = self._known(path, position)
+        if known is not None:
             return known
-        loaded = load_trace(path, position)
+        key, loaded = self.keys.get(position, ""), load_trace(path, position)
         if loaded.events <= min(self._left, LARGEST_HELD_EVENTS):
             self._left -= loaded.events
             if self._cache:
@@ -181,13 +205,32 @@ class TraceShelf:
         }
         return LoadedTrace(loaded.trace, parts)
 
+    def store(self, path: Path, position: int) -> LoadedTrace:
+        """Load one trace as `load` does, but its events are in a file when this returns: another process can have them.
+
+        Raises:
+            TraceFormatError: it is no trace.
+            OutputError: events cannot be kept.
+        """
+        known = self._known(path, position)
+        if known is not None:
+            return known
+        return self._kept_or_spilled(self.keys.get(position, ""), load_trace(path, position), position)
+
     def close(self) -> None:
         """Remove temporary files and close the cache."""
         self._keeping.shutdown(cancel_futures=True)
-        if self._spill is not None:
-            self._spill.cleanup()
+        if self._own_folder is not None:
+            self._own_folder.cleanup()
         if self._cache is not None:
             self._cache.close()
+
+    def _known(self, path: Path, position: int) -> LoadedTrace | None:
+        """Return the trace from the cache, if it is there; its key is known then in any case."""
+        if self._cache is None:
+            return None
+        key = self.keys[position] = self._cache.key_of(path)
+        return _known(self._cache, key, path, position)
 
     def _kept_or_spilled(self, key: str, loaded: LoadedTrace, position: int) -> LoadedTrace:
         kept = _keep_if_it_can(self._cache, key, loaded) if self._cache else None
@@ -196,9 +239,10 @@ class TraceShelf:
     def _spilled(self, loaded: LoadedTrace, position: int) -> LoadedTrace:
         """Put the events into a temporary file."""
         try:
-            if self._spill is None:
-                self._spill = tempfile.TemporaryDirectory(prefix="dds-analyze-")
-            return _stored(Path(self._spill.name) / f"{position}.events", loaded)
+            if self._folder is None:
+                self._own_folder = tempfile.TemporaryDirectory(prefix="dds-analyze-")
+                self._folder = Path(self._own_folder.name)
+            return _stored(self._folder / f"{position}.events", loaded)
         except OSError as err:
             raise OutputError(
                 f"events of {loaded.trace.path} cannot be kept ({err}); give a larger folder with TMPDIR"
@@ -227,18 +271,18 @@ def _keep(cache: TraceCache, key: str, loaded: LoadedTrace) -> LoadedTrace:
     """
     stored = _stored(cache.events_path(key), loaded)
     seals = [
-        cache.seal_of(*part.events.arrays(whole.load()))
+        cache.sealer.seal_of(*part.events.arrays(whole.load()))
         for part, whole in zip(stored.parts.values(), loaded.parts.values(), strict=True)
         if isinstance(part.events, StoredEvents)
     ]
     cache.write(key, "json", json.dumps(_to_dict(stored, seals)).encode())
-    return _sealed(stored, cache, seals)
+    return _sealed(stored, cache.sealer, seals)
 
 
-def _sealed(loaded: LoadedTrace, cache: TraceCache, seals: Sequence[str]) -> LoadedTrace:
+def _sealed(loaded: LoadedTrace, sealer: Sealer, seals: Sequence[str]) -> LoadedTrace:
     """Return the trace with events that are checked when they are loaded."""
     parts = {
-        label: replace(part, events=_KeptEvents(cache, part.events, seal, label, loaded.trace.path))
+        label: replace(part, events=_KeptEvents(part.events, sealer, seal, label, loaded.trace.path))
         for (label, part), seal in zip(loaded.parts.items(), seals, strict=True)
         if isinstance(part.events, StoredEvents)
     }
@@ -269,7 +313,7 @@ def _known(cache: TraceCache, key: str, path: Path, position: int) -> LoadedTrac
         file = cache.events_path(key)
         if entry["format"] != _FORMAT or file.stat().st_size != entry["bytes"]:
             return None
-        return _sealed(_from_dict(entry, file, path, position), cache, entry["seals"])
+        return _sealed(_from_dict(entry, file, path, position), cache.sealer, entry["seals"])
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError, TraceFormatError):
         return None
 

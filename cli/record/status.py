@@ -38,7 +38,7 @@ def status_command(
 
 
 def _as_json(listed: Listed) -> dict[str, object]:
-    return {"state": listed.state.value, "ring_is_left": listed.ring_is_left, **asdict(listed.entry)}
+    return {"state": listed.state.value, "ring_is_left": listed.waiting is not None, **asdict(listed.entry)}
 
 
 def _lines(listed: Listed) -> list[str]:
@@ -59,8 +59,8 @@ def _lines(listed: Listed) -> list[str]:
     ]
     if listed.state is State.KILLED:
         lines[0] = f"killed: {lines[0]}"
-        rest = f"its last events wait in the ring: dds-record --recover {entry.path}"
-        lines.append(f"    {rest if listed.ring_is_left else 'nothing of it waits'}")
+        waits = f"its last events wait in the ring: dds-record --recover {listed.waiting}"
+        lines.append(f"    {waits if listed.waiting else 'nothing of it waits'}")
     elif listed.state is State.UNSEEN:
         lines.append(f"    process {entry.pid} is not seen from here: it may run in a container")
     if entry.stopped is not None and listed.state is not State.KILLED:

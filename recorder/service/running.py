@@ -22,6 +22,8 @@ from typing import TYPE_CHECKING
 from dds_trace.tracefile.files import open_regular
 from dds_trace.tracefile.format.ring import ring_path
 
+from .rotation import later_files
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
@@ -85,12 +87,12 @@ class Listed:
     Attributes:
         entry: what it told last.
         state: what is known of its process.
-        ring_is_left: whether events of a killed one wait in the ring beside its trace.
+        waiting: the trace of a killed one beside which events wait in the ring; None if nothing of it waits.
     """
 
     entry: Entry
     state: State
-    ring_is_left: bool = False
+    waiting: Path | None = None
 
 
 def runtime_folder(environment: Mapping[str, str] = os.environ) -> Path:
@@ -205,8 +207,13 @@ def _look(path: Path) -> Listed | None:
             return Listed(entry, State.UNSEEN)
         if not path.exists():
             return None
-        return Listed(entry, State.KILLED, ring_path(Path(entry.path)).exists())
+        return Listed(entry, State.KILLED, _waiting_trace(Path(entry.path), int(entry.session_id, 16)))
     return None
+
+
+def _waiting_trace(path: Path, session_id: int) -> Path | None:
+    """Return the file beside which a ring was left: the one that was told last, or a later one, begun behind the last word."""
+    return next((each for each in (path, *later_files(path, session_id)) if ring_path(each).exists()), None)
 
 
 def _parse(text: bytes) -> Entry | None:
@@ -244,6 +251,6 @@ def _sweep(folder: Path) -> None:
     """Remove entries of killed processes of which nothing waits any more."""
     for path in folder.glob(f"*{SUFFIX}"):
         listed = _look(path)
-        if listed is not None and listed.state is State.KILLED and not listed.ring_is_left:
+        if listed is not None and listed.state is State.KILLED and listed.waiting is None:
             with suppress(OSError):
                 path.unlink()

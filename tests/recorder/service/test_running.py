@@ -20,6 +20,8 @@ from dds_trace.recorder.service.running import (
     list_recordings,
     runtime_folder,
 )
+from dds_trace.tracefile import TraceDestination, TraceSink
+from dds_trace.tracefile.format.ring import ring_path
 
 LIVE = """
 import sys, time
@@ -61,15 +63,32 @@ def test_a_killed_one_is_told_as_such_and_swept_once_nothing_of_it_waits(tmp_pat
         process.send_signal(signal.SIGKILL)
         process.wait()
     (listed,) = list_recordings([tmp_path])
-    assert (listed.state, listed.ring_is_left, listed.entry.messages) == (State.KILLED, False, 41)
+    assert (listed.state, listed.waiting, listed.entry.messages) == (State.KILLED, None, 41)
     ring = tmp_path / "killed.00002.mcap.ring"
     ring.touch()
-    assert [each.ring_is_left for each in list_recordings([tmp_path])] == [True]
+    assert [each.waiting for each in list_recordings([tmp_path])] == [tmp_path / "killed.00002.mcap"]
     RunningRecording(relay_session(session_id=2), tmp_path / "b.mcap", tmp_path).close()
     assert len(list_recordings([tmp_path])) == 1  # its events wait
     ring.unlink()
     RunningRecording(relay_session(session_id=2), tmp_path / "b.mcap", tmp_path).close()
     assert list_recordings([tmp_path]) == []
+
+
+def test_a_file_that_was_begun_behind_the_last_word_of_a_killed_one_waits_too(tmp_path):
+    """As where the process dies between the change of the file and its word of it; another recording's file is not its own."""
+    path = tmp_path / "relay.00009.mcap"
+    running = RunningRecording(relay_session(session_id=7), path, tmp_path)
+    (entry,) = tmp_path.glob(f"*{SUFFIX}")
+    (tmp_path / f"killed{SUFFIX}").write_text(entry.read_text())
+    running.close()
+    for number, session_id in ((8, 7), (10, 6), (11, 7)):
+        later = tmp_path / f"relay.{number:05}.mcap"
+        TraceSink(TraceDestination(later), relay_session(session_id=session_id)).close()
+        ring_path(later).touch()
+    (listed,) = list_recordings([tmp_path])
+    assert (listed.state, listed.waiting) == (State.KILLED, tmp_path / "relay.00011.mcap")
+    ring_path(path).touch()
+    assert [each.waiting for each in list_recordings([tmp_path])] == [path]
 
 
 def test_an_entry_is_believed_only_with_its_lock_and_its_process(tmp_path):

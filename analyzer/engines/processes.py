@@ -1,0 +1,117 @@
+"""Worker processes of this machine: what is Python between short arrays takes one core in threads, however many there are.
+
+A worker reads traces, puts their events into files (the user's cache, or temporary ones), and works at batches whose events
+it reads from there. Descriptions, batches and results travel through pipes.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing.connection import wait
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..loading.cache import TraceCache
+from ..loading.shelf import TraceShelf, loaded_or_error
+from .batches import work_at
+from .known_details import KnownDetails
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from dds_trace.tracefile import TraceFormatError
+
+    from ..groups.batch import Batch
+    from ..loading.events import EventKey, EventPart
+    from ..loading.shelf import LoadedTrace
+    from .batches import BatchResult
+
+    Stored = tuple[str, LoadedTrace | TraceFormatError]
+    """Key in the cache, "" without one, and the trace, or why the file is none."""
+
+
+def start_workers(count: int, folder: Path, *, cache: bool) -> ProcessPoolExecutor:
+    """Start worker processes, which end with this one whatever ends it.
+
+    Args:
+        count: number of processes.
+        folder: takes temporary files; the caller removes it behind the workers' end.
+        cache: whether they keep events and details in the user's cache.
+    """
+    context = multiprocessing.get_context(
+        "spawn"
+    )  # a fork would copy the locks of other threads, of polars too
+    workers = ProcessPoolExecutor(count, context, _begin, (os.fspath(folder), cache))
+    with _without_main():
+        for _ in range(count):
+            workers.submit(os.getpid)  # each starts one
+    return workers
+
+
+def store_traces(paths: Sequence[Path], first: int) -> list[Stored]:
+    """Load traces in a worker, their events in files.
+
+    Args:
+        paths: files or folders.
+        first: a number for the first one, as no other call has for any.
+
+    Raises:
+        OutputError: events could not be kept.
+    """
+    loaded = [loaded_or_error(_shelf.store, path, number) for number, path in enumerate(paths, first)]
+    return [(_shelf.keys.pop(number, ""), found) for number, found in enumerate(loaded, first)]
+
+
+def work_in_worker(
+    batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]], keys: Mapping[int, str]
+) -> BatchResult:
+    """Pair and measure a batch in a worker.
+
+    Args:
+        batch: the batch.
+        parts: of its `event_keys` the rows of the event index, events in files.
+        keys: of its traces, by position, the key in the cache.
+    """
+    known = KnownDetails(_cache, keys) if _cache else None
+    return work_at(batch, parts, known)
+
+
+_cache: TraceCache | None = None
+_shelf = TraceShelf()
+
+
+def _begin(folder: str, has_cache: bool) -> None:
+    """Make this process a worker."""
+    global _cache, _shelf  # noqa: PLW0603 - what a process has from its beginning
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the caller's, who ends us
+    threading.Thread(target=_end_with_caller, daemon=True).start()
+    _cache = TraceCache.open() if has_cache else None
+    _shelf = TraceShelf(_cache, Path(folder))
+
+
+def _end_with_caller() -> None:
+    """End this process where the caller was killed: its end of the pipe, which others hold too, would stay open."""
+    caller = multiprocessing.parent_process()
+    assert caller is not None
+    wait([caller.sentinel])
+    os._exit(1)
+
+
+@contextmanager
+def _without_main() -> Iterator[None]:
+    """Hide the program that called us: a process that is started would run it again, from which `analyze` may be called."""
+    main = sys.modules["__main__"]
+    hidden = {name: getattr(main, name, None) for name in ("__file__", "__spec__")}
+    try:
+        for name in hidden:
+            setattr(main, name, None)
+        yield
+    finally:
+        for name, value in hidden.items():
+            setattr(main, name, value)

@@ -38,36 +38,33 @@ def in_order(
     pool: Executor,
     most_jobs: int,
     most_size: int,
-    *,
-    helping: bool = True,
 ) -> Iterator[T]:
     """Yield the results of `jobs` in order; a job that fails raises its exception here, perhaps before its turn.
 
-    Jobs that have not begun when this ends early, by an exception or because nobody wants more results, never begin.
+    Jobs that have not begun when this ends early, by an exception or because nobody wants more results, never begin. The thread
+    that waits for a result does jobs meanwhile, so that a pool with one thread less than there are cores is enough.
 
     Args:
         jobs: (size, job) pairs.
         pool: the threads that do the jobs.
         most_jobs: the number of jobs that are begun, or done, before their results are asked for.
         most_size: the sum of the sizes of all these; a larger job is done alone.
-        helping: whether the thread that waits for a result does jobs meanwhile; then a pool with one thread less than
-            there are cores is enough.
     """
     begun: deque[_Begun[T]] = deque()
     try:
         for size, job in jobs:
             while begun and (len(begun) >= most_jobs or size + sum(one.size for one in begun) > most_size):
-                yield _next_result(begun, helping=helping)
+                yield _next_result(begun)
             begun.append(_Begun(size, job, pool.submit(job)))
         while begun:
-            yield _next_result(begun, helping=helping)
+            yield _next_result(begun)
     finally:
         for one in begun:
             one.result.cancel()
 
 
-def _next_result(begun: deque[_Begun[T]], *, helping: bool) -> T:
-    while helping and not begun[0].result.done() and any(one.done_here() for one in begun):
+def _next_result(begun: deque[_Begun[T]]) -> T:
+    while not begun[0].result.done() and any(one.done_here() for one in begun):
         pass
     return begun.popleft().result.result()
 

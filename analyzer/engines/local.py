@@ -7,7 +7,6 @@ import tempfile
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
@@ -15,11 +14,10 @@ from dds_trace.tracefile import TraceError, TraceFormatError
 
 from ..loading.cache import TraceCache
 from ..loading.campaign import load_campaign
-from ..loading.remote import is_remote
 from ..loading.shelf import TraceShelf
 from .batches import BATCH_EVENTS, work_at
 from .known_details import KnownDetails
-from .processes import start_workers, store_traces, work_in_worker
+from .processes import can_start_workers, start_workers, store_traces, work_in_worker
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
@@ -34,14 +32,15 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-_MOST_WORKERS = 2  # each holds a trace or a batch; the writing of rows takes another core
+_MOST_THREADS = 2  # each holds a batch; the writing of rows takes another core
+_MOST_PROCESSES = 4  # each holds a trace or a batch, and 0.2 GB of libraries
 
-_FILES_FOR_PROCESSES = 400
-_BYTES_FOR_PROCESSES = 64 << 20
-"""Traces, or bytes of them, for which worker processes are started: less is done before they would have begun."""
+FILES_FOR_PROCESSES = 300
+"""Traces for which worker processes are started; fewer are done before that would pay. Of few and long ones the arrays are long,
+so that threads do as well in less memory (`docs/explanation/performance.md`)."""
 
 _FILES_AT_ONCE = 16
-"""Most traces that a worker reads before it says what it found."""
+"""Traces that a worker reads before it says what it found."""
 
 
 class Engine(Protocol):
@@ -58,7 +57,7 @@ class Engine(Protocol):
 
 
 class LocalEngine:
-    """This machine as an `Engine`: by threads, a large campaign by processes.
+    """This machine as an `Engine`: threads, and processes for a campaign of many traces.
 
     Args:
         cache: whether the user's cache keeps events and details for the next analysis.
@@ -67,7 +66,7 @@ class LocalEngine:
     def __init__(self, *, cache: bool) -> None:
         self._cache = TraceCache.open() if cache else None
         self._shelf = TraceShelf(self._cache)
-        self._count = min(_MOST_WORKERS, len(os.sched_getaffinity(0)))
+        self._cores = len(os.sched_getaffinity(0))
         self._workers: ProcessPoolExecutor | None = None
         self._folder: tempfile.TemporaryDirectory[str] | None = None
 
@@ -81,9 +80,10 @@ class LocalEngine:
         A large one, whose arrays are long, stays here, and what follows its pairing is made side by side: others wait for Python's lock.
         """
         known = KnownDetails(self._cache, self._shelf.keys) if self._cache else None
+        count = min(_MOST_THREADS, self._cores)
         with (
-            ThreadPoolExecutor(self._count, thread_name_prefix="analyze") as threads,
-            ThreadPoolExecutor(self._count, thread_name_prefix="measure") as measuring,
+            ThreadPoolExecutor(count, thread_name_prefix="analyze") as threads,
+            ThreadPoolExecutor(count, thread_name_prefix="measure") as measuring,
         ):
 
             def submit(batch: Batch) -> Future[BatchResult]:
@@ -96,23 +96,25 @@ class LocalEngine:
                 keys = {trace: self._shelf.keys[trace] for trace in traces if trace in self._shelf.keys}
                 return self._workers.submit(work_in_worker, batch, parts, keys)
 
-            yield from _in_turn(map(submit, batches), self._count)
+            yield from _in_turn(map(submit, batches), count if self._workers is None else self._processes)
+
+    @property
+    def _processes(self) -> int:
+        return min(_MOST_PROCESSES, self._cores)
 
     def _load_all(self, paths: Sequence[Path]) -> Iterator[LoadedTrace | TraceFormatError]:
-        if self._count == 1 or not _is_long(paths):
+        if len(paths) < FILES_FOR_PROCESSES or self._processes == 1 or not can_start_workers():
             yield from self._shelf.load_all(paths)
             return
         self._folder = tempfile.TemporaryDirectory(prefix="dds-analyze-")
-        self._workers = workers = start_workers(
-            self._count, Path(self._folder.name), cache=self._cache is not None
-        )
-        at_once = min(_FILES_AT_ONCE, -(-len(paths) // self._count))
+        folder, has_cache = Path(self._folder.name), self._cache is not None
+        self._workers = workers = start_workers(self._processes, folder, cache=has_cache)
         jobs = (
-            workers.submit(store_traces, paths[first : first + at_once], first)
-            for first in range(0, len(paths), at_once)
+            workers.submit(store_traces, paths[first : first + _FILES_AT_ONCE], first)
+            for first in range(0, len(paths), _FILES_AT_ONCE)
         )
         position = 0
-        for stored in _in_turn(jobs, 2 * self._count):
+        for stored in _in_turn(jobs, 2 * self._processes):
             for key, found in stored:
                 if isinstance(found, TraceFormatError):
                     yield found
@@ -134,14 +136,6 @@ class LocalEngine:
 def _is_large(batch: Batch) -> bool:
     """Return whether one group, or one run of a group, has more events than a batch is to have."""
     return sum(sum(exchange.counts) for exchange in batch.exchanges) > BATCH_EVENTS
-
-
-def _is_long(paths: Sequence[Path]) -> bool:
-    """Return whether traces are worth the start of worker processes."""
-    if len(paths) >= _FILES_FOR_PROCESSES:
-        return True
-    sizes = (each.stat().st_size for path in paths if not is_remote(path) for each in (path, *path.glob("*")))
-    return len(paths) > 1 and any(total >= _BYTES_FOR_PROCESSES for total in accumulate(sizes))
 
 
 def _in_turn(begun: Iterator[Future[T]], ahead: int) -> Iterator[T]:

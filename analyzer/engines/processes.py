@@ -36,6 +36,11 @@ if TYPE_CHECKING:
     """Key in the cache, "" without one, and the trace, or why the file is none."""
 
 
+def can_start_workers() -> bool:
+    """Return whether this process may have others: one of `multiprocessing` that ends with its own caller may not."""
+    return not multiprocessing.current_process().daemon
+
+
 def start_workers(count: int, folder: Path, *, cache: bool) -> ProcessPoolExecutor:
     """Start worker processes, which end with this one whatever ends it.
 
@@ -48,7 +53,7 @@ def start_workers(count: int, folder: Path, *, cache: bool) -> ProcessPoolExecut
         "spawn"
     )  # a fork would copy the locks of other threads, of polars too
     workers = ProcessPoolExecutor(count, context, _begin, (os.fspath(folder), cache))
-    with _without_main():
+    with _without_main(), _without_interrupts():
         for _ in range(count):
             workers.submit(os.getpid)  # each starts one
     return workers
@@ -89,7 +94,6 @@ _shelf = TraceShelf()
 def _begin(folder: str, has_cache: bool) -> None:
     """Make this process a worker."""
     global _cache, _shelf  # noqa: PLW0603 - what a process has from its beginning
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the caller's, who ends us
     threading.Thread(target=_end_with_caller, daemon=True).start()
     _cache = TraceCache.open() if has_cache else None
     _shelf = TraceShelf(_cache, Path(folder))
@@ -115,3 +119,13 @@ def _without_main() -> Iterator[None]:
     finally:
         for name, value in hidden.items():
             setattr(main, name, value)
+
+
+@contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Hold Ctrl-C back from processes that are started, for good: it is the caller's, who ends them."""
+    held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, held)

@@ -117,7 +117,7 @@ def test_a_large_trace_waits_in_a_file_and_a_small_one_in_memory(tmp_path, monke
     write_runs(runs, range(2))
     in_files = []
 
-    def work_at(batch, parts, known, pool):
+    def work_at(batch, parts, known, pool=None):
         in_files.extend(
             not isinstance(part.events, EventColumns) for of_key in parts.values() for part in of_key
         )

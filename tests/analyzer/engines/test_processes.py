@@ -1,0 +1,171 @@
+"""Worker processes: the same numbers, and none of them left, whatever ends the analysis or one of them."""
+
+import multiprocessing
+import os
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import psutil
+import pytest
+from campaigns import assert_same_results, write_runs
+
+import dds_trace.analyzer.engines.batches
+from dds_trace.analyzer import analyze
+from dds_trace.analyzer.engines import local
+from dds_trace.analyzer.engines.processes import can_start_workers
+from dds_trace.tracefile import TraceError, TraceFormatError
+
+PATIENCE_S = 60
+
+# Each batch, one a group, is a worker that sleeps; it says which one it is.
+COMMAND = """
+import sys
+import dds_trace.analyzer.engines.batches
+from dds_trace.analyzer.engines import local
+
+def start(*arguments, **options):
+    workers = started(*arguments, **options)
+    submit = workers.submit
+    sleep = "import os, time; os.write(1, str(os.getpid()).encode() + bytes([10])); time.sleep(300)"
+    workers.submit = lambda job, *more: submit(exec, sleep) if job is local.work_in_worker else submit(job, *more)
+    return workers
+
+started, local.start_workers = local.start_workers, start
+dds_trace.analyzer.engines.batches.BATCH_EVENTS = local.FILES_FOR_PROCESSES = 1
+local.LocalEngine._processes = 2
+from dds_trace.cli.analyze import main
+sys.argv = ["dds-analyze", *sys.argv[1:]]
+main()
+"""
+
+
+@pytest.fixture
+def started(monkeypatch):
+    """From here on, each analysis is made by two processes; the ones that were started."""
+    processes = []
+    real = local.start_workers
+
+    def start(*arguments, **options):
+        workers = real(*arguments, **options)
+        processes.extend(psutil.Process(pid) for pid in workers._processes)
+        return workers
+
+    monkeypatch.setattr(local, "FILES_FOR_PROCESSES", 1)
+    monkeypatch.setattr(local.LocalEngine, "_processes", 2)
+    monkeypatch.setattr(local, "start_workers", start)
+    return processes
+
+
+@pytest.fixture
+def runs(tmp_path):
+    write_runs(tmp_path / "runs", range(6), groups=3)
+    (tmp_path / "runs/ping1a.mcap").write_bytes(b"no trace")
+    return tmp_path / "runs"
+
+
+@pytest.fixture
+def temporary(tmp_path, monkeypatch):
+    """Where temporary files go."""
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setenv("TMPDIR", str(folder))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    return folder
+
+
+@pytest.mark.parametrize("cache", [False, True])
+@pytest.mark.parametrize("batch_events", [1, 1_000_000])
+def test_workers_say_the_same_as_threads(runs, monkeypatch, temporary, request, cache, batch_events):
+    monkeypatch.setattr(dds_trace.analyzer.engines.batches, "BATCH_EVENTS", batch_events)
+    expected = analyze(runs)
+    started = request.getfixturevalue("started")
+    first = analyze(runs, cache=cache)
+    write_runs(runs, [7], groups=3)
+    again = analyze(runs, cache=cache)
+    assert len(started) == 4
+    assert not any(process.is_running() for process in started)
+    assert list(temporary.iterdir()) == []
+    assert_same_results(first, expected)
+    assert [source.path for source in first.sources if source.status == "skipped"] == ["ping1a.mcap"]
+    monkeypatch.setattr(local, "FILES_FOR_PROCESSES", 1_000)
+    assert_same_results(again, analyze(runs))
+
+
+@pytest.mark.usefixtures("started")
+def test_what_a_worker_cannot_read_is_told_as_here(tmp_path):
+    (tmp_path / "x.mcap").write_bytes(b"no trace")
+    with pytest.raises(TraceFormatError) as told:
+        analyze(tmp_path / "x.mcap")
+    assert str(told.value).startswith(f"{tmp_path}/x.mcap: ")
+
+
+def test_a_killed_worker_is_one_line(runs, started, monkeypatch, temporary):
+    real = local.LocalEngine.work
+
+    def work(self, batches, index):
+        started[0].kill()
+        started[0].wait(PATIENCE_S)
+        return real(self, batches, index)
+
+    monkeypatch.setattr(local.LocalEngine, "work", work)
+    monkeypatch.setattr(local, "_is_large", lambda _batch: False)
+    with pytest.raises(
+        TraceError, match=r"^a worker process of the analysis was killed, perhaps because memory"
+    ):
+        analyze(runs)
+    assert not any(process.is_running() for process in started)
+    assert list(temporary.iterdir()) == []
+
+
+@pytest.mark.parametrize("sent", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT], ids=lambda sent: sent.name)
+def test_workers_end_with_their_analysis(runs, temporary, sent):
+    command = [sys.executable, "-c", COMMAND, runs, "--out", temporary / "out", "--no-cache"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as analysis:
+        try:
+            workers = [psutil.Process(int(analysis.stdout.readline())) for _ in range(2)]
+            others = psutil.Process(analysis.pid).children(recursive=True)
+            analysis.send_signal(sent)
+            if (
+                sent == signal.SIGINT
+            ):  # Ctrl-C comes to workers too, and the analysis waits for what they have begun
+                blocked = [Path(f"/proc/{worker.pid}/status").read_text() for worker in workers]
+                assert [int(re.search(r"SigBlk:\s*(\w+)", text)[1], 16) & 2 for text in blocked] == [2, 2]
+                for worker in workers:
+                    worker.kill()
+            _, stderr = analysis.communicate(timeout=PATIENCE_S)
+        finally:
+            analysis.kill()  # with it the workers
+    psutil.wait_procs(others, PATIENCE_S)
+    assert not [process for process in others if process.is_running()]
+    assert "Traceback" not in stderr
+
+
+def test_a_script_that_analyzes_is_not_run_again_by_workers(runs, tmp_path):
+    """Without `if __name__ == "__main__"`, as scripts and notebooks are written."""
+    script = tmp_path / "script.py"
+    script.write_text(
+        "from pathlib import Path\n"
+        "from dds_trace.analyzer.engines import local\n"
+        "local.FILES_FOR_PROCESSES = 1\n"
+        "from dds_trace import analyze\n"
+        "print('begun')\n"
+        f"print(analyze({str(runs)!r}).summary.height, Path(__file__).name)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, script], capture_output=True, text=True, check=False, timeout=PATIENCE_S
+    )
+    assert (done.stdout, done.stderr) == ("begun\n3 script.py\n", "")
+
+
+def _heights_in_a_worker(folder):
+    local.FILES_FOR_PROCESSES = 1
+    return can_start_workers(), analyze(Path(folder)).summary.height
+
+
+def test_a_process_that_may_have_none_analyzes_alone(runs):
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        assert pool.apply(_heights_in_a_worker, [os.fspath(runs)]) == (False, 3)
+    assert can_start_workers()

@@ -7,6 +7,7 @@ import tempfile
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
@@ -20,7 +21,7 @@ from .known_details import KnownDetails
 from .processes import can_start_workers, start_workers, store_traces, work_in_worker
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
     from concurrent.futures import Future, ProcessPoolExecutor
 
     from ..groups.batch import Batch
@@ -38,6 +39,9 @@ _MOST_PROCESSES = 4  # each holds a trace or a batch, and 0.2 GB of libraries
 FILES_FOR_PROCESSES = 300
 """Traces for which worker processes are started; fewer are done before that would pay. Of few and long ones the arrays are long,
 so that threads do as well in less memory (`docs/explanation/performance.md`)."""
+
+_MOST_EVENTS_AHEAD = 8_000_000
+"""Events of batches that are worked at, or whose results wait: one that is larger is alone in memory."""
 
 _FILES_AT_ONCE = 16
 """Traces that a worker reads before it says what it found."""
@@ -86,7 +90,7 @@ class LocalEngine:
             ThreadPoolExecutor(count, thread_name_prefix="measure") as measuring,
         ):
 
-            def submit(batch: Batch) -> Future[BatchResult]:
+            def begin(batch: Batch) -> Future[BatchResult]:
                 parts = {key: index[key] for key in batch.event_keys() if key in index}
                 if _is_large(batch):
                     return threads.submit(work_at, batch, parts, known, measuring)
@@ -96,7 +100,8 @@ class LocalEngine:
                 keys = {trace: self._shelf.keys[trace] for trace in traces if trace in self._shelf.keys}
                 return self._workers.submit(work_in_worker, batch, parts, keys)
 
-            yield from _in_turn(map(submit, batches), count if self._workers is None else self._processes)
+            ahead = count if self._workers is None else self._processes
+            yield from _in_turn(((_events_of(batch), partial(begin, batch)) for batch in batches), ahead)
 
     @property
     def _processes(self) -> int:
@@ -110,7 +115,7 @@ class LocalEngine:
         folder, has_cache = Path(self._folder.name), self._cache is not None
         self._workers = workers = start_workers(self._processes, folder, cache=has_cache)
         jobs = (
-            workers.submit(store_traces, paths[first : first + _FILES_AT_ONCE], first)
+            (0, partial(workers.submit, store_traces, paths[first : first + _FILES_AT_ONCE], first))
             for first in range(0, len(paths), _FILES_AT_ONCE)
         )
         position = 0
@@ -133,33 +138,39 @@ class LocalEngine:
         self._shelf.close()
 
 
+def _events_of(batch: Batch) -> int:
+    return sum(sum(exchange.counts) for exchange in batch.exchanges)
+
+
 def _is_large(batch: Batch) -> bool:
     """Return whether one group, or one run of a group, has more events than a batch is to have."""
-    return sum(sum(exchange.counts) for exchange in batch.exchanges) > BATCH_EVENTS
+    return _events_of(batch) > BATCH_EVENTS
 
 
-def _in_turn(begun: Iterator[Future[T]], ahead: int) -> Iterator[T]:
-    """Yield results in order, while so many jobs behind the next one are under way or done.
+def _in_turn(jobs: Iterable[tuple[int, Callable[[], Future[T]]]], ahead: int) -> Iterator[T]:
+    """Yield results in order, while jobs behind the next one are under way or done.
 
     Args:
-        begun: submits each job when it is asked for it.
-        ahead: the number of jobs.
+        jobs: of each the events that it holds, and what begins it.
+        ahead: most jobs behind the next one; fewer if these and it hold more than `_MOST_EVENTS_AHEAD`.
 
     Raises:
         TraceError: a worker process was killed.
     """
-    pending: deque[Future[T]] = deque()
+    begun: deque[tuple[int, Future[T]]] = deque()
     try:
-        for job in begun:
-            pending.append(job)
-            if len(pending) > ahead:
-                yield pending.popleft().result()
-        while pending:
-            yield pending.popleft().result()
+        for events, begin in jobs:
+            while begun and (
+                len(begun) > ahead or events + sum(each for each, _ in begun) > _MOST_EVENTS_AHEAD
+            ):
+                yield begun.popleft()[1].result()
+            begun.append((events, begin()))
+        while begun:
+            yield begun.popleft()[1].result()
     except BrokenProcessPool as err:
         raise TraceError(
             "a worker process of the analysis was killed, perhaps because memory ran out; analyze fewer recordings at once"
         ) from err
     finally:
-        for job in pending:
+        for _, job in begun:
             job.cancel()

@@ -47,14 +47,17 @@ def age_of_information(
     Returns:
         None with fewer than two updates: there is no time to average over.
     """
-    order = np.lexsort((generated_ns, received_ns))
-    generated, received = generated_ns[order], received_ns[order]
-    newest_before = np.maximum.accumulate(np.concatenate([[np.iinfo(np.int64).min], generated[:-1]]))
-    newer = generated > newest_before[: len(generated)]
-    generated, received = generated[newer], received[newer]
+    generated, received = generated_ns, received_ns
+    if (received[1:] <= received[:-1]).any():
+        order = np.lexsort((generated, received))
+        generated, received = generated[order], received[order]
+    newer = np.ones(len(generated), np.bool_)
+    newer[1:] = generated[1:] > np.maximum.accumulate(generated)[:-1]
+    generated, received = _kept(newer, generated), _kept(newer, received)
     # Of several updates at one instant the last counts: the others never were the newest for any time.
-    last = np.concatenate([received[1:] != received[:-1], [True]]) if len(received) else newer[:0]
-    generated, received = generated[last], received[last]
+    last = np.ones(len(received), np.bool_)
+    last[:-1] = received[1:] != received[:-1]
+    generated, received = _kept(last, generated), _kept(last, received)
     if len(received) < 2:
         return None
     fallen = (received - generated)[:-1].astype(np.float64)
@@ -66,3 +69,8 @@ def age_of_information(
         peak_max_ns=int(peaks.max()),
         updates=len(received),
     )
+
+
+def _kept(chosen: NDArray[np.bool_], values: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the values of a mask; all of them, as mostly, are not copied."""
+    return values if chosen.all() else values[chosen]

@@ -57,6 +57,16 @@ _USED = (
 )
 """Columns of a batch's rows that its parts are made of, beside `STAMP_COLUMNS`: the others would be copied for nothing."""
 
+_COARSE = ("waiting_ns", "outbound_ns", "relay_ns", "return_ns")
+"""The parts where the middleware's reception stamps are missing."""
+
+_SUMMARIZED = tuple(dict.fromkeys((*STAGES, *_COARSE, "clock_bound_ns", "delivery_bound_ns")))
+"""Columns of `break_down`'s frame that `summarize_breakdown` needs beside those of the group."""
+
+_DELIVERIES = ("_relay_delivery", "_relay_write", "_ping_delivery", "_ping_write")
+
+_SLICE_ROWS = 1 << 19
+
 STAMP_COLUMNS = (*MIDDLEWARE_STAMPS[Stage.T3], *MIDDLEWARE_STAMPS[Stage.T2])
 """`source_ns` and `received_ns` of T3 and of T2, i64, ns since 1970, null or 0 where the trace has none."""
 
@@ -77,7 +87,9 @@ def breakdown_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     relay_wall = {
         e.relay_id: e.relay.wall_anchor_ns - e.relay.monotonic_anchor_ns for e in batch.exchanges if e.relay
     }
-    return summarize_breakdown(break_down(rows, ping_wall, relay_wall), ["group"])
+    parts = break_down(rows, ping_wall, relay_wall).select("group", *_SUMMARIZED)
+    del rows  # of a large group a hundred megabytes of identities, which the summary has no use for
+    return summarize_breakdown(parts, ["group"])
 
 
 def response_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
@@ -110,62 +122,69 @@ def break_down(
         only one side can be judged: no source stamps, or a bridge that writes its own). A run that contradicts
         its anchor (wall clock set meanwhile) has null parts. The transports also carry `clock_bound_ns`.
     """
+    offsets = _offset("run_id", pl.UInt64, ping_wall), _offset("relay_id", pl.UInt32, relay_wall)
+    # Slice by slice: of each message many columns are made that nobody needs behind it.
+    slices = list(roundtrips.iter_slices(_SLICE_ROWS)) or [roundtrips]
+    anchors = _anchors(pl.concat([_shortest(_with_deliveries(rows, *offsets)) for rows in slices]))
+    parts = pl.concat([_parts(_with_deliveries(rows, *offsets), anchors) for rows in slices], rechunk=True)
+    return roundtrips.hstack(parts).with_columns(relay_ns=pl.col("intermediate_ns"))
+
+
+def _with_deliveries(roundtrips: pl.DataFrame, ping: pl.Expr, relay: pl.Expr) -> pl.DataFrame:
+    """Return the rows with the names of `_DELIVERIES`, from stamps of the wall clocks and these offsets to the monotonic ones."""
     missing = [pl.lit(0, pl.Int64).alias(name) for name in STAMP_COLUMNS if name not in roundtrips.columns]
     stamps = {name: pl.when(pl.col(name) != 0).then(pl.col(name)) for name in STAMP_COLUMNS}
     direct = pl.when(pl.col("bridge") == "none")
-    ping, relay = _offset("run_id", pl.UInt64, ping_wall), _offset("relay_id", pl.UInt32, relay_wall)
-    stamped = roundtrips.with_columns(missing).with_columns(
+    return roundtrips.with_columns(missing).with_columns(
         _relay_delivery=pl.col("relay_in_ns") - (stamps["relay_received_ns"] - relay),
         _ping_delivery=pl.col("receive_ns") - (stamps["reply_received_ns"] - ping),
         # How long after T4 (T1) the middleware stamped the message, by the same anchor.
         _relay_write=direct.then(stamps["reply_source_ns"] - relay - pl.col("relay_out_ns")),
         _ping_write=direct.then(stamps["relay_source_ns"] - ping - pl.col("publish_ns")),
     )
+
+
+def _parts(delivered: pl.DataFrame, anchors: pl.DataFrame) -> pl.DataFrame:
+    """Return the columns that `break_down` adds, but for that of another name."""
     keys = ["run_id", "relay_id"]
-    anchors = stamped.select(keys).join(
-        _anchors(stamped), on=keys, how="left", nulls_equal=True, maintain_order="left"
+    of_row = delivered.select(keys).join(
+        anchors, on=keys, how="left", nulls_equal=True, maintain_order="left"
     )
-    return (
-        stamped.drop("_relay_write", "_ping_write")
-        .hstack(anchors.drop(keys))
-        .with_columns(
-            relay_delivery_ns=pl.when("_relay_sound").then("_relay_delivery"),
-            ping_delivery_ns=pl.when("_ping_sound").then("_ping_delivery"),
-        )
-        .drop("_relay_delivery", "_ping_delivery", "_relay_sound", "_ping_sound")
-        .with_columns(
-            waiting_ns=pl.col("publish_ns") - pl.col("scheduled_ns"),
-            outbound_transport_ns=pl.col("outbound_ns") - pl.col("relay_delivery_ns"),
-            relay_ns=pl.col("intermediate_ns"),
-            return_transport_ns=pl.col("return_ns") - pl.col("ping_delivery_ns"),
-            delivery_bound_ns=pl.when(
-                pl.col("relay_delivery_ns").is_not_null() & pl.col("ping_delivery_ns").is_not_null(),
-            ).then("_anchor_bound"),
-        )
-        .drop("_anchor_bound")
+    relay = pl.when("_relay_sound").then("_relay_delivery")
+    ping = pl.when("_ping_sound").then("_ping_delivery")
+    return delivered.hstack(of_row.drop(keys)).select(
+        relay_delivery_ns=relay,
+        ping_delivery_ns=ping,
+        waiting_ns=pl.col("publish_ns") - pl.col("scheduled_ns"),
+        outbound_transport_ns=pl.col("outbound_ns") - relay,
+        return_transport_ns=pl.col("return_ns") - ping,
+        delivery_bound_ns=pl.when(relay.is_not_null() & ping.is_not_null()).then("_anchor_bound"),
     )
 
 
-def _anchors(stamped: pl.DataFrame) -> pl.DataFrame:
+def _shortest(delivered: pl.DataFrame) -> pl.DataFrame:
+    """Return the least of the deliveries and writes of each run and relay."""
+    return delivered.group_by("run_id", "relay_id").agg(pl.col(*_DELIVERIES).min())
+
+
+def _anchors(shortest: pl.DataFrame) -> pl.DataFrame:
     """Judge the anchors of each run and relay by the shortest of its deliveries and of its writes.
+
+    Args:
+        shortest: rows of `_shortest`, several of a run and relay if it is in several slices.
 
     Returns:
         `run_id`, `relay_id`, `_relay_sound` and `_ping_sound`: whether its stamps agree with the anchor: nothing arrives or
         leaves before its time; `_anchor_bound`: how far the anchors may be off, as one that were later than the shortest
         delivery would make that negative, likewise early.
     """
-    names = ("_relay_delivery", "_relay_write", "_ping_delivery", "_ping_write")
-    relay, relay_write, ping, ping_write = map(pl.col, names)
-    return (
-        stamped.group_by("run_id", "relay_id")
-        .agg(pl.col(*names).min())
-        .select(
-            "run_id",
-            "relay_id",
-            _relay_sound=(relay >= 0) & (relay_write.fill_null(0) >= 0),
-            _ping_sound=(ping >= 0) & (ping_write.fill_null(0) >= 0),
-            _anchor_bound=_larger(_larger(relay, relay_write), _larger(ping, ping_write)),
-        )
+    relay, relay_write, ping, ping_write = map(pl.col, _DELIVERIES)
+    return _shortest(shortest).select(
+        "run_id",
+        "relay_id",
+        _relay_sound=(relay >= 0) & (relay_write.fill_null(0) >= 0),
+        _ping_sound=(ping >= 0) & (ping_write.fill_null(0) >= 0),
+        _anchor_bound=_larger(_larger(relay, relay_write), _larger(ping, ping_write)),
     )
 
 
@@ -194,21 +213,22 @@ def summarize_breakdown(parts: pl.DataFrame, group_columns: Sequence[str]) -> pl
         `p99_ns` f64, `bound_ns` f64 (mean bound from the clocks, 0 for parts on one clock). Only messages with
         every part of their chain count, so that the means add up to the mean response; percentiles never add up.
     """
-    whole = ("waiting_ns", "outbound_ns", "relay_ns", "return_ns")
     detailed = pl.all_horizontal(pl.col(list(STAGES)).is_not_null())
-    coarse = pl.all_horizontal(pl.col(list(whole)).is_not_null())
+    coarse = pl.all_horizontal(pl.col(list(_COARSE)).is_not_null())
     bounds = {name: pl.lit(0.0) for name in ("waiting_ns", "relay_ns")}
     bounds |= {name: pl.col("clock_bound_ns").mean() for name in ("outbound_ns", "return_ns")}
     bounds |= {name: pl.col("delivery_bound_ns").mean() for name in ("relay_delivery_ns", "ping_delivery_ns")}
     both = pl.col("clock_bound_ns") + pl.col("delivery_bound_ns")
     bounds |= {name: both.mean() for name in ("outbound_transport_ns", "return_transport_ns")}
     keys = list(group_columns)
-    used = dict.fromkeys((*keys, *STAGES, *whole, "clock_bound_ns", "delivery_bound_ns"))
-    shown = _kept(parts.select(*used), parts.select(coarse).to_series())
+    shown = _kept(
+        parts.select(*keys, *_SUMMARIZED),
+        parts.select(coarse).to_series(),
+    )
     # A group is shown in detail if every message that could be shown at all can be.
     in_detail = shown.select(detailed.all().over(keys) if keys else detailed.all()).to_series()
     tables = []
-    for columns, chosen in ((STAGES, in_detail), (whole, ~in_detail)):
+    for columns, chosen in ((STAGES, in_detail), (_COARSE, ~in_detail)):
         rows = _kept(shown, chosen)
         for order, name in enumerate(columns):
             values = pl.col(name)
@@ -242,13 +262,15 @@ def response_against_latency(roundtrips: pl.DataFrame, group_columns: Sequence[s
         period after T0), `waiting_max_ns` i64, and for p50, p99 (null below 100 messages): `rtt_*_ns`,
         `response_*_ns` and `hidden_*_ns` = response - rtt, f64.
     """
-    complete = roundtrips.filter(pl.col("response_ns").is_not_null() & pl.col("rtt_ns").is_not_null())
+    keys = list(group_columns)
+    used = roundtrips.select(*keys, "publish_ns", "scheduled_ns", "response_ns", "rtt_ns", "rate_hz")
+    is_complete = pl.col("response_ns").is_not_null() & pl.col("rtt_ns").is_not_null()
+    complete = _kept(used, used.select(is_complete).to_series())
     waiting = pl.col("publish_ns") - pl.col("scheduled_ns")
 
     def quantile(column: str, q: float, needs: int) -> pl.Expr:
         return pl.when(pl.len() >= needs).then(pl.col(column).quantile(q, "linear"))
 
-    keys = list(group_columns)
     return (
         complete.group_by(keys, maintain_order=True)
         .agg(

@@ -1,7 +1,5 @@
 """Worker processes: the same numbers, and none of them left, whatever ends the analysis or one of them."""
 
-import multiprocessing
-import os
 import re
 import signal
 import subprocess
@@ -160,12 +158,22 @@ def test_a_script_that_analyzes_is_not_run_again_by_workers(runs, tmp_path):
     assert (done.stdout, done.stderr) == ("begun\n3 script.py\n", "")
 
 
-def _heights_in_a_worker(folder):
-    local.FILES_FOR_PROCESSES = 1
-    return can_start_workers(), analyze(Path(folder)).summary.height
-
-
-def test_a_process_that_may_have_none_analyzes_alone(runs):
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
-        assert pool.apply(_heights_in_a_worker, [os.fspath(runs)]) == (False, 3)
+def test_a_process_that_may_have_none_analyzes_alone(runs, tmp_path):
+    """A worker of `multiprocessing.Pool`, which calls itself a daemon."""
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import multiprocessing, sys\n"
+        "from dds_trace import analyze\n"
+        "from dds_trace.analyzer.engines import local, processes\n"
+        "def height(folder):\n"
+        "    local.FILES_FOR_PROCESSES = 1\n"
+        "    return processes.can_start_workers(), analyze(folder).summary.height\n"
+        "if __name__ == '__main__':\n"
+        "    with multiprocessing.get_context('spawn').Pool(1) as pool:\n"
+        "        print(pool.apply(height, sys.argv[1:]))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, script, runs], capture_output=True, text=True, check=False, timeout=PATIENCE_S
+    )
+    assert (done.stdout, done.stderr) == ("(False, 3)\n", "")
     assert can_start_workers()

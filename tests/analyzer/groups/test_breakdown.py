@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import polars as pl
 import pytest
+from polars.testing import assert_frame_equal
 from roundtrip_frames import MS, roundtrips, with_one_way
 
+from dds_trace.analyzer.groups import breakdown
 from dds_trace.analyzer.groups.breakdown import (
     STAGES,
     break_down,
@@ -70,6 +72,19 @@ def test_without_anchors_nothing_is_mixed():
     row = break_down(frame).row(0, named=True)
     assert row["relay_delivery_ns"] is None
     assert row["outbound_ns"] is not None
+
+
+@pytest.mark.parametrize("slice_rows", [1, 2, 4])
+def test_slices_of_rows_have_the_anchors_of_the_whole_run(monkeypatch, slice_rows):
+    """The last message contradicts the anchor of the relay, the second is nearest to that of the ping."""
+    rows = [MESSAGE, {**MESSAGE, "reply_received_ns": PING_WALL + 119_000}, MESSAGE, MESSAGE]
+    rows.append({**MESSAGE, "relay_received_ns": RELAY_WALL + 60_001})
+    for held in (rows, rows[:-1]):
+        monkeypatch.undo()
+        whole = parts_of(held)
+        assert whole["relay_delivery_ns"].is_null().all() == (held is rows)
+        monkeypatch.setattr(breakdown, "_SLICE_ROWS", slice_rows)
+        assert_frame_equal(parts_of(held), whole)
 
 
 def test_a_wall_clock_set_during_the_session_voids_the_run():

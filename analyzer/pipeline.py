@@ -66,6 +66,8 @@ def analyze(
         a = analyze("runs/")
         a.summary.select("vendor", "payload_bytes", "latency_p50_ns", "latency_p99_ns")
 
+    From 300 traces on, worker processes of this machine do most of it; a script needs no `if __name__ == "__main__"` for them.
+
     Args:
         path: a folder (looked through to its depths), one trace file, or one rosbag2 folder; or a list of such.
         out: folder for `roundtrips.parquet` and `summary.parquet`; None writes nothing. It is never looked

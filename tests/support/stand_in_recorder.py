@@ -48,7 +48,7 @@ def main():
     if behaviour == "killed":
         print("a first line", flush=True)
         os.kill(os.getpid(), signal.SIGKILL)
-    if behaviour in {"ok", "loses", "silent"}:  # a real ping ends well only after the relay's echo
+    if behaviour in {"ok", "loses", "silent", "half"}:  # a real ping sends only after the relay's echo
         wait_for((FOLDER / "waiting-relay").exists)
     if behaviour in UNTIL_STOPPED:
         (FOLDER / f"waiting-{cell}").touch()

@@ -41,7 +41,7 @@ import psutil
 import pyarrow.parquet as pq
 import zstandard
 from campaigns import MANY_GROUPS, SHAPES, SHORT_RUNS, Shape, write_campaign, write_new_run
-from timing import packed_chunks, seconds, unpack_job
+from timing import LAUNCH, packed_chunks, seconds, unpack_job
 
 from dds_trace.analyzer.clocks.fit import RelayedMessages, fit_clocks
 from dds_trace.analyzer.pairing.parquet import roundtrips_writer
@@ -59,17 +59,6 @@ MOST_TIMES_LINEAR = 1.25
 HUGE = Shape("200 M events in 200 files", 200_000_000, runs=1_000, pairs=100, groups=200, rate_hz=1_000)
 TINY = Shape("tiny", 16, runs=1, pairs=1, groups=1, rate_hz=10)
 GROWTH = (1, 4, 16)
-LAUNCH = """
-import json, os, sys, time
-began = time.perf_counter()
-child = os.fork()
-if not child:
-    os.dup2(2, 1)
-    os.execv(sys.argv[1], sys.argv[1:])
-_, status, used = os.wait4(child, 0)
-print(json.dumps([status, time.perf_counter() - began, used.ru_utime + used.ru_stime, used.ru_maxrss * 1024]))
-"""
-"""A small process that starts the command: the peak of one that this process starts itself counts this one's memory (`exec(2)` keeps it)."""
 CLOCK_ROUNDS = 9
 LOOK_S = 0.05
 

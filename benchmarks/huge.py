@@ -25,12 +25,11 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from time import perf_counter
 
 import pyarrow.parquet as pq
 import zstandard
 from event_traces import write_event_trace
-from timing import packed_chunks, seconds, unpack_job
+from timing import LAUNCH, packed_chunks, seconds, unpack_job
 
 from dds_trace.analyzer.pairing.parquet import roundtrips_writer
 
@@ -102,18 +101,16 @@ def analyze_folder(folder: Path, out: Path) -> Analysis:
         SystemExit: it failed.
     """
     command = [str(Path(sys.executable).with_name("dds-analyze")), str(folder), "--out", str(out)]
-    start = perf_counter()
-    process = subprocess.Popen(
-        [*command, "--report", "json", "--no-cache"],
-        stdout=subprocess.DEVNULL,
+    done = subprocess.run(
+        [sys.executable, "-S", "-c", LAUNCH, *command, "--report", "json", "--no-cache"],
+        stdout=subprocess.PIPE,
         env={**os.environ, "TMPDIR": str(out.parent)},
+        check=True,
     )
-    _, status, usage = os.wait4(process.pid, 0)
-    wall_s = perf_counter() - start
-    process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise SystemExit(f"dds-analyze ended with {process.returncode}")
-    return Analysis(wall_s, usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1024)
+    status, wall_s, cpu_s, peak_bytes = json.loads(done.stdout)
+    if status:
+        raise SystemExit(f"dds-analyze ended with {os.waitstatus_to_exitcode(status)}")
+    return Analysis(wall_s, cpu_s, peak_bytes)
 
 
 def measure_floor(folder: Path, events: int) -> Floor:

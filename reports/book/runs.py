@@ -44,10 +44,11 @@ class RunTime:
 
 def run_times(analysis: Analysis) -> tuple[RunTime, ...]:
     """Collect start and end of the runs of `analysis.timeline`, in its order."""
-    rows = {row["run_id"]: row for row in run_rows(analysis.scan_roundtrips()).iter_rows(named=True)}
+    of_runs = run_rows(analysis.scan_roundtrips(), analysis.summary["published"].to_list())
+    rows = {row["run_id"]: row for row in of_runs.iter_rows(named=True)}
     sessions = {f"{session.session_id:016x}": session for session in analysis.sessions}
     session_of = {run.run_id: sessions.get(str(run.extra.get("session_id"))) for run in analysis.runs}
-    of_runs = analysis.timeline.group_by("run_id", maintain_order=True).agg(pl.first("group"))
+    drawn = analysis.timeline.group_by("run_id", maintain_order=True).agg(pl.first("group"))
     return tuple(
         RunTime(
             run_id,
@@ -60,7 +61,7 @@ def run_times(analysis: Analysis) -> tuple[RunTime, ...]:
             None if row["p50_ns"] is None else round(row["p50_ns"]),
             row["max_ns"],
         )
-        for run_id, group in of_runs.iter_rows()
+        for run_id, group in drawn.iter_rows()
         if (row := rows.get(run_id)) and None not in (row["origin_ns"], row["last_ns"])
     )
 

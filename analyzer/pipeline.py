@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from concurrent.futures import Future
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
     from dds_trace.tracefile import Run
 
-    from .engines.batches import BatchResult
+    from .engines.batches import BatchResult, WorkedBatch
     from .engines.local import Engine
     from .loading.campaign import Campaign, Progress
     from .loading.place import Paths
@@ -165,11 +165,12 @@ def _analyze(
     )
 
 
-def _keep_rows(results: Iterable[BatchResult], rows: RowStore) -> Iterator[BatchResult]:
-    """Put the rows of every batch into the store while its result passes by."""
-    for result in results:
-        rows.add(result.table)
-        yield replace(result, table=None)
+def _keep_rows(batches: Iterable[WorkedBatch], rows: RowStore) -> Iterator[BatchResult]:
+    """Put the rows of every batch into the store, and wait for its result then; a large one is measured meanwhile."""
+    for tables, measured in batches:
+        rows.add(tables)
+        del tables
+        yield measured.result() if isinstance(measured, Future) else measured
 
 
 def _runs_by_start(campaign: Campaign, exchanges: Exchanges) -> tuple[Run, ...]:

@@ -6,7 +6,7 @@ import hashlib
 from dataclasses import dataclass
 from itertools import pairwise
 from sys import getsizeof
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -17,12 +17,12 @@ from ..groups.frames import detail_frames, summary_frames
 from ..groups.measure import measure_batch, metric_values
 from ..loading.events import merge_parts
 from ..model.metrics import METRICS
-from ..pairing.parquet import table_of
+from ..pairing.parquet import tables_of
 from ..pairing.roundtrips import pair_exchanges
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-    from concurrent.futures import Executor
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from concurrent.futures import Executor, Future
 
     import polars as pl
     import pyarrow as pa
@@ -106,14 +106,13 @@ def groups_in_parts(batches: Sequence[Batch]) -> list[int]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BatchResult:
-    """What a batch gives.
+    """What a batch gives beside its rows.
 
     Attributes:
         frames: by name, see `groups/frames.py`.
         counts: one row per exchange, columns of `counts.COUNT_SCHEMA`.
         statistics: of its groups; of a part of a group they are those of the part.
         copies: events that were left out because another trace holds them, by key.
-        table: the rows, for `RowStore`; None if they are not wanted.
         values: metric -> int64 values that are not null, of a part of a group; None of whole groups.
     """
 
@@ -121,30 +120,63 @@ class BatchResult:
     counts: pl.DataFrame
     statistics: Statistics
     copies: Mapping[EventKey, tuple[Copies, ...]]
-    table: pa.Table | None
     values: Mapping[str, NDArray[np.int64]] | None
 
     def __sizeof__(self) -> int:
-        rows = 0 if self.table is None else self.table.nbytes
-        return object.__sizeof__(self) + rows + sum(map(getsizeof, (self.values or {}).values()))
+        return object.__sizeof__(self) + sum(map(getsizeof, (self.values or {}).values()))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairedBatch:
+    """A batch whose events are paired: its rows can be written while it is measured.
+
+    Attributes:
+        batch: the batch.
+        parts: for each of its `event_keys` the rows of the event index, traces in rising order.
+        roundtrips: the rows.
+        copies: events that were left out because another trace holds them, by key.
+    """
+
+    batch: Batch
+    parts: Mapping[EventKey, Sequence[EventPart]]
+    roundtrips: RoundTrips
+    copies: Mapping[EventKey, tuple[Copies, ...]]
+
+    def tables(self) -> Iterable[pa.Table]:
+        """Return the rows as `RowStore` takes them, none if they are not wanted; each table is made when it is asked for."""
+        return tables_of(self.roundtrips) if self.batch.wanted.rows else ()
+
+
+class WorkedBatch(NamedTuple):
+    """What becomes of a batch.
+
+    Attributes:
+        tables: the rows, for `RowStore`; none if they are not wanted.
+        measured: all else, or who makes it meanwhile.
+    """
+
+    tables: Iterable[pa.Table]
+    measured: BatchResult | Future[BatchResult]
 
 
 def work_at(
-    batch: Batch,
-    parts: Mapping[EventKey, Sequence[EventPart]],
-    known: KnownDetails | None = None,
-    pool: Executor | None = None,
-) -> BatchResult:
-    """Pair and measure a batch.
+    batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]], known: KnownDetails | None = None
+) -> WorkedBatch:
+    """Pair and measure a batch; see `pair_at` and `measure_at`."""
+    paired = pair_at(batch, parts)
+    return WorkedBatch(list(paired.tables()), measure_at(paired, known, Here()))
+
+
+def measure_at(paired: PairedBatch, known: KnownDetails | None, pool: Executor) -> BatchResult:
+    """Measure a batch.
 
     Args:
-        batch: the batch.
-        parts: for each of its `event_keys` the rows of the event index, traces in rising order.
+        paired: the batch, paired.
         known: the details that earlier analyses have made.
-        pool: other threads that measure once it is paired; None: this thread does all.
+        pool: makes each part.
     """
-    copies, roundtrips = _pair(batch, parts)
-    wanted, pool = batch.wanted, pool or Here()
+    batch, parts, roundtrips = paired.batch, paired.parts, paired.roundtrips
+    wanted = batch.wanted
     statistics = pool.submit(measure_batch, roundtrips, batch.group_of_exchange)
     summary = pool.submit(summary_frames, batch, roundtrips)
     details: Frames = {}
@@ -162,17 +194,21 @@ def work_at(
         frames=summary.result() | details,
         counts=roundtrips.counts,
         statistics=statistics.result(),
-        copies=copies,
-        table=table_of(roundtrips) if wanted.rows else None,
+        copies=paired.copies,
         values=values,
     )
 
 
-def _pair(
-    batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]]
-) -> tuple[dict[EventKey, tuple[Copies, ...]], RoundTrips]:
-    """Pair the events of a batch; the memory of those that were fetched is free when this returns."""
+def pair_at(batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]]) -> PairedBatch:
+    """Pair the events of a batch; the memory of those that were fetched is free when this returns.
+
+    Args:
+        batch: the batch.
+        parts: for each of its `event_keys` the rows of the event index, traces in rising order.
+    """
     merged = {key: merge_parts(parts.get(key, ())) for key in batch.event_keys()}
     events = {key: columns for key, (columns, _) in merged.items()}
     copies = {key: of_key for key, (_, of_key) in merged.items() if of_key}
-    return copies, pair_exchanges(batch.exchanges, events, details=batch.wanted.details)
+    return PairedBatch(
+        batch, parts, pair_exchanges(batch.exchanges, events, details=batch.wanted.details), copies
+    )

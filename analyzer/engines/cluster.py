@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from ..loading.events import EventIndex, EventKey, EventPart
     from ..loading.place import Place
     from ..model.source import Source
-    from .batches import BatchResult
+    from .batches import WorkedBatch
 
 _TIMEOUT_S = 30
 
@@ -122,14 +122,14 @@ class ClusterEngine:
             self._loaded.append(load)
         return campaign_of(here, loaded, skipped)
 
-    def work(self, batches: Sequence[Batch], index: EventIndex) -> Iterator[BatchResult]:
-        """Submit all batches at once, and yield their results in order."""
+    def work(self, batches: Sequence[Batch], index: EventIndex) -> Iterator[WorkedBatch]:
+        """Submit all batches at once, and yield what becomes of them in order."""
         pending = [self._submit(batch, index) for batch in batches]
         pending.reverse()
         while pending:
             yield pending.pop().result()
 
-    def _submit(self, batch: Batch, index: EventIndex) -> _Future[BatchResult]:
+    def _submit(self, batch: Batch, index: EventIndex) -> _Future[WorkedBatch]:
         of_trace: dict[int, list[EventKey]] = {}
         for key in batch.event_keys():
             for part in index.get(key, ()):
@@ -176,7 +176,7 @@ def _events(loaded: LoadedTrace, key: EventKey) -> EventColumns:
     return loaded.parts[key].load()
 
 
-def _work(batch: Batch, selected: Sequence[Mapping[EventKey, EventPart]]) -> BatchResult:
+def _work(batch: Batch, selected: Sequence[Mapping[EventKey, EventPart]]) -> WorkedBatch:
     """Work at one batch, on a worker."""
     parts: dict[EventKey, tuple[EventPart, ...]] = {}
     for of_trace in selected:

@@ -16,20 +16,19 @@ from dds_trace.tracefile import TraceError, TraceFormatError
 from ..loading.cache import TraceCache
 from ..loading.campaign import load_campaign
 from ..loading.shelf import TraceShelf
-from .batches import BATCH_EVENTS, work_at
+from .batches import BATCH_EVENTS, WorkedBatch, measure_at, pair_at, work_at
 from .known_details import KnownDetails
 from .processes import can_start_workers, start_workers, store_traces, work_in_worker
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
     from concurrent.futures import Future, ProcessPoolExecutor
 
     from ..groups.batch import Batch
     from ..loading.campaign import Campaign, Progress
-    from ..loading.events import EventIndex
+    from ..loading.events import EventIndex, EventKey, EventPart
     from ..loading.place import Place
     from ..loading.shelf import LoadedTrace
-    from .batches import BatchResult
 
 T = TypeVar("T")
 
@@ -53,8 +52,8 @@ class Engine(Protocol):
     def load(self, place: Place, skip: Collection[Path], progress: Progress | None) -> Campaign:
         """Load every trace of a place; see `load_campaign`."""
 
-    def work(self, batches: Sequence[Batch], index: EventIndex) -> Iterator[BatchResult]:
-        """Yield the results of the batches in their order."""
+    def work(self, batches: Sequence[Batch], index: EventIndex) -> Iterator[WorkedBatch]:
+        """Yield what becomes of the batches in their order."""
 
     def close(self) -> None:
         """Release memory, files and connections."""
@@ -78,10 +77,11 @@ class LocalEngine:
         """Read every trace that is not in the cache."""
         return load_campaign(place, skip=skip, progress=progress, load_all=self._load_all)
 
-    def work(self, batches: Sequence[Batch], index: EventIndex) -> Iterator[BatchResult]:
-        """Yield the results of the batches, worked at on all cores; one batch waits in memory for its turn.
+    def work(self, batches: Sequence[Batch], index: EventIndex) -> Iterator[WorkedBatch]:
+        """Yield what becomes of the batches, worked at on all cores; one batch waits in memory for its turn.
 
-        A large one, whose arrays are long, stays here, and what follows its pairing is made side by side: others wait for Python's lock.
+        A large one, whose arrays are long, stays here, and what follows its pairing is made side by side, while the caller
+        writes its rows: others wait for Python's lock.
         """
         known = KnownDetails(self._cache, self._shelf.keys) if self._cache else None
         count = min(_MOST_THREADS, self._cores)
@@ -90,10 +90,14 @@ class LocalEngine:
             ThreadPoolExecutor(count, thread_name_prefix="measure") as measuring,
         ):
 
-            def begin(batch: Batch) -> Future[BatchResult]:
+            def work_at_large(batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]]) -> WorkedBatch:
+                paired = pair_at(batch, parts)
+                return WorkedBatch(paired.tables(), threads.submit(measure_at, paired, known, measuring))
+
+            def begin(batch: Batch) -> Future[WorkedBatch]:
                 parts = {key: index[key] for key in batch.event_keys() if key in index}
                 if _is_large(batch):
-                    return threads.submit(work_at, batch, parts, known, measuring)
+                    return threads.submit(work_at_large, batch, parts)
                 if self._workers is None:
                     return threads.submit(work_at, batch, parts, known)
                 traces = {part.trace for held in parts.values() for part in held}

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from ..groups.batch import Batch
     from ..loading.events import EventKey, EventPart
     from ..loading.shelf import LoadedTrace
-    from .batches import BatchResult
+    from .batches import WorkedBatch
 
     Stored = tuple[str, LoadedTrace | TraceFormatError]
     """Key in the cache, "" without one, and the trace, or why the file is none."""
@@ -75,8 +75,8 @@ def store_traces(paths: Sequence[Path], first: int) -> list[Stored]:
 
 def work_in_worker(
     batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]], keys: Mapping[int, str]
-) -> BatchResult:
-    """Pair and measure a batch in a worker.
+) -> WorkedBatch:
+    """Pair and measure a batch in a worker; see `batches.work_at`.
 
     Args:
         batch: the batch.

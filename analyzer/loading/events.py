@@ -107,6 +107,8 @@ def split_events(columns: EventColumns, *, by_relay: bool) -> dict[tuple[int, in
     relay_id = columns.relay_id if by_relay else np.zeros_like(columns.relay_id)
     changes = (run_id[1:] != run_id[:-1]) | (relay_id[1:] != relay_id[:-1])
     starts = np.concatenate([[0], np.flatnonzero(changes) + 1])
+    if len(starts) == 1:
+        return {(int(run_id[0]), int(relay_id[0])): columns}
 
     # Sorting stretches instead of events: a ping's file has one stretch a run.
     runs, run_code = np.unique(run_id[starts], return_inverse=True)

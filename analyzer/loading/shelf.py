@@ -102,14 +102,14 @@ class _KeptEvents:
 
     Attributes:
         stored: their place.
-        sealer: makes the seal that they are checked by.
+        sealer: makes the seal that they are checked by; None where this analysis has put them there.
         seal: their seal.
         label: stage, run and relay.
         trace: path of their trace.
     """
 
     stored: StoredEvents
-    sealer: Sealer
+    sealer: Sealer | None
     seal: str
     label: EventKey
     trace: Path
@@ -122,7 +122,7 @@ class _KeptEvents:
         """
         with suppress(OSError):
             events = self.stored.load()
-            if self.sealer.seal_of(*self.stored.arrays(events)) == self.seal:
+            if self.sealer is None or self.sealer.seal_of(*self.stored.arrays(events)) == self.seal:
                 return events
         part = load_trace(self.trace, 0).parts.get(self.label)
         if part is None or part.count != self.stored.count:
@@ -276,11 +276,11 @@ def _keep(cache: TraceCache, key: str, loaded: LoadedTrace) -> LoadedTrace:
         if isinstance(part.events, StoredEvents)
     ]
     cache.write(key, "json", json.dumps(_to_dict(stored, seals)).encode())
-    return _sealed(stored, cache.sealer, seals)
+    return _in_cache(stored, None, seals)
 
 
-def _sealed(loaded: LoadedTrace, sealer: Sealer, seals: Sequence[str]) -> LoadedTrace:
-    """Return the trace with events that are checked when they are loaded."""
+def _in_cache(loaded: LoadedTrace, sealer: Sealer | None, seals: Sequence[str]) -> LoadedTrace:
+    """Return the trace with events that are checked by a sealer when they are loaded, or are not in need of it."""
     parts = {
         label: replace(part, events=_KeptEvents(part.events, sealer, seal, label, loaded.trace.path))
         for (label, part), seal in zip(loaded.parts.items(), seals, strict=True)
@@ -313,7 +313,7 @@ def _known(cache: TraceCache, key: str, path: Path, position: int) -> LoadedTrac
         file = cache.events_path(key)
         if entry["format"] != _FORMAT or file.stat().st_size != entry["bytes"]:
             return None
-        return _sealed(_from_dict(entry, file, path, position), cache.sealer, entry["seals"])
+        return _in_cache(_from_dict(entry, file, path, position), cache.sealer, entry["seals"])
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError, TraceFormatError):
         return None
 

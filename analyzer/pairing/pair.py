@@ -206,6 +206,8 @@ def middleware_stamps(
     """
     if not (events.source_ns.any() or events.received_ns.any()):
         return ()
+    if _are_its_own(published, events) and np.array_equal(instant_ns, events.monotonic_ns):
+        return events.source_ns, events.received_ns
     source_ns, received_ns = np.zeros(len(published), np.int64), np.zeros(len(published), np.int64)
     row = published.rows(events.sequence)
     paired = np.flatnonzero(row >= 0)
@@ -220,8 +222,10 @@ def _earliest(
     published: Published, events: EventColumns
 ) -> tuple[NDArray[np.int64], NDArray[np.uint16], int]:
     """Return each message's earliest event, its number of further events, and the number of events without a message."""
-    earliest = np.full(len(published), MISSING)
     extra = np.zeros(len(published), np.uint16)
+    if _are_its_own(published, events):
+        return events.monotonic_ns, extra, 0
+    earliest = np.full(len(published), MISSING)
     row, instant_ns = published.rows(events.sequence), events.monotonic_ns
     unplaced = row < 0
     orphans = 0
@@ -238,6 +242,11 @@ def _earliest(
         count = np.bincount(row[distinct & ~first], minlength=len(published))
         extra = np.minimum(count, np.iinfo(np.uint16).max).astype(np.uint16)
     return earliest, extra, orphans
+
+
+def _are_its_own(published: Published, events: EventColumns) -> bool:
+    """Return whether there is one event of each message, in their order: the rule in a run that lost nothing."""
+    return np.array_equal(published.sequence, events.sequence)
 
 
 def _outcomes(

@@ -56,7 +56,7 @@ def roundtrips_writer(
         provenance: metadata of the file.
 
     Yields:
-        A function that writes the rows of one batch, made by `table_of`.
+        A function that writes the rows of one batch, made by `tables_of`.
 
     Raises:
         OutputError: the folder or the file cannot be written.
@@ -90,29 +90,42 @@ def roundtrips_writer(
             stack.close()
 
 
-def table_of(roundtrips: RoundTrips) -> pa.Table:
-    """Return the rows as they are written: texts, which are known by exchange, as dictionaries.
+def tables_of(roundtrips: RoundTrips) -> Iterator[pa.Table]:
+    """Yield the rows as they are written, as many at a time as a row group has.
 
-    Texts that are the same throughout share one array of positions in their dictionary.
+    Texts, which are known by exchange, are dictionaries; those that are the same throughout share one array of positions in
+    their dictionary. Other columns that are known by exchange are repeated for the rows of a table alone.
     """
     described = {column.name: column.to_arrow() for column in roundtrips.described.iter_columns()}
+    texts = {
+        name: values.cast(pa.string()).dictionary_encode()
+        for name, values in described.items()
+        if ROUNDTRIPS_SCHEMA.field(name).type == pa.string()
+    }
     outcomes = _array([outcome.value for outcome in OUTCOMES]).cast(pa.string())
-    exchange_of_row = _array(roundtrips.exchange_of_row())
-    zeros = _array(np.zeros(len(exchange_of_row), np.int32))
-
-    def column(name: str) -> pa.Array:
-        if name == "outcome":
-            return pa.DictionaryArray.from_arrays(_array(roundtrips.outcome.astype(np.int32)), outcomes)
-        if name not in described:
-            return roundtrips.measured[name].to_arrow()
-        if ROUNDTRIPS_SCHEMA.field(name).type != pa.string():
-            return described[name].take(exchange_of_row)
-        text = described[name].cast(pa.string()).dictionary_encode()
-        if len(text.dictionary) == 1 and not text.null_count:
-            return pa.DictionaryArray.from_arrays(zeros, text.dictionary)
-        return text.take(exchange_of_row)
-
-    return pa.Table.from_arrays([column(name) for name in _AS_WRITTEN.names], schema=_AS_WRITTEN)
+    exchange_of_row = roundtrips.exchange_of_row()
+    for first in range(0, len(exchange_of_row), _ROWS_PER_GROUP):
+        rows = slice(first, first + _ROWS_PER_GROUP)
+        exchanges = _array(exchange_of_row[rows])
+        zeros = _array(np.zeros(len(exchanges), np.int32))
+        columns = {
+            "outcome": pa.DictionaryArray.from_arrays(
+                _array(roundtrips.outcome[rows].astype(np.int32)), outcomes
+            )
+        }
+        for name, text in texts.items():
+            is_same = len(text.dictionary) == 1 and not text.null_count
+            columns[name] = (
+                pa.DictionaryArray.from_arrays(zeros, text.dictionary) if is_same else text.take(exchanges)
+            )
+        for name in _AS_WRITTEN.names:
+            if name not in columns:
+                columns[name] = (
+                    described[name].take(exchanges)
+                    if name in described
+                    else roundtrips.measured[name][rows].to_arrow()
+                )
+        yield pa.Table.from_arrays([columns[name] for name in _AS_WRITTEN.names], schema=_AS_WRITTEN)
 
 
 def _array(values: NDArray[np.generic] | list[str]) -> pa.Array:

@@ -18,7 +18,7 @@ from ..model.parameters import PARAMETER_NAMES
 from .parquet import roundtrips_writer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
     from types import TracebackType
 
 ROUNDTRIP_NAMES = tuple(column.name for column in ROUNDTRIP_COLUMNS)
@@ -73,17 +73,16 @@ class RowStore:
             self._write = self._stack.enter_context(roundtrips_writer(self._path, self._provenance))
         return self
 
-    def add(self, table: pa.Table | None) -> None:
-        """Take the rows of the next batch, as `parquet.table_of` makes them; None for a batch without."""
-        if table is None:
-            return
-        self._rows += len(table)
-        if self._write is not None:
-            self._write(table)
-        if isinstance(self._held, list):
-            self._held.append(table)
-            if self._rows > MOST_HELD_ROWS:
-                self._release(self._held)
+    def add(self, tables: Iterable[pa.Table]) -> None:
+        """Take the next rows, as `parquet.tables_of` makes them."""
+        for table in tables:
+            self._rows += len(table)
+            if self._write is not None:
+                self._write(table)
+            if isinstance(self._held, list):
+                self._held.append(table)
+                if self._rows > MOST_HELD_ROWS:
+                    self._release(self._held)
 
     def _release(self, held: list[pa.Table]) -> None:
         """Leave all rows to the file, which is begun if there is none yet."""

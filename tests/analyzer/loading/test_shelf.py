@@ -117,11 +117,11 @@ def test_a_large_trace_waits_in_a_file_and_a_small_one_in_memory(tmp_path, monke
     write_runs(runs, range(2))
     in_files = []
 
-    def work_at(batch, parts, known, pool=None):
+    def work_at(batch, parts, known):
         in_files.extend(
             not isinstance(part.events, EventColumns) for of_key in parts.values() for part in of_key
         )
-        return dds_trace.analyzer.engines.batches.work_at(batch, parts, known, pool)
+        return dds_trace.analyzer.engines.batches.work_at(batch, parts, known)
 
     monkeypatch.setattr(dds_trace.analyzer.engines.local, "work_at", work_at)
     whole = analyze(runs)

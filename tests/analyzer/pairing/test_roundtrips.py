@@ -10,7 +10,7 @@ from trace_files import event, ping_session, relay_session, run
 
 from dds_trace.analyzer.pairing.exchanges import Exchange
 from dds_trace.analyzer.pairing.pair import middleware_stamps, published_messages
-from dds_trace.analyzer.pairing.parquet import table_of
+from dds_trace.analyzer.pairing.parquet import tables_of
 from dds_trace.analyzer.pairing.roundtrips import pair_exchanges
 from dds_trace.tracefile import EVENT_DTYPE, EventColumns
 
@@ -85,7 +85,9 @@ def test_texts_are_dictionaries_that_share_their_positions_where_one_holds_throu
         [exchange(1, data_type="imu"), exchange(2)],
         [(plain((0, 10), (1, 20)), (), (), ()), (plain((0, 40)), (), (), ())],
     )
-    table = table_of(replace(found, described=found.described.with_columns(rmw=pl.Series([None, "rmw_a"]))))
+    (table,) = tables_of(
+        replace(found, described=found.described.with_columns(rmw=pl.Series([None, "rmw_a"])))
+    )
     assert table["data_type"].to_pylist() == ["imu", "imu", "binary"]
     assert table["rmw"].to_pylist() == [None, None, "rmw_a"]
     assert table["vendor"].to_pylist() == ["fastdds"] * 3

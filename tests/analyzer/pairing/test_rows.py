@@ -85,7 +85,7 @@ def test_a_temporary_file_may_be_gone_already(tmp_path, monkeypatch):
 
 def test_a_store_without_rows_has_their_columns():
     with RowStore() as rows:
-        rows.add(None)
+        rows.add([])
     assert not rows.has_rows
     assert rows.load().columns == RowStore.of(steady([MS])).load().columns
     assert isinstance(rows.scan(), pl.LazyFrame)

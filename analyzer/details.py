@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from .groups.batch import Grouping, Wanted
     from .groups.frames import Frames
     from .loading.campaign import Campaign
+    from .verdicts.answers import Mapper
     from .verdicts.cases import GroupRows
     from .verdicts.recommend import Recommendation
 
@@ -46,6 +47,7 @@ def collect_details(
     in_parts: Sequence[int],
     wanted: Wanted,
     judged: GroupRows,
+    mapper: Mapper,
 ) -> Details:
     """Put the details of a campaign together; without rows if they are not wanted.
 
@@ -57,6 +59,7 @@ def collect_details(
         in_parts: groups that no batch held whole: the frames lack what only a whole column of their rows gives.
         wanted: what is asked for.
         judged: the messages that groups are compared by, of which those of a few groups are read at a time.
+        mapper: answers the kinds of messages.
     """
     if not wanted.details:
         return details_not_requested()
@@ -80,7 +83,7 @@ def collect_details(
         host_samples=host_sample_frame(campaign.traces),
         bridge_costs=find_bridge_costs(judged, passes),
         **wire_frames(campaign.traces, campaign.runs, grouping, rows)._asdict(),
-        answers=find_answers(judged, passes=passes),
+        answers=find_answers(judged, passes=passes, mapper=mapper),
         deadline_ns=wanted.deadline_ns,
         deadline_metric=wanted.deadline_metric,
         recommendation=_recommendation(judged, wanted, campaign.runs.values()),

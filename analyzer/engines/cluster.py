@@ -21,7 +21,7 @@ from ..loading.shelf import LoadedTrace, load_trace
 from .batches import work_at
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
     from ..groups.batch import Batch
     from ..loading.campaign import Campaign, Progress
@@ -34,6 +34,7 @@ _TIMEOUT_S = 30
 
 Result_co = TypeVar("Result_co", covariant=True)
 Result = TypeVar("Result")
+Item = TypeVar("Item")
 
 
 class _Future(Protocol[Result_co]):
@@ -128,6 +129,10 @@ class ClusterEngine:
         pending.reverse()
         while pending:
             yield pending.pop().result()
+
+    def map(self, function: Callable[[Item], Result], items: Sequence[Item]) -> Iterable[Result]:
+        """Return the function's results in the order of the items, computed here, where the rows are."""
+        return map(function, items)
 
     def _submit(self, batch: Batch, index: EventIndex) -> _Future[WorkedBatch]:
         of_trace: dict[int, list[EventKey]] = {}

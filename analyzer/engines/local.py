@@ -7,6 +7,7 @@ import tempfile
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from ..loading.shelf import LoadedTrace
 
 T = TypeVar("T")
+R = TypeVar("R")
 
 _MOST_THREADS = 2  # each holds a batch; the writing of rows takes another core
 _MOST_PROCESSES = 4  # each holds a trace or a batch, and 0.2 GB of libraries
@@ -41,6 +43,9 @@ so that threads do as well in less memory (`docs/explanation/performance.md`).""
 
 _MOST_EVENTS_AHEAD = 8_000_000
 """Events of batches that are worked at, or whose results wait: one that is larger is alone in memory."""
+
+_PIECES_OF_WORKER = 8
+"""Parts that each worker does of what is mapped: so few that little travels, so many that none waits long for another."""
 
 _FILES_AT_ONCE = 16
 """Traces that a worker reads before it says what it found."""
@@ -54,6 +59,9 @@ class Engine(Protocol):
 
     def work(self, batches: Sequence[Batch], index: EventIndex) -> Iterator[WorkedBatch]:
         """Yield what becomes of the batches in their order."""
+
+    def map(self, function: Callable[[T], R], items: Sequence[T]) -> Iterable[R]:
+        """Return the function's results in the order of the items, which are computed where that is quickest."""
 
     def close(self) -> None:
         """Release memory, files and connections."""
@@ -106,6 +114,14 @@ class LocalEngine:
 
             ahead = count if self._workers is None else self._processes
             yield from _in_turn(((_events_of(batch), partial(begin, batch)) for batch in batches), ahead)
+
+    def map(self, function: Callable[[T], R], items: Sequence[T]) -> Iterable[R]:
+        """Return the function's results in the order of the items: by the worker processes if there are any, else here."""
+        if self._workers is None:
+            return map(function, items)
+        pieces = self._processes * _PIECES_OF_WORKER
+        with _telling_of_workers():
+            return list(self._workers.map(function, items, chunksize=max(1, len(items) // pieces)))
 
     @property
     def _processes(self) -> int:
@@ -163,18 +179,26 @@ def _in_turn(jobs: Iterable[tuple[int, Callable[[], Future[T]]]], ahead: int) ->
     """
     begun: deque[tuple[int, Future[T]]] = deque()
     try:
-        for events, begin in jobs:
-            while begun and (
-                len(begun) > ahead or events + sum(each for each, _ in begun) > _MOST_EVENTS_AHEAD
-            ):
+        with _telling_of_workers():
+            for events, begin in jobs:
+                while begun and (
+                    len(begun) > ahead or events + sum(each for each, _ in begun) > _MOST_EVENTS_AHEAD
+                ):
+                    yield begun.popleft()[1].result()
+                begun.append((events, begin()))
+            while begun:
                 yield begun.popleft()[1].result()
-            begun.append((events, begin()))
-        while begun:
-            yield begun.popleft()[1].result()
+    finally:
+        for _, job in begun:
+            job.cancel()
+
+
+@contextmanager
+def _telling_of_workers() -> Iterator[None]:
+    """Turn the end of a worker process into an error that says what may have ended it."""
+    try:
+        yield
     except BrokenProcessPool as err:
         raise TraceError(
             "a worker process of the analysis was killed, perhaps because memory ran out; analyze fewer recordings at once"
         ) from err
-    finally:
-        for _, job in begun:
-            job.cancel()

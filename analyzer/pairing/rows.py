@@ -67,6 +67,10 @@ class RowStore:
             store.locate(summary)
         return store
 
+    def __reduce__(self) -> tuple[Callable[..., RowStore], tuple[pl.DataFrame | Path | None, pl.DataFrame]]:
+        """Give another process the rows to read: their file, or the few themselves."""
+        return _located, (self.load() if self._held is not None else self._path, self.groups)
+
     def __enter__(self) -> RowStore:  # noqa: PYI034 - `Self` is Python 3.11's
         """Begin the file, if one is asked for."""
         if self._path is not None:
@@ -137,6 +141,12 @@ class RowStore:
         rows = self.scan().select(columns)
         spans = groups.select("first", "published").iter_rows()
         return pl.concat([rows.head(0), *(rows.slice(*span) for span in spans)]).collect()
+
+
+def _located(rows: pl.DataFrame | Path, groups: pl.DataFrame) -> RowStore:
+    store = RowStore.of(rows)
+    store.groups = groups
+    return store
 
 
 def _frame_of(tables: Sequence[pa.Table]) -> pl.DataFrame:

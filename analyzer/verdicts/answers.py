@@ -13,7 +13,8 @@ import math
 from collections import Counter
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import polars as pl
 
@@ -36,9 +37,12 @@ from .cases import (
 from .matching import MatchedGroup
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from .cases import ContenderNames, GroupRows, Setting
+
+T = TypeVar("T")
+R = TypeVar("R")
 
 _ROW_COLUMNS = ("run_id", "relay_id", "publish_ns", "latency_ns", "rtt_ns", "outcome")
 """Columns of the round trips that an answer rests on."""
@@ -93,8 +97,18 @@ class CaseAnswer:
     leader_p99: str = ""
 
 
+class Mapper(Protocol):
+    """What `map` does with one sequence, perhaps by other processes."""
+
+    def __call__(self, function: Callable[[T], R], items: Sequence[T], /) -> Iterable[R]:
+        """Return the function's results in the order of the items."""
+
+
 def find_answers(
-    rows: GroupRows, confidence: float = 0.95, passes: Mapping[int, int] | None = None
+    rows: GroupRows,
+    confidence: float = 0.95,
+    passes: Mapping[int, int] | None = None,
+    mapper: Mapper = map,
 ) -> tuple[CaseAnswer, ...]:
     """Answer each kind of message, sorted by `CASE_COLUMNS`; one setting's round trips are in memory at a time.
 
@@ -104,16 +118,15 @@ def find_answers(
         rows: the round trips; without any there is no answer.
         confidence: of the intervals.
         passes: run_id -> pass of the sweep: contenders are compared pass by pass where all runs have one.
+        mapper: answers the kinds.
     """
     if not rows.has_rows:
         return ()
     contending = without_floor(rows.groups)
     names = contender_names(contending)
-    return tuple(
-        _answer_case(case, rows, names, confidence, passes or {})
-        for case in partition_groups(with_conditions(contending), (*CASE_COLUMNS, CONDITIONS))
-        if not is_too_large(case)
-    )
+    cases = partition_groups(with_conditions(contending), (*CASE_COLUMNS, CONDITIONS))
+    answer = partial(_answer_case, rows=rows, names=names, confidence=confidence, passes=passes or {})
+    return tuple(mapper(answer, [case for case in cases if not is_too_large(case)]))
 
 
 def without_floor(groups: pl.DataFrame) -> pl.DataFrame:

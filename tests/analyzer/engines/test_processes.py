@@ -14,6 +14,7 @@ import dds_trace.analyzer.engines.batches
 from dds_trace.analyzer import analyze
 from dds_trace.analyzer.engines import local
 from dds_trace.analyzer.engines.processes import can_start_workers
+from dds_trace.analyzer.verdicts import answers
 from dds_trace.tracefile import TraceError, TraceFormatError
 
 PATIENCE_S = 60
@@ -176,3 +177,18 @@ def test_a_process_that_may_have_none_analyzes_alone(runs, tmp_path):
     )
     assert (done.stdout, done.stderr) == ("(False, 3)\n", "")
     assert can_start_workers()
+
+
+def test_workers_answer_the_kinds_of_messages(runs, monkeypatch, request):
+    expected = analyze(runs).details.answers
+    assert len(expected) == 3
+
+    def here(*_arguments, **_options):
+        raise AssertionError("answered here")
+
+    here.__module__, here.__qualname__ = answers.__name__, "_answer_case"  # sent by its name
+    monkeypatch.setattr(answers, "_answer_case", here)
+    with pytest.raises(AssertionError, match="answered here"):
+        analyze(runs)
+    request.getfixturevalue("started")
+    assert analyze(runs).details.answers == expected

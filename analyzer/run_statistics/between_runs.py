@@ -15,12 +15,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum
+from itertools import accumulate
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..statistics.distributions import student_quantile
 from ..statistics.intervals import RUNS_TO_TELL, Basis, Interval, without_open_end
+from ..statistics.moments import mean_and_variance
 from .bursts import COSINES, long_run_variance
 from .runs import Runs, joined_runs
 from .tails import episodes_of, tails_of
@@ -116,8 +118,11 @@ def _joined_to(runs: Runs, most: int) -> Runs:
     """Join neighbouring runs into at most `most` groups, whose numbers of runs differ by one at most."""
     if len(runs) <= most:
         return runs
-    parts = np.array_split(np.arange(len(runs)), most)
-    return Runs(joined_runs([runs[place] for place in part]) for part in parts)
+    size, larger = divmod(len(runs), most)
+    sizes = [size + 1] * larger + [size] * (most - larger)
+    return Runs(
+        joined_runs(runs[after - size : after]) for size, after in zip(sizes, accumulate(sizes), strict=True)
+    )
 
 
 def _independent_for_mean(run: Run) -> float:
@@ -175,7 +180,9 @@ def interval_of_units(units: Units, statistic: Statistic, confidence: float) -> 
         units=len(units),
         episodes=units.episodes,
         unit_spread=(
-            float(np.log(units.values).std(ddof=1)) if scale_of(units.values) is Scale.LOGARITHM else None
+            math.sqrt(mean_and_variance(np.log(units.values))[1])
+            if scale_of(units.values) is Scale.LOGARITHM
+            else None
         ),
     )
 
@@ -218,8 +225,8 @@ def ends_of_units(values: Float64, confidence: float) -> tuple[float, float | No
 
 def student_ends(values: Float64, confidence: float) -> tuple[float, float, float]:
     """Return the mean of finite values and the ends of its interval (Student, 1908)."""
-    count, mean = len(values), float(values.mean())
-    reach = student_quantile((1 + confidence) / 2, count - 1) * float(values.std(ddof=1)) / math.sqrt(count)
+    count, (mean, variance) = len(values), mean_and_variance(values)
+    reach = student_quantile((1 + confidence) / 2, count - 1) * math.sqrt(variance) / math.sqrt(count)
     return mean, mean - reach, mean + reach
 
 

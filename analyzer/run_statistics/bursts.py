@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -58,7 +59,8 @@ def long_run_variance(series: NDArray[Any]) -> float:
     n = len(series)
     cells = min(n, _CELLS)
     sums = np.add.reduceat(series.astype(np.float64), _edges(n, cells))
-    return _projected_variance(sums - series.mean() * _widths(n, cells), n)
+    apart = sums - series.mean() * _widths(n, cells)
+    return float(_projected_variances(apart[None, :], np.array([n]))[0])
 
 
 def share_inflation(places: NDArray[np.intp], messages: int) -> float:
@@ -89,6 +91,12 @@ class Cells:
     widths: Int64
     edges: NDArray[np.intp]
 
+    @property
+    def counts(self) -> list[int]:
+        """Cells of each series."""
+        counts: list[int] = (self.edges[1:] - self.edges[:-1]).tolist()
+        return counts
+
 
 def cells_of(lengths: Sequence[int]) -> Cells:
     """Return the cells of series of these lengths.
@@ -112,28 +120,37 @@ def share_inflations(cells: Cells, places: NDArray[np.intp], edges: NDArray[np.i
         edges: the first of these in each series and the number of all, shape (series + 1,).
     """
     counts = np.bincount(cells.of_messages[places], minlength=len(cells.widths))
-    of_cells = cells.edges.tolist()
-    shares = [
-        events / messages if messages else 0.0
-        for events, messages in zip((edges[1:] - edges[:-1]).tolist(), cells.lengths, strict=True)
-    ]
-    return [
-        _inflation(counts[begin:end], cells.widths[begin:end], share, messages)
-        for begin, end, share, messages in zip(of_cells, of_cells[1:], shares, cells.lengths, strict=False)
-    ]
+    messages = np.maximum(cells.lengths, 1)
+    shares = (edges[1:] - edges[:-1]) / messages
+    apart = counts - np.repeat(shares, cells.edges[1:] - cells.edges[:-1]) * cells.widths
+    if len(set(cells.counts)) == 1:  # as a rule: long series have as many cells as there may be
+        variances = _projected_variances(apart.reshape(len(messages), -1), messages)
+    else:
+        begins = cells.edges.tolist()
+        variances = np.concatenate(
+            [
+                _projected_variances(apart[None, begin:end], messages[number : number + 1])
+                for number, (begin, end) in enumerate(pairwise(begins))
+            ]
+        )
+    of_independent = shares * (1 - shares)
+    is_comparable = (messages >= 2 * COSINES) & (of_independent > 0)
+    inflations: list[float] = np.where(
+        is_comparable, variances / np.where(is_comparable, of_independent, 1.0), 1.0
+    ).tolist()
+    return inflations
 
 
-def _inflation(counts: Int64, widths: Int64, share: float, messages: int) -> float:
-    """Return the variance of a share over that of independent messages, from the events in each cell."""
-    if messages < 2 * COSINES or not 0 < share < 1:
-        return 1.0
-    return _projected_variance(counts - share * widths, messages) / (share * (1 - share))
+def _projected_variances(sums: Float64, messages: Int64) -> Float64:
+    """Return n times the variance of the mean of several series.
 
-
-def _projected_variance(sums: Float64, messages: int) -> float:
-    projections = _cosines(len(sums)) @ sums
+    Args:
+        sums: of the values in each cell of each series, its mean taken off, shape (series, cells).
+        messages: of each series, at least one.
+    """
+    projections = sums @ _cosines(sums.shape[1]).T
     # `mean` of so few numbers costs more than all that is before it.
-    return float(2 / messages * (np.add.reduce(projections * projections) / COSINES))
+    return np.asarray(2 / messages * (np.add.reduce(projections * projections, axis=1) / COSINES))
 
 
 @lru_cache(maxsize=64)

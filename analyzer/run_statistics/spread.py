@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..statistics.moments import mean_and_variance
 from .between_runs import Scale, scale_of
 from .bursts import COSINES, long_run_variance
 from .runs import Runs, quantile_at
@@ -58,10 +59,11 @@ def spread_of_runs(runs: Sequence[Run], statistic: Statistic) -> Spread:
     )
     if any(error is None for error in errors):
         return Spread(None, None)
-    within_squared = float(np.mean([error * error for error in errors if error is not None]))
+    squares = [error * error for error in errors if error is not None]
+    within_squared = float(np.add.reduce(squares) / len(squares))
     between = None
     if len(held) > 1:
-        between = math.sqrt(max(0.0, float(np.log(values).var(ddof=1)) - within_squared))
+        between = math.sqrt(max(0.0, mean_and_variance(np.log(values))[1] - within_squared))
     return Spread(between, math.sqrt(within_squared))
 
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from statistics import NormalDist
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..statistics.intervals import RUNS_TO_TELL
+from ..statistics.moments import mean_and_variance
 from .bursts import (
     LEAST_GAP,
     episode_ends,
@@ -109,8 +111,10 @@ def inflations_of(runs: Runs, quantile: float) -> list[float]:
         runs: at least one message each.
         quantile: between 0 and 1, both excluded.
     """
-    is_beyond = [threshold_of(run.ordered, quantile).is_beyond(run.values) for run in runs]
-    places = np.concatenate(is_beyond).nonzero()[0]
+    is_beyond = np.empty(int(runs.edges[-1]), np.bool_)
+    for run, (begin, end) in zip(runs, pairwise(runs.edges.tolist()), strict=True):
+        is_beyond[begin:end] = threshold_of(run.ordered, quantile).is_beyond(run.values)
+    places = is_beyond.nonzero()[0]
     return share_inflations(runs.cells, places, places.searchsorted(runs.edges))
 
 
@@ -137,8 +141,8 @@ def episodes_of(tails: Sequence[Tail]) -> int | None:
     counts = [tail.messages for tail in tails]
     if len(tails) < RUNS_TO_TELL or min(counts) == max(counts):
         return equal
-    messages = np.array(counts)
-    variation = float(messages.var(ddof=1)) / float(messages.mean()) ** 2
+    mean, variance = mean_and_variance(np.array(counts, np.float64))
+    variation = variance / mean**2
     ninth = 2 / (9 * (len(tails) - 1))
     least_likely = (1 - ninth + _LIKELY_DEVIATIONS * math.sqrt(ninth)) ** 3
     return min(equal, max(1, round(least_likely * len(tails) / variation)))

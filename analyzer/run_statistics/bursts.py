@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -60,7 +60,7 @@ def long_run_variance(series: NDArray[Any]) -> float:
     cells = min(n, _CELLS)
     sums = np.add.reduceat(series.astype(np.float64), _edges(n, cells))
     apart = sums - series.mean() * _widths(n, cells)
-    return float(_projected_variances(apart[None, :], np.array([n]))[0])
+    return float(_projected_variances(apart[None, :], np.array([[n]]))[0, 0])
 
 
 def share_inflation(places: NDArray[np.intp], messages: int) -> float:
@@ -75,7 +75,7 @@ def share_inflation(places: NDArray[np.intp], messages: int) -> float:
     return share_inflations(cells_of([messages]), places, np.array([0, len(places)]))[0] if messages else 1.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Cells:
     """The cells that neighbours of several series are added up in, those of the first series first.
 
@@ -91,11 +91,18 @@ class Cells:
     widths: Int64
     edges: NDArray[np.intp]
 
-    @property
-    def counts(self) -> list[int]:
-        """Cells of each series."""
-        counts: list[int] = (self.edges[1:] - self.edges[:-1]).tolist()
-        return counts
+    @cached_property
+    def messages(self) -> Int64:
+        """Messages of each series, one of a series without any, shape (series, 1)."""
+        return np.maximum(self.lengths, 1)[:, None]
+
+    @cached_property
+    def rows(self) -> tuple[tuple[slice, slice], ...]:
+        """Neighbouring series with equally many cells: which series, and which cells."""
+        counts = self.edges[1:] - self.edges[:-1]
+        first = [0, *(np.flatnonzero(counts[1:] != counts[:-1]) + 1).tolist(), len(counts)]
+        edges = self.edges.tolist()
+        return tuple((slice(begin, end), slice(edges[begin], edges[end])) for begin, end in pairwise(first))
 
 
 def cells_of(lengths: Sequence[int]) -> Cells:
@@ -120,24 +127,19 @@ def share_inflations(cells: Cells, places: NDArray[np.intp], edges: NDArray[np.i
         edges: the first of these in each series and the number of all, shape (series + 1,).
     """
     counts = np.bincount(cells.of_messages[places], minlength=len(cells.widths))
-    messages = np.maximum(cells.lengths, 1)
-    shares = (edges[1:] - edges[:-1]) / messages
-    apart = counts - np.repeat(shares, cells.edges[1:] - cells.edges[:-1]) * cells.widths
-    if len(set(cells.counts)) == 1:  # as a rule: long series have as many cells as there may be
-        variances = _projected_variances(apart.reshape(len(messages), -1), messages)
-    else:
-        begins = cells.edges.tolist()
-        variances = np.concatenate(
-            [
-                _projected_variances(apart[None, begin:end], messages[number : number + 1])
-                for number, (begin, end) in enumerate(pairwise(begins))
-            ]
+    shares = (edges[1:] - edges[:-1])[:, None] / cells.messages
+    variances = np.empty_like(shares)
+    for series, of_series in cells.rows:
+        share, messages = shares[series], cells.messages[series]
+        widths = cells.widths[of_series].reshape(len(share), -1)
+        variances[series] = _projected_variances(
+            counts[of_series].reshape(widths.shape) - share * widths, messages
         )
     of_independent = shares * (1 - shares)
-    is_comparable = (messages >= 2 * COSINES) & (of_independent > 0)
-    inflations: list[float] = np.where(
-        is_comparable, variances / np.where(is_comparable, of_independent, 1.0), 1.0
-    ).tolist()
+    is_comparable = (cells.messages >= 2 * COSINES) & (of_independent > 0)
+    inflations: list[float] = np.divide(
+        variances, of_independent, out=np.ones_like(shares), where=is_comparable
+    )[:, 0].tolist()
     return inflations
 
 
@@ -146,11 +148,15 @@ def _projected_variances(sums: Float64, messages: Int64) -> Float64:
 
     Args:
         sums: of the values in each cell of each series, its mean taken off, shape (series, cells).
-        messages: of each series, at least one.
+        messages: of each series, at least one, shape (series, 1).
+
+    Returns:
+        Shape (series, 1).
     """
     projections = sums @ _cosines(sums.shape[1]).T
     # `mean` of so few numbers costs more than all that is before it.
-    return np.asarray(2 / messages * (np.add.reduce(projections * projections, axis=1) / COSINES))
+    squares = np.add.reduce(projections * projections, axis=1, keepdims=True)
+    return np.asarray(2 / messages * (squares / COSINES))
 
 
 @lru_cache(maxsize=64)

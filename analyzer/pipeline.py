@@ -131,7 +131,8 @@ def _analyze(
     in_parts = groups_in_parts(batches)
     unsent = merged.summary.unsent_by_run(grouping)
     judged = UnbarredRows(rows, grouping.not_applied(), unsent)
-    details = collect_details(campaign, grouping, merged.frames, rows, in_parts, wanted, judged, engine.map)
+    mapper = engine.map if rows.has_file else map
+    details = collect_details(campaign, grouping, merged.frames, rows, in_parts, wanted, judged, mapper)
     evidence = Evidence(
         campaign=campaign,
         exchanges=exchanges,

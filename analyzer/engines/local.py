@@ -7,7 +7,7 @@ import tempfile
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar
@@ -38,8 +38,15 @@ _MOST_THREADS = 2  # each holds a batch; the writing of rows takes another core
 _MOST_PROCESSES = 4  # each holds a trace or a batch, and 0.2 GB of libraries
 
 FILES_FOR_PROCESSES = 300
-"""Traces for which worker processes are started; fewer are done before that would pay. Of few and long ones the arrays are long,
-so that threads do as well in less memory (`docs/explanation/performance.md`)."""
+"""Traces for which worker processes are started; fewer are read before that would pay."""
+
+BYTES_FOR_FILES = 150_000_000
+"""Size of all traces from which on their events wait in files: worker processes read them there, those of fewer come through pipes."""
+
+COST_FOR_PROCESSES = 8_000_000
+_COST_OF_GROUP = 10_000
+"""Events of all batches, and what a group costs beside them, in events, for which worker processes are started: a fifth less
+time at 20 M, as much at 5 M. They take half a second of a core each to start (`docs/explanation/performance.md`)."""
 
 _MOST_EVENTS_AHEAD = 8_000_000
 """Events of batches that are worked at, or whose results wait: one that is larger is alone in memory."""
@@ -68,7 +75,7 @@ class Engine(Protocol):
 
 
 class LocalEngine:
-    """This machine as an `Engine`: threads, and processes for a campaign of many traces.
+    """This machine as an `Engine`: threads, and processes for a campaign that takes long.
 
     Args:
         cache: whether the user's cache keeps events and details for the next analysis.
@@ -89,8 +96,10 @@ class LocalEngine:
         """Yield what becomes of the batches, worked at on all cores; one batch waits in memory for its turn.
 
         A large one, whose arrays are long, stays here, and what follows its pairing is made side by side, while the caller
-        writes its rows: others wait for Python's lock.
+        writes its rows. Others would wait for Python's lock here: worker processes do them where they are enough to pay.
         """
+        if self._workers is None and _cost_of_small(batches) >= COST_FOR_PROCESSES:
+            self._workers = self._start_workers()
         known = KnownDetails(self._cache, self._shelf.keys) if self._cache else None
         count = min(_MOST_THREADS, self._cores)
         with (
@@ -112,7 +121,7 @@ class LocalEngine:
                 keys = {trace: self._shelf.keys[trace] for trace in traces if trace in self._shelf.keys}
                 return self._workers.submit(work_in_worker, batch, parts, keys)
 
-            ahead = count if self._workers is None else self._processes
+            ahead = count if self._workers is None else 2 * self._processes
             yield from _in_turn(((_events_of(batch), partial(begin, batch)) for batch in batches), ahead)
 
     def map(self, function: Callable[[T], R], items: Sequence[T]) -> Iterable[R]:
@@ -128,12 +137,13 @@ class LocalEngine:
         return min(_MOST_PROCESSES, self._cores)
 
     def _load_all(self, paths: Sequence[Path]) -> Iterator[LoadedTrace | TraceFormatError]:
-        if len(paths) < FILES_FOR_PROCESSES or self._processes == 1 or not can_start_workers():
+        workers = self._start_workers() if len(paths) >= FILES_FOR_PROCESSES else None
+        if workers is None:
+            if sum(map(_bytes_of, paths)) >= BYTES_FOR_FILES:
+                self._shelf.hold_no_more()
             yield from self._shelf.load_all(paths)
             return
-        self._folder = tempfile.TemporaryDirectory(prefix="dds-analyze-")
-        folder, has_cache = Path(self._folder.name), self._cache is not None
-        self._workers = workers = start_workers(self._processes, folder, cache=has_cache)
+        self._workers = workers
         jobs = (
             (0, partial(workers.submit, store_traces, paths[first : first + _FILES_AT_ONCE], first))
             for first in range(0, len(paths), _FILES_AT_ONCE)
@@ -149,6 +159,13 @@ class LocalEngine:
                 yield found.at(position)
                 position += 1
 
+    def _start_workers(self) -> ProcessPoolExecutor | None:
+        """Start the worker processes; None where there can be none, or one alone."""
+        if self._processes == 1 or not can_start_workers():
+            return None
+        self._folder = tempfile.TemporaryDirectory(prefix="dds-analyze-")
+        return start_workers(self._processes, Path(self._folder.name), cache=self._cache is not None)
+
     def close(self) -> None:
         """End the workers and remove temporary files."""
         if self._workers is not None:
@@ -160,6 +177,21 @@ class LocalEngine:
 
 def _events_of(batch: Batch) -> int:
     return sum(sum(exchange.counts) for exchange in batch.exchanges)
+
+
+def _cost_of_small(batches: Sequence[Batch]) -> int:
+    """Return what the batches that are not large cost, in events."""
+    small = [batch for batch in batches if not _is_large(batch)]
+    groups = {int(group) for batch in small for group in batch.group_of_exchange}
+    return sum(map(_events_of, small)) + _COST_OF_GROUP * len(groups)
+
+
+def _bytes_of(path: Path) -> int:
+    """Return the size of a trace, a folder's of the files in it; 0 where it cannot be told."""
+    with suppress(OSError):
+        files = path.iterdir() if path.is_dir() else [path]
+        return sum(file.stat().st_size for file in files)
+    return 0
 
 
 def _is_large(batch: Batch) -> bool:

@@ -1,7 +1,7 @@
 """Worker processes of this machine: what is Python between short arrays takes one core in threads, however many there are.
 
 A worker reads traces, puts their events into files (the user's cache, or temporary ones), and works at batches whose events
-it reads from there. Descriptions, batches and results travel through pipes.
+it reads from there. Rows travel in files, too (`row_files.py`); descriptions, batches and all other results through pipes.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from ..loading.cache import TraceCache
 from ..loading.shelf import TraceShelf, loaded_or_error
 from .batches import work_at
 from .known_details import KnownDetails
+from .row_files import RowFile
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -76,27 +77,33 @@ def store_traces(paths: Sequence[Path], first: int) -> list[Stored]:
 def work_in_worker(
     batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]], keys: Mapping[int, str]
 ) -> WorkedBatch:
-    """Pair and measure a batch in a worker; see `batches.work_at`.
+    """Pair and measure a batch in a worker, its rows in a file; see `batches.work_at`.
 
     Args:
         batch: the batch.
         parts: of its `event_keys` the rows of the event index, events in files.
         keys: of its traces, by position, the key in the cache.
+
+    Raises:
+        OutputError: the rows could not be kept.
     """
-    known = KnownDetails(_cache, keys) if _cache else None
-    return work_at(batch, parts, known)
+    assert _folder is not None
+    worked = work_at(batch, parts, KnownDetails(_cache, keys) if _cache else None)
+    return worked._replace(tables=RowFile.of(worked.tables, _folder))
 
 
+_folder: Path | None = None
 _cache: TraceCache | None = None
 _shelf = TraceShelf()
 
 
 def _begin(folder: str, has_cache: bool) -> None:
     """Make this process a worker."""
-    global _cache, _shelf  # noqa: PLW0603 - what a process has from its beginning
+    global _folder, _cache, _shelf  # noqa: PLW0603 - what a process has from its beginning
     threading.Thread(target=_end_with_caller, daemon=True).start()
+    _folder = Path(folder)
     _cache = TraceCache.open() if has_cache else None
-    _shelf = TraceShelf(_cache, Path(folder))
+    _shelf = TraceShelf(_cache, _folder)
 
 
 def _end_with_caller() -> None:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.format.json_fields import JsonObject
 
     from .cache import Sealer, TraceCache
-    from .events import EventKey
+    from .events import EventKey, EventsElsewhere
 
 MOST_HELD_EVENTS = 12_000_000
 """Events that stay in memory, 56 bytes each; those of further traces wait in files."""
@@ -151,6 +151,14 @@ class _EventsBeingStored:
         """
         return self.stored.result().parts[self.label].load()
 
+    def __reduce__(self) -> tuple[Callable[[EventPart], object], tuple[EventPart]]:
+        """Give another process the place of the events in their file, once they are written."""
+        return _events_of, (self.stored.result().parts[self.label],)
+
+
+def _events_of(part: EventPart) -> EventColumns | EventsElsewhere:
+    return part.events
+
 
 class TraceShelf:
     """Reads traces and keeps their events.
@@ -172,6 +180,10 @@ class TraceShelf:
         # Writes while the next trace is read.
         self._keeping = ThreadPoolExecutor(1, thread_name_prefix="keep")
         self._storing: Future[LoadedTrace] | None = None
+
+    def hold_no_more(self) -> None:
+        """Put the events of all further traces into files."""
+        self._left = 0
 
     def load_all(self, paths: Sequence[Path]) -> Iterator[LoadedTrace | TraceFormatError]:
         """Load traces, positions counted without what is none; of such a file the error is yielded."""

@@ -67,9 +67,14 @@ class RowStore:
             store.locate(summary)
         return store
 
-    def __reduce__(self) -> tuple[Callable[..., RowStore], tuple[pl.DataFrame | Path | None, pl.DataFrame]]:
-        """Give another process the rows to read: their file, or the few themselves."""
-        return _located, (self.load() if self._held is not None else self._path, self.groups)
+    @property
+    def has_file(self) -> bool:
+        """Whether there is a file of the rows, so that a store can be sent to another process, which reads them there."""
+        return self._path is not None
+
+    def __reduce__(self) -> tuple[Callable[[Path, pl.DataFrame], RowStore], tuple[Path, pl.DataFrame]]:
+        assert self._path is not None, "rows without a file stay in their process"
+        return _located, (self._path, self.groups)
 
     def __enter__(self) -> RowStore:  # noqa: PYI034 - `Self` is Python 3.11's
         """Begin the file, if one is asked for."""
@@ -143,8 +148,8 @@ class RowStore:
         return pl.concat([rows.head(0), *(rows.slice(*span) for span in spans)]).collect()
 
 
-def _located(rows: pl.DataFrame | Path, groups: pl.DataFrame) -> RowStore:
-    store = RowStore.of(rows)
+def _located(path: Path, groups: pl.DataFrame) -> RowStore:
+    store = RowStore.of(path)
     store.groups = groups
     return store
 

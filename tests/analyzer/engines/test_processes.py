@@ -14,8 +14,9 @@ import dds_trace.analyzer.engines.batches
 from dds_trace.analyzer import analyze
 from dds_trace.analyzer.engines import local
 from dds_trace.analyzer.engines.processes import can_start_workers
+from dds_trace.analyzer.loading import shelf
 from dds_trace.analyzer.verdicts import answers
-from dds_trace.tracefile import TraceError, TraceFormatError
+from dds_trace.tracefile import EventColumns, TraceError, TraceFormatError
 
 PATIENCE_S = 60
 
@@ -90,6 +91,42 @@ def test_workers_say_the_same_as_threads(runs, monkeypatch, temporary, request, 
     assert [source.path for source in first.sources if source.status == "skipped"] == ["ping1a.mcap"]
     monkeypatch.setattr(local, "FILES_FOR_PROCESSES", 1_000)
     assert_same_results(again, analyze(runs))
+
+
+@pytest.mark.parametrize("cache", [False, True])
+@pytest.mark.parametrize("largest_held", [0, 1_000])
+def test_few_traces_that_take_long_are_read_here_and_worked_at_by_processes(
+    runs, monkeypatch, temporary, request, cache, largest_held
+):
+    expected = analyze(runs)
+    started = request.getfixturevalue("started")
+    monkeypatch.setattr(local, "FILES_FOR_PROCESSES", 1_000)
+    assert_same_results(analyze(runs), expected)
+    assert not started
+    monkeypatch.setattr(local, "COST_FOR_PROCESSES", 1)
+    monkeypatch.setattr(shelf, "LARGEST_HELD_EVENTS", largest_held)
+    found = analyze(runs, cache=cache)
+    assert len(started) == 2
+    assert list(temporary.iterdir()) == []
+    assert_same_results(found, expected)
+
+
+def test_events_of_a_large_campaign_wait_in_files(runs, monkeypatch):
+    held = []
+    real = local.LocalEngine.work
+
+    def work(engine, batches, index):
+        held.extend(isinstance(part.events, EventColumns) for parts in index.values() for part in parts)
+        return real(engine, batches, index)
+
+    monkeypatch.setattr(local.LocalEngine, "work", work)
+    expected = analyze(runs)
+    assert all(held)
+    held.clear()
+    size = sum(file.stat().st_size for file in runs.iterdir())
+    monkeypatch.setattr(local, "BYTES_FOR_FILES", size)
+    assert_same_results(analyze(runs), expected)
+    assert not any(held)
 
 
 @pytest.mark.usefixtures("started")
@@ -179,7 +216,9 @@ def test_a_process_that_may_have_none_analyzes_alone(runs, tmp_path):
     assert can_start_workers()
 
 
-def test_workers_answer_the_kinds_of_messages(runs, monkeypatch, request):
+def test_workers_answer_the_kinds_of_messages_where_their_rows_are_in_a_file(
+    runs, tmp_path, monkeypatch, request
+):
     expected = analyze(runs).details.answers
     assert len(expected) == 3
 
@@ -191,4 +230,6 @@ def test_workers_answer_the_kinds_of_messages(runs, monkeypatch, request):
     with pytest.raises(AssertionError, match="answered here"):
         analyze(runs)
     request.getfixturevalue("started")
-    assert analyze(runs).details.answers == expected
+    assert analyze(runs, out=tmp_path / "out").details.answers == expected
+    with pytest.raises(AssertionError, match="answered here"):
+        analyze(runs)

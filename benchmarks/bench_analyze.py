@@ -26,22 +26,19 @@ import json
 import math
 import os
 import shutil
-import subprocess
 import sys
 import tempfile
-import time
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING
 
 import numpy as np
-import psutil
 import pyarrow.parquet as pq
 import zstandard
 from campaigns import MANY_GROUPS, SHAPES, SHORT_RUNS, Shape, write_campaign, write_new_run
-from timing import LAUNCH, packed_chunks, seconds, unpack_job
+from commands import Ran, run_command
+from timing import packed_chunks, seconds, unpack_job
 
 from dds_trace.analyzer.clocks.fit import RelayedMessages, fit_clocks
 from dds_trace.analyzer.pairing.parquet import roundtrips_writer
@@ -60,7 +57,6 @@ HUGE = Shape("200 M events in 200 files", 200_000_000, runs=1_000, pairs=100, gr
 TINY = Shape("tiny", 16, runs=1, pairs=1, groups=1, rate_hz=10)
 GROWTH = (1, 4, 16)
 CLOCK_ROUNDS = 9
-LOOK_S = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,64 +73,15 @@ class Bar:
         return self.value <= self.bar
 
 
-@dataclass(frozen=True, slots=True)
-class Ran:
-    """What a process took.
-
-    Attributes:
-        wall_s: from its start to its end.
-        cpu_s: processor time of all its threads.
-        peak_bytes: most memory at once.
-    """
-
-    wall_s: float
-    cpu_s: float
-    peak_bytes: int
-
-
-def run_command(folder: Path, out: Path, cache: Path) -> Ran:
+def analyze(folder: Path, out: Path, cache: Path) -> Ran:
     """Run `dds-analyze FOLDER --report json` with this folder as the user's cache.
 
     Raises:
         SystemExit: the command fails.
     """
-    command = [
-        sys.executable,
-        "-c",
-        "from dds_trace.cli.analyze import main; main()",
-        os.fspath(folder),
-        "--report",
-        "json",
-        "--out",
-        os.fspath(out),
-    ]
-    base = {"XDG_CACHE_HOME": os.fspath(cache), "XDG_STATE_HOME": os.fspath(cache)}
-    with tempfile.TemporaryFile() as said:
-        launched = subprocess.Popen(
-            [sys.executable, "-S", "-c", LAUNCH, *command],
-            env=os.environ | base,
-            stdout=subprocess.PIPE,
-            stderr=said,
-        )
-        peak_of_all = 0
-        while launched.poll() is None:
-            peak_of_all = max(peak_of_all, bytes_of_children(launched.pid))
-            time.sleep(LOOK_S)
-        assert launched.stdout is not None
-        status, wall_s, cpu_s, peak_bytes = json.loads(launched.stdout.read())
-        if status:
-            said.seek(0)
-            raise SystemExit(f"{folder} was not analyzed: {said.read().decode(errors='replace')}")
-    return Ran(wall_s, cpu_s, max(peak_bytes, peak_of_all))
-
-
-def bytes_of_children(pid: int) -> int:
-    """Return the resident memory of all processes below one."""
-    total = 0
-    for child in psutil.Process(pid).children(recursive=True):
-        with suppress(psutil.Error):  # it has ended
-            total += child.memory_info().rss
-    return total
+    code = "from dds_trace.cli.analyze import main; main()"
+    command = [sys.executable, "-c", code, os.fspath(folder), "--report", "json", "--out", os.fspath(out)]
+    return run_command(command, {"XDG_CACHE_HOME": os.fspath(cache), "XDG_STATE_HOME": os.fspath(cache)})
 
 
 def floor_job(traces: Sequence[Path], rows: Path, again: Path) -> Callable[[], None]:
@@ -171,20 +118,21 @@ def time_shape(folder: Path, shape: Shape, rounds: int, *, is_full: bool) -> lis
     """Return the figures of one campaign; bars hold at full size only."""
     traces = write_campaign(folder / "runs", shape)
     write_campaign(folder / "tiny", TINY)
-    out, cache = folder / "out", folder / "cache"
+    out = folder / "out"
     times, again, peaks, cores, floors = [], [], [], [], []
     job: Callable[[], None] | None = None
-    for _ in range(rounds):
+    for number in range(rounds):
+        # Nothing is removed meanwhile: ext4 makes a new file in a millisecond where thousands were just removed, in 10 us elsewhere.
+        cache = folder / f"cache{number}"
         start_up = min(
-            run_command(folder / "tiny", folder / "tiny_out", folder / "tiny_cache").wall_s for _ in range(2)
+            analyze(folder / "tiny", folder / "tiny_out", folder / "tiny_cache").wall_s for _ in range(2)
         )
-        shutil.rmtree(cache, ignore_errors=True)
-        first = run_command(folder / "runs", out, cache)
+        first = analyze(folder / "runs", out, cache)
         if job is None:
             job = floor_job(traces, out / "roundtrips.parquet", folder / "again.parquet")
         floor_s = seconds(job)
         new = write_new_run(folder / "runs", shape)
-        second = run_command(folder / "runs", out, cache)
+        second = analyze(folder / "runs", out, cache)
         for path in new:
             path.unlink()
         first_s = first.wall_s - start_up
@@ -241,8 +189,8 @@ def growth_bars(folder: Path) -> list[Bar]:
         times = []
         for factor in GROWTH:
             write_campaign(folder / "runs", part.times(factor))
-            start_up = run_command(folder / "tiny", folder / "tiny_out", folder / "cache").cpu_s
-            times.append(run_command(folder / "runs", folder / "out", folder / "cache").cpu_s - start_up)
+            start_up = analyze(folder / "tiny", folder / "tiny_out", folder / "cache").cpu_s
+            times.append(analyze(folder / "runs", folder / "out", folder / "cache").cpu_s - start_up)
             shutil.rmtree(folder / "runs")
             shutil.rmtree(folder / "cache")
             grown = part.times(factor)
@@ -262,7 +210,7 @@ def growth_bars(folder: Path) -> list[Bar]:
 def huge_bar(folder: Path) -> Bar:
     """Return the peak memory of 200 M events."""
     write_campaign(folder / "runs", HUGE)
-    ran = run_command(folder / "runs", folder / "out", folder / "cache")
+    ran = analyze(folder / "runs", folder / "out", folder / "cache")
     print(
         f"{HUGE.name}: {ran.wall_s:.0f} s, {ran.cpu_s / ran.wall_s:.2f} of {os.cpu_count()} cores",
         file=sys.stderr,

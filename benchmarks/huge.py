@@ -18,7 +18,6 @@ import argparse
 import json
 import os
 import shutil
-import subprocess
 import sys
 import tempfile
 from concurrent.futures import ProcessPoolExecutor
@@ -28,8 +27,9 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import zstandard
+from commands import Ran, run_command
 from event_traces import write_event_trace
-from timing import LAUNCH, packed_chunks, seconds, unpack_job
+from timing import packed_chunks, seconds, unpack_job
 
 from dds_trace.analyzer.pairing.parquet import roundtrips_writer
 
@@ -63,20 +63,6 @@ class Floor:
     disk_bytes: int
 
 
-@dataclass(frozen=True, slots=True)
-class Analysis:
-    """One run of the command.
-
-    Attributes:
-        cpu_s: user and system time of the process.
-        peak_rss_bytes: its largest resident memory.
-    """
-
-    wall_s: float
-    cpu_s: float
-    peak_rss_bytes: int
-
-
 def write_file(folder: Path, events: int, number: int) -> Path:
     """Write trace `number`: even numbers are pings, odd ones the relays of the ping before."""
     pair, is_relay = divmod(number, 2)
@@ -94,23 +80,15 @@ def write_file(folder: Path, events: int, number: int) -> Path:
     )
 
 
-def analyze_folder(folder: Path, out: Path) -> Analysis:
+def analyze_folder(folder: Path, out: Path) -> Ran:
     """Run `dds-analyze` on a folder to its end.
 
     Raises:
         SystemExit: it failed.
     """
-    command = [str(Path(sys.executable).with_name("dds-analyze")), str(folder), "--out", str(out)]
-    done = subprocess.run(
-        [sys.executable, "-S", "-c", LAUNCH, *command, "--report", "json", "--no-cache"],
-        stdout=subprocess.PIPE,
-        env={**os.environ, "TMPDIR": str(out.parent)},
-        check=True,
-    )
-    status, wall_s, cpu_s, peak_bytes = json.loads(done.stdout)
-    if status:
-        raise SystemExit(f"dds-analyze ended with {os.waitstatus_to_exitcode(status)}")
-    return Analysis(wall_s, cpu_s, peak_bytes)
+    program = str(Path(sys.executable).with_name("dds-analyze"))
+    options = ["--out", str(out), "--report", "json", "--no-cache"]
+    return run_command([program, str(folder), *options], {"TMPDIR": str(out.parent)})
 
 
 def measure_floor(folder: Path, events: int) -> Floor:
@@ -170,7 +148,7 @@ def main() -> int:
         raise SystemExit(f"{rows} rows of {events} events")
     floor_s = pairs * (floor.unpack_s + floor.write_s)
     rate_hz = events / analysis.wall_s
-    passed = rate_hz >= LEAST_RATE_HZ and analysis.peak_rss_bytes <= MOST_RSS_BYTES
+    passed = rate_hz >= LEAST_RATE_HZ and analysis.peak_bytes <= MOST_RSS_BYTES
     if options.json:
         figures = {"events": events, "traces_bytes": traces_bytes, "floor_s": floor_s, **asdict(analysis)}
         print(json.dumps({**figures, "rate_hz": rate_hz, "passed": passed}, indent=1))
@@ -181,7 +159,7 @@ def main() -> int:
             f"{analysis.cpu_s / analysis.wall_s:.2f} of {os.cpu_count()} cores\n"
             f"floor on one thread: unpacking {pairs * floor.unpack_s:.1f} s, writing {pairs * floor.write_s:.1f} s; "
             f"{analysis.wall_s / floor_s:.2f} times that\n"
-            f"peak RSS {analysis.peak_rss_bytes / 1e9:.2f} GB (at most {MOST_RSS_BYTES / 1e9:.0f})"
+            f"peak RSS {analysis.peak_bytes / 1e9:.2f} GB (at most {MOST_RSS_BYTES / 1e9:.0f})"
             f"{'' if passed else '  MISSED'}"
         )
     return 0 if passed else 1

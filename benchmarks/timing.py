@@ -13,18 +13,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-LAUNCH = """
-import json, os, sys, time
-began = time.perf_counter()
-child = os.fork()
-if not child:
-    os.dup2(2, 1)
-    os.execv(sys.argv[1], sys.argv[1:])
-_, status, used = os.wait4(child, 0)
-print(json.dumps([status, time.perf_counter() - began, used.ru_utime + used.ru_stime, used.ru_maxrss * 1024]))
-"""
-"""A small process that starts the command: the peak of one that this process starts itself counts this one's memory (`exec(2)` keeps it)."""
-
 PAGE_BYTES = 4096
 KEPT_BLOCK_BYTES = 16 << 20
 

@@ -8,65 +8,107 @@ from collections import deque
 from concurrent.futures import Executor, Future
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Generic, TypeVar, cast
+from functools import partial
+from typing import TYPE_CHECKING, Generic, Protocol, TypeVar, cast
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
 T = TypeVar("T")
+T_co = TypeVar("T_co", covariant=True)
 
 
-@dataclass(slots=True)
-class _Begun(Generic[T]):
-    """A job that was handed to the pool."""
+class Begun(Protocol[T_co]):
+    """A job that was begun: a future of a pool is one."""
 
-    size: int
-    job: Callable[[], T]
-    result: Future[T]
+    def result(self) -> T_co:
+        """Wait for the job's end and return what it gave, or raise what it raised."""
 
-    def done_here(self) -> bool:
-        """Do the job in this thread unless a thread of the pool has it; return whether it was done here."""
-        if not self.result.cancel():
-            return False
-        self.result = Future()
-        self.result.set_result(self.job())
-        return True
+    def cancel(self) -> bool:
+        """See to it that the job never begins, if it has not."""
 
 
-def in_order(
-    jobs: Iterable[tuple[int, Callable[[], T]]],
-    pool: Executor,
-    most_jobs: int,
-    most_size: int,
+def in_turn(
+    jobs: Iterable[tuple[int, Callable[[], Begun[T]]]], most_jobs: int, most_size: int
 ) -> Iterator[T]:
     """Yield the results of `jobs` in order; a job that fails raises its exception here, perhaps before its turn.
 
-    Jobs that have not begun when this ends early, by an exception or because nobody wants more results, never begin. The thread
-    that waits for a result does jobs meanwhile, so that a pool with one thread less than there are cores is enough.
+    Jobs that have not begun when this ends early, by an exception or because nobody wants more results, never begin.
+
+    Args:
+        jobs: (size, what begins it) pairs.
+        most_jobs: the number of jobs that are begun, or done, before their results are asked for.
+        most_size: the sum of the sizes of all these; a larger job is done alone.
+    """
+    begun: deque[tuple[int, Begun[T]]] = deque()
+    try:
+        for size, begin in jobs:
+            while begun and (
+                len(begun) >= most_jobs or size + sum(of_job for of_job, _ in begun) > most_size
+            ):
+                yield begun.popleft()[1].result()
+            begun.append((size, begin()))
+        while begun:
+            yield begun.popleft()[1].result()
+    finally:
+        for _, job in begun:
+            job.cancel()
+
+
+def in_order(
+    jobs: Iterable[tuple[int, Callable[[], T]]], pool: Executor, most_jobs: int, most_size: int
+) -> Iterator[T]:
+    """Yield the results of `jobs` in order as `in_turn` does.
+
+    The thread that waits for a result does jobs meanwhile, so that a pool with one thread less than there are cores is enough.
 
     Args:
         jobs: (size, job) pairs.
         pool: the threads that do the jobs.
-        most_jobs: the number of jobs that are begun, or done, before their results are asked for.
-        most_size: the sum of the sizes of all these; a larger job is done alone.
+        most_jobs: as for `in_turn`.
+        most_size: as for `in_turn`.
     """
-    begun: deque[_Begun[T]] = deque()
-    try:
-        for size, job in jobs:
-            while begun and (len(begun) >= most_jobs or size + sum(one.size for one in begun) > most_size):
-                yield _next_result(begun)
-            begun.append(_Begun(size, job, pool.submit(job)))
-        while begun:
-            yield _next_result(begun)
-    finally:
-        for one in begun:
-            one.result.cancel()
+    waiting: deque[_Shared[T]] = deque()
+
+    def begin(job: Callable[[], T]) -> _Shared[T]:
+        waiting.append(_Shared(job, pool.submit(job), waiting))
+        return waiting[-1]
+
+    return in_turn(((size, partial(begin, job)) for size, job in jobs), most_jobs, most_size)
 
 
-def _next_result(begun: deque[_Begun[T]]) -> T:
-    while not begun[0].result.done() and any(one.done_here() for one in begun):
-        pass
-    return begun.popleft().result.result()
+@dataclass(slots=True)
+class _Shared(Generic[T]):
+    """A job that the pool does, or the thread that waits for it or for one before it.
+
+    Attributes:
+        job: the job.
+        future: its result.
+        waiting: this job and those behind it, in their order.
+    """
+
+    job: Callable[[], T]
+    future: Future[T]
+    waiting: deque[_Shared[T]]
+
+    def result(self) -> T:
+        """Do jobs that no thread has taken until this one is done; return its result."""
+        while not self.future.done() and any(one.done_here() for one in self.waiting):
+            pass
+        self.waiting.popleft()
+        return self.future.result()
+
+    def done_here(self) -> bool:
+        """Do the job in this thread unless a thread of the pool has it; return whether it was done here."""
+        if not self.cancel():
+            return False
+        self.future = Future()
+        self.future.set_result(self.job())
+        return True
+
+    def cancel(self) -> bool:
+        """See to it that the pool never begins the job, if it has not."""
+        return self.future.cancel()
 
 
 class Here(Executor):

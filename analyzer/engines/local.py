@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
@@ -13,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from dds_trace.tracefile import TraceError, TraceFormatError
+from dds_trace.tracefile.threads import in_turn
 
 from ..loading.cache import TraceCache
 from ..loading.campaign import load_campaign
@@ -122,7 +122,9 @@ class LocalEngine:
                 return self._workers.submit(work_in_worker, batch, parts, keys)
 
             ahead = count if self._workers is None else 2 * self._processes
-            yield from _in_turn(((_events_of(batch), partial(begin, batch)) for batch in batches), ahead)
+            jobs = ((batch.events, partial(begin, batch)) for batch in batches)
+            with _telling_of_workers():
+                yield from in_turn(jobs, ahead + 1, _MOST_EVENTS_AHEAD)
 
     def map(self, function: Callable[[T], R], items: Sequence[T]) -> Iterable[R]:
         """Return the function's results in the order of the items: by the worker processes if there are any, else here."""
@@ -149,15 +151,16 @@ class LocalEngine:
             for first in range(0, len(paths), _FILES_AT_ONCE)
         )
         position = 0
-        for stored in _in_turn(jobs, 2 * self._processes):
-            for key, found in stored:
-                if isinstance(found, TraceFormatError):
-                    yield found
-                    continue
-                if key:
-                    self._shelf.keys[position] = key
-                yield found.at(position)
-                position += 1
+        with _telling_of_workers():
+            for stored in in_turn(jobs, 2 * self._processes + 1, most_size=0):
+                for key, found in stored:
+                    if isinstance(found, TraceFormatError):
+                        yield found
+                        continue
+                    if key:
+                        self._shelf.keys[position] = key
+                    yield found.at(position)
+                    position += 1
 
     def _start_workers(self) -> ProcessPoolExecutor | None:
         """Start the worker processes; None where there can be none, or one alone."""
@@ -175,15 +178,11 @@ class LocalEngine:
         self._shelf.close()
 
 
-def _events_of(batch: Batch) -> int:
-    return sum(sum(exchange.counts) for exchange in batch.exchanges)
-
-
 def _cost_of_small(batches: Sequence[Batch]) -> int:
     """Return what the batches that are not large cost, in events."""
     small = [batch for batch in batches if not _is_large(batch)]
     groups = {int(group) for batch in small for group in batch.group_of_exchange}
-    return sum(map(_events_of, small)) + _COST_OF_GROUP * len(groups)
+    return sum(batch.events for batch in small) + _COST_OF_GROUP * len(groups)
 
 
 def _bytes_of(path: Path) -> int:
@@ -196,33 +195,7 @@ def _bytes_of(path: Path) -> int:
 
 def _is_large(batch: Batch) -> bool:
     """Return whether one group, or one run of a group, has more events than a batch is to have."""
-    return _events_of(batch) > BATCH_EVENTS
-
-
-def _in_turn(jobs: Iterable[tuple[int, Callable[[], Future[T]]]], ahead: int) -> Iterator[T]:
-    """Yield results in order, while jobs behind the next one are under way or done.
-
-    Args:
-        jobs: of each the events that it holds, and what begins it.
-        ahead: most jobs behind the next one; fewer if these and it hold more than `_MOST_EVENTS_AHEAD`.
-
-    Raises:
-        TraceError: a worker process was killed.
-    """
-    begun: deque[tuple[int, Future[T]]] = deque()
-    try:
-        with _telling_of_workers():
-            for events, begin in jobs:
-                while begun and (
-                    len(begun) > ahead or events + sum(each for each, _ in begun) > _MOST_EVENTS_AHEAD
-                ):
-                    yield begun.popleft()[1].result()
-                begun.append((events, begin()))
-            while begun:
-                yield begun.popleft()[1].result()
-    finally:
-        for _, job in begun:
-            job.cancel()
+    return batch.events > BATCH_EVENTS
 
 
 @contextmanager

@@ -116,6 +116,11 @@ class Batch:
     whole: bool
     wanted: Wanted = field(default_factory=Wanted)
 
+    @property
+    def events(self) -> int:
+        """Number of events of its exchanges."""
+        return sum(sum(exchange.counts) for exchange in self.exchanges)
+
     def event_keys(self) -> list[EventKey]:
         """Return the keys of its exchanges' events in the event index, each once."""
         return list(dict.fromkeys(key for exchange in self.exchanges for key in exchange.event_keys()))

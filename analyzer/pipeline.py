@@ -66,7 +66,8 @@ def analyze(
         a = analyze("runs/")
         a.summary.select("vendor", "payload_bytes", "latency_p50_ns", "latency_p99_ns")
 
-    From 300 traces on, worker processes of this machine do most of it; a script needs no `if __name__ == "__main__"` for them.
+    From 300 traces or some 8 M events on, worker processes of this machine do most of it; a script needs no
+    `if __name__ == "__main__"` for them.
 
     Args:
         path: a folder (looked through to its depths), one trace file, or one rosbag2 folder; or a list of such.
@@ -130,8 +131,9 @@ def _analyze(
     campaign = campaign.with_copies(total_copies([*exchanges.copies, *merged.copies]))
     in_parts = groups_in_parts(batches)
     unsent = merged.summary.unsent_by_run(grouping)
-    judged = UnbarredRows(rows, grouping.not_applied(), unsent)
-    mapper = engine.map if rows.has_file else map
+    is_sent = engine.has_workers and rows.has_file
+    judged = UnbarredRows(rows.in_file() if is_sent else rows, grouping.not_applied(), unsent)
+    mapper = engine.map if is_sent else map
     details = collect_details(campaign, grouping, merged.frames, rows, in_parts, wanted, judged, mapper)
     evidence = Evidence(
         campaign=campaign,

@@ -130,8 +130,13 @@ class ClusterEngine:
         while pending:
             yield pending.pop().result()
 
+    @property
+    def has_workers(self) -> bool:
+        """False: `map` computes here, where the rows are."""
+        return False
+
     def map(self, function: Callable[[Item], Result], items: Sequence[Item]) -> Iterable[Result]:
-        """Return the function's results in the order of the items, computed here, where the rows are."""
+        """Return the function's results in the order of the items."""
         return map(function, items)
 
     def _submit(self, batch: Batch, index: EventIndex) -> _Future[WorkedBatch]:

@@ -45,7 +45,7 @@ BYTES_FOR_FILES = 150_000_000
 
 COST_FOR_PROCESSES = 8_000_000
 _COST_OF_GROUP = 10_000
-"""Events of all batches, and what a group costs beside them, in events, for which worker processes are started: a fifth less
+"""Events of all batches, and what a group costs beside them, in events, for which worker processes are started: an eighth less
 time at 20 M, as much at 5 M. They take half a second of a core each to start (`docs/explanation/performance.md`)."""
 
 _MOST_EVENTS_AHEAD = 8_000_000
@@ -67,8 +67,12 @@ class Engine(Protocol):
     def work(self, batches: Sequence[Batch], index: EventIndex) -> Iterator[WorkedBatch]:
         """Yield what becomes of the batches in their order."""
 
+    @property
+    def has_workers(self) -> bool:
+        """Whether `map` has other processes, to which the function and the items are sent."""
+
     def map(self, function: Callable[[T], R], items: Sequence[T]) -> Iterable[R]:
-        """Return the function's results in the order of the items, which are computed where that is quickest."""
+        """Return the function's results in the order of the items: by other processes if there are any, else here."""
 
     def close(self) -> None:
         """Release memory, files and connections."""
@@ -125,6 +129,11 @@ class LocalEngine:
             jobs = ((batch.events, partial(begin, batch)) for batch in batches)
             with _telling_of_workers():
                 yield from in_turn(jobs, ahead + 1, _MOST_EVENTS_AHEAD)
+
+    @property
+    def has_workers(self) -> bool:
+        """Whether there are worker processes by now."""
+        return self._workers is not None
 
     def map(self, function: Callable[[T], R], items: Sequence[T]) -> Iterable[R]:
         """Return the function's results in the order of the items: by the worker processes if there are any, else here."""

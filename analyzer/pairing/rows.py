@@ -69,12 +69,15 @@ class RowStore:
 
     @property
     def has_file(self) -> bool:
-        """Whether there is a file of the rows, so that a store can be sent to another process, which reads them there."""
+        """Whether there is a file of the rows, whether or not they are in memory, too."""
         return self._path is not None
 
-    def __reduce__(self) -> tuple[Callable[[Path, pl.DataFrame], RowStore], tuple[Path, pl.DataFrame]]:
-        assert self._path is not None, "rows without a file stay in their process"
-        return _located, (self._path, self.groups)
+    def in_file(self) -> RowStore:
+        """Return the same rows, all of them to be read from their file: what another process is sent is small then."""
+        assert self._path is not None
+        store = RowStore.of(self._path)
+        store.groups = self.groups
+        return store
 
     def __enter__(self) -> RowStore:  # noqa: PYI034 - `Self` is Python 3.11's
         """Begin the file, if one is asked for."""
@@ -146,12 +149,6 @@ class RowStore:
         rows = self.scan().select(columns)
         spans = groups.select("first", "published").iter_rows()
         return pl.concat([rows.head(0), *(rows.slice(*span) for span in spans)]).collect()
-
-
-def _located(path: Path, groups: pl.DataFrame) -> RowStore:
-    store = RowStore.of(path)
-    store.groups = groups
-    return store
 
 
 def _frame_of(tables: Sequence[pa.Table]) -> pl.DataFrame:

@@ -10,11 +10,13 @@ from hypothesis import strategies as st
 
 from dds_trace.analyzer.run_statistics.bursts import (
     COSINES,
+    cells_of,
     episode_sizes,
     equal_episodes,
     long_run_variance,
     positions_of,
     share_inflation,
+    share_inflations,
 )
 
 
@@ -65,6 +67,20 @@ def test_an_outage_of_a_hundredth_inflates():
 @pytest.mark.parametrize("marked", ["", "xxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxx", "x..x"])
 def test_series_without_anything_to_compare_count_in_full(marked):
     assert share_inflation(places(marked), len(marked)) == 1.0
+
+
+@pytest.mark.parametrize(
+    "lengths",
+    [(2000, 2000, 2000), (2000, 300, 2000, 300), (300, 300, 0, 1, 24, 300), (2000, 1500, 1024, 1023, 1023)],
+)
+def test_series_side_by_side_are_each_as_by_themselves(lengths):
+    draw = np.random.default_rng(3)
+    events = [np.flatnonzero(draw.random(n) < 0.2) for n in lengths]
+    first = np.cumsum([0, *lengths])
+    joined = np.concatenate([each + begin for each, begin in zip(events, first.tolist(), strict=False)])
+    edges = np.cumsum([0, *map(len, events)])
+    alone = [share_inflation(each, n) for each, n in zip(events, lengths, strict=True)]
+    assert share_inflations(cells_of(lengths), joined, edges) == pytest.approx(alone, rel=1e-12)
 
 
 def test_an_episode_ends_at_a_gap():

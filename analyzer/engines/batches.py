@@ -41,7 +41,7 @@ BATCH_EVENTS = 1_000_000
 batches one is written while the next is paired; smaller ones cost more in polars' fixed times than they gain."""
 
 WHOLE_GROUP_EVENTS = 24_000_000
-"""A group with more events is worked at in parts of whole runs; one of 20 M takes 1.9 GB whole, alone in memory."""
+"""A group with more events is worked at in parts of whole runs; one of 20 M takes 2 GB whole, alone in memory."""
 
 
 def plan_batches(grouping: Grouping, wanted: Wanted) -> list[Batch]:

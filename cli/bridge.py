@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import signal
 import sys
-import threading
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -204,10 +202,9 @@ def _check(bridge: Bridge, options: BridgeOptions) -> None:
 def _run(name: str, options: BridgeOptions) -> None:
     """Run the bridge until SIGINT or SIGTERM; print the end of the log of a program that fails."""
     from dds_trace.recorder.bridges import open_bridge
+    from dds_trace.recorder.host.stopping import stop_at_signals
 
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+    stop = stop_at_signals()
     with open_bridge(name, options) as bridge:
         print(f"{name} runs: {_describe(bridge)}; Ctrl-C ends it", file=sys.stderr)
         while bridge.failure is None and not stop.wait(LOOK_S):

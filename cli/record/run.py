@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import signal
 import sys
-import threading
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
@@ -14,6 +12,7 @@ from rich.live import Live
 from rich.text import Text
 
 from dds_trace.recorder import PingProgress, RelayProgress, record
+from dds_trace.recorder.host.stopping import stop_at_signals
 from dds_trace.tracefile import LossesError, OutputError
 from dds_trace.tracefile.units.counts import counted
 from dds_trace.tracefile.units.durations import format_duration
@@ -84,9 +83,7 @@ class TerminalWatch:
 
 def record_until_stopped(options: RecordOptions) -> Recorded:
     """Record until done; Ctrl-C and SIGTERM end the recording with a closed trace, however often they come."""
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+    stop = stop_at_signals()
     with TerminalWatch() as watch:
         return record(options, stop, watch)
 

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import signal
 import sys
-import threading
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +14,7 @@ from ..backends import open_node
 from ..backends.node import NodeOptions
 from ..choices import Discovery, Transport
 from ..host.steady import collect_young, steady_interpreter
+from ..host.stopping import stop_at_signals
 from .options import BridgedTopic, BridgeOptions, Half
 
 if TYPE_CHECKING:
@@ -127,9 +126,7 @@ def serve(nodes: Sequence[Node], forwarder: Forwarder, what: str) -> None:
     Raises:
         BaseException: the exception that ended a node's thread.
     """
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+    stop = stop_at_signals()
     for node in nodes:
         node.start()
     with steady_interpreter():

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import signal
 import socket
 import subprocess
@@ -23,6 +22,7 @@ from dds_trace.tracefile import BackendUnavailableError
 
 from ...applied.vendors import ros_middleware
 from ...choices import Discovery
+from ...host.stopping import dying_with_us
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -127,12 +127,11 @@ def _find_program(package: str, name: str) -> Path | None:
 
 def _start(program: Path, port: int) -> subprocess.Popen[bytes]:
     """Start the router for this machine alone; it ends with us, however we end, where the system has `setpriv`."""
-    with_us = ["setpriv", "--pdeathsig", "TERM", "--"] if shutil.which("setpriv") else []
     own = f'listen/endpoints=["tcp/localhost:{port}"]'
     asked = os.environ.get("ZENOH_CONFIG_OVERRIDE", "")
     environment = {**os.environ, "ZENOH_CONFIG_OVERRIDE": f"{asked};{own}" if asked else own}
     return subprocess.Popen(
-        [*with_us, str(program)],
+        [*dying_with_us(), str(program)],
         env=environment,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,

@@ -22,6 +22,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 LOG_LIMIT_BYTES = 128 * 1024
@@ -158,9 +159,11 @@ class Drain:
         return bool(data)
 
 
-def die_with_guard() -> None:
-    """Ask the kernel, in the program before it runs, to kill it when the guard dies."""
+def die_with(guard_pid: int) -> None:
+    """Ask the kernel, in the program before it runs, to kill it when the guard dies; end it if the guard has died already."""
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != guard_pid:
+        os.kill(os.getpid(), signal.SIGKILL)
 
 
 def say(line: str) -> None:
@@ -181,7 +184,7 @@ def main() -> int:
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             start_new_session=True,
-            preexec_fn=die_with_guard,  # noqa: PLW1509 - there is one thread here
+            preexec_fn=partial(die_with, os.getpid()),  # noqa: PLW1509 - there is one thread here
         )
     except OSError as err:
         log.write(f"{command[0]}: {err.strerror}\n".encode())

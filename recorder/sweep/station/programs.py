@@ -16,6 +16,7 @@ from dds_trace.tracefile import BackendUnavailableError, OptionError, OutputErro
 from dds_trace.tracefile.files import create_file
 
 from ...bridges.process.supervise import describe_end, program_environment
+from ...host.stopping import dying_with_us
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -94,7 +95,7 @@ class Program:
         limit = _writing_at_most(MOST_LOG_BYTES) if stops_by_input else []
         with _new_file(log) as output:
             self._process = subprocess.Popen(
-                [*_dying_with_us(), *limit, *command],
+                [*dying_with_us(), *limit, *command],
                 stdin=subprocess.PIPE if stops_by_input else subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
@@ -185,12 +186,3 @@ def _writing_at_most(size: int) -> list[str]:
     """Return the words before a command that let the kernel end it when a file that it writes becomes larger."""
     prlimit = shutil.which("prlimit")  # util-linux too
     return [prlimit, f"--fsize={size}", "--"] if prlimit else []
-
-
-def _dying_with_us() -> list[str]:
-    """Return the words before a command that let the kernel end it when the sweep is killed.
-
-    Otherwise it would go on into the cells of the next sweep.
-    """
-    setpriv = shutil.which("setpriv")  # util-linux, on every Debian and its relatives
-    return [setpriv, "--pdeathsig", "TERM", "--"] if setpriv else []

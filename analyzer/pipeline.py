@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import Future
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -170,10 +169,11 @@ def _analyze(
 
 def _keep_rows(batches: Iterable[WorkedBatch], rows: RowStore) -> Iterator[BatchResult]:
     """Put the rows of every batch into the store, and wait for its result then; a large one is measured meanwhile."""
-    for tables, measured in batches:
-        rows.add(tables)
-        del tables
-        yield measured.result() if isinstance(measured, Future) else measured
+    for batch in batches:
+        rows.add(batch.tables)
+        result = batch.result()
+        del batch  # its rows are written
+        yield result
 
 
 def _runs_by_start(campaign: Campaign, exchanges: Exchanges) -> tuple[Run, ...]:

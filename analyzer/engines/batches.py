@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from concurrent.futures import Future
 from dataclasses import dataclass
 from itertools import pairwise
 from sys import getsizeof
@@ -22,7 +23,7 @@ from ..pairing.roundtrips import pair_exchanges
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
-    from concurrent.futures import Executor, Future
+    from concurrent.futures import Executor
 
     import polars as pl
     import pyarrow as pa
@@ -157,6 +158,10 @@ class WorkedBatch(NamedTuple):
 
     tables: Iterable[pa.Table]
     measured: BatchResult | Future[BatchResult]
+
+    def result(self) -> BatchResult:
+        """Return all else, waiting for who makes it."""
+        return self.measured.result() if isinstance(self.measured, Future) else self.measured
 
 
 def work_at(

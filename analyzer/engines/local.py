@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from concurrent.futures import ThreadPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
+from contextlib import nullcontext, suppress
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
-from dds_trace.tracefile import TraceError, TraceFormatError
+from dds_trace.tracefile import TraceFormatError
 from dds_trace.tracefile.threads import in_turn
 
 from ..loading.cache import TraceCache
@@ -19,17 +16,18 @@ from ..loading.campaign import load_campaign
 from ..loading.shelf import TraceShelf
 from .batches import BATCH_EVENTS, WorkedBatch, measure_at, pair_at, work_at
 from .known_details import KnownDetails
-from .processes import can_start_workers, start_workers, store_traces, work_in_worker
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-    from concurrent.futures import Future, ProcessPoolExecutor
+    from concurrent.futures import Future
+    from pathlib import Path
 
     from ..groups.batch import Batch
     from ..loading.campaign import Campaign, Progress
     from ..loading.events import EventIndex, EventKey, EventPart
     from ..loading.place import Place
     from ..loading.shelf import LoadedTrace
+    from .processes import Workers
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -50,9 +48,6 @@ time at 20 M, as much at 5 M. They take half a second of a core each to start (`
 
 _MOST_EVENTS_AHEAD = 8_000_000
 """Events of batches that are worked at, or whose results wait: one that is larger is alone in memory."""
-
-_PIECES_OF_WORKER = 8
-"""Parts that each worker does of what is mapped: so few that little travels, so many that none waits long for another."""
 
 _FILES_AT_ONCE = 16
 """Traces that a worker reads before it says what it found."""
@@ -89,8 +84,7 @@ class LocalEngine:
         self._cache = TraceCache.open() if cache else None
         self._shelf = TraceShelf(self._cache)
         self._cores = len(os.sched_getaffinity(0))
-        self._workers: ProcessPoolExecutor | None = None
-        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        self._workers: Workers | None = None
 
     def load(self, place: Place, skip: Collection[Path], progress: Progress | None) -> Campaign:
         """Read every trace that is not in the cache."""
@@ -123,11 +117,11 @@ class LocalEngine:
                     return threads.submit(work_at, batch, parts, known)
                 traces = {part.trace for held in parts.values() for part in held}
                 keys = {trace: self._shelf.keys[trace] for trace in traces if trace in self._shelf.keys}
-                return self._workers.submit(work_in_worker, batch, parts, keys)
+                return self._workers.work(batch, parts, keys)
 
-            ahead = count if self._workers is None else 2 * self._processes
+            ahead = count if self._workers is None else 2 * self._workers.count
             jobs = ((batch.events, partial(begin, batch)) for batch in batches)
-            with _telling_of_workers():
+            with self._workers.telling() if self._workers else nullcontext():
                 yield from in_turn(jobs, ahead + 1, _MOST_EVENTS_AHEAD)
 
     @property
@@ -137,11 +131,7 @@ class LocalEngine:
 
     def map(self, function: Callable[[T], R], items: Sequence[T]) -> Iterable[R]:
         """Return the function's results in the order of the items: by the worker processes if there are any, else here."""
-        if self._workers is None:
-            return map(function, items)
-        pieces = self._processes * _PIECES_OF_WORKER
-        with _telling_of_workers():
-            return list(self._workers.map(function, items, chunksize=max(1, len(items) // pieces)))
+        return map(function, items) if self._workers is None else self._workers.map(function, items)
 
     @property
     def _processes(self) -> int:
@@ -156,12 +146,12 @@ class LocalEngine:
             return
         self._workers = workers
         jobs = (
-            (0, partial(workers.submit, store_traces, paths[first : first + _FILES_AT_ONCE], first))
+            (0, partial(workers.store, paths[first : first + _FILES_AT_ONCE], first))
             for first in range(0, len(paths), _FILES_AT_ONCE)
         )
         position = 0
-        with _telling_of_workers():
-            for stored in in_turn(jobs, 2 * self._processes + 1, most_size=0):
+        with workers.telling():
+            for stored in in_turn(jobs, 2 * workers.count + 1, most_size=0):
                 for key, found in stored:
                     if isinstance(found, TraceFormatError):
                         yield found
@@ -171,19 +161,19 @@ class LocalEngine:
                     yield found.at(position)
                     position += 1
 
-    def _start_workers(self) -> ProcessPoolExecutor | None:
+    def _start_workers(self) -> Workers | None:
         """Start the worker processes; None where there can be none, or one alone."""
+        # A small campaign does without multiprocessing.
+        from .processes import Workers, can_start_workers  # noqa: PLC0415
+
         if self._processes == 1 or not can_start_workers():
             return None
-        self._folder = tempfile.TemporaryDirectory(prefix="dds-analyze-")
-        return start_workers(self._processes, Path(self._folder.name), cache=self._cache is not None)
+        return Workers(self._processes, cache=self._cache is not None)
 
     def close(self) -> None:
         """End the workers and remove temporary files."""
         if self._workers is not None:
-            self._workers.shutdown(cancel_futures=True)
-        if self._folder is not None:
-            self._folder.cleanup()
+            self._workers.close()
         self._shelf.close()
 
 
@@ -205,14 +195,3 @@ def _bytes_of(path: Path) -> int:
 def _is_large(batch: Batch) -> bool:
     """Return whether one group, or one run of a group, has more events than a batch is to have."""
     return batch.events > BATCH_EVENTS
-
-
-@contextmanager
-def _telling_of_workers() -> Iterator[None]:
-    """Turn the end of a worker process into an error that says what may have ended it."""
-    try:
-        yield
-    except BrokenProcessPool as err:
-        raise TraceError(
-            "a worker process of the analysis was killed, perhaps because memory ran out; analyze fewer recordings at once"
-        ) from err

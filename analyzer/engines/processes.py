@@ -10,12 +10,16 @@ import multiprocessing
 import os
 import signal
 import sys
+import tempfile
 import threading
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing.connection import wait
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
+
+from dds_trace.tracefile import TraceError
 
 from ..loading.cache import TraceCache
 from ..loading.shelf import TraceShelf, loaded_or_error
@@ -24,7 +28,8 @@ from .known_details import KnownDetails
 from .row_files import RowFile
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from concurrent.futures import Future
 
     from dds_trace.tracefile import TraceFormatError
 
@@ -35,6 +40,57 @@ if TYPE_CHECKING:
 
     Stored = tuple[str, LoadedTrace | TraceFormatError]
     """Key in the cache, "" without one, and the trace, or why the file is none."""
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+_PIECES_OF_WORKER = 8
+"""Parts that each worker does of what is mapped: so few that little travels, so many that none waits long for another."""
+
+
+class Workers:
+    """The worker processes of one analysis, and the folder of their temporary files; closed at the end.
+
+    Args:
+        count: number of processes.
+        cache: whether they keep events and details in the user's cache.
+    """
+
+    def __init__(self, count: int, *, cache: bool) -> None:
+        self.count = count
+        self._folder = tempfile.TemporaryDirectory(prefix="dds-analyze-")
+        self._pool = start_workers(count, Path(self._folder.name), cache=cache)
+
+    def store(self, paths: Sequence[Path], first: int) -> Future[list[Stored]]:
+        """Let a worker load traces; see `store_traces`."""
+        return self._pool.submit(store_traces, paths, first)
+
+    def work(
+        self, batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]], keys: Mapping[int, str]
+    ) -> Future[WorkedBatch]:
+        """Let a worker pair and measure a batch; see `work_in_worker`."""
+        return self._pool.submit(work_in_worker, batch, parts, keys)
+
+    def map(self, function: Callable[[T], R], items: Sequence[T]) -> Iterable[R]:
+        """Return the function's results in the order of the items."""
+        pieces = self.count * _PIECES_OF_WORKER
+        with self.telling():
+            return list(self._pool.map(function, items, chunksize=max(1, len(items) // pieces)))
+
+    @contextmanager
+    def telling(self) -> Iterator[None]:
+        """Turn the end of a process into an error that says what may have ended it."""
+        try:
+            yield
+        except BrokenProcessPool as err:
+            raise TraceError(
+                "a worker process of the analysis was killed, perhaps because memory ran out; analyze fewer recordings at once"
+            ) from err
+
+    def close(self) -> None:
+        """End the processes and remove their files."""
+        self._pool.shutdown(cancel_futures=True)
+        self._folder.cleanup()
 
 
 def can_start_workers() -> bool:

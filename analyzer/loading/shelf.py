@@ -102,15 +102,13 @@ class _KeptEvents:
 
     Attributes:
         stored: their place.
-        sealer: makes the seal that they are checked by; None where this analysis has put them there.
-        seal: their seal.
+        check: what makes their seal, and the seal that they are to have; None where this analysis has put them there.
         label: stage, run and relay.
         trace: path of their trace.
     """
 
     stored: StoredEvents
-    sealer: Sealer | None
-    seal: str
+    check: tuple[Sealer, str] | None
     label: EventKey
     trace: Path
 
@@ -122,7 +120,10 @@ class _KeptEvents:
         """
         with suppress(OSError):
             events = self.stored.load()
-            if self.sealer is None or self.sealer.seal_of(*self.stored.arrays(events)) == self.seal:
+            if self.check is None:
+                return events
+            sealer, seal = self.check
+            if sealer.seal_of(*self.stored.arrays(events)) == seal:
                 return events
         part = load_trace(self.trace, 0).parts.get(self.label)
         if part is None or part.count != self.stored.count:
@@ -288,14 +289,14 @@ def _keep(cache: TraceCache, key: str, loaded: LoadedTrace) -> LoadedTrace:
         if isinstance(part.events, StoredEvents)
     ]
     cache.write(key, "json", json.dumps(_to_dict(stored, seals)).encode())
-    return _in_cache(stored, None, seals)
+    return _in_cache(stored, [None] * len(seals))
 
 
-def _in_cache(loaded: LoadedTrace, sealer: Sealer | None, seals: Sequence[str]) -> LoadedTrace:
-    """Return the trace with events that are checked by a sealer when they are loaded, or are not in need of it."""
+def _in_cache(loaded: LoadedTrace, checks: Sequence[tuple[Sealer, str] | None]) -> LoadedTrace:
+    """Return the trace with events that are read where they are stored, each with its check (`_KeptEvents`)."""
     parts = {
-        label: replace(part, events=_KeptEvents(part.events, sealer, seal, label, loaded.trace.path))
-        for (label, part), seal in zip(loaded.parts.items(), seals, strict=True)
+        label: replace(part, events=_KeptEvents(part.events, check, label, loaded.trace.path))
+        for (label, part), check in zip(loaded.parts.items(), checks, strict=True)
         if isinstance(part.events, StoredEvents)
     }
     return LoadedTrace(loaded.trace, parts)
@@ -325,7 +326,8 @@ def _known(cache: TraceCache, key: str, path: Path, position: int) -> LoadedTrac
         file = cache.events_path(key)
         if entry["format"] != _FORMAT or file.stat().st_size != entry["bytes"]:
             return None
-        return _in_cache(_from_dict(entry, file, path, position), cache.sealer, entry["seals"])
+        checks = [(cache.sealer, seal) for seal in entry["seals"]]
+        return _in_cache(_from_dict(entry, file, path, position), checks)
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError, TraceFormatError):
         return None
 

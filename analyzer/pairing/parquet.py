@@ -102,30 +102,27 @@ def tables_of(roundtrips: RoundTrips) -> Iterator[pa.Table]:
         for name, values in described.items()
         if ROUNDTRIPS_SCHEMA.field(name).type == pa.string()
     }
+    others = {name: values for name, values in described.items() if name not in texts}
     outcomes = _array([outcome.value for outcome in OUTCOMES]).cast(pa.string())
     exchange_of_row = roundtrips.exchange_of_row()
     for first in range(0, len(exchange_of_row), _ROWS_PER_GROUP):
         rows = slice(first, first + _ROWS_PER_GROUP)
         exchanges = _array(exchange_of_row[rows])
         zeros = _array(np.zeros(len(exchanges), np.int32))
+        outcome = _array(roundtrips.outcome[rows].astype(np.int32))
         columns = {
-            "outcome": pa.DictionaryArray.from_arrays(
-                _array(roundtrips.outcome[rows].astype(np.int32)), outcomes
-            )
+            **{column.name: column.to_arrow() for column in roundtrips.measured[rows].iter_columns()},
+            **{name: values.take(exchanges) for name, values in others.items()},
+            **{name: _texts_of(text, exchanges, zeros) for name, text in texts.items()},
+            "outcome": pa.DictionaryArray.from_arrays(outcome, outcomes),
         }
-        for name, text in texts.items():
-            is_same = len(text.dictionary) == 1 and not text.null_count
-            columns[name] = (
-                pa.DictionaryArray.from_arrays(zeros, text.dictionary) if is_same else text.take(exchanges)
-            )
-        for name in _AS_WRITTEN.names:
-            if name not in columns:
-                columns[name] = (
-                    described[name].take(exchanges)
-                    if name in described
-                    else roundtrips.measured[name][rows].to_arrow()
-                )
         yield pa.Table.from_arrays([columns[name] for name in _AS_WRITTEN.names], schema=_AS_WRITTEN)
+
+
+def _texts_of(text: pa.DictionaryArray, exchanges: pa.Array, zeros: pa.Array) -> pa.DictionaryArray:
+    """Return the text of each row, from that of each exchange; `zeros` are as many as the rows."""
+    is_same = len(text.dictionary) == 1 and not text.null_count
+    return pa.DictionaryArray.from_arrays(zeros, text.dictionary) if is_same else text.take(exchanges)
 
 
 def _array(values: NDArray[np.generic] | list[str]) -> pa.Array:

@@ -12,7 +12,7 @@ from campaigns import assert_same_results, write_runs
 
 import dds_trace.analyzer.engines.batches
 from dds_trace.analyzer import analyze
-from dds_trace.analyzer.engines import local
+from dds_trace.analyzer.engines import local, processes
 from dds_trace.analyzer.engines.processes import can_start_workers
 from dds_trace.analyzer.loading import shelf
 from dds_trace.analyzer.verdicts import answers
@@ -24,16 +24,16 @@ PATIENCE_S = 60
 COMMAND = """
 import sys
 import dds_trace.analyzer.engines.batches
-from dds_trace.analyzer.engines import local
+from dds_trace.analyzer.engines import local, processes
 
 def start(*arguments, **options):
     workers = started(*arguments, **options)
     submit = workers.submit
     sleep = "import os, time; os.write(1, str(os.getpid()).encode() + bytes([10])); time.sleep(300)"
-    workers.submit = lambda job, *more: submit(exec, sleep) if job is local.work_in_worker else submit(job, *more)
+    workers.submit = lambda job, *more: submit(exec, sleep) if job is processes.work_in_worker else submit(job, *more)
     return workers
 
-started, local.start_workers = local.start_workers, start
+started, processes.start_workers = processes.start_workers, start
 dds_trace.analyzer.engines.batches.BATCH_EVENTS = local.FILES_FOR_PROCESSES = 1
 local.LocalEngine._processes = 2
 from dds_trace.cli.analyze import main
@@ -45,18 +45,18 @@ main()
 @pytest.fixture
 def started(monkeypatch):
     """From here on, each analysis is made by two processes; the ones that were started."""
-    processes = []
-    real = local.start_workers
+    begun = []
+    real = processes.start_workers
 
     def start(*arguments, **options):
         workers = real(*arguments, **options)
-        processes.extend(psutil.Process(pid) for pid in workers._processes)
+        begun.extend(psutil.Process(pid) for pid in workers._processes)
         return workers
 
     monkeypatch.setattr(local, "FILES_FOR_PROCESSES", 1)
     monkeypatch.setattr(local.LocalEngine, "_processes", 2)
-    monkeypatch.setattr(local, "start_workers", start)
-    return processes
+    monkeypatch.setattr(processes, "start_workers", start)
+    return begun
 
 
 @pytest.fixture

@@ -168,8 +168,9 @@ def work_at(
     batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]], known: KnownDetails | None = None
 ) -> WorkedBatch:
     """Pair and measure a batch; see `pair_at` and `measure_at`."""
-    paired = pair_at(batch, parts)
-    return WorkedBatch(list(paired.tables()), measure_at(paired, known, Here()))
+    here = Here()
+    paired = pair_at(batch, parts, here)
+    return WorkedBatch(list(paired.tables()), measure_at(paired, known, here))
 
 
 def measure_at(paired: PairedBatch, known: KnownDetails | None, pool: Executor) -> BatchResult:
@@ -204,14 +205,16 @@ def measure_at(paired: PairedBatch, known: KnownDetails | None, pool: Executor) 
     )
 
 
-def pair_at(batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]]) -> PairedBatch:
+def pair_at(batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]], pool: Executor) -> PairedBatch:
     """Pair the events of a batch; the memory of those that were fetched is free when this returns.
 
     Args:
         batch: the batch.
         parts: for each of its `event_keys` the rows of the event index, traces in rising order.
+        pool: reads the events of each key.
     """
-    merged = {key: merge_parts(parts.get(key, ())) for key in batch.event_keys()}
+    keys = batch.event_keys()
+    merged = dict(zip(keys, pool.map(merge_parts, [parts.get(key, ()) for key in keys]), strict=True))
     events = {key: columns for key, (columns, _) in merged.items()}
     copies = {key: of_key for key, (_, of_key) in merged.items() if of_key}
     return PairedBatch(

@@ -106,7 +106,7 @@ class LocalEngine:
         ):
 
             def work_at_large(batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]]) -> WorkedBatch:
-                paired = pair_at(batch, parts)
+                paired = pair_at(batch, parts, measuring)
                 return WorkedBatch(paired.tables(), threads.submit(measure_at, paired, known, measuring))
 
             def begin(batch: Batch) -> Future[WorkedBatch]:

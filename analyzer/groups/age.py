@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..pairing.pair import chosen_of
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -53,11 +55,11 @@ def age_of_information(
         generated, received = generated[order], received[order]
     newer = np.ones(len(generated), np.bool_)
     newer[1:] = generated[1:] > np.maximum.accumulate(generated)[:-1]
-    generated, received = _kept(newer, generated), _kept(newer, received)
+    generated, received = chosen_of(newer, generated), chosen_of(newer, received)
     # Of several updates at one instant the last counts: the others never were the newest for any time.
     last = np.ones(len(received), np.bool_)
     last[:-1] = received[1:] != received[:-1]
-    generated, received = _kept(last, generated), _kept(last, received)
+    generated, received = chosen_of(last, generated), chosen_of(last, received)
     if len(received) < 2:
         return None
     fallen = (received - generated)[:-1].astype(np.float64)
@@ -69,8 +71,3 @@ def age_of_information(
         peak_max_ns=int(peaks.max()),
         updates=len(received),
     )
-
-
-def _kept(chosen: NDArray[np.bool_], values: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the values of a mask; all of them, as mostly, are not copied."""
-    return values if chosen.all() else values[chosen]

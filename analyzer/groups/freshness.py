@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from ..pairing.pair import LOSSES, Outcome
+from ..pairing.pair import LOSSES, Outcome, chosen_of
 from .age import age_of_information
 from .batch import grouped_rows, with_group
-from .outages import find_outages, longest_run, runs_of
+from .outages import OUTAGE_MESSAGES, find_outages, longest_run, runs_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from ..pairing.roundtrips import RoundTrips
     from .batch import Batch
+    from .outages import Outage
 
     Int64 = NDArray[np.int64]
     Bools = NDArray[np.bool_]
@@ -54,6 +55,17 @@ FRESHNESS_SCHEMA = {
     "unsure": pl.UInt64,
 }
 
+OUTAGE_SCHEMA = {
+    "run_id": pl.UInt64,
+    "relay_id": pl.UInt32,
+    "first_sequence": pl.UInt64,
+    "messages": pl.UInt64,
+    "start_ns": pl.Int64,
+    "end_ns": pl.Int64,
+    "duration_ns": pl.Int64,
+    "recovery_ns": pl.Int64,
+}
+
 
 def freshness_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     """Summarize freshness: `group` u32, then the columns of `FRESHNESS_SCHEMA`, a row per run and relay."""
@@ -66,8 +78,11 @@ def freshness_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
 
 
 def outage_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
-    """List the outages: `group` u32, then the columns of `outage_table`, a row per outage."""
+    """List the outages: `group` u32, then the columns of `OUTAGE_SCHEMA`, a row per outage."""
     wanted = batch.wanted
+    lost = roundtrips.counts.select(pl.sum_horizontal(LOSSES)).to_series()
+    if not (lost >= OUTAGE_MESSAGES).any():
+        return pl.DataFrame(schema={"group": pl.UInt32, **OUTAGE_SCHEMA})
     rows = grouped_rows(batch, roundtrips, ["run_id", "relay_id"])
     outages = outage_table(rows, wanted.deadline_ns, f"{wanted.deadline_metric}_ns")
     return with_group(batch, roundtrips, outages)
@@ -103,9 +118,7 @@ def summarize_freshness(
         row: dict[str, object] = {"run_id": run.run_id, "relay_id": run.relay_id, "messages": len(run.lost)}
         row |= _deadline(run, deadline_ns, (unsent or {}).get((run.run_id, run.relay_id), 0))
         row |= _ages(run)
-        outages = find_outages(
-            run.sequence, run.planned_ns, run.receive_ns, run.lost, _in_time(run, deadline_ns)
-        )
+        outages = _outages(run, deadline_ns)
         row["outages"] = len(outages)
         row["outage_longest_ns"] = max(
             (o.duration_ns for o in outages if o.duration_ns is not None), default=None
@@ -122,17 +135,7 @@ def outage_table(
     deadline_ns: int | None = None,
     metric: str = "response_ns",
 ) -> pl.DataFrame:
-    """List outages for drawing: `run_id`, `relay_id` and the fields of `Outage`, times in ns (i64, null)."""
-    schema = {
-        "run_id": pl.UInt64,
-        "relay_id": pl.UInt32,
-        "first_sequence": pl.UInt64,
-        "messages": pl.UInt64,
-        "start_ns": pl.Int64,
-        "end_ns": pl.Int64,
-        "duration_ns": pl.Int64,
-        "recovery_ns": pl.Int64,
-    }
+    """List outages for drawing: columns of `OUTAGE_SCHEMA`, the fields of `Outage`, times in ns."""
     rows = [
         {
             "run_id": run.run_id,
@@ -145,11 +148,9 @@ def outage_table(
             "recovery_ns": outage.recovery_ns,
         }
         for run in _runs(roundtrips, metric)
-        for outage in find_outages(
-            run.sequence, run.planned_ns, run.receive_ns, run.lost, _in_time(run, deadline_ns)
-        )
+        for outage in _outages(run, deadline_ns)
     ]
-    return pl.DataFrame(rows, schema=schema)
+    return pl.DataFrame(rows, schema=OUTAGE_SCHEMA)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -227,6 +228,12 @@ def _starts(frame: pl.DataFrame) -> list[int] | None:
     return starts.tolist() if together and rising.all() else None
 
 
+def _outages(run: _Run, deadline_ns: int | None) -> list[Outage]:
+    if not run.lost.any():  # what was in time takes longer to tell
+        return []
+    return find_outages(run.sequence, run.planned_ns, run.receive_ns, run.lost, _in_time(run, deadline_ns))
+
+
 def _in_time(run: _Run, deadline_ns: int | None) -> Bools:
     """Tell which messages came within the deadline; without one, within the time that 90 % of the run's messages took."""
     if deadline_ns is not None:
@@ -262,7 +269,8 @@ def _deadline(run: _Run, deadline_ns: int | None, unsent: int) -> dict[str, obje
 
 def _ages(run: _Run) -> dict[str, object]:
     ages: dict[str, object] = {}
-    back = age_of_information(run.planned_ns[~run.lost], run.receive_ns[~run.lost])
+    came = ~run.lost
+    back = age_of_information(chosen_of(came, run.planned_ns), chosen_of(came, run.receive_ns))
     if back is not None:
         ages |= {
             "age_mean_ns": back.mean_ns,
@@ -270,7 +278,9 @@ def _ages(run: _Run) -> dict[str, object]:
             "age_peak_max_ns": back.peak_max_ns,
         }
     seen = run.aligned
-    there = age_of_information(run.planned_ns[seen], (run.publish_ns + run.outbound_ns)[seen])
+    there = age_of_information(
+        chosen_of(seen, run.planned_ns), chosen_of(seen, run.publish_ns + run.outbound_ns)
+    )
     if there is not None:
         ages |= {
             "relay_age_mean_ns": there.mean_ns,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from .pair import LOSSES, MISSING, OUTCOMES, Outcome
+from .pair import LOSSES, MISSING, OUTCOMES, Outcome, chosen_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -66,6 +66,7 @@ def count_messages(
     replied, relayed, left = t2 != MISSING, t3 != MISSING, t4 != MISSING
     through = relayed & left
     rtt_ns, intermediate_ns = t2 - t1, t4 - t3
+    replies_ns = chosen_of(replied, t2)
     outcomes = dict(zip(OUTCOMES, np.bincount(paired.outcome, minlength=len(OUTCOMES)).tolist(), strict=True))
     return {
         "published": len(published),
@@ -79,8 +80,8 @@ def count_messages(
         "negative_intermediate": np.count_nonzero(through & (intermediate_ns < 0)),
         "negative_latency": np.count_nonzero(replied & through & (rtt_ns - intermediate_ns < 0)),
         "publish_span_ns": _span_ns(t1, t1),
-        "relay_span_ns": _span_ns(t3[relayed], t4[left]),
-        "reply_span_ns": _span_ns(t2[replied], t2[replied]),
+        "relay_span_ns": _span_ns(chosen_of(relayed, t3), chosen_of(left, t4)),
+        "reply_span_ns": _span_ns(replies_ns, replies_ns),
         "relayed": np.count_nonzero(relayed),
         "replied": np.count_nonzero(replied),
         "orphans": paired.orphans,

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 MISSING = np.iinfo(np.int64).min
 """Value of a missing stamp in int64 arrays, null in frames; no clock reads it."""
+
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 _NEVER = np.iinfo(np.int64).max
 _UINT32_MAX = np.iinfo(np.uint32).max
@@ -272,6 +274,11 @@ def _reordered(receive_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
     reordered = np.zeros(len(received), np.bool_)
     reordered[:-1] = (minimum_from_here[1:] < received[:-1]) & (receive_ns[:-1] != MISSING)
     return reordered
+
+
+def chosen_of(mask: NDArray[np.bool_], values: NDArray[Scalar]) -> NDArray[Scalar]:
+    """Return the values that a mask chooses; all of them, as mostly, are not copied."""
+    return values if mask.all() else values[mask]
 
 
 def _strictly_rising(values: NDArray[np.uint64]) -> bool:

@@ -104,6 +104,7 @@ def tables_of(roundtrips: RoundTrips) -> Iterator[pa.Table]:
     }
     others = {name: values for name, values in described.items() if name not in texts}
     outcomes = _array([outcome.value for outcome in OUTCOMES]).cast(pa.string())
+    numbers = roundtrips.measured.drop("outcome")
     exchange_of_row = roundtrips.exchange_of_row()
     for first in range(0, len(exchange_of_row), _ROWS_PER_GROUP):
         rows = slice(first, first + _ROWS_PER_GROUP)
@@ -111,7 +112,7 @@ def tables_of(roundtrips: RoundTrips) -> Iterator[pa.Table]:
         zeros = _array(np.zeros(len(exchanges), np.int32))
         outcome = _array(roundtrips.outcome[rows].astype(np.int32))
         columns = {
-            **{column.name: column.to_arrow() for column in roundtrips.measured[rows].iter_columns()},
+            **{column.name: column.to_arrow() for column in numbers[rows].iter_columns()},
             **{name: values.take(exchanges) for name, values in others.items()},
             **{name: _texts_of(text, exchanges, zeros) for name, text in texts.items()},
             "outcome": pa.DictionaryArray.from_arrays(outcome, outcomes),

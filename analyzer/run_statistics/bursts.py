@@ -46,6 +46,9 @@ _CELLS = (
     1024  # neighbours are added up in at most this many cells: the twelfth cosine has 170 of them a period
 )
 
+_MANY = 20
+"""Messages a cell from which on it is quicker to look for the cells' bounds among them than for the cell of each."""
+
 
 def long_run_variance(series: NDArray[Any]) -> float:
     """Return n times the variance of the mean of a series.
@@ -81,15 +84,29 @@ class Cells:
 
     Attributes:
         lengths: messages of each series.
-        of_messages: intp, the cell of each message, shape (messages,).
         widths: int64, messages in each cell, shape (cells,).
         edges: the first cell of each series and the number of all, shape (series + 1,).
     """
 
     lengths: tuple[int, ...]
-    of_messages: NDArray[np.intp]
     widths: Int64
     edges: NDArray[np.intp]
+
+    def counts(self, places: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return how many of these messages, given by rising places, are in each cell; shape (cells,)."""
+        if len(places) > _MANY * len(self.widths):
+            return np.diff(places.searchsorted(self._bounds))
+        return np.bincount(self._of_messages[places], minlength=len(self.widths))
+
+    @cached_property
+    def _bounds(self) -> NDArray[np.intp]:
+        """The first message of each cell and the number of all, shape (cells + 1,)."""
+        return np.concatenate([[0], np.cumsum(self.widths)])
+
+    @cached_property
+    def _of_messages(self) -> NDArray[np.intp]:
+        """The cell of each message, shape (messages,)."""
+        return np.repeat(np.arange(len(self.widths)), self.widths)
 
     @cached_property
     def messages(self) -> Int64:
@@ -114,8 +131,7 @@ def cells_of(lengths: Sequence[int]) -> Cells:
     cells = [min(messages, _CELLS) for messages in lengths]
     edges = np.cumsum([0, *cells])
     widths = [_widths(messages, of_series) for messages, of_series in zip(lengths, cells, strict=True)]
-    joined = np.concatenate(widths)
-    return Cells(tuple(lengths), np.repeat(np.arange(len(joined)), joined), joined, edges)
+    return Cells(tuple(lengths), np.concatenate(widths), edges)
 
 
 def share_inflations(cells: Cells, places: NDArray[np.intp], edges: NDArray[np.intp]) -> list[float]:
@@ -126,7 +142,7 @@ def share_inflations(cells: Cells, places: NDArray[np.intp], edges: NDArray[np.i
         places: of the messages that count among those of all series, rising, shape (events,).
         edges: the first of these in each series and the number of all, shape (series + 1,).
     """
-    counts = np.bincount(cells.of_messages[places], minlength=len(cells.widths))
+    counts = cells.counts(places)
     shares = (edges[1:] - edges[:-1])[:, None] / cells.messages
     variances = np.empty_like(shares)
     for series, of_series in cells.rows:

@@ -72,8 +72,8 @@ def find_modes(values: NDArray[Any], inflation: float = 1.0) -> Modes | None:
     if deviation <= 0 or not _has_values(values[:: max(1, len(values) // 10_000)]):
         return None
     width = 0.9 * deviation * n ** (-1 / 5)
-    edges = np.linspace(low - 3 * width, high + 3 * width, _BINS + 1)
-    counts = np.histogram(logs, edges)[0].astype(np.float64) / max(1.0, inflation)
+    bins, edges = np.histogram(logs, _BINS, (low - 3 * width, high + 3 * width))
+    counts = bins.astype(np.float64) / max(1.0, inflation)
     bin_widths = width / (edges[1] - edges[0])
     return _deepest(_smoothed(counts, bin_widths), counts, (edges[1:] + edges[:-1]) / 2, bin_widths)
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..statistics.percentiles import minimum_messages
-from .bursts import Cells, cells_of, positions_of
+from .bursts import Cells, cells_of, positions_of, share_inflations
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -124,7 +124,7 @@ class Run:
         return self._quantiles[share]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Beyond:
     """The messages of several runs beyond a threshold, those of the first run first.
 
@@ -132,11 +132,18 @@ class Beyond:
         places: intp, where they stand in the arrays of `Runs`, rising, shape (events,).
         positions: float64, when they were sent (`Runs.positions`), shape (events,).
         edges: intp, the first of each run and the number of all, shape (runs + 1,).
+        cells: of the runs.
     """
 
     places: NDArray[np.intp]
     positions: NDArray[np.float64]
     edges: NDArray[np.intp]
+    cells: Cells
+
+    @cached_property
+    def inflations(self) -> list[float]:
+        """Variance of the share that they have of each run, divided by that of independent messages."""
+        return share_inflations(self.cells, self.places, self.edges)
 
     def of_runs(self, values: Values) -> list[Values]:
         """Cut an array of all of them into those of each run."""
@@ -232,7 +239,7 @@ class Runs(tuple[Run, ...]):  # noqa: SLOT001 - what is kept needs a `__dict__`
     def where(self, is_meant: NDArray[np.bool_]) -> Beyond:
         """Return the messages of a mask."""
         places = is_meant.nonzero()[0]
-        return Beyond(places, self.positions[places], places.searchsorted(self.edges))
+        return Beyond(places, self.positions[places], places.searchsorted(self.edges), self.cells)
 
 
 def _merged(rising_parts: Values) -> Values:

@@ -88,7 +88,6 @@ def tails_of(runs: Sequence[Run], quantile: float) -> list[Tail]:
     ends = episode_ends(beyond.positions, np.repeat(gaps, events), beyond.edges)
     rows = episode_ends(beyond.positions, LEAST_GAP, beyond.edges).searchsorted(beyond.edges)
     sizes, episodes = sizes_between(ends), ends.searchsorted(beyond.edges).tolist()
-    inflations = share_inflations(group.cells, beyond.places, beyond.edges)
     return [
         Tail(
             messages=count,
@@ -99,7 +98,13 @@ def tails_of(runs: Sequence[Run], quantile: float) -> list[Tail]:
             bursts=bursts,
         )
         for (count, messages), begin, end, inflation, gap, of_rows in zip(
-            counts, episodes, episodes[1:], inflations, gaps, (rows[1:] - rows[:-1]).tolist(), strict=False
+            counts,
+            episodes,
+            episodes[1:],
+            beyond.inflations,
+            gaps,
+            (rows[1:] - rows[:-1]).tolist(),
+            strict=False,
         )
     ]
 
@@ -111,6 +116,8 @@ def inflations_of(runs: Runs, quantile: float) -> list[float]:
         runs: at least one message each.
         quantile: between 0 and 1, both excluded.
     """
+    if len(runs) == 1:
+        return runs.beyond(quantile).inflations
     is_beyond = np.empty(int(runs.edges[-1]), np.bool_)
     for run, (begin, end) in zip(runs, pairwise(runs.edges.tolist()), strict=True):
         is_beyond[begin:end] = threshold_of(run.ordered, quantile).is_beyond(run.values)

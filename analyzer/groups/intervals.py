@@ -99,38 +99,41 @@ def interval_rows(
     bounds = column("clock_bound_ns").drop_nulls()
     bound_ns = float(bounds.to_numpy().max()) if len(bounds) else 0.0
     for metric in (*METRICS, *ONE_WAY_METRICS):
-        # No quantile of one-way times is further off than its worst message.
-        off_ns = bound_ns if metric in ONE_WAY_METRICS else 0.0
         values = column(f"{metric}_ns")
         if values.null_count() == len(values):
             continue
-        runs = _runs(values, sent_ns, run_of_row)
-        ordered = runs.all_ordered
-        for percentile in PERCENTILES:
-            statistic = Statistic(percentile.quantile)
-            interval = interval_of_runs(runs, statistic)
-            spread = spread_of_runs(runs, statistic)
-            supported = len(ordered) >= percentile.needs
-            yield {
-                "group": group,
-                "metric": metric,
-                "percentile": percentile.name,
-                "quantile": percentile.quantile,
-                "estimate_ns": quantile_of(ordered, percentile.quantile) if supported else None,
-                "low_ns": None if interval.lower is None else interval.lower - off_ns,
-                "high_ns": None if interval.upper is None else interval.upper + off_ns,
-                "method": _METHODS[interval.basis] if interval.is_two_sided else None,
-                "confidence": interval.confidence,
-                "messages": interval.samples,
-                "independent": interval.independent,
-                "runs": interval.runs,
-                "units": interval.units,
-                "episodes": interval.episodes,
-                "basis": interval.basis.value,
-                "between": spread.between,
-                "within": spread.within,
-                "typical_ns": interval.value,
-            }
+        # No quantile of one-way times is further off than its worst message.
+        off_ns = bound_ns if metric in ONE_WAY_METRICS else 0.0
+        for row in _rows_of_runs(_runs(values, sent_ns, run_of_row), off_ns):
+            yield {"group": group, "metric": metric, **row}
+
+
+def _rows_of_runs(runs: Runs, off_ns: float) -> Iterator[dict[str, object]]:
+    """Yield the columns that follow `metric`, for each percentile; what was computed of the runs is free behind the last."""
+    ordered = runs.all_ordered
+    for percentile in PERCENTILES:
+        statistic = Statistic(percentile.quantile)
+        interval = interval_of_runs(runs, statistic)
+        spread = spread_of_runs(runs, statistic)
+        supported = len(ordered) >= percentile.needs
+        yield {
+            "percentile": percentile.name,
+            "quantile": percentile.quantile,
+            "estimate_ns": quantile_of(ordered, percentile.quantile) if supported else None,
+            "low_ns": None if interval.lower is None else interval.lower - off_ns,
+            "high_ns": None if interval.upper is None else interval.upper + off_ns,
+            "method": _METHODS[interval.basis] if interval.is_two_sided else None,
+            "confidence": interval.confidence,
+            "messages": interval.samples,
+            "independent": interval.independent,
+            "runs": interval.runs,
+            "units": interval.units,
+            "episodes": interval.episodes,
+            "basis": interval.basis.value,
+            "between": spread.between,
+            "within": spread.within,
+            "typical_ns": interval.value,
+        }
 
 
 def _runs(values: pl.Series, sent_ns: NDArray[np.int64], run_of_row: NDArray[np.int64]) -> Runs:

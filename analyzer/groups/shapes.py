@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
+from ..pairing.pair import chosen_of
 from ..run_statistics.bursts import share_inflation
 from ..run_statistics.modes import find_modes
 from ..run_statistics.trend import find_trend
@@ -49,17 +50,17 @@ def shape_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     """
     rows: list[dict[str, object]] = []
     sent_ns = roundtrips.measured["publish_ns"].to_numpy()
-    of_metric = {name: roundtrips.measured[name].fill_null(0).to_numpy() for name in ("latency_ns", "rtt_ns")}
     for number, exchange in enumerate(batch.exchanges):
         here = slice(*roundtrips.bounds[number : number + 2].tolist())
-        latency_ns = of_metric["latency_ns" if exchange.relay_recorded else "rtt_ns"][here]
+        metric = roundtrips.measured["latency_ns" if exchange.relay_recorded else "rtt_ns"]
+        latency_ns = metric[here].fill_null(0).to_numpy()
         came = latency_ns > 0
         rows.append(
             {
                 "group": int(batch.group_of_exchange[number]),
                 "run_id": exchange.run.run_id,
                 "relay_id": exchange.relay_id,
-                **shape_of(latency_ns[came], sent_ns[here][came]),
+                **shape_of(chosen_of(came, latency_ns), chosen_of(came, sent_ns[here])),
             }
         )
     return pl.DataFrame(rows, schema=SHAPE_SCHEMA, strict=False)

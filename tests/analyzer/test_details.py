@@ -22,6 +22,7 @@ from trace_files import (
 
 import dds_trace.analyzer.pairing.rows
 from dds_trace.analyzer import CompareOptions, analyze, parse_job
+from dds_trace.analyzer.groups.freshness import OUTAGE_SCHEMA
 from dds_trace.analyzer.verdicts.answers import find_answers
 from dds_trace.analyzer.verdicts.bridge_cost import bridge_cost
 from dds_trace.tracefile import Stage
@@ -94,6 +95,16 @@ def test_a_deadline_is_judged_per_run_and_relay(tmp_path):
     (outage,) = details.outages.iter_rows(named=True)
     assert (outage["group"], outage["first_sequence"], outage["messages"]) == (0, 20, 5)
     assert outage["duration_ns"] == 5 * PERIOD + 50 + 6 * MS
+
+
+@pytest.mark.parametrize(("lost", "outages"), [((20, 21), 0), ((20, 22, 24), 0), ((20, 21, 22), 1)])
+def test_an_outage_is_three_lost_messages_in_a_row(tmp_path, lost, outages):
+    messages = [Message(m.sequence, t0=m.t0, t1=m.t1) if m.sequence in lost else m for m in drawn()]
+    write_pair(tmp_path, messages)
+    details = analyze(tmp_path).details
+    assert details.freshness["outages"].to_list() == [outages]
+    assert details.outages["messages"].to_list() == [len(lost)] * outages
+    assert details.outages.columns == ["group", *OUTAGE_SCHEMA]
 
 
 def write_runs(folder, clocks, **sessions):

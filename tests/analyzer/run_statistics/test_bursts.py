@@ -8,6 +8,7 @@ from drawn_series import autoregressive
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dds_trace.analyzer.run_statistics import bursts
 from dds_trace.analyzer.run_statistics.bursts import (
     COSINES,
     cells_of,
@@ -81,6 +82,23 @@ def test_series_side_by_side_are_each_as_by_themselves(lengths):
     edges = np.cumsum([0, *map(len, events)])
     alone = [share_inflation(each, n) for each, n in zip(events, lengths, strict=True)]
     assert share_inflations(cells_of(lengths), joined, edges) == pytest.approx(alone, rel=1e-12)
+
+
+@pytest.mark.parametrize("lengths", [(5000,), (300, 0, 1, 2000)])
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.9, 1.0])
+def test_cells_count_few_and_many_messages_alike(monkeypatch, lengths, share):
+    cells = cells_of(lengths)
+    marked = np.flatnonzero(np.random.default_rng(4).random(sum(lengths)) < share)
+    counts = []
+    for many in (-1, np.inf):
+        monkeypatch.setattr(bursts, "_MANY", many)
+        counts.append(cells.counts(marked).tolist())
+    ends = np.cumsum(cells.widths)
+    assert (
+        counts[0]
+        == counts[1]
+        == [((marked >= e - w) & (marked < e)).sum() for e, w in zip(ends, cells.widths, strict=True)]
+    )
 
 
 def test_an_episode_ends_at_a_gap():

@@ -54,9 +54,11 @@ def test_a_group_has_the_threshold_of_all_its_values(groups, quantile):
 )
 @settings(deadline=None)
 def test_one_run_alone_has_the_same_inflation_either_way(values, quantile):
-    runs = Runs([Run(np.array(values, np.float64))])
-    (tail,) = tails_of(runs, quantile)
-    assert inflations_of(runs, quantile) == [tail.inflation]
+    run, other = Run(np.array(values, np.float64)), Run(np.arange(50.0))
+    (tail,) = tails_of([run], quantile)
+    (alone,) = inflations_of(Runs([run]), quantile)
+    beside = inflations_of(Runs([run, other]), quantile)[0]
+    assert alone == tail.inflation == pytest.approx(beside, rel=1e-12)
 
 
 @pytest.mark.parametrize(("quantile", "messages"), [(0.9, 10), (0.99, 10), (0.5, 10), (0.2, 90), (0.05, 90)])

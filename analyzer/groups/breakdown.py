@@ -76,11 +76,8 @@ def breakdown_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
 
     Percentiles of parts of a group do not add up, so a group that is here in part has no rows.
     """
-    # A text for each row would be eighty megabytes of a large group.
-    bridges = roundtrips.described["bridge"].cast(pl.Categorical)
     rows = (
-        grouped_rows(batch, roundtrips, ["run_id", "relay_id"])
-        .with_columns(bridges.gather(roundtrips.exchange_of_row()))
+        grouped_rows(batch, roundtrips, ["run_id", "relay_id", "bridge"])
         .select(_USED)
         .with_columns(roundtrips.stamps)
     )

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from ..pairing.roundtrips import RoundTrips
+    from ..statistics.intervals import Interval
     from .batch import Batch
 
 INTERVAL_SCHEMA: dict[str, type[pl.DataType]] = {
@@ -123,17 +124,24 @@ def _rows_of_runs(runs: Runs, off_ns: float) -> Iterator[dict[str, object]]:
             "low_ns": None if interval.lower is None else interval.lower - off_ns,
             "high_ns": None if interval.upper is None else interval.upper + off_ns,
             "method": _METHODS[interval.basis] if interval.is_two_sided else None,
-            "confidence": interval.confidence,
-            "messages": interval.samples,
-            "independent": interval.independent,
-            "runs": interval.runs,
-            "units": interval.units,
-            "episodes": interval.episodes,
-            "basis": interval.basis.value,
+            **sample_columns(interval),
             "between": spread.between,
             "within": spread.within,
-            "typical_ns": interval.value,
         }
+
+
+def sample_columns(interval: Interval) -> dict[str, object]:
+    """Return the columns of `INTERVAL_SCHEMA` that say what an interval is of and what it rests on."""
+    return {
+        "confidence": interval.confidence,
+        "messages": interval.samples,
+        "independent": interval.independent,
+        "runs": interval.runs,
+        "units": interval.units,
+        "episodes": interval.episodes,
+        "basis": interval.basis.value,
+        "typical_ns": interval.value,
+    }
 
 
 def _runs(values: pl.Series, sent_ns: NDArray[np.int64], run_of_row: NDArray[np.int64]) -> Runs:

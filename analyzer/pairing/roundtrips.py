@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
@@ -30,8 +30,7 @@ if TYPE_CHECKING:
     from ..clocks.fit import ClockFit
     from ..loading.events import EventKey
     from .exchanges import Exchange
-
-Scalar = TypeVar("Scalar", bound=np.generic)
+    from .pair import Scalar
 
 _STAMPS = ("scheduled_ns", "publish_ns", "receive_ns", "relay_in_ns", "relay_out_ns")
 

@@ -5,11 +5,11 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
+from waiting import wait_until
 
 from dds_trace.recorder.bridges import BRIDGE_MODULES
 from dds_trace.tracefile import Stage, TraceError
@@ -202,12 +202,6 @@ def test_a_bridge_that_dies_in_mid_run_is_described_in_the_trace_that_is_kept(do
         except TraceError:
             return 0  # not begun yet
 
-    def wait_until(condition):
-        deadline = time.monotonic() + 60
-        while not condition():
-            assert time.monotonic() < deadline, "did not happen in time"
-            time.sleep(0.1)
-
     ping_domain, relay_domain = str(domains.take()), str(domains.take())
     out = tmp_path / "ping.mcap"
     record = [sys.executable, "-m", "dds_trace.cli.record.command", "--discovery", "localhost"]
@@ -225,7 +219,7 @@ def test_a_bridge_that_dies_in_mid_run_is_described_in_the_trace_that_is_kept(do
     ]
     ping += ["--bridge", "builtin", "--messages", "400", "--size", "1KB", "--out", str(out)]
     with subprocess.Popen(relay) as relaying, subprocess.Popen(ping) as pinging:
-        wait_until(lambda: received() > 20)
+        wait_until(lambda: received() > 20, 60, step_s=0.1)
         bridge = next(
             child
             for child in psutil.Process(pinging.pid).children(recursive=True)

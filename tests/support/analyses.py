@@ -18,7 +18,7 @@ from dds_trace import Analysis, Details, Finding, Severity, Source
 from dds_trace.analyzer.groups.breakdown import break_down, response_against_latency, summarize_breakdown
 from dds_trace.analyzer.groups.freshness import outage_table, summarize_freshness
 from dds_trace.analyzer.groups.host_samples import HOST_SAMPLE_SCHEMA
-from dds_trace.analyzer.groups.intervals import INTERVAL_SCHEMA, ONE_WAY_SCHEMA
+from dds_trace.analyzer.groups.intervals import INTERVAL_SCHEMA, ONE_WAY_SCHEMA, sample_columns
 from dds_trace.analyzer.groups.wire import no_wire_frames
 from dds_trace.analyzer.model.wire import WIRE_CLASS_SCHEMA, WIRE_REPEAT_SCHEMA, WIRE_SCHEMA
 from dds_trace.analyzer.pairing.one_way import KNOT_SCHEMA, SEGMENT_SCHEMA
@@ -333,16 +333,9 @@ def _intervals(rows: pl.DataFrame, ordered: Sequence[Measured]) -> pl.DataFrame:
                         "low_ns": interval.lower,
                         "high_ns": interval.upper,
                         "method": "order_statistics" if interval.is_two_sided else None,
-                        "confidence": interval.confidence,
-                        "messages": interval.samples,
-                        "independent": interval.independent,
-                        "runs": interval.runs,
-                        "units": interval.units,
-                        "episodes": interval.episodes,
-                        "basis": interval.basis.value,
                         "between": None,
                         "within": None,
-                        "typical_ns": interval.value,
+                        **sample_columns(interval),
                     }
                 )
     return pl.DataFrame(found, schema=INTERVAL_SCHEMA)

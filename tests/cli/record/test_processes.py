@@ -168,9 +168,8 @@ def test_a_signal_closes_the_trace(domain_id, tmp_path, number):
             *("--data", "imu", "--messages", 100_000, "--rate", 100, "--history", "keep_all"),
         ) as command:
             deadline = time.monotonic() + PATIENCE_S
-            while (
-                not out.exists() or out.stat().st_size < 4000
-            ):  # some chunks are in the file: the run goes on
+            # Some chunks are in the file: the run goes on.
+            while not out.exists() or out.stat().st_size < 4000:
                 assert time.monotonic() < deadline
                 time.sleep(0.05)
             command.send_signal(number)

@@ -8,9 +8,9 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 
 import pytest
+from waiting import wait_until
 
 from dds_trace.recorder.bridges.process import guard
 from dds_trace.recorder.host.stopping import STOP_SIGNALS, stop_at_signals
@@ -92,10 +92,3 @@ def is_free(path):
         except BlockingIOError:
             return False
     return True
-
-
-def wait_until(condition):
-    deadline = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)

@@ -9,13 +9,13 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from collections import Counter
 from pathlib import Path
 
 import loopback_sshd
 import psutil
 import pytest
+from waiting import wait_until
 
 from dds_trace.recorder.bridges import load_bridge
 from dds_trace.recorder.sweep.station.emulation import ip
@@ -72,14 +72,6 @@ def sweep(tmp_path, domains):
     return lambda text: Sweep(tmp_path, domains, text)
 
 
-def wait_for(condition):
-    deadline = time.monotonic() + PATIENCE_S
-    while not (found := condition()):
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-    return found
-
-
 def check_pairs(sweep, cells):
     """Each cell once: one run in its ping's trace, and exactly that run in its relay's."""
     pings, relays = sweep.traces("ping"), sweep.traces("relay")
@@ -101,7 +93,7 @@ def test_killed_in_the_middle_and_resumed_each_cell_is_there_once(sweep):
         '[[matrix]]\ndata = "imu"\nrate = [50, 100]\n[[matrix]]\ndata = "string"\nbridge = "builtin"\nrate = 50\n'
     )
     first = small.start()
-    wait_for(lambda: small.statuses()["recorded"] >= 1 and small.statuses()["running"] == 1)
+    wait_until(lambda: small.statuses()["recorded"] >= 1 and small.statuses()["running"] == 1, PATIENCE_S)
     children = psutil.Process(first.pid).children(recursive=True)
     assert children
     first.send_signal(signal.SIGKILL)

@@ -12,6 +12,7 @@ import psutil
 import pytest
 import stand_in_bridge
 from stand_in_bridge import StandInBridge
+from waiting import wait_until
 
 from dds_trace.recorder.bridges import BRIDGE_MODULES, BridgeOptions, BridgeState, Halves, open_bridge
 from dds_trace.recorder.bridges.process.guard import LOG_LIMIT_BYTES
@@ -30,13 +31,6 @@ def stand_in(monkeypatch):
         )
 
     return play
-
-
-def wait_until(condition, timeout_s=30.0):
-    deadline = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < deadline, "did not happen in time"
-        time.sleep(0.01)
 
 
 def family_of(pid):

@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 import stat
 import sys
-import time
 
 import loopback_sshd
 import pytest
+from waiting import wait_until
 
 from dds_trace.recorder.sweep.plan.plan import DeviceSettings
 from dds_trace.recorder.sweep.station import programs, ssh
@@ -73,14 +73,6 @@ def remote(server, tmp_path):
     return make
 
 
-def wait_for(condition):
-    deadline = time.monotonic() + PATIENCE_S
-    while not (found := condition()):
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-    return found
-
-
 def there(tmp_path):
     return tmp_path / "home/.cache/dds-trace/my sweep"
 
@@ -89,7 +81,7 @@ def test_relay_is_started_and_stopped_over_ssh_and_its_trace_fetched(remote, tmp
     device = remote()
     device.prepare()
     relay = device.start(["--role", "relay", "--label", "two words"], "1-1.mcap")
-    wait_for((there(tmp_path) / "1-1.mcap").exists)
+    wait_until((there(tmp_path) / "1-1.mcap").exists, PATIENCE_S)
     assert relay.failure is None
     relay.stop()
     fetched = device.collect("1-1.mcap")
@@ -108,7 +100,7 @@ def test_fetched_trace_has_the_rights_that_it_has_on_its_device_and_none_for_oth
     device = remote(RECORD.replace("exit 0' TERM", f'chmod {there} "$out"; exit 0\' TERM'))
     device.prepare()
     relay = device.start([], "1-1.mcap")
-    wait_for((tmp_path / "home/.cache/dds-trace/my sweep/1-1.mcap").exists)
+    wait_until((tmp_path / "home/.cache/dds-trace/my sweep/1-1.mcap").exists, PATIENCE_S)
     relay.stop()
     if os.geteuid() != 0 and there == "0000":
         pytest.skip("who may not read a file cannot fetch it")
@@ -126,7 +118,7 @@ def test_half_of_a_bridge_runs_beside_the_relay_of_the_other_device(remote, tmp_
     relay = device.start([], "1-1.mcap")
     half = device.start_half(["zenoh-bridge-dds", "--half", "relay"], "1-1.mcap")
     told = tmp_path / "home/half"
-    wait_for(lambda: told.exists() and told.read_text() == "zenoh-bridge-dds --half relay\n")
+    wait_until(lambda: told.exists() and told.read_text() == "zenoh-bridge-dds --half relay\n", PATIENCE_S)
     half.stop()
     relay.stop()
     assert told.read_text() == "half closed\n"
@@ -139,7 +131,7 @@ def test_relay_ends_when_this_side_is_killed_and_is_fetched_whole_later(remote, 
     device = remote()
     device.prepare()
     relay = device.start([], "1-1.mcap")
-    wait_for((there(tmp_path) / "1-1.mcap").exists)
+    wait_until((there(tmp_path) / "1-1.mcap").exists, PATIENCE_S)
     relay._process.kill()
     relay.stop()
     assert device.collect("1-1.mcap").read_text() == "open\nclosed\n"
@@ -193,7 +185,7 @@ def test_endless_log_of_a_device_ends_its_program(remote, monkeypatch):
     device = remote(record="#!/bin/sh\nexec yes\n")
     device.prepare()
     relay = device.start([], "1-1.mcap")
-    wait_for(lambda: relay.exit_code is not None)
+    wait_until(lambda: relay.exit_code is not None, PATIENCE_S)
     assert relay.log.stat().st_size <= 1 << 20
     relay.stop()
 
@@ -238,7 +230,7 @@ def test_relay_that_fails_on_the_other_device_gives_its_reason(remote):
     device = remote(record=BROKEN_RECORD)
     device.prepare()
     relay = device.start([], "1-1.mcap")
-    wait_for(lambda: relay.exit_code is not None)
+    wait_until(lambda: relay.exit_code is not None, PATIENCE_S)
     assert (relay.exit_code, relay.failure) == (7, "rmw_nowhere is not installed")
     relay.stop()
     assert device.collect("1-1.mcap") is None
@@ -268,7 +260,7 @@ def test_local_relay_writes_into_the_folder_and_leaves_nothing_when_discarded(tm
     device = LocalDevice(tmp_path / "parts", ["sh", str(script)])
     (tmp_path / "parts").mkdir()
     relay = device.start([], "1-1.mcap")
-    wait_for((tmp_path / "parts/1-1.mcap").exists)
+    wait_until((tmp_path / "parts/1-1.mcap").exists, PATIENCE_S)
     relay.stop()
     assert device.collect("1-1.mcap").read_text() == "open\nclosed\n"
     device.discard("1-1.mcap")
@@ -310,7 +302,7 @@ def test_program_that_ignores_sigterm_is_killed(tmp_path):
         tmp_path,
         "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); print('deaf', flush=True); time.sleep(600)",
     )
-    wait_for(running.log.read_text)
+    wait_until(running.log.read_text, PATIENCE_S)
     assert running.stop(patience_s=0.1) == -9
 
 

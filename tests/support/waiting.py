@@ -1,0 +1,20 @@
+"""Wait for what happens elsewhere: in another process, thread or device."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, TypeVar
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+T = TypeVar("T")
+
+
+def wait_until(condition: Callable[[], T], timeout_s: float = 30.0, step_s: float = 0.02) -> T:
+    """Return what a condition says once that is true; fail if it never is."""
+    deadline = time.monotonic() + timeout_s
+    while not (found := condition()):
+        assert time.monotonic() < deadline, "did not happen in time"
+        time.sleep(step_s)
+    return found

@@ -277,7 +277,8 @@ def fit_clocks(fits: Sequence[RelayedMessages]) -> list[tuple[ClockFit, ClockOff
         ValueError: a message has `rtt < intermediate`.
     """
     edges = np.cumsum([0, *(len(messages.publish_ns) for messages in fits)]).tolist()
-    points = OffsetIntervals(*(np.empty(edges[-1]) for _ in range(3)))
+    # In one piece, for which numpy asks for large pages where three would be too small: less time than to fill them page by page.
+    points = OffsetIntervals(*np.empty((3, edges[-1])))
     held = [
         _Points.of(messages, points.part(first, after)) if after > first else None
         for messages, (first, after) in zip(fits, pairwise(edges), strict=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,6 +23,29 @@ _MESSAGES_AFTER_STEP = 64
 """Messages after a step that tell which messages before it they cannot explain."""
 
 
+@dataclass(frozen=True, slots=True)
+class _Limits:
+    """What some messages say of the offset at a later instant `t`: it is from `bottom - DRIFT * t` to `top + DRIFT * t`.
+
+    Attributes:
+        top: least `upper - DRIFT * time`.
+        bottom: greatest `lower + DRIFT * time`.
+    """
+
+    top: float = np.inf
+    bottom: float = -np.inf
+
+    def with_messages(self, points: OffsetIntervals) -> _Limits:
+        """Return the limits of these messages and the ones before."""
+        if not len(points):
+            return self
+        reach = DRIFT * points.time
+        return _Limits(
+            min(self.top, float((points.upper - reach).min())),
+            max(self.bottom, float((points.lower + reach).max())),
+        )
+
+
 def find_stretches(points: OffsetIntervals) -> Iterator[tuple[int, int]]:
     """Yield start and stop of each stretch without a step.
 
@@ -36,40 +60,45 @@ def find_stretches(points: OffsetIntervals) -> Iterator[tuple[int, int]]:
 
 def _first_out_of_reach(points: OffsetIntervals, start: int) -> int:
     """Return the index of the first message that no drift up to `DRIFT` reaches from those since `start`."""
-    lowest_top, highest_bottom = np.inf, -np.inf
+    of_parts, exact = _Limits(), _Limits()
+    looked_at = start  # up to here by `exact`: messages that a look at parts settles need it never
     begin, size = start, _BLOCKS[0]
     while begin < len(points):
         part = points.part(begin, begin + size)
-        reach = DRIFT * part.time
-        tops, bottoms = part.upper - reach, part.lower + reach
-        if not _is_within_reach(part, lowest_top, highest_bottom):
-            top = np.minimum.accumulate(np.append(lowest_top, tops))
-            bottom = np.maximum.accumulate(np.append(highest_bottom, bottoms))
+        is_settled, of_parts = _look_at_parts(part, of_parts)
+        if not is_settled:
+            exact = exact.with_messages(points.part(looked_at, begin))
+            reach = DRIFT * part.time
+            top = np.minimum.accumulate(np.append(exact.top, part.upper - reach))
+            bottom = np.maximum.accumulate(np.append(exact.bottom, part.lower + reach))
             out = (part.lower > top[:-1] + reach) | (part.upper < bottom[:-1] - reach)
             if out.any():
                 return begin + int(out.argmax())
-        lowest_top = min(lowest_top, float(tops.min()))
-        highest_bottom = max(highest_bottom, float(bottoms.max()))
+            exact, looked_at = _Limits(float(top[-1]), float(bottom[-1])), begin + len(part)
         begin, size = begin + size, min(2 * size, _BLOCKS[1])
     return len(points)
 
 
-def _is_within_reach(points: OffsetIntervals, lowest_top: float, highest_bottom: float) -> bool:
-    """Return whether a look at parts tells already that drifts up to `DRIFT` reach every message.
+def _look_at_parts(points: OffsetIntervals, before: _Limits) -> tuple[bool, _Limits]:
+    """Return whether a look at parts tells already that drifts up to `DRIFT` reach every message, and the limits behind them.
 
     Args:
         points: messages.
-        lowest_top: least `upper - DRIFT * time` of the messages before.
-        highest_bottom: greatest `lower + DRIFT * time` of these.
+        before: limits that the messages before them set, or tighter ones.
+
+    Returns:
+        Limits as tight as those that the messages set, or tighter: each part counts as if all of its messages were its first,
+        seen from the parts behind it.
     """
     first = np.arange(0, len(points), _PART)
     least, most = np.minimum.reduceat(points.upper, first), np.maximum.reduceat(points.lower, first)
     begin = DRIFT * points.time[first]
     end = DRIFT * points.time[np.append(first[1:], len(points)) - 1]
-    top = np.minimum.accumulate(np.append(lowest_top, least - end))[:-1]
-    bottom = np.maximum.accumulate(np.append(highest_bottom, most + end))[:-1]
+    top = np.minimum.accumulate(np.append(before.top, least - end))
+    bottom = np.maximum.accumulate(np.append(before.bottom, most + end))
     # All offsets of a part overlap, and those of a later part are reached from the end of each earlier one.
-    return bool(np.all((most <= least) & (most - begin <= top) & (least + begin >= bottom)))
+    is_settled = np.all((most <= least) & (most - begin <= top[:-1]) & (least + begin >= bottom[:-1]))
+    return bool(is_settled), _Limits(float(top[-1]), float(bottom[-1]))
 
 
 def _last_surely_before(points: OffsetIntervals, start: int, step: int) -> int:

@@ -211,12 +211,11 @@ def pair_at(batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]], pool: E
     Args:
         batch: the batch.
         parts: for each of its `event_keys` the rows of the event index, traces in rising order.
-        pool: reads the events of each key.
+        pool: reads the events of each key, counts messages and fits clocks.
     """
     keys = batch.event_keys()
     merged = dict(zip(keys, pool.map(merge_parts, [parts.get(key, ()) for key in keys]), strict=True))
     events = {key: columns for key, (columns, _) in merged.items()}
     copies = {key: of_key for key, (_, of_key) in merged.items() if of_key}
-    return PairedBatch(
-        batch, parts, pair_exchanges(batch.exchanges, events, details=batch.wanted.details), copies
-    )
+    roundtrips = pair_exchanges(batch.exchanges, events, details=batch.wanted.details, pool=pool)
+    return PairedBatch(batch, parts, roundtrips, copies)

@@ -54,7 +54,7 @@ def timeline_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
         (elapsed_ns / 1e9).alias("elapsed_s"),
         "latency_ns",
         "rtt_ns",
-        "outcome",
+        pl.col("outcome").cast(pl.String),
     )
 
 

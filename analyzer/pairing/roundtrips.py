@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import polars as pl
 
 from dds_trace.tracefile import Stage
+from dds_trace.tracefile.threads import Here
 
 from ..model.column import schema_of
 from ..model.columns import KEY_COLUMNS
@@ -22,8 +23,9 @@ from .utc import utc_columns
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+    from concurrent.futures import Executor
 
-    from numpy.typing import NDArray
+    from numpy.typing import DTypeLike, NDArray
 
     from dds_trace.tracefile import EventColumns
 
@@ -33,6 +35,18 @@ if TYPE_CHECKING:
     from .pair import Scalar
 
 _STAMPS = ("scheduled_ns", "publish_ns", "receive_ns", "relay_in_ns", "relay_out_ns")
+
+_DTYPES: Mapping[str, DTypeLike] = {
+    "sequence": np.uint64,
+    **dict.fromkeys(_STAMPS, np.int64),
+    "outcome": np.uint8,
+    "duplicates": np.uint16,
+    "reordered": np.bool_,
+}
+"""Column that every exchange fills -> its dtype."""
+
+_PUBLISHED = ("sequence", "scheduled_ns", "publish_ns")
+_PAIRED = ("receive_ns", "relay_in_ns", "relay_out_ns", "outcome", "duplicates", "reordered")
 
 MIDDLEWARE_STAMPS = {
     Stage.T3: ("relay_source_ns", "relay_received_ns"),
@@ -46,7 +60,8 @@ class RoundTrips:
     """The rows of some exchanges, their counts and clock fits.
 
     Attributes:
-        measured: `sequence` and the columns of `columns.MEASURED_COLUMNS` and `UTC_COLUMNS`; rows by exchange, then by sequence.
+        measured: `sequence` and the columns of `columns.MEASURED_COLUMNS` and `UTC_COLUMNS`, `outcome` as Enum; rows by exchange,
+            then by sequence.
         described: run_id, relay_id and the parameter columns, one row per exchange.
         outcome: uint8, for each row the position of its outcome in `pair.OUTCOMES`.
         bounds: int64, exchange i has the rows `bounds[i]` to `bounds[i + 1]` (not included).
@@ -73,7 +88,11 @@ class RoundTrips:
 
 
 def pair_exchanges(
-    exchanges: Sequence[Exchange], events: Mapping[EventKey, EventColumns], *, details: bool = True
+    exchanges: Sequence[Exchange],
+    events: Mapping[EventKey, EventColumns],
+    *,
+    details: bool = True,
+    pool: Executor | None = None,
 ) -> RoundTrips:
     """Pair the events of every exchange, count them, and compute the metrics of every round trip.
 
@@ -81,7 +100,9 @@ def pair_exchanges(
         exchanges: some exchanges.
         events: for each of their `event_keys` the events.
         details: fit clocks and keep the middleware's stamps; without, the columns of one-way times are null.
+        pool: counts messages and fits clocks beside the caller; None does all in turn.
     """
+    pool = pool or Here()
     # A run's messages are the same for each of its relays.
     published = {
         run_id: published_messages(events[exchange.event_keys()[0]], exchange.run.warmup_messages)
@@ -95,55 +116,76 @@ def pair_exchanges(
     bounds = np.concatenate([[0], np.cumsum([np.count_nonzero(mask) for mask in kept])]).astype(np.int64)
     rows = int(bounds[-1])
 
-    # Filled exchange by exchange: the frame's memory once, whatever the number of runs.
-    sequence, outcome = np.empty(rows, np.uint64), np.empty(rows, np.uint8)
-    duplicates, reordered = np.empty(rows, np.uint16), np.empty(rows, np.bool_)
-    stamps = {name: np.empty(rows, np.int64) for name in _STAMPS}
-    of_middleware: dict[str, NDArray[np.int64]] = {}
-    counts = []
+    filled, counts = _Filled(rows), []
     for exchange, every, mask, first in zip(exchanges, of_run, kept, bounds[:-1].tolist(), strict=True):
         of_stage = {key[0]: events[key] for key in exchange.event_keys()}
         paired = pair_messages(every, of_stage[Stage.T2], of_stage[Stage.T3], of_stage[Stage.T4])
         unsent, messages = count_unsent(exchange.run, every, of_stage[Stage.T2]), every
         if not mask.all():
             messages, paired = every.take(mask), paired.take(mask)
-        here = slice(first, first + len(messages))
-        sequence[here], outcome[here] = messages.sequence, paired.outcome
-        duplicates[here], reordered[here] = paired.duplicates, paired.reordered
-        stamps["scheduled_ns"][here] = messages.scheduled_ns
-        stamps["publish_ns"][here] = messages.publish_ns
-        for name in ("receive_ns", "relay_in_ns", "relay_out_ns"):
-            stamps[name][here] = getattr(paired, name)
-        for stage, names in MIDDLEWARE_STAMPS.items() if details else ():
-            instant_ns = stamps["relay_in_ns" if stage is Stage.T3 else "receive_ns"][here]
-            of_events = middleware_stamps(messages, of_stage[stage], instant_ns)
-            for name, values in zip(names, of_events, strict=False):  # none where no event has any
-                if name not in of_middleware:
-                    of_middleware[name] = np.zeros(rows, np.int64)
-                of_middleware[name][here] = values
         in_flight = len(every) - len(messages)
-        counts.append(count_messages(messages, paired, unsent=unsent, in_flight=in_flight))
+        counts.append(pool.submit(count_messages, messages, paired, unsent=unsent, in_flight=in_flight))
+        filled.put(first, {name: getattr(messages, name) for name in _PUBLISHED})
+        filled.put(first, {name: getattr(paired, name) for name in _PAIRED})
+        for stage, names in MIDDLEWARE_STAMPS.items() if details else ():
+            instant_ns = paired.relay_in_ns if stage is Stage.T3 else paired.receive_ns
+            of_events = middleware_stamps(messages, of_stage[stage], instant_ns)
+            filled.put(first, dict(zip(names, of_events, strict=False)))  # none where no event has any
 
-    one_way = fit_exchanges(exchanges, bounds, stamps) if details else OneWay.unknown(rows, len(exchanges))
-    measured = with_metrics(
-        pl.DataFrame({"sequence": sequence}).with_columns(
-            *(_null_where_missing(name, values) for name, values in stamps.items()),
-            _outcome_names(outcome),
-            pl.Series("duplicates", duplicates),
-            pl.Series("reordered", reordered),
-            *one_way.columns,
-            *utc_columns(exchanges, bounds, stamps),
-        )
+    columns = filled.columns
+    stamps = {name: columns[name] for name in _STAMPS}
+    fitting = pool.submit(fit_exchanges, exchanges, bounds, stamps) if details else None
+    in_time = pl.DataFrame({"sequence": columns["sequence"]}).with_columns(
+        *(_null_where_missing(name, values) for name, values in stamps.items()),
+        _outcome_names(columns["outcome"]),
+        pl.Series("duplicates", columns["duplicates"]),
+        pl.Series("reordered", columns["reordered"]),
     )
+    utc = utc_columns(exchanges, bounds, stamps)
+    one_way = fitting.result() if fitting else OneWay.unknown(rows, len(exchanges))
+    measured = with_metrics(in_time.with_columns(*one_way.columns, *utc))
     return RoundTrips(
         measured=measured,
         described=_described(exchanges),
-        outcome=outcome,
+        outcome=columns["outcome"],
         bounds=bounds,
-        counts=pl.DataFrame(counts, schema=COUNT_SCHEMA),
-        stamps=tuple(pl.Series(name, values) for name, values in of_middleware.items()),
+        counts=pl.DataFrame([count.result() for count in counts], schema=COUNT_SCHEMA),
+        stamps=tuple(
+            pl.Series(name, columns[name])
+            for names in MIDDLEWARE_STAMPS.values()
+            for name in names
+            if name in columns
+        ),
         clock_fits=one_way.fits,
     )
+
+
+class _Filled:
+    """Columns of all exchanges, filled exchange by exchange: their memory once, whatever the number of runs.
+
+    Those of an exchange that has every row are taken as they are: nobody may write to them.
+
+    Args:
+        rows: of all exchanges together.
+
+    Attributes:
+        columns: name -> values, zero where nothing was put.
+    """
+
+    def __init__(self, rows: int) -> None:
+        self._rows = rows
+        none = _DTYPES if not rows else {}
+        self.columns: dict[str, NDArray[Any]] = {name: np.empty(0, dtype) for name, dtype in none.items()}
+
+    def put(self, first: int, values: Mapping[str, NDArray[Any]]) -> None:
+        """Put the values of one exchange, whose rows begin at `first`, into their columns."""
+        for name, of_exchange in values.items():
+            if len(of_exchange) == self._rows:
+                self.columns[name] = of_exchange
+            elif len(of_exchange):
+                if name not in self.columns:
+                    self.columns[name] = np.zeros(self._rows, of_exchange.dtype)
+                self.columns[name][first : first + len(of_exchange)] = of_exchange
 
 
 def _described(exchanges: Sequence[Exchange]) -> pl.DataFrame:
@@ -161,5 +203,5 @@ def _null_where_missing(name: str, values: NDArray[np.int64]) -> pl.Series:
 
 
 def _outcome_names(codes: NDArray[np.uint8]) -> pl.Series:
-    names = pl.Series([outcome.value for outcome in OUTCOMES])
-    return names.gather(codes.astype(np.uint32)).alias("outcome")
+    names = [outcome.value for outcome in OUTCOMES]
+    return pl.Series("outcome", names, pl.Enum(names)).gather(codes.astype(np.uint32))

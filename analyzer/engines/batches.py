@@ -14,8 +14,8 @@ import numpy as np
 from dds_trace.tracefile.threads import Here
 
 from ..groups.batch import Batch
-from ..groups.frames import detail_frames, summary_frames
-from ..groups.measure import measure_batch, metric_values
+from ..groups.frames import campaign_frames, detail_frames, summary_frames
+from ..groups.measure import Statistics, measure_batch, metric_values
 from ..loading.events import merge_parts
 from ..model.metrics import METRICS
 from ..pairing.parquet import tables_of
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
     from ..groups.batch import Grouping, Wanted
     from ..groups.frames import Frames
-    from ..groups.measure import Statistics
     from ..loading.events import Copies, EventKey, EventPart
     from ..pairing.exchanges import Exchange
     from ..pairing.roundtrips import RoundTrips
@@ -178,28 +177,31 @@ def measure_at(paired: PairedBatch, known: KnownDetails | None, pool: Executor) 
 
     Args:
         paired: the batch, paired.
-        known: the details that earlier analyses have made.
+        known: what earlier analyses have made.
         pool: makes each part.
     """
     batch, parts, roundtrips = paired.batch, paired.parts, paired.roundtrips
     wanted = batch.wanted
-    statistics = pool.submit(measure_batch, roundtrips, batch.group_of_exchange)
-    summary = pool.submit(summary_frames, batch, roundtrips)
-    details: Frames = {}
-    if wanted.details:
-        details = (
-            known.frames_of(batch, parts, roundtrips, pool)
-            if known
-            else detail_frames(batch, roundtrips, pool)
-        )
+    of_campaign = pool.submit(campaign_frames, batch, roundtrips)
+
+    def make() -> Frames:
+        statistics = pool.submit(measure_batch, roundtrips, batch.group_of_exchange)
+        summary = pool.submit(summary_frames, batch, roundtrips)
+        details = detail_frames(batch, roundtrips, pool) if wanted.details else {}
+        measured = statistics.result()
+        of_metrics = {"statistics": measured.frame, "distributions": measured.distributions}
+        return of_metrics | summary.result() | details
+
+    frames = known.frames_of(batch, parts, make) if known and wanted.details else make()
+    statistics = Statistics(frames.pop("statistics"), frames.pop("distributions"))
     values = None
     if wanted.rows and not batch.whole:
         exchanges = len(batch.exchanges)
         values = {metric: metric_values(roundtrips, metric, 0, exchanges) for metric in METRICS}
     return BatchResult(
-        frames=summary.result() | details,
+        frames=of_campaign.result() | frames,
         counts=roundtrips.counts,
-        statistics=statistics.result(),
+        statistics=statistics,
         copies=paired.copies,
         values=values,
     )

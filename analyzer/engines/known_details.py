@@ -1,4 +1,4 @@
-"""Detail frames of batches in the user's cache, so that the next analysis makes those of new runs alone.
+"""Details and statistics of batches in the user's cache, so that the next analysis makes those of new runs alone.
 
 They take most of the time of an analysis, and follow from what a batch holds: the descriptions of its exchanges, the content
 of the traces that its events are in, the deadline, and the code. The HMAC of all that is their key, so nothing is ever used
@@ -21,11 +21,8 @@ import polars as pl
 import dds_trace.tracefile
 from dds_trace.tracefile.version import __version__
 
-from ..groups.frames import DETAIL_MAKERS, detail_frames
-
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from concurrent.futures import Executor
+    from collections.abc import Callable, Mapping, Sequence
 
     from dds_trace.tracefile import Run, Session
 
@@ -33,14 +30,13 @@ if TYPE_CHECKING:
     from ..groups.frames import Frames
     from ..loading.cache import TraceCache
     from ..loading.events import EventKey, EventPart
-    from ..pairing.roundtrips import RoundTrips
 
 MOST_BYTES = 64 << 20
 """Largest frames of one batch that are kept."""
 
 
 class KnownDetails:
-    """The detail frames that earlier analyses have made.
+    """The frames that earlier analyses have made of a batch.
 
     Args:
         cache: the open cache.
@@ -53,17 +49,19 @@ class KnownDetails:
         self._texts: dict[int, tuple[Run | Session, str]] = {}  # one session is described in many exchanges
 
     def frames_of(
-        self,
-        batch: Batch,
-        parts: Mapping[EventKey, Sequence[EventPart]],
-        roundtrips: RoundTrips,
-        pool: Executor,
+        self, batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]], make: Callable[[], Frames]
     ) -> Frames:
-        """Return the detail frames of a batch: known ones, or new ones, made by a pool, which are known from then on."""
+        """Return the frames of a batch: known ones, or new ones, which are known from then on.
+
+        Args:
+            batch: the batch, details wanted.
+            parts: for each of its `event_keys` the rows of the event index.
+            make: makes them; they follow from the batch and its events alone.
+        """
         key, first = self._key_of(batch, parts), int(batch.group_of_exchange[0])
         with suppress(OSError, ValueError, LookupError, TypeError, pl.exceptions.PolarsError):
             return _shifted(_unpacked(self._cache.read(key, "details", MOST_BYTES)), first)
-        frames = detail_frames(batch, roundtrips, pool)
+        frames = make()
         with suppress(OSError):  # a full disk costs the cache, not the analysis
             self._cache.write(key, "details", _packed(_shifted(frames, -first)), MOST_BYTES)
         return frames
@@ -138,6 +136,6 @@ def _unpacked(packed: bytes) -> Frames:
     for name, size in json.loads(head):
         frames[name] = pl.read_ipc(io.BytesIO(files[begin : begin + size]), use_pyarrow=False)
         begin += size
-    if frames.keys() != DETAIL_MAKERS.keys():
-        raise ValueError("other frames than are made")
+    if not frames:
+        raise ValueError("no frame")
     return frames

@@ -1,10 +1,11 @@
 """The table of frames that are computed group by group.
 
 The engine cuts a campaign into batches of whole groups that fit into memory, on one machine or on many. So every
-frame here must be the same whatever other groups share its batch: a row may depend on its own group alone.
+frame here must be the same whatever other groups share its batch: a row may depend on its own group alone, those of
+`CAMPAIGN_MAKERS` also on how many exchanges the campaign has.
 The frames of all batches, put one behind the other in the order of groups, are the frames of the campaign.
 
-A new frame is a function of a batch and its round trips, and a line in `MAKERS` or `DETAIL_MAKERS`.
+A new frame is a function of a batch and its round trips, and a line in one of the three tables.
 """
 
 from __future__ import annotations
@@ -28,11 +29,14 @@ if TYPE_CHECKING:
     from .batch import Batch
 
     Frames = dict[str, pl.DataFrame]
-    """Name -> frame; the names are those of `MAKERS` and, where asked for, of `DETAIL_MAKERS`."""
+    """Name -> frame; the names are those of `CAMPAIGN_MAKERS`, `MAKERS` and, where asked for, `DETAIL_MAKERS`."""
 
     Maker = Callable[[Batch, RoundTrips], pl.DataFrame]
 
-MAKERS: Mapping[str, Maker] = {"timeline": timeline_frame, "sending": sending_frame}
+CAMPAIGN_MAKERS: Mapping[str, Maker] = {"timeline": timeline_frame}
+"""Name -> how it is made from a batch, one of a campaign of so many exchanges (`Batch.all_exchanges`)."""
+
+MAKERS: Mapping[str, Maker] = {"sending": sending_frame}
 """Name -> how it is made from a batch. A frame of no rows has its columns all the same."""
 
 DETAIL_MAKERS: Mapping[str, Maker] = {
@@ -48,8 +52,13 @@ DETAIL_MAKERS: Mapping[str, Maker] = {
 """The same for frames that take more time than rows and summary together: made only where they are asked for."""
 
 
+def campaign_frames(batch: Batch, roundtrips: RoundTrips) -> Frames:
+    """Make the frames of one batch that follow from it and from the number of exchanges of the campaign."""
+    return {name: make(batch, roundtrips) for name, make in CAMPAIGN_MAKERS.items()}
+
+
 def summary_frames(batch: Batch, roundtrips: RoundTrips) -> Frames:
-    """Make the frames of one batch that every analysis has."""
+    """Make the frames of one batch that every analysis has and that follow from it alone."""
     return {name: make(batch, roundtrips) for name, make in MAKERS.items()}
 
 

@@ -11,16 +11,17 @@ from campaigns import assert_same_results, write_runs
 from file_damage import DAMAGES
 from polars.testing import assert_frame_equal
 
-import dds_trace.analyzer.engines.batches
 from dds_trace.analyzer import analyze
-from dds_trace.analyzer.engines import known_details
+from dds_trace.analyzer.engines import batches, known_details
+from dds_trace.analyzer.engines.known_details import KnownDetails
+from dds_trace.analyzer.groups import timeline
 from dds_trace.analyzer.loading.cache import TraceCache
 
 
 @pytest.fixture(autouse=True)
 def small_batches(monkeypatch):
     """Each group is a batch of its own."""
-    monkeypatch.setattr(dds_trace.analyzer.engines.batches, "BATCH_EVENTS", 1)
+    monkeypatch.setattr(batches, "BATCH_EVENTS", 1)
 
 
 @pytest.fixture
@@ -31,15 +32,18 @@ def runs(tmp_path):
 
 @pytest.fixture
 def made(monkeypatch):
-    """Payload sizes of the groups whose details are made from here on."""
+    """The payload sizes of the batches whose frames an analysis with a cache made, in bytes."""
     sizes = []
 
-    def making(batch, roundtrips, pool):
-        sizes.extend(sorted({exchange.run.payload_bytes for exchange in batch.exchanges}))
-        return real(batch, roundtrips, pool)
+    def counted(known, batch, parts, make):
+        def making():
+            sizes.extend(sorted({exchange.run.payload_bytes for exchange in batch.exchanges}))
+            return make()
 
-    real = known_details.detail_frames
-    monkeypatch.setattr(known_details, "detail_frames", making)
+        return real(known, batch, parts, making)
+
+    real = KnownDetails.frames_of
+    monkeypatch.setattr(KnownDetails, "frames_of", counted)
     return sizes
 
 
@@ -68,6 +72,24 @@ def test_a_second_analysis_makes_no_details_and_says_the_same(runs, made):
     assert made == []
     assert_as_without_cache(runs, first)
     assert_as_without_cache(runs, again)
+
+
+@pytest.mark.parametrize("name", ["measure_batch", "summary_frames"])
+def test_neither_does_it_measure_anew(runs, name, monkeypatch):
+    """Statistics and how a ping kept to its schedule are known, too; what is drawn follows from the whole campaign."""
+    first = analyze(runs, cache=True)
+    monkeypatch.setattr(batches, name, None)
+    assert_same_results(analyze(runs, cache=True), first)
+
+
+def test_a_grown_campaign_draws_fewer_points_of_known_runs(runs, monkeypatch):
+    monkeypatch.setattr(timeline, "_ALL_POINTS", 48)
+    monkeypatch.setattr(timeline, "_POINTS_OF_EXCHANGE", (4, 100))
+    points = analyze(runs, cache=True).timeline.height
+    write_runs(runs, [7, 8], groups=3)
+    found = analyze(runs, cache=True)
+    assert found.timeline.height / 8 < points / 6
+    assert_as_without_cache(runs, found)
 
 
 def test_a_new_run_makes_those_of_its_group_alone(runs, made):

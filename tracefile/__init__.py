@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from .format.json_fields import FORMAT_VERSION, Json, JsonObject
     from .format.string_cdr import CDR_HEADER
     from .format.wire import WIRE_TOPIC
-    from .reading.reader import iter_event_batches, read_trace
+    from .reading.reader import iter_event_batches, read_trace, read_trace_in_pieces
     from .reading.storage import find_traces
     from .reading.trace import Trace
     from .recovery.recover import RecoveryReport, recover
@@ -83,6 +83,7 @@ __all__ = [
     "find_traces",
     "iter_event_batches",
     "read_trace",
+    "read_trace_in_pieces",
     "recover",
     "run_in_background",
 ]

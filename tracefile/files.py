@@ -13,6 +13,7 @@ from .errors import OutputError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from io import BufferedReader
     from pathlib import Path
     from typing import BinaryIO
 
@@ -48,7 +49,7 @@ def replacing(path: Path, *, fsync: bool = False) -> Iterator[Path]:
             draft.unlink()
 
 
-def open_regular(path: Path, *, follow_links: bool = True) -> BinaryIO:
+def open_regular(path: Path, *, follow_links: bool = True) -> BufferedReader:
     """Open a regular file for reading; a pipe would wait for a writer, and a device may never end.
 
     Args:

@@ -17,7 +17,7 @@ from dds_trace.tracefile import BackendUnavailableError, EventColumns, TraceForm
 
 from ..loading.campaign import campaign_of, skipped_source
 from ..loading.remote import find_anywhere
-from ..loading.shelf import LoadedTrace, load_trace
+from ..loading.traces import LoadedTrace, load_trace
 from .batches import work_at
 
 if TYPE_CHECKING:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from ..loading.campaign import Campaign, Progress
     from ..loading.events import EventIndex, EventKey, EventPart
     from ..loading.place import Place
-    from ..loading.shelf import LoadedTrace
+    from ..loading.traces import LoadedTrace
     from .processes import Workers
 
 T = TypeVar("T")

@@ -22,7 +22,8 @@ from typing import TYPE_CHECKING, TypeVar
 from dds_trace.tracefile import TraceError
 
 from ..loading.cache import TraceCache
-from ..loading.shelf import TraceShelf, loaded_or_error
+from ..loading.shelf import TraceShelf
+from ..loading.traces import loaded_or_error
 from .batches import work_at
 from .known_details import KnownDetails
 from .row_files import RowFile
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 
     from ..groups.batch import Batch
     from ..loading.events import EventKey, EventPart
-    from ..loading.shelf import LoadedTrace
+    from ..loading.traces import LoadedTrace
     from .batches import WorkedBatch
 
     Stored = tuple[str, LoadedTrace | TraceFormatError]

@@ -1,6 +1,6 @@
 """The cache of read traces, and of what was made of them: in the user's own cache folder, sealed with a key that only this user has.
 
-    $XDG_CACHE_HOME/dds-trace/traces/KEY.json     the seal of the entry, then the trace without its events as JSON
+    $XDG_CACHE_HOME/dds-trace/traces/KEY.json     the seal of the entry, then the trace without its events as JSON (`analyzer/loading/entries.py`)
     $XDG_CACHE_HOME/dds-trace/traces/KEY.events   its events (`analyzer/loading/event_store.py`)
     $XDG_CACHE_HOME/dds-trace/traces/KEY.details  sealed frames (`analyzer/engines/known_details.py`)
     $XDG_STATE_HOME/dds-trace/cache-key           32 random bytes
@@ -38,7 +38,7 @@ from dds_trace.tracefile.format.ring import ring_path
 from .remote import is_remote, remote_key
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
     from typing import Any
 
     from numpy.typing import NDArray
@@ -76,12 +76,17 @@ class Sealer:
         """Return an HMAC that has begun with its purpose."""
         return hmac.new(self.secret, purpose + b"\0", _DIGEST)
 
-    def seal_of(self, *columns: NDArray[Any]) -> str:
-        """Return the seal of the columns in the file of an entry; the JSON, which has a seal itself, says the others."""
-        digest = self.hash(b"events")
+    def seal_events(self, columns: Iterable[NDArray[Any]], behind: hmac.HMAC | None = None) -> hmac.HMAC:
+        """Seal the columns in the file of an entry; the JSON, which has a seal itself, says the others.
+
+        Args:
+            columns: the columns.
+            behind: the seal of those before them, which is extended.
+        """
+        seal = self.hash(b"events") if behind is None else behind
         for column in columns:
-            digest.update(np.ascontiguousarray(column).data)
-        return digest.hexdigest()
+            seal.update(np.ascontiguousarray(column).data)
+        return seal
 
 
 class TraceCache:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from dds_trace.tracefile import Run, Session, Trace
 
-    from .shelf import LoadedTrace
+    from .traces import LoadedTrace
 
     Progress = Callable[[int, int, Path], None]
     """Called before each trace is read with the number done, the number of all, and its path."""

@@ -1,4 +1,4 @@
-"""Events in a file of our own: the columns of each stage, run and relay, read back one part at a time.
+"""Events in a file of our own: the columns of each stage, run and relay, written piece by piece, read back one part at a time.
 
 A column that is one value throughout (run, relay, payload size), or that counts upwards by one (sequence numbers of
 a whole run), is kept as that; the others as they are in memory. That is a third of the bytes of the events.
@@ -7,21 +7,22 @@ a whole run), is kept as that; the others as they are in memory. That is a third
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dds_trace.tracefile import EVENT_DTYPE, EventColumns
-from dds_trace.tracefile.files import open_regular, replacing
+from dds_trace.tracefile.files import open_regular
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
+    from io import BufferedReader
     from pathlib import Path
-    from typing import BinaryIO, TypeVar
+    from typing import BinaryIO
 
     from numpy.typing import NDArray
 
-    Label = TypeVar("Label")
     Column = tuple[str, int]
     """How a column is kept (`constant`, `counting`, `array`), and its value, first value, or offset in the file."""
 
@@ -37,16 +38,14 @@ the greatest value (or offset in the file) that it may have."""
 
 
 @dataclass(frozen=True, slots=True)
-class StoredEvents:
-    """The place in a file of the events of one stage, run and relay.
+class StoredPiece:
+    """Events that were written together.
 
     Attributes:
-        file: the file.
         count: number of events.
         columns: field of the event -> how and where it is kept.
     """
 
-    file: Path
     count: int
     columns: Mapping[str, Column]
 
@@ -57,7 +56,7 @@ class StoredEvents:
             file_bytes: size of the file.
 
         Raises:
-            ValueError, TypeError, LookupError: a column is not as `write_events` describes it.
+            ValueError, TypeError, LookupError: a column is not as `EventsFile` describes it.
         """
         if type(self.count) is not int or self.count <= 0:  # True is an int
             raise ValueError(f"{self.count!r} events")
@@ -70,9 +69,56 @@ class StoredEvents:
             if not low <= value <= high:
                 raise ValueError(f"{name} is kept as {how} {value}, which is not from {low} to {high}")
 
+    def arrays(self, events: EventColumns, first: int = 0) -> list[NDArray[np.integer]]:
+        """Return the columns that are in the file; `columns` says all of the others.
+
+        Args:
+            events: the events of this piece, and others perhaps.
+            first: position of its first event among them.
+        """
+        return [
+            getattr(events, name)[first : first + self.count]
+            for name in _FIELDS
+            if self.columns[name][0] == "array"
+        ]
+
+
+@dataclass(frozen=True, slots=True)
+class StoredEvents:
+    """The places in a file of the events of one stage, run and relay.
+
+    Attributes:
+        file: the file.
+        pieces: the events piece by piece, in their order.
+    """
+
+    file: Path
+    pieces: tuple[StoredPiece, ...]
+
+    @property
+    def count(self) -> int:
+        """Number of events."""
+        return sum(piece.count for piece in self.pieces)
+
+    def check(self, file_bytes: int) -> None:
+        """Check every piece; see `StoredPiece.check`.
+
+        Raises:
+            ValueError, TypeError, LookupError: there is none, or one is not as `EventsFile` describes it.
+        """
+        if not self.pieces:
+            raise ValueError("no events")
+        for piece in self.pieces:
+            piece.check(file_bytes)
+
     def arrays(self, events: EventColumns) -> list[NDArray[np.integer]]:
-        """Return the columns of these events that are in the file; `columns` says all of the others."""
-        return [getattr(events, name) for name in _FIELDS if self.columns[name][0] == "array"]
+        """Return the columns of these events that are in the file, piece by piece."""
+        firsts = accumulate((piece.count for piece in self.pieces), initial=0)
+        return [
+            array
+            for piece, first in zip(self.pieces, firsts, strict=False)
+            for array in piece.arrays(events, first)
+        ]
 
     def load(self) -> EventColumns:
         """Read the events.
@@ -81,49 +127,59 @@ class StoredEvents:
             OSError: the file cannot be read, or has become shorter.
         """
         with open_regular(self.file, follow_links=False) as stream:
-            return EventColumns(
-                **{
-                    name: _read_column(stream, EVENT_DTYPE[name], self.count, *self.columns[name])
-                    for name in _FIELDS
-                }
-            )
+            return EventColumns(**{name: _read_column(stream, name, self.pieces) for name in _FIELDS})
 
 
-def write_events(path: Path, parts: Mapping[Label, EventColumns]) -> dict[Label, StoredEvents]:
-    """Write the events of `parts` into one file, which replaces `path` once it is complete.
+class EventsFile:
+    """Writes events into a file.
 
-    Raises:
-        OSError: the file cannot be written.
+    Args:
+        stream: takes them.
     """
-    with replacing(path) as draft, draft.open("wb") as stream:
-        return {
-            label: StoredEvents(
-                path, len(columns), {name: _write_column(stream, getattr(columns, name)) for name in _FIELDS}
-            )
-            for label, columns in parts.items()
-        }
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream = stream
+
+    def write(self, events: EventColumns) -> StoredPiece:
+        """Write events, of which there is at least one.
+
+        Raises:
+            OSError: they cannot be written.
+        """
+        columns = {name: self._write_column(getattr(events, name)) for name in _FIELDS}
+        return StoredPiece(len(events), columns)
+
+    def _write_column(self, values: NDArray[np.integer]) -> Column:
+        first, last = int(values[0]), int(values[-1])  # which tell of most columns that they are neither
+        if first == last and (values == values[0]).all():
+            return "constant", first
+        if last - first == len(values) - 1 and (np.diff(values) == 1).all():
+            return "counting", first
+        offset = self._stream.tell()
+        self._stream.write(np.ascontiguousarray(values).data)
+        return "array", offset
 
 
-def _write_column(stream: BinaryIO, values: NDArray[np.integer]) -> Column:
-    first, last = int(values[0]), int(values[-1])  # which tell of most columns that they are neither
-    if first == last and (values == values[0]).all():
-        return "constant", first
-    if last - first == len(values) - 1 and (np.diff(values) == 1).all():
-        return "counting", first
-    offset = stream.tell()
-    stream.write(np.ascontiguousarray(values).data)
-    return "array", offset
-
-
-def _read_column(
-    stream: BinaryIO, dtype: np.dtype[np.integer], count: int, how: str, value: int
-) -> NDArray[Any]:
-    if how == "constant":
-        return np.broadcast_to(np.array(value, dtype), count)  # takes no memory
-    if how == "counting":
-        return np.arange(count, dtype=dtype) + np.array(value, dtype)
-    stream.seek(value)
-    values = np.fromfile(stream, dtype, count)
-    if len(values) < count:
-        raise OSError(5, f"{stream.name} is shorter than it was written")
+def _read_column(stream: BufferedReader, name: str, pieces: Sequence[StoredPiece]) -> NDArray[Any]:
+    """Read a column of pieces; one that is a single value throughout takes no memory."""
+    dtype = EVENT_DTYPE[name]
+    count = sum(piece.count for piece in pieces)
+    kept = {piece.columns[name] for piece in pieces}
+    if len(kept) == 1 and pieces[0].columns[name][0] == "constant":
+        return np.broadcast_to(np.array(pieces[0].columns[name][1], dtype), count)
+    values = np.empty(count, dtype)
+    start = 0
+    for piece in pieces:
+        how, value = piece.columns[name]
+        part = values[start : start + piece.count]
+        start += piece.count
+        if how == "constant":
+            part[:] = value
+        elif how == "counting":
+            part[:] = np.arange(piece.count, dtype=dtype)
+            part += np.array(value, dtype)
+        else:
+            stream.seek(value)
+            if stream.readinto(part.data.cast("B")) < part.nbytes:
+                raise OSError(5, f"{stream.name} is shorter than it was written")
     return values

@@ -14,8 +14,6 @@ from dds_trace.tracefile import EVENT_DTYPE, EventColumns, Stage
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from dds_trace.tracefile import Trace
-
 EventKey = tuple[Stage, int, int]
 """Stage, run_id and relay_id; the relay_id of T1 is 0 whatever the trace says."""
 
@@ -83,14 +81,14 @@ def index_events(of_traces: Iterable[Mapping[EventKey, EventPart]]) -> EventInde
     return index
 
 
-def split_trace(trace: Trace, position: int) -> dict[EventKey, EventPart]:
-    """Return the index of one trace whose events are in memory."""
+def split_trace(events: Mapping[Stage, EventColumns], position: int) -> dict[EventKey, EventPart]:
+    """Return the index of the events of one trace, or of a piece of it, which are in memory."""
     return {
         (stage, *key): EventPart(
             position, len(columns), int(columns.monotonic_ns.min()), int(columns.monotonic_ns.max()), columns
         )
         for stage in Stage
-        for key, columns in split_events(trace.events[stage], by_relay=stage is not Stage.T1).items()
+        for key, columns in split_events(events[stage], by_relay=stage is not Stage.T1).items()
     }
 
 

@@ -24,11 +24,13 @@ from dds_trace.tracefile import (
     TraceSink,
     iter_event_batches,
     read_trace,
+    read_trace_in_pieces,
 )
 from dds_trace.tracefile.format.framing import MAGIC
 from dds_trace.tracefile.format.ring import ring_path
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
 
@@ -192,21 +194,25 @@ class Target:
 
 
 def read_every_way(path: Path) -> None:
-    """Read the path as a trace and in batches, and hold one against the other."""
+    """Read the path as a trace, in pieces and in batches, and hold one against the other."""
     try:
         trace = read_trace(path)
     except TraceError as err:
         if str(path) not in str(err):
             raise AssertionError(f"the error does not name the file: {err}") from err
         trace = None
+    pieces: list[Mapping[Stage, EventColumns]] = []
     try:
         batches = list(iter_event_batches(path))
+        read_trace_in_pieces(path, pieces.append)
     except TraceError:
         batches = None
     if trace is not None:
         if batches is None:
-            raise AssertionError("a trace that cannot be read in batches")
+            raise AssertionError("a trace that cannot be read in batches, or in pieces")
         for stage in Stage:
-            joined = EventColumns.concatenate([columns for of_stage, columns in batches if of_stage is stage])
-            if joined.monotonic_ns.tolist() != trace.events[stage].monotonic_ns.tolist():
-                raise AssertionError(f"batches hold other events of {stage} than the trace")
+            times = trace.events[stage].monotonic_ns.tolist()
+            of_stage = [columns for of_batch, columns in batches if of_batch is stage]
+            for what, parts in (("batches", of_stage), ("pieces", [piece[stage] for piece in pieces])):
+                if EventColumns.concatenate(parts).monotonic_ns.tolist() != times:
+                    raise AssertionError(f"{what} hold other events of {stage} than the trace")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,14 +27,22 @@ class ColumnsBuilder:
 
     Args:
         expected: number of events expected of each stage; memory is reserved for them, and taken when they come.
+        most_events: events of all stages that make it full; None: it never is.
     """
 
-    def __init__(self, expected: Mapping[Stage, int]) -> None:
-        self._columns = {stage: _StageColumns(expected.get(stage, 0)) for stage in Stage}
+    def __init__(self, expected: Mapping[Stage, int], most_events: int | None = None) -> None:
+        most = math.inf if most_events is None else most_events
+        self._columns = {stage: _StageColumns(int(min(most, expected.get(stage, 0)))) for stage in Stage}
+        self._left = most
+
+    def is_full_before(self, events: int) -> bool:
+        """Return whether so many more are too many; what is empty takes any number."""
+        return events > self._left and any(columns.filled for columns in self._columns.values())
 
     def append(self, stage: Stage, records: Records) -> None:
         """Append `records`, a contiguous array of `EVENT_DTYPE`, to the events of the stage."""
         self._columns[stage].append(records)
+        self._left -= len(records)
 
     def finish(self) -> dict[Stage, EventColumns]:
         """Return all events; the builder may not be used again."""
@@ -46,10 +55,13 @@ class _StageColumns:
     All columns lie in one piece of memory. numpy asks for large pages for it as a whole, so that touching fresh
     memory, half of the time of filling it page by page, costs next to nothing. Memory that is never filled is never
     taken from the system.
+
+    Attributes:
+        filled: number of events.
     """
 
     def __init__(self, expected: int) -> None:
-        self._filled = 0
+        self.filled = 0
         try:
             self._reserve(expected)
         except (
@@ -58,7 +70,7 @@ class _StageColumns:
             self._reserve(0)
 
     def append(self, records: Records) -> None:
-        start, end = self._filled, self._filled + len(records)
+        start, end = self.filled, self.filled + len(records)
         if end > self._wide.shape[1]:
             wide, narrow = self._wide[:, :start], self._narrow[:, :start]
             self._reserve(max(end, self._wide.shape[1] * 5 // 4, _SMALLEST_GROWTH))
@@ -66,14 +78,14 @@ class _StageColumns:
         count, step = len(records), EVENT_DTYPE.itemsize
         self._wide[:, start:end] = np.ndarray((len(_WIDE), count), "<i8", records, 0, (8, step))
         self._narrow[:, start:end] = np.ndarray((len(_NARROW), count), "<u4", records, _WIDE_BYTES, (4, step))
-        self._filled = end
+        self.filled = end
 
     def finish(self) -> EventColumns:
         """Return views of the filled part, so that nothing is copied; a stage without events keeps no memory."""
-        if not self._filled:
+        if not self.filled:
             return EventColumns.empty()
         rows = zip(_NAMES, [*self._wide, *self._narrow], strict=True)
-        return EventColumns(**{name: row[: self._filled].view(EVENT_DTYPE[name]) for name, row in rows})
+        return EventColumns(**{name: row[: self.filled].view(EVENT_DTYPE[name]) for name, row in rows})
 
     def _reserve(self, count: int) -> None:
         memory = np.empty(count * EVENT_DTYPE.itemsize, np.uint8)

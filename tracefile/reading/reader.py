@@ -1,4 +1,4 @@
-"""A trace read back, all of it or batch by batch.
+"""A trace read back, all of it, piece by piece, or batch by batch.
 
 The same events come out of every kind of file: ours, another tool's, unindexed, cut off, damaged, a rosbag2 folder.
 """
@@ -9,6 +9,7 @@ import os
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from ..format.events import EventColumns, Stage
@@ -18,10 +19,13 @@ from .storage import open_source, storage_files
 from .trace import TraceBuilder
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
     from .trace import Trace
+
+PIECE_EVENTS = 1 << 19
+"""Most events of a piece, if no chunk has more: 29 MB, so little that the next piece finds memory that was filled before."""
 
 _MOST_WORKERS = 4  # more threads wait for memory, not for each other
 
@@ -36,6 +40,31 @@ def read_trace(path: Path) -> Trace:
         TraceFormatError: `path` is no trace, or a description in it cannot be read. A file that ends early or is
             damaged is no error: see `Trace.truncated` and `Trace.notes`.
     """
+    whole: dict[Stage, EventColumns] = {}
+    return replace(_read(path, whole.update, None), events=whole)
+
+
+def read_trace_in_pieces(path: Path, take: Callable[[Mapping[Stage, EventColumns]], object]) -> Trace:
+    """Read a trace whose events are not all in memory at once.
+
+    Args:
+        path: as for `read_trace`.
+        take: called with up to `PIECE_EVENTS` events of all stages, a stage without any being there and empty, piece by
+            piece in file order; at least once.
+
+    Returns:
+        The trace without its events.
+
+    Raises:
+        TraceFormatError: as for `read_trace`, perhaps after some pieces.
+    """
+    return _read(path, take, PIECE_EVENTS)
+
+
+def _read(
+    path: Path, take: Callable[[Mapping[Stage, EventColumns]], object], most_events: int | None
+) -> Trace:
+    """Read a trace, its events in pieces of so many, or in one."""
     builder = TraceBuilder(path)
     files = storage_files(path)
     rings = [ring_beside(file) for file in files]
@@ -44,12 +73,16 @@ def read_trace(path: Path) -> Trace:
         expected = Counter[Stage]()
         for source in sources:
             expected.update(source.expected_events())
-        columns = ColumnsBuilder(expected)
+        columns = ColumnsBuilder(expected, most_events)
         for file, source, ring in zip(files, sources, rings, strict=True):
             for batch in builder.batches_of(file, source, ring):
+                if columns.is_full_before(sum(len(events) for _, events in batch.events)):
+                    take(columns.finish())
+                    columns = ColumnsBuilder(expected, most_events)
                 for stage, events in batch.events:
                     columns.append(stage, events)
-        return builder.trace(columns.finish())
+        take(columns.finish())
+        return builder.trace({})
 
 
 def iter_event_batches(path: Path) -> Iterator[tuple[Stage, EventColumns]]:

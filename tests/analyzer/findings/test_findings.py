@@ -21,7 +21,7 @@ from trace_files import (
     write_trace,
 )
 
-import dds_trace.analyzer.loading.shelf
+import dds_trace.analyzer.loading.traces
 from dds_trace.analyzer import Severity, analyze
 from dds_trace.analyzer import findings as rooms
 from dds_trace.analyzer.findings.table import CHECKS
@@ -519,7 +519,7 @@ def test_what_the_reader_noticed(tmp_path, monkeypatch):
             read_trace(path), ring_events=3, unreadable_messages=2, notes=("odd",), truncated="at byte 9"
         )
 
-    monkeypatch.setattr(dds_trace.analyzer.loading.shelf, "read_trace", noticing)
+    monkeypatch.setattr(dds_trace.analyzer.loading.traces, "read_trace", noticing)
     found = findings(tmp_path)
     assert set(found) == {"truncated_file", "ring_recovered", "unreadable_messages", "reader_note"}
     assert "at byte 9" in found["truncated_file"].what

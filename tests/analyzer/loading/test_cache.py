@@ -12,6 +12,7 @@ from file_damage import DAMAGES
 
 import dds_trace.analyzer.loading.cache
 import dds_trace.analyzer.loading.shelf
+import dds_trace.analyzer.loading.traces
 from dds_trace.analyzer import analyze
 from dds_trace.analyzer.loading.cache import TraceCache
 from dds_trace.tracefile import read_trace
@@ -38,7 +39,7 @@ def files_read(monkeypatch):
         names.append(path.name)
         return read_trace(path)
 
-    monkeypatch.setattr(dds_trace.analyzer.loading.shelf, "read_trace", reading)
+    monkeypatch.setattr(dds_trace.analyzer.loading.traces, "read_trace", reading)
     return names
 
 
@@ -213,16 +214,17 @@ def forge(cache, traces, change):
         lambda entry: entry.update(format=99),
         lambda entry: entry.update(parts=3),
         lambda entry: entry.update(bytes=10**400),
-        lambda entry: entry["parts"][0].__setitem__(3, 10**15),
-        lambda entry: entry["parts"][0].__setitem__(3, -1),
-        lambda entry: entry["parts"][0].__setitem__(3, True),
-        lambda entry: entry["parts"][0].__setitem__(3, "5"),
-        lambda entry: entry["parts"][0][6].update(monotonic_ns=["array", 1 << 40]),
-        lambda entry: entry["parts"][0][6].update(monotonic_ns=["array", -8]),
-        lambda entry: entry["parts"][0][6].update(run_id=["constant", 1 << 70]),
-        lambda entry: entry["parts"][0][6].update(run_id=["elsewhere", 1]),
-        lambda entry: entry["parts"][0][6].update(sequence=["counting", 2**64 - 2]),
-        lambda entry: entry["parts"][0][6].clear(),
+        lambda entry: entry["parts"][0][5][0].__setitem__(0, 10**15),
+        lambda entry: entry["parts"][0][5][0].__setitem__(0, -1),
+        lambda entry: entry["parts"][0][5][0].__setitem__(0, True),
+        lambda entry: entry["parts"][0][5][0].__setitem__(0, "5"),
+        lambda entry: entry["parts"][0][5][0][1].update(monotonic_ns=["array", 1 << 40]),
+        lambda entry: entry["parts"][0][5][0][1].update(monotonic_ns=["array", -8]),
+        lambda entry: entry["parts"][0][5][0][1].update(run_id=["constant", 1 << 70]),
+        lambda entry: entry["parts"][0][5][0][1].update(run_id=["elsewhere", 1]),
+        lambda entry: entry["parts"][0][5][0][1].update(sequence=["counting", 2**64 - 2]),
+        lambda entry: entry["parts"][0][5][0][1].clear(),
+        lambda entry: entry["parts"][0][5].clear(),
         lambda entry: entry["seals"].pop(),
         lambda entry: entry.clear(),
     ],

@@ -45,7 +45,7 @@ def test_what_was_copied_is_counted_per_trace(tmp_path):
     write_pair(tmp_path, TIMELINE)
     write_trace(tmp_path / "part.mcap", relay_session(), (), relay_events(TIMELINE[:3]))
     traces = [read_trace(tmp_path / name) for name in ("ping.mcap", "relay.mcap", "part.mcap")]
-    index = index_events(split_trace(trace, position) for position, trace in enumerate(traces))
+    index = index_events(split_trace(trace.events, position) for position, trace in enumerate(traces))
     copies = total_copies(copy for parts in index.values() for copy in merge_parts(parts)[1])
     assert [(copy.trace, copy.events, copy.others) for copy in copies] == [(2, 6, (1,))]
     arrivals = index[Stage.T3, RUN_ID, RELAY_ID]
@@ -57,7 +57,7 @@ def test_what_was_copied_is_counted_per_trace(tmp_path):
 def test_the_index_has_a_row_per_stage_run_relay_and_trace(tmp_path):
     write_pair(tmp_path, TIMELINE)
     traces = [read_trace(tmp_path / name) for name in ("ping.mcap", "relay.mcap")]
-    index = index_events(split_trace(trace, position) for position, trace in enumerate(traces))
+    index = index_events(split_trace(trace.events, position) for position, trace in enumerate(traces))
     rows = {key: [(part.trace, part.count, part.first_ns) for part in parts] for key, parts in index.items()}
     assert rows == {
         (Stage.T1, RUN_ID, 0): [(0, 12, 5)],  # a publication is for every relay

@@ -1,22 +1,28 @@
 """What the second analysis of a grown campaign reads, and that nothing it keeps changes a number."""
 
 import shutil
+import tempfile
 import threading
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from campaigns import assert_same_results, write_runs
+from campaigns import MS, assert_same_results, write_runs
 from polars.testing import assert_frame_equal
+from trace_files import Message, ping_events, ping_session, relay_events, relay_session, run, write_trace
 
 import dds_trace.analyzer.engines.batches
 import dds_trace.analyzer.engines.local
 import dds_trace.analyzer.loading.shelf
+import dds_trace.analyzer.loading.traces
 import dds_trace.analyzer.pairing.rows
 import dds_trace.analyzer.verdicts.cases
+import dds_trace.tracefile.mcapfile.blocks
+import dds_trace.tracefile.reading.reader
 from dds_trace.analyzer import analyze
-from dds_trace.analyzer.loading.event_store import write_events
-from dds_trace.tracefile import EVENT_DTYPE, EventColumns, read_trace
+from dds_trace.analyzer.loading.event_store import EventsFile, StoredEvents
+from dds_trace.tracefile import EVENT_DTYPE, EventColumns, OutputError, read_trace, read_trace_in_pieces
 
 
 @pytest.fixture
@@ -24,11 +30,15 @@ def files_read(monkeypatch):
     """Names of the traces that are read from here on."""
     names = []
 
-    def reading(path):
-        names.append(path.name)
-        return read_trace(path)
+    def noted(read):
+        def reading(path, *args):
+            names.append(path.name)
+            return read(path, *args)
 
-    monkeypatch.setattr(dds_trace.analyzer.loading.shelf, "read_trace", reading)
+        return reading
+
+    for read in (read_trace, read_trace_in_pieces):
+        monkeypatch.setattr(dds_trace.analyzer.loading.traces, read.__name__, noted(read))
     return names
 
 
@@ -144,6 +154,77 @@ def test_kinds_of_messages_too_large_to_compare_have_no_answer_and_a_finding(tmp
     assert found.summary.equals(whole.summary)
 
 
+@pytest.fixture
+def runs_in_turns(tmp_path):
+    """A ping and a relay with two runs whose messages take turns, in chunks of some ten events, and two runs in small files."""
+    runs = tmp_path / "runs"
+    write_runs(runs, range(2))
+    messages = [Message(n, t1=n * MS, t3=n * MS + 50, t4=n * MS + 60, t2=n * MS + 200 + n) for n in range(40)]
+    described = [run(run_id=number, planned_messages=40, published=40) for number in (98, 99)]
+    for name, session, events in (
+        ("ping", ping_session(session_id=98), ping_events),
+        ("relay", relay_session(session_id=99), relay_events),
+    ):
+        both = [events(messages, run_id=number, payload_bytes=64) for number in (98, 99)]
+        taking_turns = {
+            stage: [event for two in zip(*(each[stage] for each in both), strict=True) for event in two]
+            for stage in both[0]
+        }
+        write_trace(runs / f"{name}_two.mcap", session, described, taking_turns, chunk_bytes=1000)
+    return runs
+
+
+@pytest.fixture
+def _in_pieces(monkeypatch):
+    """All events go into files, some ten at a time."""
+    monkeypatch.setattr(dds_trace.analyzer.engines.local, "BYTES_FOR_FILES", 0)
+    monkeypatch.setattr(dds_trace.tracefile.reading.reader, "PIECE_EVENTS", 10)
+    monkeypatch.setattr(dds_trace.tracefile.mcapfile.blocks, "_BLOCK_CHUNKS", 1)
+
+
+@pytest.mark.usefixtures("_in_pieces")
+@pytest.mark.parametrize("cache", [False, True])
+def test_traces_in_pieces_say_the_same(runs_in_turns, monkeypatch, files_read, cache):
+    pieces = []
+    write = EventsFile.write
+    monkeypatch.setattr(EventsFile, "write", lambda *args: pieces.append(write(*args)) or pieces[-1])
+    found = [analyze(runs_in_turns, cache=cache) for _ in range(2)]
+    assert (
+        len(pieces) > 2 * 2 * 2 * 2 * 3
+    )  # twice: two files, two stages, two runs, each in more than three pieces
+    assert files_read == [path.name for path in sorted(runs_in_turns.iterdir())] * (1 if cache else 2)
+    monkeypatch.undo()
+    whole = analyze(runs_in_turns)
+    for each in found:
+        assert_same_results(each, whole)
+        assert_frame_equal(each.details.intervals, whole.details.intervals, check_exact=True)
+
+
+@pytest.mark.usefixtures("_in_pieces")
+@pytest.mark.parametrize("room", [0, 3])
+def test_a_disk_that_fills_between_two_pieces(runs_in_turns, tmp_path, monkeypatch, room):
+    """What the cache has no room for goes into a temporary file; where that has none, the analysis says so."""
+    whole = analyze(runs_in_turns)
+    full, written = ["traces"], []
+
+    def write(file, events):
+        folder = Path(file._stream.name).parent.name
+        written.append(folder)
+        if written.count(folder) > room and folder.startswith(tuple(full)):
+            raise OSError(28, "No space left on device")
+        return really_write(file, events)
+
+    really_write = EventsFile.write
+    monkeypatch.setattr(EventsFile, "write", write)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    assert_same_results(analyze(runs_in_turns, cache=True), whole)
+    assert {folder.rpartition("-")[0] for folder in written} == {"", "dds-analyze"}
+    full.append("dds-analyze-")
+    with pytest.raises(OutputError, match=r"\.mcap cannot be kept .*No space left on device.*TMPDIR"):
+        analyze(runs_in_turns, cache=True)
+    assert not list(tmp_path.glob("dds-analyze-*"))
+
+
 def test_columns_come_back_however_they_are_kept(tmp_path):
     records = np.zeros(5, EVENT_DTYPE)
     records["run_id"] = 2**64 - 1
@@ -151,10 +232,27 @@ def test_columns_come_back_however_they_are_kept(tmp_path):
     records["monotonic_ns"] = [5, -3, 2**62, 0, 1]
     records["relay_id"] = 2**32 - 1
     columns = EventColumns.from_records(records)
-    stored = write_events(tmp_path / "x.events", {"a": columns, "b": columns.take(np.array([1]))})
+    short = columns.take(np.array([1]))
+    with (tmp_path / "x.events").open("wb") as stream:
+        file = EventsFile(stream)
+        first, second = file.write(columns), file.write(short)
     assert (tmp_path / "x.events").stat().st_size == 5 * 8
-    for label, expected in (("a", columns), ("b", columns.take(np.array([1])))):
+    for pieces, parts in (
+        ((first,), [columns]),
+        ((second,), [short]),
+        ((first, second, first), [columns, short, columns]),
+    ):
+        stored, expected = StoredEvents(tmp_path / "x.events", pieces), EventColumns.concatenate(parts)
+        events = stored.load()
+        assert stored.count == len(expected)
         for name in EVENT_DTYPE.names:
-            found = getattr(stored[label].load(), name)
+            found = getattr(events, name)
             assert found.dtype == EVENT_DTYPE[name]
             assert found.tolist() == getattr(expected, name).tolist()
+        written = [
+            array.tolist() for part in parts for array in ([part.monotonic_ns] if len(part) > 1 else [])
+        ]
+        assert [array.tolist() for array in stored.arrays(events)] == written
+    (tmp_path / "x.events").write_bytes(b"short")
+    with pytest.raises(OSError, match="shorter"):
+        stored.load()

@@ -6,6 +6,7 @@ import itertools
 import json
 import os
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -41,8 +42,10 @@ from dds_trace.tracefile import (
     TraceFormatError,
     iter_event_batches,
     read_trace,
+    read_trace_in_pieces,
 )
-from dds_trace.tracefile.reading import mcap_source
+from dds_trace.tracefile.mcapfile import blocks
+from dds_trace.tracefile.reading import mcap_source, reader
 from dds_trace.tracefile.reading.storage import open_source
 
 FIELDS = EVENT_DTYPE.names
@@ -216,6 +219,36 @@ def test_batches_are_the_trace_in_pieces(tmp_path_factory, events, chunk_bytes):
         parts[stage].append(columns)
     joined = {stage: rows(EventColumns.concatenate(held)) for stage, held in parts.items()}
     assert joined == all_rows(read_trace(path))
+
+
+@pytest.mark.parametrize("name", ["t.mcap", "broken.mcap"])
+def test_a_trace_in_pieces_is_the_whole_trace(tmp_path, monkeypatch, name):
+    events = [event(n, n * n, scheduled_ns=n) for n in range(200)]
+    path = write_trace(
+        tmp_path / name,
+        [ping_session(), ping_session(state="closed")],
+        [run()],
+        {Stage.T1: events[:150], Stage.T2: events[150:]},
+        host=[{"cpu": 1}],
+        chunk_bytes=2000,
+        truncate_at=16_000 if name == "broken.mcap" else None,
+        compression="none",
+    )
+    monkeypatch.setattr(reader, "PIECE_EVENTS", 50)
+    monkeypatch.setattr(blocks, "_BLOCK_CHUNKS", 1)
+    whole, pieces = read_trace(path), []
+    trace = read_trace_in_pieces(path, pieces.append)
+    assert all(0 < sum(map(len, piece.values())) <= 50 for piece in pieces)
+    assert len(pieces) >= whole.event_count / 50 > 2
+    assert repr(trace) == repr(replace(whole, events={}))
+    joined = {stage: rows(EventColumns.concatenate(piece[stage] for piece in pieces)) for stage in Stage}
+    assert joined == all_rows(whole)
+
+
+def test_a_trace_without_events_is_one_empty_piece(tmp_path):
+    pieces = []
+    read_trace_in_pieces(write_trace(tmp_path / "t.mcap", ping_session()), pieces.append)
+    assert [set(map(len, piece.values())) for piece in pieces] == [{0}]
 
 
 class TestDescriptions:

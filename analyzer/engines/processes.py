@@ -111,7 +111,7 @@ def start_workers(count: int, folder: Path, *, cache: bool) -> ProcessPoolExecut
         "spawn"
     )  # a fork would copy the locks of other threads, of polars too
     workers = ProcessPoolExecutor(count, context, _begin, (os.fspath(folder), cache))
-    with _without_main(), _without_interrupts():
+    with _without_main(), _without_interrupts(), _with_one_thread_of_blas():
         for _ in range(count):
             workers.submit(os.getpid)  # each starts one
     return workers
@@ -183,6 +183,20 @@ def _without_main() -> Iterator[None]:
     finally:
         for name, value in hidden.items():
             setattr(main, name, value)
+
+
+@contextmanager
+def _with_one_thread_of_blas() -> Iterator[None]:
+    """Let processes that are started multiply their small matrices alone: a second thread takes a core from another one."""
+    name = "OPENBLAS_NUM_THREADS"
+    if name in os.environ:  # the user's own
+        yield
+        return
+    os.environ[name] = "1"
+    try:
+        yield
+    finally:
+        del os.environ[name]
 
 
 @contextmanager

@@ -1,5 +1,6 @@
 """Worker processes: the same numbers, and none of them left, whatever ends the analysis or one of them."""
 
+import os
 import re
 import signal
 import subprocess
@@ -127,6 +128,17 @@ def test_events_of_a_large_campaign_wait_in_files(runs, monkeypatch):
     monkeypatch.setattr(local, "BYTES_FOR_FILES", size)
     assert_same_results(analyze(runs), expected)
     assert not any(held)
+
+
+@pytest.mark.parametrize(("users", "of_worker"), [(None, "1"), ("2", "2")])
+def test_a_worker_multiplies_on_one_thread_and_the_caller_as_before(tmp_path, monkeypatch, users, of_worker):
+    name = "OPENBLAS_NUM_THREADS"
+    monkeypatch.delenv(name, raising=False)
+    if users is not None:
+        monkeypatch.setenv(name, users)
+    with processes.start_workers(1, tmp_path, cache=False) as workers:
+        assert workers.submit(os.getenv, name).result(PATIENCE_S) == of_worker
+    assert os.environ.get(name) == users
 
 
 @pytest.mark.usefixtures("started")

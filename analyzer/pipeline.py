@@ -130,7 +130,7 @@ def _analyze(
     campaign = campaign.with_copies(total_copies([*exchanges.copies, *merged.copies]))
     in_parts = groups_in_parts(batches)
     unsent = merged.summary.unsent_by_run(grouping)
-    is_sent = engine.has_workers and rows.has_file
+    is_sent = rows.file is not None and engine.has_workers_with(rows.file)
     judged = UnbarredRows(rows.in_file() if is_sent else rows, grouping.not_applied(), unsent)
     mapper = engine.map if is_sent else map
     details = collect_details(campaign, grouping, merged.frames, rows, in_parts, wanted, judged, mapper)
@@ -170,7 +170,7 @@ def _analyze(
 def _keep_rows(batches: Iterable[WorkedBatch], rows: RowStore) -> Iterator[BatchResult]:
     """Put the rows of every batch into the store, and wait for its result then; a large one is measured meanwhile."""
     for batch in batches:
-        rows.add(batch.tables)
+        rows.add(batch.rows)
         result = batch.result()
         del batch  # its rows are written
         yield result

@@ -18,12 +18,14 @@ from ..groups.frames import campaign_frames, detail_frames, summary_frames
 from ..groups.measure import Statistics, measure_batch, metric_values
 from ..loading.events import merge_parts
 from ..model.metrics import METRICS
-from ..pairing.parquet import tables_of
+from ..pairing.parquet import encode_rows, tables_of
 from ..pairing.roundtrips import pair_exchanges
+from ..pairing.row_parts import RowPart
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
     from concurrent.futures import Executor
+    from pathlib import Path
 
     import polars as pl
     import pyarrow as pa
@@ -151,12 +153,22 @@ class WorkedBatch(NamedTuple):
     """What becomes of a batch.
 
     Attributes:
-        tables: the rows, for `RowStore`; none if they are not wanted.
+        rows: for `RowStore`; none if they are not wanted.
         measured: all else, or who makes it meanwhile.
     """
 
-    tables: Iterable[pa.Table]
+    rows: Iterable[pa.Table] | RowPart
     measured: BatchResult | Future[BatchResult]
+
+    def encoded(self, folder: Path | None = None) -> WorkedBatch:
+        """Return the same for another process: rows encoded as they will be in their file, in a folder or in memory.
+
+        Raises:
+            OutputError: the rows could not be kept.
+        """
+        if isinstance(self.rows, RowPart) or not self.rows:
+            return self
+        return self._replace(rows=encode_rows(self.rows, folder))
 
     def result(self) -> BatchResult:
         """Return all else, waiting for who makes it."""

@@ -32,6 +32,9 @@ if TYPE_CHECKING:
 
 _TIMEOUT_S = 30
 
+_PIECES_OF_WORKER = 8
+"""Parts that each worker does of what is mapped; the scheduler takes some milliseconds for each."""
+
 Result_co = TypeVar("Result_co", covariant=True)
 Result = TypeVar("Result")
 Item = TypeVar("Item")
@@ -49,6 +52,9 @@ class _Client(Protocol):
 
     def submit(self, work: Callable[..., Result], *arguments: object, pure: bool) -> _Future[Result]:
         """Call a function on a worker; futures among the arguments are taken for their results."""
+
+    def run(self, function: Callable[..., Result], *arguments: object) -> Mapping[str, Result]:
+        """Call a function on every worker; return the results by the workers' addresses."""
 
     def close(self) -> None:
         """Leave the scheduler."""
@@ -94,6 +100,7 @@ class ClusterEngine:
                 f"no Dask scheduler answers at {address} ({err}); start one with `dask scheduler`"
             ) from err
         self._loaded: list[_Future[LoadedTrace | str]] = []
+        self._workers = 0
 
     def load(self, place: Place, skip: Collection[Path], progress: Progress | None) -> Campaign:
         """Read every trace of a place, each on a worker; only the descriptions come here."""
@@ -130,14 +137,26 @@ class ClusterEngine:
         while pending:
             yield pending.pop().result()
 
-    @property
-    def has_workers(self) -> bool:
-        """False: `map` computes here, where the rows are."""
-        return False
+    def has_workers_with(self, file: Path) -> bool:
+        """Return whether there are workers, all of which find this file where it is here."""
+        try:
+            told = self._client.run(_size_and_time, os.fspath(file))
+        except OSError:  # one was lost just now
+            return False
+        finds_it = set(told.values()) == {_size_and_time(os.fspath(file))}
+        self._workers = len(told) if finds_it else 0
+        return finds_it
 
     def map(self, function: Callable[[Item], Result], items: Sequence[Item]) -> Iterable[Result]:
-        """Return the function's results in the order of the items."""
-        return map(function, items)
+        """Return the function's results in the order of the items: by the workers if `has_workers_with` found them, else here."""
+        if not self._workers:
+            return map(function, items)
+        size = max(1, len(items) // (self._workers * _PIECES_OF_WORKER))
+        pieces = [
+            self._client.submit(_map, function, items[first : first + size], pure=False)
+            for first in range(0, len(items), size)
+        ]
+        return [result for piece in pieces for result in piece.result()]
 
     def _submit(self, batch: Batch, index: EventIndex) -> _Future[WorkedBatch]:
         of_trace: dict[int, list[EventKey]] = {}
@@ -168,6 +187,20 @@ def _load(path: str) -> LoadedTrace | str:
         return err.what
 
 
+def _size_and_time(path: str) -> tuple[int, int] | None:
+    """Return the size of a file and when it was written, in bytes and ns; None if there is none."""
+    try:
+        status = Path(path).stat()
+    except OSError:
+        return None
+    return status.st_size, status.st_mtime_ns
+
+
+def _map(function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
+    """Call a function with each item, on a worker."""
+    return [function(item) for item in items]
+
+
 def _describe(loaded: LoadedTrace | str) -> LoadedTrace | str:
     """Return a trace without its events, on a worker."""
     if isinstance(loaded, str):
@@ -193,4 +226,4 @@ def _work(batch: Batch, selected: Sequence[Mapping[EventKey, EventPart]]) -> Wor
         for key, part in of_trace.items():
             parts[key] = (*parts.get(key, ()), part)
     in_order = {key: sorted(held, key=lambda part: part.trace) for key, held in parts.items()}
-    return work_at(batch, in_order)
+    return work_at(batch, in_order).encoded()

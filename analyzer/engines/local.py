@@ -62,9 +62,8 @@ class Engine(Protocol):
     def work(self, batches: Sequence[Batch], index: EventIndex) -> Iterator[WorkedBatch]:
         """Yield what becomes of the batches in their order."""
 
-    @property
-    def has_workers(self) -> bool:
-        """Whether `map` has other processes, to which the function and the items are sent."""
+    def has_workers_with(self, file: Path) -> bool:
+        """Return whether `map` has other processes, to which the function and the items are sent, and they find this file."""
 
     def map(self, function: Callable[[T], R], items: Sequence[T]) -> Iterable[R]:
         """Return the function's results in the order of the items: by other processes if there are any, else here."""
@@ -124,9 +123,8 @@ class LocalEngine:
             with self._workers.telling() if self._workers else nullcontext():
                 yield from in_turn(jobs, ahead + 1, _MOST_EVENTS_AHEAD)
 
-    @property
-    def has_workers(self) -> bool:
-        """Whether there are worker processes by now."""
+    def has_workers_with(self, file: Path) -> bool:  # noqa: ARG002 - they are on this machine
+        """Return whether there are worker processes by now."""
         return self._workers is not None
 
     def map(self, function: Callable[[T], R], items: Sequence[T]) -> Iterable[R]:

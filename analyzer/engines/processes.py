@@ -1,7 +1,8 @@
 """Worker processes of this machine: what is Python between short arrays takes one core in threads, however many there are.
 
 A worker reads traces, puts their events into files (the user's cache, or temporary ones), and works at batches whose events
-it reads from there. Rows travel in files, too (`row_files.py`); descriptions, batches and all other results through pipes.
+it reads from there. Rows travel in files, too, encoded as they will be in their Parquet file; descriptions, batches and all other
+results through pipes.
 """
 
 from __future__ import annotations
@@ -26,7 +27,6 @@ from ..loading.shelf import TraceShelf
 from ..loading.traces import loaded_or_error
 from .batches import work_at
 from .known_details import KnownDetails
-from .row_files import RowFile
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -146,7 +146,7 @@ def work_in_worker(
     """
     assert _folder is not None
     worked = work_at(batch, parts, KnownDetails(_cache, keys) if _cache else None)
-    return worked._replace(tables=RowFile.of(worked.tables, _folder))
+    return worked.encoded(_folder)
 
 
 _folder: Path | None = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import secrets
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
@@ -16,9 +17,10 @@ from dds_trace.tracefile.files import replacing
 
 from ..model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
 from .pair import OUTCOMES
+from .row_parts import JoinedParts, RowPart
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -44,50 +46,78 @@ _ARROW_TYPES = {
 @contextmanager
 def roundtrips_writer(
     path: Path, provenance: Mapping[str, str] | None = None
-) -> Iterator[Callable[[pa.Table], None]]:
+) -> Iterator[Callable[[pa.Table | RowPart], None]]:
     """Write `roundtrips.parquet` batch by batch; the file takes its place once it is complete.
 
     A reader sees the old file or the new one, never half of it. Every field's metadata holds `meaning` and,
-    where it has one, `unit`. Times rise by steps or stay within a range, which delta encoding keeps in a quarter of
-    the bytes and of the time that plain values under zstd take.
+    where it has one, `unit`.
 
     Args:
         path: the file; its folder is made.
         provenance: metadata of the file.
 
     Yields:
-        A function that writes the rows of one batch, made by `tables_of`.
+        A function that writes a table of `tables_of`, or the part that `encode_rows` made of some; the part's file is removed.
 
     Raises:
         OutputError: the folder or the file cannot be written.
     """
-    deltas = [c.name for c in ROUNDTRIP_COLUMNS if c.unit in ("ns", "UTC") or c.name == "sequence"]
     with ExitStack() as stack:
         with _telling(path):
             path.parent.mkdir(parents=True, exist_ok=True)
-            draft = stack.enter_context(replacing(path))
-            writer = stack.enter_context(
-                pq.ParquetWriter(
-                    draft,
-                    _AS_WRITTEN,
-                    compression="zstd",
-                    compression_level=1,
-                    use_dictionary=[name for name in _AS_WRITTEN.names if name not in deltas],
-                    column_encoding=dict.fromkeys(deltas, "DELTA_BINARY_PACKED"),
-                    store_schema=False,
-                )
-            )
+            stream = stack.enter_context(stack.enter_context(replacing(path)).open("wb"))
+            joined = JoinedParts(stream)
+            joined.add(encode_rows([]))
 
-        def write(table: pa.Table) -> None:
+        def write(rows: pa.Table | RowPart) -> None:
             with _telling(path):
-                writer.write_table(table, row_group_size=_ROWS_PER_GROUP)
+                part = rows if isinstance(rows, RowPart) else encode_rows([rows])
+                joined.add(part)
+            part.remove()
 
         yield write
         # A dictionary is how a text is stored; readers are told that it is a text, and its unit and meaning.
         serialized = base64.b64encode(ROUNDTRIPS_SCHEMA.serialize().to_pybytes()).decode()
         with _telling(path):
-            writer.add_key_value_metadata({"ARROW:schema": serialized, **(provenance or {})})
+            joined.finish({"ARROW:schema": serialized, **(provenance or {})})
             stack.close()
+
+
+def encode_rows(tables: Iterable[pa.Table], folder: Path | None = None) -> RowPart:
+    """Encode tables of `tables_of` as a part of `roundtrips.parquet`.
+
+    Times rise by steps or stay within a range, which delta encoding keeps in a quarter of the bytes and of the time that plain
+    values under zstd take.
+
+    Args:
+        tables: the rows.
+        folder: takes the part as a file; None keeps it in memory.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    file = folder / f"{secrets.token_hex(8)}.rows" if folder else None
+    deltas = [c.name for c in ROUNDTRIP_COLUMNS if c.unit in ("ns", "UTC") or c.name == "sequence"]
+    rows = 0
+    try:
+        with pa.OSFile(str(file), "wb") if file else pa.BufferOutputStream() as stream:
+            with pq.ParquetWriter(
+                stream,
+                _AS_WRITTEN,
+                compression="zstd",
+                compression_level=1,
+                use_dictionary=[name for name in _AS_WRITTEN.names if name not in deltas],
+                column_encoding=dict.fromkeys(deltas, "DELTA_BINARY_PACKED"),
+                store_schema=False,
+            ) as writer:
+                for table in tables:
+                    rows += len(table)
+                    writer.write_table(table, row_group_size=_ROWS_PER_GROUP)
+            return RowPart(rows, file or stream.getvalue().to_pybytes())
+    except OSError as err:
+        if file is None:
+            raise
+        raise OutputError(f"rows cannot be kept ({err}); give a larger folder with TMPDIR") from err
 
 
 def tables_of(roundtrips: RoundTrips) -> Iterator[pa.Table]:

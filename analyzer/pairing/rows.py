@@ -16,6 +16,7 @@ from ..model.column import schema_of
 from ..model.columns import ROUNDTRIP_COLUMNS
 from ..model.parameters import PARAMETER_NAMES
 from .parquet import roundtrips_writer
+from .row_parts import RowPart
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -51,7 +52,7 @@ class RowStore:
         self._held: pl.DataFrame | list[pa.Table] | None = []
         self._rows = 0
         self._stack = ExitStack()
-        self._write: Callable[[pa.Table], None] | None = None
+        self._write: Callable[[pa.Table | RowPart], None] | None = None
 
     @classmethod
     def of(cls, rows: pl.DataFrame | Path, summary: pl.DataFrame | None = None) -> RowStore:
@@ -68,14 +69,14 @@ class RowStore:
         return store
 
     @property
-    def has_file(self) -> bool:
-        """Whether there is a file of the rows, whether or not they are in memory, too."""
-        return self._path is not None
+    def file(self) -> Path | None:
+        """The absolute path of the file of the rows, if there is one, whether or not they are in memory, too."""
+        return None if self._path is None else self._path.resolve()
 
     def in_file(self) -> RowStore:
         """Return the same rows, all of them to be read from their file: what another process is sent is small then."""
-        assert self._path is not None
-        store = RowStore.of(self._path)
+        assert self.file is not None
+        store = RowStore.of(self.file)
         store.groups = self.groups
         return store
 
@@ -85,16 +86,16 @@ class RowStore:
             self._write = self._stack.enter_context(roundtrips_writer(self._path, self._provenance))
         return self
 
-    def add(self, tables: Iterable[pa.Table]) -> None:
-        """Take the next rows, as `parquet.tables_of` makes them."""
-        for table in tables:
-            self._rows += len(table)
-            if self._write is not None:
-                self._write(table)
+    def add(self, rows: Iterable[pa.Table] | RowPart) -> None:
+        """Take the next rows, as `parquet.tables_of` or `parquet.encode_rows` makes them."""
+        for some in [rows] if isinstance(rows, RowPart) else rows:
+            self._rows += len(some)
             if isinstance(self._held, list):
-                self._held.append(table)
-                if self._rows > MOST_HELD_ROWS:
-                    self._release(self._held)
+                self._held.append(some.load() if isinstance(some, RowPart) else some)
+            if self._write is not None:
+                self._write(some)
+            if isinstance(self._held, list) and self._rows > MOST_HELD_ROWS:
+                self._release(self._held)
 
     def _release(self, held: list[pa.Table]) -> None:
         """Leave all rows to the file, which is begun if there is none yet."""

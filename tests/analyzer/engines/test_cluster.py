@@ -17,9 +17,10 @@ from dds_trace.analyzer.engines.cluster import _describe, _select
 from dds_trace.analyzer.loading.traces import load_trace
 from dds_trace.analyzer.model.metrics import METRICS
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
+from dds_trace.analyzer.verdicts import answers
 from dds_trace.tracefile import EVENT_DTYPE, BackendUnavailableError, read_trace
 
-pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
+distributed = pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # vendors' own, at their start and end
 
@@ -125,6 +126,26 @@ def test_a_cluster_finds_what_one_machine_finds(cluster, runs, tmp_path):
     assert pl.read_parquet(together.outputs["roundtrips"]).equals(alone.load_roundtrips())
     for kind, path in alone.outputs.items():
         assert together.outputs[kind].read_bytes() == path.read_bytes()
+
+
+def test_workers_answer_where_they_find_the_rows(cluster, runs, tmp_path, monkeypatch):
+    expected = analyze(runs).details.answers
+    assert len(expected) == 2
+
+    def here(*_arguments, **_options):
+        raise AssertionError("answered here")
+
+    here.__module__, here.__qualname__ = answers.__name__, "_answer_case"  # sent by its name
+    monkeypatch.setattr(answers, "_answer_case", here)
+    monkeypatch.chdir(tmp_path)
+    assert analyze(runs, out="out", cluster=cluster[0]).details.answers == expected
+    with pytest.raises(AssertionError, match="answered here"):
+        analyze(runs, cluster=cluster[0])  # no file of the rows
+    # What the workers say of a file that they do not have, or that is another one.
+    for told in (None, (1, 1)):
+        monkeypatch.setattr(distributed.Client, "run", lambda *_, told=told: {"tcp://far": told})
+        with pytest.raises(AssertionError, match="answered here"):
+            analyze(runs, out="out", cluster=cluster[0])
 
 
 def test_parts_of_a_group_from_several_workers_are_exact(cluster, runs, monkeypatch):

@@ -1,0 +1,153 @@
+"""Rows as parts of one Parquet file: each is encoded where its rows are made, and all are joined without a look at the rows.
+
+A part is a Parquet file of its own. Only its footer names offsets in the file; so the file of all parts has their bytes one
+behind the other, and one footer, in which the offsets are moved. It is the same file whoever encoded its parts.
+"""
+
+from __future__ import annotations
+
+import io
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pyarrow.parquet as pq
+
+from .thrift import BINARY, I16, I64, LIST, STRUCT, Elements, Value, read_struct, write_struct
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from typing import BinaryIO
+
+    import pyarrow as pa
+
+    from .thrift import Struct
+
+MOST_NUMBERED = 1 << 15
+"""Row groups that are given their number, which is optional and has 16 bits."""
+
+_MAGIC = b"PAR1"
+_LENGTH_BYTES = 4
+_PIECE_BYTES = 1 << 20
+
+# Numbers of the fields of a footer (https://github.com/apache/parquet-format/blob/master/src/main/thrift/parquet.thrift).
+_ROWS, _ROW_GROUPS, _KEY_VALUES = 3, 4, 5
+_COLUMNS, _GROUP_OFFSET, _ORDINAL = 1, 5, 7
+_CHUNK_OFFSET, _COLUMN = 2, 3
+_PAGE_OFFSETS = (9, 10, 11)  # of data, index and dictionary
+_KEY, _VALUE = 1, 2
+
+
+@dataclass(frozen=True, slots=True)
+class RowPart:
+    """Rows that are encoded.
+
+    Attributes:
+        rows: how many.
+        content: a Parquet file: its bytes, or where it is, in a folder of temporary files.
+    """
+
+    rows: int
+    content: bytes | Path
+
+    def __len__(self) -> int:
+        return self.rows
+
+    def load(self) -> pa.Table:
+        """Return the rows, decoded; texts are dictionaries."""
+        with self.open() as file:
+            texts = [field.name for field in pq.read_schema(file) if field.type == "string"]
+            return pq.read_table(file, read_dictionary=texts)
+
+    @contextmanager
+    def open(self) -> Iterator[BinaryIO]:
+        """Open it for reading."""
+        with self.content.open("rb") if isinstance(self.content, Path) else io.BytesIO(self.content) as file:
+            yield file
+
+    def remove(self) -> None:
+        """Remove its file, if it has one."""
+        if isinstance(self.content, Path):
+            self.content.unlink()
+
+
+class JoinedParts:
+    """Joins parts of one schema into one Parquet file.
+
+    Args:
+        stream: takes the file; nothing was written into it yet.
+    """
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream = stream
+        self._stream.write(_MAGIC)
+        self._at = len(_MAGIC)
+        self._footer: Struct = {}
+        self._row_groups: list[Struct] = []
+        self._rows = 0
+
+    def add(self, part: RowPart) -> None:
+        """Append the rows of a part; the first one says which columns there are, also without a row.
+
+        Raises:
+            OSError: it cannot be read or written.
+        """
+        with part.open() as file:
+            footer, footer_at = _read_footer(file)
+            moved = self._at - len(_MAGIC)
+            self._footer = self._footer or footer
+            for group in footer[_ROW_GROUPS].value.values:
+                _move(group, moved)
+                group.pop(_ORDINAL, None)
+                if len(self._row_groups) < MOST_NUMBERED:
+                    group[_ORDINAL] = Value(I16, len(self._row_groups))
+                self._row_groups.append(group)
+            self._rows += footer[_ROWS].value
+            file.seek(len(_MAGIC))
+            left = footer_at - len(_MAGIC)
+            while left:
+                piece = file.read(min(left, _PIECE_BYTES))
+                self._stream.write(piece)
+                left -= len(piece)
+                self._at += len(piece)
+
+    def finish(self, metadata: Mapping[str, str]) -> None:
+        """Write the footer, with this metadata.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        texts = [
+            {_KEY: Value(BINARY, key.encode()), _VALUE: Value(BINARY, value.encode())}
+            for key, value in metadata.items()
+        ]
+        footer = self._footer | {
+            _ROWS: Value(I64, self._rows),
+            _ROW_GROUPS: Value(LIST, Elements(STRUCT, self._row_groups)),
+            _KEY_VALUES: Value(LIST, Elements(STRUCT, texts)),
+        }
+        packed = write_struct(footer)
+        self._stream.write(packed + len(packed).to_bytes(_LENGTH_BYTES, "little") + _MAGIC)
+
+
+def _read_footer(file: BinaryIO) -> tuple[Struct, int]:
+    """Return the footer of a Parquet file and its offset."""
+    end = file.seek(-_LENGTH_BYTES - len(_MAGIC), io.SEEK_END)
+    length = int.from_bytes(file.read(_LENGTH_BYTES), "little")
+    file.seek(end - length)
+    return read_struct(file.read(length)), end - length
+
+
+def _move(group: Struct, by: int) -> None:
+    """Move the offsets of a row group; 0 stands for one that is not told."""
+    _move_fields(group, (_GROUP_OFFSET,), by)
+    for chunk in group[_COLUMNS].value.values:
+        _move_fields(chunk, (_CHUNK_OFFSET,), by)
+        _move_fields(chunk[_COLUMN].value, _PAGE_OFFSETS, by)
+
+
+def _move_fields(fields: Struct, numbers: tuple[int, ...], by: int) -> None:
+    for number in numbers:
+        if number in fields and fields[number].value:
+            fields[number] = Value(I64, fields[number].value + by)

@@ -85,7 +85,7 @@ soak minutes="30" *args: setup
 bench-huge *args: setup
     {{bin}}/python benchmarks/huge.py {{args}}
 
-# Dask workers on this machine against the same analysis in one process: wall time with 1, 2 and 4 (five minutes)
+# Dask workers on this machine against the same analysis in one process: wall time with 1, 2 and 4 (six minutes)
 bench-cluster *args: setup
     {{bin}}/python benchmarks/cluster.py {{args}}
 

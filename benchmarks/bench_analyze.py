@@ -11,7 +11,7 @@ The campaigns (`campaigns.py`): 500 runs in two files over 139 hours, one run at
   (files in the page cache), details, findings, rows, report, and the cache for the next analysis, which is empty. What the
   same command takes for a campaign of four messages is its start-up, and is taken off.
 - *floor* is what nobody can leave out, on one thread: unpacking every chunk with one zstandard context (they are in memory
-  already, no CRC is checked), and writing the same rows, an Arrow table in memory, through the very writer of the analysis.
+  already, no CRC is checked), and writing the same rows, an Arrow table in memory, by the very encoder of the analysis.
 - *again* is the same command once more with one new run in two more files, over the first one.
 - *cores* is the processor time of the command, with its worker processes, over its wall time. *RSS* is its peak; of several
   processes the peak of their sum, looked at 20 times a second, what they share counted in each.
@@ -41,7 +41,7 @@ from commands import Ran, run_command
 from timing import packed_chunks, seconds, unpack_job
 
 from dds_trace.analyzer.clocks.fit import RelayedMessages, fit_clocks
-from dds_trace.analyzer.pairing.parquet import roundtrips_writer
+from dds_trace.analyzer.pairing.parquet import encode_rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -97,8 +97,9 @@ def floor_job(traces: Sequence[Path], rows: Path, again: Path) -> Callable[[], N
     unpack_all = unpack_job(chunks, lambda packed, size: decompress(packed, max_output_size=size))
 
     def write() -> None:
-        with roundtrips_writer(again) as write_table:
-            write_table(table)
+        part = encode_rows([table], again.parent)
+        assert isinstance(part.content, Path)
+        part.content.replace(again)
 
     write()
     sizes = [path.stat().st_size for path in (rows, again)]

@@ -31,7 +31,7 @@ from commands import Ran, run_command
 from event_traces import write_event_trace
 from timing import packed_chunks, seconds, unpack_job
 
-from dds_trace.analyzer.pairing.parquet import roundtrips_writer
+from dds_trace.analyzer.pairing.parquet import encode_rows
 
 EVENTS, EVENTS_OF_FILE = 1_000_000_000, 10_000_000
 RUNS_OF_FILE, GROUPS = 20, 50
@@ -100,8 +100,7 @@ def measure_floor(folder: Path, events: int) -> Floor:
     table = pq.read_table(rows, read_dictionary=texts)
 
     def write() -> None:
-        with roundtrips_writer(folder / "again.parquet") as write_table:
-            write_table(table)
+        encode_rows([table], folder).remove()
 
     decompress = zstandard.ZstdDecompressor().decompress
     chunks = [chunk for trace in traces for chunk in packed_chunks(trace)]

@@ -113,7 +113,7 @@ def encode_rows(tables: Iterable[pa.Table], folder: Path | None = None) -> RowPa
                 for table in tables:
                     rows += len(table)
                     writer.write_table(table, row_group_size=_ROWS_PER_GROUP)
-            return RowPart(rows, file or stream.getvalue().to_pybytes())
+            return RowPart(rows, file or stream.getvalue())
     except OSError as err:
         if file is None:
             raise

@@ -7,20 +7,18 @@ behind the other, and one footer, in which the offsets are moved. It is the same
 from __future__ import annotations
 
 import io
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import pyarrow as pa
 import pyarrow.parquet as pq
 
 from .thrift import BINARY, I16, I64, LIST, STRUCT, Elements, Value, read_struct, write_struct
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Mapping
     from typing import BinaryIO
-
-    import pyarrow as pa
 
     from .thrift import Struct
 
@@ -49,7 +47,7 @@ class RowPart:
     """
 
     rows: int
-    content: bytes | Path
+    content: pa.Buffer | Path
 
     def __len__(self) -> int:
         return self.rows
@@ -60,11 +58,9 @@ class RowPart:
             texts = [field.name for field in pq.read_schema(file) if field.type == "string"]
             return pq.read_table(file, read_dictionary=texts)
 
-    @contextmanager
-    def open(self) -> Iterator[BinaryIO]:
+    def open(self) -> BinaryIO | pa.NativeFile:
         """Open it for reading."""
-        with self.content.open("rb") if isinstance(self.content, Path) else io.BytesIO(self.content) as file:
-            yield file
+        return self.content.open("rb") if isinstance(self.content, Path) else pa.BufferReader(self.content)
 
     def remove(self) -> None:
         """Remove its file, if it has one."""
@@ -131,7 +127,7 @@ class JoinedParts:
         self._stream.write(packed + len(packed).to_bytes(_LENGTH_BYTES, "little") + _MAGIC)
 
 
-def _read_footer(file: BinaryIO) -> tuple[Struct, int]:
+def _read_footer(file: BinaryIO | pa.NativeFile) -> tuple[Struct, int]:
     """Return the footer of a Parquet file and its offset."""
     end = file.seek(-_LENGTH_BYTES - len(_MAGIC), io.SEEK_END)
     length = int.from_bytes(file.read(_LENGTH_BYTES), "little")

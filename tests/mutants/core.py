@@ -17,6 +17,9 @@ CORE = {
     "pairing": Part(
         ("analyzer/pairing",), ("tests/analyzer/pairing", "tests/analyzer/test_unsent_messages.py")
     ),
+    "storing": Part(
+        ("analyzer/loading/event_store.py", "analyzer/loading/entries.py"), ("tests/analyzer/loading",)
+    ),
     "stamps": Part(("recorder/payloads/stamp.py",), ("tests/recorder/payloads",)),
     "statistics": Part(
         ("analyzer/statistics", "analyzer/run_statistics"),

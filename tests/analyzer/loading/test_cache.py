@@ -9,13 +9,14 @@ import shutil
 import pytest
 from campaigns import assert_same_results, write_runs
 from file_damage import DAMAGES
+from trace_files import Message, ping_events, ping_session, relay_session, run, write_trace
 
 import dds_trace.analyzer.loading.cache
 import dds_trace.analyzer.loading.shelf
 import dds_trace.analyzer.loading.traces
 from dds_trace.analyzer import analyze
 from dds_trace.analyzer.loading.cache import TraceCache
-from dds_trace.tracefile import read_trace
+from dds_trace.tracefile import Stage, read_trace
 
 
 @pytest.fixture
@@ -220,6 +221,7 @@ def forge(cache, traces, change):
         lambda entry: entry["parts"][0][5][0].__setitem__(0, "5"),
         lambda entry: entry["parts"][0][5][0][1].update(monotonic_ns=["array", 1 << 40]),
         lambda entry: entry["parts"][0][5][0][1].update(monotonic_ns=["array", -8]),
+        lambda entry: entry["parts"][0][5][0][1].update(monotonic_ns=["array", entry["bytes"] - 8]),
         lambda entry: entry["parts"][0][5][0][1].update(run_id=["constant", 1 << 70]),
         lambda entry: entry["parts"][0][5][0][1].update(run_id=["elsewhere", 1]),
         lambda entry: entry["parts"][0][5][0][1].update(sequence=["counting", 2**64 - 2]),
@@ -237,6 +239,15 @@ def test_lengths_and_values_are_checked_before_they_are_used(runs, traces, files
     files_read.clear()
     assert_same_results(analyze(runs, cache=True), first)
     assert set(files_read) == {"ping0.mcap", "relay0.mcap"}
+
+
+def test_a_trace_of_one_stage_alone_and_one_without_events_are_known(tmp_path, files_read):
+    events = ping_events([Message(n, t1=n) for n in range(3)])
+    write_trace(tmp_path / "t1.mcap", ping_session(), [run()], {Stage.T1: events[Stage.T1]})
+    write_trace(tmp_path / "relay.mcap", relay_session())
+    for _ in range(2):
+        assert analyze(tmp_path, cache=True).summary["published"].to_list() == [3]
+    assert files_read == ["relay.mcap", "t1.mcap"]
 
 
 def test_a_disk_that_is_full_costs_the_cache_and_not_the_analysis(runs, monkeypatch):

@@ -233,11 +233,14 @@ def test_columns_come_back_however_they_are_kept(tmp_path):
     records["relay_id"] = 2**32 - 1
     columns = EventColumns.from_records(records)
     short = columns.take(np.array([1]))
+    records["relay_id"] = 7
+    other = EventColumns.from_records(records)
     with (tmp_path / "x.events").open("wb") as stream:
         file = EventsFile(stream)
-        first, second = file.write(columns), file.write(short)
-    assert (tmp_path / "x.events").stat().st_size == 5 * 8
+        first, second, third = file.write(columns), file.write(short), file.write(other)
+    assert (tmp_path / "x.events").stat().st_size == 2 * 5 * 8
     for pieces, parts in (
+        ((first, third), [columns, other]),
         ((first,), [columns]),
         ((second,), [short]),
         ((first, second, first), [columns, short, columns]),
@@ -245,6 +248,7 @@ def test_columns_come_back_however_they_are_kept(tmp_path):
         stored, expected = StoredEvents(tmp_path / "x.events", pieces), EventColumns.concatenate(parts)
         events = stored.load()
         assert stored.count == len(expected)
+        assert events.run_id.strides == (0,)  # takes no memory
         for name in EVENT_DTYPE.names:
             found = getattr(events, name)
             assert found.dtype == EVENT_DTYPE[name]

@@ -34,7 +34,6 @@ from statistics import median
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pyarrow.parquet as pq
 import zstandard
 from campaigns import MANY_GROUPS, SHAPES, SHORT_RUNS, Shape, write_campaign, write_new_run
 from commands import Ran, run_command
@@ -42,6 +41,7 @@ from timing import packed_chunks, seconds, unpack_job
 
 from dds_trace.analyzer.clocks.fit import RelayedMessages, fit_clocks
 from dds_trace.analyzer.pairing.parquet import encode_rows
+from dds_trace.analyzer.pairing.row_parts import read_rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -90,8 +90,7 @@ def floor_job(traces: Sequence[Path], rows: Path, again: Path) -> Callable[[], N
     Raises:
         SystemExit: what it writes is not the same, or not of the same size.
     """
-    texts = [field.name for field in pq.read_schema(rows) if field.type == "string"]
-    table = pq.read_table(rows, read_dictionary=texts)
+    table = read_rows(rows)
     chunks = [chunk for path in traces for chunk in packed_chunks(path)]
     decompress = zstandard.ZstdDecompressor().decompress
     unpack_all = unpack_job(chunks, lambda packed, size: decompress(packed, max_output_size=size))
@@ -103,7 +102,7 @@ def floor_job(traces: Sequence[Path], rows: Path, again: Path) -> Callable[[], N
 
     write()
     sizes = [path.stat().st_size for path in (rows, again)]
-    if not pq.read_table(again, read_dictionary=texts).equals(table):
+    if not read_rows(again).equals(table):
         raise SystemExit("the other side writes something else")
     if abs(sizes[0] - sizes[1]) > 0.05 * sizes[0]:
         raise SystemExit(f"the analysis writes {sizes[0]} bytes, the other side {sizes[1]}")

@@ -32,6 +32,7 @@ from event_traces import write_event_trace
 from timing import packed_chunks, seconds, unpack_job
 
 from dds_trace.analyzer.pairing.parquet import encode_rows
+from dds_trace.analyzer.pairing.row_parts import read_rows
 
 EVENTS, EVENTS_OF_FILE = 1_000_000_000, 10_000_000
 RUNS_OF_FILE, GROUPS = 20, 50
@@ -96,8 +97,7 @@ def measure_floor(folder: Path, events: int) -> Floor:
     traces = [write_file(folder / "pair", events, number) for number in (0, 1)]
     analyze_folder(folder / "pair", folder / "pair_out")
     rows = folder / "pair_out" / "roundtrips.parquet"
-    texts = [field.name for field in pq.read_schema(rows) if field.type == "string"]
-    table = pq.read_table(rows, read_dictionary=texts)
+    table = read_rows(rows)
 
     def write() -> None:
         encode_rows([table], folder).remove()

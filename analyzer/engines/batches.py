@@ -14,7 +14,7 @@ import numpy as np
 from dds_trace.tracefile.threads import Here
 
 from ..groups.batch import Batch
-from ..groups.frames import campaign_frames, detail_frames, summary_frames
+from ..groups.frames import CAMPAIGN_MAKERS, MAKERS, detail_frames, make_frames
 from ..groups.measure import Statistics, measure_batch, metric_values
 from ..loading.events import merge_parts
 from ..model.metrics import METRICS
@@ -194,11 +194,11 @@ def measure_at(paired: PairedBatch, known: KnownDetails | None, pool: Executor) 
     """
     batch, parts, roundtrips = paired.batch, paired.parts, paired.roundtrips
     wanted = batch.wanted
-    of_campaign = pool.submit(campaign_frames, batch, roundtrips)
+    of_campaign = pool.submit(make_frames, CAMPAIGN_MAKERS, batch, roundtrips)
 
     def make() -> Frames:
         statistics = pool.submit(measure_batch, roundtrips, batch.group_of_exchange)
-        summary = pool.submit(summary_frames, batch, roundtrips)
+        summary = pool.submit(make_frames, MAKERS, batch, roundtrips)
         details = detail_frames(batch, roundtrips, pool) if wanted.details else {}
         measured = statistics.result()
         of_metrics = {"statistics": measured.frame, "distributions": measured.distributions}

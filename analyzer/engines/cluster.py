@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 
 _TIMEOUT_S = 30
 
-_PIECES_OF_WORKER = 8
-"""Parts that each worker does of what is mapped; the scheduler takes some milliseconds for each."""
+_PIECES = 64
+"""Parts, about, in which workers do what is mapped: the scheduler takes some milliseconds for each."""
 
 Result_co = TypeVar("Result_co", covariant=True)
 Result = TypeVar("Result")
@@ -100,7 +100,6 @@ class ClusterEngine:
                 f"no Dask scheduler answers at {address} ({err}); start one with `dask scheduler`"
             ) from err
         self._loaded: list[_Future[LoadedTrace | str]] = []
-        self._workers = 0
 
     def load(self, place: Place, skip: Collection[Path], progress: Progress | None) -> Campaign:
         """Read every trace of a place, each on a worker; only the descriptions come here."""
@@ -143,15 +142,11 @@ class ClusterEngine:
             told = self._client.run(_size_and_time, os.fspath(file))
         except OSError:  # one was lost just now
             return False
-        finds_it = set(told.values()) == {_size_and_time(os.fspath(file))}
-        self._workers = len(told) if finds_it else 0
-        return finds_it
+        return set(told.values()) == {_size_and_time(os.fspath(file))}
 
     def map(self, function: Callable[[Item], Result], items: Sequence[Item]) -> Iterable[Result]:
-        """Return the function's results in the order of the items: by the workers if `has_workers_with` found them, else here."""
-        if not self._workers:
-            return map(function, items)
-        size = max(1, len(items) // (self._workers * _PIECES_OF_WORKER))
+        """Return the function's results in the order of the items, by the workers."""
+        size = max(1, len(items) // _PIECES)
         pieces = [
             self._client.submit(_map, function, items[first : first + size], pure=False)
             for first in range(0, len(items), size)

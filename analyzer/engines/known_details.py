@@ -21,6 +21,8 @@ import polars as pl
 import dds_trace.tracefile
 from dds_trace.tracefile.version import __version__
 
+from ..groups.frames import DETAIL_MAKERS, MAKERS
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
@@ -30,6 +32,9 @@ if TYPE_CHECKING:
     from ..groups.frames import Frames
     from ..loading.cache import TraceCache
     from ..loading.events import EventKey, EventPart
+
+KNOWN_FRAMES = frozenset({"statistics", "distributions", *MAKERS, *DETAIL_MAKERS})
+"""Names of the frames of a batch that are kept: those of its `Statistics`, and all that follow from the batch alone."""
 
 MOST_BYTES = 64 << 20
 """Largest frames of one batch that are kept."""
@@ -56,7 +61,7 @@ class KnownDetails:
         Args:
             batch: the batch, details wanted.
             parts: for each of its `event_keys` the rows of the event index.
-            make: makes them; they follow from the batch and its events alone.
+            make: makes those of `KNOWN_FRAMES`.
         """
         key, first = self._key_of(batch, parts), int(batch.group_of_exchange[0])
         with suppress(OSError, ValueError, LookupError, TypeError, pl.exceptions.PolarsError):
@@ -136,6 +141,6 @@ def _unpacked(packed: bytes) -> Frames:
     for name, size in json.loads(head):
         frames[name] = pl.read_ipc(io.BytesIO(files[begin : begin + size]), use_pyarrow=False)
         begin += size
-    if not frames:
-        raise ValueError("no frame")
+    if frames.keys() != KNOWN_FRAMES:
+        raise ValueError("other frames than are made")
     return frames

@@ -63,10 +63,10 @@ class Engine(Protocol):
         """Yield what becomes of the batches in their order."""
 
     def has_workers_with(self, file: Path) -> bool:
-        """Return whether `map` has other processes, to which the function and the items are sent, and they find this file."""
+        """Return whether there are other processes for `map`, and they find this file where it is here."""
 
     def map(self, function: Callable[[T], R], items: Sequence[T]) -> Iterable[R]:
-        """Return the function's results in the order of the items: by other processes if there are any, else here."""
+        """Return the function's results in the order of the items, by other processes, to which function and items are sent."""
 
     def close(self) -> None:
         """Release memory, files and connections."""

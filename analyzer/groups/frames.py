@@ -52,14 +52,9 @@ DETAIL_MAKERS: Mapping[str, Maker] = {
 """The same for frames that take more time than rows and summary together: made only where they are asked for."""
 
 
-def campaign_frames(batch: Batch, roundtrips: RoundTrips) -> Frames:
-    """Make the frames of one batch that follow from it and from the number of exchanges of the campaign."""
-    return {name: make(batch, roundtrips) for name, make in CAMPAIGN_MAKERS.items()}
-
-
-def summary_frames(batch: Batch, roundtrips: RoundTrips) -> Frames:
-    """Make the frames of one batch that every analysis has and that follow from it alone."""
-    return {name: make(batch, roundtrips) for name, make in MAKERS.items()}
+def make_frames(makers: Mapping[str, Maker], batch: Batch, roundtrips: RoundTrips) -> Frames:
+    """Make the frames of one batch that one of the tables names."""
+    return {name: make(batch, roundtrips) for name, make in makers.items()}
 
 
 def detail_frames(batch: Batch, roundtrips: RoundTrips, pool: Executor) -> Frames:

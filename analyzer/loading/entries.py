@@ -212,13 +212,14 @@ def _to_dict(loaded: LoadedTrace, seals: list[str]) -> _Entry:
         "notes": list(trace.notes),
         "parts": [
             (
-                key[0].value,
-                *key[1:],
+                stage.value,
+                run_id,
+                relay_id,
                 part.first_ns,
                 part.last_ns,
-                [(p.count, dict(p.columns)) for p in events.pieces],
+                [(piece.count, dict(piece.columns)) for piece in events.pieces],
             )
-            for (key, part), events in zip(loaded.parts.items(), stored, strict=True)
+            for ((stage, run_id, relay_id), part), events in zip(loaded.parts.items(), stored, strict=True)
         ],
     }
 

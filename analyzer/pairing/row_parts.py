@@ -27,7 +27,6 @@ MOST_NUMBERED = 1 << 15
 
 _MAGIC = b"PAR1"
 _LENGTH_BYTES = 4
-_PIECE_BYTES = 1 << 20
 
 # Numbers of the fields of a footer (https://github.com/apache/parquet-format/blob/master/src/main/thrift/parquet.thrift).
 _ROWS, _ROW_GROUPS, _KEY_VALUES = 3, 4, 5
@@ -37,26 +36,28 @@ _PAGE_OFFSETS = (9, 10, 11)  # of data, index and dictionary
 _KEY, _VALUE = 1, 2
 
 
+def read_rows(source: Path | BinaryIO | pa.NativeFile) -> pa.Table:
+    """Return the rows of a Parquet file as they are written: texts are dictionaries."""
+    texts = [field.name for field in pq.read_schema(source) if field.type == "string"]
+    return pq.read_table(source, read_dictionary=texts)
+
+
 @dataclass(frozen=True, slots=True)
 class RowPart:
     """Rows that are encoded.
 
     Attributes:
-        rows: how many.
+        num_rows: how many.
         content: a Parquet file: its bytes, or where it is, in a folder of temporary files.
     """
 
-    rows: int
+    num_rows: int
     content: pa.Buffer | Path
 
-    def __len__(self) -> int:
-        return self.rows
-
     def load(self) -> pa.Table:
-        """Return the rows, decoded; texts are dictionaries."""
+        """Return the rows, decoded; see `read_rows`."""
         with self.open() as file:
-            texts = [field.name for field in pq.read_schema(file) if field.type == "string"]
-            return pq.read_table(file, read_dictionary=texts)
+            return read_rows(file)
 
     def open(self) -> BinaryIO | pa.NativeFile:
         """Open it for reading."""
@@ -101,12 +102,7 @@ class JoinedParts:
                 self._row_groups.append(group)
             self._rows += footer[_ROWS].value
             file.seek(len(_MAGIC))
-            left = footer_at - len(_MAGIC)
-            while left:
-                piece = file.read(min(left, _PIECE_BYTES))
-                self._stream.write(piece)
-                left -= len(piece)
-                self._at += len(piece)
+            self._at += self._stream.write(file.read(footer_at - len(_MAGIC)))
 
     def finish(self, metadata: Mapping[str, str]) -> None:
         """Write the footer, with this metadata.

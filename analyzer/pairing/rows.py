@@ -89,7 +89,7 @@ class RowStore:
     def add(self, rows: Iterable[pa.Table] | RowPart) -> None:
         """Take the next rows, as `parquet.tables_of` or `parquet.encode_rows` makes them."""
         for some in [rows] if isinstance(rows, RowPart) else rows:
-            self._rows += len(some)
+            self._rows += some.num_rows
             if isinstance(self._held, list):
                 self._held.append(some.load() if isinstance(some, RowPart) else some)
             if self._write is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import sys
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,22 +27,21 @@ class ColumnsBuilder:
 
     Args:
         expected: number of events expected of each stage; memory is reserved for them, and taken when they come.
-        most_events: events of all stages that make it full; None: it never is.
+        most_events: events of all stages that make it full.
     """
 
-    def __init__(self, expected: Mapping[Stage, int], most_events: int | None = None) -> None:
-        most = math.inf if most_events is None else most_events
-        self._columns = {stage: _StageColumns(int(min(most, expected.get(stage, 0)))) for stage in Stage}
-        self._left = most
+    def __init__(self, expected: Mapping[Stage, int], most_events: int = sys.maxsize) -> None:
+        self._columns = {stage: _StageColumns(min(most_events, expected.get(stage, 0))) for stage in Stage}
+        self._most_events = most_events
 
     def is_full_before(self, events: int) -> bool:
         """Return whether so many more are too many; what is empty takes any number."""
-        return events > self._left and any(columns.filled for columns in self._columns.values())
+        filled = sum(columns.filled for columns in self._columns.values())
+        return filled > 0 and filled + events > self._most_events
 
     def append(self, stage: Stage, records: Records) -> None:
         """Append `records`, a contiguous array of `EVENT_DTYPE`, to the events of the stage."""
         self._columns[stage].append(records)
-        self._left -= len(records)
 
     def finish(self) -> dict[Stage, EventColumns]:
         """Return all events; the builder may not be used again."""

@@ -6,6 +6,7 @@ The same events come out of every kind of file: ours, another tool's, unindexed,
 from __future__ import annotations
 
 import os
+import sys
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -41,7 +42,7 @@ def read_trace(path: Path) -> Trace:
             damaged is no error: see `Trace.truncated` and `Trace.notes`.
     """
     whole: dict[Stage, EventColumns] = {}
-    return replace(_read(path, whole.update, None), events=whole)
+    return replace(_read(path, whole.update, sys.maxsize), events=whole)
 
 
 def read_trace_in_pieces(path: Path, take: Callable[[Mapping[Stage, EventColumns]], object]) -> Trace:
@@ -61,10 +62,8 @@ def read_trace_in_pieces(path: Path, take: Callable[[Mapping[Stage, EventColumns
     return _read(path, take, PIECE_EVENTS)
 
 
-def _read(
-    path: Path, take: Callable[[Mapping[Stage, EventColumns]], object], most_events: int | None
-) -> Trace:
-    """Read a trace, its events in pieces of so many, or in one."""
+def _read(path: Path, take: Callable[[Mapping[Stage, EventColumns]], object], most_events: int) -> Trace:
+    """Read a trace, its events in pieces of so many."""
     builder = TraceBuilder(path)
     files = storage_files(path)
     rings = [ring_beside(file) for file in files]

@@ -17,7 +17,6 @@ from dds_trace.analyzer.engines.cluster import _describe, _select
 from dds_trace.analyzer.loading.traces import load_trace
 from dds_trace.analyzer.model.metrics import METRICS
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
-from dds_trace.analyzer.verdicts import answers
 from dds_trace.tracefile import EVENT_DTYPE, BackendUnavailableError, read_trace
 
 distributed = pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
@@ -128,15 +127,10 @@ def test_a_cluster_finds_what_one_machine_finds(cluster, runs, tmp_path):
         assert together.outputs[kind].read_bytes() == path.read_bytes()
 
 
-def test_workers_answer_where_they_find_the_rows(cluster, runs, tmp_path, monkeypatch):
+def test_workers_answer_where_they_find_the_rows(cluster, runs, tmp_path, monkeypatch, answer_elsewhere):
     expected = analyze(runs).details.answers
     assert len(expected) == 2
-
-    def here(*_arguments, **_options):
-        raise AssertionError("answered here")
-
-    here.__module__, here.__qualname__ = answers.__name__, "_answer_case"  # sent by its name
-    monkeypatch.setattr(answers, "_answer_case", here)
+    answer_elsewhere()
     monkeypatch.chdir(tmp_path)
     assert analyze(runs, out="out", cluster=cluster[0]).details.answers == expected
     with pytest.raises(AssertionError, match="answered here"):

@@ -74,11 +74,11 @@ def test_a_second_analysis_makes_no_details_and_says_the_same(runs, made):
     assert_as_without_cache(runs, again)
 
 
-@pytest.mark.parametrize("name", ["measure_batch", "summary_frames"])
-def test_neither_does_it_measure_anew(runs, name, monkeypatch):
+@pytest.mark.parametrize(("name", "none"), [("measure_batch", None), ("MAKERS", {"sending": None})])
+def test_neither_does_it_measure_anew(runs, name, none, monkeypatch):
     """Statistics and how a ping kept to its schedule are known, too; what is drawn follows from the whole campaign."""
     first = analyze(runs, cache=True)
-    monkeypatch.setattr(batches, name, None)
+    monkeypatch.setattr(batches, name, none)
     assert_same_results(analyze(runs, cache=True), first)
 
 
@@ -202,6 +202,20 @@ def test_sealed_nonsense_is_made_anew(runs, made, kept, packed):
     cache = TraceCache.open()
     for path in kept():
         cache.write(path.stem, "details", packed)
+    cache.close()
+    assert_as_without_cache(runs, analyze(runs, cache=True))
+    assert sorted(made) == [1000, 1001, 1002]
+
+
+@pytest.mark.parametrize("missing", ["statistics", "sending", "intervals"])
+def test_sealed_frames_without_one_are_made_anew(runs, made, kept, missing):
+    analyze(runs, cache=True)
+    made.clear()
+    cache = TraceCache.open()
+    for path in kept():
+        frames = known_details._unpacked(cache.read(path.stem, "details", known_details.MOST_BYTES))
+        del frames[missing]
+        cache.write(path.stem, "details", known_details._packed(frames))
     cache.close()
     assert_as_without_cache(runs, analyze(runs, cache=True))
     assert sorted(made) == [1000, 1001, 1002]

@@ -16,7 +16,6 @@ from dds_trace.analyzer import analyze
 from dds_trace.analyzer.engines import local, processes
 from dds_trace.analyzer.engines.processes import can_start_workers
 from dds_trace.analyzer.loading import shelf
-from dds_trace.analyzer.verdicts import answers
 from dds_trace.tracefile import EventColumns, TraceError, TraceFormatError
 
 PATIENCE_S = 60
@@ -229,16 +228,11 @@ def test_a_process_that_may_have_none_analyzes_alone(runs, tmp_path):
 
 
 def test_workers_answer_the_kinds_of_messages_where_their_rows_are_in_a_file(
-    runs, tmp_path, monkeypatch, request
+    runs, tmp_path, request, answer_elsewhere
 ):
     expected = analyze(runs).details.answers
     assert len(expected) == 3
-
-    def here(*_arguments, **_options):
-        raise AssertionError("answered here")
-
-    here.__module__, here.__qualname__ = answers.__name__, "_answer_case"  # sent by its name
-    monkeypatch.setattr(answers, "_answer_case", here)
+    answer_elsewhere()
     with pytest.raises(AssertionError, match="answered here"):
         analyze(runs)
     request.getfixturevalue("started")

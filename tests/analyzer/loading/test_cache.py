@@ -13,10 +13,9 @@ from trace_files import Message, ping_events, ping_session, relay_session, run, 
 
 import dds_trace.analyzer.loading.cache
 import dds_trace.analyzer.loading.shelf
-import dds_trace.analyzer.loading.traces
 from dds_trace.analyzer import analyze
 from dds_trace.analyzer.loading.cache import TraceCache
-from dds_trace.tracefile import Stage, read_trace
+from dds_trace.tracefile import Stage
 
 
 @pytest.fixture
@@ -29,19 +28,6 @@ def runs(tmp_path):
 def traces(own_base_folders):
     """Folder of the entries."""
     return own_base_folders / "cache/dds-trace/traces"
-
-
-@pytest.fixture
-def files_read(monkeypatch):
-    """Names of the traces that are read from here on."""
-    names = []
-
-    def reading(path):
-        names.append(path.name)
-        return read_trace(path)
-
-    monkeypatch.setattr(dds_trace.analyzer.loading.traces, "read_trace", reading)
-    return names
 
 
 def names_in(folder):

@@ -15,31 +15,13 @@ from trace_files import Message, ping_events, ping_session, relay_events, relay_
 import dds_trace.analyzer.engines.batches
 import dds_trace.analyzer.engines.local
 import dds_trace.analyzer.loading.shelf
-import dds_trace.analyzer.loading.traces
 import dds_trace.analyzer.pairing.rows
 import dds_trace.analyzer.verdicts.cases
 import dds_trace.tracefile.mcapfile.blocks
 import dds_trace.tracefile.reading.reader
 from dds_trace.analyzer import analyze
 from dds_trace.analyzer.loading.event_store import EventsFile, StoredEvents
-from dds_trace.tracefile import EVENT_DTYPE, EventColumns, OutputError, read_trace, read_trace_in_pieces
-
-
-@pytest.fixture
-def files_read(monkeypatch):
-    """Names of the traces that are read from here on."""
-    names = []
-
-    def noted(read):
-        def reading(path, *args):
-            names.append(path.name)
-            return read(path, *args)
-
-        return reading
-
-    for read in (read_trace, read_trace_in_pieces):
-        monkeypatch.setattr(dds_trace.analyzer.loading.traces, read.__name__, noted(read))
-    return names
+from dds_trace.tracefile import EVENT_DTYPE, EventColumns, OutputError
 
 
 def test_a_grown_campaign_reads_only_new_files(tmp_path, files_read):

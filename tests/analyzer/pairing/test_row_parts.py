@@ -13,10 +13,9 @@ from polars.testing import assert_frame_equal
 from dds_trace.analyzer import analyze
 from dds_trace.analyzer.pairing import parquet, row_parts
 from dds_trace.analyzer.pairing.parquet import ROUNDTRIPS_SCHEMA, encode_rows, roundtrips_writer
+from dds_trace.analyzer.pairing.row_parts import read_rows
 from dds_trace.analyzer.pairing.rows import RowStore
 from dds_trace.tracefile import OutputError
-
-TEXTS = [field.name for field in ROUNDTRIPS_SCHEMA if pa.types.is_string(field.type)]
 
 
 @pytest.fixture
@@ -24,7 +23,7 @@ def tables(tmp_path):
     """Real rows as three tables of the columns' types as they are written, the second one empty."""
     write_runs(tmp_path / "runs", range(3), groups=2)
     analyze(tmp_path / "runs", out=tmp_path / "analysis")
-    whole = pq.read_table(tmp_path / "analysis/roundtrips.parquet", read_dictionary=TEXTS)
+    whole = read_rows(tmp_path / "analysis/roundtrips.parquet")
     whole = whole.replace_schema_metadata().cast(parquet._AS_WRITTEN).unify_dictionaries()
     return [whole[:50], whole[50:50], whole[50:]]
 

@@ -23,6 +23,7 @@ from .desktop import open_page
 from .paths import expand_paths
 from .program import run_program
 from .quick_help import Version, command_app, declare_command
+from .vector_sorts import avoid_slow_sorts
 
 if TYPE_CHECKING:
     from dds_trace.analyzer import Analysis
@@ -258,6 +259,7 @@ COMMANDS: Mapping[str, typer.Typer] = {"compare": compare.app, "watch": watch.ap
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run `dds-analyze` with these arguments, or with those of the process."""
+    avoid_slow_sorts()
     run_program("dds-analyze", app, COMMANDS, arguments)
 
 

@@ -26,7 +26,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,9 +42,10 @@ if TYPE_CHECKING:
 
 Int64 = NDArray[np.int64]
 Float64 = NDArray[np.float64]
+T = TypeVar("T", int, NDArray[np.int64])
 
 
-_BLOCK_MESSAGES = 1 << 13
+_BLOCK_MESSAGES = 1 << 14
 """Messages that are worked at together."""
 
 
@@ -199,43 +200,74 @@ class _Points:
         Raises:
             ValueError: a message has `rtt < intermediate`.
         """
-        order = _order_of(messages)
+        held = cls._in_order(messages, points, None)
+        if held is None:
+            at_ns = _half_way(messages.publish_ns, messages.receive_ns - messages.publish_ns)
+            held = cls._in_order(messages, points, np.argsort(at_ns, kind="stable"))
+            assert held is not None
+        return held
+
+    @classmethod
+    def _in_order(
+        cls, messages: RelayedMessages, points: OffsetIntervals, order: Int64 | None
+    ) -> _Points | None:
+        """Return the bounds in this order, as `of` does; None if it is not that of time."""
         first = 0 if order is None else int(order[0])
-        time_origin_ns = int(_half_way(messages.publish_ns[first], messages.receive_ns[first]))
-        offset_origin_ns = int(messages.relay_in_ns[first] - messages.publish_ns[first])
+        publish_ns, receive_ns = int(messages.publish_ns[first]), int(messages.receive_ns[first])
+        time_origin_ns = last_ns = _half_way(publish_ns, receive_ns - publish_ns)
+        offset_origin_ns = int(messages.relay_in_ns[first]) - publish_ns
         least_out_ns, most_back_ns = np.inf, -np.inf
         for block in _blocks(len(messages.publish_ns)):
             taken = block if order is None else order[block]
-            publish_ns, receive_ns = messages.publish_ns[taken], messages.receive_ns[taken]
-            out_ns = messages.relay_in_ns[taken] - publish_ns  # theta's upper end
-            back_ns = messages.relay_out_ns[taken] - receive_ns  # its lower end
+            published_ns, received_ns = messages.publish_ns[taken], messages.receive_ns[taken]
+            out_ns = messages.relay_in_ns[taken] - published_ns  # theta's upper end
+            back_ns = messages.relay_out_ns[taken] - received_ns  # its lower end
             if (back_ns > out_ns).any():
                 raise ValueError(
                     "a message spent more time in the relay than under way: leave it out of the fit"
                 )
-            least_out_ns, most_back_ns = min(least_out_ns, out_ns.min()), max(most_back_ns, back_ns.max())
-            slack = DRIFT / 2 * (receive_ns - publish_ns)  # the clocks part a little on the way to the middle
-            points.time[block] = _half_way(publish_ns, receive_ns) - time_origin_ns
-            np.subtract(back_ns - offset_origin_ns, slack, out=points.lower[block])
-            np.add(out_ns - offset_origin_ns, slack, out=points.upper[block])
+            least_out_ns = min(least_out_ns, int(out_ns.min()))
+            most_back_ns = max(most_back_ns, int(back_ns.max()))
+            rtt_ns = received_ns - published_ns
+            slack = DRIFT / 2 * rtt_ns  # the clocks part a little on the way to the middle
+            at_ns = _half_way(published_ns, rtt_ns)
+            if at_ns[0] < last_ns or (at_ns[1:] < at_ns[:-1]).any():
+                return None
+            last_ns = int(at_ns[-1])
+            at_ns -= time_origin_ns
+            back_ns -= offset_origin_ns
+            out_ns -= offset_origin_ns
+            points.time[block] = at_ns
+            lower, upper = points.lower[block], points.upper[block]
+            lower[:], upper[:] = back_ns, out_ns
+            lower -= slack
+            upper += slack
         is_one_machine = messages.same_boot
         if is_one_machine is None:
             is_one_machine = messages.ping_device == messages.relay_device
         # Two devices may have one name, and a time namespace another clock on one machine: zero has to agree, too.
-        same_clock = is_one_machine and bool(least_out_ns >= 0 and most_back_ns <= 0)
+        same_clock = is_one_machine and least_out_ns >= 0 and most_back_ns <= 0
         return cls(points, order, time_origin_ns, offset_origin_ns, same_clock)
 
-    def offsets(self) -> ClockOffsets:
-        """Return the offset at each message, in the order of the input; lines have narrowed the bounds."""
-        low, high = self.points.lower, self.points.upper
+    def offsets(self, offset_ns: Int64, bound_ns: Int64) -> ClockOffsets:
+        """Return the offset at each message, in the order of the input; lines have narrowed the bounds.
+
+        Args:
+            offset_ns: takes the offsets, if it can.
+            bound_ns: the bounds.
+        """
         if self.same_clock:
-            zero = np.zeros(len(low), np.int64)
+            zero = np.zeros(len(offset_ns), np.int64)
             return ClockOffsets(zero, zero)
-        offset_ns, bound_ns = np.empty((2, len(low)), np.int64)
-        for block in _blocks(len(low)):
-            offset_ns[block] = np.rint((low[block] + high[block]) / 2)
-            # Half a nanosecond for the rounding.
-            bound_ns[block] = np.ceil((high[block] - low[block]) / 2 + 0.5)
+        for block in _blocks(len(offset_ns)):
+            low, high = self.points.lower[block], self.points.upper[block]
+            value = low + high
+            value /= 2
+            offset_ns[block] = np.rint(value, out=value)
+            np.subtract(high, low, out=value)
+            value /= 2
+            value += 0.5  # for the rounding
+            bound_ns[block] = np.ceil(value, out=value)
         offset_ns += self.offset_origin_ns
         if self.order is not None:
             at = np.empty_like(self.order)
@@ -249,20 +281,9 @@ def _blocks(messages: int) -> Iterator[slice]:
     return (slice(first, first + _BLOCK_MESSAGES) for first in range(0, messages, _BLOCK_MESSAGES))
 
 
-def _half_way(publish_ns: Int64, receive_ns: Int64) -> Int64:
+def _half_way(publish_ns: T, rtt_ns: T) -> T:
     """Return the instants halfway between T1 and T2."""
-    return publish_ns + ((receive_ns - publish_ns) >> 1)
-
-
-def _order_of(messages: RelayedMessages) -> Int64 | None:
-    """Return the positions of the messages in the order of their instants; None where they have it."""
-    last_ns: int | None = None
-    for block in _blocks(len(messages.publish_ns)):
-        at_ns = _half_way(messages.publish_ns[block], messages.receive_ns[block])
-        if (at_ns[1:] < at_ns[:-1]).any() or (last_ns is not None and at_ns[0] < last_ns):
-            return np.argsort(_half_way(messages.publish_ns, messages.receive_ns), kind="stable")
-        last_ns = int(at_ns[-1])
-    return None
+    return publish_ns + (rtt_ns >> 1)
 
 
 def fit_clocks(fits: Sequence[RelayedMessages]) -> list[tuple[ClockFit, ClockOffsets]]:
@@ -288,8 +309,9 @@ def fit_clocks(fits: Sequence[RelayedMessages]) -> list[tuple[ClockFit, ClockOff
         for of_fit, first in zip(held, edges[:-1], strict=True)
     ]
     windows = fit_windows(points, [stretch for of_fit in stretches for stretch in of_fit])
+    offset_ns, bound_ns = np.empty((2, edges[-1]), np.int64)
     fitted = []
-    for messages, of_fit, own in zip(fits, held, stretches, strict=True):
+    for messages, of_fit, own, (first, after) in zip(fits, held, stretches, pairwise(edges), strict=True):
         names = messages.ping_device, messages.relay_device, messages.boot
         if of_fit is None:
             nothing = np.empty(0, np.int64)
@@ -298,7 +320,7 @@ def fit_clocks(fits: Sequence[RelayedMessages]) -> list[tuple[ClockFit, ClockOff
             continue
         segments, steps = _segments(points.time, windows, own, of_fit)
         fit = ClockFit(*names, of_fit.same_clock, segments, steps, messages.relay_boot)
-        fitted.append((fit, of_fit.offsets()))
+        fitted.append((fit, of_fit.offsets(offset_ns[first:after], bound_ns[first:after])))
     return fitted
 
 

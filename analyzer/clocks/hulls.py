@@ -78,11 +78,12 @@ def lower_hulls(time: Float64, height: Float64) -> Intp:
     column = np.arange(columns)
     while last and len(left):
         at = np.arange(len(left)), corner
-        run, rise = time - time[at][:, None], height - height[at][:, None]
-        # Of two points at one time, the lower one comes next, or none.
-        is_ahead = (column > corner[:, None]) & ((run > 0) | (rise < 0))
+        run, slope = time - time[at][:, None], height - height[at][:, None]
         with np.errstate(divide="ignore", invalid="ignore"):
-            slope = np.where(is_ahead, rise / run, np.inf)
+            slope /= run
+        # Of two points at one time, the lower one comes next (minus infinity), or none (infinity; of equal ones, no number).
+        np.fmin(slope, np.inf, out=slope)
+        slope[column <= corner[:, None]] = np.inf
         corner = last - slope[:, ::-1].argmin(axis=1)
         following = np.full(rows, last)
         following[left] = corner

@@ -6,11 +6,15 @@ The geometry of `analyzer/clocks/fit.py`, in floats whose origin was subtracted 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .hulls import lower_hulls, lowest_of_parts, part_edges
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 Float64 = NDArray[np.float64]
 Intp = NDArray[np.intp]
@@ -134,8 +138,7 @@ class Lines:
         """
         centre = points.time[start + (stop - start) // 2]
         edges = part_edges(start, stop)
-        above, x, upper = _hull(points.time, points.upper, edges, centre)
-        below, y, lower = _hull(points.time, -points.lower, edges, centre)
+        (above, x, upper), (below, y, lower) = _hulls(points, edges, centre)
         # A line below a point and above another is limited by the slope through both: from above if the first one comes
         # later, from below if it comes earlier. The tightest limits are the slopes of the steepest and the gentlest line.
         run = x[:, :, None] - y[:, None, :]
@@ -190,8 +193,16 @@ def least_height(time: Float64, height: Float64, slope: Float64) -> Float64:
     return least
 
 
-def _hull(time: Float64, height: Float64, edges: Intp, centre: Float64) -> tuple[Intp, Float64, Float64]:
-    """Return the messages of each window's lower hull, their instants from its centre, and their heights."""
-    lowest = lowest_of_parts(height, edges)
-    corners = np.take_along_axis(lowest, lower_hulls(time[lowest], height[lowest]), axis=1)
-    return corners, time[corners] - centre[:, None], height[corners]
+def _hulls(points: OffsetIntervals, edges: Intp, centre: Float64) -> Iterator[tuple[Intp, Float64, Float64]]:
+    """Yield the messages of each window's lower hull, their instants from its centre, and their heights; of upper ends, then of lower ones upside down."""
+    heights = points.upper, -points.lower
+    lowest = [lowest_of_parts(height, edges) for height in heights]
+    both = np.concatenate(lowest)
+    # Both at once: a step costs little more for twice as many rows.
+    corners = lower_hulls(
+        points.time[both], np.concatenate([h[at] for h, at in zip(heights, lowest, strict=True)])
+    )
+    for height, at, columns in zip(heights, lowest, np.split(corners, 2), strict=True):
+        is_last = (columns == columns[:, -1:]).all(axis=0)
+        own = np.take_along_axis(at, columns[:, : np.count_nonzero(~is_last) + 1], axis=1)
+        yield own, points.time[own] - centre[:, None], height[own]

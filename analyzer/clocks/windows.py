@@ -30,7 +30,7 @@ _BLOCK_WINDOWS = 1 << 12
 """Messages and windows that are worked at together, unless one window has more: arrays of two megabytes, which memory that was
 just freed has room for."""
 
-_CACHED_MESSAGES = 1 << 14
+_CACHED_MESSAGES = 1 << 15
 """Messages whose bounds are narrowed together: their arrays stay in the cache of a core."""
 
 _INSTANTS = 17

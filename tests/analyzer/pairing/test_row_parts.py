@@ -1,6 +1,8 @@
 """Rows that were encoded elsewhere: joined, they are the file that one writer would have made of them."""
 
 import pickle
+import subprocess
+import sys
 
 import duckdb
 import polars as pl
@@ -110,3 +112,16 @@ def test_a_disk_that_fills_while_parts_are_joined_leaves_the_old_file(tables, tm
         written(path, tables)
     assert path.read_bytes() == before
     assert [each.name for each in tmp_path.iterdir() if each.suffix == ".part"] == []
+
+
+def test_rows_are_read_without_pandas(tables, tmp_path):
+    """Where it is installed, Arrow's reader of whole datasets loads it: two thirds of a second of every analysis."""
+    pytest.importorskip("pandas")
+    part = encode_rows(tables, tmp_path)
+    code = (
+        "import sys; from pathlib import Path; from dds_trace.analyzer.pairing.row_parts import read_rows\n"
+        "print(read_rows(Path(sys.argv[1])).num_rows, 'pandas' in sys.modules)"
+    )
+    command = [sys.executable, "-c", code, str(part.content)]
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+    assert said == [str(part.num_rows), "False"]

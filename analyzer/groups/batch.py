@@ -134,7 +134,7 @@ def grouped_rows(batch: Batch, roundtrips: RoundTrips, described: Sequence[str])
     exchange = roundtrips.exchange_of_row()
     known = roundtrips.described.select(described).with_columns(pl.col(pl.String).cast(pl.Categorical))
     return roundtrips.measured.with_columns(
-        pl.Series("group", roundtrips.per_row(batch.group_of_exchange)),
+        pl.Series("group", roundtrips.per_row(batch.group_of_exchange)).set_sorted(),
         *(column.gather(exchange) for column in known),
     )
 

@@ -229,20 +229,37 @@ def summarize_breakdown(parts: pl.DataFrame, group_columns: Sequence[str]) -> pl
     in_detail = shown.select(detailed.all().over(keys) if keys else detailed.all()).to_series()
     tables = []
     for columns, chosen in ((STAGES, in_detail), (_COARSE, ~in_detail)):
-        rows = _kept(shown, chosen)
-        for order, name in enumerate(columns):
-            values = pl.col(name)
-            made = [
+        # Every part of the chain by one look for the groups.
+        of_group = (
+            _kept(shown, chosen)
+            .group_by(keys, maintain_order=True)
+            .agg(
+                pl.len().cast(pl.UInt64).alias("messages"),
+                *(pl.struct(_summary_of(name, bounds[name])).alias(name) for name in columns),
+            )
+        )
+        tables += [
+            of_group.select(
+                *keys,
                 pl.lit(name).alias("part"),
                 pl.lit(order, pl.UInt32).alias("order"),
-                pl.len().cast(pl.UInt64).alias("messages"),
-                values.mean().alias("mean_ns"),
-                values.quantile(0.5, "linear").alias("p50_ns"),
-                pl.when(pl.len() >= 100).then(values.quantile(0.99, "linear")).alias("p99_ns"),
-                bounds[name].alias("bound_ns"),
-            ]
-            tables.append(rows.group_by(keys, maintain_order=True).agg(made))
+                "messages",
+                pl.col(name).struct.unnest(),
+            )
+            for order, name in enumerate(columns)
+        ]
     return pl.concat(tables).sort([*keys, "order"], maintain_order=True)
+
+
+def _summary_of(part: str, bound: pl.Expr) -> list[pl.Expr]:
+    """Return the columns of `summarize_breakdown` that are statistics of a part."""
+    values = pl.col(part)
+    return [
+        values.mean().alias("mean_ns"),
+        values.quantile(0.5, "linear").alias("p50_ns"),
+        pl.when(pl.len() >= 100).then(values.quantile(0.99, "linear")).alias("p99_ns"),
+        bound.alias("bound_ns"),
+    ]
 
 
 def _kept(rows: pl.DataFrame, chosen: pl.Series) -> pl.DataFrame:

@@ -180,7 +180,7 @@ def one_way_rows(group: int, column: Callable[[str], pl.Series]) -> Iterator[dic
     """Yield the rows of `one_way_frame` for one group, whose columns are fetched one by one."""
     bounds = column("clock_bound_ns").drop_nulls()
     for metric in ONE_WAY_METRICS if len(bounds) else ():
-        statistics = summarize_values(column(f"{metric}_ns").drop_nulls().sort().to_numpy())
+        statistics = summarize_values(np.sort(column(f"{metric}_ns").drop_nulls().to_numpy()))
         yield (
             {"group": group, "metric": metric, "messages": len(bounds)}
             | {f"{name}_ns": value for name, value in statistics.items() if name != "std"}

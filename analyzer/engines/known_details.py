@@ -37,7 +37,10 @@ KNOWN_FRAMES = frozenset({"statistics", "distributions", *MAKERS, *DETAIL_MAKERS
 """Names of the frames of a batch that are kept: those of its `Statistics`, and all that follow from the batch alone."""
 
 MOST_BYTES = 64 << 20
-"""Largest frames of one batch that are kept."""
+"""Largest file of one batch that is kept."""
+
+UNUSABLE = (OSError, ValueError, LookupError, TypeError, pl.exceptions.PolarsError)
+"""What reading a file raises that is not there, or not what was kept."""
 
 
 class KnownDetails:
@@ -63,15 +66,40 @@ class KnownDetails:
             parts: for each of its `event_keys` the rows of the event index.
             make: makes those of `KNOWN_FRAMES`.
         """
-        key, first = self._key_of(batch, parts), int(batch.group_of_exchange[0])
-        with suppress(OSError, ValueError, LookupError, TypeError, pl.exceptions.PolarsError):
-            return _shifted(_unpacked(self._cache.read(key, "details", MOST_BYTES)), first)
+        found = self.find(batch, parts)
+        if found is not None:
+            return found
         frames = make()
-        with suppress(OSError):  # a full disk costs the cache, not the analysis
-            self._cache.write(key, "details", _packed(_shifted(frames, -first)), MOST_BYTES)
+        self.write(self.key_of(batch, parts), "details", pack_frames(shifted(frames, -batch.first_group)))
         return frames
 
-    def _key_of(self, batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]]) -> str:
+    def find(self, batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]]) -> Frames | None:
+        """Return the frames of a batch if they are known; its arguments are those of `frames_of`."""
+        with suppress(*UNUSABLE):
+            frames = unpack_frames(self.read(self.key_of(batch, parts), "details"))
+            if frames.keys() != KNOWN_FRAMES:
+                raise ValueError("other frames than are made")
+            return shifted(frames, batch.first_group)
+        return None
+
+    def read(self, key: str, ending: str) -> dict[str, bytes]:
+        """Return what `write` was given.
+
+        Raises:
+            OSError, ValueError, LookupError, TypeError: there is none, or something else.
+        """
+        return _unpacked(self._cache.read(key, ending, MOST_BYTES))
+
+    def write(self, key: str, ending: str, files: Mapping[str, bytes]) -> None:
+        """Keep files under their names, if they are not too large; a full disk costs the cache, not the analysis."""
+        with suppress(OSError):
+            self._cache.write(key, ending, _packed(files), MOST_BYTES)
+
+    def key_of_text(self, purpose: str, text: str) -> str:
+        """Return the key of what follows from a text alone."""
+        return self._cache.key_of_text(purpose, text)
+
+    def key_of(self, batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]]) -> str:
         """Return the key of everything that the frames depend on, the numbers of groups but for their order left out."""
         wanted, groups = batch.wanted, batch.group_of_exchange.tolist()
         held = [
@@ -108,39 +136,51 @@ def code_of_analysis() -> tuple[object, ...]:
     return (
         __version__,
         platform.python_version(),
-        *(version(name) for name in ("numpy", "polars")),
+        *(version(name) for name in ("numpy", "polars", "pyarrow")),
         *((file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in files),
     )
 
 
-def _shifted(frames: Frames, groups: int) -> Frames:
+def shifted(frames: Frames, groups: int) -> Frames:
     """Return the frames with other numbers of groups: a campaign with one more group numbers those behind it anew."""
-    shifted = (pl.col("group").cast(pl.Int64) + groups).cast(pl.UInt32)
-    return {name: frame.with_columns(shifted) for name, frame in frames.items()}
+    numbers = (pl.col("group").cast(pl.Int64) + groups).cast(pl.UInt32)
+    return {name: frame.with_columns(numbers) for name, frame in frames.items()}
 
 
-def _packed(frames: Frames) -> bytes:
-    """Return the frames as a line of JSON with name and bytes of each, and the Arrow files behind it."""
-    files = []
-    for frame in frames.values():
+def pack_frames(frames: Frames) -> dict[str, bytes]:
+    """Return the Arrow file of each frame."""
+    files = {}
+    for name, frame in frames.items():
         stream = io.BytesIO()
         frame.write_ipc(stream, compression="lz4")
-        files.append(stream.getvalue())
-    head = json.dumps([(name, len(file)) for name, file in zip(frames, files, strict=True)])
-    return b"".join([head.encode(), b"\n", *files])
+        files[name] = stream.getvalue()
+    return files
 
 
-def _unpacked(packed: bytes) -> Frames:
+def unpack_frames(files: Mapping[str, bytes]) -> Frames:
+    """Return what `pack_frames` packed.
+
+    Raises:
+        PolarsError: it is something else.
+    """
+    return {name: pl.read_ipc(io.BytesIO(file), use_pyarrow=False) for name, file in files.items()}
+
+
+def _packed(files: Mapping[str, bytes]) -> bytes:
+    """Return a line of JSON with name and bytes of each file, and the files behind it."""
+    head = json.dumps([(name, len(file)) for name, file in files.items()])
+    return b"".join([head.encode(), b"\n", *files.values()])
+
+
+def _unpacked(packed: bytes) -> dict[str, bytes]:
     """Return what `_packed` packed.
 
     Raises:
-        ValueError, LookupError, TypeError, PolarsError: it is something else.
+        ValueError, LookupError, TypeError: it is something else.
     """
-    head, _, files = packed.partition(b"\n")
-    frames, begin = {}, 0
+    head, _, rest = packed.partition(b"\n")
+    files, begin = {}, 0
     for name, size in json.loads(head):
-        frames[name] = pl.read_ipc(io.BytesIO(files[begin : begin + size]), use_pyarrow=False)
+        files[name] = rest[begin : begin + size]
         begin += size
-    if frames.keys() != KNOWN_FRAMES:
-        raise ValueError("other frames than are made")
-    return frames
+    return files

@@ -25,7 +25,7 @@ from dds_trace.tracefile import TraceError
 from ..loading.cache import TraceCache
 from ..loading.shelf import TraceShelf
 from ..loading.traces import loaded_or_error
-from .batches import work_at
+from .known_batches import encoded_batch
 from .known_details import KnownDetails
 
 if TYPE_CHECKING:
@@ -134,7 +134,7 @@ def store_traces(paths: Sequence[Path], first: int) -> list[Stored]:
 def work_in_worker(
     batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]], keys: Mapping[int, str]
 ) -> WorkedBatch:
-    """Pair and measure a batch in a worker, its rows in a file; see `batches.work_at`.
+    """Pair and measure a batch in a worker, its rows in a file; see `known_batches.encoded_batch`.
 
     Args:
         batch: the batch.
@@ -145,8 +145,7 @@ def work_in_worker(
         OutputError: the rows could not be kept.
     """
     assert _folder is not None
-    worked = work_at(batch, parts, KnownDetails(_cache, keys) if _cache else None)
-    return worked.encoded(_folder)
+    return encoded_batch(batch, parts, KnownDetails(_cache, keys) if _cache else None, _folder)
 
 
 _folder: Path | None = None

@@ -121,6 +121,11 @@ class Batch:
         """Number of events of its exchanges."""
         return sum(sum(exchange.counts) for exchange in self.exchanges)
 
+    @property
+    def first_group(self) -> int:
+        """Number of its first group."""
+        return int(self.group_of_exchange[0])
+
     def event_keys(self) -> list[EventKey]:
         """Return the keys of its exchanges' events in the event index, each once."""
         return list(dict.fromkeys(key for exchange in self.exchanges for key in exchange.event_keys()))

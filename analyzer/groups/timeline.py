@@ -36,7 +36,7 @@ def timeline_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
         `rtt_ns` i64 null, `outcome` str.
     """
     recorded = np.array([exchange.relay_recorded for exchange in batch.exchanges])
-    kept = _worth_drawing(roundtrips, recorded, batch.all_exchanges)
+    kept = _worth_drawing(roundtrips, recorded, points_of_exchange(batch.all_exchanges))
     exchange = roundtrips.exchange_of_row()[kept]
     drawn = roundtrips.measured[kept].with_columns(
         pl.Series("group", batch.group_of_exchange[exchange]),
@@ -58,13 +58,19 @@ def timeline_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     )
 
 
-def _worth_drawing(
-    roundtrips: RoundTrips, recorded: NDArray[np.bool_], all_exchanges: int
-) -> NDArray[np.int64]:
-    """Return the rows to keep, rising; of an exchange whose relay is not `recorded` by its round trip times."""
-    rows, first = np.diff(roundtrips.bounds), roundtrips.bounds[:-1]
+def points_of_exchange(all_exchanges: int) -> int:
+    """Return how many points each exchange of a campaign may have: its share, which changes at powers of two of their number.
+
+    So one more run draws few of the others anew (`engines/known_batches.py`).
+    """
     low, high = _POINTS_OF_EXCHANGE
-    share = min(max(_ALL_POINTS // max(all_exchanges, 1), low), high)
+    counted = 1 << max(all_exchanges - 1, 0).bit_length()
+    return min(max(_ALL_POINTS // counted, low), high)
+
+
+def _worth_drawing(roundtrips: RoundTrips, recorded: NDArray[np.bool_], share: int) -> NDArray[np.int64]:
+    """Return the rows to keep, rising, some `share` of each exchange; where its relay is not `recorded`, by round trip times."""
+    rows, first = np.diff(roundtrips.bounds), roundtrips.bounds[:-1]
     if (rows <= share).all():
         return np.arange(roundtrips.measured.height)
 

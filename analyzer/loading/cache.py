@@ -3,6 +3,7 @@
     $XDG_CACHE_HOME/dds-trace/traces/KEY.json     the seal of the entry, then the trace without its events as JSON (`analyzer/loading/entries.py`)
     $XDG_CACHE_HOME/dds-trace/traces/KEY.events   its events (`analyzer/loading/event_store.py`)
     $XDG_CACHE_HOME/dds-trace/traces/KEY.details  sealed frames (`analyzer/engines/known_details.py`)
+    $XDG_CACHE_HOME/dds-trace/traces/KEY.rows     sealed rows (`analyzer/engines/known_batches.py`)
     $XDG_STATE_HOME/dds-trace/cache-key           32 random bytes
 
 KEY is the HMAC-SHA-256 of the trace's content, or of all that the frames are made of. The seal is the HMAC of KEY and of what
@@ -50,10 +51,10 @@ time are removed."""
 MOST_TEXT_BYTES = 256 << 20
 """Largest JSON of an entry; a trace with more descriptions than that is read anew each time."""
 
-_NAME = re.compile(r"([0-9a-f]{64})\.(json|events|details)(\.[0-9a-f]{8}\.part)?")
+_NAME = re.compile(r"([0-9a-f]{64})\.(json|events|details|rows)(\.[0-9a-f]{8}\.part)?")
 """Names of the files of an entry, and of their drafts."""
 
-_WHOLE = ({"json", "events"}, {"details"})
+_WHOLE = ({"json", "events"}, {"details"}, {"rows"})
 """Endings of the files of one entry."""
 
 _KEY_BYTES = 32

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import secrets
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
@@ -17,7 +16,7 @@ from dds_trace.tracefile.files import replacing
 
 from ..model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
 from .pair import OUTCOMES
-from .row_parts import JoinedParts, RowPart
+from .row_parts import JoinedParts, RowPart, new_part
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -96,7 +95,7 @@ def encode_rows(tables: Iterable[pa.Table], folder: Path | None = None) -> RowPa
     Raises:
         OutputError: it cannot be written.
     """
-    file = folder / f"{secrets.token_hex(8)}.rows" if folder else None
+    file = new_part(folder) if folder else None
     deltas = [c.name for c in ROUNDTRIP_COLUMNS if c.unit in ("ns", "UTC") or c.name == "sequence"]
     rows = 0
     try:

@@ -7,6 +7,7 @@ behind the other, and one footer, in which the offsets are moved. It is the same
 from __future__ import annotations
 
 import io
+import secrets
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -36,6 +37,11 @@ _PAGE_OFFSETS = (9, 10, 11)  # of data, index and dictionary
 _KEY, _VALUE = 1, 2
 
 
+def new_part(folder: Path) -> Path:
+    """Return a name in a folder of temporary files that nothing else has."""
+    return folder / f"{secrets.token_hex(8)}.rows"
+
+
 def read_rows(source: Path | BinaryIO | pa.NativeFile) -> pa.Table:
     """Return the rows of a Parquet file as they are written: texts are dictionaries."""
     texts = [field.name for field in pq.read_schema(source) if field.type == "string"]
@@ -54,6 +60,17 @@ class RowPart:
 
     num_rows: int
     content: pa.Buffer | Path
+
+    @classmethod
+    def of(cls, encoded: bytes, num_rows: int, folder: Path) -> RowPart:
+        """Return rows that were encoded earlier, in a file of this folder.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        path = new_part(folder)
+        path.write_bytes(encoded)
+        return cls(num_rows, path)
 
     def load(self) -> pa.Table:
         """Return the rows, decoded; see `read_rows`."""

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import TYPE_CHECKING
 
+import polars as pl
+from polars.testing import assert_frame_equal
 from trace_files import Message, ping_session, relay_session, run, write_pair
+
+from dds_trace.analyzer import analyze
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
+    from typing import Any
 
     from dds_trace.analyzer import Analysis
 
@@ -67,3 +73,15 @@ def assert_same_results(found: Analysis, expected: Analysis) -> None:
     assert found.findings == expected.findings
     assert found.sources == expected.sources
     assert found.runs == expected.runs
+
+
+def assert_as_without_cache(runs: Path, found: Analysis, **asked: Any) -> None:
+    """Every number of an analysis, details too, is that of an analysis of these traces without a cache."""
+    expected = analyze(runs, **asked)
+    assert_same_results(found, expected)
+    for field in fields(expected.details):
+        one, other = getattr(found.details, field.name), getattr(expected.details, field.name)
+        if isinstance(other, pl.DataFrame):
+            assert_frame_equal(one, other, check_exact=True)
+        else:
+            assert one == other, field.name

@@ -1,0 +1,85 @@
+"""Batches that are known whole: their rows, too, are in the user's cache, so that nothing of them is read or paired anew.
+
+Rows follow from the same as details (`known_details.py`), what is drawn also from the campaign's number of exchanges. They are
+kept as a worker process encodes them, a part of the file of all rows.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..groups.frames import CAMPAIGN_MAKERS
+from ..groups.measure import Statistics
+from ..groups.timeline import points_of_exchange
+from ..pairing.row_parts import RowPart
+from .batches import BatchResult, WorkedBatch, work_at
+from .known_details import UNUSABLE, pack_frames, shifted, unpack_frames
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from ..groups.batch import Batch
+    from ..loading.events import EventKey, EventPart
+    from .known_details import KnownDetails
+
+_ROWS, _NUMBER, _COUNTS = "rows", "number", "counts"
+_NAMES = frozenset({_ROWS, _NUMBER, _COUNTS, *CAMPAIGN_MAKERS})
+
+
+def encoded_batch(
+    batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]], known: KnownDetails | None, folder: Path
+) -> WorkedBatch:
+    """Return what becomes of a batch, its rows encoded: known, or worked at and known from then on.
+
+    Args:
+        batch: the batch.
+        parts: for each of its `event_keys` the rows of the event index.
+        known: what earlier analyses have made.
+        folder: takes the rows.
+
+    Raises:
+        OutputError: the rows could not be kept.
+    """
+    if known is None or not (batch.whole and batch.wanted.rows and batch.wanted.details):
+        return work_at(batch, parts, known).encoded(folder)
+    key = known.key_of_text("rows", f"{known.key_of(batch, parts)} {points_of_exchange(batch.all_exchanges)}")
+    found = _find(batch, parts, known, key, folder)
+    if found is not None:
+        return found
+    worked = work_at(batch, parts, known).encoded(folder)
+    _keep(batch, worked, known, key)
+    return worked
+
+
+def _find(
+    batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]], known: KnownDetails, key: str, folder: Path
+) -> WorkedBatch | None:
+    """Return a batch that is known whole, its rows in a file of their own."""
+    with suppress(*UNUSABLE):
+        files = known.read(key, "rows")
+        if files.keys() != _NAMES:
+            raise ValueError("other files than are kept")
+        encoded, number = files.pop(_ROWS), int(files.pop(_NUMBER))
+        frames = unpack_frames(files)
+        counts = frames.pop(_COUNTS)
+        of_batch = known.find(batch, parts)
+        if of_batch is None:
+            return None
+        rows = RowPart.of(encoded, number, folder)
+        statistics = Statistics(of_batch.pop("statistics"), of_batch.pop("distributions"))
+        of_campaign = shifted(frames, batch.first_group)
+        return WorkedBatch(rows, BatchResult(of_campaign | of_batch, counts, statistics, {}, None))
+    return None
+
+
+def _keep(batch: Batch, worked: WorkedBatch, known: KnownDetails, key: str) -> None:
+    """Keep the rows of a batch, unless events in them are also in another trace, which depends on the order of the traces."""
+    result, rows = worked.result(), worked.rows
+    if result.copies or not isinstance(rows, RowPart) or not isinstance(rows.content, Path):
+        return
+    drawn = {name: result.frames[name] for name in CAMPAIGN_MAKERS}
+    with suppress(OSError):
+        files = pack_frames(shifted(drawn, -batch.first_group) | {_COUNTS: result.counts})
+        known.write(key, "rows", {**files, _NUMBER: b"%d" % rows.num_rows, _ROWS: rows.content.read_bytes()})

@@ -62,9 +62,13 @@ def age_of_information(
     generated, received = chosen_of(last, generated), chosen_of(last, received)
     if len(received) < 2:
         return None
-    fallen = (received - generated)[:-1].astype(np.float64)
     peaks = received[1:] - generated[:-1]
-    area = (peaks.astype(np.float64) ** 2 - fallen**2) / 2
+    # In place: of a long run each of these arrays has forty megabytes.
+    area, fallen = peaks.astype(np.float64), (received - generated)[:-1].astype(np.float64)
+    area *= area
+    fallen *= fallen
+    area -= fallen
+    area /= 2
     return AgeOfInformation(
         mean_ns=float(area.sum() / float(received[-1] - received[0])),
         peak_mean_ns=float(peaks.mean()),

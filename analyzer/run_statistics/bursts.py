@@ -104,9 +104,9 @@ class Cells:
         return np.concatenate([[0], np.cumsum(self.widths)])
 
     @cached_property
-    def _of_messages(self) -> NDArray[np.intp]:
+    def _of_messages(self) -> NDArray[np.int32]:
         """The cell of each message, shape (messages,)."""
-        return np.repeat(np.arange(len(self.widths)), self.widths)
+        return np.repeat(np.arange(len(self.widths), dtype=np.int32), self.widths)
 
     @cached_property
     def messages(self) -> Int64:
@@ -200,17 +200,21 @@ def _cosines(cells: int) -> Float64:
     return np.asarray(waves)
 
 
-def positions_of(messages: int, sent_ns: Int64 | None = None) -> Float64:
-    """Return when the messages of a series were sent, float64, in their mean distances since the first; shape (messages,).
+def mean_distance(sent_ns: Int64) -> float:
+    """Return the mean distance in ns of messages sent at these times, rising; 1 where they are all at one."""
+    return float(sent_ns[-1] - sent_ns[0]) / max(1, len(sent_ns) - 1) or 1.0
+
+
+def positions_of(places: NDArray[np.intp], sent_ns: Int64 | None = None) -> Float64:
+    """Return when some messages of a series were sent, float64, in mean distances of its messages since the first; shape (events,).
 
     Args:
-        messages: length of the series.
-        sent_ns: when each of them was sent, int64 ns, rising; None where they are equally far apart.
+        places: of these messages, 0 ... messages - 1, shape (events,).
+        sent_ns: when each message of the series was sent, int64 ns, rising; None where they are equally far apart.
     """
-    if sent_ns is None or not messages:
-        return np.arange(messages, dtype=np.float64)
-    step = float(sent_ns[-1] - sent_ns[0]) / max(1, messages - 1)
-    return np.asarray((sent_ns - sent_ns[0]) / (step or 1.0))
+    if sent_ns is None or not len(sent_ns):
+        return places.astype(np.float64)
+    return np.asarray((sent_ns[places] - sent_ns[0]) / mean_distance(sent_ns))
 
 
 def episode_ends(
@@ -250,7 +254,7 @@ def episode_sizes(places: NDArray[np.intp], messages: int, sent_ns: Int64 | None
         messages: length of the series.
         sent_ns: when each message of the series was sent, int64 ns, rising; None where they are equally far apart.
     """
-    positions = positions_of(messages, sent_ns)[places]
+    positions = positions_of(places, sent_ns)
     return sizes_between(episode_ends(positions, gap_of(len(places), messages, EPISODE_GAP_SHARE)))
 
 

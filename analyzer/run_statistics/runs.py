@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..statistics.percentiles import minimum_messages
-from .bursts import Cells, cells_of, positions_of, share_inflations
+from .bursts import Cells, cells_of, mean_distance, positions_of, share_inflations
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -130,7 +130,7 @@ class Beyond:
 
     Attributes:
         places: intp, where they stand in the arrays of `Runs`, rising, shape (events,).
-        positions: float64, when they were sent (`Runs.positions`), shape (events,).
+        positions: float64, when they were sent, in mean distances of their run's messages since its first, shape (events,).
         edges: intp, the first of each run and the number of all, shape (runs + 1,).
         cells: of the runs.
     """
@@ -217,11 +217,6 @@ class Runs(tuple[Run, ...]):  # noqa: SLOT001 - what is kept needs a `__dict__`
         return np.sort(np.concatenate([run.ordered for run in self])) if len(self) > 1 else self[0].ordered
 
     @cached_property
-    def positions(self) -> NDArray[np.float64]:
-        """When each message was sent, in mean distances of its run's messages since the first of them."""
-        return np.concatenate([positions_of(len(run), run.sent_ns) for run in self])
-
-    @cached_property
     def cells(self) -> Cells:
         """The cells that neighbouring messages are added up in."""
         return cells_of(self.lengths)
@@ -239,7 +234,24 @@ class Runs(tuple[Run, ...]):  # noqa: SLOT001 - what is kept needs a `__dict__`
     def where(self, is_meant: NDArray[np.bool_]) -> Beyond:
         """Return the messages of a mask."""
         places = is_meant.nonzero()[0]
-        return Beyond(places, self.positions[places], places.searchsorted(self.edges), self.cells)
+        edges = places.searchsorted(self.edges)
+        return Beyond(places, self._positions_at(places, edges), edges, self.cells)
+
+    def _positions_at(self, places: NDArray[np.intp], edges: NDArray[np.intp]) -> NDArray[np.float64]:
+        """Return the positions of messages of all runs: `positions_of` each run, at once."""
+        if len(self) == 1:
+            return positions_of(places, self[0].sent_ns)
+        sent, first, distance = self._sent
+        events = edges[1:] - edges[:-1]
+        positions: NDArray[np.float64] = (sent[places] - first.repeat(events)) / distance.repeat(events)
+        return positions
+
+    @cached_property
+    def _sent(self) -> tuple[Int64, Int64, NDArray[np.float64]]:
+        """When each message was sent; the first of each run, and the mean distance there: numbers where no times are known."""
+        times = [np.arange(len(run)) if run.sent_ns is None else run.sent_ns for run in self]
+        first = np.array([of_run[0] if len(of_run) else 0 for of_run in times])
+        return np.concatenate(times), first, np.array([mean_distance(t) if len(t) else 1.0 for t in times])
 
 
 def joined_runs(runs: Sequence[Run]) -> Run:

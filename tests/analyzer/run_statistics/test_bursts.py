@@ -112,11 +112,12 @@ def test_an_episode_ends_at_a_gap():
 
 
 def test_positions_are_counted_in_mean_distances():
-    assert positions_of(3).tolist() == [0.0, 1.0, 2.0]
-    assert positions_of(3, np.array([5, 10, 25])).tolist() == [0.0, 0.5, 2.0]
-    assert positions_of(2, np.array([5, 7])).tolist() == [0.0, 1.0]
-    assert positions_of(2, np.array([5, 5])).tolist() == [0.0, 0.0]
-    assert positions_of(1, np.array([5])).tolist() == [0.0]
+    assert positions_of(np.arange(3)).tolist() == [0.0, 1.0, 2.0]
+    assert positions_of(np.arange(3), np.array([5, 10, 25])).tolist() == [0.0, 0.5, 2.0]
+    assert positions_of(np.array([0, 2]), np.array([5, 10, 25])).tolist() == [0.0, 2.0]
+    assert positions_of(np.arange(2), np.array([5, 7])).tolist() == [0.0, 1.0]
+    assert positions_of(np.arange(2), np.array([5, 5])).tolist() == [0.0, 0.0]
+    assert positions_of(np.arange(1), np.array([5])).tolist() == [0.0]
 
 
 def test_a_gap_is_one_of_time():

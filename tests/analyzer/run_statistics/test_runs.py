@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dds_trace.analyzer.run_statistics.between_runs import interval_of_runs
+from dds_trace.analyzer.run_statistics.bursts import positions_of
 from dds_trace.analyzer.run_statistics.runs import MEAN, Run, Runs, Statistic, joined_runs, quantile_at
 from dds_trace.analyzer.run_statistics.spread import spread_of_runs
 
@@ -74,3 +75,24 @@ def test_runs_that_nobody_uses_are_gone_at_once(count):
         assert array() is None
     finally:
         gc.enable()
+
+
+def test_positions_of_runs_side_by_side_are_those_of_each():
+    """Also of a run without times between others, of one message alone, and of one that has none beyond."""
+    draw = np.random.default_rng(0)
+    lengths = (40, 1, 25, 30)
+    runs = Runs(
+        Run(draw.normal(size=n), None if n == 25 else 10**18 + np.cumsum(draw.integers(1, 10**9, n)))
+        for n in lengths
+    )
+    is_meant = draw.random(sum(lengths)) < 0.4
+    is_meant[40:41], is_meant[66:] = True, False
+    beyond = runs.where(is_meant)
+    expected = [
+        positions_of(mask.nonzero()[0], run.sent_ns)
+        for run, mask in zip(runs, np.split(is_meant, np.cumsum(lengths)[:-1]), strict=True)
+    ]
+    for found, own in zip(beyond.of_runs(beyond.positions), expected, strict=True):
+        assert found.tolist() == own.tolist()
+    assert len(expected[1]) == 1
+    assert len(expected[3]) == 0

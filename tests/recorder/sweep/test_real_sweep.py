@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shlex
 import signal
 import socket
@@ -36,7 +37,9 @@ class Sweep:
         self.plan = folder / "small.toml"
         head = f"[run]\nmessages = 20\nwarmup = 2\nsettle_seconds = 0\ndomain = {domains.take()}\nping_domain = {domains.take()}\n"
         # All messages of a run wait for a side that is held up: of ten it would have the last ten.
-        self.plan.write_text(head + text.replace("[[matrix]]\n", "[[matrix]]\ndepth = 25\n"))
+        self.plan.write_text(
+            head + re.sub(r"^(\[axes\]|\[\[matrix\]\])$", r"\1\ndepth = 25", text, flags=re.MULTILINE)
+        )
         self.runs = folder / "runs" / "small"
 
     def start(self, *options):
@@ -80,6 +83,7 @@ def check_pairs(sweep, cells):
         (run,) = ping.runs
         assert run.labels["cell"] == name
         assert run.state == "finished"
+        assert run.qos.depth > 22
         assert len(ping.events[Stage.T1]) == 22
         for stage in (Stage.T3, Stage.T4):
             assert set(relays[name].events[stage].run_id.tolist()) == {run.run_id}

@@ -309,7 +309,7 @@ def fit_clocks(fits: Sequence[RelayedMessages]) -> list[tuple[ClockFit, ClockOff
         for of_fit, first in zip(held, edges[:-1], strict=True)
     ]
     windows = fit_windows(points, [stretch for of_fit in stretches for stretch in of_fit])
-    offset_ns, bound_ns = np.empty((2, edges[-1]), np.int64)
+    offset_ns, bound_ns = np.empty((2, edges[-1]), np.int64)  # in one piece, too
     fitted = []
     for messages, of_fit, own, (first, after) in zip(fits, held, stretches, pairwise(edges), strict=True):
         names = messages.ping_device, messages.relay_device, messages.boot

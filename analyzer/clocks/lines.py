@@ -194,7 +194,10 @@ def least_height(time: Float64, height: Float64, slope: Float64) -> Float64:
 
 
 def _hulls(points: OffsetIntervals, edges: Intp, centre: Float64) -> Iterator[tuple[Intp, Float64, Float64]]:
-    """Yield the messages of each window's lower hull, their instants from its centre, and their heights; of upper ends, then of lower ones upside down."""
+    """Yield the messages of each window's lower hull, their instants from its centre, and their heights.
+
+    That of the upper ends, then that of the lower ends upside down.
+    """
     heights = points.upper, -points.lower
     lowest = [lowest_of_parts(height, edges) for height in heights]
     both = np.concatenate(lowest)

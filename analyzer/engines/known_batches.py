@@ -44,8 +44,9 @@ def encoded_batch(
     """
     if known is None or not (batch.whole and batch.wanted.rows and batch.wanted.details):
         return work_at(batch, parts, known).encoded(folder)
-    key = known.key_of_text("rows", f"{known.key_of(batch, parts)} {points_of_exchange(batch.all_exchanges)}")
-    found = _find(batch, parts, known, key, folder)
+    of_details = known.key_of(batch, parts)
+    key = known.key_of_text("rows", f"{of_details} {points_of_exchange(batch.all_exchanges)}")
+    found = _find(batch, known, key, of_details, folder)
     if found is not None:
         return found
     worked = work_at(batch, parts, known).encoded(folder)
@@ -53,9 +54,7 @@ def encoded_batch(
     return worked
 
 
-def _find(
-    batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]], known: KnownDetails, key: str, folder: Path
-) -> WorkedBatch | None:
+def _find(batch: Batch, known: KnownDetails, key: str, of_details: str, folder: Path) -> WorkedBatch | None:
     """Return a batch that is known whole, its rows in a file of their own."""
     with suppress(*UNUSABLE):
         files = known.read(key, "rows")
@@ -64,7 +63,7 @@ def _find(
         encoded, number = files.pop(_ROWS), int(files.pop(_NUMBER))
         frames = unpack_frames(files)
         counts = frames.pop(_COUNTS)
-        of_batch = known.find(batch, parts)
+        of_batch = known.find(of_details, batch)
         if of_batch is None:
             return None
         rows = RowPart.of(encoded, number, folder)

@@ -66,17 +66,18 @@ class KnownDetails:
             parts: for each of its `event_keys` the rows of the event index.
             make: makes those of `KNOWN_FRAMES`.
         """
-        found = self.find(batch, parts)
+        key = self.key_of(batch, parts)
+        found = self.find(key, batch)
         if found is not None:
             return found
         frames = make()
-        self.write(self.key_of(batch, parts), "details", pack_frames(shifted(frames, -batch.first_group)))
+        self.write(key, "details", pack_frames(shifted(frames, -batch.first_group)))
         return frames
 
-    def find(self, batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]]) -> Frames | None:
-        """Return the frames of a batch if they are known; its arguments are those of `frames_of`."""
+    def find(self, key: str, batch: Batch) -> Frames | None:
+        """Return the frames of a batch, whose `key_of` this is, if they are known."""
         with suppress(*UNUSABLE):
-            frames = unpack_frames(self.read(self.key_of(batch, parts), "details"))
+            frames = unpack_frames(self.read(key, "details"))
             if frames.keys() != KNOWN_FRAMES:
                 raise ValueError("other frames than are made")
             return shifted(frames, batch.first_group)

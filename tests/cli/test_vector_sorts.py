@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from dds_trace.cli.vector_sorts import OTHER_VARIABLE, VARIABLE, is_slow_with_avx512
+from dds_trace.cli.vector_sorts import OTHER_VARIABLE, VARIABLE, avoid_slow_sorts, is_slow_with_avx512
 
 ZEN_4 = """processor\t: 0
 vendor_id\t: AuthenticAMD
@@ -72,8 +72,6 @@ def test_choice_of_the_user_stays(tmp_path):
 
 
 def test_a_numpy_that_is_loaded_is_left_alone(monkeypatch, tmp_path):
-    from dds_trace.cli.vector_sorts import avoid_slow_sorts
-
     cpuinfo = tmp_path / "cpuinfo"
     cpuinfo.write_text(ZEN_4)
     monkeypatch.delenv(VARIABLE, raising=False)

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from typing import Any
 
     from dds_trace.analyzer import Analysis
+    from dds_trace.analyzer.groups.batch import Batch
 
 MESSAGES = 40
 MS = 1_000_000
@@ -62,6 +63,11 @@ def write_runs(folder: Path, numbers: Iterable[int], *, latency_ns: int = 100, g
         ping.rename(folder / f"ping{number}.mcap")
         relay.rename(folder / f"relay{number}.mcap")
         (folder / f"{number}").rmdir()
+
+
+def payload_sizes(batch: Batch) -> list[int]:
+    """Return the payload sizes in a batch, in bytes, rising: with one for each group, which groups these are."""
+    return sorted({exchange.run.payload_bytes for exchange in batch.exchanges})
 
 
 def assert_same_results(found: Analysis, expected: Analysis) -> None:

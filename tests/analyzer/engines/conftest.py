@@ -1,8 +1,39 @@
 """What several tests of engines need."""
 
 import pytest
+from campaigns import write_runs
 
+from dds_trace.analyzer.engines import known_details
+from dds_trace.analyzer.loading.cache import TraceCache
 from dds_trace.analyzer.verdicts import answers
+
+
+@pytest.fixture
+def runs(tmp_path):
+    """A folder of six runs of three groups, of 1000, 1001 and 1002 bytes in turn."""
+    write_runs(tmp_path / "runs", range(6), groups=3)
+    return tmp_path / "runs"
+
+
+@pytest.fixture
+def cached(own_base_folders):
+    """Paths of the files in the cache that have this ending."""
+    return lambda ending: sorted((own_base_folders / "cache/dds-trace/traces").glob(f"*.{ending}"))
+
+
+@pytest.fixture
+def take_out_of_cached(cached):
+    """From its call on, each file in the cache that has this ending is sealed without one of the files in it."""
+
+    def take_out(ending, missing):
+        cache = TraceCache.open()
+        for path in cached(ending):
+            files = known_details._unpacked(cache.read(path.stem, ending, known_details.MOST_BYTES))
+            del files[missing]
+            cache.write(path.stem, ending, known_details._packed(files))
+        cache.close()
+
+    return take_out
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import shutil
 from contextlib import nullcontext
 
 import pytest
-from campaigns import assert_as_without_cache, write_runs
+from campaigns import assert_as_without_cache, payload_sizes, write_runs
 from file_damage import DAMAGES
 
 from dds_trace.analyzer import analyze
@@ -55,19 +55,13 @@ def near_workers(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def runs(tmp_path):
-    write_runs(tmp_path / "runs", range(6), groups=3)
-    return tmp_path / "runs"
-
-
-@pytest.fixture
 def worked(monkeypatch):
     """The payload sizes of the batches that an analysis with a cache paired, in bytes."""
     sizes = []
 
     def work(batch, parts, known):
         if known is not None:
-            sizes.extend(sorted({exchange.run.payload_bytes for exchange in batch.exchanges}))
+            sizes.extend(payload_sizes(batch))
         return real(batch, parts, known)
 
     real = known_batches.work_at
@@ -76,9 +70,9 @@ def worked(monkeypatch):
 
 
 @pytest.fixture
-def kept(own_base_folders):
+def kept(cached):
     """Paths of the rows in the cache."""
-    return lambda: sorted((own_base_folders / "cache/dds-trace/traces").glob("*.rows"))
+    return lambda: cached("rows")
 
 
 def test_a_second_analysis_pairs_nothing_and_says_the_same(runs, worked, tmp_path, near_workers):
@@ -179,25 +173,20 @@ def test_damaged_and_foreign_rows_are_paired_anew(runs, worked, kept, damage):
     assert worked == [1000, 1001, 1002]
 
 
-def test_rows_without_their_details_are_paired_anew(runs, worked, own_base_folders):
+def test_rows_without_their_details_are_paired_anew(runs, worked, cached):
     analyze(runs, cache=True)
     worked.clear()
-    for path in (own_base_folders / "cache/dds-trace/traces").glob("*.details"):
+    for path in cached("details"):
         path.unlink()
     assert_as_without_cache(runs, analyze(runs, cache=True))
     assert worked == [1000, 1001, 1002]
 
 
 @pytest.mark.parametrize("missing", ["rows", "number", "counts", "timeline"])
-def test_sealed_rows_without_a_part_are_paired_anew(runs, worked, kept, missing):
+def test_sealed_rows_without_a_part_are_paired_anew(runs, worked, take_out_of_cached, missing):
     analyze(runs, cache=True)
     worked.clear()
-    cache = TraceCache.open()
-    for path in kept():
-        files = known_details._unpacked(cache.read(path.stem, "rows", known_details.MOST_BYTES))
-        del files[missing]
-        cache.write(path.stem, "rows", known_details._packed(files))
-    cache.close()
+    take_out_of_cached("rows", missing)
     assert_as_without_cache(runs, analyze(runs, cache=True))
     assert worked == [1000, 1001, 1002]
 

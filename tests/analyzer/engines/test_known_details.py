@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 
 import pytest
-from campaigns import assert_as_without_cache, assert_same_results, write_runs
+from campaigns import assert_as_without_cache, assert_same_results, payload_sizes, write_runs
 from file_damage import DAMAGES
 
 from dds_trace.analyzer import analyze
@@ -22,19 +22,13 @@ def small_batches(monkeypatch):
 
 
 @pytest.fixture
-def runs(tmp_path):
-    write_runs(tmp_path / "runs", range(6), groups=3)
-    return tmp_path / "runs"
-
-
-@pytest.fixture
 def made(monkeypatch):
     """The payload sizes of the batches whose frames an analysis with a cache made, in bytes."""
     sizes = []
 
     def counted(known, batch, parts, make):
         def making():
-            sizes.extend(sorted({exchange.run.payload_bytes for exchange in batch.exchanges}))
+            sizes.extend(payload_sizes(batch))
             return make()
 
         return real(known, batch, parts, making)
@@ -45,9 +39,9 @@ def made(monkeypatch):
 
 
 @pytest.fixture
-def kept(own_base_folders):
+def kept(cached):
     """Paths of the details in the cache."""
-    return lambda: sorted((own_base_folders / "cache/dds-trace/traces").glob("*.details"))
+    return lambda: cached("details")
 
 
 def test_a_second_analysis_makes_no_details_and_says_the_same(runs, made):
@@ -194,15 +188,10 @@ def test_sealed_nonsense_is_made_anew(runs, made, kept, packed):
 
 
 @pytest.mark.parametrize("missing", ["statistics", "sending", "intervals"])
-def test_sealed_frames_without_one_are_made_anew(runs, made, kept, missing):
+def test_sealed_frames_without_one_are_made_anew(runs, made, take_out_of_cached, missing):
     analyze(runs, cache=True)
     made.clear()
-    cache = TraceCache.open()
-    for path in kept():
-        files = known_details._unpacked(cache.read(path.stem, "details", known_details.MOST_BYTES))
-        del files[missing]
-        cache.write(path.stem, "details", known_details._packed(files))
-    cache.close()
+    take_out_of_cached("details", missing)
     assert_as_without_cache(runs, analyze(runs, cache=True))
     assert sorted(made) == [1000, 1001, 1002]
 

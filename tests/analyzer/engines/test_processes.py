@@ -60,10 +60,10 @@ def started(monkeypatch):
 
 
 @pytest.fixture
-def runs(tmp_path):
-    write_runs(tmp_path / "runs", range(6), groups=3)
-    (tmp_path / "runs/ping1a.mcap").write_bytes(b"no trace")
-    return tmp_path / "runs"
+def runs(runs):
+    """Beside the runs a file that is no trace."""
+    (runs / "ping1a.mcap").write_bytes(b"no trace")
+    return runs
 
 
 @pytest.fixture

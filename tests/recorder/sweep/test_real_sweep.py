@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import shlex
 import signal
 import socket
@@ -37,9 +36,9 @@ class Sweep:
         self.plan = folder / "small.toml"
         head = f"[run]\nmessages = 20\nwarmup = 2\nsettle_seconds = 0\ndomain = {domains.take()}\nping_domain = {domains.take()}\n"
         # All messages of a run wait for a side that is held up: of ten it would have the last ten.
-        self.plan.write_text(
-            head + re.sub(r"^(\[axes\]|\[\[matrix\]\])$", r"\1\ndepth = 25", text, flags=re.MULTILINE)
-        )
+        for table in ("[axes]\n", "[[matrix]]\n"):
+            text = text.replace(table, f"{table}depth = 25\n")
+        self.plan.write_text(head + text)
         self.runs = folder / "runs" / "small"
 
     def start(self, *options):

@@ -5,8 +5,8 @@
 
 Every bar is the median of the ratios of several rounds, in each of which both sides are timed one after the other. The
 exit code is 1 if a bar is missed. Two threads on a machine whose cores are busy with other work cannot show what they
-can do: the load average is printed for that. Memory for the result is at hand (`timing.WarmMemory`), but for the row "first
-read", which has no bar: a new process that touches all its memory for the first time, as a user's first analysis does.
+can do: the load average is printed for that. Nothing that is timed touches memory for the first time
+(`timing.keep_freed_memory`), but for the row "first read", which has no bar: a new process, as a user's first analysis is one.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from time import perf_counter, sleep
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import lz4.frame
 import zstandard
@@ -30,15 +30,16 @@ from event_traces import write_event_trace
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 from rosbags.rosbag2 import Reader as RosbagsReader
-from timing import WarmMemory, packed_chunks, seconds, unpack_job
+from timing import keep_freed_memory, packed_chunks, seconds, unpack_job
 
-from dds_trace.tracefile import EVENT_DTYPE, read_trace
+from dds_trace.tracefile import read_trace
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 EVENTS, LARGE = 1_000_000, 20_000_000
-SAMPLING_S = 20.0  # rounds against unpacking alone, which are short
+WARM_PROCESSES = 3  # where the kernel has put a process's memory makes a fifth of the time
+SAMPLING_S = 7.0  # of each: rounds against unpacking alone, which are short
 LEAST_ROUNDS = 5
 PUBLIC_ROUNDS = 3  # the public readers take seconds each
 FIRST_ROUNDS = 3
@@ -113,14 +114,21 @@ PUBLIC_READERS = {
 
 
 def side_by_side(
-    ours: Callable[[], float], theirs: Callable[[], object], rounds: int, at_least_s: float = 0.0
+    path: Path, theirs: Callable[[], object], rounds: int, at_least_s: float = 0.0
 ) -> list[tuple[float, float]]:
-    """Seconds of both, timed in turn: at least so many rounds, over at least so long. `ours` times itself."""
+    """Seconds of our reader and of theirs, timed in turn: at least so many rounds, over at least so long."""
+    read_trace(path)  # touches the memory
     times: list[tuple[float, float]] = []
     until = perf_counter() + at_least_s
     while len(times) < rounds or perf_counter() < until:
-        times.append((ours(), seconds(theirs)))
+        times.append((seconds(partial(read_trace, path)), seconds(theirs)))
     return times
+
+
+def in_new_process(job: str, path: Path, codec: str) -> Any:
+    """Return what a new process says of a file, told to do one thing by an option of this program."""
+    command = [sys.executable, __file__, "--codec", codec, f"--{job}", str(path)]
+    return json.loads(subprocess.run(command, check=True, capture_output=True).stdout)
 
 
 def memory_bar(path: Path, codec: str, events: int) -> Bar:
@@ -129,6 +137,14 @@ def memory_bar(path: Path, codec: str, events: int) -> Bar:
     peak_bytes, result_bytes = json.loads(said.stdout)
     above = (peak_bytes - result_bytes) / 1e6
     return Bar(codec, events, "RSS above the result, MB", above, MOST_RSS_ABOVE_RESULT / 1e6, at_most=True)
+
+
+def warm_rounds(path: Path, codec: str) -> list[tuple[float, float]]:
+    """Seconds of this process to read a trace and to unpack it alone, round by round."""
+    unpack = unpack_job(packed_chunks(path), UNPACKERS[codec])
+    keep_freed_memory()  # from here on: what holds the packed chunks is in nobody's way
+    unpack()
+    return side_by_side(path, unpack, LEAST_ROUNDS, SAMPLING_S)
 
 
 def first_read_ratio(path: Path, codec: str) -> float:
@@ -142,8 +158,7 @@ def first_read_bar(path: Path, codec: str, events: int) -> Bar:
     ratios = []
     for _ in range(FIRST_ROUNDS):
         sleep(GIVEN_BACK_S)
-        command = [sys.executable, __file__, "--codec", codec, "--first-read", str(path)]
-        ratios.append(float(subprocess.run(command, check=True, capture_output=True).stdout))
+        ratios.append(in_new_process("first-read", path, codec))
     name = "times unpacking alone, first read"
     return Bar(codec, events, name, statistics.median(ratios), None, at_most=True)
 
@@ -152,15 +167,10 @@ def bars_of(folder: Path, codec: str, events: int, public: dict[str, float]) -> 
     """All bars of one file; `public` keeps the public readers' times on `EVENTS` events for the larger ones."""
     path = write_event_trace(folder / f"{codec or 'none'}_{events}.mcap", events, codec)
     bars, ours_s, says = [], list[float](), list[str]()
-    warm = WarmMemory(events * EVENT_DTYPE.itemsize)
-
-    def read() -> float:
-        return warm.seconds(lambda: read_trace(path))
-
     if codec in UNPACKERS:
-        rounds = side_by_side(
-            read, unpack_job(packed_chunks(path), UNPACKERS[codec]), LEAST_ROUNDS, SAMPLING_S
-        )
+        rounds = [
+            of_round for _ in range(WARM_PROCESSES) for of_round in in_new_process("warm-read", path, codec)
+        ]
         ratio = statistics.median(ours / theirs for ours, theirs in rounds)
         bars.append(
             Bar(codec, events, "times unpacking alone", ratio, MOST_TIMES_UNPACKING[codec], at_most=True)
@@ -170,12 +180,12 @@ def bars_of(folder: Path, codec: str, events: int, public: dict[str, float]) -> 
         says.append(f"unpacking alone {statistics.median(theirs for _, theirs in rounds):.3f} s")
     for name, read_publicly in PUBLIC_READERS.items():
         if events == EVENTS:
-            rounds = side_by_side(read, partial(read_publicly, path), PUBLIC_ROUNDS)
+            rounds = side_by_side(path, partial(read_publicly, path), PUBLIC_ROUNDS)
             ratio = statistics.median(theirs / ours for ours, theirs in rounds)
             public[name] = statistics.median(theirs for _, theirs in rounds)
             ours_s += [ours for ours, _ in rounds]
         else:
-            ours_s = ours_s or [read() for _ in range(LEAST_ROUNDS)]
+            ours_s = ours_s or [ours for ours, _ in side_by_side(path, lambda: None, LEAST_ROUNDS)]
             ratio = events / EVENTS * public[name] / statistics.median(ours_s)
         bars.append(
             Bar(codec, events, f"times faster than {name}", ratio, LEAST_TIMES_FASTER[name], at_most=False)
@@ -202,10 +212,15 @@ def main() -> int:
     parser.add_argument("--codec", choices=["zstd", "lz4", "none"], help="only this one")
     parser.add_argument("--json", action="store_true", help="print JSON in place of the table")
     parser.add_argument("--first-read", type=Path, metavar="FILE", help="print this ratio of one file alone")
+    parser.add_argument("--warm-read", type=Path, metavar="FILE", help="print the rounds of one file alone")
     options = parser.parse_args()
     if options.first_read:
         print(first_read_ratio(options.first_read, options.codec))
         return 0
+    if options.warm_read:
+        print(json.dumps(warm_rounds(options.warm_read, options.codec)))
+        return 0
+    keep_freed_memory()
     codecs = [codec for codec in CODECS if options.codec in {None, codec or "none"}]
     bars: list[Bar] = []
     with tempfile.TemporaryDirectory(prefix="bench-read-") as folder:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
 import time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numpy as np
 from mcap.records import Chunk
 from mcap.stream_reader import StreamReader
 
@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-PAGE_BYTES = 4096
 KEPT_BLOCK_BYTES = 16 << 20
+_M_TRIM_THRESHOLD, _M_MMAP_MAX = -1, -4  # malloc.h
 
 
 def seconds(job: Callable[[], object]) -> float:
@@ -24,32 +24,22 @@ def seconds(job: Callable[[], object]) -> float:
     return time.perf_counter() - start
 
 
-class WarmMemory:
-    """Memory that the machine has at hand when a job begins that fills it.
+def keep_freed_memory() -> None:
+    """Let this process keep memory that is freed, so that a job that was done once before touches none for the first time.
 
-    On a virtual machine, memory that was freed goes back to the host within seconds, and touching it anew takes up to
-    thirty times as long as zeroing it (docs/explanation/performance.md). So it is held while something else runs.
+    Memory that goes back to the kernel does not come back as it was: on a virtual machine the kernel tells its host every two
+    seconds what is free, and touching that anew takes up to thirty times as long as zeroing it (docs/explanation/performance.md).
+    Even memory freed at the beginning of a round is partly gone before the round has filled it.
 
-    Args:
-        size: bytes that the job will fill.
+    Raises:
+        OSError: the C library is not glibc.
     """
-
-    def __init__(self, size: int) -> None:
-        self._size = size
-        self._held = _touched(size)
-
-    def seconds(self, job: Callable[[], object]) -> float:
-        """How long `job` takes; what it returns is freed before the memory is held again."""
-        self._held = _touched(0)
-        taken_s = seconds(job)
-        self._held = _touched(self._size)
-        return taken_s
-
-
-def _touched(size: int) -> np.ndarray[Any, np.dtype[np.uint8]]:
-    memory = np.empty(size, np.uint8)  # numpy asks for large pages, as it does for the reader
-    memory[::PAGE_BYTES] = 1
-    return memory
+    libc = ctypes.CDLL(None)
+    if not hasattr(libc, "mallopt"):
+        raise OSError("the C library cannot be told to keep memory; these benchmarks need glibc")
+    for option, value in ((_M_MMAP_MAX, 0), (_M_TRIM_THRESHOLD, 2**31 - 1)):
+        if not libc.mallopt(option, value):
+            raise OSError(f"mallopt({option}, {value}) is refused")
 
 
 def packed_chunks(path: Path) -> list[tuple[bytes, int]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import weakref
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +12,8 @@ from ..format.events import EVENT_DTYPE, EventColumns, Stage
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+    from numpy.typing import NDArray
 
     from ..format.event_record import Records
 
@@ -22,16 +25,48 @@ _WIDE_BYTES = 8 * len(_WIDE)
 _SMALLEST_GROWTH = 1 << 14
 
 
+class ColumnsMemory:
+    """Memory for columns, used again as soon as nobody has a column in it any more.
+
+    The C library gives large blocks of one size back to the kernel each time, so that each piece of a trace would be filled in
+    fresh memory, page by page.
+    """
+
+    def __init__(self) -> None:
+        self._free: list[NDArray[np.uint8]] = []  # appended to by whichever thread drops the last column
+
+    def lend(self, size: int) -> NDArray[np.uint8]:
+        """Return memory of so many bytes, whatever is in it; it comes back with the last array that is a view of it."""
+        try:
+            owner = self._free.pop()
+        except IndexError:
+            owner = np.empty(0, np.uint8)
+        if len(owner) < size:
+            owner = np.empty(size, np.uint8)
+        # Through its buffer: what is made from `lent` then keeps `lent`, and not the owner in its place.
+        lent = np.frombuffer(owner.data, np.uint8)
+        weakref.finalize(lent, self._free.append, owner).atexit = False
+        return lent[:size]
+
+
 class ColumnsBuilder:
     """Events of all stages, each batch copied into its place.
 
     Args:
         expected: number of events expected of each stage; memory is reserved for them, and taken when they come.
         most_events: events of all stages that make it full.
+        memory: that of builders before it; None for fresh memory.
     """
 
-    def __init__(self, expected: Mapping[Stage, int], most_events: int = sys.maxsize) -> None:
-        self._columns = {stage: _StageColumns(min(most_events, expected.get(stage, 0))) for stage in Stage}
+    def __init__(
+        self,
+        expected: Mapping[Stage, int],
+        most_events: int = sys.maxsize,
+        memory: ColumnsMemory | None = None,
+    ) -> None:
+        self._columns = {
+            stage: _StageColumns(min(most_events, expected.get(stage, 0)), memory) for stage in Stage
+        }
         self._most_events = most_events
 
     def is_full_before(self, events: int) -> bool:
@@ -59,8 +94,9 @@ class _StageColumns:
         filled: number of events.
     """
 
-    def __init__(self, expected: int) -> None:
+    def __init__(self, expected: int, memory: ColumnsMemory | None) -> None:
         self.filled = 0
+        self._memory = memory
         try:
             self._reserve(expected)
         except (
@@ -87,7 +123,8 @@ class _StageColumns:
         return EventColumns(**{name: row[: self.filled].view(EVENT_DTYPE[name]) for name, row in rows})
 
     def _reserve(self, count: int) -> None:
-        memory = np.empty(count * EVENT_DTYPE.itemsize, np.uint8)
+        size = count * EVENT_DTYPE.itemsize
+        memory = self._memory.lend(size) if self._memory and size else np.empty(size, np.uint8)
         split = count * _WIDE_BYTES
         self._wide = memory[:split].view("<i8").reshape(len(_WIDE), count)
         self._narrow = memory[split:].view("<u4").reshape(len(_NARROW), count)

@@ -14,7 +14,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from ..format.events import EventColumns, Stage
-from .columns import ColumnsBuilder
+from .columns import ColumnsBuilder, ColumnsMemory
 from .ring_events import ring_beside
 from .storage import open_source, storage_files
 from .trace import TraceBuilder
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from .trace import Trace
 
 PIECE_EVENTS = 1 << 19
-"""Most events of a piece, if no chunk has more: 29 MB, so little that the next piece finds memory that was filled before."""
+"""Most events of a piece, if no chunk has more: 29 MB. A piece is read into memory that an earlier one has filled."""
 
 _MOST_WORKERS = 4  # more threads wait for memory, not for each other
 
@@ -51,7 +51,7 @@ def read_trace_in_pieces(path: Path, take: Callable[[Mapping[Stage, EventColumns
     Args:
         path: as for `read_trace`.
         take: called with up to `PIECE_EVENTS` events of all stages, a stage without any being there and empty, piece by
-            piece in file order; at least once.
+            piece in file order; at least once. They are the caller's: their memory is used again when they are gone.
 
     Returns:
         The trace without its events.
@@ -72,12 +72,13 @@ def _read(path: Path, take: Callable[[Mapping[Stage, EventColumns]], object], mo
         expected = Counter[Stage]()
         for source in sources:
             expected.update(source.expected_events())
-        columns = ColumnsBuilder(expected, most_events)
+        memory = ColumnsMemory() if most_events < sys.maxsize else None
+        columns = ColumnsBuilder(expected, most_events, memory)
         for file, source, ring in zip(files, sources, rings, strict=True):
             for batch in builder.batches_of(file, source, ring):
                 if columns.is_full_before(sum(len(events) for _, events in batch.events)):
                     take(columns.finish())
-                    columns = ColumnsBuilder(expected, most_events)
+                    columns = ColumnsBuilder(expected, most_events, memory)
                 for stage, events in batch.events:
                     columns.append(stage, events)
         take(columns.finish())

@@ -245,6 +245,22 @@ def test_a_trace_in_pieces_is_the_whole_trace(tmp_path, monkeypatch, name):
     assert joined == all_rows(whole)
 
 
+def test_a_piece_is_read_into_the_memory_of_one_that_is_gone(tmp_path, monkeypatch):
+    # Not of one that somebody still has: see the test above, which keeps all.
+    events = [event(n, n, scheduled_ns=n) for n in range(2000)]
+    path = write_trace(tmp_path / "t.mcap", ping_session(), [run()], {Stage.T1: events}, chunk_bytes=2000)
+    monkeypatch.setattr(reader, "PIECE_EVENTS", 50)
+    monkeypatch.setattr(blocks, "_BLOCK_CHUNKS", 1)
+    places: list[int] = []
+
+    def take(piece):
+        places.append(piece[Stage.T1].monotonic_ns.ctypes.data)
+
+    read_trace_in_pieces(path, take)
+    assert len(places) >= 40
+    assert len(set(places)) <= 2  # the next one's is taken before the last one's is free
+
+
 def test_a_trace_without_events_is_one_empty_piece(tmp_path):
     pieces = []
     read_trace_in_pieces(write_trace(tmp_path / "t.mcap", ping_session()), pieces.append)

@@ -37,11 +37,10 @@ class ColumnsMemory:
 
     def lend(self, size: int) -> NDArray[np.uint8]:
         """Return memory of so many bytes, whatever is in it; it comes back with the last array that is a view of it."""
-        try:
-            owner = self._free.pop()
-        except IndexError:
-            owner = np.empty(0, np.uint8)
-        if len(owner) < size:
+        if not size:  # what is free is for who fills it
+            return np.empty(0, np.uint8)
+        owner = self._free.pop() if self._free else None
+        if owner is None or len(owner) < size:
             owner = np.empty(size, np.uint8)
         # Through its buffer: what is made from `lent` then keeps `lent`, and not the owner in its place.
         lent = np.frombuffer(owner.data, np.uint8)
@@ -124,7 +123,7 @@ class _StageColumns:
 
     def _reserve(self, count: int) -> None:
         size = count * EVENT_DTYPE.itemsize
-        memory = self._memory.lend(size) if self._memory and size else np.empty(size, np.uint8)
+        memory = self._memory.lend(size) if self._memory else np.empty(size, np.uint8)
         split = count * _WIDE_BYTES
         self._wide = memory[:split].view("<i8").reshape(len(_WIDE), count)
         self._narrow = memory[split:].view("<u4").reshape(len(_NARROW), count)

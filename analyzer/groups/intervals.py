@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,7 +19,7 @@ from ..statistics.percentiles import PERCENTILES, quantile_of, summarize_values
 from .batch import rows_by_group, runs_by_group
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
@@ -61,6 +63,7 @@ ONE_WAY_SCHEMA: dict[str, type[pl.DataType]] = {
 ONE_WAY_METRICS = ("outbound", "return")
 
 
+_QUANTILES = tuple(percentile.quantile for percentile in PERCENTILES)
 _METHODS = {Basis.BETWEEN_RUNS: "student_t_of_runs", Basis.WITHIN_RUN: "order_statistics"}
 
 
@@ -96,7 +99,7 @@ def interval_rows(
         column: fetches a column of the group's rows.
         run_of_row: a number for each row that the rows of one run share, run after run.
     """
-    sent_ns = column("publish_ns").to_numpy()
+    everything = _Sending.of(column("publish_ns").to_numpy(), run_of_row)
     bounds = column("clock_bound_ns").drop_nulls()
     bound_ns = float(bounds.to_numpy().max()) if len(bounds) else 0.0
     for metric in (*METRICS, *ONE_WAY_METRICS):
@@ -105,7 +108,11 @@ def interval_rows(
             continue
         # No quantile of one-way times is further off than its worst message.
         off_ns = bound_ns if metric in ONE_WAY_METRICS else 0.0
-        for row in _rows_of_runs(_runs(values, sent_ns, run_of_row), off_ns):
+        sending = everything
+        if values.null_count():
+            present = values.is_not_null().to_numpy()
+            values, sending = values.drop_nulls(), _Sending.of(sending.sent_ns[present], run_of_row[present])
+        for row in _rows_of_runs(sending.runs(values.to_numpy()), off_ns):
             yield {"group": group, "metric": metric, **row}
 
 
@@ -144,21 +151,39 @@ def sample_columns(interval: Interval) -> dict[str, object]:
     }
 
 
-def _runs(values: pl.Series, sent_ns: NDArray[np.int64], run_of_row: NDArray[np.int64]) -> Runs:
-    """Return the values of each run that has any, in the order of T1: several relays of a run side by side."""
-    if values.null_count():
-        present = values.is_not_null().to_numpy()
-        values, sent_ns, run_of_row = values.drop_nulls(), sent_ns[present], run_of_row[present]
-    edges = np.flatnonzero(np.diff(run_of_row)) + 1
-    parts = zip(np.split(values.to_numpy(), edges), np.split(sent_ns, edges), strict=True)
-    return Runs(Run(*_in_order(*part)) for part in parts)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sending:
+    """When messages of a group were sent, run after run.
+
+    Attributes:
+        sent_ns: T1 of each message, int64, shape (messages,).
+        edges: the first message of each run and the number of all, shape (runs + 1,).
+        orders: for each run its messages in the order of T1; None where they stand so, as all but those of several relays do.
+    """
+
+    sent_ns: NDArray[np.int64]
+    edges: NDArray[np.intp]
+    orders: tuple[NDArray[np.intp] | None, ...]
+
+    @classmethod
+    def of(cls, sent_ns: NDArray[np.int64], run_of_row: NDArray[np.int64]) -> _Sending:
+        """Look at messages, `run_of_row` a number that those of one run share."""
+        edges = np.concatenate([[0], np.flatnonzero(np.diff(run_of_row)) + 1, [len(run_of_row)]])
+        runs = [sent_ns[begin:end] for begin, end in pairwise(edges.tolist())]
+        return cls(sent_ns, edges, tuple(map(_order_of, runs)))
+
+    def runs(self, values: NDArray[np.int64]) -> Runs:
+        """Return a value of each message as runs, each in the order of T1: several relays of a run side by side."""
+        runs = []
+        for (begin, end), order in zip(pairwise(self.edges.tolist()), self.orders, strict=True):
+            of_run, sent_ns = values[begin:end], self.sent_ns[begin:end]
+            runs.append(Run(of_run, sent_ns) if order is None else Run(of_run[order], sent_ns[order]))
+        return Runs.of(runs, _QUANTILES)
 
 
-def _in_order(values: NDArray[np.int64], sent_ns: NDArray[np.int64]) -> Sequence[NDArray[np.int64]]:
-    if bool((np.diff(sent_ns) >= 0).all()):
-        return values, sent_ns
-    order = np.argsort(sent_ns, kind="stable")
-    return values[order], sent_ns[order]
+def _order_of(sent_ns: NDArray[np.int64]) -> NDArray[np.intp] | None:
+    is_rising = bool((sent_ns[1:] >= sent_ns[:-1]).all())
+    return None if is_rising else np.argsort(sent_ns, kind="stable")
 
 
 def one_way_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:

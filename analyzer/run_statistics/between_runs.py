@@ -93,7 +93,7 @@ def units_of(runs: Sequence[Run], statistic: Statistic) -> Units:
         if episodes is not None:
             held = _joined_to(held, max(RUNS_TO_TELL, round(math.sqrt(episodes))))
     return Units(
-        values=np.array([statistic.of_run(run) for run in held]),
+        values=statistic.of_runs(held),
         messages=sum(group.lengths),
         independent=max(1, int(sum(independent))),
         runs=len(runs),

@@ -63,7 +63,7 @@ def long_run_variance(series: NDArray[Any]) -> float:
     cells = min(n, _CELLS)
     sums = np.add.reduceat(series.astype(np.float64), _edges(n, cells))
     apart = sums - series.mean() * _widths(n, cells)
-    return float(_projected_variances(apart[None, :], np.array([[n]]))[0, 0])
+    return float(_variances(_projections(apart[None, :]), np.array([[n]]))[0, 0])
 
 
 def share_inflation(places: NDArray[np.intp], messages: int) -> float:
@@ -75,7 +75,9 @@ def share_inflation(places: NDArray[np.intp], messages: int) -> float:
         places: of the messages that count, 0 ... messages - 1, rising, shape (events,).
         messages: length of the series.
     """
-    return share_inflations(cells_of([messages]), places, np.array([0, len(places)]))[0] if messages else 1.0
+    if not messages:
+        return 1.0
+    return share_inflations(cells_of([messages]), [(places, np.array([0, len(places)]))])[0][0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +123,14 @@ class Cells:
         edges = self.edges.tolist()
         return tuple((slice(begin, end), slice(edges[begin], edges[end])) for begin, end in pairwise(first))
 
+    @cached_property
+    def projections(self) -> tuple[Float64, ...]:
+        """For each of `rows` the projections of all messages: near zero, but for cells of unlike widths."""
+        return tuple(
+            _projections(self.widths[of_series].reshape(series.stop - series.start, -1).astype(np.float64))
+            for series, of_series in self.rows
+        )
+
 
 def cells_of(lengths: Sequence[int]) -> Cells:
     """Return the cells of series of these lengths.
@@ -134,44 +144,49 @@ def cells_of(lengths: Sequence[int]) -> Cells:
     return Cells(tuple(lengths), np.concatenate(widths), edges)
 
 
-def share_inflations(cells: Cells, places: NDArray[np.intp], edges: NDArray[np.intp]) -> list[float]:
-    """Return `share_inflation` of several series.
+def share_inflations(
+    cells: Cells, subsets: Sequence[tuple[NDArray[np.intp], NDArray[np.intp]]]
+) -> list[list[float]]:
+    """Return `share_inflation` of several series, for each of some subsets of their messages.
 
     Args:
         cells: of the series.
-        places: of the messages that count among those of all series, rising, shape (events,).
-        edges: the first of these in each series and the number of all, shape (series + 1,).
+        subsets: of each subset the places of its messages among those of all series, rising, shape (events,), and the first
+            of these in each series and the number of all, shape (series + 1,).
     """
-    counts = cells.counts(places)
-    shares = (edges[1:] - edges[:-1])[:, None] / cells.messages
+    counts = np.array([cells.counts(places) for places, _ in subsets], np.float64)
+    edges = np.array([edges for _, edges in subsets])
+    shares = (edges[:, 1:] - edges[:, :-1])[..., None] / cells.messages
     variances = np.empty_like(shares)
-    for series, of_series in cells.rows:
-        share, messages = shares[series], cells.messages[series]
-        widths = cells.widths[of_series].reshape(len(share), -1)
-        variances[series] = _projected_variances(
-            counts[of_series].reshape(widths.shape) - share * widths, messages
-        )
+    for (series, of_series), of_all in zip(cells.rows, cells.projections, strict=True):
+        of_series_counts = counts[:, of_series].reshape(len(subsets), len(of_all), -1)
+        apart = _projections(of_series_counts) - shares[:, series] * of_all
+        variances[:, series] = _variances(apart, cells.messages[series])
     of_independent = shares * (1 - shares)
     is_comparable = (cells.messages >= 2 * COSINES) & (of_independent > 0)
-    inflations: list[float] = np.divide(
+    inflations: list[list[float]] = np.divide(
         variances, of_independent, out=np.ones_like(shares), where=is_comparable
-    )[:, 0].tolist()
+    )[..., 0].tolist()
     return inflations
 
 
-def _projected_variances(sums: Float64, messages: Int64) -> Float64:
+def _projections(sums: Float64) -> Float64:
+    """Return the projections of sums in cells, shape (..., cells), on the cosines, shape (..., COSINES)."""
+    return np.asarray(sums @ _cosines(sums.shape[-1]).T)
+
+
+def _variances(projections: Float64, messages: Int64) -> Float64:
     """Return n times the variance of the mean of several series.
 
     Args:
-        sums: of the values in each cell of each series, its mean taken off, shape (series, cells).
+        projections: of each series, its mean taken off, shape (..., series, COSINES).
         messages: of each series, at least one, shape (series, 1).
 
     Returns:
-        Shape (series, 1).
+        Shape (..., series, 1).
     """
-    projections = sums @ _cosines(sums.shape[1]).T
     # `mean` of so few numbers costs more than all that is before it.
-    squares = np.add.reduce(projections * projections, axis=1, keepdims=True)
+    squares = np.add.reduce(projections * projections, axis=-1, keepdims=True)
     return np.asarray(2 / messages * (squares / COSINES))
 
 
@@ -282,7 +297,7 @@ def independent_squares(events: int, messages: int, gap: float) -> float:
     return (1 + followed) / (1 - followed)
 
 
-def equal_episodes(sizes: Int64, squares: Float64 | None = None) -> int | None:
+def equal_episodes(sizes: Sequence[Int64], squares: Sequence[float]) -> int | None:
     """Return how many episodes of equal size make a count vary as much as episodes of these sizes do.
 
     The number of events is a compound Poisson variable: its variance is that of the number of episodes times their
@@ -290,14 +305,17 @@ def equal_episodes(sizes: Int64, squares: Float64 | None = None) -> int | None:
     messages and 40 late ones elsewhere are worth 2.7 episodes and not 41.
 
     Args:
-        sizes: events in each episode, shape (episodes,).
-        squares: what the square of each size is divided by (`independent_squares`), shape (episodes,); None for 1.
+        sizes: of some series, for each the events in each episode, shape (episodes,).
+        squares: for each of the series what the squares of its sizes are divided by (`independent_squares`).
 
     Returns:
         The nearest whole number, no more than events; None without an event.
     """
-    if not len(sizes):
+    events = sum(int(of_series.sum()) for of_series in sizes)
+    if not events:
         return None
-    events = float(sizes.sum())
-    spread = float((np.square(sizes) / (1.0 if squares is None else squares)).sum())
+    # Sums of whole numbers are exact, in whatever order.
+    spread = sum(
+        int(of_series @ of_series) / square for of_series, square in zip(sizes, squares, strict=True)
+    )
     return round(min(events, events**2 / spread))

@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -18,12 +18,14 @@ from ..statistics.percentiles import minimum_messages
 from .bursts import Cells, cells_of, mean_distance, positions_of, share_inflations
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
     Values = NDArray[Any]  # int64 or float64
     Int64 = NDArray[np.int64]
+
+Found = TypeVar("Found")
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +40,7 @@ class Levels:
     of_runs: tuple[float, ...]
     is_ratio: bool
 
-    def relative(self, values: Values, level: float) -> Values:
+    def relative(self, values: Values, level: float | Values) -> Values:
         """Return values at a level of 1, or of 0; in the same order."""
         return values / level if self.is_ratio else values - level
 
@@ -57,6 +59,11 @@ class Threshold:
     is_upper: bool
     is_part: bool
 
+    @property
+    def least(self) -> float:
+        """The least value of an upper tail: the value itself if it is part of it, or infinite, else the next number above."""
+        return self.value if self.is_part else math.nextafter(self.value, math.inf)
+
     def is_beyond(self, values: Values) -> NDArray[np.bool_]:
         """Return which values lie in the tail.
 
@@ -70,23 +77,36 @@ class Threshold:
         return values <= self.value if self.is_part else values < self.value
 
 
-def threshold_of(ordered: Values, quantile: float) -> Threshold:
-    """Return where the tail of a series begins.
+def thresholds_of(ordered: Values, quantiles: Sequence[float]) -> list[Threshold]:
+    """Return where the tails of a series begin.
 
     Of a clock that ticks once a millisecond many values are equal: those at the quantile are part of the tail if that
     brings its share closer to the one that the quantile leaves, and if no others are.
 
     Args:
         ordered: its values, rising, at least one.
-        quantile: between 0 and 1, both excluded.
+        quantiles: between 0 and 1, both excluded.
     """
-    is_upper = quantile >= 0.5
     messages = len(ordered)
-    position = (messages - 1) * quantile
-    value = ordered[math.floor(position) if is_upper else math.ceil(position)]
+    positions = [(messages - 1) * quantile for quantile in quantiles]
+    values = ordered[
+        [
+            math.floor(position) if quantile >= 0.5 else math.ceil(position)
+            for position, quantile in zip(positions, quantiles, strict=True)
+        ]
+    ]
+    below, after = (ordered.searchsorted(values, side).tolist() for side in ("left", "right"))
+    return [
+        _threshold(value, quantile, messages, of_less, of_no_more)
+        for value, quantile, of_less, of_no_more in zip(values.tolist(), quantiles, below, after, strict=True)
+    ]
+
+
+def _threshold(value: float, quantile: float, messages: int, below: int, after: int) -> Threshold:
+    """Return the threshold at an order statistic that `below` values lie below, and `after` not above."""
+    is_upper = quantile >= 0.5
     if math.isinf(value):
         return Threshold(float(value), is_upper, is_part=False)
-    below, after = int(ordered.searchsorted(value, "left")), int(ordered.searchsorted(value, "right"))
     counts = (messages - after, messages - below) if is_upper else (below, after)
     wanted = messages * (1 - quantile if is_upper else quantile)
     misfits = [(count in {0, messages}, abs(count - wanted)) for count in counts]
@@ -113,18 +133,8 @@ class Run:
         """The values rising."""
         return np.sort(self.values)
 
-    @cached_property
-    def _quantiles(self) -> dict[float, float]:
-        return {}
 
-    def quantile(self, share: float) -> float:
-        """Return a quantile, by the median-unbiased definition (`Statistic.of_run`); it is kept."""
-        if share not in self._quantiles:
-            self._quantiles[share] = quantile_at(self.ordered, (len(self) + 1 / 3) * share + 1 / 3)
-        return self._quantiles[share]
-
-
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class Beyond:
     """The messages of several runs beyond a threshold, those of the first run first.
 
@@ -132,18 +142,16 @@ class Beyond:
         places: intp, where they stand in the arrays of `Runs`, rising, shape (events,).
         positions: float64, when they were sent, in mean distances of their run's messages since its first, shape (events,).
         edges: intp, the first of each run and the number of all, shape (runs + 1,).
-        cells: of the runs.
     """
 
     places: NDArray[np.intp]
     positions: NDArray[np.float64]
     edges: NDArray[np.intp]
-    cells: Cells
 
-    @cached_property
-    def inflations(self) -> list[float]:
-        """Variance of the share that they have of each run, divided by that of independent messages."""
-        return share_inflations(self.cells, self.places, self.edges)
+    def take(self, which: NDArray[np.intp], edges: NDArray[np.intp]) -> Beyond:
+        """Return some of them, `which` rising, given the edges of `Runs`."""
+        places = self.places[which]
+        return Beyond(places, self.positions[which], places.searchsorted(edges))
 
     def of_runs(self, values: Values) -> list[Values]:
         """Cut an array of all of them into those of each run."""
@@ -154,12 +162,21 @@ class Runs(tuple[Run, ...]):  # noqa: SLOT001 - what is kept needs a `__dict__`
     """The runs of a group side by side: what the statistics of all of them rest on is computed once, for all at a time.
 
     Arrays have the messages of the first run in the order of time, then those of the second, and so on.
+
+    Attributes:
+        quantiles: those that will be asked for: what is found for one of them is found for all at once, and kept.
     """
 
+    quantiles: tuple[float, ...] = ()
+
     @classmethod
-    def of(cls, runs: Sequence[Run]) -> Runs:
+    def of(cls, runs: Sequence[Run], quantiles: tuple[float, ...] = ()) -> Runs:
         """Return the runs side by side; as they are if they stand so already."""
-        return runs if isinstance(runs, Runs) else cls(runs)
+        if isinstance(runs, Runs):
+            return runs
+        found = cls(runs)
+        found.quantiles = quantiles
+        return found
 
     @cached_property
     def lengths(self) -> tuple[int, ...]:
@@ -174,7 +191,7 @@ class Runs(tuple[Run, ...]):  # noqa: SLOT001 - what is kept needs a `__dict__`
 
     @cached_property
     def _joined(self) -> Runs:
-        return Runs([joined_runs(self)])
+        return Runs.of([joined_runs(self)], self.quantiles)
 
     @cached_property
     def edges(self) -> NDArray[np.intp]:
@@ -187,34 +204,40 @@ class Runs(tuple[Run, ...]):  # noqa: SLOT001 - what is kept needs a `__dict__`
 
         A run whose median is infinite is given the middle level of the others.
         """
-        medians = np.array([run.quantile(0.5) for run in self])
+        medians = self.quantile(0.5)
         is_finite = np.isfinite(medians)
         if len(self) == 1 or not is_finite.any():
             return Levels((0.0,) * len(self), is_ratio=False)
-        medians[~is_finite] = np.median(medians[is_finite])
+        if not is_finite.all():
+            medians = np.where(is_finite, medians, np.median(medians[is_finite]))
         return Levels(tuple(medians.tolist()), is_ratio=bool((medians > 0).all()))
+
+    @cached_property
+    def values(self) -> Values:
+        """The values."""
+        return np.concatenate([run.values for run in self]) if len(self) > 1 else self[0].values
+
+    @cached_property
+    def each_ordered(self) -> Values:
+        """The values of each run, rising."""
+        return np.concatenate([run.ordered for run in self]) if len(self) > 1 else self[0].ordered
 
     @cached_property
     def relative(self) -> Values:
         """The values relative to the level of their run."""
-        return self._relative([run.values for run in self])
+        if len(self) == 1:
+            return self.values
+        return self.levels.relative(self.values, np.repeat(self.levels.of_runs, self.lengths))
 
     @cached_property
     def ordered(self) -> Values:
         """The same, rising."""
-        return np.sort(self._relative([run.ordered for run in self])) if len(self) > 1 else self[0].ordered
-
-    def _relative(self, of_runs: Sequence[Values]) -> Values:
-        if len(self) == 1:
-            return of_runs[0]
-        levels = self.levels
-        pairs = zip(of_runs, levels.of_runs, strict=True)
-        return np.concatenate([levels.relative(values, level) for values, level in pairs])
+        return np.sort(self.relative) if len(self) > 1 else self[0].ordered
 
     @cached_property
     def all_ordered(self) -> Values:
         """The values themselves, rising."""
-        return np.sort(np.concatenate([run.ordered for run in self])) if len(self) > 1 else self[0].ordered
+        return np.sort(self.values) if len(self) > 1 else self[0].ordered
 
     @cached_property
     def cells(self) -> Cells:
@@ -222,20 +245,39 @@ class Runs(tuple[Run, ...]):  # noqa: SLOT001 - what is kept needs a `__dict__`
         return cells_of(self.lengths)
 
     @cached_property
-    def _beyond(self) -> dict[float, Beyond]:
+    def _kept(self) -> dict[tuple[object, float], Any]:
         return {}
 
-    def beyond(self, quantile: float) -> Beyond:
-        """Return the messages beyond a quantile of all of them, each relative to the level of its run; they are kept."""
-        if quantile not in self._beyond:
-            self._beyond[quantile] = self.where(threshold_of(self.ordered, quantile).is_beyond(self.relative))
-        return self._beyond[quantile]
+    def of_quantile(self, quantile: float, find: Callable[[Runs, Sequence[float]], Sequence[Found]]) -> Found:
+        """Return what a function finds for a quantile. It is asked for all `quantiles` at once, and what it found is kept.
 
-    def where(self, is_meant: NDArray[np.bool_]) -> Beyond:
-        """Return the messages of a mask."""
-        places = is_meant.nonzero()[0]
+        Args:
+            quantile: between 0 and 1, both excluded.
+            find: returns what it finds for each of some quantiles.
+        """
+        if (find, quantile) not in self._kept:
+            together = self.quantiles if quantile in self.quantiles else (quantile,)
+            found = find(self, together)
+            self._kept.update(zip(((find, each) for each in together), found, strict=True))
+        kept: Found = self._kept[find, quantile]
+        return kept
+
+    def quantile(self, quantile: float) -> NDArray[np.float64]:
+        """Return a quantile of each run, by the median-unbiased definition (`Statistic.of_runs`), shape (runs,)."""
+        return self.of_quantile(quantile, _find_quantiles)
+
+    def beyond(self, quantile: float) -> Beyond:
+        """Return the messages beyond a quantile of all of them, each relative to the level of its run."""
+        return self.of_quantile(quantile, _find_beyond)
+
+    def inflations(self, quantile: float) -> list[float]:
+        """Return the variance of the share that these messages have of each run, divided by that of independent ones."""
+        return self.of_quantile(quantile, _find_inflations)
+
+    def at(self, places: NDArray[np.intp]) -> Beyond:
+        """Return the messages at some places, which rise."""
         edges = places.searchsorted(self.edges)
-        return Beyond(places, self._positions_at(places, edges), edges, self.cells)
+        return Beyond(places, self._positions_at(places, edges), edges)
 
     def _positions_at(self, places: NDArray[np.intp], edges: NDArray[np.intp]) -> NDArray[np.float64]:
         """Return the positions of messages of all runs: `positions_of` each run, at once."""
@@ -252,6 +294,29 @@ class Runs(tuple[Run, ...]):  # noqa: SLOT001 - what is kept needs a `__dict__`
         times = [np.arange(len(run)) if run.sent_ns is None else run.sent_ns for run in self]
         first = np.array([of_run[0] if len(of_run) else 0 for of_run in times])
         return np.concatenate(times), first, np.array([mean_distance(t) if len(t) else 1.0 for t in times])
+
+
+def _find_quantiles(runs: Runs, quantiles: Sequence[float]) -> list[NDArray[np.float64]]:
+    positions = np.multiply.outer(quantiles, np.add(runs.lengths, 1 / 3)) + 1 / 3
+    return list(quantiles_at(runs.each_ordered, runs.edges, positions))
+
+
+def _find_beyond(runs: Runs, quantiles: Sequence[float]) -> list[Beyond]:
+    """Return the messages beyond each quantile; those of an upper tail are looked for in the next wider one."""
+    thresholds = dict(zip(quantiles, thresholds_of(runs.ordered, quantiles), strict=True))
+    found: dict[float, Beyond] = {}
+    wider, values = None, runs.relative
+    for quantile in sorted(thresholds):
+        which = thresholds[quantile].is_beyond(values).nonzero()[0]
+        beyond = runs.at(which) if wider is None else wider.take(which, runs.edges)
+        if thresholds[quantile].is_upper:
+            wider, values = beyond, values[which]
+        found[quantile] = beyond
+    return [found[quantile] for quantile in quantiles]
+
+
+def _find_inflations(runs: Runs, quantiles: Sequence[float]) -> list[list[float]]:
+    return share_inflations(runs.cells, [(b.places, b.edges) for b in map(runs.beyond, quantiles)])
 
 
 def joined_runs(runs: Sequence[Run]) -> Run:
@@ -295,8 +360,8 @@ class Statistic:
         """Messages below which a run does not support the statistic."""
         return 1 if self.quantile is None else minimum_messages(self.quantile)
 
-    def of_run(self, run: Run) -> float:
-        """Return the statistic of a run; a quantile by the median-unbiased definition.
+    def of_runs(self, runs: Runs) -> NDArray[np.float64]:
+        """Return the statistic of each run, shape (runs,); a quantile by the median-unbiased definition.
 
         That is definition 8 of R. Hyndman and Y. Fan, "Sample quantiles in statistical packages", American
         Statistician 50, 1996. The summary's definition 7 is below the truth where few messages lie beyond the
@@ -304,26 +369,43 @@ class Statistic:
         74 of 100 intervals of p99 with the truth inside, definition 8 leaves 94.
         """
         if self.quantile is None:
-            return float(run.values.mean())
-        return run.quantile(self.quantile)
+            return np.array([run.values.mean() for run in runs], np.float64)
+        return runs.quantile(self.quantile)
+
+    def of_run(self, run: Run) -> float:
+        """Return the statistic of one run (`of_runs`)."""
+        return float(self.of_runs(Runs([run]))[0])
 
 
 MEAN = Statistic(None)
 
 
 def quantile_at(ordered: Values, position: float) -> float:
-    """Return the value at a 1-based position between order statistics; infinite if one of the two is.
+    """Return the value of one series at a 1-based position between order statistics (`quantiles_at`)."""
+    return float(quantiles_at(ordered, np.array([0, len(ordered)]), np.array([position]))[0])
+
+
+def quantiles_at(
+    ordered: Values, edges: NDArray[np.intp], positions: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the values of several series at 1-based positions between order statistics; infinite if one of the two is.
 
     Args:
-        ordered: the values rising, at least one.
-        position: is moved to the nearest order statistic if it lies outside.
+        ordered: the values of each series, rising, series after series.
+        edges: the first value of each series, which has at least one, and the number of all, shape (series + 1,).
+        positions: are moved to the nearest order statistic if they lie outside, shape (..., series).
+
+    Returns:
+        The shape of `positions`.
     """
-    count = len(ordered)
-    position = min(max(position, 1.0), float(count))
-    below = math.floor(position)
-    share = position - below
-    low = float(ordered[below - 1])
-    if share == 0 or below == count:
-        return low
-    high = float(ordered[below])
-    return low if low == high else low + (high - low) * share
+    first, count = edges[:-1], edges[1:] - edges[:-1]
+    positions = np.minimum(np.maximum(positions, 1.0), count)
+    below = positions.astype(np.intp)
+    share = positions - below
+    low = ordered[first + below - 1].astype(np.float64)
+    high = ordered[first + np.minimum(below, count - 1)].astype(np.float64)
+    is_between = (share > 0) & (low != high)
+    np.subtract(high, low, where=is_between, out=high)
+    np.multiply(high, share, where=is_between, out=high)
+    np.add(low, high, where=is_between, out=low)
+    return np.asarray(low, np.float64)

@@ -11,13 +11,17 @@ import numpy as np
 from ..statistics.moments import mean_and_variance
 from .between_runs import Scale, scale_of
 from .bursts import COSINES, long_run_variance
-from .runs import Runs, quantile_at
+from .runs import Runs, quantiles_at
 from .tails import inflations_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.typing import NDArray
+
     from .runs import Run, Statistic
+
+    Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,18 +53,19 @@ def spread_of_runs(runs: Sequence[Run], statistic: Statistic) -> Spread:
     held = Runs.of(runs)
     if any(messages < needs for messages in held.lengths):
         held = Runs(run for run in runs if len(run) >= needs)
-    values = np.array([statistic.of_run(run) for run in held])
-    if not held or scale_of(values) is not Scale.LOGARITHM:
+    if not held:
+        return Spread(None, None)
+    values = statistic.of_runs(held)
+    if scale_of(values) is not Scale.LOGARITHM:
         return Spread(None, None)
     errors = (
-        [_log_error_of_mean(run, value) for run, value in zip(held, values.tolist(), strict=True)]
+        np.array([_log_error_of_mean(run, value) for run, value in zip(held, values.tolist(), strict=True)])
         if statistic.quantile is None
-        else _log_errors(held, statistic.quantile)
+        else held.of_quantile(statistic.quantile, _find_log_errors)
     )
-    if any(error is None for error in errors):
+    within_squared = float(np.add.reduce(errors * errors) / len(errors))
+    if math.isnan(within_squared):
         return Spread(None, None)
-    squares = [error * error for error in errors if error is not None]
-    within_squared = float(np.add.reduce(squares) / len(squares))
     between = None
     if len(held) > 1:
         between = math.sqrt(max(0.0, mean_and_variance(np.log(values))[1] - within_squared))
@@ -73,18 +78,19 @@ def _log_error_of_mean(run: Run, value: float) -> float:
     return math.sqrt(variance / len(run)) / value
 
 
-def _log_errors(runs: Runs, share: float) -> list[float | None]:
-    """Return the standard error of the logarithm of each run's quantile; None where it is not finite.
+def _find_log_errors(runs: Runs, shares: Sequence[float]) -> list[Float64]:
+    """Return the standard error of the logarithm of each run's quantiles, NaN where it is not finite; each of shape (runs,).
 
     Half of the logarithm's rise over one standard error of the share below it to either side (R. Woodruff, "Confidence
     intervals for medians and other position measures", JASA 47, 1952).
     """
-    errors: list[float | None] = []
-    for run, inflation in zip(runs, inflations_of(runs, share), strict=True):
-        n = len(run)
-        error = math.sqrt(share * (1 - share) * max(1.0, inflation) / n)
-        steps = [min(max(share + side * error, 0.5 / n), 1 - 0.5 / n) for side in (-1, 1)]
-        low, high = (quantile_at(run.ordered, (n + 1 / 3) * step + 1 / 3) for step in steps)
-        is_finite = low > 0 and not math.isinf(high)
-        errors.append(math.log(high / low) * error / (steps[1] - steps[0]) if is_finite else None)
-    return errors
+    share, n = np.array(shares)[:, None], np.array(runs.lengths)
+    inflations = np.array([inflations_of(runs, each) for each in shares])
+    errors = np.sqrt(share * (1 - share) * np.maximum(1.0, inflations) / n)
+    steps = np.minimum(np.maximum([share - errors, share + errors], 0.5 / n), 1 - 0.5 / n)
+    low, high = quantiles_at(runs.each_ordered, runs.edges, (n + 1 / 3) * steps + 1 / 3)
+    width = steps[1] - steps[0]  # 0 where a run is too short for the quantile: nobody asks for its error then
+    is_finite = (low > 0) & np.isfinite(high) & (width > 0)
+    found = np.full_like(low, np.nan)
+    found[is_finite] = np.log(high[is_finite] / low[is_finite]) * errors[is_finite] / width[is_finite]
+    return list(found)

@@ -22,7 +22,7 @@ from .bursts import (
     sizes_between,
 )
 from .long_bursts import bursts_to_count, level_below
-from .runs import Runs, threshold_of
+from .runs import Runs, thresholds_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -75,38 +75,47 @@ def tails_of(runs: Sequence[Run], quantile: float) -> list[Tail]:
         runs: at least one message each.
         quantile: between 0 and 1, both excluded.
     """
-    group = Runs.of(runs)
-    beyond, below = group.beyond(quantile), level_below(quantile)
-    positions = beyond.of_runs(beyond.positions)
-    bursts = None
-    if below is not None:
-        wider = group.beyond(below)
-        bursts = bursts_to_count(wider.of_runs(wider.positions), positions, int(group.edges[-1]))
-    events = beyond.edges[1:] - beyond.edges[:-1]
-    counts = list(zip(events.tolist(), group.lengths, strict=True))
+    return Runs.of(runs).of_quantile(quantile, _find_tails)
+
+
+def _find_tails(runs: Runs, quantiles: Sequence[float]) -> list[list[Tail]]:
+    """Return the tails of each run beyond each quantile; arrays have the runs of the first quantile, then of the second ..."""
+    of_quantiles = [runs.beyond(quantile) for quantile in quantiles]
+    positions = np.concatenate([beyond.positions for beyond in of_quantiles])
+    events = np.concatenate([beyond.edges[1:] - beyond.edges[:-1] for beyond in of_quantiles])
+    edges = np.concatenate([[0], np.cumsum(events)])
+    counts = list(zip(events.tolist(), runs.lengths * len(quantiles), strict=True))
     gaps = [gap_of(count, messages, TAIL_GAP_SHARE) for count, messages in counts]
-    ends = episode_ends(beyond.positions, np.repeat(gaps, events), beyond.edges)
-    rows = episode_ends(beyond.positions, LEAST_GAP, beyond.edges).searchsorted(beyond.edges)
-    sizes, episodes = sizes_between(ends), ends.searchsorted(beyond.edges).tolist()
-    return [
+    ends = episode_ends(positions, np.repeat(gaps, events), edges)
+    rows = episode_ends(positions, LEAST_GAP, edges).searchsorted(edges)
+    sizes, episodes = sizes_between(ends), pairwise(ends.searchsorted(edges).tolist())
+    bursts = [count for quantile in quantiles for count in (_bursts(runs, quantile),) * len(runs)]
+    inflations = [inflation for quantile in quantiles for inflation in runs.inflations(quantile)]
+    tails = [
         Tail(
             messages=count,
             sizes=sizes[begin:end],
             inflation=inflation,
             squares=independent_squares(count, messages, gap),
             rows=of_rows,
-            bursts=bursts,
+            bursts=of_bursts,
         )
-        for (count, messages), begin, end, inflation, gap, of_rows in zip(
-            counts,
-            episodes,
-            episodes[1:],
-            beyond.inflations,
-            gaps,
-            (rows[1:] - rows[:-1]).tolist(),
-            strict=False,
+        for (count, messages), (begin, end), inflation, gap, of_rows, of_bursts in zip(
+            counts, episodes, inflations, gaps, (rows[1:] - rows[:-1]).tolist(), bursts, strict=True
         )
     ]
+    return [tails[first : first + len(runs)] for first in range(0, len(tails), len(runs))]
+
+
+def _bursts(runs: Runs, quantile: float) -> int | None:
+    """Return the bursts that limit a tail, if any do (`bursts_to_count`)."""
+    below = level_below(quantile)
+    if below is None:
+        return None
+    beyond, wider = runs.beyond(quantile), runs.beyond(below)
+    return bursts_to_count(
+        wider.of_runs(wider.positions), beyond.of_runs(beyond.positions), int(runs.edges[-1])
+    )
 
 
 def inflations_of(runs: Runs, quantile: float) -> list[float]:
@@ -116,13 +125,30 @@ def inflations_of(runs: Runs, quantile: float) -> list[float]:
         runs: at least one message each.
         quantile: between 0 and 1, both excluded.
     """
-    if len(runs) == 1:
-        return runs.beyond(quantile).inflations
-    is_beyond = np.empty(int(runs.edges[-1]), np.bool_)
-    for run, (begin, end) in zip(runs, pairwise(runs.edges.tolist()), strict=True):
-        is_beyond[begin:end] = threshold_of(run.ordered, quantile).is_beyond(run.values)
-    places = is_beyond.nonzero()[0]
-    return share_inflations(runs.cells, places, places.searchsorted(runs.edges))
+    return runs.inflations(quantile) if len(runs) == 1 else runs.of_quantile(quantile, _find_own_inflations)
+
+
+def _find_own_inflations(runs: Runs, quantiles: Sequence[float]) -> list[list[float]]:
+    """Return the inflations of `inflations_of`; those of an upper tail are looked for in the next wider one."""
+    thresholds = zip(*(thresholds_of(run.ordered, quantiles) for run in runs), strict=True)
+    of_quantiles = dict(zip(quantiles, thresholds, strict=True))
+    found: dict[float, tuple[NDArray[np.intp], NDArray[np.intp]]] = {}
+    wider, values, lengths = None, runs.values, np.diff(runs.edges)
+    for quantile in sorted(of_quantiles):
+        of_runs = of_quantiles[quantile]
+        if not of_runs[0].is_upper:
+            is_beyond = np.concatenate(
+                [one.is_beyond(run.values) for one, run in zip(of_runs, runs, strict=True)]
+            )
+        else:
+            is_beyond = values >= np.repeat([one.least for one in of_runs], lengths)
+        which = is_beyond.nonzero()[0]
+        places = which if wider is None else wider[which]
+        edges = places.searchsorted(runs.edges)
+        if of_runs[0].is_upper:
+            wider, values, lengths = places, values[which], np.diff(edges)
+        found[quantile] = places, edges
+    return share_inflations(runs.cells, [found[quantile] for quantile in quantiles])
 
 
 def episodes_of(tails: Sequence[Tail]) -> int | None:
@@ -138,8 +164,7 @@ def episodes_of(tails: Sequence[Tail]) -> int | None:
     Args:
         tails: of all runs of the group.
     """
-    squares = np.repeat([tail.squares for tail in tails], [len(tail.sizes) for tail in tails])
-    equal = equal_episodes(np.concatenate([tail.sizes for tail in tails]), squares)
+    equal = equal_episodes([tail.sizes for tail in tails], [tail.squares for tail in tails])
     if equal is None:
         return None
     equal = min(equal, sum(len(tail.sizes) if tail.rows is None else tail.rows for tail in tails))

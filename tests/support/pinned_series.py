@@ -156,12 +156,14 @@ def dependence() -> list[Any]:
         found += [long_run_variance(run), share_inflation(events, messages)]
         joined = np.concatenate([events, messages + np.flatnonzero(run < -1)])
         edges = np.array([0, len(events), len(joined)])
-        found.append(share_inflations(cells_of([messages, messages]), joined, edges))
+        found += share_inflations(cells_of([messages, messages]), [(joined, edges)])
     found += [
         independent_squares(events, 500, gap)
         for events, gap in ((1, 25.9), (40, 4.0), (40, 6.25), (499, 1.5))
     ]
-    found += [equal_episodes(np.arange(1, n), np.linspace(1, 2, n - 1)) for n in (2, 7, 30)]
+    found += [
+        equal_episodes(list(np.arange(1, n)[:, None]), np.linspace(1, 2, n - 1).tolist()) for n in (2, 7, 30)
+    ]
     return found
 
 

@@ -81,7 +81,7 @@ def test_series_side_by_side_are_each_as_by_themselves(lengths):
     joined = np.concatenate([each + begin for each, begin in zip(events, first.tolist(), strict=False)])
     edges = np.cumsum([0, *map(len, events)])
     alone = [share_inflation(each, n) for each, n in zip(events, lengths, strict=True)]
-    assert share_inflations(cells_of(lengths), joined, edges) == pytest.approx(alone, rel=1e-12)
+    assert share_inflations(cells_of(lengths), [(joined, edges)])[0] == pytest.approx(alone, rel=1e-12)
 
 
 @pytest.mark.parametrize("lengths", [(5000,), (300, 0, 1, 2000)])
@@ -134,14 +134,14 @@ def test_every_event_is_in_one_episode(marks):
     found = episode_sizes(np.flatnonzero(marks), len(marks))
     assert found.sum() == sum(marks)
     assert (found > 0).all()
-    equal = equal_episodes(found)
+    equal = equal_episodes([found], [1.0])
     assert (equal is None) if not sum(marks) else (1 <= equal <= len(found))
 
 
 def test_unequal_episodes_are_worth_fewer():
-    assert equal_episodes(np.array([4, 4, 4])) == 3
-    assert equal_episodes(np.array([60] + [1] * 40)) == 3  # 100^2 / (3600 + 40) = 2.7
-    assert equal_episodes(np.array([100])) == 1
+    assert equal_episodes([np.array([4, 4, 4])], [1.0]) == 3
+    assert equal_episodes([np.array([60] + [1] * 40)], [1.0]) == 3  # 100^2 / (3600 + 40) = 2.7
+    assert equal_episodes([np.array([100])], [1.0]) == 1
 
 
 def test_known_bursts_are_counted():

@@ -87,7 +87,7 @@ def test_positions_of_runs_side_by_side_are_those_of_each():
     )
     is_meant = draw.random(sum(lengths)) < 0.4
     is_meant[40:41], is_meant[66:] = True, False
-    beyond = runs.where(is_meant)
+    beyond = runs.at(is_meant.nonzero()[0])
     expected = [
         positions_of(mask.nonzero()[0], run.sent_ns)
         for run, mask in zip(runs, np.split(is_meant, np.cumsum(lengths)[:-1]), strict=True)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dds_trace.analyzer.run_statistics.runs import Levels, Run, Runs, Threshold, threshold_of
+from dds_trace.analyzer.run_statistics.runs import Levels, Run, Runs, Threshold, thresholds_of
 from dds_trace.analyzer.run_statistics.tails import (
     Tail,
     episodes_of,
@@ -19,7 +19,8 @@ from dds_trace.analyzer.run_statistics.tails import (
 
 
 def threshold_alone(values, quantile):
-    return threshold_of(np.sort(values), quantile)
+    (threshold,) = thresholds_of(np.sort(values), [quantile])
+    return threshold
 
 
 def test_the_tail_begins_at_an_order_statistic():
@@ -46,6 +47,33 @@ def test_a_group_has_the_threshold_of_all_its_values(groups, quantile):
     assert [of_run.tolist() for of_run in beyond.of_runs(beyond.places)] == [
         [begin + place for place in of_run] for begin, of_run in zip(begins, places, strict=False)
     ]
+
+
+@given(
+    groups=st.lists(
+        st.lists(st.integers(1, 50) | st.just(math.inf), min_size=1, max_size=60), min_size=1, max_size=4
+    ),
+    quantiles=st.permutations([0.01, 0.1, 0.5, 0.9, 0.95, 0.99]),
+)
+@settings(deadline=None)
+def test_quantiles_that_are_asked_for_together_say_the_same(groups, quantiles):
+    """Tails within wider ones, with ties and losses, whatever is asked for first."""
+
+    def said(runs, quantile):
+        beyond = runs.beyond(quantile)
+        tails = [
+            (tail.sizes.tolist(), tail.rows, tail.bursts, tail.squares) for tail in tails_of(runs, quantile)
+        ]
+        places = (beyond.places.tolist(), beyond.positions.tolist(), beyond.edges.tolist())
+        return places, tails, runs.quantile(quantile).tolist()
+
+    each = [Run(np.array(values, np.float64)) for values in groups]
+    together = Runs.of(each, tuple(quantiles))
+    for quantile in quantiles:
+        alone = Runs(each)
+        assert said(together, quantile) == said(alone, quantile)
+        for find in (Runs.inflations, inflations_of):
+            assert find(together, quantile) == pytest.approx(find(alone, quantile), rel=1e-9)
 
 
 @given(

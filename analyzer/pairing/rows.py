@@ -6,6 +6,7 @@ import shutil
 import tempfile
 import weakref
 from contextlib import ExitStack
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -88,6 +89,8 @@ class RowStore:
 
     def add(self, rows: Iterable[pa.Table] | RowPart) -> None:
         """Take the next rows, as `parquet.tables_of` or `parquet.encode_rows` makes them."""
+        if isinstance(rows, RowPart) and self._write is not None:
+            self._held = None  # what others have encoded, and a file has, is not decoded to be held
         for some in [rows] if isinstance(rows, RowPart) else rows:
             self._rows += some.num_rows
             if isinstance(self._held, list):
@@ -128,7 +131,8 @@ class RowStore:
         if self._held is not None:
             return self.load().lazy()
         assert self._path is not None
-        return pl.scan_parquet(self._path)
+        written = self._path.stat()
+        return _scan(self._path, written.st_size, written.st_mtime_ns)
 
     def locate(self, summary: pl.DataFrame) -> None:
         """Make `groups` from the frame `summary`, one row per group in the order of the rows."""
@@ -148,8 +152,14 @@ class RowStore:
     def frame(self, groups: pl.DataFrame, columns: Sequence[str] = ROUNDTRIP_NAMES) -> pl.DataFrame:
         """Return columns of the rows of some rows of `groups`, group by group."""
         rows = self.scan().select(columns)
-        spans = groups.select("first", "published").iter_rows()
-        return pl.concat([rows.head(0), *(rows.slice(*span) for span in spans)]).collect()
+        spans = [rows.slice(*span) for span in groups.select("first", "published").iter_rows()]
+        return (pl.concat(spans) if spans else rows.head(0)).collect()
+
+
+@lru_cache(maxsize=4)
+def _scan(path: Path, size: int, written_ns: int) -> pl.LazyFrame:  # noqa: ARG001 - which file it is, not its name alone
+    """Return the rows of a file, whose footer is read once for all that is collected of them."""
+    return pl.scan_parquet(path)
 
 
 def _frame_of(tables: Sequence[pa.Table]) -> pl.DataFrame:

@@ -95,6 +95,27 @@ def test_a_store_takes_parts_as_it_takes_tables(tables, tmp_path, monkeypatch, m
     assert_frame_equal(*found)
 
 
+def test_parts_that_a_file_has_are_not_decoded(tables, tmp_path, monkeypatch):
+    def decode(*_arguments):
+        raise AssertionError("decoded")
+
+    expected = pl.from_arrow(pa.concat_tables(tables))["sequence"]
+    monkeypatch.setattr(row_parts.RowPart, "load", decode)
+    with RowStore(tmp_path / "rows.parquet") as store:
+        for table in tables:
+            store.add(encode_rows([table]))
+    assert store.load()["sequence"].equals(expected)
+    with pytest.raises(AssertionError, match="decoded"), RowStore() as held:
+        held.add(encode_rows([tables[0]]))
+
+
+def test_a_file_that_was_written_anew_is_read_anew(tables, tmp_path):
+    path = tmp_path / "rows.parquet"
+    for held in (tables[:1], tables[:2]):
+        written(path, held)
+        assert RowStore.of(path).scan().collect().height == sum(map(len, held))
+
+
 def test_a_folder_that_takes_no_part_is_one_line(tables, tmp_path):
     with pytest.raises(OutputError, match=r"^rows cannot be kept \(.*\); give a larger folder with TMPDIR$"):
         encode_rows(tables, tmp_path / "absent")

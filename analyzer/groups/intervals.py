@@ -12,14 +12,15 @@ import polars as pl
 from ..model.metrics import METRICS
 from ..pairing.one_way import knots_of
 from ..run_statistics.between_runs import interval_of_runs
-from ..run_statistics.runs import Run, Runs, Statistic
-from ..run_statistics.spread import spread_of_runs
+from ..run_statistics.runs import Groups, Run, Runs, Statistic, find_inflations, find_quantiles
+from ..run_statistics.spread import find_log_errors, spread_of_runs
+from ..run_statistics.tails import find_own_inflations, find_tails
 from ..statistics.intervals import Basis
 from ..statistics.percentiles import PERCENTILES, quantile_of, summarize_values
 from .batch import rows_by_group, runs_by_group
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -61,7 +62,13 @@ ONE_WAY_SCHEMA: dict[str, type[pl.DataType]] = {
 }
 
 ONE_WAY_METRICS = ("outbound", "return")
+_METRICS = (*METRICS, *ONE_WAY_METRICS)
 
+_FINDERS = (find_quantiles, find_inflations, find_tails, find_own_inflations, find_log_errors)
+"""What intervals rest on, in the order in which one rests on another."""
+
+_SIDE_BY_SIDE = 20_000
+"""Messages of a group up to which its metrics are looked at side by side; those of more are as quick one by one."""
 
 _QUANTILES = tuple(percentile.quantile for percentile in PERCENTILES)
 _METHODS = {Basis.BETWEEN_RUNS: "student_t_of_runs", Basis.WITHIN_RUN: "order_statistics"}
@@ -102,18 +109,36 @@ def interval_rows(
     everything = _Sending.of(column("publish_ns").to_numpy(), run_of_row)
     bounds = column("clock_bound_ns").drop_nulls()
     bound_ns = float(bounds.to_numpy().max()) if len(bounds) else 0.0
-    for metric in (*METRICS, *ONE_WAY_METRICS):
-        values = column(f"{metric}_ns")
+
+    def runs_of(metric: str) -> Runs | None:
+        values, sending = column(f"{metric}_ns"), everything
         if values.null_count() == len(values):
-            continue
-        # No quantile of one-way times is further off than its worst message.
-        off_ns = bound_ns if metric in ONE_WAY_METRICS else 0.0
-        sending = everything
+            return None
         if values.null_count():
             present = values.is_not_null().to_numpy()
             values, sending = values.drop_nulls(), _Sending.of(sending.sent_ns[present], run_of_row[present])
-        for row in _rows_of_runs(sending.runs(values.to_numpy()), off_ns):
+        return sending.runs(values.to_numpy())
+
+    for metric, runs in _found_together(runs_of, _METRICS, len(run_of_row)):
+        # No quantile of one-way times is further off than its worst message.
+        off_ns = bound_ns if metric in ONE_WAY_METRICS else 0.0
+        for row in _rows_of_runs(runs, off_ns):
             yield {"group": group, "metric": metric, **row}
+
+
+def _found_together(
+    runs_of: Callable[[str], Runs | None], metrics: Sequence[str], messages: int
+) -> Iterator[tuple[str, Runs]]:
+    """Yield each metric that has values with its runs; those of a small group are looked at side by side before."""
+    if messages > _SIDE_BY_SIDE:
+        yield from ((metric, runs) for metric in metrics if (runs := runs_of(metric)))
+        return
+    found = {metric: runs for metric in metrics if (runs := runs_of(metric))}
+    if found:
+        together = Groups.together(tuple(found.values()))
+        for find in _FINDERS:
+            together.find(find)
+    yield from found.items()
 
 
 def _rows_of_runs(runs: Runs, off_ns: float) -> Iterator[dict[str, object]]:

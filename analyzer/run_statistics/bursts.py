@@ -297,25 +297,18 @@ def independent_squares(events: int, messages: int, gap: float) -> float:
     return (1 + followed) / (1 - followed)
 
 
-def equal_episodes(sizes: Sequence[Int64], squares: Sequence[float]) -> int | None:
-    """Return how many episodes of equal size make a count vary as much as episodes of these sizes do.
+def equal_episodes(events: int, squares: float) -> int | None:
+    """Return how many episodes of equal size make a count vary as much as some episodes do.
 
     The number of events is a compound Poisson variable: its variance is that of the number of episodes times their
     mean squared size, so that `(sum sizes)^2 / sum sizes^2` equal ones have the same relative error. One outage of 60
     messages and 40 late ones elsewhere are worth 2.7 episodes and not 41.
 
     Args:
-        sizes: of some series, for each the events in each episode, shape (episodes,).
-        squares: for each of the series what the squares of its sizes are divided by (`independent_squares`).
+        events: in all episodes, the sum of their sizes.
+        squares: sum of the squares of their sizes, each divided by what chance makes of it (`independent_squares`).
 
     Returns:
         The nearest whole number, no more than events; None without an event.
     """
-    events = sum(int(of_series.sum()) for of_series in sizes)
-    if not events:
-        return None
-    # Sums of whole numbers are exact, in whatever order.
-    spread = sum(
-        int(of_series @ of_series) / square for of_series, square in zip(sizes, squares, strict=True)
-    )
-    return round(min(events, events**2 / spread))
+    return round(min(events, events**2 / squares)) if events else None

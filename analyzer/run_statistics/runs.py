@@ -6,7 +6,6 @@ were lost than the quantile leaves room for is infinite too.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from ..statistics.percentiles import minimum_messages
+from ..statistics.thresholds import places_beyond, thresholds_of
 from .bursts import Cells, cells_of, mean_distance, positions_of, share_inflations
 
 if TYPE_CHECKING:
@@ -43,74 +43,6 @@ class Levels:
     def relative(self, values: Values, level: float | Values) -> Values:
         """Return values at a level of 1, or of 0; in the same order."""
         return values / level if self.is_ratio else values - level
-
-
-@dataclass(frozen=True, slots=True)
-class Threshold:
-    """Where the tail of a group begins.
-
-    Attributes:
-        value: the order statistic of all messages next to the quantile, on the side of the bulk.
-        is_upper: whether the tail lies above it (quantiles from p50 on) or below.
-        is_part: whether messages equal to the value are part of the tail.
-    """
-
-    value: float
-    is_upper: bool
-    is_part: bool
-
-    @property
-    def least(self) -> float:
-        """The least value of an upper tail: the value itself if it is part of it, or infinite, else the next number above."""
-        return self.value if self.is_part else math.nextafter(self.value, math.inf)
-
-    def is_beyond(self, values: Values) -> NDArray[np.bool_]:
-        """Return which values lie in the tail.
-
-        Where the value is infinite, the lost messages do: more of them than the quantile leaves room for, but
-        comparing with infinity as with a number would make a series of lost and received ones look constant.
-        """
-        if math.isinf(self.value):
-            return ~np.isfinite(values)
-        if self.is_upper:
-            return values >= self.value if self.is_part else values > self.value
-        return values <= self.value if self.is_part else values < self.value
-
-
-def thresholds_of(ordered: Values, quantiles: Sequence[float]) -> list[Threshold]:
-    """Return where the tails of a series begin.
-
-    Of a clock that ticks once a millisecond many values are equal: those at the quantile are part of the tail if that
-    brings its share closer to the one that the quantile leaves, and if no others are.
-
-    Args:
-        ordered: its values, rising, at least one.
-        quantiles: between 0 and 1, both excluded.
-    """
-    messages = len(ordered)
-    positions = [(messages - 1) * quantile for quantile in quantiles]
-    values = ordered[
-        [
-            math.floor(position) if quantile >= 0.5 else math.ceil(position)
-            for position, quantile in zip(positions, quantiles, strict=True)
-        ]
-    ]
-    below, after = (ordered.searchsorted(values, side).tolist() for side in ("left", "right"))
-    return [
-        _threshold(value, quantile, messages, of_less, of_no_more)
-        for value, quantile, of_less, of_no_more in zip(values.tolist(), quantiles, below, after, strict=True)
-    ]
-
-
-def _threshold(value: float, quantile: float, messages: int, below: int, after: int) -> Threshold:
-    """Return the threshold at an order statistic that `below` values lie below, and `after` not above."""
-    is_upper = quantile >= 0.5
-    if math.isinf(value):
-        return Threshold(float(value), is_upper, is_part=False)
-    counts = (messages - after, messages - below) if is_upper else (below, after)
-    wanted = messages * (1 - quantile if is_upper else quantile)
-    misfits = [(count in {0, messages}, abs(count - wanted)) for count in counts]
-    return Threshold(float(value), is_upper, is_part=misfits[1] < misfits[0])
 
 
 class Run:
@@ -148,11 +80,6 @@ class Beyond:
     positions: NDArray[np.float64]
     edges: NDArray[np.intp]
 
-    def take(self, which: NDArray[np.intp], edges: NDArray[np.intp]) -> Beyond:
-        """Return some of them, `which` rising, given the edges of `Runs`."""
-        places = self.places[which]
-        return Beyond(places, self.positions[which], places.searchsorted(edges))
-
     def of_runs(self, values: Values) -> list[Values]:
         """Cut an array of all of them into those of each run."""
         return [values[begin:end] for begin, end in pairwise(self.edges.tolist())]
@@ -177,6 +104,11 @@ class Runs(tuple[Run, ...]):  # noqa: SLOT001 - what is kept needs a `__dict__`
         found = cls(runs)
         found.quantiles = quantiles
         return found
+
+    @property
+    def groups(self) -> Sequence[Runs]:
+        """The groups that the runs are of: one, but for those of `Groups`."""
+        return (self,)
 
     @cached_property
     def lengths(self) -> tuple[int, ...]:
@@ -257,14 +189,18 @@ class Runs(tuple[Run, ...]):  # noqa: SLOT001 - what is kept needs a `__dict__`
         """
         if (find, quantile) not in self._kept:
             together = self.quantiles if quantile in self.quantiles else (quantile,)
-            found = find(self, together)
-            self._kept.update(zip(((find, each) for each in together), found, strict=True))
+            for each, found in zip(together, find(self, together), strict=True):
+                self.keep(each, find, found)
         kept: Found = self._kept[find, quantile]
         return kept
 
+    def keep(self, quantile: float, find: object, found: object) -> None:
+        """Keep what `find` found, for `of_quantile`."""
+        self._kept[find, quantile] = found
+
     def quantile(self, quantile: float) -> NDArray[np.float64]:
         """Return a quantile of each run, by the median-unbiased definition (`Statistic.of_runs`), shape (runs,)."""
-        return self.of_quantile(quantile, _find_quantiles)
+        return self.of_quantile(quantile, find_quantiles)
 
     def beyond(self, quantile: float) -> Beyond:
         """Return the messages beyond a quantile of all of them, each relative to the level of its run."""
@@ -272,7 +208,7 @@ class Runs(tuple[Run, ...]):  # noqa: SLOT001 - what is kept needs a `__dict__`
 
     def inflations(self, quantile: float) -> list[float]:
         """Return the variance of the share that these messages have of each run, divided by that of independent ones."""
-        return self.of_quantile(quantile, _find_inflations)
+        return self.of_quantile(quantile, find_inflations)
 
     def at(self, places: NDArray[np.intp]) -> Beyond:
         """Return the messages at some places, which rise."""
@@ -296,26 +232,59 @@ class Runs(tuple[Run, ...]):  # noqa: SLOT001 - what is kept needs a `__dict__`
         return np.concatenate(times), first, np.array([mean_distance(t) if len(t) else 1.0 for t in times])
 
 
-def _find_quantiles(runs: Runs, quantiles: Sequence[float]) -> list[NDArray[np.float64]]:
+class Groups(Runs):
+    """Several groups as if they were one: what is found for each run is found for those of all groups at once.
+
+    Numpy takes as long to begin with an array as to work at some thousand values, so that small groups cost little more
+    together than one of them does.
+    """
+
+    _groups: Sequence[Runs] = ()
+
+    @classmethod
+    def together(cls, groups: Sequence[Runs]) -> Groups:
+        """Put groups of the same `quantiles` one behind the other."""
+        found = cls(run for group in groups for run in group)
+        found._groups, found.quantiles = groups, groups[0].quantiles
+        return found
+
+    @property
+    def groups(self) -> Sequence[Runs]:
+        """The groups."""
+        return self._groups
+
+    @cached_property
+    def relative(self) -> Values:
+        """The values relative to the level of their run in its group."""
+        return np.concatenate([group.relative for group in self._groups])
+
+    def find(self, find: Callable[[Runs, Sequence[float]], Sequence[Any]]) -> None:
+        """Let a function find something for each run, and keep it in their groups.
+
+        Args:
+            find: returns for each of some quantiles a sequence with what it finds for each run.
+        """
+        for quantile in self.quantiles:
+            of_runs, first = self.of_quantile(quantile, find), 0
+            for group in self._groups:
+                group.keep(quantile, find, of_runs[first : first + len(group)])
+                first += len(group)
+
+
+def find_quantiles(runs: Runs, quantiles: Sequence[float]) -> list[NDArray[np.float64]]:
+    """Return each quantile of each run; see `Runs.quantile`."""
     positions = np.multiply.outer(quantiles, np.add(runs.lengths, 1 / 3)) + 1 / 3
     return list(quantiles_at(runs.each_ordered, runs.edges, positions))
 
 
 def _find_beyond(runs: Runs, quantiles: Sequence[float]) -> list[Beyond]:
-    """Return the messages beyond each quantile; those of an upper tail are looked for in the next wider one."""
-    thresholds = dict(zip(quantiles, thresholds_of(runs.ordered, quantiles), strict=True))
-    found: dict[float, Beyond] = {}
-    wider, values = None, runs.relative
-    for quantile in sorted(thresholds):
-        which = thresholds[quantile].is_beyond(values).nonzero()[0]
-        beyond = runs.at(which) if wider is None else wider.take(which, runs.edges)
-        if thresholds[quantile].is_upper:
-            wider, values = beyond, values[which]
-        found[quantile] = beyond
-    return [found[quantile] for quantile in quantiles]
+    thresholds = [thresholds_of(group.ordered, quantiles) for group in runs.groups]
+    edges = runs.edges[np.cumsum([0, *map(len, runs.groups)])]
+    return list(map(runs.at, places_beyond(runs.relative, edges, thresholds, quantiles)))
 
 
-def _find_inflations(runs: Runs, quantiles: Sequence[float]) -> list[list[float]]:
+def find_inflations(runs: Runs, quantiles: Sequence[float]) -> list[list[float]]:
+    """Return the inflation of each run beyond each quantile; see `Runs.inflations`."""
     return share_inflations(runs.cells, [(b.places, b.edges) for b in map(runs.beyond, quantiles)])
 
 

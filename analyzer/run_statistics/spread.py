@@ -61,7 +61,7 @@ def spread_of_runs(runs: Sequence[Run], statistic: Statistic) -> Spread:
     errors = (
         np.array([_log_error_of_mean(run, value) for run, value in zip(held, values.tolist(), strict=True)])
         if statistic.quantile is None
-        else held.of_quantile(statistic.quantile, _find_log_errors)
+        else held.of_quantile(statistic.quantile, find_log_errors)
     )
     within_squared = float(np.add.reduce(errors * errors) / len(errors))
     if math.isnan(within_squared):
@@ -78,7 +78,7 @@ def _log_error_of_mean(run: Run, value: float) -> float:
     return math.sqrt(variance / len(run)) / value
 
 
-def _find_log_errors(runs: Runs, shares: Sequence[float]) -> list[Float64]:
+def find_log_errors(runs: Runs, shares: Sequence[float]) -> list[Float64]:
     """Return the standard error of the logarithm of each run's quantiles, NaN where it is not finite; each of shape (runs,).
 
     Half of the logarithm's rise over one standard error of the share below it to either side (R. Woodruff, "Confidence

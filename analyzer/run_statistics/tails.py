@@ -12,6 +12,7 @@ import numpy as np
 
 from ..statistics.intervals import RUNS_TO_TELL
 from ..statistics.moments import mean_and_variance
+from ..statistics.thresholds import places_beyond, thresholds_of
 from .bursts import (
     LEAST_GAP,
     episode_ends,
@@ -22,7 +23,7 @@ from .bursts import (
     sizes_between,
 )
 from .long_bursts import bursts_to_count, level_below
-from .runs import Runs, thresholds_of
+from .runs import Runs
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -52,6 +53,7 @@ class Tail:
         messages: how many.
         sizes: int64, messages in each episode that they came in.
         inflation: variance of their share divided by that of independent messages.
+        squared: sum of the squares of `sizes`.
         squares: mean squared size of an episode over its mean size, of as many independent messages.
         rows: unbroken rows that they came in; None for as many as there are episodes.
         bursts: bursts that the whole group's tail rests on, if they are few (`long_bursts`); None where they do not limit it.
@@ -60,6 +62,7 @@ class Tail:
     messages: int
     sizes: Int64
     inflation: float
+    squared: int
     squares: float = 1.0
     rows: int | None = None
     bursts: int | None = None
@@ -75,11 +78,12 @@ def tails_of(runs: Sequence[Run], quantile: float) -> list[Tail]:
         runs: at least one message each.
         quantile: between 0 and 1, both excluded.
     """
-    return Runs.of(runs).of_quantile(quantile, _find_tails)
+    return Runs.of(runs).of_quantile(quantile, find_tails)
 
 
-def _find_tails(runs: Runs, quantiles: Sequence[float]) -> list[list[Tail]]:
-    """Return the tails of each run beyond each quantile; arrays have the runs of the first quantile, then of the second ..."""
+def find_tails(runs: Runs, quantiles: Sequence[float]) -> list[list[Tail]]:
+    """Return the tails of each run beyond each quantile; see `tails_of`."""
+    # Side by side: all runs beyond the first quantile, then beyond the second ...
     of_quantiles = [runs.beyond(quantile) for quantile in quantiles]
     positions = np.concatenate([beyond.positions for beyond in of_quantiles])
     events = np.concatenate([beyond.edges[1:] - beyond.edges[:-1] for beyond in of_quantiles])
@@ -88,34 +92,45 @@ def _find_tails(runs: Runs, quantiles: Sequence[float]) -> list[list[Tail]]:
     gaps = [gap_of(count, messages, TAIL_GAP_SHARE) for count, messages in counts]
     ends = episode_ends(positions, np.repeat(gaps, events), edges)
     rows = episode_ends(positions, LEAST_GAP, edges).searchsorted(edges)
-    sizes, episodes = sizes_between(ends), pairwise(ends.searchsorted(edges).tolist())
-    bursts = [count for quantile in quantiles for count in (_bursts(runs, quantile),) * len(runs)]
+    sizes, episodes = sizes_between(ends), ends.searchsorted(edges)
+    squared = np.diff(np.concatenate([[0], np.cumsum(sizes * sizes)])[episodes])
+    bursts = [of_run for quantile in quantiles for of_run in _bursts(runs, quantile)]
     inflations = [inflation for quantile in quantiles for inflation in runs.inflations(quantile)]
     tails = [
         Tail(
             messages=count,
             sizes=sizes[begin:end],
             inflation=inflation,
+            squared=of_sizes,
             squares=independent_squares(count, messages, gap),
             rows=of_rows,
             bursts=of_bursts,
         )
-        for (count, messages), (begin, end), inflation, gap, of_rows, of_bursts in zip(
-            counts, episodes, inflations, gaps, (rows[1:] - rows[:-1]).tolist(), bursts, strict=True
+        for (count, messages), (begin, end), inflation, of_sizes, gap, of_rows, of_bursts in zip(
+            counts,
+            pairwise(episodes.tolist()),
+            inflations,
+            squared.tolist(),
+            gaps,
+            (rows[1:] - rows[:-1]).tolist(),
+            bursts,
+            strict=True,
         )
     ]
     return [tails[first : first + len(runs)] for first in range(0, len(tails), len(runs))]
 
 
-def _bursts(runs: Runs, quantile: float) -> int | None:
-    """Return the bursts that limit a tail, if any do (`bursts_to_count`)."""
-    below = level_below(quantile)
-    if below is None:
-        return None
-    beyond, wider = runs.beyond(quantile), runs.beyond(below)
-    return bursts_to_count(
-        wider.of_runs(wider.positions), beyond.of_runs(beyond.positions), int(runs.edges[-1])
-    )
+def _bursts(runs: Runs, quantile: float) -> list[int | None]:
+    """Return for each run the bursts that limit the tail of its group, if any do (`bursts_to_count`)."""
+    level = level_below(quantile)
+    if level is None:
+        return [None] * len(runs)
+    below, beyond = (tail.of_runs(tail.positions) for tail in (runs.beyond(level), runs.beyond(quantile)))
+    bursts: list[int | None] = []
+    for group in runs.groups:
+        here = slice(len(bursts), len(bursts) + len(group))
+        bursts += [bursts_to_count(below[here], beyond[here], int(group.edges[-1]))] * len(group)
+    return bursts
 
 
 def inflations_of(runs: Runs, quantile: float) -> list[float]:
@@ -125,30 +140,14 @@ def inflations_of(runs: Runs, quantile: float) -> list[float]:
         runs: at least one message each.
         quantile: between 0 and 1, both excluded.
     """
-    return runs.inflations(quantile) if len(runs) == 1 else runs.of_quantile(quantile, _find_own_inflations)
+    return runs.inflations(quantile) if len(runs) == 1 else runs.of_quantile(quantile, find_own_inflations)
 
 
-def _find_own_inflations(runs: Runs, quantiles: Sequence[float]) -> list[list[float]]:
-    """Return the inflations of `inflations_of`; those of an upper tail are looked for in the next wider one."""
-    thresholds = zip(*(thresholds_of(run.ordered, quantiles) for run in runs), strict=True)
-    of_quantiles = dict(zip(quantiles, thresholds, strict=True))
-    found: dict[float, tuple[NDArray[np.intp], NDArray[np.intp]]] = {}
-    wider, values, lengths = None, runs.values, np.diff(runs.edges)
-    for quantile in sorted(of_quantiles):
-        of_runs = of_quantiles[quantile]
-        if not of_runs[0].is_upper:
-            is_beyond = np.concatenate(
-                [one.is_beyond(run.values) for one, run in zip(of_runs, runs, strict=True)]
-            )
-        else:
-            is_beyond = values >= np.repeat([one.least for one in of_runs], lengths)
-        which = is_beyond.nonzero()[0]
-        places = which if wider is None else wider[which]
-        edges = places.searchsorted(runs.edges)
-        if of_runs[0].is_upper:
-            wider, values, lengths = places, values[which], np.diff(edges)
-        found[quantile] = places, edges
-    return share_inflations(runs.cells, [found[quantile] for quantile in quantiles])
+def find_own_inflations(runs: Runs, quantiles: Sequence[float]) -> list[list[float]]:
+    """Return the inflations of each run beyond each of its own quantiles; see `inflations_of`."""
+    thresholds = [thresholds_of(run.ordered, quantiles) for run in runs]
+    places = places_beyond(runs.values, runs.edges, thresholds, quantiles)
+    return share_inflations(runs.cells, [(of_tail, of_tail.searchsorted(runs.edges)) for of_tail in places])
 
 
 def episodes_of(tails: Sequence[Tail]) -> int | None:
@@ -164,13 +163,13 @@ def episodes_of(tails: Sequence[Tail]) -> int | None:
     Args:
         tails: of all runs of the group.
     """
-    equal = equal_episodes([tail.sizes for tail in tails], [tail.squares for tail in tails])
+    counts = [tail.messages for tail in tails]
+    equal = equal_episodes(sum(counts), sum(tail.squared / tail.squares for tail in tails))
     if equal is None:
         return None
     equal = min(equal, sum(len(tail.sizes) if tail.rows is None else tail.rows for tail in tails))
     if tails[0].bursts is not None:
         equal = min(equal, tails[0].bursts)
-    counts = [tail.messages for tail in tails]
     if len(tails) < RUNS_TO_TELL or min(counts) == max(counts):
         return equal
     mean, variance = mean_and_variance(np.array(counts, np.float64))

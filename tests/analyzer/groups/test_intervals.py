@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import polars as pl
 import pytest
+from polars.testing import assert_frame_equal
 from roundtrip_frames import MS, S, roundtrips, with_one_way
 
-from dds_trace.analyzer.groups.intervals import interval_rows, one_way_rows
+from dds_trace.analyzer.groups.intervals import INTERVAL_SCHEMA, interval_rows, one_way_rows
 from dds_trace.analyzer.run_statistics import Run, Statistic, interval_of_runs
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
 
@@ -113,6 +114,33 @@ def test_rows_are_the_statistics_of_the_runs_that_a_group_has(runs, messages):
     ]
     lost = columns_of([*values, None], [*sent, 10**12])
     assert list(interval_rows(7, lost, np.append(run_of_row, 0))) == rows
+
+
+@pytest.mark.parametrize("runs", [1, 3, 5])
+def test_metrics_side_by_side_are_each_as_by_themselves(runs, monkeypatch):
+    """Of unlike values and unlike messages: ticks of a clock, a way that is negative, replies that were lost in one run more."""
+    draw = np.random.default_rng(runs)
+    messages, run_of_row = 1200 * runs, np.repeat(np.arange(runs), 1200)
+    lost = draw.random(messages) < 0.1 + 0.2 * (run_of_row == 1)
+    latency_ns = [
+        None if gone else int(value)
+        for gone, value in zip(lost, draw.lognormal(13, 1, messages), strict=True)
+    ]
+    held = {
+        "outbound_ns": draw.normal(0, MS, messages).astype(np.int64),
+        "return_ns": draw.integers(1, 9, messages) * MS,
+        "rtt_ns": np.convolve(draw.exponential(MS, messages), np.ones(20), "same").astype(np.int64),
+        "clock_bound_ns": draw.integers(1, 99, messages),
+    }
+    columns = columns_of(latency_ns, np.arange(messages) * MS, **held)
+
+    def found(most):
+        monkeypatch.setattr("dds_trace.analyzer.groups.intervals._SIDE_BY_SIDE", most)
+        return pl.DataFrame(list(interval_rows(0, columns, run_of_row)), INTERVAL_SCHEMA, strict=False)
+
+    together, alone = found(messages), found(0)
+    assert together["metric"].n_unique() == 4
+    assert_frame_equal(together, alone, rel_tol=1e-9)
 
 
 def test_one_way_rows_are_wider_by_the_worst_bound_and_those_of_a_round_trip_are_not():

@@ -9,13 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dds_trace.analyzer.run_statistics.runs import Levels, Run, Runs, Threshold, thresholds_of
+from dds_trace.analyzer.run_statistics.runs import Levels, Run, Runs
 from dds_trace.analyzer.run_statistics.tails import (
     Tail,
     episodes_of,
     inflations_of,
     tails_of,
 )
+from dds_trace.analyzer.statistics.thresholds import Threshold, thresholds_of
 
 
 def threshold_alone(values, quantile):
@@ -126,7 +127,7 @@ def test_a_run_that_is_slower_throughout_is_no_episode():
 
 
 def tail_of(*sizes):
-    return Tail(sum(sizes), np.array(sizes, np.int64), 1.0)
+    return Tail(sum(sizes), np.array(sizes, np.int64), 1.0, sum(size**2 for size in sizes))
 
 
 def test_runs_without_an_episode_limit_the_number():

@@ -102,18 +102,14 @@ def places_beyond(
         quantiles: between 0 and 1, both excluded.
     """
     found: dict[float, NDArray[np.intp]] = {}
-    wider, rest, lengths = None, values, np.diff(edges)
-    for quantile, of_series in sorted(
-        zip(quantiles, zip(*thresholds, strict=True), strict=True), key=itemgetter(0)
-    ):
-        if not of_series[0].is_upper:
-            spans = pairwise(edges.tolist())
-            parts = [
-                one.is_beyond(values[begin:end]) for one, (begin, end) in zip(of_series, spans, strict=True)
-            ]
-            found[quantile] = np.concatenate(parts).nonzero()[0]
-            continue
-        which = (rest >= np.repeat([one.least for one in of_series], lengths)).nonzero()[0]
-        found[quantile] = wider = which if wider is None else wider[which]
-        rest, lengths = rest[which], np.diff(wider.searchsorted(edges))
+    wider, rest, ends = None, values, edges
+    of_quantiles = zip(quantiles, zip(*thresholds, strict=True), strict=True)
+    for quantile, of_series in sorted(of_quantiles, key=itemgetter(0)):
+        spans = pairwise(ends.tolist())
+        parts = [one.is_beyond(rest[begin:end]) for one, (begin, end) in zip(of_series, spans, strict=True)]
+        which = np.concatenate(parts).nonzero()[0]
+        found[quantile] = which if wider is None else wider[which]
+        if of_series[0].is_upper:
+            wider, rest = found[quantile], rest[which]
+            ends = wider.searchsorted(edges)
     return [found[quantile] for quantile in quantiles]

@@ -165,7 +165,7 @@ def measured_units(runs: Sequence[Run], statistic: Statistic) -> Units | None:
 
 def interval_of_units(units: Units, statistic: Statistic, confidence: float) -> Interval:
     """Return the interval of a statistic from at least `RUNS_TO_TELL` units; see `interval_of_runs`."""
-    value, lower, upper = ends_of_units(units.values, confidence)
+    value, lower, upper, unit_spread = ends_of_units(units.values, confidence)
     if statistic.quantile is not None:
         lower, upper = without_open_end(lower, upper, statistic.quantile, units.episodes)
     return Interval(
@@ -179,11 +179,7 @@ def interval_of_units(units: Units, statistic: Statistic, confidence: float) -> 
         runs=units.runs,
         units=len(units),
         episodes=units.episodes,
-        unit_spread=(
-            math.sqrt(mean_and_variance(np.log(units.values))[1])
-            if scale_of(units.values) is Scale.LOGARITHM
-            else None
-        ),
+        unit_spread=unit_spread,
     )
 
 
@@ -199,8 +195,10 @@ def scale_of(values: Float64) -> Scale:
     }[is_positive, is_finite]
 
 
-def ends_of_units(values: Float64, confidence: float) -> tuple[float, float | None, float | None]:
-    """Return the typical value of at least two units with the ends of its interval by Student's t.
+def ends_of_units(
+    values: Float64, confidence: float
+) -> tuple[float, float | None, float | None, float | None]:
+    """Return the typical value of at least two units, the ends of its interval by Student's t, and `Interval.unit_spread`.
 
     On the reciprocal scale the lower end is that of the harmonic mean. It is never above that of the geometric mean,
     so it is wrong no more often, and it has an end where a lost run makes the logarithm infinite; the upper end is
@@ -212,22 +210,24 @@ def ends_of_units(values: Float64, confidence: float) -> tuple[float, float | No
     """
     scale = scale_of(values)
     if scale is Scale.NONE:
-        return _median(values), None, math.inf
+        return _median(values), None, math.inf, None
     if scale is Scale.RECIPROCAL:
-        _, __, fastest = student_ends(1 / values, confidence)
+        fastest = student_ends(1 / values, confidence)[2]
         value = _median(values)
-        return value, min(value, 1 / fastest if fastest > 0 else math.inf), math.inf
+        return value, min(value, 1 / fastest if fastest > 0 else math.inf), math.inf, None
     if scale is Scale.LINEAR:
-        return student_ends(values, confidence)
-    value, lower, upper = (math.exp(end) for end in student_ends(np.log(values), confidence))
-    return value, lower, upper
+        return (*student_ends(values, confidence)[:3], None)
+    *ends, deviation = student_ends(np.log(values), confidence)
+    value, lower, upper = map(math.exp, ends)
+    return value, lower, upper, deviation
 
 
-def student_ends(values: Float64, confidence: float) -> tuple[float, float, float]:
-    """Return the mean of finite values and the ends of its interval (Student, 1908)."""
+def student_ends(values: Float64, confidence: float) -> tuple[float, float, float, float]:
+    """Return the mean of finite values, the ends of its interval (Student, 1908), and their standard deviation."""
     count, (mean, variance) = len(values), mean_and_variance(values)
-    reach = student_quantile((1 + confidence) / 2, count - 1) * math.sqrt(variance) / math.sqrt(count)
-    return mean, mean - reach, mean + reach
+    deviation = math.sqrt(variance)
+    reach = student_quantile((1 + confidence) / 2, count - 1) * deviation / math.sqrt(count)
+    return mean, mean - reach, mean + reach, deviation
 
 
 def _median(values: Float64) -> float:

@@ -63,13 +63,13 @@ def test_a_statistic_that_is_not_positive_is_averaged_as_it_is():
 
 def test_a_lost_run_leaves_an_end_below_and_none_above():
     # Reciprocals 1, 1, 1, 1, 0: mean 0.8, deviation 0.4472, t of four degrees 2.7764: up to 0.8 + 0.5553 = 1.3553.
-    value, lower, upper = ends_of_units(np.array([1, 1, 1, 1, math.inf]), 0.95)
+    value, lower, upper, _ = ends_of_units(np.array([1, 1, 1, 1, math.inf]), 0.95)
     assert (value, upper) == (1.0, math.inf)
     assert lower == pytest.approx(1 / 1.35528, rel=1e-4)
 
 
 def test_lost_runs_alone_are_infinite():
-    assert ends_of_units(np.full(3, math.inf), 0.95) == (math.inf, math.inf, math.inf)
+    assert ends_of_units(np.full(3, math.inf), 0.95) == (math.inf, math.inf, math.inf, None)
     found = interval_of_runs(constant_runs(math.inf, math.inf, math.inf), P50)
     assert (found.value, found.lower, found.upper) == (math.inf, math.inf, math.inf)
 
@@ -77,7 +77,7 @@ def test_lost_runs_alone_are_infinite():
 def test_the_middle_of_runs_some_of_which_are_lost():
     assert ends_of_units(np.array([1, 2, math.inf, math.inf]), 0.95)[0] == math.inf
     assert ends_of_units(np.array([1, 2, 3, math.inf]), 0.95)[0] == 2.5
-    value, lower, upper = ends_of_units(np.array([-1, 2, math.inf]), 0.95)
+    value, lower, upper, _ = ends_of_units(np.array([-1, 2, math.inf]), 0.95)
     assert (value, lower, upper) == (2.0, None, math.inf)
 
 
@@ -195,6 +195,6 @@ def test_intervals_follow_their_unit(values, factor):
 
 @given(levels=st.lists(st.floats(0.5, 100) | st.just(math.inf) | st.floats(-5, 0), min_size=2, max_size=8))
 def test_ends_enclose_the_value(levels):
-    value, lower, upper = ends_of_units(np.array(levels), 0.95)
+    value, lower, upper, _ = ends_of_units(np.array(levels), 0.95)
     assert lower is None or lower <= value + 1e-9 * abs(value)
     assert upper is None or value <= upper + 1e-9 * abs(upper)

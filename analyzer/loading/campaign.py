@@ -202,8 +202,9 @@ def _read_sources(
 
 def _other_files(folder: Path, traces: Collection[Path], skip: Collection[Path]) -> Iterator[Path]:
     """Yield files that are no trace; files that belong to a trace or a sweep, and hidden ones, are left out."""
-    closed = {entry.resolve() for entry in (*traces, *skip)}
-    stems = tuple(os.fspath(entry) for entry in traces)
+    closed = {entry.resolve() for entry in (*traces, *skip) if entry.is_dir()}
+    stems = {os.fspath(entry) for entry in traces}
+    lengths = {len(stem) for stem in stems}  # few, where one look at each of thousands of stems would be many
     for where, folders, files in os.walk(folder):
         folders[:] = sorted(
             name
@@ -213,15 +214,15 @@ def _other_files(folder: Path, traces: Collection[Path], skip: Collection[Path])
         for name in sorted(files):
             path = Path(where) / name
             known = name.startswith(".") or name in _FILES_OF_A_SWEEP
-            if not known and not os.fspath(path).startswith(stems):
+            if not known and not any(os.fspath(path)[:length] in stems for length in lengths):
                 yield path
 
 
 def _relative(path: Path, folder: Path) -> str:
     """Return the path below `folder`, so that a report does not depend on where the folder is."""
-    return (
-        path.relative_to(folder).as_posix() if path != folder and path.is_relative_to(folder) else path.name
-    )
+    depth = len(folder.parts)
+    below = path.parts[depth:] if path.parts[:depth] == folder.parts else ()
+    return "/".join(below) or path.name
 
 
 def _nothing_found(path: Path, skipped: Sequence[Source]) -> str:

@@ -57,15 +57,16 @@ def find_traces(folder: Path, *, skip: Collection[Path] = ()) -> list[Path]:
         raise MissingEventsError(f"{folder}: no such file or folder")
     traces: list[Path] = []
     for name, folders, files in os.walk(folder):
-        here = Path(name)
-        kept = [child for child in folders if (here / child).resolve() not in left_out]
+        here, real = Path(name), Path(name).resolve()
+
+        def is_left_out(child: Path, real: Path = real) -> bool:
+            # Only a link leads elsewhere: to look at each part of each path takes longer than all else.
+            return (child.resolve() if child.is_symlink() else real / child.name) in left_out
+
+        kept = [child for child in folders if not is_left_out(here / child)]
         traces += [here / child for child in kept if is_bag(here / child)]
         folders[:] = [child for child in kept if not is_bag(here / child)]
-        traces += [
-            here / file
-            for file in files
-            if file.endswith(".mcap") and (here / file).resolve() not in left_out
-        ]
+        traces += [here / file for file in files if file.endswith(".mcap") and not is_left_out(here / file)]
     return sorted(traces)
 
 

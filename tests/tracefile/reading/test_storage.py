@@ -30,7 +30,10 @@ def test_skipped_folders_and_files_are_left_out(tmp_path):
     for name in ("keep.mcap", "drop.mcap", "analysis/own.mcap"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text("")
+    (tmp_path / "again.mcap").symlink_to(tmp_path / "drop.mcap")
+    (tmp_path / "by_a_link").symlink_to(tmp_path, target_is_directory=True)
     skip = [tmp_path / "analysis", tmp_path / "x" / ".." / "drop.mcap"]
+    assert find_traces(tmp_path / "by_a_link", skip=skip) == [tmp_path / "by_a_link" / "keep.mcap"]
     assert find_traces(tmp_path, skip=skip) == [tmp_path / "keep.mcap"]
 
 

@@ -14,7 +14,7 @@ from dds_trace.tracefile.threads import in_turn
 from ..loading.cache import TraceCache
 from ..loading.campaign import load_campaign
 from ..loading.shelf import TraceShelf
-from .batches import BATCH_EVENTS, WorkedBatch, measure_at, pair_at, work_at
+from .batches import BATCH_EVENTS, WorkedBatch, keep_freed_memory, measure_at, pair_at, work_at
 from .known_details import KnownDetails
 
 if TYPE_CHECKING:
@@ -97,6 +97,8 @@ class LocalEngine:
         """
         if self._workers is None and _cost_of_small(batches) >= COST_FOR_PROCESSES:
             self._workers = self._start_workers()
+        if not any(map(_is_large, batches)):  # beside the arrays of a large one there is no room
+            keep_freed_memory()
         known = KnownDetails(self._cache, self._shelf.keys) if self._cache else None
         count = min(_MOST_THREADS, self._cores)
         with (

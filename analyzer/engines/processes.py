@@ -25,6 +25,7 @@ from dds_trace.tracefile import TraceError
 from ..loading.cache import TraceCache
 from ..loading.shelf import TraceShelf
 from ..loading.traces import loaded_or_error
+from .batches import keep_freed_memory
 from .known_batches import encoded_batch
 from .known_details import KnownDetails
 
@@ -156,6 +157,7 @@ _shelf = TraceShelf()
 def _begin(folder: str, has_cache: bool) -> None:
     """Make this process a worker."""
     global _folder, _cache, _shelf  # noqa: PLW0603 - what a process has from its beginning
+    keep_freed_memory()
     threading.Thread(target=_end_with_caller, daemon=True).start()
     _folder = Path(folder)
     _cache = TraceCache.open() if has_cache else None

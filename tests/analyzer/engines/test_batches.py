@@ -1,5 +1,8 @@
 """Batches: whole groups together while they are small, a large group in parts of whole runs."""
 
+import platform
+import subprocess
+import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -96,3 +99,25 @@ def test_a_batch_ends_behind_groups_that_fill_one_as_often_as_they_do(parameters
     vendor, size, *more = parameters
     rows = [(vendor, size + number, *more) for number in range(400)]
     assert 20 < sum(dds_trace.analyzer.engines.batches._ends_batch(row, 10) for row in rows) < 60
+
+
+@pytest.mark.skipif(
+    platform.libc_ver()[0] != "glibc", reason="what other C libraries keep is their own affair"
+)
+def test_the_memory_of_one_array_is_that_of_the_next():
+    def pages_touched(preparation):
+        code = f"""
+import resource
+import numpy as np
+from dds_trace.analyzer.engines.batches import keep_freed_memory
+{preparation}
+for _ in range(3):  # the first ones find no memory that was freed
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    arrays = [np.ones(200_000) for _ in range(10)]
+    del arrays
+print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+"""
+        told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+        return int(told.stdout)
+
+    assert pages_touched("keep_freed_memory()") < 0.2 * pages_touched("")

@@ -13,6 +13,7 @@ from ..run_statistics.modes import find_modes
 from ..run_statistics.trend import find_trend
 from ..run_statistics.warm_up import find_warm_up
 from ..statistics.percentiles import quantile_of
+from .batch import filled
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -52,14 +53,14 @@ def shape_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     """
     rows: list[dict[str, object]] = []
     # Filled for all runs at once: for one, the way into polars and back takes longer than its median.
-    filled = {
-        name: roundtrips.measured[name].fill_null(0).to_numpy()
+    columns = {
+        name: filled(roundtrips.measured[name])
         for name in {_metric_of(exchange) for exchange in batch.exchanges}
     }
     sent_ns = roundtrips.measured["publish_ns"].to_numpy()
     for number, exchange in enumerate(batch.exchanges):
         here = slice(*roundtrips.bounds[number : number + 2].tolist())
-        latency_ns = filled[_metric_of(exchange)][here]
+        latency_ns = columns[_metric_of(exchange)][here]
         came = latency_ns > 0
         rows.append(
             {

@@ -45,13 +45,13 @@ class Details:
         one_way: way out and way back (`intervals.one_way_frame`): `group` u32, `metric` str (`outbound`,
             `return`), `messages` u64, `mean_ns`, `min_ns`, `p50_ns` ... `p99_9_ns`, `max_ns` f64, `bound_p50_ns`,
             `bound_max_ns` f64: asymmetry of the link inside the bound cannot be seen.
-        breakdown: where the time goes (`breakdown.summarize_breakdown`), a row per part in the order of time:
+        breakdown: where the time goes (`breakdown.breakdown_frame`), a row per part in the order of time:
             `group` u32, `part` str, `order` u32, `messages` u64, `mean_ns`, `p50_ns`, `p99_ns`, `bound_ns` f64.
-        responses: response time against round trip time (`breakdown.response_against_latency`), a row per group
+        responses: response time against round trip time (`breakdown.response_frame`), a row per group
             with a schedule: `group` u32, `messages` u64, `late_ratio` f64, `waiting_max_ns` i64, `rtt_p50_ns`,
             `response_p50_ns`, `rtt_p99_ns`, `response_p99_ns`, `hidden_p50_ns`, `hidden_p99_ns` f64. Like `breakdown`
             without a row of a group that was worked at in parts (`batches.WHOLE_GROUP_EVENTS`); a finding says so.
-        freshness: a row per run and relay: `group` u32, then the columns of `freshness.FRESHNESS_SCHEMA`.
+        freshness: a row per run and relay: the columns of `freshness.FRESHNESS_SCHEMA`.
         outages: a row per outage: `group` u32, `run_id` u64, `relay_id` u32, `first_sequence`, `messages` u64,
             `start_ns`, `end_ns`, `duration_ns`, `recovery_ns` i64 null.
         clock_fits: a row per pair of devices, boot and stretch without a step (`one_way.segment_table`):

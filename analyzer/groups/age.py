@@ -50,28 +50,40 @@ def age_of_information(
         None with fewer than two updates: there is no time to average over.
     """
     generated, received = generated_ns, received_ns
-    if (received[1:] <= received[:-1]).any():
-        order = np.lexsort((generated, received))
-        generated, received = generated[order], received[order]
-    newer = np.ones(len(generated), np.bool_)
-    newer[1:] = generated[1:] > np.maximum.accumulate(generated)[:-1]
-    generated, received = chosen_of(newer, generated), chosen_of(newer, received)
-    # Of several updates at one instant the last counts: the others never were the newest for any time.
-    last = np.ones(len(received), np.bool_)
-    last[:-1] = received[1:] != received[:-1]
-    generated, received = chosen_of(last, generated), chosen_of(last, received)
+    if not (_rises(received) and _rises(generated)):
+        generated, received = _updates(generated, received)
     if len(received) < 2:
         return None
     peaks = received[1:] - generated[:-1]
     # In place: of a long run each of these arrays has forty megabytes.
     area, fallen = peaks.astype(np.float64), (received - generated)[:-1].astype(np.float64)
+    peak_mean_ns = float(area.mean())
     area *= area
     fallen *= fallen
     area -= fallen
     area /= 2
     return AgeOfInformation(
         mean_ns=float(area.sum() / float(received[-1] - received[0])),
-        peak_mean_ns=float(peaks.mean()),
+        peak_mean_ns=peak_mean_ns,
         peak_max_ns=int(peaks.max()),
         updates=len(received),
     )
+
+
+def _rises(times: NDArray[np.int64]) -> bool:
+    return bool((times[1:] > times[:-1]).all())
+
+
+def _updates(
+    generated: NDArray[np.int64], received: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the times of the receptions that brought newer information than any before, in their order."""
+    order = np.lexsort((generated, received))
+    generated, received = generated[order], received[order]
+    newer = np.ones(len(generated), np.bool_)
+    newer[1:] = generated[1:] > np.maximum.accumulate(generated)[:-1]
+    generated, received = chosen_of(newer, generated), chosen_of(newer, received)
+    # Of several updates at one instant the last counts: the others never were the newest for any time.
+    last = np.ones(len(received), np.bool_)
+    last[:-1] = received[1:] != received[:-1]
+    return chosen_of(last, generated), chosen_of(last, received)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -131,49 +132,33 @@ class Batch:
         return list(dict.fromkeys(key for exchange in self.exchanges for key in exchange.event_keys()))
 
 
-def grouped_rows(batch: Batch, roundtrips: RoundTrips, described: Sequence[str]) -> pl.DataFrame:
-    """Return the measured columns with `group` and these columns of `RoundTrips.described`, texts as categories.
-
-    No others: each takes memory for every row; a text itself would take eighty megabytes of a group of 5 M.
-    """
-    exchange = roundtrips.exchange_of_row()
-    known = roundtrips.described.select(described).with_columns(pl.col(pl.String).cast(pl.Categorical))
-    return roundtrips.measured.with_columns(
-        pl.Series("group", roundtrips.per_row(batch.group_of_exchange)).set_sorted(),
-        *(column.gather(exchange) for column in known),
-    )
+def exchanges_by_group(batch: Batch) -> Iterator[tuple[int, range]]:
+    """Yield each group and the positions of its exchanges; nothing of a group that is here in part."""
+    if not batch.whole:
+        return
+    groups = batch.group_of_exchange
+    edges = [*np.unique(groups, return_index=True)[1].tolist(), len(groups)]
+    for first, after in pairwise(edges):
+        yield int(groups[first]), range(first, after)
 
 
 def rows_by_group(batch: Batch, roundtrips: RoundTrips) -> Iterator[tuple[int, pl.DataFrame]]:
     """Yield each group and its measured rows; nothing of a group that is here in part."""
-    if not batch.whole:
-        return
-    groups, bounds = batch.group_of_exchange, roundtrips.bounds
-    for group in dict.fromkeys(groups.tolist()):
-        members = (groups == group).nonzero()[0]
-        first, after = int(bounds[members[0]]), int(bounds[members[-1] + 1])
+    bounds = roundtrips.bounds.tolist()
+    for group, numbers in exchanges_by_group(batch):
+        first, after = bounds[numbers.start], bounds[numbers.stop]
         yield group, roundtrips.measured.slice(first, after - first)
 
 
 def runs_by_group(batch: Batch, roundtrips: RoundTrips) -> Iterator[NDArray[np.int64]]:
     """Yield for each group of `rows_by_group` a number for each row that the rows of one run share, run after run."""
-    if not batch.whole:
-        return
     run_ids = [exchange.run.run_id for exchange in batch.exchanges]
     number = {run_id: place for place, run_id in enumerate(dict.fromkeys(run_ids))}
     run_of_row = roundtrips.per_row(np.array([number[run_id] for run_id in run_ids], np.int64))
-    for group in dict.fromkeys(batch.group_of_exchange.tolist()):
-        members = (batch.group_of_exchange == group).nonzero()[0]
-        yield run_of_row[int(roundtrips.bounds[members[0]]) : int(roundtrips.bounds[members[-1] + 1])]
+    for _, numbers in exchanges_by_group(batch):
+        yield run_of_row[slice(*roundtrips.bounds[[numbers.start, numbers.stop]].tolist())]
 
 
-def with_group(batch: Batch, roundtrips: RoundTrips, of_runs: pl.DataFrame) -> pl.DataFrame:
-    """Put the group of each run and relay before the columns of `of_runs`, and sort by it."""
-    groups = roundtrips.described.select("run_id", "relay_id").with_columns(
-        pl.Series("group", batch.group_of_exchange)
-    )
-    return (
-        of_runs.join(groups, on=["run_id", "relay_id"], how="left", maintain_order="left")
-        .sort("group", maintain_order=True)
-        .select("group", *of_runs.columns)
-    )
+def filled(values: pl.Series, missing: int = 0) -> NDArray[np.int64]:
+    """Return a column of int64 as an array, with a number in place of null; a view where none is."""
+    return values.fill_null(missing).to_numpy()

@@ -15,20 +15,31 @@ over (`source >= T4`).
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
 import polars as pl
 
 from dds_trace.tracefile import Stage
 
+from ..pairing.pair import MISSING, chosen_of
 from ..pairing.roundtrips import MIDDLEWARE_STAMPS
-from .batch import grouped_rows
+from ..statistics.percentiles import minimum_messages, quantile_of
+from .batch import exchanges_by_group, filled
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping
 
+    from numpy.typing import NDArray
+
+    from ..pairing.exchanges import Exchange
     from ..pairing.roundtrips import RoundTrips
     from .batch import Batch
+
+    Int64 = NDArray[np.int64]
+    Bools = NDArray[np.bool_]
 
 STAGES = (
     "waiting_ns",
@@ -38,270 +49,287 @@ STAGES = (
     "return_transport_ns",
     "ping_delivery_ns",
 )
-"""The parts of a response in the order of time; each a column of `break_down`'s frame."""
+"""The parts of a response in the order of time."""
 
-_USED = (
-    "group",
-    "run_id",
-    "relay_id",
-    "bridge",
-    "scheduled_ns",
-    "publish_ns",
-    "relay_in_ns",
-    "relay_out_ns",
-    "receive_ns",
-    "outbound_ns",
-    "intermediate_ns",
-    "return_ns",
-    "clock_bound_ns",
-)
-"""Columns of a batch's rows that its parts are made of, beside `STAMP_COLUMNS`: the others would be copied for nothing."""
+_RELAY_SOURCE, _RELAY_RECEIVED = MIDDLEWARE_STAMPS[Stage.T3]
+_REPLY_SOURCE, _REPLY_RECEIVED = MIDDLEWARE_STAMPS[Stage.T2]
 
-_COARSE = ("waiting_ns", "outbound_ns", "relay_ns", "return_ns")
-"""The parts where the middleware's reception stamps are missing."""
+_RECEIVED = {_RELAY_RECEIVED, _REPLY_RECEIVED}
 
-_SUMMARIZED = tuple(dict.fromkeys((*STAGES, *_COARSE, "clock_bound_ns", "delivery_bound_ns")))
-"""Columns of `break_down`'s frame that `summarize_breakdown` needs beside those of the group."""
+_INSTANTS = ("publish_ns", "relay_in_ns", "relay_out_ns", "receive_ns")
 
-_DELIVERIES = ("_relay_delivery", "_relay_write", "_ping_delivery", "_ping_write")
+_CHAIN = ("scheduled_ns", "outbound_ns", "intermediate_ns", "return_ns", "clock_bound_ns")
+"""Columns that a message with every part of its chain has a value in."""
 
-_SLICE_ROWS = 1 << 19
+_SIDES = 4
+"""Deliveries and writes of relay and ping: their anchors are judged from both sides."""
 
-STAMP_COLUMNS = (*MIDDLEWARE_STAMPS[Stage.T3], *MIDDLEWARE_STAMPS[Stage.T2])
-"""`source_ns` and `received_ns` of T3 and of T2, i64, ns since 1970, null or 0 where the trace has none."""
+BREAKDOWN_SCHEMA: dict[str, type[pl.DataType]] = {
+    "group": pl.UInt32,
+    "part": pl.String,
+    "order": pl.UInt32,
+    "messages": pl.UInt64,
+    "mean_ns": pl.Float64,
+    "p50_ns": pl.Float64,
+    "p99_ns": pl.Float64,
+    "bound_ns": pl.Float64,
+}
+
+RESPONSE_SCHEMA: dict[str, type[pl.DataType]] = {
+    "group": pl.UInt32,
+    "messages": pl.UInt64,
+    "late_ratio": pl.Float64,
+    "waiting_max_ns": pl.Int64,
+    "rtt_p50_ns": pl.Float64,
+    "response_p50_ns": pl.Float64,
+    "rtt_p99_ns": pl.Float64,
+    "response_p99_ns": pl.Float64,
+    "hidden_p50_ns": pl.Float64,
+    "hidden_p99_ns": pl.Float64,
+}
 
 
 def breakdown_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
-    """Summarize where the time goes: `group` u32, then the columns of `summarize_breakdown`, a row per part.
+    """Summarize where the time of each group goes, a row per part, for a stacked figure.
 
     Percentiles of parts of a group do not add up, so a group that is here in part has no rows.
+
+    Returns:
+        Columns of `BREAKDOWN_SCHEMA`: `part` (a name of `STAGES`; `outbound_ns` and `return_ns` in place of transports and
+        deliveries where a message of the group has no reception stamp of the middleware, or a run contradicts its anchor:
+        wall clock set meanwhile), `order` (0, 1, ... in time), `p99_ns` null below 100 messages, `bound_ns` (mean bound from
+        the clocks, 0 for parts on one clock; null where only one side of an anchor can be judged: no source stamps, or a
+        bridge that writes its own). Only messages with every part of their chain count, so that the means add up to the
+        mean response.
     """
-    rows = (
-        grouped_rows(batch, roundtrips, ["run_id", "relay_id", "bridge"])
-        .select(_USED)
-        .with_columns(roundtrips.stamps)
+    messages = _Messages.of(roundtrips)
+    bridges = roundtrips.described["bridge"].to_list()
+    rows: list[dict[str, object]] = []
+    for group, numbers in exchanges_by_group(batch):
+        edges = roundtrips.bounds[numbers.start : numbers.stop + 1].tolist()
+        of_group = messages.between(edges[0], edges[-1])
+        if not of_group.shown:
+            continue
+        deliveries = _deliveries(
+            (batch.exchanges[number], messages.between(first, after), bridges[number] == "none")
+            for number, first, after in zip(numbers, edges, edges[1:], strict=False)
+        )
+        rows += [
+            {
+                "group": group,
+                "part": part,
+                "order": order,
+                "messages": of_group.shown,
+                "mean_ns": float(values_ns.mean()),
+                **_percentiles("", values_ns),
+                "bound_ns": bound_ns,
+            }
+            for order, (part, values_ns, bound_ns) in enumerate(_parts(of_group, deliveries))
+        ]
+    return pl.DataFrame(rows, schema=BREAKDOWN_SCHEMA)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Messages:
+    """Rows that follow one another.
+
+    Attributes:
+        columns: int64, `MISSING` where there is no value; the middleware's stamps where both devices have those of reception.
+        has_chain: whether a message has every part of its chain.
+        shown: how many have.
+    """
+
+    columns: Mapping[str, Int64]
+    has_chain: Bools
+    shown: int
+
+    @classmethod
+    def of(cls, roundtrips: RoundTrips) -> _Messages:
+        """Return all rows of a batch."""
+        measured = roundtrips.measured
+        has_chain = measured.select(pl.all_horizontal(pl.col(_CHAIN).is_not_null())).to_series().to_numpy()
+        columns = {name: filled(measured[name], MISSING) for name in (*_CHAIN, *_INSTANTS)}
+        stamps = {series.name: filled(series) for series in roundtrips.stamps}
+        if stamps.keys() >= _RECEIVED:  # else nothing is judged by them
+            columns |= {name: np.where(values == 0, MISSING, values) for name, values in stamps.items()}
+        return cls(columns, has_chain, int(np.count_nonzero(has_chain)))
+
+    def between(self, first: int, after: int) -> _Messages:
+        """Return some of the rows."""
+        has_chain = self.has_chain[first:after]
+        columns = {name: values[first:after] for name, values in self.columns.items()}
+        return _Messages(columns, has_chain, int(np.count_nonzero(has_chain)))
+
+    def of_shown(self, name: str) -> Int64:
+        """Return a column of the messages with every part of their chain."""
+        return chosen_of(self.has_chain, self.columns[name])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Deliveries:
+    """What the middleware's reception stamps say of a group's messages with every part of their chain.
+
+    Attributes:
+        relay_ns: R3 to T3 of each.
+        ping_ns: R2 to T2 of each.
+        bound_ns: mean of how far the anchors of the wall clocks may be off; None where none can be judged.
+        with_clock_ns: mean of this and the clocks' bound together.
+    """
+
+    relay_ns: Int64
+    ping_ns: Int64
+    bound_ns: float | None
+    with_clock_ns: float | None
+
+
+def _parts(messages: _Messages, deliveries: _Deliveries | None) -> Iterator[tuple[str, Int64, float | None]]:
+    """Yield the name of each part in the order of time, its time in each message, and its mean bound; one by one, for memory."""
+    of_shown = messages.of_shown
+    clock_ns = float(of_shown("clock_bound_ns").mean())
+    yield "waiting_ns", of_shown("publish_ns") - of_shown("scheduled_ns"), 0.0
+    if deliveries is None:
+        yield "outbound_ns", of_shown("outbound_ns"), clock_ns
+    else:
+        yield "outbound_transport_ns", of_shown("outbound_ns") - deliveries.relay_ns, deliveries.with_clock_ns
+        yield "relay_delivery_ns", deliveries.relay_ns, deliveries.bound_ns
+    yield "relay_ns", of_shown("intermediate_ns"), 0.0
+    if deliveries is None:
+        yield "return_ns", of_shown("return_ns"), clock_ns
+    else:
+        yield "return_transport_ns", of_shown("return_ns") - deliveries.ping_ns, deliveries.with_clock_ns
+        yield "ping_delivery_ns", deliveries.ping_ns, deliveries.bound_ns
+
+
+def _percentiles(name: str, values_ns: Int64) -> dict[str, float | None]:
+    """Return `p50_ns` and `p99_ns` behind a name; what is beyond p99 takes 100 messages."""
+    ordered = np.sort(values_ns)
+    p99_ns = quantile_of(ordered, 0.99) if len(ordered) >= minimum_messages(0.99) else None
+    return {f"{name}p50_ns": quantile_of(ordered, 0.5), f"{name}p99_ns": p99_ns}
+
+
+def _deliveries(exchanges: Iterable[tuple[Exchange, _Messages, bool]]) -> _Deliveries | None:
+    """Return the deliveries of a group; None unless every message that is shown has both, by an anchor that is not contradicted.
+
+    Args:
+        exchanges: of the group, each with its messages and whether source stamps are of ping and relay, as without a bridge.
+    """
+    relay_ns, ping_ns, judged, off_ns, clock_ns = [], [], 0, 0, 0
+    for exchange, messages, is_direct in exchanges:
+        if not messages.shown:
+            continue
+        anchors = _judge(exchange, messages, is_direct=is_direct)
+        if anchors is None:
+            return None
+        relay_ns.append(
+            messages.of_shown("relay_in_ns") - (messages.of_shown(_RELAY_RECEIVED) - anchors.relay_wall_ns)
+        )
+        ping_ns.append(
+            messages.of_shown("receive_ns") - (messages.of_shown(_REPLY_RECEIVED) - anchors.ping_wall_ns)
+        )
+        if anchors.bound_ns is not None:
+            judged += messages.shown
+            off_ns += messages.shown * anchors.bound_ns
+            clock_ns += int(messages.of_shown("clock_bound_ns").sum())
+    return _Deliveries(
+        np.concatenate(relay_ns),
+        np.concatenate(ping_ns),
+        off_ns / judged if judged else None,
+        (off_ns + clock_ns) / judged if judged else None,
     )
-    if not batch.whole:
-        return summarize_breakdown(break_down(rows.head(0)), ["group"])
-    ping_wall = {e.run.run_id: e.ping.wall_anchor_ns - e.ping.monotonic_anchor_ns for e in batch.exchanges}
-    relay_wall = {
-        e.relay_id: e.relay.wall_anchor_ns - e.relay.monotonic_anchor_ns for e in batch.exchanges if e.relay
-    }
-    parts = break_down(rows, ping_wall, relay_wall).select("group", *_SUMMARIZED)
-    del rows  # of a large group a hundred megabytes of identities, which the summary has no use for
-    return summarize_breakdown(parts, ["group"])
+
+
+@dataclass(frozen=True, slots=True)
+class _Anchors:
+    """The anchors of an exchange that its stamps agree with.
+
+    Attributes:
+        relay_wall_ns: wall clock less monotonic clock of the relay.
+        ping_wall_ns: the same of the ping.
+        bound_ns: how far they may be off: one that were later than the shortest delivery would make that negative, likewise
+            early. None where only one side can be judged.
+    """
+
+    relay_wall_ns: int
+    ping_wall_ns: int
+    bound_ns: int | None
+
+
+def _judge(exchange: Exchange, messages: _Messages, *, is_direct: bool) -> _Anchors | None:
+    """Judge the anchors of an exchange by the shortest of its deliveries and of its writes: nothing arrives or leaves before its time.
+
+    Returns:
+        None if a stamp contradicts an anchor, and if a message with every part of its chain has no reception stamp.
+    """
+    if exchange.relay is None or not messages.columns.keys() >= _RECEIVED:
+        return None
+    if any((messages.of_shown(name) == MISSING).any() for name in _RECEIVED):
+        return None
+    relay_wall_ns = exchange.relay.wall_anchor_ns - exchange.relay.monotonic_anchor_ns
+    ping_wall_ns = exchange.ping.wall_anchor_ns - exchange.ping.monotonic_anchor_ns
+    shortest = [
+        _shortest(messages, _RELAY_RECEIVED, "relay_in_ns", relay_wall_ns),
+        _shortest(messages, _REPLY_RECEIVED, "receive_ns", ping_wall_ns),
+    ]
+    # How long after T4 (T1) the middleware stamped the message, by the same anchor.
+    if is_direct:
+        shortest += [
+            _shortest(messages, "relay_out_ns", _REPLY_SOURCE, -relay_wall_ns),
+            _shortest(messages, "publish_ns", _RELAY_SOURCE, -ping_wall_ns),
+        ]
+    found = [time_ns for time_ns in shortest if time_ns is not None]
+    if min(found) < 0:
+        return None
+    return _Anchors(relay_wall_ns, ping_wall_ns, max(found) if len(found) == _SIDES else None)
+
+
+def _shortest(messages: _Messages, begin: str, end: str, wall_ns: int) -> int | None:
+    """Return the shortest time between two columns in ns, on the clock that is `wall_ns` ahead of the end's; None without any."""
+    if not {begin, end} <= set(messages.columns):
+        return None
+    begin_ns, end_ns = messages.columns[begin], messages.columns[end]
+    known = (begin_ns != MISSING) & (end_ns != MISSING)
+    times_ns = chosen_of(known, end_ns) - chosen_of(known, begin_ns)
+    return int(times_ns.min()) + wall_ns if len(times_ns) else None
 
 
 def response_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
-    """Summarize what a schedule that was not held hides: `group` u32, then those of `response_against_latency`.
-
-    A group that is here in part has no row, as in `breakdown_frame`.
-    """
-    rows = grouped_rows(batch, roundtrips, ["rate_hz"])
-    return response_against_latency(rows if batch.whole else rows.head(0), ["group"])
-
-
-def break_down(
-    roundtrips: pl.DataFrame,
-    ping_wall: Mapping[int, int] | None = None,
-    relay_wall: Mapping[int, int] | None = None,
-) -> pl.DataFrame:
-    """Split every message's response into its parts.
-
-    Args:
-        roundtrips: frame of `docs/trace-format.md`, with the columns `STAMP_COLUMNS` where the trace has such stamps.
-        ping_wall: run_id -> wall clock minus monotonic clock of the ping in ns; parts that need the offset of a run
-            that is missing here are null.
-        relay_wall: relay_id -> the same of the relay.
-
-    Returns:
-        The input with, all i64 ns and null where a stamp is missing: `waiting_ns` (T0 to T1: a schedule that was
-        not held), `outbound_transport_ns` (T1 to R3), `relay_delivery_ns` (R3 to T3), `relay_ns` (T3 to T4),
-        `return_transport_ns` (T4 to R2), `ping_delivery_ns` (R2 to T2), and `delivery_bound_ns`: how far the
-        anchors of the wall clocks may be off, judged by the stamps of the message's run and relay (null where
-        only one side can be judged: no source stamps, or a bridge that writes its own). A run that contradicts
-        its anchor (wall clock set meanwhile) has null parts. The transports also carry `clock_bound_ns`.
-    """
-    offsets = _offset("run_id", pl.UInt64, ping_wall), _offset("relay_id", pl.UInt32, relay_wall)
-    # Slice by slice: of each message many columns are made that nobody needs behind it.
-    slices = list(roundtrips.iter_slices(_SLICE_ROWS)) or [roundtrips]
-    anchors = _anchors(pl.concat([_shortest(_with_deliveries(rows, *offsets)) for rows in slices]))
-    parts = pl.concat([_parts(_with_deliveries(rows, *offsets), anchors) for rows in slices], rechunk=True)
-    return roundtrips.hstack(parts).with_columns(relay_ns=pl.col("intermediate_ns"))
-
-
-def _with_deliveries(roundtrips: pl.DataFrame, ping: pl.Expr, relay: pl.Expr) -> pl.DataFrame:
-    """Return the rows with the names of `_DELIVERIES`, from stamps of the wall clocks and these offsets to the monotonic ones."""
-    missing = [pl.lit(0, pl.Int64).alias(name) for name in STAMP_COLUMNS if name not in roundtrips.columns]
-    stamps = {name: pl.when(pl.col(name) != 0).then(pl.col(name)) for name in STAMP_COLUMNS}
-    direct = pl.when(pl.col("bridge") == "none")
-    return roundtrips.with_columns(missing).with_columns(
-        _relay_delivery=pl.col("relay_in_ns") - (stamps["relay_received_ns"] - relay),
-        _ping_delivery=pl.col("receive_ns") - (stamps["reply_received_ns"] - ping),
-        # How long after T4 (T1) the middleware stamped the message, by the same anchor.
-        _relay_write=direct.then(stamps["reply_source_ns"] - relay - pl.col("relay_out_ns")),
-        _ping_write=direct.then(stamps["relay_source_ns"] - ping - pl.col("publish_ns")),
-    )
-
-
-def _parts(delivered: pl.DataFrame, anchors: pl.DataFrame) -> pl.DataFrame:
-    """Return the columns that `break_down` adds, but for that of another name."""
-    keys = ["run_id", "relay_id"]
-    of_row = delivered.select(keys).join(
-        anchors, on=keys, how="left", nulls_equal=True, maintain_order="left"
-    )
-    relay = pl.when("_relay_sound").then("_relay_delivery")
-    ping = pl.when("_ping_sound").then("_ping_delivery")
-    return delivered.hstack(of_row.drop(keys)).select(
-        relay_delivery_ns=relay,
-        ping_delivery_ns=ping,
-        waiting_ns=pl.col("publish_ns") - pl.col("scheduled_ns"),
-        outbound_transport_ns=pl.col("outbound_ns") - relay,
-        return_transport_ns=pl.col("return_ns") - ping,
-        delivery_bound_ns=pl.when(relay.is_not_null() & ping.is_not_null()).then("_anchor_bound"),
-    )
-
-
-def _shortest(delivered: pl.DataFrame) -> pl.DataFrame:
-    """Return the least of the deliveries and writes of each run and relay."""
-    return delivered.group_by("run_id", "relay_id").agg(pl.col(*_DELIVERIES).min())
-
-
-def _anchors(shortest: pl.DataFrame) -> pl.DataFrame:
-    """Judge the anchors of each run and relay by the shortest of its deliveries and of its writes.
-
-    Args:
-        shortest: rows of `_shortest`, several of a run and relay if it is in several slices.
-
-    Returns:
-        `run_id`, `relay_id`, `_relay_sound` and `_ping_sound`: whether its stamps agree with the anchor: nothing arrives or
-        leaves before its time; `_anchor_bound`: how far the anchors may be off, as one that were later than the shortest
-        delivery would make that negative, likewise early.
-    """
-    relay, relay_write, ping, ping_write = map(pl.col, _DELIVERIES)
-    return _shortest(shortest).select(
-        "run_id",
-        "relay_id",
-        _relay_sound=(relay >= 0) & (relay_write.fill_null(0) >= 0),
-        _ping_sound=(ping >= 0) & (ping_write.fill_null(0) >= 0),
-        _anchor_bound=_larger(_larger(relay, relay_write), _larger(ping, ping_write)),
-    )
-
-
-def _larger(one: pl.Expr, other: pl.Expr) -> pl.Expr:
-    """Return the larger of two, null if either is null."""
-    return pl.when(one.is_not_null() & other.is_not_null()).then(pl.max_horizontal(one, other))
-
-
-def _offset(key: str, dtype: type[pl.DataType], offsets: Mapping[int, int] | None) -> pl.Expr:
-    if not offsets:
-        return pl.lit(None, pl.Int64)
-    keys, values = pl.Series(list(offsets), dtype=dtype), pl.Series(list(offsets.values()), dtype=pl.Int64)
-    return pl.col(key).replace_strict(keys, values, default=None)
-
-
-def summarize_breakdown(parts: pl.DataFrame, group_columns: Sequence[str]) -> pl.DataFrame:
-    """Summarize the parts: one row per group and part, for a stacked figure.
-
-    Args:
-        parts: frame of `break_down`.
-        group_columns: columns that make a group.
-
-    Returns:
-        The group's columns, `part` str (a name of `STAGES`, or `outbound_ns` and `return_ns` where the middleware's
-        reception stamps are missing), `order` u32 (0, 1, ... in time), `messages` u64, `mean_ns`, `p50_ns`,
-        `p99_ns` f64, `bound_ns` f64 (mean bound from the clocks, 0 for parts on one clock). Only messages with
-        every part of their chain count, so that the means add up to the mean response; percentiles never add up.
-    """
-    detailed = pl.all_horizontal(pl.col(list(STAGES)).is_not_null())
-    coarse = pl.all_horizontal(pl.col(list(_COARSE)).is_not_null())
-    bounds = {name: pl.lit(0.0) for name in ("waiting_ns", "relay_ns")}
-    bounds |= {name: pl.col("clock_bound_ns").mean() for name in ("outbound_ns", "return_ns")}
-    bounds |= {name: pl.col("delivery_bound_ns").mean() for name in ("relay_delivery_ns", "ping_delivery_ns")}
-    both = pl.col("clock_bound_ns") + pl.col("delivery_bound_ns")
-    bounds |= {name: both.mean() for name in ("outbound_transport_ns", "return_transport_ns")}
-    keys = list(group_columns)
-    shown = _kept(
-        parts.select(*keys, *_SUMMARIZED),
-        parts.select(coarse).to_series(),
-    )
-    # A group is shown in detail if every message that could be shown at all can be.
-    in_detail = shown.select(detailed.all().over(keys) if keys else detailed.all()).to_series()
-    tables = []
-    for columns, chosen in ((STAGES, in_detail), (_COARSE, ~in_detail)):
-        # Every part of the chain by one look for the groups.
-        of_group = (
-            _kept(shown, chosen)
-            .group_by(keys, maintain_order=True)
-            .agg(
-                pl.len().cast(pl.UInt64).alias("messages"),
-                *(pl.struct(_summary_of(name, bounds[name])).alias(name) for name in columns),
-            )
-        )
-        tables += [
-            of_group.select(
-                *keys,
-                pl.lit(name).alias("part"),
-                pl.lit(order, pl.UInt32).alias("order"),
-                "messages",
-                pl.col(name).struct.unnest(),
-            )
-            for order, name in enumerate(columns)
-        ]
-    return pl.concat(tables).sort([*keys, "order"], maintain_order=True)
-
-
-def _summary_of(part: str, bound: pl.Expr) -> list[pl.Expr]:
-    """Return the columns of `summarize_breakdown` that are statistics of a part."""
-    values = pl.col(part)
-    return [
-        values.mean().alias("mean_ns"),
-        values.quantile(0.5, "linear").alias("p50_ns"),
-        pl.when(pl.len() >= 100).then(values.quantile(0.99, "linear")).alias("p99_ns"),
-        bound.alias("bound_ns"),
-    ]
-
-
-def _kept(rows: pl.DataFrame, chosen: pl.Series) -> pl.DataFrame:
-    """Return the rows of a mask; all of them, as mostly, are not copied."""
-    return rows if chosen.all() else rows.filter(chosen)
-
-
-def response_against_latency(roundtrips: pl.DataFrame, group_columns: Sequence[str]) -> pl.DataFrame:
-    """Compare the response times of a user with a fixed schedule with the round trips that stamps show.
+    """Compare the response times of a user with a fixed schedule with the round trips that stamps show, a row per group.
 
     A sender that waits for itself (a blocked publish, a slow loop) sends late and then fast: its round trips look
     good and its users wait ("coordinated omission", G. Tene, "How not to measure latency", 2013). The schedule is
-    open-loop and T0 is recorded, so the waiting is in `response_ns` and the difference shows it.
+    open-loop and T0 is recorded, so the waiting is in `response_ns` and the difference shows it. A group that is here in
+    part has no row, as in `breakdown_frame`.
 
     Returns:
-        The group's columns, `messages` u64 (with T0 and T2), `late_ratio` f64 (sent more than a tenth of the
-        period after T0), `waiting_max_ns` i64, and for p50, p99 (null below 100 messages): `rtt_*_ns`,
-        `response_*_ns` and `hidden_*_ns` = response - rtt, f64.
+        Columns of `RESPONSE_SCHEMA`: `messages` (with T0 and T2), `late_ratio` (sent more than a tenth of the
+        period after T0), `waiting_max_ns`, and for p50, p99 (null below 100 messages): `rtt_*_ns`,
+        `response_*_ns` and `hidden_*_ns` = response - rtt.
     """
-    keys = list(group_columns)
-    used = roundtrips.select(*keys, "publish_ns", "scheduled_ns", "response_ns", "rtt_ns", "rate_hz")
-    is_complete = pl.col("response_ns").is_not_null() & pl.col("rtt_ns").is_not_null()
-    complete = _kept(used, used.select(is_complete).to_series())
-    waiting = pl.col("publish_ns") - pl.col("scheduled_ns")
-
-    def quantile(column: str, q: float, needs: int) -> pl.Expr:
-        return pl.when(pl.len() >= needs).then(pl.col(column).quantile(q, "linear"))
-
-    return (
-        complete.group_by(keys, maintain_order=True)
-        .agg(
-            pl.len().cast(pl.UInt64).alias("messages"),
-            (waiting > 0.1 * 1e9 / pl.col("rate_hz")).mean().alias("late_ratio"),
-            waiting.max().alias("waiting_max_ns"),
-            quantile("rtt_ns", 0.5, 1).alias("rtt_p50_ns"),
-            quantile("response_ns", 0.5, 1).alias("response_p50_ns"),
-            quantile("rtt_ns", 0.99, 100).alias("rtt_p99_ns"),
-            quantile("response_ns", 0.99, 100).alias("response_p99_ns"),
+    names = ("scheduled_ns", "publish_ns", "response_ns", "rtt_ns")
+    columns = {name: filled(roundtrips.measured[name]) for name in names}
+    came = roundtrips.measured["response_ns"].is_not_null().to_numpy()
+    rates_hz = roundtrips.described["rate_hz"].to_list()
+    rows: list[dict[str, object]] = []
+    for group, numbers in exchanges_by_group(batch):
+        here = slice(*roundtrips.bounds[[numbers.start, numbers.stop]].tolist())
+        scheduled_ns, publish_ns, response_ns, rtt_ns = (
+            chosen_of(came[here], values[here]) for values in columns.values()
         )
-        .with_columns(
-            hidden_p50_ns=pl.col("response_p50_ns") - pl.col("rtt_p50_ns"),
-            hidden_p99_ns=pl.col("response_p99_ns") - pl.col("rtt_p99_ns"),
-        )
-        .sort(keys)
+        if len(response_ns):
+            waiting_ns = publish_ns - scheduled_ns
+            rate_hz = rates_hz[numbers.start]
+            late = waiting_ns > (0.1 * 1e9 / rate_hz if rate_hz else math.inf)
+            times = _percentiles("rtt_", rtt_ns) | _percentiles("response_", response_ns)
+            rows.append(
+                {
+                    "group": group,
+                    "messages": len(response_ns),
+                    "late_ratio": np.count_nonzero(late) / len(late),
+                    "waiting_max_ns": int(waiting_ns.max()),
+                    **times,
+                }
+            )
+    return pl.DataFrame(rows, schema=RESPONSE_SCHEMA).with_columns(
+        (pl.col(f"response_{name}_ns") - pl.col(f"rtt_{name}_ns")).alias(f"hidden_{name}_ns")
+        for name in ("p50", "p99")
     )

@@ -135,6 +135,6 @@ def held_schedule(sent_ns: Int64, rate_hz: float) -> tuple[int | None, int | Non
     if len(sent_ns) < _LEAST_MESSAGES or rate_hz <= 0:
         return None, None
     last = max(_LEAST_MESSAGES, len(sent_ns) // _LAST_SHARE)
-    planned_ns = np.arange(len(sent_ns)) * (1e9 / rate_hz)
-    behind_ns = (sent_ns - sent_ns[0]) - planned_ns
-    return round(float(np.median(planned_ns[-last:]))), round(float(np.median(behind_ns[-last:])))
+    planned_ns = np.arange(len(sent_ns) - last, len(sent_ns)).astype(np.float64) * (1e9 / rate_hz)
+    behind_ns = np.sort((sent_ns[-last:] - sent_ns[0]) - planned_ns)
+    return round(quantile_of(planned_ns, 0.5)), round(quantile_of(behind_ns, 0.5))

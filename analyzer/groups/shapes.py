@@ -12,10 +12,13 @@ from ..run_statistics.bursts import share_inflation
 from ..run_statistics.modes import find_modes
 from ..run_statistics.trend import find_trend
 from ..run_statistics.warm_up import find_warm_up
+from ..statistics.percentiles import quantile_of
+from .batch import filled
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from ..pairing.exchanges import Exchange
     from ..pairing.roundtrips import RoundTrips
     from .batch import Batch
 
@@ -49,11 +52,15 @@ def shape_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
         `OWN_NS`.
     """
     rows: list[dict[str, object]] = []
+    # Filled for all runs at once: for one, the way into polars and back takes longer than its median.
+    columns = {
+        name: filled(roundtrips.measured[name])
+        for name in {_metric_of(exchange) for exchange in batch.exchanges}
+    }
     sent_ns = roundtrips.measured["publish_ns"].to_numpy()
     for number, exchange in enumerate(batch.exchanges):
         here = slice(*roundtrips.bounds[number : number + 2].tolist())
-        metric = roundtrips.measured["latency_ns" if exchange.relay_recorded else "rtt_ns"]
-        latency_ns = metric[here].fill_null(0).to_numpy()
+        latency_ns = columns[_metric_of(exchange)][here]
         came = latency_ns > 0
         rows.append(
             {
@@ -66,6 +73,10 @@ def shape_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     return pl.DataFrame(rows, schema=SHAPE_SCHEMA, strict=False)
 
 
+def _metric_of(exchange: Exchange) -> str:
+    return "latency_ns" if exchange.relay_recorded else "rtt_ns"
+
+
 def shape_of(latency_ns: Int64, sent_ns: Int64) -> dict[str, float]:
     """Return the columns of `SHAPE_SCHEMA` that hold for a run.
 
@@ -76,7 +87,8 @@ def shape_of(latency_ns: Int64, sent_ns: Int64) -> dict[str, float]:
     shape: dict[str, float] = {}
     if not len(latency_ns):
         return shape
-    shape["p50_ns"] = p50_ns = float(np.median(latency_ns))
+    ordered_ns = np.sort(latency_ns)
+    shape["p50_ns"] = p50_ns = quantile_of(ordered_ns, 0.5)
     warm_up = find_warm_up(latency_ns)
     if warm_up is not None and warm_up.is_sure() and abs(warm_up.ratio - 1) * p50_ns >= OWN_NS:
         shape["warm_up_messages"], shape["warm_up_ratio"] = warm_up.messages, warm_up.ratio
@@ -84,7 +96,7 @@ def shape_of(latency_ns: Int64, sent_ns: Int64) -> dict[str, float]:
     trend = find_trend(latency_ns)
     if trend is not None and trend.is_sure() and abs(trend.change) * p50_ns >= OWN_NS:
         shape["trend_ratio"] = 1 + trend.change
-    modes = find_modes(latency_ns, share_inflation(np.flatnonzero(latency_ns > p50_ns), len(latency_ns)))
+    modes = find_modes(ordered_ns, share_inflation(np.flatnonzero(latency_ns > p50_ns), len(latency_ns)))
     if modes is not None and modes.high - modes.low >= OWN_NS:
         shape["modes_low_ns"], shape["modes_high_ns"] = modes.low, modes.high
         shape["modes_share"] = modes.share

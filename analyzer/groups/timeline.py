@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from ..pairing.pair import Outcome
+from ..pairing.pair import OUTCOMES, Outcome
+from .batch import filled
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -21,6 +22,10 @@ _POINTS_OF_EXCHANGE = (200, 4_000)
 
 _KEPT_PER_STRETCH = 4
 """Rows of a stretch at most, as a rule: lowest, highest, the first loss, and one of another kind of loss."""
+
+_MOST_NS = np.iinfo(np.int64).max
+
+_DRAWN = ("sequence", "scheduled_ns", "publish_ns", "latency_ns", "rtt_ns", "outcome")
 
 
 def timeline_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
@@ -38,7 +43,7 @@ def timeline_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     recorded = np.array([exchange.relay_recorded for exchange in batch.exchanges])
     kept = _worth_drawing(roundtrips, recorded, points_of_exchange(batch.all_exchanges))
     exchange = roundtrips.exchange_of_row()[kept]
-    drawn = roundtrips.measured[kept].with_columns(
+    drawn = roundtrips.measured.select(_DRAWN)[kept].with_columns(
         pl.Series("group", batch.group_of_exchange[exchange]),
         *(roundtrips.described[name].gather(exchange) for name in ("run_id", "relay_id")),
         pl.Series("exchange", exchange),
@@ -77,33 +82,21 @@ def _worth_drawing(roundtrips: RoundTrips, recorded: NDArray[np.bool_], share: i
     # Stretches are numbered throughout; in an exchange with few rows every row is one.
     stretches = np.where(rows <= share, rows, share // _KEPT_PER_STRETCH)
     offset = np.cumsum(stretches) - stretches
-    position = np.arange(roundtrips.measured.height) - roundtrips.per_row(first)
-    stretch = roundtrips.per_row(offset) + position * roundtrips.per_row(stretches) // roundtrips.per_row(
-        rows
-    )
-    numbered = roundtrips.measured.lazy().select(
-        pl.int_range(pl.len(), dtype=pl.Int64).alias("row"),
-        pl.lit(pl.Series(stretch)).alias("stretch"),
-        pl.when(pl.lit(pl.Series(roundtrips.per_row(recorded))))
-        .then("latency_ns")
-        .otherwise("rtt_ns")
-        .alias("drawn_ns"),
-        "outcome",
-    )
-    extremes = (
-        numbered.drop_nulls("drawn_ns")
-        .group_by("stretch")
-        .agg(
-            pl.col("row").get(pl.col("drawn_ns").arg_min()).alias("lowest"),
-            pl.col("row").get(pl.col("drawn_ns").arg_max()).alias("highest"),
-        )
-        .collect()
-    )
-    losses = (
-        numbered.filter(pl.col("outcome") != Outcome.COMPLETED.value)
-        .group_by("stretch", "outcome")
-        .agg(pl.col("row").min())
-        .collect()
-    )
-    drawn = (first[rows > 0], extremes["lowest"], extremes["highest"], losses["row"])
-    return np.unique(np.concatenate([np.asarray(positions) for positions in drawn]))
+    exchange = np.repeat(np.arange(len(rows)), stretches)
+    number = np.arange(len(exchange)) - offset[exchange]
+    # A row is in the stretch `position * stretches // rows`: one begins at the first position that gives its number.
+    begins = first[exchange] - -number * rows[exchange] // stretches[exchange]
+    lost = np.flatnonzero(roundtrips.outcome != OUTCOMES.index(Outcome.COMPLETED))
+    kind = np.searchsorted(begins, lost, side="right") * len(OUTCOMES) + roundtrips.outcome[lost]
+    first_lost = np.unique(kind, return_index=True)[1]
+    times = roundtrips.measured["latency_ns"]
+    if not recorded.all():
+        times = times.zip_with(pl.Series(roundtrips.per_row(recorded)), roundtrips.measured["rtt_ns"])
+    drawn = [first[rows > 0], lost[first_lost]]
+    for extreme, none_ns in ((np.minimum, _MOST_NS), (np.maximum, -_MOST_NS)):
+        times_ns = filled(times, none_ns)
+        found_ns = np.repeat(extreme.reduceat(times_ns, begins), np.diff(begins, append=len(times_ns)))
+        places = np.flatnonzero((times_ns == found_ns) & (found_ns != none_ns))
+        of_stretch = np.searchsorted(begins, places, side="right")
+        drawn.append(places[np.diff(of_stretch, prepend=0) > 0])  # of equal ones the first
+    return np.unique(np.concatenate(drawn))

@@ -66,7 +66,8 @@ def find_warm_up(values: NDArray[Any]) -> WarmUp | None:
     if len(values) < MESSAGES_TO_TELL:
         return None
     count = len(values) // BATCH
-    batches = np.median(np.log(values[: count * BATCH].astype(np.float64)).reshape(count, BATCH), axis=1)
+    # The logarithm of a median is the median of the logarithms.
+    batches = np.log(medians_of_five(values[: count * BATCH].reshape(count, BATCH)).astype(np.float64))
     left_out = mser_truncation(batches)
     if not left_out:
         return WarmUp(0, 1.0, 1.0)
@@ -81,6 +82,19 @@ def find_warm_up(values: NDArray[Any]) -> WarmUp | None:
     error = math.sqrt(variance * (1 / len(begin) + 1 / len(rest)))
     t = abs(difference) / error if error else math.inf
     return WarmUp(left_out * BATCH, math.exp(difference), 2 * student_cdf(-t, COSINES))
+
+
+def medians_of_five(batches: NDArray[Any]) -> NDArray[Any]:
+    """Return the median of each row, shape (batches,); of rows this short numpy's takes five times as long.
+
+    The median of the fifth value, the larger of the two least of two pairs, and the smaller of their two largest.
+
+    Args:
+        batches: shape (batches, 5).
+    """
+    a, b, c, d, e = batches.T
+    low, high = np.maximum(np.minimum(a, b), np.minimum(c, d)), np.minimum(np.maximum(a, b), np.maximum(c, d))
+    return np.asarray(np.maximum(np.minimum(low, high), np.minimum(np.maximum(low, high), e)))
 
 
 def mser_truncation(series: Float64) -> int:

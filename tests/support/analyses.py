@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 from kept import kept
+from paired_by_hand import paired
 from roundtrip_frames import rows_by_group
 
 from dds_trace import Analysis, Details, Finding, Severity, Source
-from dds_trace.analyzer.groups.breakdown import break_down, response_against_latency, summarize_breakdown
-from dds_trace.analyzer.groups.freshness import outage_table, summarize_freshness
+from dds_trace.analyzer.groups.breakdown import breakdown_frame, response_frame
+from dds_trace.analyzer.groups.freshness import freshness_frame, outage_frame
 from dds_trace.analyzer.groups.host_samples import HOST_SAMPLE_SCHEMA
 from dds_trace.analyzer.groups.intervals import INTERVAL_SCHEMA, ONE_WAY_SCHEMA, sample_columns
 from dds_trace.analyzer.groups.wire import no_wire_frames
@@ -272,20 +273,14 @@ def make_analysis(
 def _details(ordered: Sequence[Measured], roundtrips: pl.DataFrame, watched: Watched) -> Details:
     """By the functions of the analyzer where they take rows; by hand what rests on other events."""
     rows = roundtrips.with_columns(group=(pl.col("run_id") - 0xA000).cast(pl.UInt32))
-    group_of_run = rows.select("run_id", "relay_id", "group").unique(maintain_order=True)
-
-    def of_groups(frame: pl.DataFrame) -> pl.DataFrame:
-        return frame.join(group_of_run, on=["run_id", "relay_id"], how="left", maintain_order="left").select(
-            "group", *frame.columns
-        )
-
+    held = paired(rows)
     return Details(
         intervals=_intervals(rows, ordered),
         one_way=_one_way(rows),
-        breakdown=summarize_breakdown(break_down(rows), ["group"]),
-        responses=response_against_latency(rows, ["group"]),
-        freshness=of_groups(summarize_freshness(rows)),
-        outages=of_groups(outage_table(rows)),
+        breakdown=breakdown_frame(*held),
+        responses=response_frame(*held),
+        freshness=freshness_frame(*held),
+        outages=outage_frame(*held),
         clock_fits=_clock_fits(ordered),
         clock_knots=_clock_knots(ordered, watched.knot_s),
         host_samples=_host_samples(ordered, watched.sample_s),

@@ -79,7 +79,7 @@ def detectors(name: str) -> dict[str, Any]:
     return {
         "trend": find_trend(first),
         "warm-up": find_warm_up(np.where(np.arange(len(first)) < 30, 3.0, 1.0) * first),
-        "modes": find_modes(first),
+        "modes": find_modes(np.sort(first)),
         "received": [received_interval(received, level) for level in (0.95, 0.8)],
         "change of received": change_of_received(whole, received),
     }

@@ -2,17 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import polars as pl
 import pytest
+from paired_by_hand import paired
 from roundtrip_frames import MS, roundtrips, steady, with_one_way
 
-from dds_trace.analyzer.groups.freshness import outage_table, summarize_freshness
+from dds_trace.analyzer.groups.freshness import freshness_frame, outage_frame
+
+
+def summarize_freshness(frame, **wanted):
+    return freshness_frame(*paired(frame, **wanted))
+
+
+def outage_table(frame, **wanted):
+    return outage_frame(*paired(frame, **wanted))
 
 
 def test_deadline_misses_are_counted_with_their_longest_run():
     # One message each 100 ms, deadline 20 ms:      ok  late  lost  late   ok   ok  late
     frame = steady([5 * MS, 30 * MS, None, 21 * MS, 20 * MS, 5 * MS, 90 * MS])
-    row = summarize_freshness(frame, deadline_ns=20 * MS, metric="latency_ns").row(0, named=True)
+    row = summarize_freshness(frame, deadline_ns=20 * MS, metric="latency").row(0, named=True)
     assert (row["messages"], row["judged"], row["missed"]) == (7, 7, 4)
     assert row["missed_ratio"] == pytest.approx(4 / 7)
     assert (row["longest_missed"], row["longest_missed_ns"]) == (3, 300 * MS)  # from 100 ms to 400 ms
@@ -27,9 +39,9 @@ def test_without_a_deadline_nothing_is_judged():
 
 def test_a_reply_without_the_relays_trace_is_judged_on_rtt_only():
     frame = roundtrips([{"publish_ns": 0, "receive_ns": 10 * MS}, {"publish_ns": 100 * MS}])
-    by_latency = summarize_freshness(frame, deadline_ns=20 * MS, metric="latency_ns").row(0, named=True)
+    by_latency = summarize_freshness(frame, deadline_ns=20 * MS, metric="latency").row(0, named=True)
     assert (by_latency["judged"], by_latency["missed"], by_latency["unsure"]) == (1, 1, 1)
-    by_rtt = summarize_freshness(frame, deadline_ns=20 * MS, metric="rtt_ns").row(0, named=True)
+    by_rtt = summarize_freshness(frame, deadline_ns=20 * MS, metric="rtt").row(0, named=True)
     assert (by_rtt["judged"], by_rtt["missed"]) == (2, 1)
 
 
@@ -94,13 +106,19 @@ def test_two_losses_are_no_outage():
 def test_runs_and_relays_have_rows_of_their_own():
     frame = pl.concat(
         [steady([5 * MS, None], run_id=9), steady([5 * MS], run_id=2), steady([5 * MS], run_id=9, relay_id=7)]
-    )
-    table = summarize_freshness(frame.sample(fraction=1, shuffle=True, seed=1), deadline_ns=MS)
-    assert table.select("run_id", "relay_id", "messages", "missed").rows() == [
-        (2, 1, 1, 1),
-        (9, 1, 2, 2),
-        (9, 7, 1, 1),
-    ]
+    ).with_columns(group=pl.lit(4, pl.UInt32))
+    other = steady([None] * 3, run_id=1).with_columns(group=pl.lit(5, pl.UInt32))
+    held = pl.concat([frame, other])
+    assert summarize_freshness(held, deadline_ns=MS).select(
+        "group", "run_id", "relay_id", "messages", "missed"
+    ).rows() == [(4, 2, 1, 1, 1), (4, 9, 1, 2, 2), (4, 9, 7, 1, 1), (5, 1, 1, 3, 3)]
+    assert outage_table(held).select("group", "run_id", "messages").rows() == [(5, 1, 3)]
+
+
+def test_a_run_without_messages_has_no_row():
+    batch, roundtrips = paired(pl.concat([steady([5 * MS], run_id=1), steady([5 * MS], run_id=2)]))
+    empty = replace(roundtrips, bounds=np.array([0, 0, 2]))
+    assert freshness_frame(batch, empty).select("run_id", "messages").rows() == [(2, 2)]
 
 
 def test_without_messages_there_is_nothing_to_summarize():
@@ -114,7 +132,7 @@ def test_a_deadline_is_for_the_response_unless_another_metric_is_named():
     # Sent 15 ms late, back 10 ms later: the response is 25 ms, the round trip 10 ms.
     frame = roundtrips([{"scheduled_ns": 0, "publish_ns": 15 * MS, "receive_ns": 25 * MS}])
     assert summarize_freshness(frame, deadline_ns=20 * MS)["missed"].to_list() == [1]
-    assert summarize_freshness(frame, deadline_ns=20 * MS, metric="rtt_ns")["missed"].to_list() == [0]
+    assert summarize_freshness(frame, deadline_ns=20 * MS, metric="rtt")["missed"].to_list() == [0]
 
 
 def test_messages_that_never_left_miss_the_deadline():
@@ -133,6 +151,6 @@ def test_a_one_way_deadline_is_surely_met_surely_missed_or_cannot_be_told():
     ]
     lost = [{"outcome": "lost_outbound"}, {"outcome": "lost_return"}]
     frame = roundtrips({"publish_ns": 0, "sequence": n, **row} for n, row in enumerate([*ways, *lost]))
-    row = summarize_freshness(frame, deadline_ns=20 * MS, metric="outbound_ns").row(0, named=True)
+    row = summarize_freshness(frame, deadline_ns=20 * MS, metric="outbound").row(0, named=True)
     assert (row["messages"], row["judged"], row["missed"]) == (6, 3, 2)
     assert row["unsure"] == 3  # 19 and 21 ms, and the one lost on its way back

@@ -1,10 +1,16 @@
 """The decimated timeline: whole where short, and with every extreme and loss of a stretch where long."""
 
 import numpy as np
+import polars as pl
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from trace_files import RELAY_ID, Message, event, ping_events, ping_session, run, write_trace
 
 from dds_trace.analyzer import analyze
+from dds_trace.analyzer.groups.timeline import _worth_drawing
+from dds_trace.analyzer.pairing.pair import LOSSES, OUTCOMES
+from dds_trace.analyzer.pairing.roundtrips import RoundTrips
 from dds_trace.tracefile import Stage
 
 MS = 1_000_000
@@ -18,6 +24,60 @@ def test_a_short_run_is_drawn_whole(tmp_path):
     assert analysis.timeline["sequence"].to_list() == list(range(10, 50))
     assert analysis.timeline["elapsed_s"].to_list() == pytest.approx([s / 1000 for s in range(40)])
     assert analysis.timeline["rtt_ns"].to_list() == [100 + s for s in range(10, 50)]
+
+
+def worth_drawing(exchanges, share):
+    """The rule of `timeline_frame` in loops: rows of exchanges, each row its latency, or the outcome of a lost message."""
+    kept, row = set(), 0
+    for rows in exchanges:
+        stretches = len(rows) if len(rows) <= share else share // 4
+        of_stretch = {}
+        for position, latency in enumerate(rows):
+            of_stretch.setdefault(position * stretches // len(rows), []).append((latency, row + position))
+        for drawn in of_stretch.values():
+            times = [(latency, place) for latency, place in drawn if not isinstance(latency, str)]
+            if times:
+                kept |= {min(times)[1], min(times, key=lambda one: (-one[0], one[1]))[1]}
+            kept |= {
+                place for kind, place in drawn if kind in LOSSES and (kind, place) == first_of(drawn, kind)
+            }
+        kept |= {row} if rows else set()
+        row += len(rows)
+    return sorted(kept)
+
+
+def first_of(drawn, kind):
+    return next(one for one in drawn if one[0] == kind)
+
+
+RUN = st.tuples(st.booleans(), st.lists(st.sampled_from([5, 6, 7, *LOSSES[:2]]), min_size=1, max_size=90))
+
+
+@given(runs=st.lists(RUN, min_size=1, max_size=4), share=st.integers(8, 40))
+def test_rows_worth_drawing_are_those_of_the_rule(runs, share):
+    """Runs whose relay is recorded are drawn by latency, and their round trips would choose others."""
+    rows = [(recorded, one) for recorded, of_run in runs for one in of_run]
+    lost = [one if isinstance(one, str) else "completed" for _, one in rows]
+    times = pl.DataFrame(
+        [
+            (one if recorded else None, -one if recorded else one) if kind == "completed" else (None, None)
+            for (recorded, one), kind in zip(rows, lost, strict=True)
+        ],
+        schema={"latency_ns": pl.Int64, "rtt_ns": pl.Int64},
+        orient="row",
+    )
+    codes = [outcome.value for outcome in OUTCOMES]
+    held = RoundTrips(
+        measured=times,
+        described=pl.DataFrame(),
+        outcome=np.array([codes.index(outcome) for outcome in lost], np.uint8),
+        bounds=np.cumsum([0, *(len(of_run) for _, of_run in runs)]),
+        counts=pl.DataFrame(),
+        stamps=(),
+        clock_fits=(),
+    )
+    kept = _worth_drawing(held, np.array([recorded for recorded, _ in runs]), share)
+    assert kept.tolist() == worth_drawing([of_run for _, of_run in runs], share)
 
 
 def test_a_long_run_keeps_extremes_and_losses(tmp_path):

@@ -13,6 +13,10 @@ from dds_trace.analyzer.run_statistics.trend import BLOCKS, Trend, block_medians
 
 def test_blocks_are_equally_long():
     assert block_medians(np.array([3, 1, 2, 9, 8, 7, 5]), 2).tolist() == [2, 8]
+    assert block_medians(np.array([4, 1, 9, 2, 8, 7, 5, 5, 6]), 2).tolist() == [
+        3,
+        6,
+    ]  # even: between the middle two
 
 
 def test_a_straight_line_by_hand():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import product
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from drawn_series import autoregressive
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dds_trace.analyzer.run_statistics.warm_up import WarmUp, find_warm_up, mser_truncation
+from dds_trace.analyzer.run_statistics.warm_up import WarmUp, find_warm_up, medians_of_five, mser_truncation
 
 
 def test_the_begin_that_costs_most_is_left_out():
@@ -35,6 +36,12 @@ def test_the_criterion_is_whites(values):
         float(np.square(series[d:] - series[d:].mean()).sum() / (n - d) ** 2) for d in range(n // 4 + 1)
     ]
     assert direct[mser_truncation(series)] == pytest.approx(min(direct), abs=1e-9)
+
+
+def test_the_median_of_five_is_that_of_every_order():
+    """Of equal values, too: five places of five values each."""
+    batches = np.array(list(product(range(5), repeat=5)))
+    assert medians_of_five(batches).tolist() == np.median(batches, axis=1).tolist()
 
 
 def test_twenty_slow_messages_are_found():

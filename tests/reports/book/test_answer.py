@@ -3,10 +3,11 @@ from dataclasses import replace
 
 import polars as pl
 from analyses import EVERY_ANALYSIS, MS, Measured, make_analysis
+from paired_by_hand import paired
 from roundtrip_frames import rows_by_group
 
 from dds_trace.analyzer.details import details_not_requested
-from dds_trace.analyzer.groups.freshness import summarize_freshness
+from dds_trace.analyzer.groups.freshness import freshness_frame
 from dds_trace.analyzer.verdicts.answers import find_answers
 from dds_trace.reports import load_reporter
 from dds_trace.reports.book.book import Book
@@ -230,13 +231,8 @@ def test_the_deadline_is_judged_in_words_and_the_worst_group_is_named():
         Measured([MS] * 8), Measured([*[MS] * 3, 9 * MS, "lost_return"], payload_bytes=1000)
     )
     rows = analysis.load_roundtrips().with_columns(group=(pl.col("run_id") - 0xA000).cast(pl.UInt32))
-    parts = [
-        summarize_freshness(part.drop("group"), deadline_ns=10 * MS).with_columns(
-            group=pl.lit(group, pl.UInt32)
-        )
-        for (group,), part in rows.partition_by("group", as_dict=True).items()
-    ]
-    details = replace(analysis.details, freshness=pl.concat(parts), deadline_ns=10 * MS)
+    freshness = freshness_frame(*paired(rows, deadline_ns=10 * MS))
+    details = replace(analysis.details, freshness=freshness, deadline_ns=10 * MS)
     assert Book(replace(analysis, details=details)).answer.remarks[0] == (
         "Deadline of 10 ms for the response (planned send to reply): 2 of 13 messages missed it (15.38 %), "
         "the largest share in Binary 1 KB at 10 Hz (40 % of its messages)."

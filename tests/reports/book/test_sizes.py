@@ -7,8 +7,9 @@ import polars as pl
 import pytest
 from analyses import MS, Measured, make_analysis
 from four_campaigns import CAMPAIGNS
+from paired_by_hand import paired
 
-from dds_trace.analyzer.groups.freshness import summarize_freshness
+from dds_trace.analyzer.groups.freshness import freshness_frame
 from dds_trace.reports import load_reporter
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.sizes import SizeCell, Threshold
@@ -58,13 +59,8 @@ def test_the_rate_in_the_middle_is_shown_and_the_others_stand_behind():
 def with_deadline(deadline_ns, *measured):
     analysis = make_analysis(*measured)
     rows = analysis.load_roundtrips().with_columns(group=(pl.col("run_id") - 0xA000).cast(pl.UInt32))
-    parts = [
-        summarize_freshness(part.drop("group"), deadline_ns=deadline_ns).with_columns(
-            group=pl.lit(group, pl.UInt32)
-        )
-        for (group,), part in rows.partition_by("group", as_dict=True).items()
-    ]
-    details = replace(analysis.details, freshness=pl.concat(parts), deadline_ns=deadline_ns)
+    freshness = freshness_frame(*paired(rows, deadline_ns=deadline_ns))
+    details = replace(analysis.details, freshness=freshness, deadline_ns=deadline_ns)
     return replace(analysis, details=details)
 
 

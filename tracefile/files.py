@@ -42,11 +42,12 @@ def replacing(path: Path, *, fsync: bool = False) -> Iterator[Path]:
         if fsync:
             flush_to_disk(draft)
         draft.replace(path)
-        if fsync:
-            flush_to_disk(path.parent)
-    finally:
-        with suppress(OSError):  # it took its place, or was never written
+    except BaseException:
+        with suppress(OSError):  # it was never written
             draft.unlink()
+        raise
+    if fsync:
+        flush_to_disk(path.parent)
 
 
 def open_regular(path: Path, *, follow_links: bool = True) -> BufferedReader:

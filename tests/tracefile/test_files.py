@@ -62,3 +62,15 @@ def test_a_folder_that_is_gone_is_an_os_error(tmp_path):
 
     with pytest.raises(FileNotFoundError):
         write()
+
+
+def test_a_draft_that_cannot_take_its_place_is_removed(tmp_path):
+    (tmp_path / "state.json").mkdir()
+
+    def write():
+        with replacing(tmp_path / "state.json") as draft:
+            draft.write_text("{}")
+
+    with pytest.raises(IsADirectoryError):
+        write()
+    assert [file.name for file in tmp_path.iterdir()] == ["state.json"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from mcap.opcode import Opcode
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
 
     from ..format.events import Stage
     from .records import Buffer
+
+
+_MOST_KNOWN_BYTES = 4096  # of a record that is parsed once: ours have some hundred
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,14 +71,14 @@ class ChannelTable:
             TraceFormatError: the record is damaged, or gives a known channel id another topic.
         """
         try:
-            if opcode == Opcode.SCHEMA:
-                schema = parse_record(Schema, content)
-                self._schemas[schema.id] = schema.name
-            else:
-                self._add(parse_record(Channel, content), offset)
+            record = _parsed(opcode, content)
         except ValueError as err:
             name = record_name(opcode)
             raise TraceFormatError(self._path, f"a {name} record is damaged ({err})", offset) from err
+        if isinstance(record, Schema):
+            self._schemas[record.id] = record.name
+        else:
+            self._add(record, offset)
 
     def _add(self, channel: Channel, offset: int) -> None:
         known = self._channels.get(channel.id)
@@ -96,3 +100,21 @@ class ChannelTable:
         if schema != EVENT_SCHEMA_NAME:
             return f"its schema is {schema!r}, not {EVENT_SCHEMA_NAME!r}"
         return None
+
+
+def _parsed(opcode: int, content: Buffer) -> Schema | Channel:
+    """Parse a record that a file has twice, in its data and its summary, and that all files of a recorder have alike.
+
+    Raises:
+        ValueError: as `parse_record`.
+    """
+    if len(content) > _MOST_KNOWN_BYTES:
+        return _parsed_anew(opcode, content)
+    return _parsed_once(opcode, bytes(content))
+
+
+def _parsed_anew(opcode: int, content: Buffer) -> Schema | Channel:
+    return parse_record(Schema, content) if opcode == Opcode.SCHEMA else parse_record(Channel, content)
+
+
+_parsed_once = lru_cache(maxsize=256)(_parsed_anew)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeVar
 
 from mcap.opcode import Opcode
-from mcap.records import Channel, ChunkIndex, Footer, Statistics
+from mcap.records import ChunkIndex, Footer, Statistics
 
 from ..format.framing import MAGIC, RECORD_HEADER, crc32
 from .records import OPCODES, parse_record
@@ -60,14 +60,6 @@ class Summary:
         """Return channel id -> number of messages as the statistics have it; None without statistics."""
         statistics = next(self.parsed(Statistics), None)
         return None if statistics is None else statistics.channel_message_counts
-
-    def topics(self) -> list[str] | None:
-        """Return the topics of all messages; None where the statistics or a channel that they name is missing."""
-        counts = self.message_counts()
-        topics = {channel.id: channel.topic for channel in self.parsed(Channel)}
-        if counts is None or not counts.keys() <= topics.keys():
-            return None
-        return list(topics.values())
 
     def chunk_offsets(self) -> list[int]:
         """Return the offsets of the chunks that have an index, in order."""

@@ -65,6 +65,7 @@ class McapSource:
             for declaration in self._summary.declarations() if self._summary else ():
                 self._channels.declare(*declaration)
             undo.pop_all()
+        self._claimed = self._summary.message_counts() if self._summary else None
         self._jobs = BlockJobs(self._file, self._summary)
         self._messages = Counter[int]()  # channel id -> number of its messages
         self._numbered: dict[int, int] = {}  # channel id -> 1 + number of its last event
@@ -85,7 +86,7 @@ class McapSource:
 
     def expected_events(self) -> dict[Stage, int]:
         """Return the number of events of each stage by the statistics, or else the number that the chunks have room for."""
-        counts = self._summary.message_counts() if self._summary else None
+        counts = self._claimed
         most = self._file.size  # no claim of more than one event for each packed byte is believed
         if counts is None:
             return dict.fromkeys(Stage, min(most, self._room_for_events()))
@@ -187,9 +188,7 @@ class McapSource:
                 notes.append(
                     f"{counted(count, 'message')} of {channel.topic} {'is' if count == 1 else 'are'} not used: {channel.fault}"
                 )
-        if self._summary is None:
-            return notes
-        for channel_id, claimed in (self._summary.message_counts() or {}).items():
+        for channel_id, claimed in (self._claimed or {}).items():
             channel = self._channels.get(channel_id)
             if channel and channel.stage and claimed != self._messages[channel_id]:
                 found = self._messages[channel_id]
@@ -201,8 +200,9 @@ class McapSource:
 
     def _is_of_others(self) -> bool:
         """Return whether no message is ours by the summary: a large bag of camera images need not be unpacked."""
-        topics = self._summary.topics() if self._summary else None
-        return bool(topics) and not any(topic.startswith(TOPIC_PREFIX) for topic in topics or ())
+        if self._claimed is None or not all(map(self._channels.get, self._claimed)):
+            return False
+        return bool(self.topics) and not any(topic.startswith(TOPIC_PREFIX) for topic in self.topics)
 
     def _room_for_events(self) -> int:
         """Return the number of events that the file's chunks, or its bytes outside of chunks, have room for."""

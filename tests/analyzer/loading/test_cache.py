@@ -124,6 +124,26 @@ def test_entries_stay_while_another_analysis_has_them_open(runs, traces, monkeyp
     assert names_in(traces) == []
 
 
+def test_the_key_follows_from_every_part_of_a_file(tmp_path, own_base_folders):
+    """A small one is read at once, a larger one in blocks of 4 MiB."""
+    assert own_base_folders
+    cache = TraceCache.open()
+    sizes = [1, (1 << 20) - 1, 1 << 20, (1 << 20) + 1, (4 << 20) + 3]
+    keys = []
+    for size in sizes:
+        for changed in {None, 0, size // 2, size - 1}:
+            content = bytearray(size)
+            if changed is not None:
+                content[changed] = 1
+            path = tmp_path / f"{size}_{changed}.mcap"
+            path.write_bytes(content)
+            keys.append(cache.key_of(path))
+    assert len(set(keys)) == len(keys)
+    path.rename(tmp_path / "moved.mcap")
+    assert cache.key_of(tmp_path / "moved.mcap") == keys[-1]
+    cache.close()
+
+
 def test_events_that_are_gone_in_the_middle_are_read_from_their_trace(runs, traces, files_read):
     first = dds_trace.analyzer.loading.shelf.TraceShelf(TraceCache.open())
     first.load(runs / "ping0.mcap", 0)

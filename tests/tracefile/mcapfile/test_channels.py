@@ -1,0 +1,81 @@
+"""Channels of a file: records that every file declares alike are parsed once, and each file still has its own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import Channel, Schema
+
+import dds_trace.tracefile.mcapfile.channels
+from dds_trace.tracefile import Stage, TraceFormatError
+from dds_trace.tracefile.format.events import EVENT_SCHEMA_NAME
+from dds_trace.tracefile.mcapfile.channels import ChannelTable
+from dds_trace.tracefile.mcapfile.records import parse_record
+
+
+def content_of(record):
+    builder = RecordBuilder()
+    record.write(builder)
+    return builder.end()[9:]
+
+
+def channel(topic="/dds_trace/t1", schema_id=7):
+    return content_of(Channel(3, topic, "cdr", {}, schema_id))
+
+
+def schema(name=EVENT_SCHEMA_NAME):
+    return content_of(Schema(7, b"", "ros2msg", name))
+
+
+@pytest.fixture
+def parsed(monkeypatch):
+    """Contents of the records that were parsed, in order."""
+    contents = []
+
+    def parse(kind, content):
+        contents.append(bytes(content))
+        return parse_record(kind, content)
+
+    monkeypatch.setattr(dds_trace.tracefile.mcapfile.channels, "parse_record", parse)
+    dds_trace.tracefile.mcapfile.channels._parsed_once.cache_clear()
+    return contents
+
+
+def declared(*records):
+    table = ChannelTable(Path("ping.mcap"))
+    for opcode, content in records:
+        table.declare(opcode, memoryview(content), 0)
+    return table
+
+
+def test_what_files_declare_alike_is_parsed_once(parsed):
+    for _ in range(3):
+        table = declared((Opcode.SCHEMA, schema()), (Opcode.CHANNEL, channel()), (Opcode.CHANNEL, channel()))
+        assert table.get(3).stage is Stage.T1
+        assert table.get(3).fault is None
+    assert parsed == [schema(), channel()]
+
+
+def test_files_that_declare_an_id_differently_have_each_their_own(parsed):
+    ours = declared((Opcode.SCHEMA, schema()), (Opcode.CHANNEL, channel()))
+    other = declared((Opcode.SCHEMA, schema("x/Y")), (Opcode.CHANNEL, channel()))
+    assert ours.get(3).fault is None
+    assert other.get(3).fault == f"its schema is 'x/Y', not {EVENT_SCHEMA_NAME!r}"
+    assert len(parsed) == 3
+
+
+def test_a_damaged_record_is_an_error_in_every_file(parsed):
+    for _ in range(2):
+        with pytest.raises(TraceFormatError, match="a Channel record is damaged"):
+            declared((Opcode.CHANNEL, channel()[:-1]))
+    assert len(parsed) == 2
+
+
+def test_a_long_record_is_not_kept(parsed):
+    long = channel("/camera" + 4096 * "a")
+    for _ in range(2):
+        assert declared((Opcode.CHANNEL, long)).get(3).stage is None
+    assert parsed == [long, long]

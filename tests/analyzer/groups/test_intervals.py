@@ -116,6 +116,16 @@ def test_rows_are_the_statistics_of_the_runs_that_a_group_has(runs, messages):
     assert list(interval_rows(7, lost, np.append(run_of_row, 0))) == rows
 
 
+def test_rows_are_put_in_the_order_of_t1():
+    """A slow rise is no rise where its messages are shuffled, and counts for more."""
+    values, sent = np.arange(1000) + 1, np.arange(1000) * MS
+    shuffled = np.concatenate([[0], 1 + np.random.default_rng(0).permutation(999)])
+    of_one_run = np.zeros(1000, np.int64)
+    rows = list(interval_rows(0, columns_of(values[shuffled], sent[shuffled]), of_one_run))
+    assert rows == list(interval_rows(0, columns_of(values, sent), of_one_run))
+    assert rows[0]["independent"] < 20
+
+
 @pytest.mark.parametrize("runs", [1, 3, 5])
 def test_metrics_side_by_side_are_each_as_by_themselves(runs, monkeypatch):
     """Of unlike values and unlike messages: ticks of a clock, a way that is negative, replies that were lost in one run more."""

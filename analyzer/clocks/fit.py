@@ -26,7 +26,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,8 +49,7 @@ _BLOCK_MESSAGES = 1 << 14
 """Messages that are worked at together."""
 
 
-@dataclass(frozen=True, slots=True)
-class ClockKnot:
+class ClockKnot(NamedTuple):
     """The offset at the instant of a window at which its bound is smallest.
 
     Attributes:
@@ -216,7 +215,10 @@ class _Points:
         publish_ns, receive_ns = int(messages.publish_ns[first]), int(messages.receive_ns[first])
         time_origin_ns = last_ns = _half_way(publish_ns, receive_ns - publish_ns)
         offset_origin_ns = int(messages.relay_in_ns[first]) - publish_ns
-        least_out_ns, most_back_ns = np.inf, -np.inf
+        # Two devices may have one name, and a time namespace another clock on one machine: zero has to agree, too.
+        same_clock = messages.same_boot
+        if same_clock is None:
+            same_clock = messages.ping_device == messages.relay_device
         for block in _blocks(len(messages.publish_ns)):
             taken = block if order is None else order[block]
             published_ns, received_ns = messages.publish_ns[taken], messages.receive_ns[taken]
@@ -226,8 +228,7 @@ class _Points:
                 raise ValueError(
                     "a message spent more time in the relay than under way: leave it out of the fit"
                 )
-            least_out_ns = min(least_out_ns, int(out_ns.min()))
-            most_back_ns = max(most_back_ns, int(back_ns.max()))
+            same_clock = same_clock and bool(out_ns.min() >= 0 and back_ns.max() <= 0)
             rtt_ns = received_ns - published_ns
             slack = DRIFT / 2 * rtt_ns  # the clocks part a little on the way to the middle
             at_ns = _half_way(published_ns, rtt_ns)
@@ -242,11 +243,6 @@ class _Points:
             lower[:], upper[:] = back_ns, out_ns
             lower -= slack
             upper += slack
-        is_one_machine = messages.same_boot
-        if is_one_machine is None:
-            is_one_machine = messages.ping_device == messages.relay_device
-        # Two devices may have one name, and a time namespace another clock on one machine: zero has to agree, too.
-        same_clock = is_one_machine and least_out_ns >= 0 and most_back_ns <= 0
         return cls(points, order, time_origin_ns, offset_origin_ns, same_clock)
 
     def offsets(self, offset_ns: Int64, bound_ns: Int64) -> ClockOffsets:
@@ -362,7 +358,7 @@ def _segment(time: Float64, windows: Windows, held: slice, of_fit: _Points) -> C
     at_ns = (of_fit.time_origin_ns + np.rint(at).astype(np.int64)).tolist()
     offset_ns = (of_fit.offset_origin_ns + np.rint(offset).astype(np.int64)).tolist()
     bound_ns = np.ceil(bound + 0.5).astype(np.int64).tolist()
-    knots = tuple(map(ClockKnot, at_ns, offset_ns, bound_ns))
+    knots = tuple(map(ClockKnot._make, zip(at_ns, offset_ns, bound_ns, strict=True)))
     best = knots[bound_ns.index(min(bound_ns))]
     return ClockSegment(
         start_ns=of_fit.time_origin_ns + int(time[0]),

@@ -83,7 +83,7 @@ def lower_hulls(time: Float64, height: Float64) -> Intp:
             slope /= run
         # Of two points at one time, the lower one comes next (minus infinity), or none (infinity; of equal ones, no number).
         np.fmin(slope, np.inf, out=slope)
-        slope[column <= corner[:, None]] = np.inf
+        np.copyto(slope, np.inf, where=column <= corner[:, None])
         corner = last - slope[:, ::-1].argmin(axis=1)
         following = np.full(rows, last)
         following[left] = corner

@@ -28,6 +28,7 @@ ONE_WAY_COLUMNS = ("outbound_ns", "return_ns", "clock_bound_ns")
 _FOUR_STAMPS = ("publish_ns", "relay_in_ns", "relay_out_ns", "receive_ns")
 
 _SANE_NS = 1 << 60
+_LEAST_SANE_NS = -_SANE_NS + 2
 """Stamps beyond (36 years of uptime) are damage; sums and differences of the others fit into an int64."""
 
 
@@ -68,11 +69,12 @@ def fit_exchanges(
     values = {name: np.zeros(rows, np.int64) for name in ONE_WAY_COLUMNS}
     known = np.zeros(rows, np.bool_)
     held: list[_Held] = []
+    damaged = [name for name in _FOUR_STAMPS if not _are_sane(stamps[name])]
     for number, (exchange, first, after) in enumerate(
         zip(exchanges, bounds[:-1].tolist(), bounds[1:].tolist(), strict=True)
     ):
         here = slice(first, after)
-        usable = _usable(stamps, here)
+        usable = _usable(stamps, here, damaged)
         if usable.all():
             at: slice | NDArray[np.intp] = here
         elif usable.any():
@@ -122,16 +124,27 @@ class _Held:
     messages: RelayedMessages
 
 
-def _usable(stamps: Mapping[str, NDArray[np.int64]], here: slice) -> NDArray[np.bool_]:
-    """Return which rows have all four stamps, none of them damaged, and spent no more time in the relay than under way."""
+def _usable(
+    stamps: Mapping[str, NDArray[np.int64]], here: slice, damaged: Sequence[str]
+) -> NDArray[np.bool_]:
+    """Return which rows have all four stamps, none of them damaged, and spent no more time in the relay than under way.
+
+    Args:
+        stamps: of all rows.
+        here: the rows.
+        damaged: stamps that some row lacks, or has damaged.
+    """
     t1, t3, t4, t2 = (stamps[name][here] for name in _FOUR_STAMPS)
-    usable = np.ones(len(t1), np.bool_)
-    for stamp in (t1, t3, t4, t2):
-        if len(stamp) and not (
-            stamp.min() >= -_SANE_NS + 2 and stamp.max() < _SANE_NS
-        ):  # `MISSING` is far below
-            usable &= (stamp >= -_SANE_NS + 2) & (stamp < _SANE_NS)
-    return usable & (t2 - t1 >= t4 - t3)
+    usable: NDArray[np.bool_] = t2 - t1 >= t4 - t3
+    for name in damaged:
+        stamp = stamps[name][here]
+        usable &= (stamp >= _LEAST_SANE_NS) & (stamp < _SANE_NS)
+    return usable
+
+
+def _are_sane(stamp: NDArray[np.int64]) -> bool:
+    """Return whether no row lacks a stamp, or has it damaged; `MISSING` is far below."""
+    return not len(stamp) or bool(stamp.min() >= _LEAST_SANE_NS and stamp.max() < _SANE_NS)
 
 
 KNOT_SCHEMA: dict[str, type[pl.DataType]] = {
@@ -185,8 +198,8 @@ def knots_of(
     )
     knots = [knot for _, of_one in held for knot in of_one]
     segment = np.repeat(np.arange(len(held)), np.array([len(of_one) for _, of_one in held], np.int64))
-    of_knot = [pl.Series(name, [getattr(knot, name) for knot in knots], pl.Int64) for name in _OF_KNOT]
-    return of_segment[segment].with_columns(of_knot).select(*KNOT_SCHEMA)
+    of_knot = pl.DataFrame(knots, schema=dict.fromkeys(_OF_KNOT, pl.Int64), orient="row")
+    return of_segment[segment].hstack(of_knot).select(*KNOT_SCHEMA)
 
 
 def fit_devices(knots: pl.DataFrame, boots: Mapping[int, int]) -> tuple[ClockFit, ...]:

@@ -177,13 +177,19 @@ def pair_messages(
     receive_ns, extra, orphan_replies = _earliest(published, t2)
     relay_in_ns, _, orphan_arrivals = _earliest(published, t3)
     relay_out_ns, _, orphan_departures = _earliest(published, t4)
+    if _came_back_in_turn(receive_ns):
+        outcome = np.full(len(published), _CODE[Outcome.COMPLETED])
+        reordered = np.zeros(len(published), np.bool_)
+    else:
+        outcome = _outcomes(receive_ns, relay_in_ns, relay_out_ns, relay_recorded=len(t3) + len(t4) > 0)
+        reordered = _reordered(receive_ns)
     return PairedMessages(
         receive_ns=receive_ns,
         relay_in_ns=relay_in_ns,
         relay_out_ns=relay_out_ns,
-        outcome=_outcomes(receive_ns, relay_in_ns, relay_out_ns, relay_recorded=len(t3) + len(t4) > 0),
+        outcome=outcome,
         duplicates=extra,
-        reordered=_reordered(receive_ns),
+        reordered=reordered,
         orphans=orphan_replies + orphan_arrivals + orphan_departures,
     )
 
@@ -249,6 +255,13 @@ def _earliest(
 def _are_its_own(published: Published, events: EventColumns) -> bool:
     """Return whether there is one event of each message, in their order: the rule in a run that lost nothing."""
     return np.array_equal(published.sequence, events.sequence)
+
+
+def _came_back_in_turn(receive_ns: NDArray[np.int64]) -> bool:
+    """Return whether there is a T2 of each message, none before that of an earlier one; `MISSING` is below all."""
+    return len(receive_ns) > 0 and bool(
+        receive_ns[0] != MISSING and (receive_ns[1:] >= receive_ns[:-1]).all()
+    )
 
 
 def _outcomes(

@@ -6,7 +6,6 @@ python tests/support/pinned.py
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
 from enum import Enum
 from functools import partial
 from pathlib import Path
@@ -183,7 +182,9 @@ def assert_pinned(file: str, name: str) -> None:
 
 def _plain(held: Any) -> Any:
     if hasattr(held, "__dataclass_fields__"):
-        return _plain(asdict(held))
+        return _plain({name: getattr(held, name) for name in held.__dataclass_fields__})
+    if hasattr(held, "_asdict"):
+        return _plain(held._asdict())
     if isinstance(held, dict):
         return {str(name): _plain(each) for name, each in held.items()}
     if isinstance(held, list | tuple):

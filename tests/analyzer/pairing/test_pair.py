@@ -147,6 +147,10 @@ def test_reordered_is_who_came_after_a_later_one():
     # At the same instant is not after.
     _, paired = pair(t1=[(0, 0), (1, 10)], t2=[(0, 50), (1, 50)])
     assert paired.reordered.tolist() == [False, False]
+    # The first one was lost, those behind it came back in turn.
+    _, paired = pair(t1=[(0, 0), (1, 10), (2, 20)], t2=[(1, 50), (2, 60)])
+    assert outcomes(paired) == [Outcome.LOST_UNKNOWN, Outcome.COMPLETED, Outcome.COMPLETED]
+    assert paired.reordered.tolist() == [False] * 3
 
 
 def test_events_of_messages_never_published_are_orphans():

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from .roundtrips import RoundTrips
 
 _ROWS_PER_GROUP = 1 << 20
+_ROWS_PER_PAGE = 1 << 15
+"""Each page begins a compressor, and is looked at in one step; who reads a group of rows unpacks the pages that it is in."""
 
 _ARROW_TYPES = {
     pl.UInt16: pa.uint16(),
@@ -108,6 +110,8 @@ def encode_rows(tables: Iterable[pa.Table], folder: Path | None = None) -> RowPa
                 use_dictionary=[name for name in _AS_WRITTEN.names if name not in deltas],
                 column_encoding=dict.fromkeys(deltas, "DELTA_BINARY_PACKED"),
                 store_schema=False,
+                write_batch_size=_ROWS_PER_PAGE,
+                max_rows_per_page=_ROWS_PER_PAGE,
             ) as writer:
                 for table in tables:
                     rows += len(table)

@@ -42,6 +42,9 @@ BATCH_EVENTS = 1_000_000
 """Events of a batch, unless one group alone has more: a hundred megabytes while it is worked at. Of a campaign of few
 batches one is written while the next is paired; smaller ones cost more in polars' fixed times than they gain."""
 
+BATCH_GROUPS = 250
+"""Groups of a batch at most, each of which takes a millisecond however few its messages: else thousands are one core's work."""
+
 WHOLE_GROUP_EVENTS = 24_000_000
 """A group with more events is worked at in parts of whole runs; one of 20 M takes 2 GB whole, alone in memory."""
 
@@ -75,7 +78,7 @@ def plan_batches(grouping: Grouping, wanted: Wanted) -> list[Batch]:
     spans: list[
         tuple[int, int, bool]
     ] = []  # first exchange, the one behind the last, whether of whole groups
-    parameters, is_ended = grouping.parameters.rows(), False
+    parameters, is_ended, groups_held = grouping.parameters.rows(), False, 0
     edges = [0, *(np.flatnonzero(np.diff(groups)) + 1).tolist(), len(exchanges)]
     for first, after in pairwise(edges):
         if (
@@ -83,10 +86,18 @@ def plan_batches(grouping: Grouping, wanted: Wanted) -> list[Batch]:
             and len({e.run.run_id for e in exchanges[first:after]}) > 1
         ):
             spans += ((*part, False) for part in _parts_of_group(exchanges, first, after, events))
-        elif spans and spans[-1][2] and events(spans[-1][0], after) <= BATCH_EVENTS and not is_ended:
+        elif (
+            spans
+            and spans[-1][2]
+            and events(spans[-1][0], after) <= BATCH_EVENTS
+            and groups_held < BATCH_GROUPS
+            and not is_ended
+        ):
             spans[-1] = (spans[-1][0], after, True)
+            groups_held += 1
         else:
             spans.append((first, after, True))
+            groups_held = 1
         is_ended = _ends_batch(parameters[groups[first]], events(first, after))
     return [
         Batch(exchanges[first:after], groups[first:after], len(exchanges), whole, wanted)
@@ -98,7 +109,7 @@ def _ends_batch(parameters: tuple[object, ...], events: int) -> bool:
     """Return whether a batch ends behind this group: one in as many as fill it, by what looks like chance and is none."""
     # No CRC: those of texts that differ in a digit lie side by side.
     digest = hashlib.blake2b(repr(parameters).encode(), digest_size=4).digest()
-    return int.from_bytes(digest, "big") < (events << 32) // BATCH_EVENTS
+    return int.from_bytes(digest, "big") < max((events << 32) // BATCH_EVENTS, (1 << 32) // BATCH_GROUPS)
 
 
 def _parts_of_group(

@@ -67,12 +67,10 @@ def count_flows(spans: Iterable[RunSpan]) -> dict[int, int]:
     """Return for each run_id the number of runs of its machine that went on in the middle of it, itself included."""
     flows: dict[int, int] = {}
     for of_machine in _by_machine(spans):
-        begins = np.sort([span.start_ns for span in of_machine])
-        ends = np.sort([span.end_ns for span in of_machine])
-        for span in of_machine:
-            begun = np.searchsorted(begins, span.middle_ns, side="right")
-            ended = np.searchsorted(ends, span.middle_ns, side="left")
-            flows[span.run_id] = int(begun - ended)
+        middles = np.array([span.middle_ns for span in of_machine])
+        begun = np.sort([span.start_ns for span in of_machine]).searchsorted(middles, side="right")
+        ended = np.sort([span.end_ns for span in of_machine]).searchsorted(middles, side="left")
+        flows |= zip([span.run_id for span in of_machine], (begun - ended).tolist(), strict=True)
     return flows
 
 

@@ -51,6 +51,13 @@ def test_small_groups_share_a_batch_until_it_is_full():
     assert cut == [([0, 1, 2], [0, 0, 1], True), ([3], [2], True)]
 
 
+@pytest.mark.usefixtures("full")
+def test_many_small_groups_are_several_batches(monkeypatch):
+    monkeypatch.setattr(dds_trace.analyzer.engines.batches, "BATCH_GROUPS", 2)
+    _, cut = plan(*([(run, 1)] for run in range(1, 6)))
+    assert cut == [([0, 1], [0, 1], True), ([2, 3], [2, 3], True), ([4], [4], True)]
+
+
 def test_a_group_above_a_batch_stays_whole_up_to_its_own_bound():
     batches, cut = plan([(1, 10)], [(2, 120), (3, 80)], [(4, 10)])
     assert cut == [([0], [0], True), ([1, 2], [1, 1], True), ([3], [2], True)]

@@ -60,7 +60,7 @@ def keep_freed_memory() -> None:
     and it clears every page of the next one: small groups take 1.6 times as long. Glibc raises that threshold to the
     largest block that was ever freed (mallopt(3), M_MMAP_THRESHOLD); pages of this one are never touched.
     """
-    bytearray(KEPT_BLOCK_BYTES)
+    np.empty(KEPT_BLOCK_BYTES, np.uint8)
 
 
 def plan_batches(grouping: Grouping, wanted: Wanted) -> list[Batch]:

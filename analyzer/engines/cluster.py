@@ -18,7 +18,7 @@ from dds_trace.tracefile import BackendUnavailableError, EventColumns, TraceForm
 from ..loading.campaign import campaign_of, skipped_source
 from ..loading.remote import find_anywhere
 from ..loading.traces import LoadedTrace, load_trace
-from .batches import work_at
+from .batches import keep_freed_memory, work_at
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -221,4 +221,5 @@ def _work(batch: Batch, selected: Sequence[Mapping[EventKey, EventPart]]) -> Wor
         for key, part in of_trace.items():
             parts[key] = (*parts.get(key, ()), part)
     in_order = {key: sorted(held, key=lambda part: part.trace) for key, held in parts.items()}
+    keep_freed_memory()
     return work_at(batch, in_order).encoded()

@@ -78,7 +78,8 @@ def parse_target(text: str) -> tuple[str, float]:
         percent = 0.0
     if match is None or limits.WIDTH_PERCENT.fault(percent) is not None:
         raise OptionError(
-            f"--until {limits.shown(text)}: write STATISTIC:PERCENT, for example latency_p99:5%, above 0% and at most 1000%"
+            f"--until {limits.shown(text)}: write STATISTIC:PERCENT, for example latency_p99:5%, above 0% and at most "
+            f"{limits.WIDTH_PERCENT.high:.0f}%"
         )
     return match[1], percent
 

@@ -112,6 +112,7 @@ class Analysis:
             is group i wherever another frame has a column `group`.
         distributions: `group` u32, `metric` str (`rtt`, `intermediate`, `latency`, `response`), `value_ns`
             f64 (bucket centre), `count` u64: a histogram per group and metric, relative error at most 0.1 %.
+        run_times: when each run of each group sent, and what came back: columns of `run_rows.RUN_SCHEMA`.
         timeline: `group` u32, `run_id` u64, `relay_id` u32, `sequence` u64, `elapsed_s` f64 (scheduled time
             since the run's first counted message), `latency_ns` i64 null, `rtt_ns` i64 null, `outcome` str: rows of
             the round trips for drawing, decimated where a run is long (extremes and losses are kept).
@@ -129,6 +130,7 @@ class Analysis:
     rows: RowStore
     summary: pl.DataFrame
     distributions: pl.DataFrame
+    run_times: pl.DataFrame
     timeline: pl.DataFrame
     timeline_decimated: bool
     findings: tuple[Finding, ...]
@@ -256,7 +258,7 @@ def _presenter() -> Presenter:
 
 
 _CONTENT, _ROUNDTRIPS = "content.json", "roundtrips.parquet"
-_FRAMES = ("summary", "distributions", "timeline")
+_FRAMES = ("summary", "distributions", "run_times", "timeline")
 DETAIL_FRAMES = (
     "intervals",
     "one_way",

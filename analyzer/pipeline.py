@@ -158,6 +158,7 @@ def _analyze(
         rows=rows,
         summary=merged.summary.frame,
         distributions=merged.summary.distributions,
+        run_times=merged.frames["run_times"],
         timeline=timeline,
         timeline_decimated=timeline.height < merged.summary.frame["published"].sum(),
         findings=find_findings(evidence),

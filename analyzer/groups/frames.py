@@ -17,6 +17,7 @@ import polars as pl
 from .breakdown import breakdown_frame, response_frame
 from .freshness import freshness_frame, outage_frame
 from .intervals import interval_frame, knot_frame, one_way_frame
+from .run_rows import run_frame
 from .sending import sending_frame
 from .shapes import shape_frame
 from .timeline import timeline_frame
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 CAMPAIGN_MAKERS: Mapping[str, Maker] = {"timeline": timeline_frame}
 """Name -> how it is made from a batch, one of a campaign of so many exchanges (`Batch.all_exchanges`)."""
 
-MAKERS: Mapping[str, Maker] = {"sending": sending_frame}
+MAKERS: Mapping[str, Maker] = {"run_times": run_frame, "sending": sending_frame}
 """Name -> how it is made from a batch. A frame of no rows has its columns all the same."""
 
 DETAIL_MAKERS: Mapping[str, Maker] = {

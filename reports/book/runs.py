@@ -44,7 +44,7 @@ class RunTime:
 
 def run_times(analysis: Analysis) -> tuple[RunTime, ...]:
     """Collect start and end of the runs of `analysis.timeline`, in its order."""
-    of_runs = run_rows(analysis.scan_roundtrips(), analysis.summary["published"].to_list())
+    of_runs = run_rows(analysis.run_times, analysis.scan_roundtrips())
     rows = {row["run_id"]: row for row in of_runs.iter_rows(named=True)}
     sessions = {f"{session.session_id:016x}": session for session in analysis.sessions}
     session_of = {run.run_id: sessions.get(str(run.extra.get("session_id"))) for run in analysis.runs}

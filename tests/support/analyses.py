@@ -20,6 +20,7 @@ from dds_trace.analyzer.groups.breakdown import breakdown_frame, response_frame
 from dds_trace.analyzer.groups.freshness import freshness_frame, outage_frame
 from dds_trace.analyzer.groups.host_samples import HOST_SAMPLE_SCHEMA
 from dds_trace.analyzer.groups.intervals import INTERVAL_SCHEMA, ONE_WAY_SCHEMA, sample_columns
+from dds_trace.analyzer.groups.run_rows import run_frame
 from dds_trace.analyzer.groups.wire import no_wire_frames
 from dds_trace.analyzer.model.wire import WIRE_CLASS_SCHEMA, WIRE_REPEAT_SCHEMA, WIRE_SCHEMA
 from dds_trace.analyzer.pairing.one_way import KNOT_SCHEMA, SEGMENT_SCHEMA
@@ -263,6 +264,7 @@ def make_analysis(
         rows=RowStore.of(pl.DataFrame(roundtrips, schema=ROUNDTRIPS)),
         summary=pl.DataFrame(summary, schema=SUMMARY),
         distributions=pl.DataFrame(buckets, schema=DISTRIBUTIONS),
+        run_times=run_frame(*paired(_by_group(pl.DataFrame(roundtrips, schema=ROUNDTRIPS)))),
         timeline=pl.DataFrame(timeline, schema=TIMELINE),
         timeline_decimated=False,
         findings=tuple(findings),
@@ -272,7 +274,7 @@ def make_analysis(
 
 def _details(ordered: Sequence[Measured], roundtrips: pl.DataFrame, watched: Watched) -> Details:
     """By the functions of the analyzer where they take rows; by hand what rests on other events."""
-    rows = roundtrips.with_columns(group=(pl.col("run_id") - 0xA000).cast(pl.UInt32))
+    rows = _by_group(roundtrips)
     held = paired(rows)
     return Details(
         intervals=_intervals(rows, ordered),
@@ -291,6 +293,10 @@ def _details(ordered: Sequence[Measured], roundtrips: pl.DataFrame, watched: Wat
         **no_wire_frames()._asdict(),
         answers=find_answers(rows_by_group(_three_runs(roundtrips))),
     )
+
+
+def _by_group(roundtrips: pl.DataFrame) -> pl.DataFrame:
+    return roundtrips.with_columns(group=(pl.col("run_id") - 0xA000).cast(pl.UInt32))
 
 
 RUN_FACTORS = (1.0, 0.97, 1 / 0.97)

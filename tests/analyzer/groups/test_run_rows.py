@@ -1,46 +1,90 @@
-"""Each run in one row: part by part as from all rows at once."""
+"""Each run in one row: of a batch, and put together for runs whose relays are of several groups."""
+
+from statistics import median
 
 import polars as pl
 import pytest
+from paired_by_hand import paired
 from polars.testing import assert_frame_equal
+from roundtrip_frames import roundtrips
 
 from dds_trace.analyzer.groups import run_rows as module
-from dds_trace.analyzer.groups.run_rows import run_rows
+from dds_trace.analyzer.groups.run_rows import RUN_SCHEMA, run_frame, run_rows
 
-LENGTHS = [3, 2, 4, 1]
+HELD = [  # group, run, relay, latency in ns of each message: None is a lost one, text a round trip that no relay stamped
+    (0, 1, 1, [5, None, 8]),
+    (0, 2, 1, [7]),
+    (1, 3, 1, ["16", 9]),
+    (2, 4, 1, [1, 2]),
+    (2, 4, 2, [3, 4, 30]),
+    (3, 1, 2, [50]),
+    (3, 5, 1, [None, None]),
+]
 
 
 def rows():
-    """Ten messages of four runs in four groups; two relays of run 1 are of the first and of the last group."""
-    number = pl.int_range(10, eager=True)
-    return pl.DataFrame(
+    return roundtrips(
         {
-            "run_id": pl.Series([1, 1, 2, 3, 3, 4, 4, 4, 4, 1], dtype=pl.UInt64),
-            "scheduled_ns": number * 10,
-            "publish_ns": number * 10 + 1,
-            "outcome": ["completed", "lost", *["completed"] * 8],
-            "latency_ns": [5, None, 7, None, 9, 1, 2, 3, 4, 50],
-            "rtt_ns": [10, None, 14, 16, 18, 2, 4, 6, 8, 100],
+            "group": group,
+            "run_id": run,
+            "relay_id": relay,
+            "sequence": number,
+            "publish_ns": 1_000 * run + 100 * number + 3,
+            "scheduled_ns": None if run == 2 else 1_000 * run + 100 * number,
+            **stamps(1_000 * run + 100 * number + 3, latency),
         }
-    )
+        for group, run, relay, latencies in HELD
+        for number, latency in enumerate(latencies)
+    ).with_columns(pl.col("group").cast(pl.UInt32))
 
 
-def test_a_run_in_one_row():
-    found = run_rows(rows().lazy(), LENGTHS).row(0, named=True)
-    expected = {
-        "run_id": 1,
-        "origin_ns": 0,
-        "last_ns": 91,
-        "published": 3,
-        "received": 2,
-        "p50_ns": 27.5,
-        "max_ns": 50,
+def stamps(sent_ns, latency):
+    if latency is None:
+        return {}
+    if isinstance(latency, str):
+        return {"receive_ns": sent_ns + int(latency)}
+    return {
+        "relay_in_ns": sent_ns + latency,
+        "relay_out_ns": sent_ns + latency + 1,
+        "receive_ns": sent_ns + 2 * latency + 1,
     }
-    assert found == expected
 
 
-@pytest.mark.parametrize("at_once", [1, 3, 5, 9])
-def test_parts_say_the_same(monkeypatch, at_once):
-    whole = run_rows(rows().lazy(), LENGTHS)
+def expected(group=None):
+    """The rows of one group, or those of all with the relays of each run put together."""
+    of_run = {}
+    for number, run, _, latencies in HELD:
+        if group in (None, number):
+            of_run.setdefault(run, []).append(latencies)
+    found = []
+    for run, of_relays in sorted(of_run.items()):
+        came = [int(time) for latencies in of_relays for time in latencies if time is not None]
+        origin_ns = 1_000 * run + (3 if run == 2 else 0)
+        last_ns = max(1_000 * run + 100 * (len(latencies) - 1) + 3 for latencies in of_relays)
+        slowest, middle = (max(came), float(median(came))) if came else (None, None)
+        found.append((run, origin_ns, last_ns, sum(map(len, of_relays)), len(came), middle, slowest))
+    return found
+
+
+def test_each_run_of_each_group_in_one_row():
+    frame = run_frame(*paired(rows()))
+    assert frame.schema == RUN_SCHEMA
+    for group in range(4):
+        assert frame.filter(group=group).drop("group").rows() == expected(group)
+
+
+@pytest.mark.parametrize("at_once", [1, 4, 100])
+def test_a_run_whose_relays_are_of_several_groups_is_one_row(monkeypatch, at_once):
     monkeypatch.setattr(module, "ROWS_AT_ONCE", at_once)
-    assert_frame_equal(run_rows(rows().lazy(), LENGTHS), whole)
+    assert run_rows(run_frame(*paired(rows())), rows().lazy()).rows() == expected()
+
+
+def test_nothing_is_read_where_each_run_is_of_one_group():
+    frame = run_frame(*paired(rows().filter(pl.col("group") < 3)))
+    assert_frame_equal(run_rows(frame, pl.LazyFrame()), frame.drop("group").sort("run_id"))
+
+
+def test_no_run_at_all():
+    frame = run_frame(*paired(rows().clear()))
+    assert frame.schema == RUN_SCHEMA
+    assert run_rows(frame, rows().clear().lazy()).is_empty()

@@ -41,7 +41,7 @@ def test_every_report_of_a_loaded_analysis_equals_that_of_the_fresh_one(tmp_path
         assert render_report(loaded, kind) == render_report(fresh, kind), kind
     assert loaded.load_roundtrips().equals(fresh.load_roundtrips())
     assert loaded.load_roundtrips().schema == fresh.load_roundtrips().schema
-    for frame in ("summary", "distributions", "timeline"):
+    for frame in ("summary", "distributions", "run_times", "timeline"):
         assert getattr(loaded, frame).equals(getattr(fresh, frame)), frame
         assert getattr(loaded, frame).schema == getattr(fresh, frame).schema, frame
     for frame in DETAIL_FRAMES:
@@ -178,10 +178,10 @@ def test_a_zero_anywhere_in_the_manifest_is_refused(saved):
     ("change", "words"),
     [
         ({"format": "something else"}, "not the manifest of a saved analysis"),
-        ({"version": 5}, "version 5 of a saved analysis; this program reads version 4: read it with"),
+        ({"version": 6}, "version 6 of a saved analysis; this program reads version 5: read it with"),
         (
             {"version": 1},
-            "version 1 of a saved analysis; this program reads version 4: analyze the traces again",
+            "version 1 of a saved analysis; this program reads version 5: analyze the traces again",
         ),
         ({"files": {}}, "cannot be read"),
         (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,7 +26,7 @@ from .verdicts.bridge_cost import find_bridge_costs
 from .verdicts.recommend import recommend_settings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -71,6 +72,9 @@ def collect_details(
         for row in interval_rows(group, _column_of(rows, group), _run_of_row(rows, group))
     ]
     one_way = [row for group in in_parts for row in one_way_rows(group, _column_of(rows, group))]
+    with ThreadPoolExecutor(1, thread_name_prefix="clocks") as beside:  # while others answer
+        clock_fits = beside.submit(_clock_fits, frames["clock_knots"], boots)
+        answers = find_answers(judged, passes=passes, mapper=mapper)
     return Details(
         intervals=_by_group(frames["intervals"], pl.DataFrame(intervals, INTERVAL_SCHEMA)),
         one_way=_by_group(frames["one_way"], pl.DataFrame(one_way, ONE_WAY_SCHEMA)),
@@ -78,12 +82,12 @@ def collect_details(
         responses=frames["responses"],
         freshness=frames["freshness"],
         outages=frames["outages"],
-        clock_fits=segment_table(fit_devices(frames["clock_knots"], boots)),
+        clock_fits=clock_fits.result(),
         clock_knots=frames["clock_knots"],
         host_samples=host_sample_frame(campaign.traces),
         bridge_costs=find_bridge_costs(judged, passes),
         **wire_frames(campaign.traces, campaign.runs, grouping, rows)._asdict(),
-        answers=find_answers(judged, passes=passes, mapper=mapper),
+        answers=answers,
         deadline_ns=wanted.deadline_ns,
         deadline_metric=wanted.deadline_metric,
         recommendation=_recommendation(judged, wanted, campaign.runs.values()),
@@ -113,6 +117,10 @@ def details_not_requested() -> Details:
         answers=(),
         requested=False,
     )
+
+
+def _clock_fits(knots: pl.DataFrame, boots: Mapping[int, int]) -> pl.DataFrame:
+    return segment_table(fit_devices(knots, boots))
 
 
 def _recommendation(rows: GroupRows, wanted: Wanted, runs: Iterable[Run]) -> Recommendation | None:

@@ -7,6 +7,8 @@ results through pipes.
 
 from __future__ import annotations
 
+import atexit
+import gc
 import multiprocessing
 import os
 import signal
@@ -158,6 +160,7 @@ def _begin(folder: str, has_cache: bool) -> None:
     """Make this process a worker."""
     global _folder, _cache, _shelf  # noqa: PLW0603 - what a process has from its beginning
     keep_freed_memory()
+    atexit.register(gc.freeze)  # else the collector looks at every object again before the process ends
     threading.Thread(target=_end_with_caller, daemon=True).start()
     _folder = Path(folder)
     _cache = TraceCache.open() if has_cache else None

@@ -94,7 +94,7 @@ class KnownDetails:
     def write(self, key: str, ending: str, files: Mapping[str, bytes]) -> None:
         """Keep files under their names, if they are not too large; a full disk costs the cache, not the analysis."""
         with suppress(OSError):
-            self._cache.write(key, ending, _packed(files), MOST_BYTES)
+            self._cache.write(key, ending, *_packed(files), most_bytes=MOST_BYTES)
 
     def key_of_text(self, purpose: str, text: str) -> str:
         """Return the key of what follows from a text alone."""
@@ -167,10 +167,10 @@ def unpack_frames(files: Mapping[str, bytes]) -> Frames:
     return {name: pl.read_ipc(io.BytesIO(file), use_pyarrow=False) for name, file in files.items()}
 
 
-def _packed(files: Mapping[str, bytes]) -> bytes:
+def _packed(files: Mapping[str, bytes]) -> list[bytes]:
     """Return a line of JSON with name and bytes of each file, and the files behind it."""
     head = json.dumps([(name, len(file)) for name, file in files.items()])
-    return b"".join([head.encode(), b"\n", *files.values()])
+    return [head.encode() + b"\n", *files.values()]
 
 
 def _unpacked(packed: bytes) -> dict[str, bytes]:

@@ -15,7 +15,7 @@ import signal
 import sys
 import tempfile
 import threading
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing.connection import wait
@@ -51,35 +51,49 @@ R = TypeVar("R")
 _PIECES_OF_WORKER = 8
 """Parts that each worker does of what is mapped: so few that little travels, so many that none waits long for another."""
 
+_OBJECTS_TO_COLLECT = 10_000
+"""New objects behind which a worker process looks for garbage; with Python's 700 it spends a twentieth of its time on that."""
+
 
 class Workers:
-    """The worker processes of one analysis, and the folder of their temporary files; closed at the end.
+    """The workers of one analysis: processes, and this one; closed at the end.
+
+    A job goes to whichever is free first. This process is one of them because it has imported everything already, which takes
+    another one a third of a second of a core, and has little else to do meanwhile: what the others do reaches it encoded.
 
     Args:
-        count: number of processes.
+        count: number of workers, at least two.
         cache: whether they keep events and details in the user's cache.
     """
 
     def __init__(self, count: int, *, cache: bool) -> None:
         self.count = count
         self._folder = tempfile.TemporaryDirectory(prefix="dds-analyze-")
-        self._pool = start_workers(count, Path(self._folder.name), cache=cache)
+        folder = Path(self._folder.name)
+        self._pool = start_workers(count - 1, folder, cache=cache)
+        self._here = Worker(folder, TraceCache.open() if cache else None)
+        # One thread for each worker: it does what this process does, or waits for what another one does.
+        self._places = iter([self._here.do, *[self._do_elsewhere] * (count - 1)])
+        self._of_thread = threading.local()
+        self._threads = ThreadPoolExecutor(count, thread_name_prefix="worker", initializer=self._take_place)
 
     def store(self, paths: Sequence[Path], first: int) -> Future[list[Stored]]:
-        """Let a worker load traces; see `store_traces`."""
-        return self._pool.submit(store_traces, paths, first)
+        """Let a worker load traces; see `Worker.store`."""
+        return self._submit(Worker.store, paths, first)
 
     def work(
         self, batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]], keys: Mapping[int, str]
     ) -> Future[WorkedBatch]:
-        """Let a worker pair and measure a batch; see `work_in_worker`."""
-        return self._pool.submit(work_in_worker, batch, parts, keys)
+        """Let a worker pair and measure a batch; see `Worker.work`."""
+        return self._submit(Worker.work, batch, parts, keys)
 
     def map(self, function: Callable[[T], R], items: Sequence[T]) -> Iterable[R]:
         """Return the function's results in the order of the items."""
-        pieces = self.count * _PIECES_OF_WORKER
+        at_once = max(1, len(items) // (self.count * _PIECES_OF_WORKER))
+        pieces = [items[first : first + at_once] for first in range(0, len(items), at_once)]
         with self.telling():
-            return list(self._pool.map(function, items, chunksize=max(1, len(items) // pieces)))
+            begun = [self._submit(Worker.map, function, piece) for piece in pieces]
+            return [result for piece in begun for result in piece.result()]
 
     @contextmanager
     def telling(self) -> Iterator[None]:
@@ -93,8 +107,81 @@ class Workers:
 
     def close(self) -> None:
         """End the processes and remove their files."""
+        self._threads.shutdown(cancel_futures=True)
         self._pool.shutdown(cancel_futures=True)
+        self._here.close()
         self._folder.cleanup()
+
+    def _submit(self, job: Callable[..., R], *arguments: object) -> Future[R]:
+        return self._threads.submit(self._do, job, *arguments)
+
+    def _take_place(self) -> None:
+        self._of_thread.do = next(self._places)
+
+    def _do(self, job: Callable[..., R], *arguments: object) -> R:
+        result: R = self._of_thread.do(job, *arguments)
+        return result
+
+    def _do_elsewhere(self, job: Callable[..., R], *arguments: object) -> R:
+        return self._pool.submit(do_in_worker, job, *arguments).result()
+
+
+class Worker:
+    """What does the jobs of one process.
+
+    Args:
+        folder: takes temporary files.
+        cache: the open cache, which is closed with the worker; None keeps nothing.
+    """
+
+    def __init__(self, folder: Path, cache: TraceCache | None) -> None:
+        self._folder = folder
+        self._cache = cache
+        self._shelf = TraceShelf(cache, folder)
+
+    def do(self, job: Callable[..., R], *arguments: object) -> R:
+        """Do a job: one of the methods below."""
+        return job(self, *arguments)
+
+    def store(self, paths: Sequence[Path], first: int) -> list[Stored]:
+        """Load traces, their events in files.
+
+        Args:
+            paths: files or folders.
+            first: a number for the first one, as no other call has for any.
+
+        Raises:
+            OutputError: events could not be kept.
+        """
+        loaded = [
+            loaded_or_error(self._shelf.store, path, number) for number, path in enumerate(paths, first)
+        ]
+        return [(self._shelf.keys.pop(number, ""), found) for number, found in enumerate(loaded, first)]
+
+    def work(
+        self, batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]], keys: Mapping[int, str]
+    ) -> WorkedBatch:
+        """Pair and measure a batch, its rows in a file; see `known_batches.encoded_batch`.
+
+        Args:
+            batch: the batch.
+            parts: of its `event_keys` the rows of the event index, events in files.
+            keys: of its traces, by position, the key in the cache.
+
+        Raises:
+            OutputError: the rows could not be kept.
+        """
+        return encoded_batch(
+            batch, parts, KnownDetails(self._cache, keys) if self._cache else None, self._folder
+        )
+
+    def map(self, function: Callable[[T], R], items: Sequence[T]) -> list[R]:
+        """Return the function's results."""
+        return list(map(function, items))
+
+    def close(self) -> None:
+        """Close the cache."""
+        self._shelf.close()
 
 
 def can_start_workers() -> bool:
@@ -120,51 +207,23 @@ def start_workers(count: int, folder: Path, *, cache: bool) -> ProcessPoolExecut
     return workers
 
 
-def store_traces(paths: Sequence[Path], first: int) -> list[Stored]:
-    """Load traces in a worker, their events in files.
-
-    Args:
-        paths: files or folders.
-        first: a number for the first one, as no other call has for any.
-
-    Raises:
-        OutputError: events could not be kept.
-    """
-    loaded = [loaded_or_error(_shelf.store, path, number) for number, path in enumerate(paths, first)]
-    return [(_shelf.keys.pop(number, ""), found) for number, found in enumerate(loaded, first)]
+def do_in_worker(job: Callable[..., R], *arguments: object) -> R:
+    """Do a job in a worker process."""
+    assert _worker is not None
+    return _worker.do(job, *arguments)
 
 
-def work_in_worker(
-    batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]], keys: Mapping[int, str]
-) -> WorkedBatch:
-    """Pair and measure a batch in a worker, its rows in a file; see `known_batches.encoded_batch`.
-
-    Args:
-        batch: the batch.
-        parts: of its `event_keys` the rows of the event index, events in files.
-        keys: of its traces, by position, the key in the cache.
-
-    Raises:
-        OutputError: the rows could not be kept.
-    """
-    assert _folder is not None
-    return encoded_batch(batch, parts, KnownDetails(_cache, keys) if _cache else None, _folder)
-
-
-_folder: Path | None = None
-_cache: TraceCache | None = None
-_shelf = TraceShelf()
+_worker: Worker | None = None
 
 
 def _begin(folder: str, has_cache: bool) -> None:
     """Make this process a worker."""
-    global _folder, _cache, _shelf  # noqa: PLW0603 - what a process has from its beginning
+    global _worker  # noqa: PLW0603 - what a process has from its beginning
     keep_freed_memory()
+    gc.set_threshold(_OBJECTS_TO_COLLECT)
     atexit.register(gc.freeze)  # else the collector looks at every object again before the process ends
     threading.Thread(target=_end_with_caller, daemon=True).start()
-    _folder = Path(folder)
-    _cache = TraceCache.open() if has_cache else None
-    _shelf = TraceShelf(_cache, _folder)
+    _worker = Worker(Path(folder), TraceCache.open() if has_cache else None)
 
 
 def _end_with_caller() -> None:

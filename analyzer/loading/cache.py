@@ -160,16 +160,17 @@ class TraceCache:
         digest.update(text.encode())
         return digest.hexdigest()
 
-    def write(self, key: str, ending: str, content: bytes, most_bytes: int = MOST_TEXT_BYTES) -> None:
-        """Write a sealed file of an entry; the JSON of a trace comes last, its events are there already.
+    def write(self, key: str, ending: str, *parts: bytes, most_bytes: int = MOST_TEXT_BYTES) -> None:
+        """Write a sealed file of an entry, part by part; the JSON of a trace comes last, its events are there already.
 
         Raises:
             OSError: it cannot be written, or is too large for an entry.
         """
-        if len(content) > most_bytes:
-            raise OSError(f"{len(content)} bytes are too many to keep")
-        with replacing(self.folder / f"{key}.{ending}") as draft:
-            draft.write_bytes(self._seal(key, content) + content)
+        size = sum(map(len, parts))
+        if size > most_bytes:
+            raise OSError(f"{size} bytes are too many to keep")
+        with replacing(self.folder / f"{key}.{ending}") as draft, draft.open("wb") as stream:
+            stream.writelines((self._seal(key, *parts), *parts))
 
     def read(self, key: str, ending: str, most_bytes: int = MOST_TEXT_BYTES) -> bytes:
         """Return a sealed file of an entry as it was written, and note that the entry was used.
@@ -238,10 +239,11 @@ class TraceCache:
         offsets = range(0, size, _BLOCK_BYTES)
         return map(digest_of, offsets) if len(offsets) < 2 else self._pool.map(digest_of, offsets)
 
-    def _seal(self, key: str, content: bytes) -> bytes:
+    def _seal(self, key: str, *parts: bytes) -> bytes:
         digest = self.sealer.hash(b"entry")
         digest.update(key.encode() + b"\0")
-        digest.update(content)
+        for part in parts:
+            digest.update(part)
         return digest.hexdigest().encode()
 
 

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
     from .trace import Trace
 
-PIECE_EVENTS = 1 << 19
-"""Most events of a piece, if no chunk has more: 29 MB. A piece is read into memory that an earlier one has filled."""
+PIECE_EVENTS = 1 << 18
+"""Most events of a piece, if no chunk has more: 15 MB. A piece is read into memory that an earlier one has filled."""
 
 _MOST_WORKERS = 4  # more threads wait for memory, not for each other
 

@@ -30,7 +30,7 @@ def take_out_of_cached(cached):
         for path in cached(ending):
             files = known_details._unpacked(cache.read(path.stem, ending, known_details.MOST_BYTES))
             del files[missing]
-            cache.write(path.stem, ending, known_details._packed(files))
+            cache.write(path.stem, ending, *known_details._packed(files))
         cache.close()
 
     return take_out

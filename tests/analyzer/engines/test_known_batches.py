@@ -198,7 +198,7 @@ def test_rows_that_are_too_large_are_not_kept(runs, kept, monkeypatch):
 
 
 def test_a_full_disk_costs_the_cache_alone(runs, kept, monkeypatch):
-    def full(*_arguments):
+    def full(*_arguments, **_options):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(TraceCache, "write", full)

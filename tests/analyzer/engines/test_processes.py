@@ -1,15 +1,18 @@
 """Worker processes: the same numbers, and none of them left, whatever ends the analysis or one of them."""
 
+import functools
 import os
 import re
 import signal
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import psutil
 import pytest
 from campaigns import assert_same_results, write_runs
+from waiting import wait_until
 
 import dds_trace.analyzer.engines.batches
 from dds_trace.analyzer import analyze
@@ -20,7 +23,7 @@ from dds_trace.tracefile import EventColumns, TraceError, TraceFormatError
 
 PATIENCE_S = 60
 
-# Each batch, one a group, is a worker that sleeps; it says which one it is.
+# Each batch, one a group, is a worker process that sleeps; it says which one it is.
 COMMAND = """
 import sys
 import dds_trace.analyzer.engines.batches
@@ -30,12 +33,16 @@ def start(*arguments, **options):
     workers = started(*arguments, **options)
     submit = workers.submit
     sleep = "import os, time; os.write(1, str(os.getpid()).encode() + bytes([10])); time.sleep(300)"
-    workers.submit = lambda job, *more: submit(exec, sleep) if job is processes.work_in_worker else submit(job, *more)
+    workers.submit = lambda do, job, *more: submit(*((exec, sleep) if job is processes.Worker.work else (do, job, *more)))
     return workers
 
+def take_place(workers):
+    workers._of_thread.do = workers._do_elsewhere
+
 started, processes.start_workers = processes.start_workers, start
+processes.Workers._take_place = take_place
 dds_trace.analyzer.engines.batches.BATCH_EVENTS = local.FILES_FOR_PROCESSES = 1
-local.LocalEngine._processes = 2
+local.LocalEngine._processes = 3
 from dds_trace.cli.analyze import main
 sys.argv = ["dds-analyze", *sys.argv[1:]]
 main()
@@ -44,7 +51,7 @@ main()
 
 @pytest.fixture
 def started(monkeypatch):
-    """From here on, each analysis is made by two processes; the ones that were started."""
+    """From here on, each analysis is made by this process and two others; the ones that were started."""
     begun = []
     real = processes.start_workers
 
@@ -54,9 +61,25 @@ def started(monkeypatch):
         return workers
 
     monkeypatch.setattr(local, "FILES_FOR_PROCESSES", 1)
-    monkeypatch.setattr(local.LocalEngine, "_processes", 2)
+    monkeypatch.setattr(local.LocalEngine, "_processes", 3)
     monkeypatch.setattr(processes, "start_workers", start)
     return begun
+
+
+@pytest.fixture
+def nothing_here(monkeypatch):
+    """The other processes do all jobs."""
+
+    def take_place(workers):
+        workers._of_thread.do = workers._do_elsewhere
+
+    monkeypatch.setattr(processes.Workers, "_take_place", take_place)
+
+
+def is_alive(process):
+    with suppress(psutil.NoSuchProcess):
+        return process.status() != psutil.STATUS_ZOMBIE
+    return False
 
 
 @pytest.fixture
@@ -111,6 +134,22 @@ def test_few_traces_that_take_long_are_read_here_and_worked_at_by_processes(
     assert_same_results(found, expected)
 
 
+def test_this_process_works_while_others_do(runs, monkeypatch, started):
+    """The first one that is free takes a job: here there is nothing to start before."""
+    done = []
+    for job in (processes.Worker.store, processes.Worker.work):
+
+        @functools.wraps(job)  # by its name, others find their own
+        def noted(*arguments, job=job):
+            done.append(job.__name__)
+            return job(*arguments)
+
+        monkeypatch.setattr(processes.Worker, job.__name__, noted)
+    analyze(runs)
+    assert started
+    assert {"store", "work"} <= set(done)
+
+
 def test_events_of_a_large_campaign_wait_in_files(runs, monkeypatch):
     held = []
     real = local.LocalEngine.work
@@ -148,12 +187,13 @@ def test_what_a_worker_cannot_read_is_told_as_here(tmp_path):
     assert str(told.value).startswith(f"{tmp_path}/x.mcap: ")
 
 
+@pytest.mark.usefixtures("nothing_here")
 def test_a_killed_worker_is_one_line(runs, started, monkeypatch, temporary):
     real = local.LocalEngine.work
 
     def work(self, batches, index):
         started[0].kill()
-        started[0].wait(PATIENCE_S)
+        wait_until(lambda: not is_alive(started[0]))  # it is the pool's to wait for
         return real(self, batches, index)
 
     monkeypatch.setattr(local.LocalEngine, "work", work)
@@ -227,6 +267,7 @@ def test_a_process_that_may_have_none_analyzes_alone(runs, tmp_path):
     assert can_start_workers()
 
 
+@pytest.mark.usefixtures("nothing_here")
 def test_workers_answer_the_kinds_of_messages_where_their_rows_are_in_a_file(
     runs, tmp_path, request, answer_elsewhere
 ):

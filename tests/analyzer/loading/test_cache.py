@@ -257,7 +257,7 @@ def test_a_trace_of_one_stage_alone_and_one_without_events_are_known(tmp_path, f
 
 
 def test_a_disk_that_is_full_costs_the_cache_and_not_the_analysis(runs, monkeypatch):
-    def full(*_):
+    def full(*_, **__):
         raise OSError(28, "No space left on device")
 
     whole = analyze(runs)

@@ -133,9 +133,7 @@ def tables_of(roundtrips: RoundTrips) -> Iterator[pa.Table]:
     texts = {
         name: _encoded(described[name]) for name, dtype in described.schema.items() if dtype == pl.String
     }
-    others = {
-        column.name: column.to_arrow() for column in described.iter_columns() if column.name not in texts
-    }
+    others = [column for column in described.iter_columns() if column.name not in texts]
     outcomes = _texts([outcome.value for outcome in OUTCOMES])
     numbers = roundtrips.measured.drop("outcome")
     for first in range(0, int(bounds[-1]), _ROWS_PER_GROUP):
@@ -145,37 +143,29 @@ def tables_of(roundtrips: RoundTrips) -> Iterator[pa.Table]:
         zeros = _array(np.zeros(len(outcome), np.int32))
         columns = {
             **{column.name: column.to_arrow() for column in numbers[rows].iter_columns()},
-            **{name: _repeated(values, of_exchange) for name, values in others.items()},
-            **{name: _texts_of(text, of_exchange, zeros) for name, text in texts.items()},
+            **{column.name: _repeated(column, of_exchange) for column in others},
             "outcome": pa.DictionaryArray.from_arrays(outcome, outcomes),
         }
+        for name, (positions, differing) in texts.items():
+            is_same = len(differing) == 1 and not positions.null_count()
+            of_rows = zeros if is_same else _repeated(positions, of_exchange)
+            columns[name] = pa.DictionaryArray.from_arrays(of_rows, differing)
         yield pa.Table.from_arrays([columns[name] for name in _AS_WRITTEN.names], schema=_AS_WRITTEN)
 
 
-def _encoded(text: pl.Series) -> pa.DictionaryArray:
-    """Return texts as a dictionary of those that differ, in their order; null is no entry."""
-    values = text.to_list()
-    position = {
-        value: number for number, value in enumerate(dict.fromkeys(v for v in values if v is not None))
-    }
-    positions = pl.Series([position.get(value) for value in values], dtype=pl.Int32)
-    return pa.DictionaryArray.from_arrays(positions.to_arrow(), _texts(position))
+def _encoded(texts: pl.Series) -> tuple[pl.Series, pa.StringArray]:
+    """Return for each text its position among those that differ, null for null, and these in their order."""
+    values = texts.to_list()
+    differing = dict.fromkeys(value for value in values if value is not None)
+    position = {value: number for number, value in enumerate(differing)}
+    return pl.Series([position.get(value) for value in values], dtype=pl.Int32), _texts(differing)
 
 
-def _texts_of(
-    text: pa.DictionaryArray, of_exchange: NDArray[np.int64], zeros: pa.Array
-) -> pa.DictionaryArray:
-    """Return the text of each row, from that of each exchange; `zeros` are as many as the rows."""
-    is_same = len(text.dictionary) == 1 and not text.null_count
-    positions = zeros if is_same else _repeated(text.indices, of_exchange)
-    return pa.DictionaryArray.from_arrays(positions, text.dictionary)
-
-
-def _repeated(values: pa.Array, of_exchange: NDArray[np.int64]) -> pa.Array:
+def _repeated(values: pl.Series, of_exchange: NDArray[np.int64]) -> pa.Array:
     """Return the value of each row, from that of each exchange and its number of rows."""
-    if values.null_count:
-        return values.take(_array(np.repeat(np.arange(len(values), dtype=np.uint32), of_exchange)))
-    return _array(np.repeat(values.to_numpy(zero_copy_only=False), of_exchange))
+    if values.null_count():
+        return values.gather(np.repeat(np.arange(len(values), dtype=np.uint32), of_exchange)).to_arrow()
+    return _array(np.repeat(values.to_numpy(), of_exchange))
 
 
 def _texts(values: Collection[str]) -> pa.StringArray:

@@ -191,9 +191,9 @@ class WorkedBatch(NamedTuple):
         Raises:
             OutputError: the rows could not be kept.
         """
-        if isinstance(self.rows, RowPart) or not self.rows:
-            return self
-        return self._replace(rows=encode_rows(self.rows, folder))
+        if isinstance(self.rows, RowPart):
+            return self._replace(rows=self.rows.in_folder(folder)) if folder else self
+        return self._replace(rows=encode_rows(self.rows, folder)) if self.rows else self
 
     def result(self) -> BatchResult:
         """Return all else, waiting for who makes it."""

@@ -29,7 +29,10 @@ _NAMES = frozenset({_ROWS, _NUMBER, _COUNTS, *CAMPAIGN_MAKERS})
 
 
 def encoded_batch(
-    batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]], known: KnownDetails | None, folder: Path
+    batch: Batch,
+    parts: Mapping[EventKey, Sequence[EventPart]],
+    known: KnownDetails | None,
+    folder: Path | None,
 ) -> WorkedBatch:
     """Return what becomes of a batch, its rows encoded: known, or worked at and known from then on.
 
@@ -37,7 +40,7 @@ def encoded_batch(
         batch: the batch.
         parts: for each of its `event_keys` the rows of the event index.
         known: what earlier analyses have made.
-        folder: takes the rows.
+        folder: takes rows that the cache does not; None leaves new ones in memory.
 
     Raises:
         OutputError: the rows could not be kept.
@@ -46,39 +49,51 @@ def encoded_batch(
         return work_at(batch, parts, known).encoded(folder)
     of_details = known.key_of(batch, parts)
     key = known.key_of_text("rows", f"{of_details} {points_of_exchange(batch.all_exchanges)}")
-    found = _find(batch, known, key, of_details, folder)
+    found = _find(batch, known, key, of_details)
     if found is not None:
         return found
-    worked = work_at(batch, parts, known).encoded(folder)
-    _keep(batch, worked, known, key)
-    return worked
+    worked = work_at(batch, parts, known).encoded()
+    kept = _keep(batch, worked, known, key)
+    if folder is None:
+        return worked
+    return worked._replace(rows=kept) if kept is not None else worked.encoded(folder)
 
 
-def _find(batch: Batch, known: KnownDetails, key: str, of_details: str, folder: Path) -> WorkedBatch | None:
-    """Return a batch that is known whole, its rows in a file of their own."""
+def _find(batch: Batch, known: KnownDetails, key: str, of_details: str) -> WorkedBatch | None:
+    """Return a batch that is known whole, its rows where they are in the cache."""
     with suppress(*UNUSABLE):
         files = known.read(key, "rows")
         if files.keys() != _NAMES:
             raise ValueError("other files than are kept")
-        encoded, number = files.pop(_ROWS), int(files.pop(_NUMBER))
+        number, size = int(files.pop(_NUMBER)), len(files.pop(_ROWS))
         frames = unpack_frames(files)
         counts = frames.pop(_COUNTS)
         of_batch = known.find(of_details, batch)
         if of_batch is None:
             return None
-        rows = RowPart.of(encoded, number, folder)
+        rows = _end_of(known.path(key, "rows"), size, number)
         statistics = Statistics(of_batch.pop("statistics"), of_batch.pop("distributions"))
         of_campaign = shifted(frames, batch.first_group)
         return WorkedBatch(rows, BatchResult(of_campaign | of_batch, counts, statistics, {}, None))
     return None
 
 
-def _keep(batch: Batch, worked: WorkedBatch, known: KnownDetails, key: str) -> None:
-    """Keep the rows of a batch, unless events in them are also in another trace, which depends on the order of the traces."""
+def _keep(batch: Batch, worked: WorkedBatch, known: KnownDetails, key: str) -> RowPart | None:
+    """Keep the rows of a batch, unless events in them are also in another trace, which depends on the order of the traces.
+
+    Returns:
+        The rows, where they are in the cache; None if they are not.
+    """
     result, rows = worked.result(), worked.rows
-    if result.copies or not isinstance(rows, RowPart) or not isinstance(rows.content, Path):
-        return
+    if result.copies or not isinstance(rows, RowPart) or isinstance(rows.content, Path):
+        return None
     drawn = {name: result.frames[name] for name in CAMPAIGN_MAKERS}
-    with suppress(OSError):
-        files = pack_frames(shifted(drawn, -batch.first_group) | {_COUNTS: result.counts})
-        known.write(key, "rows", {**files, _NUMBER: b"%d" % rows.num_rows, _ROWS: rows.content.read_bytes()})
+    files = pack_frames(shifted(drawn, -batch.first_group) | {_COUNTS: result.counts})
+    encoded = memoryview(rows.content)
+    path = known.write(key, "rows", {**files, _NUMBER: b"%d" % rows.num_rows, _ROWS: encoded})
+    return _end_of(path, len(encoded), rows.num_rows) if path is not None else None
+
+
+def _end_of(path: Path, size: int, num_rows: int) -> RowPart:
+    """Return rows that are the end of a file in the cache."""
+    return RowPart(num_rows, path, path.stat().st_size - size, is_temporary=False)

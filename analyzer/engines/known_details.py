@@ -91,10 +91,19 @@ class KnownDetails:
         """
         return _unpacked(self._cache.read(key, ending, MOST_BYTES))
 
-    def write(self, key: str, ending: str, files: Mapping[str, bytes]) -> None:
-        """Keep files under their names, if they are not too large; a full disk costs the cache, not the analysis."""
+    def write(self, key: str, ending: str, files: Mapping[str, bytes | memoryview]) -> Path | None:
+        """Keep files under their names, if they are not too large; a full disk costs the cache, not the analysis.
+
+        Returns:
+            The file in which they are, the last one at its end; None where they are not kept.
+        """
         with suppress(OSError):
-            self._cache.write(key, ending, *_packed(files), most_bytes=MOST_BYTES)
+            return self._cache.write(key, ending, *_packed(files), most_bytes=MOST_BYTES)
+        return None
+
+    def path(self, key: str, ending: str) -> Path:
+        """Return where `write` puts files."""
+        return self._cache.path(key, ending)
 
     def key_of_text(self, purpose: str, text: str) -> str:
         """Return the key of what follows from a text alone."""
@@ -167,7 +176,7 @@ def unpack_frames(files: Mapping[str, bytes]) -> Frames:
     return {name: pl.read_ipc(io.BytesIO(file), use_pyarrow=False) for name, file in files.items()}
 
 
-def _packed(files: Mapping[str, bytes]) -> list[bytes]:
+def _packed(files: Mapping[str, bytes | memoryview]) -> list[bytes | memoryview]:
     """Return a line of JSON with name and bytes of each file, and the files behind it."""
     head = json.dumps([(name, len(file)) for name, file in files.items()])
     return [head.encode() + b"\n", *files.values()]

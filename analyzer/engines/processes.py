@@ -71,7 +71,7 @@ class Workers:
         self._folder = tempfile.TemporaryDirectory(prefix="dds-analyze-")
         folder = Path(self._folder.name)
         self._pool = start_workers(count - 1, folder, cache=cache)
-        self._here = Worker(folder, TraceCache.open() if cache else None)
+        self._here = Worker(folder, TraceCache.open() if cache else None, is_here=True)
         # One thread for each worker: it does what this process does, or waits for what another one does.
         self._places = iter([self._here.do, *[self._do_elsewhere] * (count - 1)])
         self._of_thread = threading.local()
@@ -132,10 +132,11 @@ class Worker:
     Args:
         folder: takes temporary files.
         cache: the open cache, which is closed with the worker; None keeps nothing.
+        is_here: whether it works in the process of the analysis, which then has rows of new batches in memory.
     """
 
-    def __init__(self, folder: Path, cache: TraceCache | None) -> None:
-        self._folder = folder
+    def __init__(self, folder: Path, cache: TraceCache | None, *, is_here: bool = False) -> None:
+        self._rows_folder = None if is_here else folder
         self._cache = cache
         self._shelf = TraceShelf(cache, folder)
 
@@ -161,7 +162,7 @@ class Worker:
     def work(
         self, batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]], keys: Mapping[int, str]
     ) -> WorkedBatch:
-        """Pair and measure a batch, its rows in a file; see `known_batches.encoded_batch`.
+        """Pair and measure a batch, its rows encoded; see `known_batches.encoded_batch`.
 
         Args:
             batch: the batch.
@@ -172,7 +173,7 @@ class Worker:
             OutputError: the rows could not be kept.
         """
         return encoded_batch(
-            batch, parts, KnownDetails(self._cache, keys) if self._cache else None, self._folder
+            batch, parts, KnownDetails(self._cache, keys) if self._cache else None, self._rows_folder
         )
 
     def map(self, function: Callable[[T], R], items: Sequence[T]) -> list[R]:

@@ -150,18 +150,23 @@ class TraceCache:
             raise TraceFormatError(path, f"cannot be read ({err.strerror})") from err
         return digest.hexdigest()
 
-    def events_path(self, key: str) -> Path:
-        """Return the path of the events of an entry."""
-        return self.folder / f"{key}.events"
-
     def key_of_text(self, purpose: str, text: str) -> str:
         """Return the key of what follows from a text alone."""
         digest = self.sealer.hash(purpose.encode())
         digest.update(text.encode())
         return digest.hexdigest()
 
-    def write(self, key: str, ending: str, *parts: bytes, most_bytes: int = MOST_TEXT_BYTES) -> None:
+    def path(self, key: str, ending: str) -> Path:
+        """Return the path of a file of an entry."""
+        return self.folder / f"{key}.{ending}"
+
+    def write(
+        self, key: str, ending: str, *parts: bytes | memoryview, most_bytes: int = MOST_TEXT_BYTES
+    ) -> Path:
         """Write a sealed file of an entry, part by part; the JSON of a trace comes last, its events are there already.
+
+        Returns:
+            Its path.
 
         Raises:
             OSError: it cannot be written, or is too large for an entry.
@@ -169,8 +174,10 @@ class TraceCache:
         size = sum(map(len, parts))
         if size > most_bytes:
             raise OSError(f"{size} bytes are too many to keep")
-        with replacing(self.folder / f"{key}.{ending}") as draft, draft.open("wb") as stream:
+        path = self.path(key, ending)
+        with replacing(path) as draft, draft.open("wb") as stream:
             stream.writelines((self._seal(key, *parts), *parts))
+        return path
 
     def read(self, key: str, ending: str, most_bytes: int = MOST_TEXT_BYTES) -> bytes:
         """Return a sealed file of an entry as it was written, and note that the entry was used.
@@ -179,7 +186,7 @@ class TraceCache:
             OSError: there is no such entry.
             ValueError: this user did not write it, or not so, or for another key.
         """
-        with open_regular(self.folder / f"{key}.{ending}", follow_links=False) as stream:
+        with open_regular(self.path(key, ending), follow_links=False) as stream:
             if os.fstat(stream.fileno()).st_size > _SEAL_BYTES + most_bytes:
                 raise ValueError("larger than an entry is")
             seal, content = stream.read(_SEAL_BYTES), stream.read(most_bytes)
@@ -239,7 +246,7 @@ class TraceCache:
         offsets = range(0, size, _BLOCK_BYTES)
         return map(digest_of, offsets) if len(offsets) < 2 else self._pool.map(digest_of, offsets)
 
-    def _seal(self, key: str, *parts: bytes) -> bytes:
+    def _seal(self, key: str, *parts: bytes | memoryview) -> bytes:
         digest = self.sealer.hash(b"entry")
         digest.update(key.encode() + b"\0")
         for part in parts:

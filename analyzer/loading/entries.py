@@ -114,7 +114,7 @@ def write_entry(cache: TraceCache, key: str, position: int, fill: Fill) -> Loade
         OSError: it cannot be written.
         TraceFormatError: from `fill`.
     """
-    loaded, seals = store_parts(cache.events_path(key), position, fill, cache.sealer)
+    loaded, seals = store_parts(cache.path(key, "events"), position, fill, cache.sealer)
     cache.write(key, "json", json.dumps(_to_dict(loaded, seals)).encode())
     return _in_cache(loaded, [None] * len(seals))
 
@@ -123,7 +123,7 @@ def read_entry(cache: TraceCache, key: str, path: Path, position: int) -> Loaded
     """Return the entry of this content; None if the cache has none that can be used."""
     try:
         entry: _Entry = json.loads(cache.read(key, "json"))
-        file = cache.events_path(key)
+        file = cache.path(key, "events")
         if entry["format"] != _FORMAT or file.stat().st_size != entry["bytes"]:
             return None
         checks = [(cache.sealer, seal) for seal in entry["seals"]]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,7 +16,7 @@ from dds_trace.tracefile.files import replacing
 
 from ..model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
 from .pair import OUTCOMES
-from .row_parts import JoinedParts, RowPart, new_part
+from .row_parts import JoinedParts, RowPart, new_part, telling_of_room
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
@@ -100,27 +100,25 @@ def encode_rows(tables: Iterable[pa.Table], folder: Path | None = None) -> RowPa
     file = new_part(folder) if folder else None
     deltas = [c.name for c in ROUNDTRIP_COLUMNS if c.unit in ("ns", "UTC") or c.name == "sequence"]
     rows = 0
-    try:
-        with pa.OSFile(str(file), "wb") if file else pa.BufferOutputStream() as stream:
-            with pq.ParquetWriter(
-                stream,
-                _AS_WRITTEN,
-                compression="zstd",
-                compression_level=1,
-                use_dictionary=[name for name in _AS_WRITTEN.names if name not in deltas],
-                column_encoding=dict.fromkeys(deltas, "DELTA_BINARY_PACKED"),
-                store_schema=False,
-                write_batch_size=_ROWS_PER_PAGE,
-                max_rows_per_page=_ROWS_PER_PAGE,
-            ) as writer:
-                for table in tables:
-                    rows += len(table)
-                    writer.write_table(table, row_group_size=_ROWS_PER_GROUP)
-            return RowPart(rows, file or stream.getvalue())
-    except OSError as err:
-        if file is None:
-            raise
-        raise OutputError(f"rows cannot be kept ({err}); give a larger folder with TMPDIR") from err
+    with (
+        telling_of_room() if file else nullcontext(),
+        pa.OSFile(str(file), "wb") if file else pa.BufferOutputStream() as stream,
+    ):
+        with pq.ParquetWriter(
+            stream,
+            _AS_WRITTEN,
+            compression="zstd",
+            compression_level=1,
+            use_dictionary=[name for name in _AS_WRITTEN.names if name not in deltas],
+            column_encoding=dict.fromkeys(deltas, "DELTA_BINARY_PACKED"),
+            store_schema=False,
+            write_batch_size=_ROWS_PER_PAGE,
+            max_rows_per_page=_ROWS_PER_PAGE,
+        ) as writer:
+            for table in tables:
+                rows += len(table)
+                writer.write_table(table, row_group_size=_ROWS_PER_GROUP)
+        return RowPart(rows, file or stream.getvalue())
 
 
 def tables_of(roundtrips: RoundTrips) -> Iterator[pa.Table]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import secrets
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,10 +16,12 @@ from typing import TYPE_CHECKING
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from dds_trace.tracefile import OutputError
+
 from .thrift import BINARY, I16, I64, LIST, STRUCT, Elements, Value, read_struct, write_struct
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
     from typing import BinaryIO
 
     from .thrift import Struct
@@ -42,6 +45,15 @@ def new_part(folder: Path) -> Path:
     return folder / f"{secrets.token_hex(8)}.rows"
 
 
+@contextmanager
+def telling_of_room() -> Iterator[None]:
+    """Turn an error of the system, while rows are put into a temporary file, into one that says what to do."""
+    try:
+        yield
+    except OSError as err:
+        raise OutputError(f"rows cannot be kept ({err}); give a larger folder with TMPDIR") from err
+
+
 def read_rows(source: Path | BinaryIO | pa.NativeFile) -> pa.Table:
     """Return the rows of a Parquet file as they are written: texts are dictionaries."""
     texts = [field.name for field in pq.read_schema(source) if field.type == "string"]
@@ -55,35 +67,52 @@ class RowPart:
 
     Attributes:
         num_rows: how many.
-        content: a Parquet file: its bytes, or where it is, in a folder of temporary files.
+        content: a Parquet file: its bytes, or the file that it is the end of.
+        begins_at: where it begins in that file.
+        is_temporary: whether that file is for this part alone, and removed once it is joined.
     """
 
     num_rows: int
     content: pa.Buffer | Path
+    begins_at: int = 0
+    is_temporary: bool = True
 
-    @classmethod
-    def of(cls, encoded: bytes, num_rows: int, folder: Path) -> RowPart:
-        """Return rows that were encoded earlier, in a file of this folder.
+    def in_folder(self, folder: Path) -> RowPart:
+        """Return the same rows in a file of a folder of temporary files.
 
         Raises:
-            OSError: it cannot be written.
+            OutputError: it cannot be written.
         """
+        if isinstance(self.content, Path):
+            return self
         path = new_part(folder)
-        path.write_bytes(encoded)
-        return cls(num_rows, path)
+        with telling_of_room(), path.open("wb") as file:
+            file.write(self.content)
+        return RowPart(self.num_rows, path)
 
     def load(self) -> pa.Table:
         """Return the rows, decoded; see `read_rows`."""
         with self.open() as file:
-            return read_rows(file)
+            return read_rows(pa.BufferReader(file.read()))
 
     def open(self) -> BinaryIO | pa.NativeFile:
-        """Open it for reading."""
-        return self.content.open("rb") if isinstance(self.content, Path) else pa.BufferReader(self.content)
+        """Open it for reading, where it begins.
+
+        Raises:
+            OutputError: its file is gone.
+        """
+        if not isinstance(self.content, Path):
+            return pa.BufferReader(self.content)
+        try:
+            file = self.content.open("rb")
+        except FileNotFoundError as err:
+            raise OutputError(f"{self.content} was removed while it was needed; analyze again") from err
+        file.seek(self.begins_at)
+        return file
 
     def remove(self) -> None:
-        """Remove its file, if it has one."""
-        if isinstance(self.content, Path):
+        """Remove its file, if it has one of its own."""
+        if isinstance(self.content, Path) and self.is_temporary:
             self.content.unlink()
 
 
@@ -110,6 +139,7 @@ class JoinedParts:
         """
         with part.open() as file:
             footer, footer_at = _read_footer(file)
+            first_at = part.begins_at + len(_MAGIC)
             moved = self._at - len(_MAGIC)
             self._footer = self._footer or footer
             for group in footer[_ROW_GROUPS].value.values:
@@ -119,8 +149,8 @@ class JoinedParts:
                     group[_ORDINAL] = Value(I16, len(self._row_groups))
                 self._row_groups.append(group)
             self._rows += footer[_ROWS].value
-            file.seek(len(_MAGIC))
-            self._at += self._stream.write(file.read(footer_at - len(_MAGIC)))
+            file.seek(first_at)
+            self._at += self._stream.write(file.read(footer_at - first_at))
 
     def finish(self, metadata: Mapping[str, str]) -> None:
         """Write the footer, with this metadata.

@@ -34,7 +34,7 @@ class Target:
         self._key = cache.key_of(self._trace)
         shelf.load(self._trace, 0)
         self._json = cache.folder / f"{self._key}.json"
-        self._events = cache.events_path(self._key)
+        self._events = cache.path(self._key, "events")
         shelf.close()  # entries are written beside what is read next
         self._good_json, self._good_events = self._json.read_bytes(), self._events.read_bytes()
         self._entry = json.loads(self._good_json[64:])

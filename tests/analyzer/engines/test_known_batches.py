@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from contextlib import nullcontext
+from pathlib import Path
 
 import pytest
 from campaigns import assert_as_without_cache, payload_sizes, write_runs
@@ -15,6 +16,8 @@ from dds_trace.analyzer.engines.known_batches import encoded_batch
 from dds_trace.analyzer.engines.known_details import KnownDetails
 from dds_trace.analyzer.groups import timeline
 from dds_trace.analyzer.loading.cache import TraceCache
+from dds_trace.analyzer.pairing import row_parts
+from dds_trace.tracefile import OutputError
 from dds_trace.tracefile.threads import Here
 
 
@@ -85,6 +88,41 @@ def test_a_second_analysis_pairs_nothing_and_says_the_same(runs, worked, tmp_pat
     assert_as_without_cache(runs, found)
     for name in ("roundtrips.parquet", "summary.parquet"):
         assert (tmp_path / "again" / name).read_bytes() == (tmp_path / "first" / name).read_bytes(), name
+
+
+def test_rows_are_joined_from_where_the_cache_keeps_them(runs, kept, tmp_path, near_workers, monkeypatch):
+    """Written once by whoever encodes them, and still there behind it; not where they could not be kept."""
+    joined = []
+    real = row_parts.JoinedParts.add
+
+    def add(self, part):
+        joined.append(part.content)
+        real(self, part)
+
+    monkeypatch.setattr(row_parts.JoinedParts, "add", add)
+    for name in ("first", "again"):
+        analyze(runs, cache=True, out=tmp_path / name)
+        assert sorted(path for path in joined if isinstance(path, Path)) == kept() != []
+        joined.clear()
+    monkeypatch.setattr(known_details, "MOST_BYTES", 100)
+    analyze(runs, cache=True, deadline_ns=1, out=tmp_path / "other")
+    assert {path.parent for path in joined if isinstance(path, Path)} == {near_workers}
+    for name in ("again", "other"):
+        whole = (tmp_path / name / "roundtrips.parquet").read_bytes()
+        assert whole == (tmp_path / "first/roundtrips.parquet").read_bytes(), name
+
+
+def test_rows_that_are_removed_before_they_are_joined_are_one_line(runs, kept, monkeypatch):
+    real = row_parts.JoinedParts.add
+
+    def add(self, part):
+        for path in kept():
+            path.unlink()
+        real(self, part)
+
+    monkeypatch.setattr(row_parts.JoinedParts, "add", add)
+    with pytest.raises(OutputError, match=r"\.rows was removed while it was needed; analyze again$"):
+        analyze(runs, cache=True, out=runs / "out")
 
 
 def test_a_new_run_is_paired_with_its_group_alone(runs, worked):

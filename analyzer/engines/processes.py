@@ -1,8 +1,8 @@
 """Worker processes of this machine: what is Python between short arrays takes one core in threads, however many there are.
 
 A worker reads traces, puts their events into files (the user's cache, or temporary ones), and works at batches whose events
-it reads from there. Rows travel in files, too, encoded as they will be in their Parquet file; descriptions, batches and all other
-results through pipes.
+it reads from there. Rows of another process come in files, too, encoded as they will be in their Parquet file; descriptions,
+batches and all other results through pipes. One worker is the process of the analysis itself.
 """
 
 from __future__ import annotations

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -95,13 +94,7 @@ def split_runs(rows: pl.DataFrame) -> tuple[RunRows, ...]:
     Returns:
         In the order in which the runs come in `rows`.
     """
-    run_ids = rows["run_id"].to_numpy()
-    edges = [0, *(np.flatnonzero(run_ids[1:] != run_ids[:-1]) + 1).tolist(), len(rows)]
-    first = run_ids[edges[:-1]].tolist() if len(rows) else []
-    if len(set(first)) == len(first):  # each stands together, as in `roundtrips`: nothing is copied
-        parts = [rows[begin:end] for begin, end in pairwise(edges)] if first else []
-    else:
-        parts = rows.partition_by("run_id", maintain_order=True)
+    parts = rows.partition_by("run_id", maintain_order=True)
     return tuple(RunRows(int(part["run_id"][0]), _in_order(part)) for part in parts)
 
 

@@ -19,7 +19,7 @@ from .pair import OUTCOMES
 from .row_parts import JoinedParts, RowPart, new_part, telling_of_room
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -129,10 +129,12 @@ def tables_of(roundtrips: RoundTrips) -> Iterator[pa.Table]:
     """
     described, bounds = roundtrips.described, roundtrips.bounds
     texts = {
-        name: _encoded(described[name]) for name, dtype in described.schema.items() if dtype == pl.String
+        column.name: column.to_arrow().cast(pa.string()).dictionary_encode()
+        for column in described.iter_columns()
+        if column.dtype == pl.String
     }
     others = [column for column in described.iter_columns() if column.name not in texts]
-    outcomes = _texts([outcome.value for outcome in OUTCOMES])
+    outcomes = pl.Series([outcome.value for outcome in OUTCOMES]).to_arrow().cast(pa.string())
     numbers = roundtrips.measured.drop("outcome")
     for first in range(0, int(bounds[-1]), _ROWS_PER_GROUP):
         rows = slice(first, first + _ROWS_PER_GROUP)
@@ -144,19 +146,11 @@ def tables_of(roundtrips: RoundTrips) -> Iterator[pa.Table]:
             **{column.name: _repeated(column, of_exchange) for column in others},
             "outcome": pa.DictionaryArray.from_arrays(outcome, outcomes),
         }
-        for name, (positions, differing) in texts.items():
-            is_same = len(differing) == 1 and not positions.null_count()
-            of_rows = zeros if is_same else _repeated(positions, of_exchange)
-            columns[name] = pa.DictionaryArray.from_arrays(of_rows, differing)
+        for name, text in texts.items():
+            is_same = len(text.dictionary) == 1 and not text.null_count
+            positions = zeros if is_same else _repeated(pl.Series(text.indices), of_exchange)
+            columns[name] = pa.DictionaryArray.from_arrays(positions, text.dictionary)
         yield pa.Table.from_arrays([columns[name] for name in _AS_WRITTEN.names], schema=_AS_WRITTEN)
-
-
-def _encoded(texts: pl.Series) -> tuple[pl.Series, pa.StringArray]:
-    """Return for each text its position among those that differ, null for null, and these in their order."""
-    values = texts.to_list()
-    differing = dict.fromkeys(value for value in values if value is not None)
-    position = {value: number for number, value in enumerate(differing)}
-    return pl.Series([position.get(value) for value in values], dtype=pl.Int32), _texts(differing)
 
 
 def _repeated(values: pl.Series, of_exchange: NDArray[np.int64]) -> pa.Array:
@@ -164,13 +158,6 @@ def _repeated(values: pl.Series, of_exchange: NDArray[np.int64]) -> pa.Array:
     if values.null_count():
         return values.gather(np.repeat(np.arange(len(values), dtype=np.uint32), of_exchange)).to_arrow()
     return _array(np.repeat(values.to_numpy(), of_exchange))
-
-
-def _texts(values: Collection[str]) -> pa.StringArray:
-    """Return texts as an Arrow array; a cast of polars' own would load `pyarrow.compute`, 0.05 s of each process."""
-    encoded = [value.encode() for value in values]
-    ends = np.cumsum([0, *map(len, encoded)], dtype=np.int32)
-    return pa.StringArray.from_buffers(len(encoded), pa.py_buffer(ends), pa.py_buffer(b"".join(encoded)))
 
 
 def _array(values: NDArray[np.generic]) -> pa.Array:

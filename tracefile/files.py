@@ -7,6 +7,7 @@ import os
 import secrets
 import stat
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .errors import OutputError
@@ -14,7 +15,6 @@ from .errors import OutputError
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from io import BufferedReader
-    from pathlib import Path
     from typing import BinaryIO
 
 
@@ -66,6 +66,14 @@ def open_regular(path: Path, *, follow_links: bool = True) -> BufferedReader:
         os.close(descriptor)
         raise OSError(errno.EINVAL, "no regular file", str(path))
     return os.fdopen(descriptor, "rb")
+
+
+def expand_home(text: str) -> Path:
+    """Return a path with the home folder in place of `~` or `~user`; as it is where that user is not known.
+
+    `Path.expanduser` raises there, though such a name may be a folder's.
+    """
+    return Path(os.path.expanduser(text))  # noqa: PTH111
 
 
 OWNER_AND_GROUP = 0o640

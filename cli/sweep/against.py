@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import sys
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.tracefile import OptionError, limits
@@ -13,6 +12,7 @@ from dds_trace.tracefile.units.counts import counted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
+    from pathlib import Path
 
     from dds_trace.analyzer import FalseAlarms
     from dds_trace.recorder.sweep import AgainstOutcome, Plan
@@ -50,9 +50,10 @@ def new_side(
         OptionError: it is none of these, or the environment has no dds-record.
     """
     from dds_trace.recorder.sweep import environment_name, environment_program, read_plan
+    from dds_trace.tracefile.files import expand_home
 
     limits.check(limits.FOLDER, text, "--against")
-    path = Path(text).expanduser()
+    path = expand_home(text)
     if text == SAME or (path.is_file() and path.samefile(base_path)):
         return NewSide("same", base, is_same=True)
     if path.suffix == ".toml":

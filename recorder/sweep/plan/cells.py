@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field, fields
-from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from dds_trace.tracefile import limits
+from dds_trace.tracefile.files import expand_home
 from dds_trace.tracefile.units.sizes import spell_size
 
 from ...backends import BACKEND_MODULES
@@ -290,7 +290,7 @@ def _middleware_name(backend: str, rmw: str | None) -> str:
 
 def environment_name(folder: str) -> str:
     """Return the name of a Python environment: that of its folder, or of the one around a `.venv`."""
-    path = Path(folder).expanduser().absolute()
+    path = expand_home(folder).absolute()
     return path.parent.name if path.name in {".venv", "venv"} else path.name
 
 

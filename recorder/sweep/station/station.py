@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import TYPE_CHECKING
+
+from dds_trace.tracefile.files import expand_home
 
 from .devices import LocalDevice, PrintedDevice, make_parts
 from .namespaces import NamespacePair
@@ -14,6 +15,7 @@ from .ssh import SshDevice, folder_there
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
+    from pathlib import Path
 
     from ..plan.link import LinkReport
     from ..plan.plan import Plan
@@ -78,7 +80,7 @@ def open_station(
     own = list(command or local_program("dds-record"))
     parts = make_parts(folder)
     others = {
-        environment: environment_program(Path(environment).expanduser().absolute(), "dds-record")
+        environment: environment_program(expand_home(environment).absolute(), "dds-record")
         for environment in dict.fromkeys(cell.environment for cell in plan.cells)
         if environment
     }

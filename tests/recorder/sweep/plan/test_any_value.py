@@ -11,7 +11,7 @@ import sys
 import jsonschema
 import pytest
 from hostile_values import to_toml, toml_values
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from dds_trace.recorder.sweep import plan_schema, plan_seconds, read_plan, relay_arguments, schedule
@@ -102,6 +102,7 @@ def check_plan(folder, text):
 @pytest.mark.parametrize(
     ("table", "key"), [(table, key) for table, keys in PLAN_LIMITS.items() for key in keys]
 )
+@example(value="~nobody-of-that-name")  # a home that is not there
 @settings(max_examples=6, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(value=toml_values())
 def test_any_value_of_any_key_is_taken_or_refused_in_one_line(tmp_path, table, key, value):

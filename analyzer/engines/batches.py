@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import hashlib
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from sys import getsizeof
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
 from dds_trace.tracefile.threads import Here
 
 from ..groups.batch import Batch
-from ..groups.frames import CAMPAIGN_MAKERS, MAKERS, detail_frames, make_frames
+from ..groups.frames import CAMPAIGN_MAKERS, GROUP_DETAIL_MAKERS, MAKERS, RUN_DETAIL_MAKERS, begin_frames
 from ..groups.measure import Statistics, measure_batch, metric_values
 from ..loading.events import merge_parts
 from ..model.metrics import METRICS
@@ -23,7 +24,7 @@ from ..pairing.roundtrips import pair_exchanges
 from ..pairing.row_parts import RowPart
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from concurrent.futures import Executor
     from pathlib import Path
 
@@ -35,8 +36,13 @@ if TYPE_CHECKING:
     from ..groups.frames import Frames
     from ..loading.events import Copies, EventKey, EventPart
     from ..pairing.exchanges import Exchange
-    from ..pairing.roundtrips import RoundTrips
+    from ..pairing.roundtrips import PairedRows, RoundTrips
     from .known_details import KnownDetails
+
+    Begun = Mapping[str, Callable[[], pl.DataFrame]]
+    """Name of a frame -> waits for it."""
+
+Rows_co = TypeVar("Rows_co", bound="PairedRows", covariant=True)
 
 BATCH_EVENTS = 1_000_000
 """Events of a batch, unless one group alone has more: a hundred megabytes while it is worked at. Of a campaign of few
@@ -126,6 +132,22 @@ def _parts_of_group(
     return parts
 
 
+def parts_of(batch: Batch) -> list[Batch]:
+    """Return a batch that is larger than one is to be in parts of whole runs, as its rows are written; any other one alone.
+
+    The rows of a part begin a row group: so they are the same bytes whatever other runs its group has.
+    """
+    exchanges, groups = batch.exchanges, batch.group_of_exchange
+    if batch.events <= BATCH_EVENTS:
+        return [batch]
+    events = np.cumsum([0, *(sum(exchange.counts) for exchange in exchanges)]).tolist()
+    spans = _parts_of_group(exchanges, 0, len(exchanges), lambda first, after: events[after] - events[first])
+    return [
+        replace(batch, exchanges=exchanges[first:after], group_of_exchange=groups[first:after], whole=False)
+        for first, after in spans
+    ]
+
+
 def groups_in_parts(batches: Sequence[Batch]) -> list[int]:
     """Return the groups that no batch holds whole, rising."""
     return sorted({int(group) for batch in batches if not batch.whole for group in batch.group_of_exchange})
@@ -154,35 +176,47 @@ class BatchResult:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PairedBatch:
+class PairedBatch(Generic[Rows_co]):
     """A batch whose events are paired: its rows can be written while it is measured.
 
     Attributes:
         batch: the batch.
         parts: for each of its `event_keys` the rows of the event index, traces in rising order.
-        roundtrips: the rows.
+        rows: the rows.
         copies: events that were left out because another trace holds them, by key.
     """
 
     batch: Batch
     parts: Mapping[EventKey, Sequence[EventPart]]
-    roundtrips: RoundTrips
+    rows: Rows_co
     copies: Mapping[EventKey, tuple[Copies, ...]]
 
-    def tables(self) -> Iterable[pa.Table]:
-        """Return the rows as `RowStore` takes them, none if they are not wanted; each table is made when it is asked for."""
-        return tables_of(self.roundtrips) if self.batch.wanted.rows else ()
+
+def split_rows(batch: Batch, roundtrips: RoundTrips) -> Iterator[RoundTrips]:
+    """Yield the rows of each of `parts_of` the batch."""
+    begin = 0
+    for part in parts_of(batch):
+        end = begin + len(part.exchanges)
+        yield roundtrips.part(begin, end)
+        begin = end
+
+
+def tables_of_batch(batch: Batch, roundtrips: RoundTrips) -> Iterator[pa.Table]:
+    """Yield the rows as `RowStore` takes them, none if they are not wanted; each table is made when it is asked for."""
+    if batch.wanted.rows:
+        for of_part in split_rows(batch, roundtrips):
+            yield from tables_of(of_part)
 
 
 class WorkedBatch(NamedTuple):
     """What becomes of a batch.
 
     Attributes:
-        rows: for `RowStore`; none if they are not wanted.
+        rows: for `RowStore`; none if they are not wanted. Tables, or parts of the file in which they are encoded already.
         measured: all else, or who makes it meanwhile.
     """
 
-    rows: Iterable[pa.Table] | RowPart
+    rows: Iterable[pa.Table] | Iterable[RowPart] | RowPart
     measured: BatchResult | Future[BatchResult]
 
     def encoded(self, folder: Path | None = None) -> WorkedBatch:
@@ -206,10 +240,10 @@ def work_at(
     """Pair and measure a batch; see `pair_at` and `measure_at`."""
     here = Here()
     paired = pair_at(batch, parts, here)
-    return WorkedBatch(list(paired.tables()), measure_at(paired, known, here))
+    return WorkedBatch(list(tables_of_batch(batch, paired.rows)), measure_at(paired, known, here))
 
 
-def measure_at(paired: PairedBatch, known: KnownDetails | None, pool: Executor) -> BatchResult:
+def measure_at(paired: PairedBatch[RoundTrips], known: KnownDetails | None, pool: Executor) -> BatchResult:
     """Measure a batch.
 
     Args:
@@ -217,34 +251,63 @@ def measure_at(paired: PairedBatch, known: KnownDetails | None, pool: Executor) 
         known: what earlier analyses have made.
         pool: makes each part.
     """
-    batch, parts, roundtrips = paired.batch, paired.parts, paired.roundtrips
+    batch, rows = paired.batch, paired.rows
+    of_runs = {**MAKERS, **(RUN_DETAIL_MAKERS if batch.wanted.details else {})}
+    begin_runs = partial(begin_frames, of_runs, batch, rows, pool)
+    return measure_groups_of(
+        paired, begin_frames(CAMPAIGN_MAKERS, batch, rows, pool), begin_runs, known, pool
+    )
+
+
+def measure_groups_of(
+    paired: PairedBatch[PairedRows],
+    of_campaign: Begun,
+    begin_runs: Callable[[], Begun],
+    known: KnownDetails | None,
+    pool: Executor,
+) -> BatchResult:
+    """Measure a batch of which each run is measured by others.
+
+    Args:
+        paired: the batch, paired.
+        of_campaign: who makes the frames of `frames.CAMPAIGN_MAKERS`.
+        begin_runs: begins the other frames of runs, unless all frames of the batch are known.
+        known: what earlier analyses have made.
+        pool: makes each part.
+    """
+    batch, parts, rows = paired.batch, paired.parts, paired.rows
     wanted = batch.wanted
-    of_campaign = pool.submit(make_frames, CAMPAIGN_MAKERS, batch, roundtrips)
 
     def make() -> Frames:
-        statistics = pool.submit(measure_batch, roundtrips, batch.group_of_exchange)
-        summary = pool.submit(make_frames, MAKERS, batch, roundtrips)
-        details = detail_frames(batch, roundtrips, pool) if wanted.details else {}
+        statistics = pool.submit(measure_batch, rows, batch.group_of_exchange)
+        of_runs = begin_runs()
+        of_groups = begin_frames(GROUP_DETAIL_MAKERS, batch, rows, pool) if wanted.details else {}
+        frames = _results(of_runs) | _results(of_groups)
         measured = statistics.result()
-        of_metrics = {"statistics": measured.frame, "distributions": measured.distributions}
-        return of_metrics | summary.result() | details
+        return {"statistics": measured.frame, "distributions": measured.distributions} | frames
 
     frames = known.frames_of(batch, parts, make) if known and wanted.details else make()
     statistics = Statistics(frames.pop("statistics"), frames.pop("distributions"))
     values = None
     if wanted.rows and not batch.whole:
         exchanges = len(batch.exchanges)
-        values = {metric: metric_values(roundtrips, metric, 0, exchanges) for metric in METRICS}
+        values = {metric: metric_values(rows, metric, 0, exchanges) for metric in METRICS}
     return BatchResult(
-        frames=of_campaign.result() | frames,
-        counts=roundtrips.counts,
+        frames=_results(of_campaign) | frames,
+        counts=rows.counts,
         statistics=statistics,
         copies=paired.copies,
         values=values,
     )
 
 
-def pair_at(batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]], pool: Executor) -> PairedBatch:
+def _results(begun: Begun) -> Frames:
+    return {name: wait() for name, wait in begun.items()}
+
+
+def pair_at(
+    batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]], pool: Executor
+) -> PairedBatch[RoundTrips]:
     """Pair the events of a batch; the memory of those that were fetched is free when this returns.
 
     Args:

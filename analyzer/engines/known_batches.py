@@ -71,7 +71,7 @@ def _find(batch: Batch, known: KnownDetails, key: str, of_details: str) -> Worke
         of_batch = known.find(of_details, batch)
         if of_batch is None:
             return None
-        rows = _end_of(known.path(key, "rows"), size, number)
+        rows = RowPart.at_end_of(known.path(key, "rows"), size, number)
         statistics = Statistics(of_batch.pop("statistics"), of_batch.pop("distributions"))
         of_campaign = shifted(frames, batch.first_group)
         return WorkedBatch(rows, BatchResult(of_campaign | of_batch, counts, statistics, {}, None))
@@ -91,9 +91,4 @@ def _keep(batch: Batch, worked: WorkedBatch, known: KnownDetails, key: str) -> R
     files = pack_frames(shifted(drawn, -batch.first_group) | {_COUNTS: result.counts})
     encoded = memoryview(rows.content)
     path = known.write(key, "rows", {**files, _NUMBER: b"%d" % rows.num_rows, _ROWS: encoded})
-    return _end_of(path, len(encoded), rows.num_rows) if path is not None else None
-
-
-def _end_of(path: Path, size: int, num_rows: int) -> RowPart:
-    """Return rows that are the end of a file in the cache."""
-    return RowPart(num_rows, path, path.stat().st_size - size, is_temporary=False)
+    return RowPart.at_end_of(path, len(encoded), rows.num_rows) if path is not None else None

@@ -14,7 +14,15 @@ from dds_trace.tracefile.threads import in_turn
 from ..loading.cache import TraceCache
 from ..loading.campaign import load_campaign
 from ..loading.shelf import TraceShelf
-from .batches import BATCH_EVENTS, WorkedBatch, keep_freed_memory, measure_at, pair_at, work_at
+from .batches import (
+    BATCH_EVENTS,
+    WorkedBatch,
+    keep_freed_memory,
+    measure_at,
+    pair_at,
+    tables_of_batch,
+    work_at,
+)
 from .known_details import KnownDetails
 
 if TYPE_CHECKING:
@@ -108,7 +116,8 @@ class LocalEngine:
 
             def work_at_large(batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]]) -> WorkedBatch:
                 paired = pair_at(batch, parts, measuring)
-                return WorkedBatch(paired.tables(), threads.submit(measure_at, paired, known, measuring))
+                rows = tables_of_batch(batch, paired.rows)
+                return WorkedBatch(rows, threads.submit(measure_at, paired, known, measuring))
 
             def begin(batch: Batch) -> Future[WorkedBatch]:
                 parts = {key: index[key] for key in batch.event_keys() if key in index}

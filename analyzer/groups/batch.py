@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -15,13 +16,13 @@ from ..model.metrics import METRICS
 from ..model.parameters import PARAMETER_COLUMNS, Parameters
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
     from ..loading.events import EventKey
     from ..pairing.exchanges import Exchange
-    from ..pairing.roundtrips import RoundTrips
+    from ..pairing.roundtrips import PairedRows
     from ..verdicts.job import Job
 
 
@@ -142,16 +143,20 @@ def exchanges_by_group(batch: Batch) -> Iterator[tuple[int, range]]:
         yield int(groups[first]), range(first, after)
 
 
-def rows_by_group(batch: Batch, roundtrips: RoundTrips) -> Iterator[tuple[int, pl.DataFrame]]:
-    """Yield each group and its measured rows; nothing of a group that is here in part."""
-    bounds = roundtrips.bounds.tolist()
+def columns_by_group(batch: Batch, rows: PairedRows) -> Iterator[tuple[int, Callable[[str], pl.Series]]]:
+    """Yield each group and what returns a column of its rows; nothing of a group that is here in part."""
+    bounds = rows.bounds.tolist()
     for group, numbers in exchanges_by_group(batch):
         first, after = bounds[numbers.start], bounds[numbers.stop]
-        yield group, roundtrips.measured.slice(first, after - first)
+        yield group, partial(_part_of_column, rows, first, after)
 
 
-def runs_by_group(batch: Batch, roundtrips: RoundTrips) -> Iterator[NDArray[np.int64]]:
-    """Yield for each group of `rows_by_group` a number for each row that the rows of one run share, run after run."""
+def _part_of_column(rows: PairedRows, first: int, after: int, name: str) -> pl.Series:
+    return rows.column(name).slice(first, after - first)
+
+
+def runs_by_group(batch: Batch, roundtrips: PairedRows) -> Iterator[NDArray[np.int64]]:
+    """Yield for each group of `columns_by_group` a number for each row that the rows of one run share, run after run."""
     run_ids = [exchange.run.run_id for exchange in batch.exchanges]
     number = {run_id: place for place, run_id in enumerate(dict.fromkeys(run_ids))}
     run_of_row = roundtrips.per_row(np.array([number[run_id] for run_id in run_ids], np.int64))

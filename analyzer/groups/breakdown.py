@@ -25,17 +25,17 @@ import polars as pl
 from dds_trace.tracefile import Stage
 
 from ..pairing.pair import MISSING, chosen_of
-from ..pairing.roundtrips import MIDDLEWARE_STAMPS
+from ..pairing.roundtrips import MIDDLEWARE_STAMPS, RECEPTION_STAMPS, RoundTrips
 from ..statistics.percentiles import minimum_messages, quantile_of
 from .batch import exchanges_by_group, filled
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterable, Iterator
 
     from numpy.typing import NDArray
 
     from ..pairing.exchanges import Exchange
-    from ..pairing.roundtrips import RoundTrips
+    from ..pairing.roundtrips import PairedRows
     from .batch import Batch
 
     Int64 = NDArray[np.int64]
@@ -53,10 +53,6 @@ STAGES = (
 
 _RELAY_SOURCE, _RELAY_RECEIVED = MIDDLEWARE_STAMPS[Stage.T3]
 _REPLY_SOURCE, _REPLY_RECEIVED = MIDDLEWARE_STAMPS[Stage.T2]
-
-_RECEIVED = {_RELAY_RECEIVED, _REPLY_RECEIVED}
-
-_INSTANTS = ("publish_ns", "relay_in_ns", "relay_out_ns", "receive_ns")
 
 _CHAIN = ("scheduled_ns", "outbound_ns", "intermediate_ns", "return_ns", "clock_bound_ns")
 """Columns that a message with every part of its chain has a value in."""
@@ -89,7 +85,7 @@ RESPONSE_SCHEMA: dict[str, type[pl.DataType]] = {
 }
 
 
-def breakdown_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
+def breakdown_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:
     """Summarize where the time of each group goes, a row per part, for a stacked figure.
 
     Percentiles of parts of a group do not add up, so a group that is here in part has no rows.
@@ -102,67 +98,128 @@ def breakdown_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
         bridge that writes its own). Only messages with every part of their chain count, so that the means add up to the
         mean response.
     """
-    messages = _Messages.of(roundtrips)
+    columns = _Columns(roundtrips)
+    has_chain = _has_chain(roundtrips)
     bridges = roundtrips.described["bridge"].to_list()
     rows: list[dict[str, object]] = []
     for group, numbers in exchanges_by_group(batch):
         edges = roundtrips.bounds[numbers.start : numbers.stop + 1].tolist()
-        of_group = messages.between(edges[0], edges[-1])
-        if not of_group.shown:
+        messages = _Messages(columns, edges[0], has_chain[edges[0] : edges[-1]])
+        if not messages.shown:
             continue
         deliveries = _deliveries(
-            (batch.exchanges[number], messages.between(first, after), bridges[number] == "none")
-            for number, first, after in zip(numbers, edges, edges[1:], strict=False)
+            messages,
+            [
+                _OfExchange(
+                    batch.exchanges[number],
+                    slice(first - edges[0], after - edges[0]),
+                    bridges[number] == "none",
+                )
+                for number, first, after in zip(numbers, edges, edges[1:], strict=False)
+            ],
         )
         rows += [
             {
                 "group": group,
                 "part": part,
                 "order": order,
-                "messages": of_group.shown,
+                "messages": messages.shown,
                 "mean_ns": float(values_ns.mean()),
                 **_percentiles("", values_ns),
                 "bound_ns": bound_ns,
             }
-            for order, (part, values_ns, bound_ns) in enumerate(_parts(of_group, deliveries))
+            for order, (part, values_ns, bound_ns) in enumerate(_parts(messages, deliveries))
         ]
     return pl.DataFrame(rows, schema=BREAKDOWN_SCHEMA)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Messages:
-    """Rows that follow one another.
+def _has_chain(rows: PairedRows) -> Bools:
+    """Return whether each message has every part of its chain."""
+    has_chain = np.ones(int(rows.bounds[-1]), np.bool_)
+    for name in _CHAIN:
+        column = rows.column(name)
+        if column.null_count():
+            has_chain &= column.is_not_null().to_numpy()
+    return has_chain
 
-    Attributes:
-        columns: int64, `MISSING` where there is no value; the middleware's stamps where both devices have those of reception.
-        has_chain: whether a message has every part of its chain.
-        shown: how many have.
+
+class _Columns:
+    """Columns of rows as arrays, int64, `MISSING` where there is no value.
+
+    Args:
+        rows: the rows. What is in memory is filled once; what is read when it is asked for is not kept.
     """
 
-    columns: Mapping[str, Int64]
+    def __init__(self, rows: PairedRows) -> None:
+        self._rows = rows
+        self._kept: dict[str, Int64] | None = {} if isinstance(rows, RoundTrips) else None
+        # Stamps judge nothing where not both devices have those of reception.
+        self.stamps = rows.stamp_names if rows.stamp_names >= RECEPTION_STAMPS else frozenset[str]()
+
+    def __getitem__(self, name: str) -> Int64:
+        """Return a column of `PairedRows`."""
+        if self._kept is not None and name in self._kept:
+            return self._kept[name]
+        values = filled(self._rows.column(name), MISSING)
+        if name in self.stamps:
+            values = np.where(values == 0, MISSING, values)
+        if self._kept is not None:
+            self._kept[name] = values
+        return values
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Messages:
+    """The rows of a group.
+
+    Attributes:
+        columns: of all rows.
+        first: the group's first row.
+        has_chain: of each of its messages, whether it has every part of its chain.
+    """
+
+    columns: _Columns
+    first: int
     has_chain: Bools
-    shown: int
 
-    @classmethod
-    def of(cls, roundtrips: RoundTrips) -> _Messages:
-        """Return all rows of a batch."""
-        measured = roundtrips.measured
-        has_chain = measured.select(pl.all_horizontal(pl.col(_CHAIN).is_not_null())).to_series().to_numpy()
-        columns = {name: filled(measured[name], MISSING) for name in (*_CHAIN, *_INSTANTS)}
-        stamps = {series.name: filled(series) for series in roundtrips.stamps}
-        if stamps.keys() >= _RECEIVED:  # else nothing is judged by them
-            columns |= {name: np.where(values == 0, MISSING, values) for name, values in stamps.items()}
-        return cls(columns, has_chain, int(np.count_nonzero(has_chain)))
+    @property
+    def shown(self) -> int:
+        """Messages with every part of their chain."""
+        return int(np.count_nonzero(self.has_chain))
 
-    def between(self, first: int, after: int) -> _Messages:
-        """Return some of the rows."""
-        has_chain = self.has_chain[first:after]
-        columns = {name: values[first:after] for name, values in self.columns.items()}
-        return _Messages(columns, has_chain, int(np.count_nonzero(has_chain)))
+    def column(self, name: str) -> Int64:
+        """Return a column of all messages."""
+        return self.columns[name][self.first : self.first + len(self.has_chain)]
 
     def of_shown(self, name: str) -> Int64:
         """Return a column of the messages with every part of their chain."""
-        return chosen_of(self.has_chain, self.columns[name])
+        return chosen_of(self.has_chain, self.column(name))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _OfExchange:
+    """An exchange of a group.
+
+    Attributes:
+        exchange: the exchange.
+        here: its messages among those of the group.
+        is_direct: whether source stamps are of ping and relay, as without a bridge.
+    """
+
+    exchange: Exchange
+    here: slice
+    is_direct: bool
+
+    @property
+    def relay_wall_ns(self) -> int:
+        """Wall clock less monotonic clock of the relay, by its anchor."""
+        assert self.exchange.relay is not None
+        return self.exchange.relay.wall_anchor_ns - self.exchange.relay.monotonic_anchor_ns
+
+    @property
+    def ping_wall_ns(self) -> int:
+        """The same of the ping."""
+        return self.exchange.ping.wall_anchor_ns - self.exchange.ping.monotonic_anchor_ns
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -207,29 +264,46 @@ def _percentiles(name: str, values_ns: Int64) -> dict[str, float | None]:
     return {f"{name}p50_ns": quantile_of(ordered, 0.5), f"{name}p99_ns": p99_ns}
 
 
-def _deliveries(exchanges: Iterable[tuple[Exchange, _Messages, bool]]) -> _Deliveries | None:
+def _deliveries(messages: _Messages, exchanges: Iterable[_OfExchange]) -> _Deliveries | None:
     """Return the deliveries of a group; None unless every message that is shown has both, by an anchor that is not contradicted.
 
-    Args:
-        exchanges: of the group, each with its messages and whether source stamps are of ping and relay, as without a bridge.
+    An anchor is judged by the shortest of the deliveries of its exchange and of its writes: nothing arrives or leaves before its
+    time. One that were later than the shortest delivery would make that negative, likewise early: so far it may be off.
     """
-    relay_ns, ping_ns, judged, off_ns, clock_ns = [], [], 0, 0, 0
-    for exchange, messages, is_direct in exchanges:
-        if not messages.shown:
-            continue
-        anchors = _judge(exchange, messages, is_direct=is_direct)
-        if anchors is None:
-            return None
-        relay_ns.append(
-            messages.of_shown("relay_in_ns") - (messages.of_shown(_RELAY_RECEIVED) - anchors.relay_wall_ns)
-        )
-        ping_ns.append(
-            messages.of_shown("receive_ns") - (messages.of_shown(_REPLY_RECEIVED) - anchors.ping_wall_ns)
-        )
-        if anchors.bound_ns is not None:
-            judged += messages.shown
-            off_ns += messages.shown * anchors.bound_ns
-            clock_ns += int(messages.of_shown("clock_bound_ns").sum())
+    has_chain, stamps = messages.has_chain, messages.columns.stamps
+    held = [of for of in exchanges if has_chain[of.here].any()]
+    if not stamps or any(of.exchange.relay is None for of in held):
+        return None
+    relay = _Times.of(messages, _RELAY_RECEIVED, "relay_in_ns")
+    ping = _Times.of(messages, _REPLY_RECEIVED, "receive_ns")
+    if not chosen_of(has_chain, relay.known & ping.known).all():
+        return None
+    shortest = [
+        [relay.least_ns(of.here, of.relay_wall_ns), ping.least_ns(of.here, of.ping_wall_ns)] for of in held
+    ]
+    # How long after T4 (T1) the middleware stamped the message, by the same anchor.
+    if _REPLY_SOURCE in stamps:
+        writes = _Times.of(messages, "relay_out_ns", _REPLY_SOURCE)
+        for of, times_ns in zip(held, shortest, strict=True):
+            times_ns.append(writes.least_ns(of.here, -of.relay_wall_ns) if of.is_direct else None)
+    if _RELAY_SOURCE in stamps:
+        writes = _Times.of(messages, "publish_ns", _RELAY_SOURCE)
+        for of, times_ns in zip(held, shortest, strict=True):
+            times_ns.append(writes.least_ns(of.here, -of.ping_wall_ns) if of.is_direct else None)
+    found = [[time_ns for time_ns in times_ns if time_ns is not None] for times_ns in shortest]
+    if any(min(times_ns) < 0 for times_ns in found):
+        return None
+    bounds_ns = [max(times_ns) if len(times_ns) == _SIDES else None for times_ns in found]
+    relay_ns = [relay.values_ns[of.here][has_chain[of.here]] + of.relay_wall_ns for of in held]
+    ping_ns = [ping.values_ns[of.here][has_chain[of.here]] + of.ping_wall_ns for of in held]
+    clock_bound_ns = messages.column("clock_bound_ns")
+    judged, off_ns, clock_ns = 0, 0, 0
+    for of, bound_ns in zip(held, bounds_ns, strict=True):
+        if bound_ns is not None:
+            shown = has_chain[of.here]
+            judged += int(np.count_nonzero(shown))
+            off_ns += int(np.count_nonzero(shown)) * bound_ns
+            clock_ns += int(clock_bound_ns[of.here][shown].sum())
     return _Deliveries(
         np.concatenate(relay_ns),
         np.concatenate(ping_ns),
@@ -238,61 +312,31 @@ def _deliveries(exchanges: Iterable[tuple[Exchange, _Messages, bool]]) -> _Deliv
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Anchors:
-    """The anchors of an exchange that its stamps agree with.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Times:
+    """The time between two instants of each message of a group, on clocks that a wall clock's anchor sets apart.
 
     Attributes:
-        relay_wall_ns: wall clock less monotonic clock of the relay.
-        ping_wall_ns: the same of the ping.
-        bound_ns: how far they may be off: one that were later than the shortest delivery would make that negative, likewise
-            early. None where only one side can be judged.
+        values_ns: end less begin.
+        known: whether the message has both.
     """
 
-    relay_wall_ns: int
-    ping_wall_ns: int
-    bound_ns: int | None
+    values_ns: Int64
+    known: Bools
+
+    @classmethod
+    def of(cls, messages: _Messages, begin: str, end: str) -> _Times:
+        """Return the times between two columns."""
+        begin_ns, end_ns = messages.column(begin), messages.column(end)
+        return cls(end_ns - begin_ns, (begin_ns != MISSING) & (end_ns != MISSING))
+
+    def least_ns(self, here: slice, wall_ns: int) -> int | None:
+        """Return the shortest of some messages, by an anchor that says the begin's clock to be so much ahead; None without any."""
+        values_ns = chosen_of(self.known[here], self.values_ns[here])
+        return int(values_ns.min()) + wall_ns if len(values_ns) else None
 
 
-def _judge(exchange: Exchange, messages: _Messages, *, is_direct: bool) -> _Anchors | None:
-    """Judge the anchors of an exchange by the shortest of its deliveries and of its writes: nothing arrives or leaves before its time.
-
-    Returns:
-        None if a stamp contradicts an anchor, and if a message with every part of its chain has no reception stamp.
-    """
-    if exchange.relay is None or not messages.columns.keys() >= _RECEIVED:
-        return None
-    if any((messages.of_shown(name) == MISSING).any() for name in _RECEIVED):
-        return None
-    relay_wall_ns = exchange.relay.wall_anchor_ns - exchange.relay.monotonic_anchor_ns
-    ping_wall_ns = exchange.ping.wall_anchor_ns - exchange.ping.monotonic_anchor_ns
-    shortest = [
-        _shortest(messages, _RELAY_RECEIVED, "relay_in_ns", relay_wall_ns),
-        _shortest(messages, _REPLY_RECEIVED, "receive_ns", ping_wall_ns),
-    ]
-    # How long after T4 (T1) the middleware stamped the message, by the same anchor.
-    if is_direct:
-        shortest += [
-            _shortest(messages, "relay_out_ns", _REPLY_SOURCE, -relay_wall_ns),
-            _shortest(messages, "publish_ns", _RELAY_SOURCE, -ping_wall_ns),
-        ]
-    found = [time_ns for time_ns in shortest if time_ns is not None]
-    if min(found) < 0:
-        return None
-    return _Anchors(relay_wall_ns, ping_wall_ns, max(found) if len(found) == _SIDES else None)
-
-
-def _shortest(messages: _Messages, begin: str, end: str, wall_ns: int) -> int | None:
-    """Return the shortest time between two columns in ns, on the clock that is `wall_ns` ahead of the end's; None without any."""
-    if not {begin, end} <= set(messages.columns):
-        return None
-    begin_ns, end_ns = messages.columns[begin], messages.columns[end]
-    known = (begin_ns != MISSING) & (end_ns != MISSING)
-    times_ns = chosen_of(known, end_ns) - chosen_of(known, begin_ns)
-    return int(times_ns.min()) + wall_ns if len(times_ns) else None
-
-
-def response_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
+def response_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:
     """Compare the response times of a user with a fixed schedule with the round trips that stamps show, a row per group.
 
     A sender that waits for itself (a blocked publish, a slow loop) sends late and then fast: its round trips look
@@ -306,8 +350,8 @@ def response_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
         `response_*_ns` and `hidden_*_ns` = response - rtt.
     """
     names = ("scheduled_ns", "publish_ns", "response_ns", "rtt_ns")
-    columns = {name: filled(roundtrips.measured[name]) for name in names}
-    came = roundtrips.measured["response_ns"].is_not_null().to_numpy()
+    columns = {name: filled(roundtrips.column(name)) for name in names}
+    came = roundtrips.column("response_ns").is_not_null().to_numpy()
     rates_hz = roundtrips.described["rate_hz"].to_list()
     rows: list[dict[str, object]] = []
     for group, numbers in exchanges_by_group(batch):

@@ -2,29 +2,30 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
 
+from dds_trace.tracefile.threads import Here
+
 from ..model.metrics import METRICS
-from ..pairing.one_way import knots_of
 from ..run_statistics.between_runs import interval_of_runs
-from ..run_statistics.runs import Groups, Run, Runs, Statistic, find_inflations, find_quantiles
+from ..run_statistics.runs import Groups, Runs, Statistic, Times, find_inflations, find_quantiles
 from ..run_statistics.spread import find_log_errors, spread_of_runs
 from ..run_statistics.tails import find_own_inflations, find_tails
 from ..statistics.intervals import Basis
 from ..statistics.percentiles import PERCENTILES, quantile_of, summarize_values
-from .batch import rows_by_group, runs_by_group
+from .batch import columns_by_group, runs_by_group
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Mapping
 
     from numpy.typing import NDArray
 
-    from ..pairing.roundtrips import RoundTrips
+    from ..pairing.roundtrips import PairedRows
     from ..statistics.intervals import Interval
     from .batch import Batch
 
@@ -70,11 +71,16 @@ _FINDERS = (find_quantiles, find_inflations, find_tails, find_own_inflations, fi
 _SIDE_BY_SIDE = 20_000
 """Messages of a group up to which its metrics are looked at side by side; those of more are as quick one by one."""
 
+_IN_THREADS = 500_000
+"""Messages of a group from which on threads share its metrics: the arrays of fewer are too short to leave Python's lock for long."""
+
+_THREADS = 2  # each holds a few arrays of the group's messages
+
 _QUANTILES = tuple(percentile.quantile for percentile in PERCENTILES)
 _METHODS = {Basis.BETWEEN_RUNS: "student_t_of_runs", Basis.WITHIN_RUN: "order_statistics"}
 
 
-def interval_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
+def interval_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:
     """Compute every percentile of every metric with its 95 % interval: from three runs on from the runs, else within one.
 
     Returns:
@@ -88,10 +94,10 @@ def interval_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     """
     rows = [
         row
-        for (group, part), run_of_row in zip(
-            rows_by_group(batch, roundtrips), runs_by_group(batch, roundtrips), strict=True
+        for (group, column), run_of_row in zip(
+            columns_by_group(batch, roundtrips), runs_by_group(batch, roundtrips), strict=True
         )
-        for row in interval_rows(group, part.get_column, run_of_row)
+        for row in interval_rows(group, column, run_of_row)
     ]
     return pl.DataFrame(rows, schema=INTERVAL_SCHEMA)
 
@@ -106,7 +112,8 @@ def interval_rows(
         column: fetches a column of the group's rows.
         run_of_row: a number for each row that the rows of one run share, run after run.
     """
-    everything = _Sending.of(column("publish_ns").to_numpy(), run_of_row)
+    sent_ns = column("publish_ns").to_numpy()
+    everything = _Sending.of(sent_ns, run_of_row)
     bounds = column("clock_bound_ns").drop_nulls()
     bound_ns = float(bounds.to_numpy().max()) if len(bounds) else 0.0
 
@@ -116,29 +123,35 @@ def interval_rows(
             return None
         if values.null_count():
             present = values.is_not_null().to_numpy()
-            values, sending = values.drop_nulls(), _Sending.of(sending.sent_ns[present], run_of_row[present])
+            values, sending = values.drop_nulls(), _Sending.of(sent_ns[present], run_of_row[present])
         return sending.runs(values.to_numpy())
 
-    for metric, runs in _found_together(runs_of, _METRICS, len(run_of_row)):
+    def rows_of(metric: str, runs: Runs | None) -> list[dict[str, object]]:
         # No quantile of one-way times is further off than its worst message.
         off_ns = bound_ns if metric in ONE_WAY_METRICS else 0.0
-        for row in _rows_of_runs(runs, off_ns):
-            yield {"group": group, "metric": metric, **row}
+        rows = _rows_of_runs(runs, off_ns) if runs else ()
+        return [{"group": group, "metric": metric, **row} for row in rows]
 
+    def rows_alone(metric: str) -> list[dict[str, object]]:
+        return rows_of(metric, runs_of(metric))
 
-def _found_together(
-    runs_of: Callable[[str], Runs | None], metrics: Sequence[str], messages: int
-) -> Iterator[tuple[str, Runs]]:
-    """Yield each metric that has values with its runs; those of a small group are looked at side by side before."""
-    if messages > _SIDE_BY_SIDE:
-        yield from ((metric, runs) for metric in metrics if (runs := runs_of(metric)))
+    if len(run_of_row) <= _SIDE_BY_SIDE:
+        for metric, runs in _found_together({metric: runs_of(metric) for metric in _METRICS}).items():
+            yield from rows_of(metric, runs)
         return
-    found = {metric: runs for metric in metrics if (runs := runs_of(metric))}
+    with ThreadPoolExecutor(_THREADS) if len(run_of_row) >= _IN_THREADS else Here() as threads:
+        for rows in threads.map(rows_alone, _METRICS):
+            yield from rows
+
+
+def _found_together(runs: Mapping[str, Runs | None]) -> Mapping[str, Runs]:
+    """Return the metrics that have values, looked at side by side."""
+    found = {metric: of_metric for metric, of_metric in runs.items() if of_metric}
     if found:
         together = Groups.together(tuple(found.values()))
         for find in _FINDERS:
             together.find(find)
-    yield from found.items()
+    return found
 
 
 def _rows_of_runs(runs: Runs, off_ns: float) -> Iterator[dict[str, object]]:
@@ -181,37 +194,30 @@ class _Sending:
     """When messages of a group were sent, run after run.
 
     Attributes:
-        sent_ns: T1 of each message, int64, shape (messages,).
-        edges: the first message of each run and the number of all, shape (runs + 1,).
-        orders: for each run its messages in the order of T1; None where they stand so, as all but those of several relays do.
+        times: T1 of each message, in the order of time in each run.
+        order: where the messages stand that are so ordered; None if they stand so, as all but those of several relays do.
     """
 
-    sent_ns: NDArray[np.int64]
-    edges: NDArray[np.intp]
-    orders: tuple[NDArray[np.intp] | None, ...]
+    times: Times
+    order: NDArray[np.intp] | None
 
     @classmethod
     def of(cls, sent_ns: NDArray[np.int64], run_of_row: NDArray[np.int64]) -> _Sending:
         """Look at messages, `run_of_row` a number that those of one run share."""
         edges = np.concatenate([[0], np.flatnonzero(np.diff(run_of_row)) + 1, [len(run_of_row)]])
-        runs = [sent_ns[begin:end] for begin, end in pairwise(edges.tolist())]
-        return cls(sent_ns, edges, tuple(map(_order_of, runs)))
+        times = Times(sent_ns, edges)
+        if all(bool((of_run[1:] >= of_run[:-1]).all()) for of_run in times.of_runs):
+            return cls(times, None)
+        orders = [np.argsort(of_run, kind="stable") for of_run in times.of_runs]
+        order = np.concatenate([first + of for first, of in zip(edges.tolist(), orders, strict=False)])
+        return cls(Times(sent_ns[order], edges), order)
 
     def runs(self, values: NDArray[np.int64]) -> Runs:
         """Return a value of each message as runs, each in the order of T1: several relays of a run side by side."""
-        runs = []
-        for (begin, end), order in zip(pairwise(self.edges.tolist()), self.orders, strict=True):
-            of_run, sent_ns = values[begin:end], self.sent_ns[begin:end]
-            runs.append(Run(of_run, sent_ns) if order is None else Run(of_run[order], sent_ns[order]))
-        return Runs.of(runs, _QUANTILES)
+        return Runs.cut(values if self.order is None else values[self.order], self.times, _QUANTILES)
 
 
-def _order_of(sent_ns: NDArray[np.int64]) -> NDArray[np.intp] | None:
-    is_rising = bool((sent_ns[1:] >= sent_ns[:-1]).all())
-    return None if is_rising else np.argsort(sent_ns, kind="stable")
-
-
-def one_way_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
+def one_way_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:
     """Summarize the way out and the way back of each group whose messages have all four stamps.
 
     Returns:
@@ -219,9 +225,7 @@ def one_way_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
         message's one-way time may be off (`bound_p50_ns`, `bound_max_ns`; 0 on one clock).
     """
     rows = [
-        row
-        for group, part in rows_by_group(batch, roundtrips)
-        for row in one_way_rows(group, part.get_column)
+        row for group, column in columns_by_group(batch, roundtrips) for row in one_way_rows(group, column)
     ]
     return pl.DataFrame(rows, schema=ONE_WAY_SCHEMA)
 
@@ -238,6 +242,7 @@ def one_way_rows(group: int, column: Callable[[str], pl.Series]) -> Iterator[dic
         )
 
 
-def knot_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
+def knot_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:
     """List the knots of the clock fits: columns of `one_way.KNOT_SCHEMA`, a row per run, relay and window."""
-    return knots_of(batch.exchanges, batch.group_of_exchange.tolist(), roundtrips.clock_fits)
+    knots = roundtrips.clock_knots
+    return knots.with_columns(pl.Series("group", batch.group_of_exchange[knots["group"].to_numpy()]))

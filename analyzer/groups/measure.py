@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from ..pairing.roundtrips import RoundTrips
+    from ..pairing.roundtrips import PairedRows
 
 _STATISTICS_SCHEMA: dict[str, type[pl.DataType]] = {
     "group": pl.UInt32,
@@ -47,13 +47,13 @@ class Statistics:
         return cls(pl.concat([p.frame for p in parts]), pl.concat([p.distributions for p in parts]))
 
 
-def metric_values(roundtrips: RoundTrips, metric: str, first: int, after: int) -> NDArray[np.int64]:
+def metric_values(roundtrips: PairedRows, metric: str, first: int, after: int) -> NDArray[np.int64]:
     """Return the values of a metric in the rows of exchanges `first` to `after` (not included), without nulls."""
     rows = roundtrips.bounds[[first, after]].tolist()
-    return roundtrips.measured[f"{metric}_ns"].slice(rows[0], rows[1] - rows[0]).drop_nulls().to_numpy()
+    return roundtrips.column(f"{metric}_ns").slice(rows[0], rows[1] - rows[0]).drop_nulls().to_numpy()
 
 
-def measure_batch(roundtrips: RoundTrips, group_of_exchange: NDArray[np.uint32]) -> Statistics:
+def measure_batch(roundtrips: PairedRows, group_of_exchange: NDArray[np.uint32]) -> Statistics:
     """Measure every group of a batch, in rising order of `group_of_exchange`."""
     groups, first = np.unique(group_of_exchange, return_index=True)
     after = np.append(first[1:], len(group_of_exchange))

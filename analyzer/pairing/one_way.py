@@ -66,7 +66,7 @@ def fit_exchanges(
         stamps: `publish_ns`, `relay_in_ns`, `relay_out_ns`, `receive_ns` of each row, `pair.MISSING` where there is none.
     """
     rows = int(bounds[-1])
-    values = {name: np.zeros(rows, np.int64) for name in ONE_WAY_COLUMNS}
+    values: dict[str, NDArray[np.int64]] = {}
     known = np.zeros(rows, np.bool_)
     held: list[_Held] = []
     damaged = [name for name in _FOUR_STAMPS if not _are_sane(stamps[name])]
@@ -96,14 +96,27 @@ def fit_exchanges(
     fits: list[ClockFit | None] = [None] * len(exchanges)
     for each, (fit, offsets) in zip(held, fit_clocks([each.messages for each in held]), strict=True):
         t1, t3, t4, t2 = (getattr(each.messages, name) for name in _FOUR_STAMPS)
-        under_way = (t2 - t1) - (t4 - t3)
-        outbound = np.clip(t3 - t1 - offsets.offset_ns, 0, under_way)
-        values["outbound_ns"][each.at] = outbound
-        values["return_ns"][each.at] = under_way - outbound
-        values["clock_bound_ns"][each.at] = offsets.bound_ns
+        under_way = t2 - t1
+        under_way -= t4
+        under_way += t3
+        outbound = t3 - t1
+        outbound -= offsets.offset_ns
+        np.clip(outbound, 0, under_way, out=outbound)
+        under_way -= outbound
+        # The bound is a view of the offsets, too.
+        times_ns = zip(ONE_WAY_COLUMNS, (outbound, under_way, offsets.bound_ns.copy()), strict=True)
+        for name, of_exchange in times_ns:
+            if len(of_exchange) == rows:  # of the only exchange
+                values[name] = of_exchange
+            else:
+                if name not in values:
+                    values[name] = np.zeros(rows, np.int64)
+                values[name][each.at] = of_exchange
         fits[each.number] = fit
     unknown = None if known.all() else pl.Series(~known)
-    columns = (pl.Series(name, of_rows) for name, of_rows in values.items())
+    columns = (
+        pl.Series(name, values[name] if values else np.zeros(rows, np.int64)) for name in ONE_WAY_COLUMNS
+    )
     return OneWay(
         tuple(column if unknown is None else column.set(unknown, None) for column in columns), tuple(fits)
     )

@@ -19,7 +19,7 @@ from .pair import OUTCOMES
 from .row_parts import JoinedParts, RowPart, new_part, telling_of_room
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -119,6 +119,21 @@ def encode_rows(tables: Iterable[pa.Table], folder: Path | None = None) -> RowPa
                 rows += len(table)
                 writer.write_table(table, row_group_size=_ROWS_PER_GROUP)
         return RowPart(rows, file or stream.getvalue())
+
+
+def encode_stamps(stamps: Sequence[pl.Series]) -> pa.Buffer:
+    """Encode columns of times that stand beside rows, ns, as a Parquet file."""
+    table = pl.DataFrame(stamps).to_arrow()
+    stream = pa.BufferOutputStream()
+    deltas = dict.fromkeys(table.column_names, "DELTA_BINARY_PACKED")
+    options = {
+        "compression": "zstd",
+        "compression_level": 1,
+        "use_dictionary": False,
+        "column_encoding": deltas,
+    }
+    pq.write_table(table, stream, store_schema=False, **options)
+    return stream.getvalue()
 
 
 def tables_of(roundtrips: RoundTrips) -> Iterator[pa.Table]:

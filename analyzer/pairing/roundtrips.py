@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,7 @@ from ..model.columns import KEY_COLUMNS
 from ..model.metrics import with_metrics
 from ..model.parameters import PARAMETER_COLUMNS
 from .counts import COUNT_SCHEMA, count_messages
-from .one_way import OneWay, fit_exchanges
+from .one_way import OneWay, fit_exchanges, knots_of
 from .pair import MISSING, OUTCOMES, middleware_stamps, pair_messages, published_messages
 from .unsent import count_unsent, settled
 from .utc import utc_columns
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
 
     from dds_trace.tracefile import EventColumns
 
-    from ..clocks.fit import ClockFit
     from ..loading.events import EventKey
     from .exchanges import Exchange
     from .pair import Scalar
@@ -54,29 +54,37 @@ MIDDLEWARE_STAMPS = {
 }
 """Columns that hold `source_ns` and `received_ns` of a row's T3 and T2: i64, ns since 1970, 0 if unknown."""
 
+RECEPTION_STAMPS = frozenset(received for _, received in MIDDLEWARE_STAMPS.values())
+"""Those of reception: where no event has one of them, the others judge nothing."""
+
+STAMP_NAMES = tuple(name for names in MIDDLEWARE_STAMPS.values() for name in names)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RoundTrips:
-    """The rows of some exchanges, their counts and clock fits.
+class PairedRows(ABC):
+    """The rows of some exchanges, by exchange, then by sequence: a column at a time, in memory or read when it is asked for.
 
     Attributes:
-        measured: `sequence` and the columns of `columns.MEASURED_COLUMNS` and `UTC_COLUMNS`, `outcome` as Enum; rows by exchange,
-            then by sequence.
         described: run_id, relay_id and the parameter columns, one row per exchange.
-        outcome: uint8, for each row the position of its outcome in `pair.OUTCOMES`.
         bounds: int64, exchange i has the rows `bounds[i]` to `bounds[i + 1]` (not included).
         counts: one row per exchange, columns of `counts.COUNT_SCHEMA`.
-        stamps: columns of `MIDDLEWARE_STAMPS` that any event has, one row per row of `measured`.
-        clock_fits: of each exchange by its own messages; None without a message to fit, or where not asked for.
+        clock_knots: the knots of each exchange's own clock fit: columns of `one_way.KNOT_SCHEMA`, `group` being the position of the
+            exchange; no rows where no clock was fitted.
     """
 
-    measured: pl.DataFrame
     described: pl.DataFrame
-    outcome: NDArray[np.uint8]
     bounds: NDArray[np.int64]
     counts: pl.DataFrame
-    stamps: tuple[pl.Series, ...]
-    clock_fits: tuple[ClockFit | None, ...]
+    clock_knots: pl.DataFrame
+
+    @property
+    @abstractmethod
+    def stamp_names(self) -> frozenset[str]:
+        """Those of `MIDDLEWARE_STAMPS` that any event has."""
+
+    @abstractmethod
+    def column(self, name: str) -> pl.Series:
+        """Return `sequence`, a column of `columns.MEASURED_COLUMNS` but `outcome`, or one of `stamp_names`."""
 
     def per_row(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
         """Repeat a value of each exchange for each of its rows."""
@@ -85,6 +93,46 @@ class RoundTrips:
     def exchange_of_row(self) -> NDArray[np.uint32]:
         """Return for each row the position of its exchange."""
         return self.per_row(np.arange(len(self.described), dtype=np.uint32))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RoundTrips(PairedRows):
+    """The rows of some exchanges in memory.
+
+    Attributes:
+        measured: `sequence` and the columns of `columns.MEASURED_COLUMNS` and `UTC_COLUMNS`, `outcome` as Enum; rows by exchange,
+            then by sequence.
+        outcome: uint8, for each row the position of its outcome in `pair.OUTCOMES`.
+        stamps: columns of `MIDDLEWARE_STAMPS` that any event has, one row per row of `measured`.
+    """
+
+    measured: pl.DataFrame
+    outcome: NDArray[np.uint8]
+    stamps: tuple[pl.Series, ...]
+
+    @property
+    def stamp_names(self) -> frozenset[str]:
+        """Names of `stamps`."""
+        return frozenset(series.name for series in self.stamps)
+
+    def column(self, name: str) -> pl.Series:
+        """Return a column of `measured`, or one of `stamps`."""
+        held = [series for series in self.stamps if series.name == name]
+        return held[0] if held else self.measured[name]
+
+    def part(self, begin: int, end: int) -> RoundTrips:
+        """Return exchanges `begin` to `end` (not included): views of their rows."""
+        first, behind = self.bounds[[begin, end]].tolist()
+        is_here = pl.col("group").is_between(begin, end, closed="left")
+        return RoundTrips(
+            measured=self.measured[first:behind],
+            described=self.described[begin:end],
+            outcome=self.outcome[first:behind],
+            bounds=self.bounds[begin : end + 1] - first,
+            counts=self.counts[begin:end],
+            stamps=tuple(stamps[first:behind] for stamps in self.stamps),
+            clock_knots=self.clock_knots.filter(is_here).with_columns(pl.col("group") - begin),
+        )
 
 
 def pair_exchanges(
@@ -146,17 +194,12 @@ def pair_exchanges(
     measured = with_metrics(in_time.with_columns(*one_way.columns, *utc))
     return RoundTrips(
         measured=measured,
-        described=_described(exchanges),
+        described=describe(exchanges),
         outcome=columns["outcome"],
         bounds=bounds,
         counts=pl.DataFrame([count.result() for count in counts], schema=COUNT_SCHEMA),
-        stamps=tuple(
-            pl.Series(name, columns[name])
-            for names in MIDDLEWARE_STAMPS.values()
-            for name in names
-            if name in columns
-        ),
-        clock_fits=one_way.fits,
+        stamps=tuple(pl.Series(name, columns[name]) for name in STAMP_NAMES if name in columns),
+        clock_knots=knots_of(exchanges, range(len(exchanges)), one_way.fits),
     )
 
 
@@ -188,7 +231,8 @@ class _Filled:
                 self.columns[name][first : first + len(of_exchange)] = of_exchange
 
 
-def _described(exchanges: Sequence[Exchange]) -> pl.DataFrame:
+def describe(exchanges: Sequence[Exchange]) -> pl.DataFrame:
+    """Return the columns of `RoundTrips.described`."""
     return pl.DataFrame(
         [(e.run.run_id, e.relay_id, *e.parameters().values()) for e in exchanges],
         schema=schema_of((*KEY_COLUMNS[:2], *PARAMETER_COLUMNS)),

@@ -77,6 +77,15 @@ class RowPart:
     begins_at: int = 0
     is_temporary: bool = True
 
+    @classmethod
+    def at_end_of(cls, path: Path, size: int, num_rows: int) -> RowPart:
+        """Return rows that are the last bytes, so many, of a file that stays.
+
+        Raises:
+            OSError: there is no such file.
+        """
+        return cls(num_rows, path, path.stat().st_size - size, is_temporary=False)
+
     def in_folder(self, folder: Path) -> RowPart:
         """Return the same rows in a file of a folder of temporary files.
 

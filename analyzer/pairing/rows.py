@@ -87,11 +87,11 @@ class RowStore:
             self._write = self._stack.enter_context(roundtrips_writer(self._path, self._provenance))
         return self
 
-    def add(self, rows: Iterable[pa.Table] | RowPart) -> None:
+    def add(self, rows: Iterable[pa.Table | RowPart] | RowPart) -> None:
         """Take the next rows, as `parquet.tables_of` or `parquet.encode_rows` makes them."""
-        if isinstance(rows, RowPart) and self._write is not None:
-            self._held = None  # what others have encoded, and a file has, is not decoded to be held
         for some in [rows] if isinstance(rows, RowPart) else rows:
+            if isinstance(some, RowPart) and self._write is not None:
+                self._held = None  # what others have encoded, and a file has, is not decoded to be held
             self._rows += some.num_rows
             if isinstance(self._held, list):
                 self._held.append(some.load() if isinstance(some, RowPart) else some)

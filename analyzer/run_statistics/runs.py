@@ -85,6 +85,39 @@ class Beyond:
         return [values[begin:end] for begin, end in pairwise(self.edges.tolist())]
 
 
+class Times:
+    """When the messages of several runs were sent, the runs side by side; all metrics of the same messages share what follows from it.
+
+    Args:
+        sent_ns: int64 ns, rising in each run, shape (messages,).
+        edges: the first message of each run and the number of all, shape (runs + 1,).
+    """
+
+    def __init__(self, sent_ns: Int64, edges: NDArray[np.intp]) -> None:
+        self.sent_ns = sent_ns
+        self.edges = edges
+
+    @property
+    def of_runs(self) -> list[Int64]:
+        """Those of each run."""
+        return [self.sent_ns[begin:end] for begin, end in pairwise(self.edges.tolist())]
+
+    @cached_property
+    def first_ns(self) -> Int64:
+        """When the first message of each run was sent; 0 of a run without any."""
+        return np.array([times[0] if len(times) else 0 for times in self.of_runs], np.int64)
+
+    @cached_property
+    def distance_ns(self) -> NDArray[np.float64]:
+        """The mean distance of the messages of each run."""
+        return np.array([mean_distance(times) if len(times) else 1.0 for times in self.of_runs])
+
+    @cached_property
+    def joined_ns(self) -> Int64:
+        """Times of the runs as one series (`joined_runs`)."""
+        return np.cumsum(np.concatenate([_steps_ns(times) for times in self.of_runs]))
+
+
 class Runs(tuple[Run, ...]):  # noqa: SLOT001 - what is kept needs a `__dict__`
     """The runs of a group side by side: what the statistics of all of them rest on is computed once, for all at a time.
 
@@ -95,6 +128,14 @@ class Runs(tuple[Run, ...]):  # noqa: SLOT001 - what is kept needs a `__dict__`
     """
 
     quantiles: tuple[float, ...] = ()
+
+    @classmethod
+    def cut(cls, values: Values, times: Times, quantiles: tuple[float, ...] = ()) -> Runs:
+        """Return runs that stand side by side in an array already, a value of each message."""
+        held = zip(pairwise(times.edges.tolist()), times.of_runs, strict=True)
+        found = cls(Run(values[begin:end], sent_ns) for (begin, end), sent_ns in held)
+        found.quantiles, found.values, found.times = quantiles, values, times
+        return found
 
     @classmethod
     def of(cls, runs: Sequence[Run], quantiles: tuple[float, ...] = ()) -> Runs:
@@ -123,7 +164,10 @@ class Runs(tuple[Run, ...]):  # noqa: SLOT001 - what is kept needs a `__dict__`
 
     @cached_property
     def _joined(self) -> Runs:
-        return Runs.of([joined_runs(self)], self.quantiles)
+        joined = joined_runs(self)
+        if len(self) > 1:
+            joined.ordered = self.all_ordered
+        return Runs.of([joined], self.quantiles)
 
     @cached_property
     def edges(self) -> NDArray[np.intp]:
@@ -152,7 +196,13 @@ class Runs(tuple[Run, ...]):  # noqa: SLOT001 - what is kept needs a `__dict__`
     @cached_property
     def each_ordered(self) -> Values:
         """The values of each run, rising."""
-        return np.concatenate([run.ordered for run in self]) if len(self) > 1 else self[0].ordered
+        if len(self) == 1:
+            return self[0].ordered
+        ordered: Values = self.values.copy()
+        for run, begin, end in zip(self, self.edges.tolist(), self.edges[1:].tolist(), strict=False):
+            run.ordered = ordered[begin:end]
+            run.ordered.sort()
+        return ordered
 
     @cached_property
     def relative(self) -> Values:
@@ -219,17 +269,16 @@ class Runs(tuple[Run, ...]):  # noqa: SLOT001 - what is kept needs a `__dict__`
         """Return the positions of messages of all runs: `positions_of` each run, at once."""
         if len(self) == 1:
             return positions_of(places, self[0].sent_ns)
-        sent, first, distance = self._sent
-        events = edges[1:] - edges[:-1]
-        positions: NDArray[np.float64] = (sent[places] - first.repeat(events)) / distance.repeat(events)
+        times, events = self.times, edges[1:] - edges[:-1]
+        since_first = times.sent_ns[places] - times.first_ns.repeat(events)
+        positions: NDArray[np.float64] = since_first / times.distance_ns.repeat(events)
         return positions
 
     @cached_property
-    def _sent(self) -> tuple[Int64, Int64, NDArray[np.float64]]:
-        """When each message was sent; the first of each run, and the mean distance there: numbers where no times are known."""
-        times = [np.arange(len(run)) if run.sent_ns is None else run.sent_ns for run in self]
-        first = np.array([of_run[0] if len(of_run) else 0 for of_run in times])
-        return np.concatenate(times), first, np.array([mean_distance(t) if len(t) else 1.0 for t in times])
+    def times(self) -> Times:
+        """When each message was sent: numbers where no times are known."""
+        of_runs = [np.arange(len(run)) if run.sent_ns is None else run.sent_ns for run in self]
+        return Times(np.concatenate(of_runs), self.edges)
 
 
 class Groups(Runs):
@@ -298,16 +347,15 @@ def joined_runs(runs: Sequence[Run]) -> Run:
         return Run(np.empty(0))
     if len(runs) == 1:
         return runs[0]
-    values = np.concatenate([run.values for run in runs])
-    if any(run.sent_ns is None for run in runs):
-        return Run(values)
-    return Run(values, np.cumsum(np.concatenate([_steps_ns(run) for run in runs])))
+    side_by_side = Runs.of(runs)
+    values = side_by_side.values
+    return (
+        Run(values) if any(run.sent_ns is None for run in runs) else Run(values, side_by_side.times.joined_ns)
+    )
 
 
-def _steps_ns(run: Run) -> Int64:
+def _steps_ns(times: Int64) -> Int64:
     """Return the time since the message before, for the first one the mean of the run."""
-    times = run.sent_ns
-    assert times is not None
     if not len(times):
         return times
     step = int(times[-1] - times[0]) // max(1, len(times) - 1)

@@ -11,6 +11,7 @@ import polars as pl
 from dds_trace.analyzer.groups.batch import Batch, Wanted
 from dds_trace.analyzer.model.parameters import PARAMETER_NAMES
 from dds_trace.analyzer.pairing.counts import COUNT_SCHEMA
+from dds_trace.analyzer.pairing.one_way import KNOT_SCHEMA
 from dds_trace.analyzer.pairing.pair import LOSSES, OUTCOMES
 from dds_trace.analyzer.pairing.roundtrips import MIDDLEWARE_STAMPS, RoundTrips
 
@@ -68,7 +69,7 @@ def paired(
         bounds=np.cumsum([0, *(part.height for part in parts)], dtype=np.int64),
         counts=pl.DataFrame([_counts(part, unsent or {}) for part in parts], schema=COUNT_SCHEMA),
         stamps=tuple(ordered[name].fill_null(0) for name in _STAMPS if name in ordered.columns),
-        clock_fits=(None,) * len(parts),
+        clock_knots=pl.DataFrame(schema=KNOT_SCHEMA),
     )
     return batch, roundtrips
 

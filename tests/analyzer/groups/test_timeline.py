@@ -74,7 +74,7 @@ def test_rows_worth_drawing_are_those_of_the_rule(runs, share):
         bounds=np.cumsum([0, *(len(of_run) for _, of_run in runs)]),
         counts=pl.DataFrame(),
         stamps=(),
-        clock_fits=(),
+        clock_knots=pl.DataFrame(),
     )
     kept = _worth_drawing(held, np.array([recorded for recorded, _ in runs]), share)
     assert kept.tolist() == worth_drawing([of_run for _, of_run in runs], share)

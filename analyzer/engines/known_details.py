@@ -101,6 +101,20 @@ class KnownDetails:
             return self._cache.write(key, ending, *_packed(files), most_bytes=MOST_BYTES)
         return None
 
+    def store(self, key: str, content: memoryview) -> str | None:
+        """Keep a table as it is.
+
+        Returns:
+            Its seal, by which `holds` knows it; None where it is not kept.
+        """
+        with suppress(OSError):
+            return self._cache.store(key, content) if len(content) <= MOST_BYTES else None
+        return None
+
+    def holds(self, key: str, seal: str) -> bool:
+        """Return whether a table is there as it was kept."""
+        return self._cache.holds(key, seal)
+
     def path(self, key: str, ending: str) -> Path:
         """Return where `write` puts files."""
         return self._cache.path(key, ending)

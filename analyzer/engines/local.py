@@ -24,6 +24,7 @@ from .batches import (
     work_at,
 )
 from .known_details import KnownDetails
+from .large_batches import pair_large
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -115,9 +116,12 @@ class LocalEngine:
         ):
 
             def work_at_large(batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]]) -> WorkedBatch:
-                paired = pair_at(batch, parts, measuring)
-                rows = tables_of_batch(batch, paired.rows)
-                return WorkedBatch(rows, threads.submit(measure_at, paired, known, measuring))
+                if known is None or not (batch.wanted.rows and batch.wanted.details):
+                    paired = pair_at(batch, parts, measuring)
+                    rows = tables_of_batch(batch, paired.rows)
+                    return WorkedBatch(rows, threads.submit(measure_at, paired, known, measuring))
+                large = pair_large(batch, parts, known, measuring)
+                return WorkedBatch(large.rows(), threads.submit(large.measure))
 
             def begin(batch: Batch) -> Future[WorkedBatch]:
                 parts = {key: index[key] for key in batch.event_keys() if key in index}

@@ -3,11 +3,12 @@
     $XDG_CACHE_HOME/dds-trace/traces/KEY.json     the seal of the entry, then the trace without its events as JSON (`analyzer/loading/entries.py`)
     $XDG_CACHE_HOME/dds-trace/traces/KEY.events   its events (`analyzer/loading/event_store.py`)
     $XDG_CACHE_HOME/dds-trace/traces/KEY.details  sealed frames (`analyzer/engines/known_details.py`)
-    $XDG_CACHE_HOME/dds-trace/traces/KEY.rows     sealed rows (`analyzer/engines/known_batches.py`)
+    $XDG_CACHE_HOME/dds-trace/traces/KEY.rows     sealed rows (`analyzer/engines/known_batches.py`), or what is known of rows in
+    $XDG_CACHE_HOME/dds-trace/traces/KEY.table    rows as they are, a Parquet file (`analyzer/engines/known_parts.py`)
     $XDG_STATE_HOME/dds-trace/cache-key           32 random bytes
 
 KEY is the HMAC-SHA-256 of the trace's content, or of all that the frames are made of. The seal is the HMAC of KEY and of what
-follows it; the JSON holds the HMACs of the events. So an entry that somebody else wrote, or that was written for another trace, or that a disk has damaged, is not
+follows it; the JSON holds the HMACs of the events, a sealed file those of tables. So an entry that somebody else wrote, or that was written for another trace, or that a disk has damaged, is not
 used: the trace is read again. The key is not kept beside the entries, because caches are copied (a CI server restores
 them) and what comes with a copy must not vouch for it.
 
@@ -52,11 +53,13 @@ time are removed."""
 MOST_TEXT_BYTES = 256 << 20
 """Largest JSON of an entry; a trace with more descriptions than that is read anew each time."""
 
-_NAME = re.compile(r"([0-9a-f]{64})\.(json|events|details|rows)(\.[0-9a-f]{8}\.part)?")
+_NAME = re.compile(r"([0-9a-f]{64})\.(json|events|details|rows|table)(\.[0-9a-f]{8}\.part)?")
 """Names of the files of an entry, and of their drafts."""
 
-_WHOLE = ({"json", "events"}, {"details"}, {"rows"})
+_WHOLE = ({"json", "events"}, {"details"}, {"rows"}, {"table"})
 """Endings of the files of one entry."""
+
+_TABLE = "table"
 
 _KEY_BYTES = 32
 _SEAL_BYTES = 64  # hexadecimal digits
@@ -195,6 +198,28 @@ class TraceCache:
             os.utime(stream.fileno())
         return content
 
+    def store(self, key: str, content: memoryview) -> str:
+        """Write a table, whose readers know no seal, as it is.
+
+        Returns:
+            Its seal, for a sealed file (`holds`).
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        with replacing(self.path(key, _TABLE)) as draft, draft.open("wb") as stream:
+            stream.write(content)
+        return self._table_seal(key, [content])
+
+    def holds(self, key: str, seal: str) -> bool:
+        """Return whether a table is there as it was stored, and note that it was used."""
+        with suppress(OSError), open_regular(self.path(key, _TABLE), follow_links=False) as stream:
+            os.utime(stream.fileno())
+            room = _room_of_thread()
+            blocks = (room[:size] for size in iter(lambda: os.readv(stream.fileno(), [room]), 0))
+            return hmac.compare_digest(seal, self._table_seal(key, blocks))
+        return False
+
     def close(self) -> None:
         """Close the cache; unless another analysis has it open, remove what is too much."""
         self._pool.shutdown()
@@ -245,6 +270,13 @@ class TraceCache:
 
         offsets = range(0, size, _BLOCK_BYTES)
         return map(digest_of, offsets) if len(offsets) < 2 else self._pool.map(digest_of, offsets)
+
+    def _table_seal(self, key: str, blocks: Iterable[memoryview]) -> str:
+        digest = self.sealer.hash(b"table")
+        digest.update(key.encode() + b"\0")
+        for block in blocks:
+            digest.update(block)
+        return digest.hexdigest()
 
     def _seal(self, key: str, *parts: bytes | memoryview) -> bytes:
         digest = self.sealer.hash(b"entry")

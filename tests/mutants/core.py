@@ -21,8 +21,17 @@ CORE = {
         ("analyzer/loading/event_store.py", "analyzer/loading/entries.py"), ("tests/analyzer/loading",)
     ),
     "known": Part(
-        ("analyzer/engines/known_details.py", "analyzer/engines/known_batches.py"),
-        ("tests/analyzer/engines/test_known_details.py", "tests/analyzer/engines/test_known_batches.py"),
+        (
+            "analyzer/engines/known_details.py",
+            "analyzer/engines/known_batches.py",
+            "analyzer/engines/known_parts.py",
+            "analyzer/engines/large_batches.py",
+        ),
+        (
+            "tests/analyzer/engines/test_known_details.py",
+            "tests/analyzer/engines/test_known_batches.py",
+            "tests/analyzer/engines/test_large_batches.py",
+        ),
     ),
     "stamps": Part(("recorder/payloads/stamp.py",), ("tests/recorder/payloads",)),
     "statistics": Part(

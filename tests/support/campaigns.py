@@ -7,14 +7,27 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 from polars.testing import assert_frame_equal
-from trace_files import Message, ping_session, relay_session, run, write_pair
+from trace_files import (
+    WALL_ANCHOR_NS,
+    Message,
+    event,
+    ping_events,
+    ping_session,
+    relay_events,
+    relay_session,
+    run,
+    write_trace,
+)
 
 from dds_trace.analyzer import analyze
+from dds_trace.tracefile import Stage
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Collection, Iterable
     from pathlib import Path
     from typing import Any
+
+    from trace_files import Event
 
     from dds_trace.analyzer import Analysis
     from dds_trace.analyzer.groups.batch import Batch
@@ -23,7 +36,14 @@ MESSAGES = 40
 MS = 1_000_000
 
 
-def write_runs(folder: Path, numbers: Iterable[int], *, latency_ns: int = 100, groups: int = 1) -> None:
+def write_runs(
+    folder: Path,
+    numbers: Iterable[int],
+    *,
+    latency_ns: int = 100,
+    groups: int = 1,
+    received: Collection[Stage] = (),
+) -> None:
     """`pingN.mcap` and `relayN.mcap` of each number: 40 messages, every seventh lost, latency rising with the run.
 
     Args:
@@ -31,6 +51,7 @@ def write_runs(folder: Path, numbers: Iterable[int], *, latency_ns: int = 100, g
         numbers: of the runs.
         latency_ns: of the first message of run 0.
         groups: payload sizes that the runs have in turn.
+        received: stages (T3, T2) whose events have the middleware's stamps: sent 2 ns after T1 or T4, received 5 ns before.
     """
     for number in numbers:
         start = number * 1000 * MS
@@ -45,24 +66,32 @@ def write_runs(folder: Path, numbers: Iterable[int], *, latency_ns: int = 100, g
             )
             for s in range(MESSAGES)
         ]
-        ping, relay = write_pair(
-            folder / f"{number}",
-            messages,
-            ping=ping_session(session_id=1 + number),
-            relay=relay_session(session_id=1001 + number, relay_id=0xBEEF),
-            runs=[
-                run(
-                    run_id=7 + number,
-                    payload_bytes=1000 + number % groups,
-                    planned_messages=MESSAGES,
-                    published=MESSAGES,
-                    extra={"session_id": f"{1 + number:016x}"},
-                )
-            ],
+        held = run(
+            run_id=7 + number,
+            payload_bytes=1000 + number % groups,
+            planned_messages=MESSAGES,
+            published=MESSAGES,
+            extra={"session_id": f"{1 + number:016x}"},
         )
-        ping.rename(folder / f"ping{number}.mcap")
-        relay.rename(folder / f"relay{number}.mcap")
-        (folder / f"{number}").rmdir()
+        fields = {"run_id": held.run_id, "payload_bytes": held.payload_bytes, "relay_id": 0xBEEF}
+        of_ping, of_relay = ping_events(messages, **fields), relay_events(messages, **fields)
+        for stage, events in ((Stage.T2, of_ping), (Stage.T3, of_relay)):
+            if stage in received:
+                events[stage] = [_stamped(messages[s], stage, **fields) for _, s, *_ in events[stage]]
+        write_trace(folder / f"ping{number}.mcap", ping_session(session_id=1 + number), [held], of_ping)
+        relay = relay_session(session_id=1001 + number, relay_id=0xBEEF)
+        write_trace(folder / f"relay{number}.mcap", relay, (), of_relay)
+
+
+def _stamped(message: Message, stage: Stage, **fields: int) -> Event:
+    """Return the event T2 or T3 of a message with the middleware's stamps."""
+    sent, came = (message.t4, message.t2) if stage is Stage.T2 else (message.t1, message.t3)
+    assert sent is not None
+    assert came is not None
+    wall_ns = WALL_ANCHOR_NS - ping_session().monotonic_anchor_ns
+    return event(
+        message.sequence, came, source_ns=wall_ns + sent + 2, received_ns=wall_ns + came - 5, **fields
+    )
 
 
 def payload_sizes(batch: Batch) -> list[int]:

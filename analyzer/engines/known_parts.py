@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,7 @@ import numpy as np
 import polars as pl
 
 from dds_trace.tracefile import OutputError
+from dds_trace.tracefile.threads import in_order
 
 from ..model.columns import MEASURED_COLUMNS
 from ..pairing.pair import OUTCOMES
@@ -26,16 +28,24 @@ from ..pairing.row_parts import RowPart
 from .known_details import UNUSABLE, pack_frames, shifted, unpack_frames
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
+    from collections.abc import Callable, Collection, Iterator, Sequence
     from concurrent.futures import Executor
+
+    import pyarrow as pa
 
     from ..groups.batch import Batch
     from ..groups.frames import Frames
     from .known_details import KnownDetails
 
+    _Kept = tuple[int, str | None, str | None]
+    """A row of the frame `tables`."""
+
 _COUNTS, _KNOTS, _TABLES = "counts", "clock_knots", "tables"  # frames of a part
 _TABLE_SCHEMA = {"rows": pl.Int64, "seal": pl.String, "stamps_seal": pl.String}
 """Columns of the frame `tables`, a row for each table: the last one null where no stamps of the middleware are kept."""
+
+_TABLES_AT_ONCE = 2
+"""Tables that are encoded, or wait to be: the cores have them as soon as they have done what was begun before."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,36 +132,52 @@ class KnownPart:
             raise OutputError(f"{files[0]} was removed while it was needed; analyze again") from err
 
 
-def keep_rows(key: str | None, known: KnownDetails, roundtrips: RoundTrips) -> Iterator[RowPart]:
+def keep_rows(
+    key: str | None, known: KnownDetails, roundtrips: RoundTrips, pool: Executor
+) -> Iterator[RowPart]:
     """Yield the rows of a part, encoded, and keep them; the part is known once all of them are.
 
     Args:
         key: what it is known by; None keeps nothing.
         known: takes what is kept.
         roundtrips: its rows.
+        pool: encodes and keeps them, beside the caller while it waits.
     """
-    first, tables = 0, []
-    for number, table in enumerate(tables_of(roundtrips)):
-        rows = encode_rows([table])
-        assert not isinstance(rows.content, Path)
-        # What one side alone has received judges nothing (`breakdown.py`).
-        stamps = roundtrips.stamps if roundtrips.stamp_names >= RECEPTION_STAMPS else ()
-        of_rows = [column[first : first + len(table)] for column in stamps]
-        first += len(table)
-        if key is not None:
-            seal = known.store(_key_of_table(known, key, "rows", number), memoryview(rows.content))
-            of_stamps = None
-            if stamps:
-                encoded = encode_stamps(of_rows)
-                of_stamps = known.store(_key_of_table(known, key, "stamps", number), memoryview(encoded))
-            tables.append((len(table), seal, of_stamps))
-            if seal is None or (stamps and of_stamps is None):
-                key = None
+    # What one side alone has received judges nothing (`breakdown.py`).
+    stamps = roundtrips.stamps if roundtrips.stamp_names >= RECEPTION_STAMPS else ()
+
+    def jobs() -> Iterator[tuple[int, Callable[[], tuple[RowPart, _Kept | None]]]]:
+        first = 0
+        for number, table in enumerate(tables_of(roundtrips)):
+            of_rows = [column[first : first + len(table)] for column in stamps]
+            first += len(table)
+            yield len(table), partial(_keep_table, key, known, number, table, of_rows)
+
+    kept = []
+    for rows, of_table in in_order(jobs(), pool, _TABLES_AT_ONCE, _TABLES_AT_ONCE * len(roundtrips.outcome)):
+        kept.append(of_table)
         yield rows
-    if key is not None and tables:
-        table_frame = pl.DataFrame(tables, _TABLE_SCHEMA, orient="row")
+    if key is not None and kept and None not in kept:
+        table_frame = pl.DataFrame(kept, _TABLE_SCHEMA, orient="row")
         frames = {_COUNTS: roundtrips.counts, _KNOTS: roundtrips.clock_knots, _TABLES: table_frame}
         known.write(key, "rows", pack_frames(frames))
+
+
+def _keep_table(
+    key: str | None, known: KnownDetails, number: int, table: pa.Table, stamps: Sequence[pl.Series]
+) -> tuple[RowPart, _Kept | None]:
+    """Return a table of a part, encoded, and its row of the frame `tables`; None if it is not kept."""
+    rows = encode_rows([table])
+    assert not isinstance(rows.content, Path)
+    if key is None:
+        return rows, None
+    seal = known.store(_key_of_table(known, key, "rows", number), memoryview(rows.content))
+    of_stamps = None
+    if stamps:
+        encoded = encode_stamps(stamps)
+        of_stamps = known.store(_key_of_table(known, key, "stamps", number), memoryview(encoded))
+    is_kept = seal is not None and (of_stamps is not None or not stamps)
+    return rows, (len(table), seal, of_stamps) if is_kept else None
 
 
 def _key_of_table(known: KnownDetails, key: str, of: str, number: int) -> str:

@@ -98,12 +98,14 @@ class LargeBatch:
 
     def rows(self) -> Iterable[pa.Table] | Iterable[RowPart]:
         """Return the rows as `RowStore` takes them; each table of a new part is made, and kept, when it is asked for."""
-        known = self._known
+        known, pool = self._known, self._pool
         return (
             rows
             for part in self._parts
             for rows in (
-                part.rows.rows if isinstance(part.rows, KnownPart) else keep_rows(part.key, known, part.rows)
+                part.rows.rows
+                if isinstance(part.rows, KnownPart)
+                else keep_rows(part.key, known, part.rows, pool)
             )
         )
 

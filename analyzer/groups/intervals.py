@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
-
-from dds_trace.tracefile.threads import Here
 
 from ..model.metrics import METRICS
 from ..run_statistics.between_runs import interval_of_runs
@@ -21,7 +18,7 @@ from ..statistics.percentiles import PERCENTILES, quantile_of, summarize_values
 from .batch import columns_by_group, runs_by_group
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
@@ -70,11 +67,6 @@ _FINDERS = (find_quantiles, find_inflations, find_tails, find_own_inflations, fi
 
 _SIDE_BY_SIDE = 20_000
 """Messages of a group up to which its metrics are looked at side by side; those of more are as quick one by one."""
-
-_IN_THREADS = 500_000
-"""Messages of a group from which on threads share its metrics: the arrays of fewer are too short to leave Python's lock for long."""
-
-_THREADS = 2  # each holds a few arrays of the group's messages
 
 _QUANTILES = tuple(percentile.quantile for percentile in PERCENTILES)
 _METHODS = {Basis.BETWEEN_RUNS: "student_t_of_runs", Basis.WITHIN_RUN: "order_statistics"}
@@ -126,32 +118,24 @@ def interval_rows(
             values, sending = values.drop_nulls(), _Sending.of(sent_ns[present], run_of_row[present])
         return sending.runs(values.to_numpy())
 
-    def rows_of(metric: str, runs: Runs | None) -> list[dict[str, object]]:
+    one_by_one = ((metric, runs_of(metric)) for metric in _METRICS)
+    is_small = len(run_of_row) <= _SIDE_BY_SIDE
+    for metric, runs in _found_together(one_by_one) if is_small else one_by_one:
         # No quantile of one-way times is further off than its worst message.
         off_ns = bound_ns if metric in ONE_WAY_METRICS else 0.0
-        rows = _rows_of_runs(runs, off_ns) if runs else ()
-        return [{"group": group, "metric": metric, **row} for row in rows]
-
-    def rows_alone(metric: str) -> list[dict[str, object]]:
-        return rows_of(metric, runs_of(metric))
-
-    if len(run_of_row) <= _SIDE_BY_SIDE:
-        for metric, runs in _found_together({metric: runs_of(metric) for metric in _METRICS}).items():
-            yield from rows_of(metric, runs)
-        return
-    with ThreadPoolExecutor(_THREADS) if len(run_of_row) >= _IN_THREADS else Here() as threads:
-        for rows in threads.map(rows_alone, _METRICS):
-            yield from rows
+        for row in _rows_of_runs(runs, off_ns) if runs else ():
+            yield {"group": group, "metric": metric, **row}
 
 
-def _found_together(runs: Mapping[str, Runs | None]) -> Mapping[str, Runs]:
-    """Return the metrics that have values, looked at side by side."""
-    found = {metric: of_metric for metric, of_metric in runs.items() if of_metric}
-    if found:
-        together = Groups.together(tuple(found.values()))
+def _found_together(of_metrics: Iterator[tuple[str, Runs | None]]) -> Iterator[tuple[str, Runs | None]]:
+    """Yield the metrics, those that have values looked at side by side."""
+    found = list(of_metrics)
+    having_values = tuple(runs for _, runs in found if runs)
+    if having_values:
+        together = Groups.together(having_values)
         for find in _FINDERS:
             together.find(find)
-    return found
+    yield from found
 
 
 def _rows_of_runs(runs: Runs, off_ns: float) -> Iterator[dict[str, object]]:

@@ -284,9 +284,9 @@ def test_a_part_that_is_read_whole_is_what_was_paired(runs, monkeypatch):
     """All that frames of runs look at; but for the columns that only rows need that are written."""
     kept = {}
 
-    def keep_rows(key, known, roundtrips):
+    def keep_rows(key, known, roundtrips, pool):
         kept[key] = roundtrips
-        return real(key, known, roundtrips)
+        return real(key, known, roundtrips, pool)
 
     real = large_batches.keep_rows
     monkeypatch.setattr(large_batches, "keep_rows", keep_rows)

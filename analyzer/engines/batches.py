@@ -112,23 +112,34 @@ def plan_batches(grouping: Grouping, wanted: Wanted) -> list[Batch]:
 
 
 def _ends_batch(parameters: tuple[object, ...], events: int) -> bool:
-    """Return whether a batch ends behind this group: one in as many as fill it, by what looks like chance and is none."""
+    """Return whether a batch ends behind this group: one in as many as fill it."""
+    return _is_drawn(repr(parameters), max(events / BATCH_EVENTS, 1 / BATCH_GROUPS))
+
+
+def _is_drawn(name: str, share: float) -> bool:
+    """Return whether this name is of a share of all, which looks like chance and is none."""
     # No CRC: those of texts that differ in a digit lie side by side.
-    digest = hashlib.blake2b(repr(parameters).encode(), digest_size=4).digest()
-    return int.from_bytes(digest, "big") < max((events << 32) // BATCH_EVENTS, (1 << 32) // BATCH_GROUPS)
+    digest = hashlib.blake2b(name.encode(), digest_size=4).digest()
+    return int.from_bytes(digest, "big") < int(share * (1 << 32))
 
 
 def _parts_of_group(
     exchanges: Sequence[Exchange], first: int, after: int, events: Callable[[int, int], int]
 ) -> list[tuple[int, int]]:
-    """Cut exchanges `first` to `after` (not included) into parts of whole runs."""
+    """Cut exchanges `first` to `after` (not included) into parts of whole runs; as of groups, some runs end their part."""
+    runs = [
+        position
+        for position in range(first, after)
+        if position == first or exchanges[position].run is not exchanges[position - 1].run
+    ]
     parts: list[tuple[int, int]] = []
-    for position in range(first, after):
-        same_run = position > first and exchanges[position].run is exchanges[position - 1].run
-        if parts and (same_run or events(parts[-1][0], position + 1) <= BATCH_EVENTS):
-            parts[-1] = (parts[-1][0], position + 1)
+    is_ended = False
+    for begin, end in pairwise([*runs, after]):
+        if parts and not is_ended and events(parts[-1][0], end) <= BATCH_EVENTS:
+            parts[-1] = (parts[-1][0], end)
         else:
-            parts.append((position, position + 1))
+            parts.append((begin, end))
+        is_ended = _is_drawn(f"{exchanges[begin].run.run_id:016x}", events(begin, end) / BATCH_EVENTS)
     return parts
 
 

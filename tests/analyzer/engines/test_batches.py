@@ -41,8 +41,8 @@ def plan(*groups):
 
 @pytest.fixture
 def full(monkeypatch):
-    """No group ends a batch that has room."""
-    monkeypatch.setattr(dds_trace.analyzer.engines.batches, "_ends_batch", lambda *_: False)
+    """No group ends a batch, and no run a part, that has room."""
+    monkeypatch.setattr(dds_trace.analyzer.engines.batches, "_is_drawn", lambda *_: False)
 
 
 @pytest.mark.usefixtures("full")
@@ -64,6 +64,7 @@ def test_a_group_above_a_batch_stays_whole_up_to_its_own_bound():
     assert groups_in_parts(batches) == []
 
 
+@pytest.mark.usefixtures("full")
 def test_a_group_too_large_comes_in_parts_of_whole_runs():
     # Run 2 has two relays, which stay together though they are more than a batch.
     batches, cut = plan([(1, 10)], [(2, 90), (2, 90), (3, 30), (4, 60), (5, 20)], [(6, 10)])
@@ -98,6 +99,21 @@ def test_a_new_run_changes_few_batches(events):
     assert sum(changed) / len(changed) <= 3
     mean = 400 * events / len(before)
     assert mean > 50  # of 100 that fill a batch
+
+
+@pytest.mark.parametrize("events", [1, 7, 20, 60])
+def test_a_run_that_is_gone_changes_few_parts(events):
+    """Those of a group too large: full ones alone would shift all edges behind the run."""
+    runs = [(number, events) for number in range(400)]
+    before = [tuple(of_part) for of_part, _, _ in plan(runs)[1]]
+    changed = []
+    for gone in range(0, 400, 40):
+        cut = plan(runs[:gone] + runs[gone + 1 :])[1]
+        after = [tuple(place + (place >= gone) for place in of_part) for of_part, _, _ in cut]
+        changed.append(len(set(after) - set(before)))
+    assert max(changed) <= 8
+    assert sum(changed) / len(changed) <= 3
+    assert 400 * events / len(before) > 50  # of 100 that fill a part
 
 
 @pytest.mark.parametrize("parameters", [("fastdds", 33000, 100.0, "lo"), ("cyclonedds", 1_000_000, 1.0, "")])

@@ -1,15 +1,15 @@
 """The cache of read traces, and of what was made of them: in the user's own cache folder, sealed with a key that only this user has.
 
-    $XDG_CACHE_HOME/dds-trace/traces/KEY.json     the seal of the entry, then the trace without its events as JSON (`analyzer/loading/entries.py`)
-    $XDG_CACHE_HOME/dds-trace/traces/KEY.events   its events (`analyzer/loading/event_store.py`)
+    $XDG_CACHE_HOME/dds-trace/traces/KEY.trace    events (`analyzer/loading/event_store.py`), then their trace without them as JSON
+                                                  (`analyzer/loading/entries.py`), its seal and its size
     $XDG_CACHE_HOME/dds-trace/traces/KEY.details  sealed frames (`analyzer/engines/known_details.py`)
     $XDG_CACHE_HOME/dds-trace/traces/KEY.rows     sealed rows (`analyzer/engines/known_batches.py`), or what is known of rows in
     $XDG_CACHE_HOME/dds-trace/traces/KEY.table    rows as they are, a Parquet file (`analyzer/engines/known_parts.py`)
     $XDG_STATE_HOME/dds-trace/cache-key           32 random bytes
 
-KEY is the HMAC-SHA-256 of the trace's content, or of all that the frames are made of. The seal is the HMAC of KEY and of what
-follows it; the JSON holds the HMACs of the events, a sealed file those of tables. So an entry that somebody else wrote, or that was written for another trace, or that a disk has damaged, is not
-used: the trace is read again. The key is not kept beside the entries, because caches are copied (a CI server restores
+KEY is the HMAC-SHA-256 of the trace's content, or of all that the frames are made of. A seal is the HMAC of KEY and of what it
+stands before, or behind; the JSON holds the HMACs of the events, a sealed file those of tables. So an entry that somebody else
+wrote, or that was written for another trace, or that a disk has damaged, is not used: the trace is read again. The key is not kept beside the entries, because caches are copied (a CI server restores
 them) and what comes with a copy must not vouch for it.
 
 Only regular files that are named as entries are removed, and only from this folder, never through a link.
@@ -42,7 +42,8 @@ from .remote import is_remote, remote_key
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
-    from typing import Any
+    from io import BufferedReader
+    from typing import Any, BinaryIO
 
     from numpy.typing import NDArray
 
@@ -53,16 +54,16 @@ time are removed."""
 MOST_TEXT_BYTES = 256 << 20
 """Largest JSON of an entry; a trace with more descriptions than that is read anew each time."""
 
-_NAME = re.compile(r"([0-9a-f]{64})\.(json|events|details|rows|table)(\.[0-9a-f]{8}\.part)?")
-"""Names of the files of an entry, and of their drafts."""
+_OLD = ("json", "events")  # in which a trace was kept before
+_NAME = re.compile(rf"([0-9a-f]{{64}})\.(trace|details|rows|table|{'|'.join(_OLD)})(\.[0-9a-f]{{8}}\.part)?")
+"""Names of entries, and of their drafts."""
 
-_WHOLE = ({"json", "events"}, {"details"}, {"rows"}, {"table"})
-"""Endings of the files of one entry."""
-
-_TABLE = "table"
+_TRACE, _TABLE = "trace", "table"
 
 _KEY_BYTES = 32
 _SEAL_BYTES = 64  # hexadecimal digits
+_SIZE_BYTES = 16  # hexadecimal digits, too
+_END_BYTES = 32 << 10  # what is read of the end of an entry at first
 _BLOCK_BYTES = 4 << 20
 _ROOM_BYTES = 1 << 20  # a file up to here is read into memory that is kept
 _of_thread = threading.local()
@@ -84,7 +85,7 @@ class Sealer:
         return hmac.new(self.secret, purpose + b"\0", _DIGEST)
 
     def seal_events(self, columns: Iterable[NDArray[Any]], behind: hmac.HMAC | None = None) -> hmac.HMAC:
-        """Seal the columns in the file of an entry; the JSON, which has a seal itself, says the others.
+        """Seal the columns in the entry of a trace; the JSON, which has a seal itself, says the others.
 
         Args:
             columns: the columns.
@@ -160,30 +161,28 @@ class TraceCache:
         return digest.hexdigest()
 
     def path(self, key: str, ending: str) -> Path:
-        """Return the path of a file of an entry."""
+        """Return the path of an entry."""
         return self.folder / f"{key}.{ending}"
 
     def write(
         self, key: str, ending: str, *parts: bytes | memoryview, most_bytes: int = MOST_TEXT_BYTES
     ) -> Path:
-        """Write a sealed file of an entry, part by part; the JSON of a trace comes last, its events are there already.
+        """Write a sealed entry, part by part.
 
         Returns:
             Its path.
 
         Raises:
-            OSError: it cannot be written, or is too large for an entry.
+            OSError: it cannot be written, or is too large.
         """
-        size = sum(map(len, parts))
-        if size > most_bytes:
-            raise OSError(f"{size} bytes are too many to keep")
+        _check_size(sum(map(len, parts)), most_bytes)
         path = self.path(key, ending)
         with replacing(path) as draft, draft.open("wb") as stream:
             stream.writelines((self._seal(key, *parts), *parts))
         return path
 
     def read(self, key: str, ending: str, most_bytes: int = MOST_TEXT_BYTES) -> bytes:
-        """Return a sealed file of an entry as it was written, and note that the entry was used.
+        """Return what was written into a sealed entry, and note that it was used.
 
         Raises:
             OSError: there is no such entry.
@@ -197,6 +196,38 @@ class TraceCache:
                 raise ValueError("not sealed by this user")
             os.utime(stream.fileno())
         return content
+
+    def write_end(self, key: str, stream: BinaryIO, text: bytes) -> None:
+        """Write the end of the entry of a trace, whose events are in the stream already: its JSON, sealed.
+
+        Raises:
+            OSError: it cannot be written, or is too large.
+        """
+        _check_size(len(text), MOST_TEXT_BYTES)
+        stream.writelines((text, self._seal(key, text), b"%0*x" % (_SIZE_BYTES, len(text))))
+
+    def read_end(self, key: str) -> tuple[bytes, int]:
+        """Return the JSON of the entry of a trace and the number of bytes before it, and note that the entry was used.
+
+        Raises:
+            OSError: there is no such entry.
+            ValueError: this user did not write it, or not so, or for another key.
+        """
+        with open_regular(self.path(key, _TRACE), follow_links=False) as stream:
+            size = os.fstat(stream.fileno()).st_size
+            end = _read_end(stream, size, _END_BYTES)
+            text_bytes = int(end[-_SIZE_BYTES:], 16)
+            behind = _SEAL_BYTES + _SIZE_BYTES
+            before = size - text_bytes - behind
+            if not 0 <= text_bytes <= MOST_TEXT_BYTES or before < 0:
+                raise ValueError("another size than an entry has")
+            if text_bytes + behind > len(end):
+                end = _read_end(stream, size, text_bytes + behind)
+            text, seal = end[-text_bytes - behind : -behind], end[-behind:-_SIZE_BYTES]
+            if not hmac.compare_digest(seal, self._seal(key, text)):
+                raise ValueError("not sealed by this user")
+            os.utime(stream.fileno())
+        return text, before
 
     def store(self, key: str, content: memoryview) -> str:
         """Write a table, whose readers know no seal, as it is.
@@ -232,8 +263,8 @@ class TraceCache:
             os.close(self._descriptor)
 
     def _shrink(self) -> None:
-        """Remove drafts, halves of entries, and entries beyond the size of the cache, those used last being kept."""
-        entries: dict[str, dict[str, os.stat_result]] = {}
+        """Remove drafts, what no version of ours reads now, and entries beyond the size of the cache, those used last being kept."""
+        entries: dict[str, os.stat_result] = {}
         for name in os.listdir(self._descriptor):  # noqa: PTH208 - a path might lead elsewhere by now
             matched = _NAME.fullmatch(name)
             if matched is None:
@@ -241,23 +272,15 @@ class TraceCache:
             status = os.stat(name, dir_fd=self._descriptor, follow_symlinks=False)
             if not stat.S_ISREG(status.st_mode):
                 continue
-            if matched[3]:
+            if matched[3] or matched[2] in _OLD:
                 os.unlink(name, dir_fd=self._descriptor)
             else:
-                entries.setdefault(matched[1], {})[matched[2]] = status
+                entries[name] = status
         left = min(MOST_BYTES, shutil.disk_usage(self._descriptor).total // 10)
-        whole = {key: files for key, files in entries.items() if set(files) in _WHOLE}
-        used_ns = {
-            key: max(status.st_mtime_ns for ending, status in files.items() if ending != "events")
-            for key, files in whole.items()
-        }
-        for key in sorted(whole, key=used_ns.__getitem__, reverse=True):
-            left -= sum(status.st_size for status in whole[key].values())
-            if left >= 0:
-                del entries[key]
-        for key, files in entries.items():
-            for ending in files:
-                os.unlink(f"{key}.{ending}", dir_fd=self._descriptor)
+        for name in sorted(entries, key=lambda name: entries[name].st_mtime_ns, reverse=True):
+            left -= entries[name].st_size
+            if left < 0:
+                os.unlink(name, dir_fd=self._descriptor)
 
     def _block_digests(self, descriptor: int, size: int) -> Iterator[bytes]:
         """Yield the SHA-256 of each block of a file; those of a large one are made on all cores."""
@@ -284,6 +307,16 @@ class TraceCache:
         for part in parts:
             digest.update(part)
         return digest.hexdigest().encode()
+
+
+def _check_size(size: int, most_bytes: int) -> None:
+    if size > most_bytes:
+        raise OSError(f"{size} bytes are too many to keep")
+
+
+def _read_end(stream: BufferedReader, size: int, count: int) -> bytes:
+    """Return so many of the last bytes of a file of this size, or all."""
+    return os.pread(stream.fileno(), count, max(0, size - count))
 
 
 def _room_of_thread() -> memoryview:

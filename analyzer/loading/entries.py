@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     Fill = Callable[["StoredParts"], Trace]
     """Adds all events of a trace and returns the trace without them."""
 
-_FORMAT = 3
+_FORMAT = 4
 """Version of an entry; an entry of another version, or without a field of this one, is not used. 1: the first; 2: seals of the
-events; 3: events in pieces."""
+events; 3: events in pieces; 4: one file."""
 
 
 class StoredParts:
@@ -77,32 +77,26 @@ class StoredParts:
         return [seal.hexdigest() for seal in self._seals.values()]
 
 
-def store_parts(
-    file: Path, position: int, fill: Fill, sealer: Sealer | None = None
-) -> tuple[LoadedTrace, list[str]]:
+def store_parts(file: Path, position: int, fill: Fill) -> LoadedTrace:
     """Put the events of a trace into a file, which replaces `file` once it is complete.
 
     Args:
         file: the file.
         position: of the trace in its campaign.
         fill: adds the events and returns the trace without them.
-        sealer: makes their seals.
-
-    Returns:
-        The trace, and the seals of its parts.
 
     Raises:
         OSError: the file cannot be written.
         TraceFormatError: from `fill`.
     """
     with replacing(file) as draft, draft.open("wb") as stream:
-        stored = StoredParts(stream, sealer)
+        stored = StoredParts(stream, None)
         trace = fill(stored)
-    return LoadedTrace(trace, stored.index(file, position)), stored.seals
+    return LoadedTrace(trace, stored.index(file, position))
 
 
 def write_entry(cache: TraceCache, key: str, position: int, fill: Fill) -> LoadedTrace:
-    """Write an entry; the description last, so that it never names events that are not there.
+    """Write an entry: as `store_parts`, the description behind the events.
 
     Args:
         cache: the open cache.
@@ -114,20 +108,25 @@ def write_entry(cache: TraceCache, key: str, position: int, fill: Fill) -> Loade
         OSError: it cannot be written.
         TraceFormatError: from `fill`.
     """
-    loaded, seals = store_parts(cache.path(key, "events"), position, fill, cache.sealer)
-    cache.write(key, "json", json.dumps(_to_dict(loaded, seals)).encode())
-    return _in_cache(loaded, [None] * len(seals))
+    file = cache.path(key, "trace")
+    with replacing(file) as draft, draft.open("wb") as stream:
+        stored = StoredParts(stream, cache.sealer)
+        trace = fill(stored)
+        loaded = LoadedTrace(trace, stored.index(file, position))
+        cache.write_end(key, stream, json.dumps(_to_dict(loaded, stored.seals)).encode())
+    return _in_cache(loaded, [None] * len(stored.seals))
 
 
 def read_entry(cache: TraceCache, key: str, path: Path, position: int) -> LoadedTrace | None:
     """Return the entry of this content; None if the cache has none that can be used."""
     try:
-        entry: _Entry = json.loads(cache.read(key, "json"))
-        file = cache.path(key, "events")
-        if entry["format"] != _FORMAT or file.stat().st_size != entry["bytes"]:
+        text, events_bytes = cache.read_end(key)
+        entry: _Entry = json.loads(text)
+        if entry["format"] != _FORMAT:
             return None
         checks = [(cache.sealer, seal) for seal in entry["seals"]]
-        return _in_cache(_from_dict(entry, file, path, position), checks)
+        loaded = _from_dict(entry, cache.path(key, "trace"), events_bytes, path, position)
+        return _in_cache(loaded, checks)
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError, TraceFormatError):
         return None
 
@@ -178,10 +177,9 @@ def _in_cache(loaded: LoadedTrace, checks: Sequence[tuple[Sealer, str] | None]) 
 
 
 class _Entry(TypedDict):
-    """The JSON of an entry: a trace without its events, and the places of these in the file of events."""
+    """The JSON of an entry: a trace without its events, and the places of these before it."""
 
     format: int
-    bytes: int
     seals: list[str]
     sessions: list[str]
     runs: list[str]
@@ -200,7 +198,6 @@ def _to_dict(loaded: LoadedTrace, seals: list[str]) -> _Entry:
     stored = [part.events for part in loaded.parts.values() if isinstance(part.events, StoredEvents)]
     return {
         "format": _FORMAT,
-        "bytes": stored[0].file.stat().st_size if stored else 0,
         "seals": seals,
         "sessions": [session.to_json() for session in trace.sessions],
         "runs": [run.to_json() for run in trace.runs],
@@ -224,7 +221,7 @@ def _to_dict(loaded: LoadedTrace, seals: list[str]) -> _Entry:
     }
 
 
-def _from_dict(entry: _Entry, file: Path, path: Path, position: int) -> LoadedTrace:
+def _from_dict(entry: _Entry, file: Path, events_bytes: int, path: Path, position: int) -> LoadedTrace:
     parts = {}
     for stage, run_id, relay_id, first_ns, last_ns, places in entry["parts"]:
         pieces = (
@@ -232,7 +229,7 @@ def _from_dict(entry: _Entry, file: Path, path: Path, position: int) -> LoadedTr
             for count, columns in places
         )
         events = StoredEvents(file, tuple(pieces))
-        events.check(entry["bytes"])
+        events.check(events_bytes)
         parts[Stage(stage), run_id, relay_id] = EventPart(position, events.count, first_ns, last_ns, events)
     trace = Trace(
         path=path,

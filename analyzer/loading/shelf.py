@@ -125,7 +125,7 @@ class TraceShelf:
             if self._folder is None:
                 self._own_folder = tempfile.TemporaryDirectory(prefix="dds-analyze-")
                 self._folder = Path(self._own_folder.name)
-            return store_parts(self._folder / f"{position}.events", position, fill)[0]
+            return store_parts(self._folder / f"{position}.events", position, fill)
         except OSError as err:
             raise OutputError(
                 f"events of {path} cannot be kept ({err}); give a larger folder with TMPDIR"

@@ -6,6 +6,7 @@ import json
 import os
 from typing import TYPE_CHECKING
 
+from cache_entries import describe_anew
 from fuzz_shapes import changed, changed_fields, shaped, shaped_seeds
 from trace_files import Message, ping_events, ping_session, run, write_trace
 
@@ -33,20 +34,19 @@ class Target:
         shelf, cache = opened()
         self._key = cache.key_of(self._trace)
         shelf.load(self._trace, 0)
-        self._json = cache.folder / f"{self._key}.json"
-        self._events = cache.path(self._key, "events")
+        self._path = cache.path(self._key, "trace")
         shelf.close()  # entries are written beside what is read next
-        self._good_json, self._good_events = self._json.read_bytes(), self._events.read_bytes()
-        self._entry = json.loads(self._good_json[64:])
-        self._shapes = (self._stranger, self._changed_json, self._changed_events, self._sealed)
+        text, self._events_bytes = cache.read_end(self._key)
+        self._good = self._path.read_bytes()
+        self._entry = json.loads(text)
+        self._shapes = (self._stranger, self._changed_end, self._changed_events, self._sealed)
 
     def try_input(self, data: bytes) -> None:
         """Load the trace beside the entry that the bytes stand for.
 
         Only an entry under our own seal may say what the trace does not: who has the key is the user himself.
         """
-        self._json.write_bytes(self._good_json)
-        self._events.write_bytes(self._good_events)
+        self._path.write_bytes(self._good)
         sealed = shaped(self._shapes, data)
         shelf, _ = opened()
         loaded = shelf.load(self._trace, 0)
@@ -66,33 +66,34 @@ class Target:
         return shaped_seeds(
             self._shapes,
             {
-                self._stranger: self._good_json[64:],
-                self._changed_json: bytes(3),
+                self._stranger: self._good[self._events_bytes :],
+                self._changed_end: bytes(3),
                 self._changed_events: bytes(3),
                 self._sealed: bytes(3),
             },
         )
 
     def _stranger(self, data: bytes) -> bool:
-        """The bytes are the JSON, behind a seal of nobody."""
-        self._json.write_bytes(b"0" * 64 + data)
+        """The bytes are all that is behind the events."""
+        self._path.write_bytes(self._good[: self._events_bytes] + data)
         return False
 
-    def _changed_json(self, data: bytes) -> bool:
-        """The bytes are changes to the sealed JSON."""
-        self._json.write_bytes(changed(self._good_json, data))
+    def _changed_end(self, data: bytes) -> bool:
+        """The bytes are changes to the sealed JSON, its seal and its size."""
+        events, end = self._good[: self._events_bytes], self._good[self._events_bytes :]
+        self._path.write_bytes(events + changed(end, data))
         return False
 
     def _changed_events(self, data: bytes) -> bool:
-        """The bytes are changes to the events, and where they are cut off."""
-        kept = len(self._good_events) - data[-1] if data else 0
-        self._events.write_bytes(changed(self._good_events, data[:-1])[:kept])
+        """The bytes are changes to the events, and where the entry is cut off."""
+        kept = len(self._good) - data[-1] if data else 0
+        self._path.write_bytes(changed(self._good, data[:-1])[:kept])
         return False
 
     def _sealed(self, data: bytes) -> bool:
         """The bytes are changes to the values of the JSON, which is then sealed as we do."""
         shelf, cache = opened()
-        cache.write(self._key, "json", json.dumps(changed_fields(self._entry, data)).encode())
+        describe_anew(cache, self._key, changed_fields(self._entry, data))
         shelf.close()
         return True
 

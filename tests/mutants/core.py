@@ -18,7 +18,12 @@ CORE = {
         ("analyzer/pairing",), ("tests/analyzer/pairing", "tests/analyzer/test_unsent_messages.py")
     ),
     "storing": Part(
-        ("analyzer/loading/event_store.py", "analyzer/loading/entries.py"), ("tests/analyzer/loading",)
+        (
+            "analyzer/loading/event_store.py",
+            "analyzer/loading/entries.py",
+            "analyzer/loading/cache.py",
+        ),
+        ("tests/analyzer/loading", "tests/analyzer/engines/test_large_batches.py"),
     ),
     "known": Part(
         (

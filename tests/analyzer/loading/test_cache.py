@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from pathlib import Path
 
 import pytest
+from cache_entries import describe_anew
 from campaigns import assert_same_results, write_runs
 from file_damage import DAMAGES
 from trace_files import Message, ping_events, ping_session, relay_session, run, write_trace
@@ -62,13 +64,14 @@ def test_foreign_names_links_and_folders_among_the_entries_stay(runs, traces, tm
     key, target = "ab" * 32, tmp_path / "target"
     target.write_text("somebody else's")
     (traces / "notes.json").write_text("{}")
-    (traces / f"{key}.json.bak").write_text("{}")
-    (traces / f"{key}.json").symlink_to(target)
-    (traces / f"{key}.events").mkdir()
-    (traces / f"{'cd' * 32}.events.12345678.part").write_text("left by a killed analysis")
-    (traces / f"{'ef' * 32}.json").write_text("left without its events")
+    (traces / f"{key}.trace.bak").write_text("{}")
+    (traces / f"{key}.trace").symlink_to(target)
+    (traces / f"{key}.details").mkdir()
+    (traces / f"{'cd' * 32}.trace.12345678.part").write_text("left by a killed analysis")
+    for ending in ("json", "events"):
+        (traces / f"{'ef' * 32}.{ending}").write_text("left by an earlier version")
     analyze(runs, cache=True)
-    assert names_in(traces) == sorted(["notes.json", f"{key}.json.bak", f"{key}.json", f"{key}.events"])
+    assert names_in(traces) == sorted(["notes.json", f"{key}.trace.bak", f"{key}.trace", f"{key}.details"])
     assert target.read_text() == "somebody else's"
 
 
@@ -76,12 +79,12 @@ def test_foreign_names_links_and_folders_among_the_entries_stay(runs, traces, tm
 def test_a_linked_folder_is_not_used(runs, own_base_folders, tmp_path, linked):
     target = tmp_path / "target"
     target.mkdir()
-    (target / f"{'ab' * 32}.json").write_text("mine")
+    (target / f"{'ab' * 32}.trace").write_text("mine")
     (own_base_folders / linked).parent.mkdir(parents=True)
     (own_base_folders / linked).symlink_to(target)
     assert TraceCache.open() is None
     analyze(runs, cache=True)
-    assert names_in(target) == [f"{'ab' * 32}.json"]
+    assert names_in(target) == [f"{'ab' * 32}.trace"]
 
 
 def test_a_folder_of_somebody_else_is_not_used(monkeypatch):
@@ -105,21 +108,26 @@ def test_the_least_recently_used_entries_leave_a_cache_that_is_full(tmp_path, tr
         write_runs(tmp_path / f"runs{number}", [number])
         analyze(tmp_path / f"runs{number}", cache=True)
     sizes = {path.name: path.stat().st_size for path in traces.iterdir()}
-    assert len(sizes) == 15
+    assert len(sizes) == 9
     for path in traces.iterdir():
         os.utime(path, (1, 1))
     monkeypatch.setattr(dds_trace.analyzer.loading.cache, "MOST_BYTES", sum(sizes.values()) // 3 + 64)
     analyze(tmp_path / "runs1", cache=True)
-    assert len(names_in(traces)) == 5
-    for path in (*traces.glob("*.json"), *traces.glob("*.details")):
+    assert len(names_in(traces)) == 3
+    for path in traces.iterdir():
         assert path.stat().st_mtime > 1
+
+
+def test_the_documentation_says_how_large_the_cache_becomes():
+    page = (Path(__file__).parents[3] / "docs/how-to/analyze.md").read_text()
+    assert f"It holds at most {dds_trace.analyzer.loading.cache.MOST_BYTES / (1 << 30):g} GiB" in page
 
 
 def test_entries_stay_while_another_analysis_has_them_open(runs, traces, monkeypatch):
     other = TraceCache.open()
     monkeypatch.setattr(dds_trace.analyzer.loading.cache, "MOST_BYTES", 0)
     analyze(runs, cache=True)
-    assert len(names_in(traces)) == 5
+    assert len(names_in(traces)) == 3
     other.close()
     assert names_in(traces) == []
 
@@ -158,26 +166,69 @@ def test_events_that_are_gone_in_the_middle_are_read_from_their_trace(runs, trac
     shelf.close()
 
 
-@pytest.mark.parametrize("ending", ["json", "events"])
 @pytest.mark.parametrize("damage", DAMAGES)
-def test_a_damaged_entry_is_read_anew(runs, traces, files_read, ending, damage):
+def test_a_damaged_entry_is_read_anew(runs, traces, files_read, damage):
     first = analyze(runs, cache=True)
     files_read.clear()
-    for path in list(traces.glob(f"*.{ending}")):
+    for path in list(traces.glob("*.trace")):
         damage(path)
     assert_same_results(analyze(runs, cache=True), first)
     assert set(files_read) == {"ping0.mcap", "relay0.mcap"}
 
 
+@pytest.mark.parametrize("place", ["events", "text", "seal", "first of size", "last of size"])
+def test_a_changed_byte_is_noticed_wherever_it_is(runs, traces, files_read, place):
+    first = analyze(runs, cache=True)
+    cache = TraceCache.open()
+    for path in traces.glob("*.trace"):
+        text, events_bytes = cache.read_end(path.stem)
+        places = {"events": 3, "text": events_bytes + 5, "seal": events_bytes + len(text) + 9}
+        data = bytearray(path.read_bytes())
+        data[places.get(place, -16 if place == "first of size" else -1)] ^= 1
+        path.write_bytes(data)
+    cache.close()
+    files_read.clear()
+    assert_same_results(analyze(runs, cache=True), first)
+    assert set(files_read) == {"ping0.mcap", "relay0.mcap"}
+
+
+@pytest.mark.parametrize("end", [b"", b"f" * 15, b"-" + b"f" * 15, b"x" * 16, b"0" * 16, b"f" * 16])
+def test_an_entry_with_any_end_is_read_anew(runs, traces, files_read, end):
+    first = analyze(runs, cache=True)
+    for path in traces.glob("*.trace"):
+        path.write_bytes(b"0" * 64 * bool(end) + end)
+    files_read.clear()
+    assert_same_results(analyze(runs, cache=True), first)
+    assert set(files_read) == {"ping0.mcap", "relay0.mcap"}
+
+
+def test_a_description_larger_than_what_is_read_at_first_is_known(tmp_path, files_read, monkeypatch):
+    monkeypatch.setattr(dds_trace.analyzer.loading.cache, "_END_BYTES", 100)
+    write_runs(tmp_path, range(1))
+    first = analyze(tmp_path, cache=True)
+    files_read.clear()
+    assert_same_results(analyze(tmp_path, cache=True), first)
+    assert files_read == []
+
+
+def test_a_description_that_is_too_large_is_not_kept(tmp_path, traces, files_read, monkeypatch):
+    monkeypatch.setattr(dds_trace.analyzer.loading.cache, "MOST_TEXT_BYTES", 100)
+    write_runs(tmp_path, range(1))
+    first = analyze(tmp_path, cache=True)
+    assert list(traces.glob("*.trace*")) == []
+    files_read.clear()
+    assert_same_results(analyze(tmp_path, cache=True), first)
+    assert set(files_read) == {"ping0.mcap", "relay0.mcap"}
+
+
 def test_an_entry_of_another_trace_is_not_believed(tmp_path, runs, traces, files_read):
     first = analyze(runs, cache=True)
-    keys = {path.stem for path in traces.glob("*.json")}
+    keys = {path.stem for path in traces.glob("*.trace")}
     write_runs(tmp_path / "forged", range(1), latency_ns=9999)
     analyze(tmp_path / "forged", cache=True)
-    forged = sorted({path.stem for path in traces.glob("*.json")} - keys)
-    for ending in ("json", "events"):
-        for key in keys:
-            shutil.copy(traces / f"{forged[0]}.{ending}", traces / f"{key}.{ending}")
+    forged = sorted({path.stem for path in traces.glob("*.trace")} - keys)
+    for key in keys:
+        shutil.copy(traces / f"{forged[0]}.trace", traces / f"{key}.trace")
     files_read.clear()
     assert_same_results(analyze(runs, cache=True), first)
     assert set(files_read) == {"ping0.mcap", "relay0.mcap"}
@@ -209,25 +260,31 @@ def test_a_key_that_is_damaged_or_open_to_others_is_made_anew(runs, own_base_fol
 
 def forge(cache, traces, change):
     """Change the JSON of every entry and seal it again, as only this user can."""
-    for path in traces.glob("*.json"):
-        entry = json.loads(cache.read(path.stem, "json"))
+    for path in traces.glob("*.trace"):
+        entry = json.loads(cache.read_end(path.stem)[0])
         change(entry)
-        cache.write(path.stem, "json", json.dumps(entry).encode())
+        describe_anew(cache, path.stem, entry)
+
+
+def move_beyond_the_events(entry):
+    """Say that the last column of the file is a byte further, in what is no longer events."""
+    columns = entry["parts"][-1][5][-1][1]
+    name = max((name for name, (how, _) in columns.items() if how == "array"), key=lambda n: columns[n][1])
+    columns[name][1] += 1
 
 
 @pytest.mark.parametrize(
     "change",
     [
+        move_beyond_the_events,
         lambda entry: entry.update(format=99),
         lambda entry: entry.update(parts=3),
-        lambda entry: entry.update(bytes=10**400),
         lambda entry: entry["parts"][0][5][0].__setitem__(0, 10**15),
         lambda entry: entry["parts"][0][5][0].__setitem__(0, -1),
         lambda entry: entry["parts"][0][5][0].__setitem__(0, True),
         lambda entry: entry["parts"][0][5][0].__setitem__(0, "5"),
         lambda entry: entry["parts"][0][5][0][1].update(monotonic_ns=["array", 1 << 40]),
         lambda entry: entry["parts"][0][5][0][1].update(monotonic_ns=["array", -8]),
-        lambda entry: entry["parts"][0][5][0][1].update(monotonic_ns=["array", entry["bytes"] - 8]),
         lambda entry: entry["parts"][0][5][0][1].update(run_id=["constant", 1 << 70]),
         lambda entry: entry["parts"][0][5][0][1].update(run_id=["elsewhere", 1]),
         lambda entry: entry["parts"][0][5][0][1].update(sequence=["counting", 2**64 - 2]),

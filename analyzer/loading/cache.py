@@ -219,7 +219,7 @@ class TraceCache:
             text_bytes = int(end[-_SIZE_BYTES:], 16)
             behind = _SEAL_BYTES + _SIZE_BYTES
             before = size - text_bytes - behind
-            if not 0 <= text_bytes <= MOST_TEXT_BYTES or before < 0:
+            if text_bytes > MOST_TEXT_BYTES or before < 0:
                 raise ValueError("another size than an entry has")
             if text_bytes + behind > len(end):
                 end = _read_end(stream, size, text_bytes + behind)

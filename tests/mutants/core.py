@@ -23,7 +23,7 @@ CORE = {
             "analyzer/loading/entries.py",
             "analyzer/loading/cache.py",
         ),
-        ("tests/analyzer/loading", "tests/analyzer/engines/test_large_batches.py"),
+        ("tests/analyzer/loading",),
     ),
     "known": Part(
         (

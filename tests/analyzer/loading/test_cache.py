@@ -304,6 +304,51 @@ def test_lengths_and_values_are_checked_before_they_are_used(runs, traces, files
     assert set(files_read) == {"ping0.mcap", "relay0.mcap"}
 
 
+def test_a_sealed_entry_is_read_up_to_its_largest_size(own_base_folders):
+    assert own_base_folders
+    cache, key = TraceCache.open(), "ab" * 32
+    cache.write(key, "details", b"x" * 60, memoryview(b"y" * 40), most_bytes=100)
+    assert cache.read(key, "details", most_bytes=100) == b"x" * 60 + b"y" * 40
+    with pytest.raises(ValueError, match="larger"):
+        cache.read(key, "details", most_bytes=99)
+    with pytest.raises(OSError, match="101 bytes are too many"):
+        cache.write(key, "details", b"x" * 101, most_bytes=100)
+    cache.close()
+
+
+@pytest.fixture
+def stored(own_base_folders):
+    """An open cache, the key of a table in it, which is larger than one block, its seal and its path."""
+    assert own_base_folders
+    cache, key = TraceCache.open(), "ab" * 32
+    yield cache, key, cache.store(key, memoryview(b"rows" * (3 << 18))), cache.path(key, "table")
+    cache.close()
+
+
+def test_a_table_is_held_as_it_was_stored(stored):
+    cache, key, seal, path = stored
+    assert path.read_bytes() == b"rows" * (3 << 18)
+    os.utime(path, (1, 1))
+    assert cache.holds(key, seal)
+    assert path.stat().st_mtime > 1
+    assert not cache.holds(key, seal.replace(seal[0], "0" if seal[0] != "0" else "1"))
+
+
+@pytest.mark.parametrize("damage", [*DAMAGES, os.unlink])
+def test_a_table_that_is_damaged_or_gone_is_not_held(stored, damage):
+    cache, key, seal, path = stored
+    damage(path)
+    assert cache.holds(key, seal) is False
+
+
+def test_a_table_of_another_key_is_not_held(stored):
+    cache, key, seal, path = stored
+    other = "cd" * 32
+    shutil.copy(path, cache.path(other, "table"))
+    assert not cache.holds(other, seal)
+    assert cache.holds(key, seal)
+
+
 def test_a_trace_of_one_stage_alone_and_one_without_events_are_known(tmp_path, files_read):
     events = ping_events([Message(n, t1=n) for n in range(3)])
     write_trace(tmp_path / "t1.mcap", ping_session(), [run()], {Stage.T1: events[Stage.T1]})

@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import polars as pl
+from polars.testing import assert_frame_equal
 from trace_files import event, ping_session, relay_session, run
 
 from dds_trace.analyzer.pairing.exchanges import Exchange
 from dds_trace.analyzer.pairing.pair import middleware_stamps, published_messages
 from dds_trace.analyzer.pairing.parquet import tables_of
-from dds_trace.analyzer.pairing.roundtrips import pair_exchanges
+from dds_trace.analyzer.pairing.roundtrips import STAMP_NAMES, pair_exchanges
 from dds_trace.tracefile import EVENT_DTYPE, EventColumns
 
 RELAY = 7
@@ -116,6 +117,36 @@ def test_stamps_of_the_middleware_lie_beside_their_rows():
     assert without.stamps == ()
     assert without.clock_knots.is_empty()
     assert without.measured["outbound_ns"].null_count() == 4
+
+
+def test_a_part_of_the_rows_is_what_is_paired_of_its_exchanges_alone():
+    exchanges = [exchange(1), exchange(2), exchange(3, state="started"), exchange(4)]
+    events = []
+    for number in range(4):
+        sent = [number * 10**12 + n * 10**7 for n in range(40)]
+        events.append(
+            (
+                plain(*enumerate(sent)),
+                [(n, ns + 900 + n % 7, 5, 6) for n, ns in enumerate(sent[:-1])],
+                [(n, ns + 500 + n % 5, 7, 8) for n, ns in enumerate(sent[2:], 2)],
+                plain(*((n, ns + 600) for n, ns in enumerate(sent[2:], 2))),
+            )
+        )
+    whole = pair(exchanges, events)
+    for begin, end in ((0, 4), (0, 1), (1, 3), (3, 4)):
+        part, alone = whole.part(begin, end), pair(exchanges[begin:end], events[begin:end])
+        for name in ("measured", "described", "counts", "clock_knots"):
+            assert_frame_equal(getattr(part, name), getattr(alone, name))
+        assert part.clock_knots["group"].unique().sort().to_list() == list(range(end - begin))
+        assert part.outcome.tolist() == alone.outcome.tolist()
+        assert part.bounds.tolist() == alone.bounds.tolist()
+        assert part.stamp_names == alone.stamp_names == set(STAMP_NAMES)
+        for name in (*STAMP_NAMES, "sequence", "latency_ns"):
+            assert part.column(name).name == name
+            assert part.column(name).to_list() == alone.column(name).to_list()
+        held = {series.name: series for series in alone.stamps}
+        assert part.column("relay_received_ns").to_list() == held["relay_received_ns"].to_list()
+        assert part.column("rtt_ns").to_list() == alone.measured["rtt_ns"].to_list()
 
 
 def test_a_message_has_the_stamps_of_the_event_that_it_was_paired_with():

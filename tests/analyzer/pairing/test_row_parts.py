@@ -15,7 +15,7 @@ from polars.testing import assert_frame_equal
 from dds_trace.analyzer import analyze
 from dds_trace.analyzer.pairing import parquet, row_parts
 from dds_trace.analyzer.pairing.parquet import ROUNDTRIPS_SCHEMA, encode_rows, roundtrips_writer
-from dds_trace.analyzer.pairing.row_parts import read_rows
+from dds_trace.analyzer.pairing.row_parts import RowPart, read_rows
 from dds_trace.analyzer.pairing.rows import RowStore
 from dds_trace.tracefile import OutputError
 
@@ -47,6 +47,17 @@ def test_joined_parts_are_the_same_file_wherever_they_were_encoded(tables, tmp_p
     assert written(tmp_path / "files.parquet", in_files) == here
     assert list((tmp_path / "parts").iterdir()) == []
     assert written(tmp_path / "one.parquet", [encode_rows(tables)]) == here
+
+
+def test_a_part_may_be_the_end_of_a_file_that_stays(tables, tmp_path):
+    parts = []
+    for number, table in enumerate(tables):
+        path, encoded = tmp_path / f"{number}.rows", memoryview(encode_rows([table]).content)
+        path.write_bytes(b"what stands before the rows" + encoded)
+        parts.append(RowPart.at_end_of(path, len(encoded), len(table)))
+    assert written(tmp_path / "joined.parquet", parts) == written(tmp_path / "here.parquet", tables)
+    assert parts[0].load().equals(read_rows(pa.BufferReader(encode_rows(tables[:1]).content)))
+    assert len(list(tmp_path.glob("*.rows"))) == 3
 
 
 def test_every_reader_finds_the_rows_and_what_is_told_of_them(tables, tmp_path, monkeypatch):
@@ -140,7 +151,7 @@ def test_rows_are_read_without_pandas(tables, tmp_path):
     pytest.importorskip("pandas")
     part = encode_rows(tables, tmp_path)
     code = (
-        "import sys; from pathlib import Path; from dds_trace.analyzer.pairing.row_parts import read_rows\n"
+        "import sys; from pathlib import Path; from dds_trace.analyzer.pairing.row_parts import RowPart, read_rows\n"
         "print(read_rows(Path(sys.argv[1])).num_rows, 'pandas' in sys.modules)"
     )
     command = [sys.executable, "-c", code, str(part.content)]

@@ -91,7 +91,8 @@ def plan_batches(grouping: Grouping, wanted: Wanted) -> list[Batch]:
             events(first, after) > WHOLE_GROUP_EVENTS
             and len({e.run.run_id for e in exchanges[first:after]}) > 1
         ):
-            spans += ((*part, False) for part in _parts_of_group(exchanges, first, after, events))
+            parts = _parts_of_group(exchanges[first:after])
+            spans += ((first + begin, first + end, False) for begin, end in parts)
         elif (
             spans
             and spans[-1][2]
@@ -123,23 +124,21 @@ def _is_drawn(name: str, share: float) -> bool:
     return int.from_bytes(digest, "big") < int(share * (1 << 32))
 
 
-def _parts_of_group(
-    exchanges: Sequence[Exchange], first: int, after: int, events: Callable[[int, int], int]
-) -> list[tuple[int, int]]:
-    """Cut exchanges `first` to `after` (not included) into parts of whole runs; as of groups, some runs end their part."""
-    runs = [
-        position
-        for position in range(first, after)
-        if position == first or exchanges[position].run is not exchanges[position - 1].run
-    ]
+def _parts_of_group(exchanges: Sequence[Exchange]) -> list[tuple[int, int]]:
+    """Cut exchanges into parts of whole runs (the first one, and the one behind the last); as of groups, some runs end their part."""
+    count = len(exchanges)
+    edges = [place for place in range(1, count) if exchanges[place].run is not exchanges[place - 1].run]
     parts: list[tuple[int, int]] = []
-    is_ended = False
-    for begin, end in pairwise([*runs, after]):
-        if parts and not is_ended and events(parts[-1][0], end) <= BATCH_EVENTS:
+    held, is_ended = 0, False
+    for begin, end in pairwise([0, *edges, count]):
+        events = sum(sum(exchange.counts) for exchange in exchanges[begin:end])
+        if parts and not is_ended and held + events <= BATCH_EVENTS:
             parts[-1] = (parts[-1][0], end)
+            held += events
         else:
             parts.append((begin, end))
-        is_ended = _is_drawn(f"{exchanges[begin].run.run_id:016x}", events(begin, end) / BATCH_EVENTS)
+            held = events
+        is_ended = _is_drawn(f"{exchanges[begin].run.run_id:016x}", events / BATCH_EVENTS)
     return parts
 
 
@@ -151,11 +150,9 @@ def parts_of(batch: Batch) -> list[Batch]:
     exchanges, groups = batch.exchanges, batch.group_of_exchange
     if batch.events <= BATCH_EVENTS:
         return [batch]
-    events = np.cumsum([0, *(sum(exchange.counts) for exchange in exchanges)]).tolist()
-    spans = _parts_of_group(exchanges, 0, len(exchanges), lambda first, after: events[after] - events[first])
     return [
         replace(batch, exchanges=exchanges[first:after], group_of_exchange=groups[first:after], whole=False)
-        for first, after in spans
+        for first, after in _parts_of_group(exchanges)
     ]
 
 
@@ -203,10 +200,10 @@ class PairedBatch(Generic[Rows_co]):
     copies: Mapping[EventKey, tuple[Copies, ...]]
 
 
-def split_rows(batch: Batch, roundtrips: RoundTrips) -> Iterator[RoundTrips]:
-    """Yield the rows of each of `parts_of` the batch."""
+def split_rows(parts: Iterable[Batch], roundtrips: RoundTrips) -> Iterator[RoundTrips]:
+    """Yield the rows of each of the parts of a batch (`parts_of`)."""
     begin = 0
-    for part in parts_of(batch):
+    for part in parts:
         end = begin + len(part.exchanges)
         yield roundtrips.part(begin, end)
         begin = end
@@ -215,7 +212,7 @@ def split_rows(batch: Batch, roundtrips: RoundTrips) -> Iterator[RoundTrips]:
 def tables_of_batch(batch: Batch, roundtrips: RoundTrips) -> Iterator[pa.Table]:
     """Yield the rows as `RowStore` takes them, none if they are not wanted; each table is made when it is asked for."""
     if batch.wanted.rows:
-        for of_part in split_rows(batch, roundtrips):
+        for of_part in split_rows(parts_of(batch), roundtrips):
             yield from tables_of(of_part)
 
 

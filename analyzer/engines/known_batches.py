@@ -68,7 +68,7 @@ def _find(batch: Batch, known: KnownDetails, key: str, of_details: str) -> Worke
         number, size = int(files.pop(_NUMBER)), len(files.pop(_ROWS))
         frames = unpack_frames(files)
         counts = frames.pop(_COUNTS)
-        of_batch = known.find(of_details, batch)
+        of_batch = known.find(of_details, batch.first_group)
         if of_batch is None:
             return None
         rows = RowPart.at_end_of(known.path(key, "rows"), size, number)

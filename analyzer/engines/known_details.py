@@ -25,6 +25,7 @@ from ..groups.frames import DETAIL_MAKERS, MAKERS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Set as AbstractSet
 
     from dds_trace.tracefile import Run, Session
 
@@ -67,21 +68,31 @@ class KnownDetails:
             make: makes those of `KNOWN_FRAMES`.
         """
         key = self.key_of(batch, parts)
-        found = self.find(key, batch)
+        found = self.find(key, batch.first_group)
         if found is not None:
             return found
         frames = make()
-        self.write(key, "details", pack_frames(shifted(frames, -batch.first_group)))
+        self.keep(key, batch.first_group, frames)
         return frames
 
-    def find(self, key: str, batch: Batch) -> Frames | None:
-        """Return the frames of a batch, whose `key_of` this is, if they are known."""
+    def find(self, key: str, first_group: int, names: AbstractSet[str] = KNOWN_FRAMES) -> Frames | None:
+        """Return the frames that `keep` was given under this key, if they are known and these.
+
+        Args:
+            key: what they are known by, of a batch its `key_of`.
+            first_group: the number that the first group of their batch has now.
+            names: theirs.
+        """
         with suppress(*UNUSABLE):
             frames = unpack_frames(self.read(key, "details"))
-            if frames.keys() != KNOWN_FRAMES:
+            if frames.keys() != names:
                 raise ValueError("other frames than are made")
-            return shifted(frames, batch.first_group)
+            return shifted(frames, first_group)
         return None
+
+    def keep(self, key: str, first_group: int, frames: Frames) -> None:
+        """Keep frames of a batch, whose first group has this number, for `find`."""
+        self.write(key, "details", pack_frames(shifted(frames, -first_group)))
 
     def read(self, key: str, ending: str) -> dict[str, bytes]:
         """Return what `write` was given.

@@ -25,16 +25,15 @@ from ..pairing.pair import OUTCOMES
 from ..pairing.parquet import encode_rows, encode_stamps, tables_of
 from ..pairing.roundtrips import RECEPTION_STAMPS, RoundTrips, describe
 from ..pairing.row_parts import RowPart
-from .known_details import UNUSABLE, pack_frames, shifted, unpack_frames
+from .known_details import UNUSABLE, pack_frames, unpack_frames
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from concurrent.futures import Executor
 
     import pyarrow as pa
 
     from ..groups.batch import Batch
-    from ..groups.frames import Frames
     from .known_details import KnownDetails
 
     _Kept = tuple[int, str | None, str | None]
@@ -58,12 +57,14 @@ class KnownPart:
         rows: the rows, encoded, a file each.
         stamps: files of the columns of `roundtrips.MIDDLEWARE_STAMPS` that any event has, of the same rows; none where not both
             `RECEPTION_STAMPS` are among them.
+        stamp_names: names of the columns in `stamps`.
     """
 
     counts: pl.DataFrame
     clock_knots: pl.DataFrame
     rows: tuple[RowPart, ...]
     stamps: tuple[Path, ...]
+    stamp_names: frozenset[str]
 
     @classmethod
     def find(cls, key: str, known: KnownDetails, pool: Executor) -> KnownPart | None:
@@ -86,13 +87,10 @@ class KnownPart:
                 return None
             paths = [known.path(table, "table") for table, _ in files]
             parts = [RowPart(*of, is_temporary=False) for of in zip(rows, paths[: len(rows)], strict=True)]
-            return cls(counts, clock_knots, tuple(parts), tuple(paths[len(rows) :]))
+            stamps = paths[len(rows) :]
+            names = frozenset(pl.read_parquet_schema(stamps[0])) if stamps else frozenset[str]()
+            return cls(counts, clock_knots, tuple(parts), tuple(stamps), names)
         return None
-
-    @property
-    def stamp_names(self) -> frozenset[str]:
-        """Names of the columns in `stamps`."""
-        return frozenset(pl.read_parquet_schema(self.stamps[0])) if self.stamps else frozenset()
 
     def column(self, name: str) -> pl.Series:
         """Return a column of the rows, or of the stamps, in pieces.
@@ -182,20 +180,3 @@ def _keep_table(
 
 def _key_of_table(known: KnownDetails, key: str, of: str, number: int) -> str:
     return known.key_of_text("table", f"{key} {of} {number}")
-
-
-def find_frames_of_runs(
-    key: str, known: KnownDetails, first_group: int, names: Collection[str]
-) -> Frames | None:
-    """Return the frames of runs of a part, which have these names, if they are known."""
-    with suppress(*UNUSABLE):
-        frames = unpack_frames(known.read(known.key_of_text("runs", key), "details"))
-        if frames.keys() != set(names):
-            raise ValueError("other frames than are made")
-        return shifted(frames, first_group)
-    return None
-
-
-def keep_frames_of_runs(key: str, known: KnownDetails, frames: Frames, first_group: int) -> None:
-    """Keep the frames of runs of a part."""
-    known.write(known.key_of_text("runs", key), "details", pack_frames(shifted(frames, -first_group)))

@@ -17,7 +17,7 @@ from ..groups.frames import CAMPAIGN_MAKERS, MAKERS, RUN_DETAIL_MAKERS, begin_fr
 from ..groups.timeline import points_of_exchange
 from ..pairing.roundtrips import PairedRows, RoundTrips, describe
 from .batches import PairedBatch, measure_groups_of, pair_at, parts_of, split_rows
-from .known_parts import KnownPart, find_frames_of_runs, keep_frames_of_runs, keep_rows
+from .known_parts import KnownPart, keep_rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -148,7 +148,7 @@ def pair_large(
     else:  # all at once, into the same memory
         paired = pair_at(batch, parts, pool)
         joined, copies = paired.rows, dict(paired.copies)
-        rows += split_rows(batch, joined)
+        rows += split_rows(cut, joined)
     of_parts = [
         # Which of two traces holds a copy follows from their names, which what is known would not say.
         _Part(part, None if any(held in copies for held in part.event_keys()) else key, of_part)
@@ -177,8 +177,9 @@ def _rows_of_parts(batch: Batch, parts: Sequence[_Part]) -> _RowsOfParts:
 def _begin_runs_of(part: _Part, known: KnownDetails, pool: Executor) -> Callable[[], Frames]:
     """Begin the frames of runs of a part, unless they are known; the result waits for them, and keeps new ones."""
     first_group = part.batch.first_group
-    key = None if part.key is None else f"{part.key} {points_of_exchange(part.batch.all_exchanges)}"
-    found = None if key is None else find_frames_of_runs(key, known, first_group, _MAKERS_OF_RUNS.keys())
+    points = points_of_exchange(part.batch.all_exchanges)
+    key = None if part.key is None else known.key_of_text("runs", f"{part.key} {points}")
+    found = None if key is None else known.find(key, first_group, _MAKERS_OF_RUNS.keys())
     if found is not None:
         return partial(dict, found)
     begun = begin_frames(_MAKERS_OF_RUNS, part.batch, part.load(), pool)
@@ -186,7 +187,7 @@ def _begin_runs_of(part: _Part, known: KnownDetails, pool: Executor) -> Callable
     def wait() -> Frames:
         frames = {name: wait_for() for name, wait_for in begun.items()}
         if key is not None:
-            keep_frames_of_runs(key, known, frames, first_group)
+            known.keep(key, first_group, frames)
         return frames
 
     return wait

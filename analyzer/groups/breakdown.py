@@ -282,14 +282,15 @@ def _deliveries(messages: _Messages, exchanges: Iterable[_OfExchange]) -> _Deliv
         [relay.least_ns(of.here, of.relay_wall_ns), ping.least_ns(of.here, of.ping_wall_ns)] for of in held
     ]
     # How long after T4 (T1) the middleware stamped the message, by the same anchor.
-    if _REPLY_SOURCE in stamps:
-        writes = _Times.of(messages, "relay_out_ns", _REPLY_SOURCE)
-        for of, times_ns in zip(held, shortest, strict=True):
-            times_ns.append(writes.least_ns(of.here, -of.relay_wall_ns) if of.is_direct else None)
-    if _RELAY_SOURCE in stamps:
-        writes = _Times.of(messages, "publish_ns", _RELAY_SOURCE)
-        for of, times_ns in zip(held, shortest, strict=True):
-            times_ns.append(writes.least_ns(of.here, -of.ping_wall_ns) if of.is_direct else None)
+    relay_walls_ns, ping_walls_ns = [of.relay_wall_ns for of in held], [of.ping_wall_ns for of in held]
+    for begin, end, walls_ns in (
+        ("relay_out_ns", _REPLY_SOURCE, relay_walls_ns),
+        ("publish_ns", _RELAY_SOURCE, ping_walls_ns),
+    ):
+        if end in stamps:
+            writes = _Times.of(messages, begin, end)
+            for of, wall_ns, times_ns in zip(held, walls_ns, shortest, strict=True):
+                times_ns.append(writes.least_ns(of.here, -wall_ns) if of.is_direct else None)
     found = [[time_ns for time_ns in times_ns if time_ns is not None] for times_ns in shortest]
     if any(min(times_ns) < 0 for times_ns in found):
         return None
@@ -301,8 +302,9 @@ def _deliveries(messages: _Messages, exchanges: Iterable[_OfExchange]) -> _Deliv
     for of, bound_ns in zip(held, bounds_ns, strict=True):
         if bound_ns is not None:
             shown = has_chain[of.here]
-            judged += int(np.count_nonzero(shown))
-            off_ns += int(np.count_nonzero(shown)) * bound_ns
+            count = int(np.count_nonzero(shown))
+            judged += count
+            off_ns += count * bound_ns
             clock_ns += int(clock_bound_ns[of.here][shown].sum())
     return _Deliveries(
         np.concatenate(relay_ns),

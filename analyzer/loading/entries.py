@@ -90,9 +90,7 @@ def store_parts(file: Path, position: int, fill: Fill) -> LoadedTrace:
         TraceFormatError: from `fill`.
     """
     with replacing(file) as draft, draft.open("wb") as stream:
-        stored = StoredParts(stream, None)
-        trace = fill(stored)
-    return LoadedTrace(trace, stored.index(file, position))
+        return _store(stream, file, position, fill, None)[0]
 
 
 def write_entry(cache: TraceCache, key: str, position: int, fill: Fill) -> LoadedTrace:
@@ -110,11 +108,18 @@ def write_entry(cache: TraceCache, key: str, position: int, fill: Fill) -> Loade
     """
     file = cache.path(key, "trace")
     with replacing(file) as draft, draft.open("wb") as stream:
-        stored = StoredParts(stream, cache.sealer)
-        trace = fill(stored)
-        loaded = LoadedTrace(trace, stored.index(file, position))
-        cache.write_end(key, stream, json.dumps(_to_dict(loaded, stored.seals)).encode())
-    return _in_cache(loaded, [None] * len(stored.seals))
+        loaded, seals = _store(stream, file, position, fill, cache.sealer)
+        cache.write_end(key, stream, json.dumps(_to_dict(loaded, seals)).encode())
+    return _in_cache(loaded, [None] * len(seals))
+
+
+def _store(
+    stream: BinaryIO, file: Path, position: int, fill: Fill, sealer: Sealer | None
+) -> tuple[LoadedTrace, list[str]]:
+    """Put the events of a trace into the stream of what will be `file`; return the trace, and the seals of its parts."""
+    stored = StoredParts(stream, sealer)
+    trace = fill(stored)
+    return LoadedTrace(trace, stored.index(file, position)), stored.seals
 
 
 def read_entry(cache: TraceCache, key: str, path: Path, position: int) -> LoadedTrace | None:

@@ -97,7 +97,7 @@ class Times:
         self.sent_ns = sent_ns
         self.edges = edges
 
-    @property
+    @cached_property
     def of_runs(self) -> list[Int64]:
         """Those of each run."""
         return [self.sent_ns[begin:end] for begin, end in pairwise(self.edges.tolist())]

@@ -15,7 +15,6 @@ from dds_trace.analyzer.engines import batches, known_batches, known_details, lo
 from dds_trace.analyzer.engines.known_batches import encoded_batch
 from dds_trace.analyzer.engines.known_details import KnownDetails
 from dds_trace.analyzer.groups import timeline
-from dds_trace.analyzer.loading.cache import TraceCache
 from dds_trace.analyzer.pairing import row_parts
 from dds_trace.tracefile import OutputError
 from dds_trace.tracefile.threads import Here
@@ -90,16 +89,10 @@ def test_a_second_analysis_pairs_nothing_and_says_the_same(runs, worked, tmp_pat
         assert (tmp_path / "again" / name).read_bytes() == (tmp_path / "first" / name).read_bytes(), name
 
 
-def test_rows_are_joined_from_where_the_cache_keeps_them(runs, kept, tmp_path, near_workers, monkeypatch):
+def test_rows_are_joined_from_where_the_cache_keeps_them(
+    runs, kept, tmp_path, near_workers, joined, monkeypatch
+):
     """Written once by whoever encodes them, and still there behind it; not where they could not be kept."""
-    joined = []
-    real = row_parts.JoinedParts.add
-
-    def add(self, part):
-        joined.append(part.content)
-        real(self, part)
-
-    monkeypatch.setattr(row_parts.JoinedParts, "add", add)
     for name in ("first", "again"):
         analyze(runs, cache=True, out=tmp_path / name)
         assert sorted(path for path in joined if isinstance(path, Path)) == kept() != []
@@ -235,11 +228,8 @@ def test_rows_that_are_too_large_are_not_kept(runs, kept, monkeypatch):
     assert kept() == []
 
 
-def test_a_full_disk_costs_the_cache_alone(runs, kept, monkeypatch):
-    def full(*_arguments, **_options):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(TraceCache, "write", full)
+def test_a_full_disk_costs_the_cache_alone(runs, kept, full_disk):
+    full_disk("write")
     assert_as_without_cache(runs, analyze(runs, cache=True))
     assert kept() == []
 

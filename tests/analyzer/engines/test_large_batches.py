@@ -14,8 +14,7 @@ from dds_trace.analyzer import analyze
 from dds_trace.analyzer.engines import batches, known_details, large_batches, local
 from dds_trace.analyzer.engines.known_parts import KnownPart
 from dds_trace.analyzer.groups import timeline
-from dds_trace.analyzer.loading.cache import TraceCache
-from dds_trace.analyzer.pairing import parquet, row_parts
+from dds_trace.analyzer.pairing import parquet
 from dds_trace.tracefile import OutputError, Stage
 
 BOTH = (Stage.T2, Stage.T3)
@@ -239,11 +238,8 @@ def test_rows_that_are_too_large_are_not_kept(analyze_again, cached, monkeypatch
 
 
 @pytest.mark.parametrize("method", ["store", "write"])
-def test_a_full_disk_costs_the_cache_alone(analyze_again, monkeypatch, method):
-    def full(*_arguments, **_options):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(TraceCache, method, full)
+def test_a_full_disk_costs_the_cache_alone(analyze_again, full_disk, method):
+    full_disk(method)
     assert analyze_again() == [0, 1, 2, 3]
     assert analyze_again() == [0, 1, 2, 3]
 
@@ -264,16 +260,9 @@ def test_rows_that_are_removed_while_they_are_needed_are_one_line(runs, cached, 
         analyze(runs, cache=True, out=runs / "out")
 
 
-def test_known_rows_are_joined_from_where_the_cache_keeps_them(runs, cached, analyze_again, monkeypatch):
+def test_known_rows_are_joined_from_where_the_cache_keeps_them(runs, cached, analyze_again, joined):
     analyze_again()
-    joined = []
-    real = row_parts.JoinedParts.add
-
-    def add(self, part):
-        joined.append(part.content)
-        real(self, part)
-
-    monkeypatch.setattr(row_parts.JoinedParts, "add", add)
+    joined.clear()
     analyze(runs, cache=True, out=runs / "out")
     of_rows = {path for path in joined if isinstance(path, Path)}
     assert len(of_rows) == 8
@@ -309,7 +298,7 @@ def test_a_part_that_is_read_whole_is_what_was_paired(runs, monkeypatch):
 
     real_load = KnownPart.load
     monkeypatch.setattr(KnownPart, "load", load)
-    monkeypatch.setattr(large_batches, "find_frames_of_runs", lambda *_: None)
+    monkeypatch.setattr(known_details.KnownDetails, "find", lambda *_: None)
     write_runs(runs, [4], received=BOTH)
     analyze(runs, cache=True)
     assert len(seen) == 4

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import polars as pl
@@ -166,4 +166,14 @@ def runs_by_group(batch: Batch, roundtrips: PairedRows) -> Iterator[NDArray[np.i
 
 def filled(values: pl.Series, missing: int = 0) -> NDArray[np.int64]:
     """Return a column of int64 as an array, with a number in place of null; a view where none is."""
-    return values.fill_null(missing).to_numpy()
+    return (values.fill_null(missing) if values.null_count() else values).to_numpy()
+
+
+def present(values: pl.Series) -> NDArray[Any]:
+    """Return the values of a column that are not null as an array; a view where none is."""
+    return (values.drop_nulls() if values.null_count() else values).to_numpy()
+
+
+def is_present(values: pl.Series) -> NDArray[np.bool_]:
+    """Return for each value of a column whether it is not null."""
+    return values.is_not_null().to_numpy() if values.null_count() else np.ones(len(values), np.bool_)

@@ -27,7 +27,7 @@ from dds_trace.tracefile import Stage
 from ..pairing.pair import MISSING, chosen_of
 from ..pairing.roundtrips import MIDDLEWARE_STAMPS, RECEPTION_STAMPS, RoundTrips
 from ..statistics.percentiles import minimum_messages, quantile_of
-from .batch import exchanges_by_group, filled
+from .batch import exchanges_by_group, filled, is_present
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -137,9 +137,7 @@ def _has_chain(rows: PairedRows) -> Bools:
     """Return whether each message has every part of its chain."""
     has_chain = np.ones(int(rows.bounds[-1]), np.bool_)
     for name in _CHAIN:
-        column = rows.column(name)
-        if column.null_count():
-            has_chain &= column.is_not_null().to_numpy()
+        has_chain &= is_present(rows.column(name))
     return has_chain
 
 
@@ -353,7 +351,7 @@ def response_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:
     """
     names = ("scheduled_ns", "publish_ns", "response_ns", "rtt_ns")
     columns = {name: filled(roundtrips.column(name)) for name in names}
-    came = roundtrips.column("response_ns").is_not_null().to_numpy()
+    came = is_present(roundtrips.column("response_ns"))
     rates_hz = roundtrips.described["rate_hz"].to_list()
     rows: list[dict[str, object]] = []
     for group, numbers in exchanges_by_group(batch):

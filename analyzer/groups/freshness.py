@@ -10,7 +10,7 @@ import polars as pl
 
 from ..pairing.pair import LOSSES, OUTCOMES, Outcome, chosen_of
 from .age import age_of_information
-from .batch import filled
+from .batch import filled, is_present
 from .outages import OUTAGE_MESSAGES, find_outages, longest_run, runs_of
 
 if TYPE_CHECKING:
@@ -187,7 +187,7 @@ def _runs(batch: Batch, roundtrips: RoundTrips) -> Iterator[tuple[int, _Run]]:
         "outbound_ns": filled(measured["outbound_ns"]),
         "bound_ns": filled(measured["clock_bound_ns"]),
         "lost": roundtrips.outcome != OUTCOMES.index(Outcome.COMPLETED),
-        "seen": measured["outbound_ns"].is_not_null().to_numpy(),
+        "seen": is_present(measured["outbound_ns"]),
     }
     deadline_ns = batch.wanted.deadline_ns
     judged = {} if deadline_ns is None else _judged_columns(roundtrips, f"{batch.wanted.deadline_metric}_ns")
@@ -218,7 +218,7 @@ def _judged_columns(roundtrips: RoundTrips, metric: str) -> dict[str, NDArray[An
         "either_way_ns": filled(measured["clock_bound_ns"])
         if metric in ONE_WAY
         else np.zeros(measured.height, np.int64),
-        "known": values.is_not_null().to_numpy(),
+        "known": is_present(values),
         "never": np.isin(roundtrips.outcome, never),
     }
 

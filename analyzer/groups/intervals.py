@@ -15,7 +15,7 @@ from ..run_statistics.spread import find_log_errors, spread_of_runs
 from ..run_statistics.tails import find_own_inflations, find_tails
 from ..statistics.intervals import Basis
 from ..statistics.percentiles import PERCENTILES, quantile_of, summarize_values
-from .batch import columns_by_group, runs_by_group
+from .batch import columns_by_group, is_present, present, runs_by_group
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -106,17 +106,17 @@ def interval_rows(
     """
     sent_ns = column("publish_ns").to_numpy()
     everything = _Sending.of(sent_ns, run_of_row)
-    bounds = column("clock_bound_ns").drop_nulls()
-    bound_ns = float(bounds.to_numpy().max()) if len(bounds) else 0.0
+    bounds_ns = present(column("clock_bound_ns"))
+    bound_ns = float(bounds_ns.max()) if len(bounds_ns) else 0.0
 
     def runs_of(metric: str) -> Runs | None:
         values, sending = column(f"{metric}_ns"), everything
         if values.null_count() == len(values):
             return None
         if values.null_count():
-            present = values.is_not_null().to_numpy()
-            values, sending = values.drop_nulls(), _Sending.of(sent_ns[present], run_of_row[present])
-        return sending.runs(values.to_numpy())
+            has_value = is_present(values)
+            sending = _Sending.of(sent_ns[has_value], run_of_row[has_value])
+        return sending.runs(present(values))
 
     one_by_one = ((metric, runs_of(metric)) for metric in _METRICS)
     is_small = len(run_of_row) <= _SIDE_BY_SIDE
@@ -216,13 +216,13 @@ def one_way_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:
 
 def one_way_rows(group: int, column: Callable[[str], pl.Series]) -> Iterator[dict[str, object]]:
     """Yield the rows of `one_way_frame` for one group, whose columns are fetched one by one."""
-    bounds = column("clock_bound_ns").drop_nulls()
-    for metric in ONE_WAY_METRICS if len(bounds) else ():
-        statistics = summarize_values(np.sort(column(f"{metric}_ns").drop_nulls().to_numpy()))
+    bounds_ns = present(column("clock_bound_ns"))
+    for metric in ONE_WAY_METRICS if len(bounds_ns) else ():
+        statistics = summarize_values(np.sort(present(column(f"{metric}_ns"))))
         yield (
-            {"group": group, "metric": metric, "messages": len(bounds)}
+            {"group": group, "metric": metric, "messages": len(bounds_ns)}
             | {f"{name}_ns": value for name, value in statistics.items() if name != "std"}
-            | {"bound_p50_ns": bounds.median(), "bound_max_ns": bounds.max()}
+            | {"bound_p50_ns": float(np.median(bounds_ns)), "bound_max_ns": float(bounds_ns.max())}
         )
 
 

@@ -12,6 +12,7 @@ from ..model.columns import STATISTICS
 from ..model.metrics import METRICS
 from ..statistics.histogram import Histogram, histogram_of
 from ..statistics.percentiles import summarize_values
+from .batch import present
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -50,7 +51,7 @@ class Statistics:
 def metric_values(roundtrips: PairedRows, metric: str, first: int, after: int) -> NDArray[np.int64]:
     """Return the values of a metric in the rows of exchanges `first` to `after` (not included), without nulls."""
     rows = roundtrips.bounds[[first, after]].tolist()
-    return roundtrips.column(f"{metric}_ns").slice(rows[0], rows[1] - rows[0]).drop_nulls().to_numpy()
+    return present(roundtrips.column(f"{metric}_ns").slice(rows[0], rows[1] - rows[0]))
 
 
 def measure_batch(roundtrips: PairedRows, group_of_exchange: NDArray[np.uint32]) -> Statistics:

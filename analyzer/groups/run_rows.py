@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
+from .batch import present
+
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
@@ -90,7 +92,7 @@ def _summarize(
         if first == after:
             continue
         here = slice(first, after)
-        ordered_ns = np.sort(times[here].drop_nulls().to_numpy())
+        ordered_ns = np.sort(present(times[here]))
         count = len(ordered_ns)
         middle_ns, max_ns = None, None
         if count:

@@ -9,6 +9,7 @@ import numpy as np
 import polars as pl
 
 from ..statistics.percentiles import quantile_of
+from .batch import filled, is_present
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -62,7 +63,7 @@ def sending_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     """
     rows: list[dict[str, object]] = []
     scheduled = roundtrips.measured["scheduled_ns"]
-    is_planned, scheduled_ns = scheduled.is_not_null().to_numpy(), scheduled.fill_null(0).to_numpy()
+    is_planned, scheduled_ns = is_present(scheduled), filled(scheduled)
     all_sent_ns = roundtrips.measured["publish_ns"].to_numpy()
     for number, exchange in enumerate(batch.exchanges):
         here = slice(*roundtrips.bounds[number : number + 2].tolist())

@@ -6,6 +6,7 @@ a whole run), is kept as that; the others as they are in memory. That is a third
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from itertools import accumulate
 from typing import TYPE_CHECKING, Any
@@ -179,7 +180,16 @@ def _read_column(stream: BufferedReader, name: str, pieces: Sequence[StoredPiece
             part[:] = np.arange(piece.count, dtype=dtype)
             part += np.array(value, dtype)
         else:
-            stream.seek(value)
-            if stream.readinto(part.data.cast("B")) < part.nbytes:
-                raise OSError(5, f"{stream.name} is shorter than it was written")
+            _read_into(part.data.cast("B"), stream, value)
     return values
+
+
+def _read_into(room: memoryview, stream: BufferedReader, offset: int) -> None:
+    """Fill `room` with the bytes from `offset` on."""
+    while room:
+        count = os.preadv(
+            stream.fileno(), [room], offset
+        )  # one call of the kernel, where seeking takes another
+        if not count:
+            raise OSError(5, f"{stream.name} is shorter than it was written")
+        room, offset = room[count:], offset + count

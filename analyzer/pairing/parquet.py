@@ -170,6 +170,8 @@ def tables_of(roundtrips: RoundTrips) -> Iterator[pa.Table]:
 
 def _repeated(values: pl.Series, of_exchange: NDArray[np.int64]) -> pa.Array:
     """Return the value of each row, from that of each exchange and its number of rows."""
+    if values.null_count() == len(values):
+        return pa.nulls(int(of_exchange.sum()), values.to_arrow().type)
     if values.null_count():
         return values.gather(np.repeat(np.arange(len(values), dtype=np.uint32), of_exchange)).to_arrow()
     return _array(np.repeat(values.to_numpy(), of_exchange))

@@ -152,7 +152,7 @@ class RowStore:
     def frame(self, groups: pl.DataFrame, columns: Sequence[str] = ROUNDTRIP_NAMES) -> pl.DataFrame:
         """Return columns of the rows of some rows of `groups`, group by group."""
         rows = self.scan().select(columns)
-        spans = [rows.slice(*span) for span in groups.select("first", "published").iter_rows()]
+        spans = [rows.slice(*span) for span in zip(groups["first"], groups["published"], strict=True)]
         return (pl.concat(spans) if spans else rows.head(0)).collect()
 
 

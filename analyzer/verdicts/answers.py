@@ -145,7 +145,8 @@ def _answer_case(
     """Rank the contenders of one kind of message, whose groups are `case`."""
     measured = {}
     for groups in partition_groups(case, CONTENDER_COLUMNS):
-        setting = groups.select(CONTENDER_COLUMNS).row(0, named=True)
+        first = groups.row(0, named=True)
+        setting = {name: first[name] for name in CONTENDER_COLUMNS}
         measured[names[tuple(setting.values())]] = setting, MatchedGroup(rows.frame(groups, _ROW_COLUMNS))
     percentile, quantile, contenders = _contenders(measured, confidence)
     groups_of = {name: group for name, (_, group) in measured.items()}
@@ -162,8 +163,9 @@ def _answer_case(
     else:
         clarity = Clarity.CLEAR if len(beaten) == len(ranked) - 1 else Clarity.INCONCLUSIVE
     is_between = all(one.latency.basis is Basis.BETWEEN_RUNS for one in ranked)
+    of_case = case.row(0, named=True)
     return CaseAnswer(
-        **case.select(*CASE_COLUMNS, CONDITIONS).row(0, named=True),
+        **{name: of_case[name] for name in (*CASE_COLUMNS, CONDITIONS)},
         percentile=percentile,
         clarity=clarity,
         contenders=tuple(ranked),

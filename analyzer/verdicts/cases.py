@@ -83,8 +83,9 @@ def partition_groups(groups: pl.DataFrame, columns: Sequence[str]) -> list[pl.Da
         groups: `GroupRows.groups`, or some of its rows.
         columns: parameter columns.
     """
-    ordered = groups.sort(*columns, maintain_order=True)
-    return ordered.partition_by(*columns, maintain_order=True) if len(ordered) else []
+    if len(groups) < 2:
+        return [groups] if len(groups) else []
+    return groups.sort(*columns, maintain_order=True).partition_by(*columns, maintain_order=True)
 
 
 CONDITIONS = "conditions"

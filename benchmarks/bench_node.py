@@ -1,6 +1,6 @@
 """The own share of a node: the round trip between `dds-record` ping and relay, beside programs that do nothing else.
 
-    python benchmarks/bench_node.py [--rounds 5] [--seconds 2] [--backend socket] [--json]
+    python benchmarks/bench_node.py [--rounds 5] [--seconds 2] [--backend socket] [--awake] [--json]
 
 Against a blocking Python ping-pong and sockperf over TCP, against ddsperf in its waitset mode on Cyclone DDS, and against a
 bare rclpy echo. All run in turn, round by round, real processes over loopback; each ratio is the median over the rounds of
@@ -10,6 +10,9 @@ at SOCKPERF and DDSPERF; what is not there is left out, and said. Exit code 1 if
 Each side has a processor of its own (`taskset`), as two devices have: where the scheduler is free to, it puts two programs that wake each
 other on one processor, and then a blocking pair takes 18 us where 155 us are needed to wake another (measured). sockperf spins between two
 messages, so its caches are warm and its sending core awake; ddsperf prints half of a round trip, which is doubled here.
+
+`--awake` keeps every core awake for all programs alike, by processes that run only where nothing else wants to: what is left of a ratio is
+what the programs do, and not how deep the cores of this machine sleep, on a virtual one whatever its host does then.
 """
 
 from __future__ import annotations
@@ -24,7 +27,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -113,6 +116,22 @@ def serving(
             process.communicate(timeout=5)
         process.kill()
         process.communicate()
+
+
+@contextmanager
+def awake_cores() -> Iterator[None]:
+    """Keep every core awake to the end of the block, by a process each that gives way to any other (sched(7), SCHED_IDLE)."""
+    spin = "import os; os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))\nwhile True: pass"
+    processes = [
+        subprocess.Popen(["taskset", "--cpu-list", str(core), sys.executable, "-S", "-c", spin])
+        for core in sorted(os.sched_getaffinity(0))
+    ]
+    try:
+        yield
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
 
 
 def output_of(command: Sequence[object], environment: Mapping[str, str] | None = None) -> str:
@@ -310,6 +329,11 @@ def main() -> int:
         action="store_true",
         help="let the scheduler put both sides on one processor, where it likes to",
     )
+    parser.add_argument(
+        "--awake",
+        action="store_true",
+        help="keep every core awake, as a robot's are not: for all programs alike",
+    )
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     global is_pinning  # noqa: PLW0603 - a setting of this program
@@ -323,7 +347,8 @@ def main() -> int:
             continue
         contests.append(contest)
     results = []
-    with tempfile.TemporaryDirectory(prefix="dds-trace-bench-") as folder:
+    waking = awake_cores() if options.awake else nullcontext()
+    with waking, tempfile.TemporaryDirectory(prefix="dds-trace-bench-") as folder:
         for rate_hz in options.rate or RATES_HZ:
             for size_bytes in options.size or SIZES_BYTES:
                 load = Load(size_bytes, rate_hz, options.seconds)

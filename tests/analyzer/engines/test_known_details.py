@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
+import sys
 
+import polars as pl
 import pytest
 from campaigns import assert_as_without_cache, assert_same_results, payload_sizes, write_runs
 from file_damage import DAMAGES
 
 from dds_trace.analyzer import analyze
 from dds_trace.analyzer.engines import batches, known_details
-from dds_trace.analyzer.engines.known_details import KnownDetails
+from dds_trace.analyzer.engines.known_details import KnownDetails, pack_frames, unpack_frames
 from dds_trace.analyzer.groups import timeline
 from dds_trace.analyzer.loading.cache import TraceCache
 
@@ -200,3 +203,42 @@ def test_details_that_are_too_large_are_not_kept(runs, kept, monkeypatch):
     monkeypatch.setattr(known_details, "MOST_BYTES", 100)
     assert_as_without_cache(runs, analyze(runs, cache=True))
     assert kept() == []
+
+
+PACKS_BESIDE_A_READER = """
+import threading
+import numpy as np, polars as pl
+from dds_trace.analyzer.engines.known_details import pack_frames, unpack_frames
+
+frame, is_done = pl.DataFrame({"group": np.arange(100_000, dtype=np.uint32)}), threading.Event()
+def look():
+    while not is_done.is_set():
+        frame.get_column("group")
+reader = threading.Thread(target=look)
+reader.start()
+for _ in range(100):
+    packed = pack_frames({"frame": frame})
+is_done.set()
+reader.join()
+assert unpack_frames(packed)["frame"].equals(frame)
+"""
+
+
+def test_a_frame_is_packed_while_another_thread_looks_at_it():
+    # In a process of its own: where polars' lock and Python's are taken in two orders, it never ends.
+    subprocess.run([sys.executable, "-c", PACKS_BESIDE_A_READER], timeout=60, check=True)
+
+
+def test_frames_come_back_as_they_were_packed():
+    frames = {
+        "empty": pl.DataFrame(schema={"group": pl.UInt32, "name": pl.String}),
+        "values": pl.DataFrame(
+            {"group": [0, 1], "name": ["one", None], "ratio": [None, 0.5], "is_late": [True, None]},
+            schema_overrides={"group": pl.UInt32},
+        ),
+    }
+    unpacked = unpack_frames(pack_frames(frames))
+    assert unpacked.keys() == frames.keys()
+    for name, frame in frames.items():
+        assert unpacked[name].schema == frame.schema
+        assert unpacked[name].equals(frame)

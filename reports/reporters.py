@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from dds_trace.tracefile.errors import OptionError, OutputError
 
 if TYPE_CHECKING:
+    import os
     from collections.abc import Iterable
-    from pathlib import Path
 
     from dds_trace.analyzer import Analysis
 
@@ -46,7 +47,9 @@ def load_reporter(kind: str) -> Reporter:
     return reporter
 
 
-def write_reports(analysis: Analysis, kinds: Iterable[str], folder: Path) -> list[Path | None]:
+def write_reports(
+    analysis: Analysis, kinds: Iterable[str], folder: str | os.PathLike[str]
+) -> list[Path | None]:
     """Write reports of one analysis; what several of them say is worked out once.
 
     Args:
@@ -63,7 +66,7 @@ def write_reports(analysis: Analysis, kinds: Iterable[str], folder: Path) -> lis
     """
     reporters = {kind: load_reporter(kind) for kind in kinds}
     book = _book(analysis)
-    return [_write(reporter, book, kind, folder) for kind, reporter in reporters.items()]
+    return [_write(reporter, book, kind, Path(folder)) for kind, reporter in reporters.items()]
 
 
 def render_report(analysis: Analysis, kind: str) -> str:

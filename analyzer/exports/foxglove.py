@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,8 +26,8 @@ from dds_trace.tracefile.version import __version__
 from ..model.metrics import METRICS
 
 if TYPE_CHECKING:
+    import os
     from collections.abc import Mapping, Sequence
-    from pathlib import Path
 
     from ..model.parameters import ParameterValue
 
@@ -80,7 +81,7 @@ class DerivedTrace:
 
 def write_derived(
     roundtrips: pl.DataFrame,
-    path: Path,
+    path: str | os.PathLike[str],
     ping_wall: Mapping[int, int] | None = None,
     *,
     force: bool = False,
@@ -97,6 +98,7 @@ def write_derived(
         OutputExistsError: a file is there already.
         OutputError: a file cannot be written.
     """
+    path = Path(path)
     layout = path.with_suffix(".foxglove.json")
     for target in (path, layout):
         if target.exists() and not force:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from polars.exceptions import PolarsError
@@ -10,8 +11,8 @@ from dds_trace.tracefile import OutputError
 from dds_trace.tracefile.files import replacing
 
 if TYPE_CHECKING:
+    import os
     from collections.abc import Callable, Mapping
-    from pathlib import Path
 
     import polars as pl
 
@@ -24,7 +25,7 @@ EXPORTERS: Mapping[str, Callable[[pl.LazyFrame, Path], object]] = {
 """Kind, which is also the ending of the files -> function that writes rows without holding all of them."""
 
 
-def export_tables(analysis: Analysis, kind: str, folder: Path) -> list[Path]:
+def export_tables(analysis: Analysis, kind: str, folder: str | os.PathLike[str]) -> list[Path]:
     """Write `roundtrips` and `summary` as `kind` into a folder; earlier ones are replaced.
 
     Args:
@@ -38,7 +39,7 @@ def export_tables(analysis: Analysis, kind: str, folder: Path) -> list[Path]:
     Raises:
         OutputError: a file cannot be written.
     """
-    written = []
+    folder, written = Path(folder), []
     for name, rows in (("roundtrips", analysis.scan_roundtrips()), ("summary", analysis.summary.lazy())):
         path = folder / f"{name}.{kind}"
         try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from array import array
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,7 +19,6 @@ from .messages import find_recordings, iter_messages
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
-    from pathlib import Path
 
     from .messages import RecordedMessage, Topic
 
@@ -87,9 +87,9 @@ class TopicReport:
 
 
 def analyze_topics(
-    path: Path | Sequence[Path],
+    path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     *,
-    skip: Collection[Path] = (),
+    skip: Collection[str | os.PathLike[str]] = (),
     progress: Callable[[Path], None] | None = None,
 ) -> TopicReport:
     """Analyze the topics of every recording in a folder and below it, or of one recording.
@@ -104,8 +104,9 @@ def analyze_topics(
     """
     rows: list[Row] = []
     sources: list[Source] = []
-    parts = [path] if isinstance(path, os.PathLike) else path
-    for recording in sorted({each for part in parts for each in find_recordings(part, skip=skip)}):
+    left_out = [Path(each) for each in skip]
+    parts = [path] if isinstance(path, (str, os.PathLike)) else path
+    for recording in sorted({each for part in parts for each in find_recordings(Path(part), skip=left_out)}):
         if progress is not None:
             progress(recording)
         columns: dict[Topic, _Columns] = {}

@@ -11,6 +11,7 @@ from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..format.events import EventColumns, Stage
@@ -21,7 +22,6 @@ from .trace import TraceBuilder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
-    from pathlib import Path
 
     from .trace import Trace
 
@@ -31,7 +31,7 @@ PIECE_EVENTS = 1 << 18
 _MOST_WORKERS = 4  # more threads wait for memory, not for each other
 
 
-def read_trace(path: Path) -> Trace:
+def read_trace(path: str | os.PathLike[str]) -> Trace:
     """Read a whole trace.
 
     Args:
@@ -42,7 +42,7 @@ def read_trace(path: Path) -> Trace:
             damaged is no error: see `Trace.truncated` and `Trace.notes`.
     """
     whole: dict[Stage, EventColumns] = {}
-    return replace(_read(path, whole.update, sys.maxsize), events=whole)
+    return replace(_read(Path(path), whole.update, sys.maxsize), events=whole)
 
 
 def read_trace_in_pieces(path: Path, take: Callable[[Mapping[Stage, EventColumns]], object]) -> Trace:
@@ -85,7 +85,7 @@ def _read(path: Path, take: Callable[[Mapping[Stage, EventColumns]], object], mo
         return builder.trace({})
 
 
-def iter_event_batches(path: Path) -> Iterator[tuple[Stage, EventColumns]]:
+def iter_event_batches(path: str | os.PathLike[str]) -> Iterator[tuple[Stage, EventColumns]]:
     """Yield the events of a trace about a megabyte at a time, those of each stage in file order.
 
     Memory follows the size of a chunk, not of the file. Descriptions, notes and the number of unreadable messages come
@@ -94,6 +94,7 @@ def iter_event_batches(path: Path) -> Iterator[tuple[Stage, EventColumns]]:
     Raises:
         TraceFormatError: as for `read_trace`, as soon as the fault is met.
     """
+    path = Path(path)
     builder = TraceBuilder(path)
     for file in storage_files(path):
         ring = ring_beside(file)

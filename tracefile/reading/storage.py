@@ -37,7 +37,9 @@ _OPENERS: dict[str, Callable[[Path, Executor, Path], Source]] = {
 }
 
 
-def find_traces(folder: Path, *, skip: Collection[Path] = ()) -> list[Path]:
+def find_traces(
+    folder: str | os.PathLike[str], *, skip: Collection[str | os.PathLike[str]] = ()
+) -> list[Path]:
     """Find the traces in `folder` and below it: `.mcap` files and rosbag2 folders, sorted.
 
     Files are found by name and not opened; `read_trace` tells which of them are traces. A `folder` that is itself a
@@ -50,7 +52,7 @@ def find_traces(folder: Path, *, skip: Collection[Path] = ()) -> list[Path]:
     Raises:
         MissingEventsError: `folder` does not exist.
     """
-    left_out = {Path(path).resolve() for path in skip}
+    folder, left_out = Path(folder), {Path(path).resolve() for path in skip}
     if folder.is_file() or (folder.is_dir() and is_bag(folder)):
         return [folder]
     if not folder.is_dir():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from contextlib import closing
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import OptionError, OutputExistsError, TraceFormatError
@@ -20,7 +21,6 @@ from .salvage import Salvage, SalvagedText
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
     from ..format.ring import RingContents, Slots
 
@@ -77,7 +77,9 @@ class RecoveryReport:
         ]
 
 
-def recover(path: Path, destination: Path | None = None) -> RecoveryReport:
+def recover(
+    path: str | os.PathLike[str], destination: str | os.PathLike[str] | None = None
+) -> RecoveryReport:
     """Make a closed trace of a cut off one and its ring, without changing a byte of either.
 
     What is whole is used: the ring alone where the file is gone, the file alone where the ring is, and of a damaged ring
@@ -96,6 +98,7 @@ def recover(path: Path, destination: Path | None = None) -> RecoveryReport:
         OutputExistsError: `destination` exists already.
         OutputError: the new file cannot be written.
     """
+    path, destination = Path(path), None if destination is None else Path(destination)
     if path.name.endswith(RING_SUFFIX):
         path = path.with_name(path.name.removesuffix(RING_SUFFIX))
     trace = path / f"{path.name}_0.mcap" if path.is_dir() else path

@@ -1,4 +1,4 @@
-"""Files that are written: replaced whole or not at all, and what a failure means; files that are read: regular ones."""
+"""Files that are written: replaced whole or not at all, and what a failure means; files that are read: regular ones, from any offset."""
 
 from __future__ import annotations
 
@@ -66,6 +66,24 @@ def open_regular(path: Path, *, follow_links: bool = True) -> BufferedReader:
         os.close(descriptor)
         raise OSError(errno.EINVAL, "no regular file", str(path))
     return os.fdopen(descriptor, "rb")
+
+
+def read_into(descriptor: int, room: memoryview, offset: int) -> int:
+    """Fill `room` with the bytes of a file from `offset` on.
+
+    Returns:
+        How many there were: fewer than `room` has where the file ends before.
+
+    Raises:
+        OSError: as `os.preadv`.
+    """
+    done = 0
+    while done < len(room):  # the kernel hands out at most 2 GiB at once
+        count = os.preadv(descriptor, [room[done:]], offset + done)
+        if not count:
+            break
+        done += count
+    return done
 
 
 def expand_home(text: str) -> Path:

@@ -174,6 +174,12 @@ def present(values: pl.Series) -> NDArray[Any]:
     return (values.drop_nulls() if values.null_count() else values).to_numpy()
 
 
+def first_known(rows: pl.DataFrame, name: str, other: str) -> pl.Series:
+    """Return a column, with the value of another one where it is null; itself where none is."""
+    column = rows[name]
+    return rows.select(pl.coalesce(name, other)).to_series() if column.null_count() else column
+
+
 def is_present(values: pl.Series) -> NDArray[np.bool_]:
     """Return for each value of a column whether it is not null."""
     return values.is_not_null().to_numpy() if values.null_count() else np.ones(len(values), np.bool_)

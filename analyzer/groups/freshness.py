@@ -10,7 +10,7 @@ import polars as pl
 
 from ..pairing.pair import LOSSES, OUTCOMES, Outcome, chosen_of
 from .age import age_of_information
-from .batch import filled, is_present
+from .batch import filled, first_known, is_present
 from .outages import OUTAGE_MESSAGES, find_outages, longest_run, runs_of
 
 if TYPE_CHECKING:
@@ -182,7 +182,7 @@ def _runs(batch: Batch, roundtrips: RoundTrips) -> Iterator[tuple[int, _Run]]:
     measured = roundtrips.measured
     columns = {
         **{name: measured[name].to_numpy() for name in ("sequence", "publish_ns")},
-        "planned_ns": filled(_first_of(measured, "scheduled_ns", "publish_ns")),
+        "planned_ns": filled(first_known(measured, "scheduled_ns", "publish_ns")),
         "receive_ns": filled(measured["receive_ns"]),
         "outbound_ns": filled(measured["outbound_ns"]),
         "bound_ns": filled(measured["clock_bound_ns"]),
@@ -211,7 +211,7 @@ def _judged_columns(roundtrips: RoundTrips, metric: str) -> dict[str, NDArray[An
     """Return the arrays of `_Judged`, of all rows."""
     measured = roundtrips.measured
     # A message without a schedule responds from T1 on.
-    values = _first_of(measured, metric, "rtt_ns") if metric == "response_ns" else measured[metric]
+    values = first_known(measured, metric, "rtt_ns") if metric == "response_ns" else measured[metric]
     never = [OUTCOMES.index(outcome) for outcome in _NEVER.get(metric, map(Outcome, LOSSES))]
     return {
         "value_ns": filled(values),
@@ -221,15 +221,6 @@ def _judged_columns(roundtrips: RoundTrips, metric: str) -> dict[str, NDArray[An
         "known": is_present(values),
         "never": np.isin(roundtrips.outcome, never),
     }
-
-
-def _first_of(measured: pl.DataFrame, name: str, other: str) -> pl.Series:
-    """Return a column, with the values of another where it has none."""
-    return (
-        measured.select(pl.coalesce(name, other)).to_series()
-        if measured[name].null_count()
-        else measured[name]
-    )
 
 
 def _outages(run: _Run) -> list[Outage]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from .batch import present
+from .batch import first_known, present
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -85,8 +85,8 @@ def _summarize(
         bounds: rows `bounds[i]` to `bounds[i + 1]` (not included) are those of run i.
     """
     sent_ns, is_back = roundtrips["publish_ns"].to_numpy(), (roundtrips["outcome"] == "completed").to_numpy()
-    planned_ns = _first_known(roundtrips, "scheduled_ns", "publish_ns").to_numpy()
-    times = _first_known(roundtrips, "latency_ns", "rtt_ns")
+    planned_ns = first_known(roundtrips, "scheduled_ns", "publish_ns").to_numpy()
+    times = first_known(roundtrips, "latency_ns", "rtt_ns")
     rows = []
     for (group, run_id), first, after in zip(keys, bounds, bounds[1:], strict=False):
         if first == after:
@@ -111,9 +111,3 @@ def _summarize(
             )
         )
     return pl.DataFrame(rows, schema=RUN_SCHEMA, orient="row")
-
-
-def _first_known(roundtrips: pl.DataFrame, name: str, other: str) -> pl.Series:
-    """Return a column, with the value of another one where it is null; itself where none is."""
-    column = roundtrips[name]
-    return roundtrips.select(pl.coalesce(name, other)).to_series() if column.null_count() else column

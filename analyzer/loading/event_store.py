@@ -6,7 +6,6 @@ a whole run), is kept as that; the others as they are in memory. That is a third
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from itertools import accumulate
 from typing import TYPE_CHECKING, Any
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dds_trace.tracefile import EVENT_DTYPE, EventColumns
-from dds_trace.tracefile.files import open_regular
+from dds_trace.tracefile.files import open_regular, read_into
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -180,16 +179,7 @@ def _read_column(stream: BufferedReader, name: str, pieces: Sequence[StoredPiece
             part[:] = np.arange(piece.count, dtype=dtype)
             part += np.array(value, dtype)
         else:
-            _read_into(part.data.cast("B"), stream, value)
+            room = part.data.cast("B")
+            if read_into(stream.fileno(), room, value) < len(room):
+                raise OSError(5, f"{stream.name} is shorter than it was written")
     return values
-
-
-def _read_into(room: memoryview, stream: BufferedReader, offset: int) -> None:
-    """Fill `room` with the bytes from `offset` on."""
-    while room:
-        count = os.preadv(
-            stream.fileno(), [room], offset
-        )  # one call of the kernel, where seeking takes another
-        if not count:
-            raise OSError(5, f"{stream.name} is shorter than it was written")
-        room, offset = room[count:], offset + count

@@ -73,17 +73,19 @@ class RecordedMessage:
     payload_bytes: int
 
 
-def find_recordings(path: Path, *, skip: Collection[Path] = ()) -> list[Path]:
+def find_recordings(
+    path: str | os.PathLike[str], *, skip: Collection[str | os.PathLike[str]] = ()
+) -> list[Path]:
     """Find all `.mcap`, `.bag` and `.db3` files and rosbag2 folders in a folder and below it, sorted; or the path itself.
 
     Raises:
         MissingEventsError: there is no such file or folder.
     """
+    path, left_out = Path(path), {Path(other).resolve() for other in skip}
     if path.is_file() or (path / METADATA_NAME).is_file():
         return [path]
     if not path.is_dir():
         raise MissingEventsError(f"{path}: no such file or folder")
-    left_out = {other.resolve() for other in skip}
     recordings: list[Path] = []
     for name, folders, files in os.walk(path):
         here = Path(name)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from array import array
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,6 +18,7 @@ from .messages import find_recordings, iter_messages
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
+    from pathlib import Path
 
     from .messages import RecordedMessage, Topic
 
@@ -104,9 +104,8 @@ def analyze_topics(
     """
     rows: list[Row] = []
     sources: list[Source] = []
-    left_out = [Path(each) for each in skip]
-    parts = [path] if isinstance(path, (str, os.PathLike)) else path
-    for recording in sorted({each for part in parts for each in find_recordings(Path(part), skip=left_out)}):
+    parts = [path] if isinstance(path, str | os.PathLike) else path
+    for recording in sorted({each for part in parts for each in find_recordings(part, skip=skip)}):
         if progress is not None:
             progress(recording)
         columns: dict[Topic, _Columns] = {}

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
 from ..errors import TraceFormatError
+from ..files import read_into
 from ..format.framing import MAGIC, RECORD_HEADER
 from ..units.counts import counted
 from .records import parse_record, record_name
@@ -118,15 +119,12 @@ class RecordFile(AbstractContextManager["RecordFile"]):
         Raises:
             TraceFormatError: as for `read`.
         """
-        done = 0
         try:
-            while done < len(room):  # the kernel hands out at most 2 GiB at once
-                count = os.preadv(self._descriptor, [room[done:]], offset + done)
-                if not count:
-                    raise TraceFormatError(self.path, "became shorter while it was read", offset + done)
-                done += count
+            done = read_into(self._descriptor, room, offset)
         except OSError as err:
             raise TraceFormatError(self.path, f"cannot be read ({err.strerror})", offset) from err
+        if done < len(room):
+            raise TraceFormatError(self.path, "became shorter while it was read", offset + done)
 
     def peek(self, offset: int, size: int) -> bytes:
         """Return `size` bytes from `offset` on, read ahead for the next call; only for the one thread that walks headers.

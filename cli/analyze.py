@@ -5,8 +5,6 @@ one, and anything else belongs to the command without a name. So no command chan
 means; a folder that bears the name of a command is written `./compare`.
 """
 
-import atexit
-import gc
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -18,6 +16,7 @@ import typer
 
 from dds_trace.reports.reporters import REPORT_MODULES
 from dds_trace.tracefile import limits
+from dds_trace.tracefile.collector import collect_seldom
 from dds_trace.tracefile.units.durations import parse_duration
 
 from . import compare, watch
@@ -261,8 +260,7 @@ COMMANDS: Mapping[str, typer.Typer] = {"compare": compare.app, "watch": watch.ap
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run `dds-analyze` with these arguments, or with those of the process."""
-    # The collector does not look at every object once more before the process ends: 0.1 s of a large analysis.
-    atexit.register(gc.freeze)
+    collect_seldom()
     avoid_slow_sorts()
     run_program("dds-analyze", app, COMMANDS, arguments)
 

@@ -7,8 +7,6 @@ batches and all other results through pipes. One worker is the process of the an
 
 from __future__ import annotations
 
-import atexit
-import gc
 import multiprocessing
 import os
 import signal
@@ -23,6 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from dds_trace.tracefile import TraceError
+from dds_trace.tracefile.collector import collect_seldom
 
 from ..loading.cache import TraceCache
 from ..loading.shelf import TraceShelf
@@ -50,9 +49,6 @@ R = TypeVar("R")
 
 _PIECES_OF_WORKER = 8
 """Parts that each worker does of what is mapped: so few that little travels, so many that none waits long for another."""
-
-_OBJECTS_TO_COLLECT = 10_000
-"""New objects behind which a worker process looks for garbage; with Python's 700 it spends a twentieth of its time on that."""
 
 
 class Workers:
@@ -221,8 +217,7 @@ def _begin(folder: str, has_cache: bool) -> None:
     """Make this process a worker."""
     global _worker  # noqa: PLW0603 - what a process has from its beginning
     keep_freed_memory()
-    gc.set_threshold(_OBJECTS_TO_COLLECT)
-    atexit.register(gc.freeze)  # else the collector looks at every object again before the process ends
+    collect_seldom()
     threading.Thread(target=_end_with_caller, daemon=True).start()
     _worker = Worker(Path(folder), TraceCache.open() if has_cache else None)
 

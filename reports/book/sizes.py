@@ -39,8 +39,8 @@ if TYPE_CHECKING:
     """Values of `CASE_COLUMNS`, then the conditions."""
 
 HOW_TO_READ = (
-    "Latency, median / p99; a lost message counts as infinitely late. Bold: clearly the lowest of its row and domain, by a test "
-    "of the runs. A dash: too few messages for this percentile."
+    "Latency, median / p99, from three runs on those of a typical run; a lost message counts as infinitely late. Bold: clearly the "
+    "lowest of its row and domain, by a test of the runs. A dash: too few messages for this percentile."
 )
 
 

@@ -27,7 +27,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -120,18 +120,20 @@ def serving(
 
 @contextmanager
 def awake_cores() -> Iterator[None]:
-    """Keep every core awake to the end of the block, by a process each that gives way to any other (sched(7), SCHED_IDLE)."""
-    spin = "import os; os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))\nwhile True: pass"
-    processes = [
-        subprocess.Popen(["taskset", "--cpu-list", str(core), sys.executable, "-S", "-c", spin])
-        for core in sorted(os.sched_getaffinity(0))
-    ]
-    try:
+    """Keep every core awake to the end of the block, by a process each that gives way to any other (sched(7), SCHED_IDLE).
+
+    They end with this process, too, whatever ends it.
+    """
+    spin = (
+        "import os; os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))\n"
+        f"while os.getppid() == {os.getpid()}:\n for _ in range(1_000_000): pass"
+    )
+    with ExitStack() as started:
+        for core in sorted(os.sched_getaffinity(0)):
+            command = ["taskset", "--cpu-list", str(core), sys.executable, "-S", "-c", spin]
+            process = started.enter_context(subprocess.Popen(command))
+            started.callback(process.kill)
         yield
-    finally:
-        for process in processes:
-            process.kill()
-            process.wait()
 
 
 def output_of(command: Sequence[object], environment: Mapping[str, str] | None = None) -> str:

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from dds_trace.analyzer.engines.collector import collect_seldom
 from dds_trace.reports.reporters import REPORT_MODULES
 from dds_trace.tracefile import limits
-from dds_trace.tracefile.collector import collect_seldom
 from dds_trace.tracefile.units.durations import parse_duration
 
 from . import compare, watch

@@ -21,12 +21,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from dds_trace.tracefile import TraceError
-from dds_trace.tracefile.collector import collect_seldom
 
 from ..loading.cache import TraceCache
 from ..loading.shelf import TraceShelf
 from ..loading.traces import loaded_or_error
 from .batches import keep_freed_memory
+from .collector import collect_seldom
 from .known_batches import encoded_batch
 from .known_details import KnownDetails
 

@@ -136,8 +136,8 @@ class Contender:
         received: share of messages whose reply came back, with its interval.
         survivors_ns: the compared percentile of the messages that came back; None if they are too few.
         loses_more: whether it receives significantly less than another contender of the case.
-        p50_ns: median of a typical run (`interval_of_runs`), below three runs of all messages, ns; infinite where more than half
-            were lost, None without messages.
+        p50_ns: median of a typical run (`interval_of_runs`), below three runs of all messages, ns; infinite where it is that of a
+            lost message, None without messages.
         p99_ns: p99, likewise; of all messages also where the runs are too short for it, None where these do not support it.
     """
 

@@ -9,7 +9,7 @@ _NEW_OBJECTS = 10_000
 
 
 def collect_seldom() -> None:
-    """Let the collector of this process look at new objects in larger heaps, and at none once more before the process ends.
+    """Let the collector look behind more new objects than Python has it, and not at all objects once more before the process ends.
 
     That last look takes 60 ms of a worker process, 0.1 s of a large analysis.
     """

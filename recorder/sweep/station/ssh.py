@@ -39,7 +39,7 @@ _LOOK_S = 0.2
 _WAIT_FOR_END = (
     "for i in $(seq 100); do kill -0 $(cat {pid}) 2>/dev/null || break; sleep 0.2; done; rm -f {pid}"
 )
-"""Shell commands that wait up to 20 s for the end of the program whose id is in the file {pid}, which they remove."""
+"""Shell commands that wait up to 20 s for the end of the process whose id is in the file {pid}, which they remove."""
 
 
 class SshDevice:
@@ -117,9 +117,10 @@ class SshDevice:
         )
 
     def _start(self, command: str, pid: str, log: Path) -> StartedProgram:
+        # The id is this shell's, which ends after the program: that of the program is not known before it runs.
         # A command in the background reads from /dev/null unless it is given a copy of the input.
         script = (
-            f"{self._setup} exec 3<&0; {command} </dev/null 3<&- & program=$!; echo $program >{pid}; "
+            f"{self._setup} exec 3<&0; echo $$ >{pid}; {command} </dev/null 3<&- & program=$!; "
             "{ cat <&3 >/dev/null; kill -TERM $program; } 2>/dev/null & watch=$!; "
             f"wait $program; code=$?; rm -f {pid}; kill $watch 2>/dev/null; exit $code"
         )

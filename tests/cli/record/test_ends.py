@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import json
 import signal
+import subprocess
+import sys
 import time
 from importlib.util import find_spec
+from pathlib import Path
 
 import psutil
 import pytest
 from processes import PATIENCE_S, ping, relay, running
-from record_reader import last_json
+from record_reader import events_of, last_json
 
 pytestmark = pytest.mark.middleware
 
@@ -69,6 +72,27 @@ def test_a_relay_that_is_killed_ends_the_run_with_the_reason(domain_id, tmp_path
     assert "the relay of imu_data is lost: no reply to the last" in done.stderr
     assert last_json(out, "session")["error"].startswith("the relay of imu_data is lost")
     assert 0 < last_json(out, "run")["published"] < 100_000
+
+
+def test_a_relay_whose_reader_is_gone_serves_on_and_closes_its_trace(domain_id, tmp_path):
+    """As over an `ssh` whose connection broke."""
+    out = tmp_path / "relay.mcap"
+    relays = [Path(sys.executable).with_name("dds-record"), *("--role", "relay", "--domain", str(domain_id))]
+    with subprocess.Popen(
+        [*relays, "--out", out, *SOCKET], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    ) as command:
+        try:
+            assert "serves domain" in command.stdout.readline()
+            command.stdout.close()
+            few = ("--data", "imu", "--messages", 20, "--warmup", 0, "--rate", 100)
+            done = ping(domain_id, tmp_path / "ping.mcap", *SOCKET, *few)
+            command.terminate()
+            command.wait(PATIENCE_S)
+        finally:
+            command.kill()
+    assert done.status == 0, done.stderr
+    assert last_json(out, "session")["state"] == "closed"
+    assert [event["sequence"] for event in events_of(out, "t4")] == list(range(20))
 
 
 def test_losses_within_the_limit_are_no_error(domain_id, tmp_path):

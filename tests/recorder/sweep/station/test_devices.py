@@ -24,8 +24,8 @@ RECORD = """#!/bin/sh
 out=
 while [ $# -gt 0 ]; do [ "$1" = --out ] && out=$2; shift; done
 trap 'echo closed >>"$out"; exit 0' TERM
-echo open >"$out"
 echo "dds-record: relay serves"
+echo open >"$out"
 while :; do sleep 0.05; done
 """
 HALF = """#!/bin/sh
@@ -37,6 +37,8 @@ BROKEN_RECORD = """#!/bin/sh
 echo "dds-record: rmw_nowhere is not installed" >&2
 exit 7
 """
+SLOW_TO_TELL = '; echo() { sleep 2; printf "%s\\n" "$*"; }'
+"""A shell that takes long to write down the id that is waited for."""
 
 
 @pytest.fixture(scope="module")
@@ -127,8 +129,9 @@ def test_half_of_a_bridge_runs_beside_the_relay_of_the_other_device(remote, tmp_
     assert list((tmp_path / "parts").iterdir()) == []
 
 
-def test_relay_ends_when_this_side_is_killed_and_is_fetched_whole_later(remote, tmp_path):
-    device = remote()
+@pytest.mark.parametrize("shell", ["", SLOW_TO_TELL], ids=["", "slow to tell"])
+def test_relay_ends_when_this_side_is_killed_and_is_fetched_whole_later(remote, tmp_path, shell):
+    device = remote(shell=shell)
     device.prepare()
     relay = device.start([], "1-1.mcap")
     wait_until((there(tmp_path) / "1-1.mcap").exists, PATIENCE_S)

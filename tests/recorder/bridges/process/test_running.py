@@ -128,9 +128,11 @@ def test_log_of_a_flooding_program_is_bounded_on_disk_and_in_the_trace(stand_in)
         written = set()
         # Each holds a quarter of both at least; the newer one is not there for a moment when it becomes the older one.
         wait_until(lambda: written.add(older.stat().st_mtime_ns) or len(written) > 5)
+        sizes = []
         for path in folder.glob("log*"):
             with suppress(FileNotFoundError):
-                assert path.stat().st_size <= LOG_LIMIT_BYTES
+                sizes.append(path.stat().st_size)
+        assert sum(sizes) <= 2 * LOG_LIMIT_BYTES
     (program,) = bridge.describe()["programs"]
     assert program["log_bytes"] > 2 * LOG_LIMIT_BYTES
     assert len(program["log_tail"]) <= 8192

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Protocol, cast
 import polars as pl
 from polars.exceptions import PolarsError
 
-from dds_trace.tracefile import Run, Session, TraceFormatError
+from dds_trace.base.errors import TraceFormatError
+from dds_trace.tracefile.format.descriptions import Run, Session
 
 from .model.unsent import with_unsent
 from .model.wire import WIRE_FRAMES
@@ -25,8 +26,7 @@ if TYPE_CHECKING:
 
     from plotly.graph_objects import Figure
 
-    from .model.finding import Finding
-    from .model.source import Source
+    from .model.finding import Finding, Source
     from .verdicts.answers import CaseAnswer
     from .verdicts.recommend import Recommendation
 

@@ -15,8 +15,8 @@ from .groups.frames import DETAIL_MAKERS
 from .groups.host_samples import host_sample_frame
 from .groups.intervals import INTERVAL_SCHEMA, ONE_WAY_SCHEMA, interval_rows, one_way_rows
 from .groups.wire import no_wire_frames, wire_frames
-from .model.column import schema_of
 from .model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
+from .model.metrics import schema_of
 from .model.runs import pass_numbers
 from .pairing.one_way import fit_devices, segment_table
 from .pairing.roundtrips import pair_exchanges
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from dds_trace.tracefile import Run
+    from dds_trace.tracefile.format.descriptions import Run
 
     from .groups.batch import Grouping, Wanted
     from .groups.frames import Frames

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from dds_trace.tracefile import OutputError
+from dds_trace.base.errors import OutputError
 
 from .analysis import Analysis
+from .cache.event_index import total_copies
 from .details import collect_details
 from .engines.batches import groups_in_parts, plan_batches
 from .engines.cluster import ClusterEngine
@@ -19,7 +20,6 @@ from .findings.evidence import Evidence
 from .findings.table import find_findings
 from .groups.batch import DEADLINE_METRIC, Wanted, group_exchanges
 from .groups.shapes import SHAPE_SCHEMA
-from .loading.events import total_copies
 from .loading.place import Place
 from .pairing.exchanges import find_exchanges
 from .pairing.parquet import write_summary
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     import os
     from collections.abc import Iterable, Iterator
 
-    from dds_trace.tracefile import Run
+    from dds_trace.tracefile.format.descriptions import Run
 
     from .engines.batches import BatchResult, WorkedBatch
     from .engines.local import Engine

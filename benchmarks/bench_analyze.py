@@ -39,9 +39,9 @@ from campaigns import MANY_GROUPS, SHAPES, SHORT_RUNS, Shape, write_campaign, wr
 from commands import Ran, run_command
 from timing import packed_chunks, seconds, unpack_job
 
+from dds_trace.analyzer.cache.parquet_join import read_rows
 from dds_trace.analyzer.clocks.fit import RelayedMessages, fit_clocks
 from dds_trace.analyzer.pairing.parquet import encode_rows
-from dds_trace.analyzer.pairing.row_parts import read_rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

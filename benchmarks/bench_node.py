@@ -36,7 +36,8 @@ import numpy as np
 
 from dds_trace.recorder.backends.cyclone_settings import cyclone_loopback, cyclone_settings
 from dds_trace.recorder.choices import Discovery
-from dds_trace.tracefile import Stage, read_trace
+from dds_trace.tracefile.format.events import Stage
+from dds_trace.tracefile.reading.reader import read_trace
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence

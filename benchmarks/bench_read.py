@@ -32,7 +32,7 @@ from mcap.stream_reader import StreamReader
 from rosbags.rosbag2 import Reader as RosbagsReader
 from timing import keep_freed_memory, packed_chunks, seconds, unpack_job
 
-from dds_trace.tracefile import read_trace
+from dds_trace.tracefile.reading.reader import read_trace
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -57,7 +57,8 @@ MOST_RSS_ABOVE_RESULT = 100e6
 READ_AND_TELL = """
 import json, re, sys
 from pathlib import Path
-from dds_trace.tracefile import EVENT_DTYPE, read_trace
+from dds_trace.tracefile.format.events import EVENT_DTYPE
+from dds_trace.tracefile.reading.reader import read_trace
 trace = read_trace(Path(sys.argv[1]))
 peak = re.search("VmHWM: *([0-9]+) kB", Path("/proc/self/status").read_text().replace("\\t", " "))
 print(json.dumps([int(peak[1]) * 1024, trace.event_count * EVENT_DTYPE.itemsize]))

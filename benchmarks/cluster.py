@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING
 import psutil
 from campaigns import Shape, write_campaign
 
-from dds_trace.analyzer import analyze
+from dds_trace.analyzer.pipeline import analyze
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

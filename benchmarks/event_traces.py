@@ -16,9 +16,16 @@ import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, ChunkIndex, DataEnd, Footer, Header, Schema, Statistics
 
-from dds_trace.tracefile import CDR_HEADER, EVENT_DTYPE, RUN_TOPIC, SESSION_TOPIC, Qos, Run, Session, Stage
-from dds_trace.tracefile.format.events import EVENT_DEFINITION, EVENT_SCHEMA_NAME
-from dds_trace.tracefile.format.string_cdr import encode_string
+from dds_trace.tracefile.format.descriptions import Qos, Run, Session
+from dds_trace.tracefile.format.events import (
+    EVENT_DEFINITION,
+    EVENT_DTYPE,
+    EVENT_SCHEMA_NAME,
+    RUN_TOPIC,
+    SESSION_TOPIC,
+    Stage,
+)
+from dds_trace.tracefile.format.string_cdr import CDR_HEADER, encode_string
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -31,8 +31,8 @@ from commands import Ran, run_command
 from event_traces import write_event_trace
 from timing import packed_chunks, seconds, unpack_job
 
+from dds_trace.analyzer.cache.parquet_join import read_rows
 from dds_trace.analyzer.pairing.parquet import encode_rows
-from dds_trace.analyzer.pairing.row_parts import read_rows
 
 EVENTS, EVENTS_OF_FILE = 1_000_000_000, 10_000_000
 RUNS_OF_FILE, GROUPS = 20, 50

@@ -22,10 +22,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from dds_trace.analyzer import CompareOptions, analyze, group_words, judge_gates, parse_gates
+from dds_trace.analyzer.model.names import group_words
 from dds_trace.analyzer.model.parameters import PARAMETER_NAMES
-from dds_trace.analyzer.verdicts.compare import compare_groups
-from dds_trace.analyzer.verdicts.gate import GateOutcome
+from dds_trace.analyzer.pipeline import analyze
+from dds_trace.analyzer.verdicts.compare import CompareOptions, compare_groups
+from dds_trace.analyzer.verdicts.gate import GateOutcome, parse_gates
+from dds_trace.analyzer.verdicts.gates import judge_gates
 from dds_trace.analyzer.verdicts.matching import MatchedGroup
 
 if TYPE_CHECKING:

@@ -33,8 +33,8 @@ from four_campaigns import CAMPAIGNS
 from page_reader import FLAGS, Reader
 from playwright.sync_api import sync_playwright
 
-from dds_trace.reports import load_reporter
 from dds_trace.reports.book.book import Book
+from dds_trace.reports.reporters import load_reporter
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

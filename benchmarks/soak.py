@@ -30,7 +30,9 @@ from dds_trace.recorder.options import PingOptions, RecordOptions
 from dds_trace.recorder.payloads import open_payload
 from dds_trace.recorder.roles.ping import open_ping
 from dds_trace.recorder.roles.plan import plan_run
-from dds_trace.tracefile import Qos, TraceDestination, TraceSink
+from dds_trace.tracefile.format.descriptions import Qos
+from dds_trace.tracefile.writing.destination import TraceDestination
+from dds_trace.tracefile.writing.sink import TraceSink
 
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager

@@ -5,8 +5,11 @@ one, and anything else belongs to the command without a name. So no command chan
 means; a folder that bears the name of a command is written `./compare`.
 """
 
+from __future__ import annotations
+
+import glob
+import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from enum import Enum
 from pathlib import Path
@@ -14,20 +17,59 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dds_trace.analyzer.engines.collector import collect_seldom
+from dds_trace.analyzer.engines.gc_tuning import tune_gc
+from dds_trace.base import limits
+from dds_trace.base.errors import MissingEventsError
+from dds_trace.base.units.durations import parse_duration
 from dds_trace.reports.reporters import REPORT_MODULES
-from dds_trace.tracefile import limits
-from dds_trace.tracefile.units.durations import parse_duration
 
 from . import compare, watch
-from .desktop import open_page
-from .paths import expand_paths
 from .program import run_program
 from .quick_help import Version, command_app, declare_command
 from .vector_sorts import avoid_slow_sorts
 
 if TYPE_CHECKING:
-    from dds_trace.analyzer import Analysis
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+
+    from dds_trace.analyzer.analysis import Analysis
+
+
+def expand_paths(texts: Sequence[str]) -> list[Path]:
+    """Return the paths that these texts mean: each one that is there or in object storage, and what a pattern matches.
+
+    Raises:
+        OptionError: a text cannot be a path.
+        MissingEventsError: nothing matches a pattern.
+    """
+    paths: list[Path] = []
+    for text in texts:
+        limits.check(limits.INPUT, text, "PATH")
+        if not glob.has_magic(text) or Path(text).exists() or "://" in text:
+            paths.append(Path(text))
+            continue
+        matches = sorted(glob.glob(text, recursive=True))  # noqa: PTH207 - pathlib's takes no absolute pattern
+        if not matches:
+            raise MissingEventsError(
+                f"{text}: no file or folder matches; give the folder that dds-record wrote into"
+            )
+        paths += map(Path, matches)
+    return paths
+
+
+DESKTOP_VARIABLES = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
+"""Any of these is set where a browser can show something: without one, `webbrowser` may start a text browser in this terminal."""
+
+
+def open_page(page: Path) -> None:
+    """Open a page in the default browser; where that cannot be, print a line to stderr that says so."""
+    import webbrowser
+
+    if any(map(os.environ.get, DESKTOP_VARIABLES)) and webbrowser.open(page.absolute().as_uri()):
+        return
+    print(
+        "no desktop here: open the file below in a browser, here or copied to another machine",
+        file=sys.stderr,
+    )
 
 
 HTML = "html"
@@ -158,8 +200,11 @@ def main_command(
 
     [bold]dds-analyze watch runs/[/bold]
     """
-    from dds_trace.analyzer import Severity, analyze, default_output, export_tables, parse_job
-    from dds_trace.reports import write_reports
+    from dds_trace.analyzer.exports.tables import export_tables
+    from dds_trace.analyzer.model.finding import Severity
+    from dds_trace.analyzer.pipeline import analyze, default_output
+    from dds_trace.analyzer.verdicts.job import parse_job
+    from dds_trace.reports.reporters import write_reports
 
     limits.check(limits.FOLDER, None if out is None else str(out), "--out")
     limits.check(limits.SCHEDULER, cluster, "--cluster")
@@ -218,7 +263,7 @@ def _parse_deadline(text: str | None) -> tuple[int | None, str]:
         OptionError: the time or the metric is not understood.
     """
     from dds_trace.analyzer.groups.batch import DEADLINE_METRIC, DEADLINE_METRICS
-    from dds_trace.tracefile import OptionError
+    from dds_trace.base.errors import OptionError
 
     if text is None:
         return None, DEADLINE_METRIC
@@ -235,7 +280,7 @@ def _parse_deadline(text: str | None) -> tuple[int | None, str]:
 
 
 def _show_topics(paths: list[Path], target: Path) -> None:
-    from dds_trace.analyzer import analyze_topics
+    from dds_trace.analyzer.recordings.topics import analyze_topics
 
     from .analyze_text import print_topics
 
@@ -246,8 +291,9 @@ def _show_topics(paths: list[Path], target: Path) -> None:
             print(f"{source.path}: {source.status}: {source.detail}", file=sys.stderr)
 
 
-def _write_derived(analysis: "Analysis", target: Path) -> list[Path]:
-    from dds_trace.analyzer import ping_wall_offsets, write_derived
+def _write_derived(analysis: Analysis, target: Path) -> list[Path]:
+    from dds_trace.analyzer.clocks.boots import ping_wall_offsets
+    from dds_trace.analyzer.exports.foxglove import write_derived
 
     wall = ping_wall_offsets(analysis.sessions, analysis.runs)
     derived = write_derived(analysis.load_roundtrips(), target / "latency.derived.mcap", wall, force=True)
@@ -260,7 +306,7 @@ COMMANDS: Mapping[str, typer.Typer] = {"compare": compare.app, "watch": watch.ap
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run `dds-analyze` with these arguments, or with those of the process."""
-    collect_seldom()
+    tune_gc()
     avoid_slow_sorts()
     run_program("dds-analyze", app, COMMANDS, arguments)
 

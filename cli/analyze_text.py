@@ -6,13 +6,13 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from dds_trace.tracefile.units.durations import format_duration
-from dds_trace.tracefile.units.rates import format_rate
-from dds_trace.tracefile.units.sizes import format_size
-from dds_trace.tracefile.visible import visible
+from dds_trace.base.printable import visible
+from dds_trace.base.units.durations import format_duration
+from dds_trace.base.units.rates import format_rate
+from dds_trace.base.units.sizes import format_size
 
 if TYPE_CHECKING:
-    from dds_trace.analyzer import TopicReport
+    from dds_trace.analyzer.recordings.topics import TopicReport
 
 WIDTH = 80
 HOW_TO_READ = (

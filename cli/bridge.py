@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from dds_trace.recorder import choices
-from dds_trace.recorder.bridges import BRIDGE_MODULES
+from dds_trace.recorder.bridges.base import BRIDGE_MODULES
 
 from .errors import run_command
 from .quick_help import Version, command_app, declare_command
@@ -17,7 +17,9 @@ from .quick_help import Version, command_app, declare_command
 if TYPE_CHECKING:
     from typer.models import OptionInfo
 
-    from dds_trace.recorder.bridges import Bridge, BridgeOptions, RunningBridge
+    from dds_trace.recorder.bridges.base import Bridge
+    from dds_trace.recorder.bridges.options import BridgeOptions
+    from dds_trace.recorder.bridges.process.running import RunningBridge
 
 LOOK_S = 0.2
 
@@ -118,8 +120,10 @@ def main_command(
 
     [bold]dds-bridge zenoh-bridge-dds --half relay --peer 192.168.0.5:7447[/bold]
     """
-    from dds_trace.recorder.bridges import BRIDGED_TOPICS, BridgeOptions, Half, bridged_topic, load_bridge
-    from dds_trace.tracefile import OptionError, Qos
+    from dds_trace.base.errors import OptionError
+    from dds_trace.recorder.bridges.base import load_bridge
+    from dds_trace.recorder.bridges.options import BRIDGED_TOPICS, BridgeOptions, Half, bridged_topic
+    from dds_trace.tracefile.format.descriptions import Qos
 
     from .record.values import default_discovery, parse_durations
 
@@ -154,7 +158,7 @@ def main_command(
 
 def _list(*, as_json: bool) -> None:
     """Print one line for each bridge: its version if it is installed, else how to get it."""
-    from dds_trace.recorder.bridges import load_bridge
+    from dds_trace.recorder.bridges.base import load_bridge
 
     rows = []
     for bridge in map(load_bridge, BRIDGE_MODULES):
@@ -180,7 +184,7 @@ def _list(*, as_json: bool) -> None:
 
 def _print_configuration(bridge: Bridge, options: BridgeOptions) -> None:
     """Print the configuration to stdout; where two processes would run, print to stderr which one each text is for."""
-    from dds_trace.recorder.bridges import split_halves
+    from dds_trace.recorder.bridges.base import split_halves
 
     parts = split_halves(bridge, options)
     for part in parts:
@@ -191,7 +195,8 @@ def _print_configuration(bridge: Bridge, options: BridgeOptions) -> None:
 
 def _check(bridge: Bridge, options: BridgeOptions) -> None:
     """Look for the bridge's program and make its configuration; print that it can run."""
-    from dds_trace.recorder.bridges import find_program, split_halves
+    from dds_trace.recorder.bridges.base import split_halves
+    from dds_trace.recorder.bridges.process.running import find_program
 
     program = find_program(bridge)
     for part in split_halves(bridge, options):
@@ -201,7 +206,7 @@ def _check(bridge: Bridge, options: BridgeOptions) -> None:
 
 def _run(name: str, options: BridgeOptions) -> None:
     """Run the bridge until SIGINT or SIGTERM; print the end of the log of a program that fails."""
-    from dds_trace.recorder.bridges import open_bridge
+    from dds_trace.recorder.bridges.process.running import open_bridge
     from dds_trace.recorder.host.stopping import stop_at_signals
 
     stop = stop_at_signals()

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dds_trace.tracefile import limits
+from dds_trace.base import limits
 
 from .quick_help import command_app, declare_command
 
 if TYPE_CHECKING:
-    from dds_trace.analyzer import Comparison, GateOutcome
+    from dds_trace.analyzer.verdicts.compare import Comparison
+    from dds_trace.analyzer.verdicts.gate import GateOutcome
     from dds_trace.reports.comparison.info import ComparisonInfo
 
 
@@ -96,17 +97,11 @@ def compare_command(
 
     [bold]dds-analyze compare main/ branch/ --fail-if default --report md[/bold]
     """
-    from dds_trace.analyzer import (
-        CompareOptions,
-        GateOutcome,
-        analyze,
-        compare,
-        judge_gates,
-        match_without,
-        options_for,
-        overall_outcome,
-        parse_gates,
-    )
+    from dds_trace.analyzer.pipeline import analyze
+    from dds_trace.analyzer.verdicts.compare import CompareOptions, compare
+    from dds_trace.analyzer.verdicts.compared.ignoring import match_without
+    from dds_trace.analyzer.verdicts.gate import GateOutcome, parse_gates
+    from dds_trace.analyzer.verdicts.gates import judge_gates, options_for, overall_outcome
     from dds_trace.reports.comparison import comparison_info, terminal
 
     for path, where, limit in (
@@ -163,8 +158,8 @@ def _print_or_write(text: str, out: Path | None) -> None:
     Raises:
         OutputError: it cannot be written.
     """
-    from dds_trace.tracefile import OutputError
-    from dds_trace.tracefile.files import replacing
+    from dds_trace.base.errors import OutputError
+    from dds_trace.base.files import replacing
 
     if out is None:
         sys.stdout.write(text)
@@ -180,7 +175,7 @@ def _print_or_write(text: str, out: Path | None) -> None:
 
 def _print_outcome(outcome: "GateOutcome", *, gated: bool) -> None:
     """Print the outcome to stderr; without a gate, only that there is nothing to compare."""
-    from dds_trace.analyzer import GateOutcome
+    from dds_trace.analyzer.verdicts.gate import GateOutcome
 
     if gated or outcome is GateOutcome.NOTHING_TO_COMPARE:
         print(f"dds-analyze compare: {outcome.value}", file=sys.stderr)

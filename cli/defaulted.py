@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 from typer.core import TyperCommand, TyperOption
 
-from dds_trace.tracefile import OptionError
+from dds_trace.base.errors import OptionError
 
 from .defaults import find_files, read_defaults
 

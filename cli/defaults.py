@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import OptionError, limits
+from dds_trace.base import limits
+from dds_trace.base.errors import OptionError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -74,8 +75,8 @@ def read_defaults(files: Sequence[Path], table: str, options: Mapping[str, bool]
 
 
 def _read(path: Path, table: str, options: Mapping[str, bool]) -> dict[str, object]:
+    from dds_trace.base.files import open_regular
     from dds_trace.recorder.sweep.plan.toml_table import TomlTable  # not loaded where there is no file
-    from dds_trace.tracefile.files import open_regular
 
     try:
         with open_regular(path) as file:

@@ -37,13 +37,13 @@ def run_command(command: Callable[[], object]) -> None:
         extra = _extra_with(error.name or "")
         if extra is None:
             raise
-        from dds_trace.tracefile import BackendUnavailableError
+        from dds_trace.base.errors import BackendUnavailableError
 
         what = f"needs {error.name}, which is not installed: pip install 'dds-trace[{extra}]'"
         print(f"{Path(sys.argv[0]).name} {what}", file=sys.stderr)
         sys.exit(BackendUnavailableError.exit_code)
     except Exception as error:
-        from dds_trace.tracefile import TraceError  # not loaded before, so that --help is quick
+        from dds_trace.base.errors import TraceError
 
         if not isinstance(error, TraceError):
             raise

@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import OptionError
+from dds_trace.base.errors import OptionError
 
 from .errors import run_command
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dds_trace.tracefile.version import __version__
+from dds_trace.base.version import __version__
 
 from .defaulted import DefaultedCommand
 

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from dds_trace.tracefile import limits
+from dds_trace.base import limits
 
 from .quick_help import command_app, declare_command
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from dds_trace.tracefile import OptionError, limits
+from dds_trace.base import limits
+from dds_trace.base.errors import OptionError
 
 PARTICIPANTS_PER_DOMAIN = 120
 _PORT_BASE, _DOMAIN_GAIN, _FIRST_PARTICIPANT = 7400, 250, 10

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import OptionError, OutputExistsError, TraceDestination, limits
+from dds_trace.base import limits
+from dds_trace.base.errors import OptionError, OutputExistsError
 
 from .choices import Serialization
 from .payloads import check_data
@@ -13,7 +14,8 @@ from .payloads import check_data
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from dds_trace.tracefile.limits import Limit
+    from dds_trace.base.limits import Limit
+    from dds_trace.tracefile.writing.destination import TraceDestination
 
     from .backends.node import NodeOptions
 

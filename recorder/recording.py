@@ -11,20 +11,14 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import (
-    HOST_TOPIC,
-    BridgeError,
-    NoEchoError,
-    NotAppliedError,
-    OutputError,
-    RelayLostError,
-)
+from dds_trace.tracefile.format.events import HOST_TOPIC
 from dds_trace.tracefile.writing.destination import discard
 
 from .backends import load_backend, open_node
 from .backends.qos import warn_of_depth
 from .bridges.asked import open_asked_bridge
 from .domains import check_domain
+from .errors import BridgeError, NoEchoError, NotAppliedError, RelayLostError
 from .host.clock import SystemClock
 from .host.kernel_clock import read_adjtimex
 from .host.privileges import apply_privileges
@@ -45,11 +39,15 @@ from .settings import side_settings
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
-    from dds_trace.tracefile import ClosedTrace, Json, JsonObject, Run, Session, TraceSink
+    from dds_trace.base.errors import OutputError
+    from dds_trace.tracefile.format.descriptions import Run, Session
+    from dds_trace.tracefile.format.json_fields import Json, JsonObject
+    from dds_trace.tracefile.writing.destination import ClosedTrace
+    from dds_trace.tracefile.writing.sink import TraceSink
 
     from .applied import Difference
     from .backends.node import Node
-    from .bridges import RunningBridge
+    from .bridges.process.running import RunningBridge
     from .options import PingOptions, RecordOptions
     from .payloads.base import Payload
     from .roles.ping import AnyPing

@@ -9,11 +9,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import StoppedError
-
 from .backends import load_backend
 from .bridges.asked import check_asked_bridge
 from .domains import check_domain_id
+from .errors import StoppedError
 from .host.privileges import parse_cpus
 from .payloads import BINARY, is_live, open_payload, served_data_types
 from .recording import record

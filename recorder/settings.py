@@ -16,7 +16,7 @@ from .choices import Discovery
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from dds_trace.tracefile import Json
+    from dds_trace.tracefile.format.json_fields import Json
 
     from .options import PingOptions, RecordOptions
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.analyzer.statistics.intervals import Basis
-from dds_trace.tracefile.units.counts import counted
+from dds_trace.base.units.counts import counted
 
-from .text import format_ratio
+from .book.groups import format_ratio
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from dds_trace.analyzer import DETAIL_FRAMES, to_json
-from dds_trace.tracefile.files import replacing
+from dds_trace.analyzer.analysis import DETAIL_FRAMES
+from dds_trace.analyzer.saving.records import to_json
+from dds_trace.base.files import replacing
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -4,18 +4,25 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile.files import replacing
-from dds_trace.tracefile.units.counts import counted
-from dds_trace.tracefile.units.durations import format_duration
-from dds_trace.tracefile.units.quantities import MISSING
-from dds_trace.tracefile.units.rates import format_rate
-from dds_trace.tracefile.units.sizes import format_size
+from dds_trace.base.files import replacing
+from dds_trace.base.units.counts import counted
+from dds_trace.base.units.durations import format_duration
+from dds_trace.base.units.quantities import MISSING
+from dds_trace.base.units.rates import format_rate
+from dds_trace.base.units.sizes import format_size
 
-from .book.groups import LATENCY_MEANING, METRIC_LABELS, STATISTIC_LABELS, data_type_label
+from .book.groups import (
+    LATENCY_MEANING,
+    METRIC_LABELS,
+    STATISTIC_LABELS,
+    data_type_label,
+    format_added_ns,
+    format_ratio,
+    markdown,
+)
 from .book.recommendation import COLUMNS
 from .book.sizes import HOW_TO_READ
 from .figures.bridge_cost import bridge_cost_info
-from .text import format_added_ns, format_ratio, markdown
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence

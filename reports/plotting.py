@@ -8,16 +8,15 @@ from typing import TYPE_CHECKING
 from plotly.graph_objects import Figure, Scatter
 from plotly.subplots import make_subplots
 
-from dds_trace.tracefile.errors import OptionError
-from dds_trace.tracefile.units.durations import format_duration
-from dds_trace.tracefile.units.rates import format_rate
-from dds_trace.tracefile.units.sizes import format_size
+from dds_trace.base.errors import OptionError
+from dds_trace.base.units.durations import format_duration
+from dds_trace.base.units.rates import format_rate
+from dds_trace.base.units.sizes import format_size
 
-from .book.groups import METRIC_LABELS, STATISTIC_LABELS
+from .book.groups import METRIC_LABELS, STATISTIC_LABELS, format_ratio
 from .figures import capacity, comparison, distribution, latency
 from .figures.figure import Faceted, LeftOut, panel_keys
 from .html.styles import line_styles
-from .text import format_ratio
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

@@ -6,13 +6,13 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from dds_trace.tracefile.errors import OptionError, OutputError
+from dds_trace.base.errors import OptionError, OutputError
 
 if TYPE_CHECKING:
     import os
     from collections.abc import Iterable
 
-    from dds_trace.analyzer import Analysis
+    from dds_trace.analyzer.analysis import Analysis
 
     from .book.book import Book
 

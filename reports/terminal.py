@@ -13,15 +13,14 @@ from rich.table import Table
 from rich.text import Text
 
 from dds_trace.analyzer.statistics.intervals import EPISODES_TO_TELL, RUNS_TO_TELL
-from dds_trace.tracefile.units.durations import format_duration
-from dds_trace.tracefile.units.quantities import MISSING
-from dds_trace.tracefile.units.rates import format_rate
-from dds_trace.tracefile.units.sizes import format_size
-from dds_trace.tracefile.visible import visible
+from dds_trace.base.printable import visible
+from dds_trace.base.units.durations import format_duration
+from dds_trace.base.units.quantities import MISSING
+from dds_trace.base.units.rates import format_rate
+from dds_trace.base.units.sizes import format_size
 
-from .book.groups import METRIC_LABELS
+from .book.groups import METRIC_LABELS, format_ratio
 from .book.sizes import HOW_TO_READ
-from .text import format_ratio
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

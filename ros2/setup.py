@@ -14,13 +14,13 @@ from setuptools import setup
 
 PACKAGE = "dds_trace"
 ROOT = Path(__file__).resolve().parents[1]  # resolved: with --symlink-install colcon runs a link to this file
-ROOMS = ("analyzer", "cli", "recorder", "reports", "tracefile")
+ROOMS = ("src/dds_trace/base", "analyzer", "cli", "recorder", "reports", "tracefile")
 
 
 def version() -> str:
     """Return the version of dds-trace."""
     found = re.search(
-        r'^__version__ = "(.+)"$', (ROOT / "tracefile" / "version.py").read_text(), re.MULTILINE
+        r'^__version__ = "(.+)"$', (ROOT / "src" / PACKAGE / "base" / "version.py").read_text(), re.MULTILINE
     )
     assert found is not None
     return found[1]
@@ -29,7 +29,15 @@ def version() -> str:
 def packages() -> list[str]:
     """Return the import names of all packages: a folder of a room is one if it has an `__init__.py`."""
     folders = (path.parent for room in ROOMS for path in (ROOT / room).rglob("__init__.py"))
-    return [PACKAGE, *sorted(".".join((PACKAGE, *folder.relative_to(ROOT).parts)) for folder in folders)]
+    return [
+        PACKAGE,
+        *sorted(
+            ".".join(
+                (PACKAGE, *folder.relative_to(ROOT).as_posix().removeprefix("src/dds_trace/").split("/"))
+            )
+            for folder in folders
+        ),
+    ]
 
 
 setup(

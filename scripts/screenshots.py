@@ -21,9 +21,9 @@ from typing import TYPE_CHECKING, Any
 
 from playwright.sync_api import sync_playwright
 
-from dds_trace.analyzer import analyze
-from dds_trace.reports import load_reporter
+from dds_trace.analyzer.pipeline import analyze
 from dds_trace.reports.book.book import Book
+from dds_trace.reports.reporters import load_reporter
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -9,16 +9,17 @@ from pathlib import Path
 import pytest
 from analyses import small_campaign
 
-from dds_trace.analyzer import GateOutcome
+from dds_trace.analyzer.verdicts.gate import GateOutcome
+from dds_trace.base.errors import TraceError
 from dds_trace.cli.sweep import command as sweep_command
+from dds_trace.recorder import errors as recorder_errors
 from dds_trace.recorder.sweep import sweep
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.figures import FIGURES, Scope
-from dds_trace.tracefile import TraceError
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("sample_traces/*.md")])
-ROOMS = ("tracefile", "recorder", "analyzer", "reports", "cli")
+ROOMS = ("src/dds_trace/base", "tracefile", "recorder", "analyzer", "reports", "cli")
 READING, GLOSSARY, TROUBLESHOOTING = (
     ROOT / "docs" / name for name in ("reading-the-report.md", "glossary.md", "troubleshooting.md")
 )
@@ -106,7 +107,11 @@ def test_the_table_of_exit_codes_is_that_of_the_code():
     while more:
         more = {below for each in more for below in each.__subclasses__()}
         errors |= more
-    known = {(each.exit_code, each.__name__) for each in errors if each.__module__ == TraceError.__module__}
+    known = {
+        (each.exit_code, each.__name__)
+        for each in errors
+        if each.__module__ in (TraceError.__module__, recorder_errors.__name__)
+    }
     known |= {(each.exit_code, each.name) for each in GateOutcome if each.exit_code}
     for module in (sweep_command, sweep):
         known |= {(code, name) for name, code in vars(module).items() if name.endswith("_EXIT_CODE")}

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from dds_trace.tracefile import Run, Session
+    from dds_trace.tracefile.format.descriptions import Run, Session
 
 _SAME_BOOT_S = 2
 """Seconds by which the wall clock at monotonic zero of two sessions of one boot differs at most: NTP slews it."""

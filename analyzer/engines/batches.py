@@ -12,16 +12,16 @@ from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from dds_trace.tracefile.threads import Here
+from dds_trace.base.threads import Here
 
+from ..cache.event_index import merge_parts
+from ..cache.parquet_join import RowPart
 from ..groups.batch import Batch
 from ..groups.frames import CAMPAIGN_MAKERS, GROUP_DETAIL_MAKERS, MAKERS, RUN_DETAIL_MAKERS, begin_frames
 from ..groups.measure import Statistics, measure_batch, metric_values
-from ..loading.events import merge_parts
 from ..model.metrics import METRICS
 from ..pairing.parquet import encode_rows, tables_of
 from ..pairing.roundtrips import pair_exchanges
-from ..pairing.row_parts import RowPart
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -32,12 +32,12 @@ if TYPE_CHECKING:
     import pyarrow as pa
     from numpy.typing import NDArray
 
+    from ..cache.event_index import Copies, EventKey, EventPart
     from ..groups.batch import Grouping, Wanted
     from ..groups.frames import Frames
-    from ..loading.events import Copies, EventKey, EventPart
     from ..pairing.exchanges import Exchange
     from ..pairing.roundtrips import PairedRows, RoundTrips
-    from .known_details import KnownDetails
+    from .cached_details import KnownDetails
 
     Begun = Mapping[str, Callable[[], pl.DataFrame]]
     """Name of a frame -> waits for it."""
@@ -73,7 +73,7 @@ def plan_batches(grouping: Grouping, wanted: Wanted) -> list[Batch]:
     """Return batches of whole groups, in their order; a group too large for one comes in parts of whole runs.
 
     Some groups end their batch though it is not full, chosen by their parameters and events alone: so a new run changes few
-    batches beside its own, and the details of the others are known (`known_details.py`).
+    batches beside its own, and the details of the others are known (`cached_details.py`).
     """
     exchanges, groups = grouping.exchanges, grouping.group_of_exchange
     events_before = np.cumsum([0, *(sum(exchange.counts) for exchange in exchanges)]).tolist()

@@ -13,21 +13,22 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
-from dds_trace.tracefile import BackendUnavailableError, EventColumns, TraceFormatError
+from dds_trace.base.errors import BackendUnavailableError, TraceFormatError
+from dds_trace.tracefile.format.events import EventColumns
 
+from ..cache.loaded import LoadedTrace, load_trace
+from ..cache.remote import find_anywhere
 from ..loading.campaign import campaign_of, skipped_source
-from ..loading.remote import find_anywhere
-from ..loading.traces import LoadedTrace, load_trace
 from .batches import keep_freed_memory, work_at
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
+    from ..cache.event_index import EventIndex, EventKey, EventPart
     from ..groups.batch import Batch
     from ..loading.campaign import Campaign, Progress
-    from ..loading.events import EventIndex, EventKey, EventPart
     from ..loading.place import Place
-    from ..model.source import Source
+    from ..model.finding import Source
     from .batches import WorkedBatch
 
 _TIMEOUT_S = 30

@@ -1,6 +1,6 @@
 """Large batches: paired and measured side by side while their rows are written, but for the parts that are known.
 
-A part is some whole runs (`batches.parts_of`). Of a part that is known (`known_parts.py`) nothing is paired, fitted or encoded, and
+A part is some whole runs (`batches.parts_of`). Of a part that is known (`cached_parts.py`) nothing is paired, fitted or encoded, and
 only one column at a time is in memory.
 """
 
@@ -17,7 +17,7 @@ from ..groups.frames import CAMPAIGN_MAKERS, MAKERS, RUN_DETAIL_MAKERS, begin_fr
 from ..groups.timeline import points_of_exchange
 from ..pairing.roundtrips import PairedRows, RoundTrips, describe
 from .batches import PairedBatch, measure_groups_of, pair_at, parts_of, split_rows
-from .known_parts import KnownPart, keep_rows
+from .cached_parts import KnownPart, keep_rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 
     import pyarrow as pa
 
+    from ..cache.event_index import Copies, EventKey, EventPart
+    from ..cache.parquet_join import RowPart
     from ..groups.batch import Batch
     from ..groups.frames import Frames
-    from ..loading.events import Copies, EventKey, EventPart
-    from ..pairing.row_parts import RowPart
     from .batches import BatchResult
-    from .known_details import KnownDetails
+    from .cached_details import KnownDetails
 
 _MAKERS_OF_RUNS = {**CAMPAIGN_MAKERS, **MAKERS, **RUN_DETAIL_MAKERS}
 

@@ -8,12 +8,12 @@ from contextlib import nullcontext, suppress
 from functools import partial
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
-from dds_trace.tracefile import TraceFormatError
-from dds_trace.tracefile.threads import in_turn
+from dds_trace.base.errors import TraceFormatError
+from dds_trace.base.threads import in_turn
 
-from ..loading.cache import TraceCache
+from ..cache.store import TraceCache
+from ..cache.traces import TraceShelf
 from ..loading.campaign import load_campaign
-from ..loading.shelf import TraceShelf
 from .batches import (
     BATCH_EVENTS,
     WorkedBatch,
@@ -23,7 +23,7 @@ from .batches import (
     tables_of_batch,
     work_at,
 )
-from .known_details import KnownDetails
+from .cached_details import KnownDetails
 from .large_batches import pair_large
 
 if TYPE_CHECKING:
@@ -31,11 +31,11 @@ if TYPE_CHECKING:
     from concurrent.futures import Future
     from pathlib import Path
 
+    from ..cache.event_index import EventIndex, EventKey, EventPart
+    from ..cache.loaded import LoadedTrace
     from ..groups.batch import Batch
     from ..loading.campaign import Campaign, Progress
-    from ..loading.events import EventIndex, EventKey, EventPart
     from ..loading.place import Place
-    from ..loading.traces import LoadedTrace
     from .processes import Workers
 
 T = TypeVar("T")

@@ -15,10 +15,10 @@ from .oversized import ValueSpool, merge_sketches
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from ..cache.event_index import Copies, EventKey
     from ..groups.batch import Grouping
     from ..groups.frames import Frames
     from ..groups.summary import Summary
-    from ..loading.events import Copies, EventKey
     from .batches import BatchResult
 
 

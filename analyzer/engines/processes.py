@@ -20,29 +20,30 @@ from multiprocessing.connection import wait
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from dds_trace.tracefile import TraceError
+from dds_trace.base.errors import TraceError
 
-from ..loading.cache import TraceCache
-from ..loading.shelf import TraceShelf
-from ..loading.traces import loaded_or_error
+from ..cache.loaded import loaded_or_error
+from ..cache.store import TraceCache
+from ..cache.traces import TraceShelf
 from .batches import keep_freed_memory
-from .collector import collect_seldom
-from .known_batches import encoded_batch
-from .known_details import KnownDetails
+from .cached_batches import encoded_batch
+from .cached_details import KnownDetails
+from .gc_tuning import tune_gc
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from concurrent.futures import Future
 
-    from dds_trace.tracefile import TraceFormatError
+    from dds_trace.base.errors import TraceFormatError
 
+    from ..cache.event_index import EventKey, EventPart
+    from ..cache.loaded import LoadedTrace
     from ..groups.batch import Batch
-    from ..loading.events import EventKey, EventPart
-    from ..loading.traces import LoadedTrace
     from .batches import WorkedBatch
 
     Stored = tuple[str, LoadedTrace | TraceFormatError]
     """Key in the cache, "" without one, and the trace, or why the file is none."""
+
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -158,7 +159,7 @@ class Worker:
     def work(
         self, batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]], keys: Mapping[int, str]
     ) -> WorkedBatch:
-        """Pair and measure a batch, its rows encoded; see `known_batches.encoded_batch`.
+        """Pair and measure a batch, its rows encoded; see `cached_batches.encoded_batch`.
 
         Args:
             batch: the batch.
@@ -217,7 +218,7 @@ def _begin(folder: str, has_cache: bool) -> None:
     """Make this process a worker."""
     global _worker  # noqa: PLW0603 - what a process has from its beginning
     keep_freed_memory()
-    collect_seldom()
+    tune_gc()
     threading.Thread(target=_end_with_caller, daemon=True).start()
     _worker = Worker(Path(folder), TraceCache.open() if has_cache else None)
 

@@ -18,10 +18,10 @@ import numpy as np
 import polars as pl
 from mcap.writer import CompressionType, Writer
 
-from dds_trace.tracefile.errors import OutputError, OutputExistsError
-from dds_trace.tracefile.files import replacing
+from dds_trace.base.errors import OutputError, OutputExistsError
+from dds_trace.base.files import replacing
+from dds_trace.base.version import __version__
 from dds_trace.tracefile.format.string_cdr import CDR_HEADER
-from dds_trace.tracefile.version import __version__
 
 from ..model.metrics import METRICS
 

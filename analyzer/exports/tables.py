@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 from polars.exceptions import PolarsError
 
-from dds_trace.tracefile import OutputError
-from dds_trace.tracefile.files import replacing
+from dds_trace.base.errors import OutputError
+from dds_trace.base.files import replacing
 
 if TYPE_CHECKING:
     import os

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from ..clocks.boots import ping_boots
 from ..model.names import name_groups
-from ..pairing.device_pairs import pair_devices
+from ..pairing.one_way import pair_devices
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 
     import polars as pl
 
-    from dds_trace.tracefile import Session
+    from dds_trace.tracefile.format.descriptions import Session
 
     from ..analysis import Details
     from ..groups.batch import Grouping, Wanted
     from ..groups.summary import Summary
     from ..loading.campaign import Campaign
-    from ..pairing.device_pairs import DevicePair
     from ..pairing.exchanges import Exchange, Exchanges
+    from ..pairing.one_way import DevicePair
     from ..pairing.rows import RowStore
 
 SMALLER_DATAGRAMS = "send smaller datagrams (Cyclone DDS MaxMessageSize, Fast DDS maxMessageSize), or raise net.ipv4.ipfrag_high_thresh"

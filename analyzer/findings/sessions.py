@@ -6,18 +6,18 @@ import json
 from collections import Counter, defaultdict
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile.units.counts import counted
-from dds_trace.tracefile.units.durations import format_duration
+from dds_trace.base.units.counts import counted
+from dds_trace.base.units.durations import format_duration
 
 from ..loading.campaign import part_of
+from ..model.environment import FLEETING, flat_fields
 from ..model.finding import Finding, Severity
-from ..model.fingerprint import FLEETING, flat_fields
 from .evidence import some
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from dds_trace.tracefile import Session
+    from dds_trace.tracefile.format.descriptions import Session
 
     from .evidence import Evidence
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile.units.counts import counted
+from dds_trace.base.units.counts import counted
 
 from ..clocks.boots import share_boot
 from ..model.finding import Finding, Severity
@@ -15,7 +15,7 @@ from .evidence import percent, some
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from dds_trace.tracefile import Session
+    from dds_trace.tracefile.format.descriptions import Session
 
     from ..pairing.exchanges import Exchange
     from ..pairing.flows import Overlap

@@ -14,7 +14,6 @@ from ..model.finding import Finding, Severity
 from . import (
     applied,
     clocks,
-    devices,
     groups,
     left_out,
     runs,
@@ -22,7 +21,6 @@ from . import (
     sessions,
     shapes,
     sides,
-    sizes,
     sources,
     wire,
 )
@@ -77,7 +75,7 @@ CHECKS: tuple[Check, ...] = (
     clocks.clock_steps,
     clocks.slews,
     clocks.clock_drifts,
-    devices.cpu_saturation,
+    clocks.cpu_saturation,
     applied.dropped_datagrams,
     applied.lost_fragments,
     wire.incomplete_captures,
@@ -86,7 +84,7 @@ CHECKS: tuple[Check, ...] = (
     wire.retransmission_storms,
     wire.heartbeat_bound_recoveries,
     wire.discovery_traffic,
-    sizes.unlike_sizes,
+    shapes.unlike_sizes,
     groups.few_samples,
     sessions.missing_files,
     sources.skipped_files,

@@ -11,8 +11,7 @@ import numpy as np
 import polars as pl
 
 from ..model.applied import words_not_applied
-from ..model.column import schema_of
-from ..model.metrics import METRICS
+from ..model.metrics import METRICS, schema_of
 from ..model.parameters import PARAMETER_COLUMNS, Parameters
 
 if TYPE_CHECKING:
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from ..loading.events import EventKey
+    from ..cache.event_index import EventKey
     from ..pairing.exchanges import Exchange
     from ..pairing.roundtrips import PairedRows
     from ..verdicts.job import Job

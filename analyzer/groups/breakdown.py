@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from dds_trace.tracefile import Stage
+from dds_trace.tracefile.format.events import Stage
 
 from ..pairing.pair import MISSING, chosen_of
 from ..pairing.roundtrips import MIDDLEWARE_STAMPS, RECEPTION_STAMPS, RoundTrips

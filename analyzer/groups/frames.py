@@ -17,10 +17,9 @@ import polars as pl
 from .breakdown import breakdown_frame, response_frame
 from .freshness import freshness_frame, outage_frame
 from .intervals import interval_frame, knot_frame, one_way_frame
-from .run_rows import run_frame
 from .sending import sending_frame
 from .shapes import shape_frame
-from .timeline import timeline_frame
+from .timeline import run_frame, timeline_frame
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

@@ -9,9 +9,8 @@ import numpy as np
 import polars as pl
 
 from ..pairing.pair import LOSSES, OUTCOMES, Outcome, chosen_of
-from .age import age_of_information
 from .batch import filled, first_known, is_present
-from .outages import OUTAGE_MESSAGES, find_outages, longest_run, runs_of
+from .outages import OUTAGE_MESSAGES, age_of_information, find_outages, longest_run, runs_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -9,7 +9,8 @@ import polars as pl
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from dds_trace.tracefile import Session, Trace
+    from dds_trace.tracefile.format.descriptions import Session
+    from dds_trace.tracefile.reading.trace import Trace
 
 MOST_OF_SESSION = 2000
 """Samples of a session that are kept; of more, the one with the busiest processor of each stretch."""

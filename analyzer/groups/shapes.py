@@ -9,9 +9,7 @@ import polars as pl
 
 from ..pairing.pair import chosen_of
 from ..run_statistics.bursts import share_inflation
-from ..run_statistics.modes import find_modes
-from ..run_statistics.trend import find_trend
-from ..run_statistics.warm_up import find_warm_up
+from ..run_statistics.modes import find_modes, find_trend, find_warm_up
 from ..statistics.percentiles import quantile_of
 from .batch import filled
 

@@ -21,7 +21,9 @@ from ..model.wire import WIRE_CLASS_SCHEMA, WIRE_FRAMES, WIRE_REPEAT_SCHEMA, WIR
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from dds_trace.tracefile import Json, JsonObject, Run, Trace
+    from dds_trace.tracefile.format.descriptions import Run
+    from dds_trace.tracefile.format.json_fields import Json, JsonObject
+    from dds_trace.tracefile.reading.trace import Trace
 
     from ..pairing.rows import RowStore
     from .batch import Grouping

@@ -7,22 +7,23 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import MissingEventsError, TraceFormatError
+from dds_trace.base.errors import MissingEventsError, TraceFormatError
+from dds_trace.base.units.counts import counted
 from dds_trace.tracefile.reading.trace import FOREIGN_HINT
-from dds_trace.tracefile.units.counts import counted
 
-from ..model.source import Source
-from .events import Copies, EventIndex, index_events
+from ..cache.event_index import Copies, EventIndex, index_events
+from ..cache.remote import find_anywhere
+from ..cache.traces import TraceShelf
+from ..model.finding import Source
 from .place import Place
-from .remote import find_anywhere
-from .shelf import TraceShelf
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
-    from dds_trace.tracefile import Run, Session, Trace
+    from dds_trace.tracefile.format.descriptions import Run, Session
+    from dds_trace.tracefile.reading.trace import Trace
 
-    from .traces import LoadedTrace
+    from ..cache.loaded import LoadedTrace
 
     Progress = Callable[[int, int, Path], None]
     """Called before each trace is read with the number done, the number of all, and its path."""

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
-from dds_trace.tracefile import OptionError
+from dds_trace.base.errors import OptionError
 
-from .remote import is_remote
+from ..cache.remote import is_remote
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

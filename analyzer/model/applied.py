@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from dds_trace.tracefile import Session
+    from dds_trace.tracefile.format.descriptions import Session
 
 SHARED_MEMORY, UNKNOWN = "shm", "unknown"
 """Values of `payload_path` beside the names of interfaces."""

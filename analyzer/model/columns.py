@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from ..statistics.percentiles import PERCENTILES
-from .column import Column
-from .metrics import METRICS
+from .metrics import METRICS, Column
 from .parameters import PARAMETER_COLUMNS
 
 if TYPE_CHECKING:

@@ -10,11 +10,26 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from dds_trace.tracefile import Session
+    from dds_trace.tracefile.format.descriptions import Session
     from dds_trace.tracefile.format.json_fields import Json
 
     Sides = tuple[Session, Session | None]
     """Sessions of ping and relay, None for a relay without a trace."""
+    from collections.abc import Iterator
+
+
+FLEETING = ("wifi",)
+"""Parts of the fingerprint that change from one minute to the next on the same device."""
+
+
+def flat_fields(host: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, object]]:
+    """Yield the leaves of a nested object with their dotted names."""
+    for key, value in host.items():
+        if isinstance(value, dict):
+            yield from flat_fields(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
 
 _NOT_LASTING = ("wifi", "middleware", "configuration")
 """Parts of the fingerprint that change from minute to minute, or follow from what was asked for (`setting`)."""

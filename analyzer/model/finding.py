@@ -6,6 +6,23 @@ from dataclasses import dataclass
 from enum import Enum
 
 
+@dataclass(frozen=True, slots=True)
+class Source:
+    """One file or folder that was looked at.
+
+    Attributes:
+        status: `read`, `truncated` (used up to where it ends), `duplicate` (same content as another, not
+            counted again) or `skipped` (no trace).
+        detail: why it was skipped or cut; empty when read whole.
+        events: events used from it.
+    """
+
+    path: str
+    status: str
+    detail: str
+    events: int
+
+
 class Severity(Enum):
     """How much a finding should change a reader's trust in the numbers."""
 

@@ -11,10 +11,23 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from .column import Column
-
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column of a frame; `unit` is empty where a value has none."""
+
+    name: str
+    dtype: type[pl.DataType] | pl.DataType
+    unit: str
+    meaning: str
+
+
+def schema_of(columns: Iterable[Column]) -> dict[str, type[pl.DataType] | pl.DataType]:
+    """Map column names to polars types, in order."""
+    return {column.name: column.dtype for column in columns}
 
 
 @dataclass(frozen=True, slots=True)

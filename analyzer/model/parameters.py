@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Annotated, get_args, get_type_hints
 
 import polars as pl
 
-from .column import Column
+from .metrics import Column
 from .setting import setting_of
 
 if TYPE_CHECKING:
-    from dds_trace.tracefile import Run, Session
+    from dds_trace.tracefile.format.descriptions import Run, Session
 
     ParameterValue = str | int | float | None
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from dds_trace.tracefile import Run as RunDescription
+    from dds_trace.tracefile.format.descriptions import Run as RunDescription
 
     from ..run_statistics.change import Passes
 

@@ -14,7 +14,7 @@ from urllib.parse import unquote
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping
 
-    from dds_trace.tracefile import Run, Session
+    from dds_trace.tracefile.format.descriptions import Run, Session
     from dds_trace.tracefile.format.json_fields import Json, JsonObject
 
 CONDITIONS = frozenset({"link", "flows", "relays", "data"})

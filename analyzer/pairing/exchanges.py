@@ -6,11 +6,12 @@ from collections import defaultdict
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import MissingEventsError, Stage
-from dds_trace.tracefile.units.counts import counted
+from dds_trace.base.errors import MissingEventsError
+from dds_trace.base.units.counts import counted
+from dds_trace.tracefile.format.events import Stage
 
+from ..cache.event_index import merge_parts
 from ..clocks.boots import machine_of
-from ..loading.events import merge_parts
 from ..model.environment import environment_of
 from ..model.parameters import Parameters, parameters_of
 from .flows import RunSpan, count_flows
@@ -19,11 +20,11 @@ from .sessions import Doubt, find_ping_session, find_relay_session
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from dds_trace.tracefile import Run, Session
+    from dds_trace.tracefile.format.descriptions import Run, Session
 
+    from ..cache.event_index import Copies, EventIndex, EventKey, EventPart
     from ..loading.campaign import Campaign
-    from ..loading.events import Copies, EventIndex, EventKey, EventPart
-    from ..model.source import Source
+    from ..model.finding import Source
 
     Parts = tuple[EventPart, ...]
     """The traces that hold events of one stage, run and relay."""

@@ -19,7 +19,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from dds_trace.tracefile import EventColumns
+    from dds_trace.tracefile.format.events import EventColumns
 
 
 MISSING = np.iinfo(np.int64).min

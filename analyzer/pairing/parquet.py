@@ -11,12 +11,12 @@ import polars as pl
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from dds_trace.tracefile import OutputError
-from dds_trace.tracefile.files import replacing
+from dds_trace.base.errors import OutputError
+from dds_trace.base.files import replacing
 
+from ..cache.parquet_join import JoinedParts, RowPart, new_part, telling_of_room
 from ..model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
 from .pair import OUTCOMES
-from .row_parts import JoinedParts, RowPart, new_part, telling_of_room
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from ..model.column import Column
+    from ..model.metrics import Column
     from .roundtrips import RoundTrips
 
 _ROWS_PER_GROUP = 1 << 20

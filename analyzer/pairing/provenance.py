@@ -8,7 +8,8 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import FORMAT_VERSION, __version__
+from dds_trace.base.version import __version__
+from dds_trace.tracefile.format.json_fields import FORMAT_VERSION
 
 from .utc import is_synchronized, utc_text
 

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 
-from dds_trace.tracefile import Stage
-from dds_trace.tracefile.threads import Here
+from dds_trace.base.threads import Here
+from dds_trace.tracefile.format.events import Stage
 
-from ..model.column import schema_of
 from ..model.columns import KEY_COLUMNS
-from ..model.metrics import with_metrics
+from ..model.metrics import schema_of, with_metrics
 from ..model.parameters import PARAMETER_COLUMNS
 from .counts import COUNT_SCHEMA, count_messages
 from .one_way import OneWay, fit_exchanges, knots_of
@@ -28,9 +27,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import DTypeLike, NDArray
 
-    from dds_trace.tracefile import EventColumns
+    from dds_trace.tracefile.format.events import EventColumns
 
-    from ..loading.events import EventKey
+    from ..cache.event_index import EventKey
     from .exchanges import Exchange
     from .pair import Scalar
 

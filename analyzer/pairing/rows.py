@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING
 import polars as pl
 import pyarrow as pa
 
-from ..model.column import schema_of
+from ..cache.parquet_join import RowPart
 from ..model.columns import ROUNDTRIP_COLUMNS
+from ..model.metrics import schema_of
 from ..model.parameters import PARAMETER_NAMES
 from .parquet import roundtrips_writer
-from .row_parts import RowPart
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence

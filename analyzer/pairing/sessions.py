@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from ..clocks.boots import session_of_run
 
 if TYPE_CHECKING:
-    from dds_trace.tracefile import Run, Session
+    from dds_trace.tracefile.format.descriptions import Run, Session
 
     from ..loading.campaign import Campaign
 

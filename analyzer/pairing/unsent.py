@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dds_trace.tracefile.units.durations import SECOND_NS
+from dds_trace.base.units.durations import SECOND_NS
 
 from ..model.unsent import MOST_MESSAGES
 from .pair import MISSING, first_replies
@@ -14,7 +14,8 @@ from .pair import MISSING, first_replies
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from dds_trace.tracefile import EventColumns, Run
+    from dds_trace.tracefile.format.descriptions import Run
+    from dds_trace.tracefile.format.events import EventColumns
 
     from .pair import Published
 

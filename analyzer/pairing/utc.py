@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from dds_trace.tracefile import Session
+    from dds_trace.tracefile.format.descriptions import Session
 
     from .exchanges import Exchange
 

@@ -17,7 +17,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import MessageDefinitionFormat
 from rosbags.typesys import Stores, get_typestore
 
-from dds_trace.tracefile.errors import MissingEventsError, TraceFormatError
+from dds_trace.base.errors import MissingEventsError, TraceFormatError
 from dds_trace.tracefile.format.bag_metadata import METADATA_NAME
 from dds_trace.tracefile.mcapfile.blocks import LARGEST_FILE_RATIO, most_unpacked_bytes
 from dds_trace.tracefile.mcapfile.chunks import unpack_records

@@ -11,9 +11,9 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from dds_trace.tracefile.errors import MissingEventsError, TraceFormatError
+from dds_trace.base.errors import MissingEventsError, TraceFormatError
 
-from ..model.source import Source
+from ..model.finding import Source
 from .messages import find_recordings, iter_messages
 
 if TYPE_CHECKING:

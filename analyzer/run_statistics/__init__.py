@@ -3,20 +3,22 @@
 Everything is numpy in and frozen records out: no frame, no file. Numbers are in the unit of the values that come in.
 """
 
-from ..statistics.families import benjamini_hochberg_adjusted, holm_adjusted
 from ..statistics.intervals import EPISODES_TO_TELL, RUNS_TO_TELL, Basis, Interval
-from ..statistics.power import messages_to_close, runs_to_decide, runs_to_narrow, smallest_shift
-from .between_runs import interval_of_runs
+from ..statistics.power import (
+    benjamini_hochberg_adjusted,
+    holm_adjusted,
+    messages_to_close,
+    runs_to_decide,
+    runs_to_narrow,
+    smallest_shift,
+)
+from .between_runs import interval_of_runs, interval_within
 from .change import Change, Verdict, change_of_runs
-from .deciding import runs_to_settle_ratio, runs_to_settle_value
 from .delivery import DeliveryChange, change_of_received
-from .modes import Modes, find_modes
+from .modes import Modes, Trend, WarmUp, find_modes, find_trend, find_warm_up
 from .received import received_interval
 from .runs import MEAN, Run, Statistic
-from .spread import Spread, spread_of_runs
-from .trend import Trend, find_trend
-from .warm_up import WarmUp, find_warm_up
-from .within_run import interval_within
+from .spread import Spread, runs_to_settle_ratio, runs_to_settle_value, spread_of_runs
 
 __all__ = [
     "EPISODES_TO_TELL",

@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING
 
 from polars.exceptions import PolarsError
 
-from dds_trace.tracefile.errors import OutputError, OutputExistsError, TraceFormatError
-from dds_trace.tracefile.files import replacing
-from dds_trace.tracefile.version import __version__
+from dds_trace.base.errors import OutputError, OutputExistsError, TraceFormatError
+from dds_trace.base.files import replacing
+from dds_trace.base.version import __version__
 
 from .records import from_json
 

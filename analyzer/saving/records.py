@@ -13,8 +13,7 @@ from enum import Enum
 from types import NoneType, UnionType
 from typing import TYPE_CHECKING, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from ..model.finding import Finding
-from ..model.source import Source
+from ..model.finding import Finding, Source
 from ..statistics.intervals import Interval
 from ..verdicts.answers import CaseAnswer
 from ..verdicts.job import Job

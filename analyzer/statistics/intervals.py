@@ -5,6 +5,21 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+def mean_and_variance(values: NDArray[np.float64]) -> tuple[float, float]:
+    """Return the mean and the unbiased variance of at least two finite values, to the last bit as `mean` and `var(ddof=1)`."""
+    count = len(values)
+    mean = np.add.reduce(values) / count
+    apart = values - mean
+    return float(mean), float(np.add.reduce(apart * apart) / (count - 1))
+
 
 RUNS_TO_TELL = 3
 """Runs from which on an interval comes from the runs: two leave one degree of freedom, and Student's t is 12.7 there."""

@@ -24,8 +24,8 @@ from ..run_statistics.between_runs import interval_of_runs
 from ..run_statistics.change import Verdict, change_of_runs
 from ..run_statistics.delivery import change_of_received
 from ..run_statistics.runs import Statistic
-from ..statistics.families import holm_adjusted
 from ..statistics.intervals import Basis
+from ..statistics.power import holm_adjusted
 from .cases import (
     CONDITIONS,
     Contender,

@@ -16,12 +16,11 @@ import polars as pl
 
 from ..model.parameters import MATCH_COLUMNS
 from ..model.runs import pass_numbers, passes_of
-from ..run_statistics.change import Change, Verdict, change_of_runs
+from ..run_statistics.change import Change, Verdict, change_of_runs, probability_of_superiority
 from ..run_statistics.delivery import DeliveryChange, change_of_received
 from ..run_statistics.runs import MEAN, Statistic, joined_runs
-from ..run_statistics.superiority import probability_of_superiority
-from ..statistics.families import benjamini_hochberg_adjusted
 from ..statistics.percentiles import PERCENTILES
+from ..statistics.power import benjamini_hochberg_adjusted
 from .compared.ignoring import check_match, ignored_sentences
 from .compared.rows import (
     COMPARISON_SCHEMA,
@@ -33,7 +32,7 @@ from .compared.rows import (
     at_levels,
 )
 from .compared.sight import Sight, sights
-from .matching import known_key, match_groups, pair_keys, unmatched
+from .matching import known_key, match_groups, pair_keys, replaced_devices, unmatched, with_devices
 from .sides import (
     UNKNOWN,
     SideError,
@@ -43,13 +42,12 @@ from .sides import (
     errors_of,
     recorded_apart,
 )
-from .strata import replaced_devices, with_devices
 from .turns import asked_differences, own_groups, partner_keys, with_partners
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from dds_trace.tracefile import Run, Session
+    from dds_trace.tracefile.format.descriptions import Run, Session
 
     from ..model.finding import Finding
     from ..model.parameters import ParameterValue

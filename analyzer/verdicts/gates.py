@@ -12,11 +12,10 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from ..model.names import group_words, varying_parameters
-from ..run_statistics.deciding import runs_to_settle_ratio, runs_to_settle_value
+from ..run_statistics.spread import runs_to_settle_ratio, runs_to_settle_value
 from ..statistics.distributions import student_cdf, student_quantile
-from ..statistics.families import holm_adjusted
 from ..statistics.intervals import RUNS_TO_TELL, Basis
-from ..statistics.power import messages_to_close
+from ..statistics.power import holm_adjusted, messages_to_close
 from .compare import STATISTIC_BY_NAME
 from .gate import RECEIVED_RATIO, Against, Gate, GateOutcome
 

@@ -17,31 +17,30 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from dds_trace.tracefile.units.counts import counted
-from dds_trace.tracefile.units.durations import SECOND_NS
+from dds_trace.base.units.counts import counted
+from dds_trace.base.units.durations import SECOND_NS
 
 from ..model.parameters import PLACE_COLUMNS, SETTING_COLUMNS
 from ..model.setting import condition_of
 from ..run_statistics.between_runs import interval_of_runs
-from ..run_statistics.deciding import runs_to_settle_value
 from ..run_statistics.runs import Statistic
+from ..run_statistics.spread import runs_to_settle_value
 from ..statistics.intervals import RUNS_TO_TELL, Basis, ranges_overlap
 from ..statistics.percentiles import planned_messages
 from ..statistics.power import messages_to_close
 from .cases import parts_of
-from .interpolation import guess_time
+from .job import guess_time
 from .matching import MatchedGroup
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from dds_trace.tracefile import Run
+    from dds_trace.tracefile.format.descriptions import Run
 
     from ..model.parameters import ParameterValue
     from ..statistics.intervals import Interval, Range
     from .cases import Setting
-    from .interpolation import SizeAndRate
-    from .job import Job
+    from .job import Job, SizeAndRate
 
 
 RATE_HELD = 0.98

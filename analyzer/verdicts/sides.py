@@ -7,7 +7,7 @@ from collections import defaultdict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
-from dds_trace.tracefile.units.counts import counted
+from dds_trace.base.units.counts import counted
 
 from ..model.environment import lasting_parts
 from ..model.finding import Severity
@@ -15,7 +15,7 @@ from ..model.finding import Severity
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from dds_trace.tracefile import Session
+    from dds_trace.tracefile.format.descriptions import Session
 
     from ..model.finding import Finding
     from ..model.parameters import ParameterValue

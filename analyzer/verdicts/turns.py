@@ -17,7 +17,7 @@ from .matching import knows_relay
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from dds_trace.tracefile import Run
+    from dds_trace.tracefile.format.descriptions import Run
 
     from .matching import Key
 

@@ -16,7 +16,7 @@ from .passed_over import passes_over
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from dds_trace.recorder import RecordOptions
+    from dds_trace.recorder.options import RecordOptions
 
 BRIDGED_PING_DOMAIN = 5
 
@@ -95,16 +95,14 @@ def main_command(
 
     [bold]dds-record status[/bold]
     """
-    from dds_trace.recorder import (
-        DEFAULT_WARMUP,
-        NodeOptions,
-        PingOptions,
-        RecordOptions,
-    )
+    from dds_trace.base import limits
+    from dds_trace.base.errors import OptionError
+    from dds_trace.base.units.sizes import parse_size
     from dds_trace.recorder.backends import load_backend
-    from dds_trace.recorder.options import check_fields
-    from dds_trace.tracefile import OptionError, Qos, TraceDestination, limits
-    from dds_trace.tracefile.units.sizes import parse_size
+    from dds_trace.recorder.backends.node import NodeOptions
+    from dds_trace.recorder.options import DEFAULT_WARMUP, PingOptions, RecordOptions, check_fields
+    from dds_trace.tracefile.format.descriptions import Qos
+    from dds_trace.tracefile.writing.destination import TraceDestination
 
     from .run import print_result, record_until_stopped
     from .tools import check_start, recover_trace, report_own_cost

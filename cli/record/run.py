@@ -11,17 +11,21 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from dds_trace.recorder import PingProgress, RelayProgress, record
+from dds_trace.base.errors import OutputError
+from dds_trace.base.units.counts import counted
+from dds_trace.base.units.durations import format_duration
+from dds_trace.recorder.errors import LossesError
 from dds_trace.recorder.host.stopping import stop_at_signals
-from dds_trace.tracefile import LossesError, OutputError
-from dds_trace.tracefile.units.counts import counted
-from dds_trace.tracefile.units.durations import format_duration
+from dds_trace.recorder.recording import record
+from dds_trace.recorder.roles.progress import PingProgress, RelayProgress
 
 if TYPE_CHECKING:
     from types import TracebackType
 
-    from dds_trace.recorder import Recorded, RecordOptions
-    from dds_trace.tracefile import ClosedTrace, TraceError
+    from dds_trace.base.errors import TraceError
+    from dds_trace.recorder.options import RecordOptions
+    from dds_trace.recorder.recording import Recorded
+    from dds_trace.tracefile.writing.destination import ClosedTrace
 
 
 def describe_progress(progress: PingProgress | RelayProgress) -> str:

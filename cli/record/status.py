@@ -45,8 +45,8 @@ def _lines(listed: Listed) -> list[str]:
     """Return the lines of one recording: what it is and does, its file, and what is wrong with it."""
     from datetime import datetime
 
+    from dds_trace.base.units.counts import counted
     from dds_trace.recorder.service.running import State
-    from dds_trace.tracefile.units.counts import counted
 
     entry = listed.entry
     since = datetime.fromtimestamp(entry.began_ns // 10**9).astimezone().isoformat(" ")

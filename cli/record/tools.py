@@ -5,14 +5,19 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING
 
-from dds_trace.recorder import measure_floor, measure_recorder_cost, rehearse
-from dds_trace.tracefile import TraceError, recover
-from dds_trace.tracefile.units.durations import format_duration
+from dds_trace.base.errors import TraceError
+from dds_trace.base.units.durations import format_duration
+from dds_trace.recorder.host.recorder_cost import measure_recorder_cost
+from dds_trace.recorder.rehearsal import rehearse
+from dds_trace.recorder.roles.floor import measure_floor
+from dds_trace.tracefile.recovery.recover import recover
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from dds_trace.recorder import NodeOptions, PingProgress, RecordOptions, RelayProgress
+    from dds_trace.recorder.backends.node import NodeOptions
+    from dds_trace.recorder.options import RecordOptions
+    from dds_trace.recorder.roles.progress import PingProgress, RelayProgress
 
 
 def recover_trace(path: Path) -> None:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING
 
-from dds_trace.recorder import Discovery
+from dds_trace.base.errors import OptionError
+from dds_trace.base.limits import shown
+from dds_trace.base.units.durations import parse_duration
+from dds_trace.base.units.quantities import split_quantity
+from dds_trace.base.units.sizes import parse_size
+from dds_trace.recorder.choices import Discovery
 from dds_trace.recorder.options import KeepFree, Rotation
-from dds_trace.tracefile import OptionError
-from dds_trace.tracefile.limits import shown
-from dds_trace.tracefile.units.durations import parse_duration
-from dds_trace.tracefile.units.quantities import split_quantity
-from dds_trace.tracefile.units.sizes import parse_size
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

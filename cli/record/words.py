@@ -10,7 +10,7 @@ import typer
 
 from dds_trace.recorder import choices
 from dds_trace.recorder.backends import BACKEND_MODULES
-from dds_trace.recorder.bridges import BRIDGE_MODULES
+from dds_trace.recorder.bridges.base import BRIDGE_MODULES
 
 if TYPE_CHECKING:
     from typer.models import OptionInfo

@@ -7,15 +7,17 @@ import sys
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import OptionError, limits
-from dds_trace.tracefile.units.counts import counted
+from dds_trace.base import limits
+from dds_trace.base.errors import OptionError
+from dds_trace.base.units.counts import counted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
     from pathlib import Path
 
-    from dds_trace.analyzer import FalseAlarms
-    from dds_trace.recorder.sweep import AgainstOutcome, Plan
+    from dds_trace.analyzer.verdicts.false_alarms import FalseAlarms
+    from dds_trace.recorder.sweep.against import AgainstOutcome
+    from dds_trace.recorder.sweep.plan.plan import Plan
 
 SAME = "SAME"
 """Value of `--against` for an A/A sweep."""
@@ -49,8 +51,10 @@ def new_side(
     Raises:
         OptionError: it is none of these, or the environment has no dds-record.
     """
-    from dds_trace.recorder.sweep import environment_name, environment_program, read_plan
-    from dds_trace.tracefile.files import expand_home
+    from dds_trace.base.files import expand_home
+    from dds_trace.recorder.sweep.plan.cells import environment_name
+    from dds_trace.recorder.sweep.plan.plan_file import read_plan
+    from dds_trace.recorder.sweep.station.programs import environment_program
 
     limits.check(limits.FOLDER, text, "--against")
     path = expand_home(text)
@@ -74,7 +78,7 @@ def new_side(
 
 def shown_sides(base: Plan, other: NewSide) -> tuple[dict[str, object], list[str]]:
     """Return the runs of both sides in their order and how long they take, as a JSON object and as lines."""
-    from dds_trace.recorder.sweep import against_seconds, take_turns
+    from dds_trace.recorder.sweep.against import against_seconds, take_turns
 
     turns = [(turn.side, turn.group.cells[0].name) for turn in take_turns(base, other.plan)]
     seconds = against_seconds(base, other.plan)
@@ -92,7 +96,7 @@ def shown_sides(base: Plan, other: NewSide) -> tuple[dict[str, object], list[str
 
 def side_folders(base: Plan, other: NewSide, out: Path) -> list[tuple[Plan, Path, tuple[str, ...] | None]]:
     """Return plan, folder and `dds-record` of each side; None is the one of this installation."""
-    from dds_trace.recorder.sweep import BASE, NEW
+    from dds_trace.recorder.sweep.against import BASE, NEW
 
     folder = out / _name(base, other)
     sides = [(BASE, base, None), *([] if other.is_same else [(NEW, other.plan, other.command)])]
@@ -103,7 +107,9 @@ def run_sides(base: Plan, other: NewSide, out: Path, *, as_json: bool) -> int:
     """Record both sides, print what to compare, and of two equal sides how often the comparison errs; return the exit code."""
     from rich.console import Console
 
-    from dds_trace.recorder.sweep import INCOMPLETE_EXIT_CODE, make_progress, run_against
+    from dds_trace.recorder.sweep.against import run_against
+    from dds_trace.recorder.sweep.run.progress import make_progress
+    from dds_trace.recorder.sweep.sweep import INCOMPLETE_EXIT_CODE
 
     done = run_against(
         replace(base, name=f"{_name(base, other)}-base"),
@@ -148,7 +154,9 @@ def _name(base: Plan, other: NewSide) -> str:
 
 
 def _false_alarms(done: AgainstOutcome) -> FalseAlarms:
-    from dds_trace.analyzer import analyze, count_false_alarms, pass_numbers
+    from dds_trace.analyzer.model.runs import pass_numbers
+    from dds_trace.analyzer.pipeline import analyze
+    from dds_trace.analyzer.verdicts.false_alarms import count_false_alarms
 
     base, new = (analyze(outcome.folder, details=False) for outcome in (done.base, done.new))
     return count_false_alarms(

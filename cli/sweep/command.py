@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dds_trace.tracefile import OptionError, limits
-from dds_trace.tracefile.units.counts import counted
+from dds_trace.base import limits
+from dds_trace.base.errors import OptionError
+from dds_trace.base.units.counts import counted
 
 from .. import defaults
 from ..program import run_program
@@ -24,7 +25,8 @@ from . import new
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from dds_trace.recorder.sweep import Plan, Until
+    from dds_trace.recorder.sweep.plan.plan import Plan
+    from dds_trace.recorder.sweep.until import Until
 
 INTERRUPTED_EXIT_CODE = 130
 """Exit code after Ctrl-C, as shells report it."""
@@ -106,7 +108,8 @@ def main_command(
 
     [bold]dds-sweep new mine.toml[/bold]
     """
-    from dds_trace.recorder.sweep import installed_middlewares, read_plan
+    from dds_trace.recorder.backends import installed_middlewares
+    from dds_trace.recorder.sweep.plan.plan_file import read_plan
 
     # A plan says all of what is measured: no file of defaults adds to it.
     os.environ[defaults.VARIABLE] = ""
@@ -166,12 +169,8 @@ def _refuse_together(kinds: dict[str, object], dependent: dict[str, object]) -> 
 def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None) -> int:
     from rich.console import Console
 
-    from dds_trace.recorder.sweep import (
-        INCOMPLETE_EXIT_CODE,
-        TOO_WIDE_EXIT_CODE,
-        make_progress,
-        run_sweep,
-    )
+    from dds_trace.recorder.sweep.run.progress import make_progress
+    from dds_trace.recorder.sweep.sweep import INCOMPLETE_EXIT_CODE, TOO_WIDE_EXIT_CODE, run_sweep
 
     from .dry_run import relay_commands
 
@@ -207,15 +206,10 @@ def _search(plan: Plan, out: Path, as_json: bool) -> int:
     from rich.console import Console
     from rich.table import Table
 
-    from dds_trace.recorder.sweep import (
-        COLUMNS,
-        INCOMPLETE_EXIT_CODE,
-        RateAnswer,
-        make_progress,
-        max_rate_rows,
-        run_search,
-        write_max_rates,
-    )
+    from dds_trace.recorder.sweep.max_rate_report import COLUMNS, max_rate_rows, write_max_rates
+    from dds_trace.recorder.sweep.run.progress import make_progress
+    from dds_trace.recorder.sweep.search import RateAnswer
+    from dds_trace.recorder.sweep.sweep import INCOMPLETE_EXIT_CODE, run_search
 
     folder, answers = run_search(plan, out, make_progress(Console(stderr=True)))
     written = write_max_rates(folder, answers, plan.search)

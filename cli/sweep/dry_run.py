@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from dds_trace.tracefile import OptionError
-from dds_trace.tracefile.units.counts import counted
+from dds_trace.base.errors import OptionError
+from dds_trace.base.units.counts import counted
 
 from .against import shown_sides, side_folders
 
@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from dds_trace.recorder.sweep import Cell, Plan, Until
+    from dds_trace.recorder.sweep.plan.cells import Cell
+    from dds_trace.recorder.sweep.plan.plan import Plan
+    from dds_trace.recorder.sweep.until import Until
 
     from .against import NewSide
 
@@ -39,7 +41,9 @@ def dry_run(
         max_rate: whether the highest rate of each cell is to be searched.
         as_json: whether the result is printed as JSON.
     """
-    from dds_trace.recorder.sweep import INCOMPLETE_EXIT_CODE, rehearse_plan, search_plan
+    from dds_trace.recorder.sweep.rehearsal import rehearse_plan
+    from dds_trace.recorder.sweep.search import search_plan
+    from dds_trace.recorder.sweep.sweep import INCOMPLETE_EXIT_CODE
 
     described, lines = shown_sides(plan, other) if other is not None else _shown(plan, until)
     if not as_json:
@@ -65,7 +69,7 @@ def _check_arguments(arguments: Sequence[str]) -> None:
         OptionError: naming the option.
         TraceError: as `check_options`.
     """
-    from dds_trace.recorder import check_options
+    from dds_trace.recorder.rehearsal import check_options
 
     from ..record.command import app
 
@@ -96,7 +100,7 @@ def _note(text: str) -> None:
 
 def _shown(plan: Plan, until: Until | None) -> tuple[dict[str, object], list[str]]:
     """Return the cells in the order in which they run, as a JSON object and as lines."""
-    from dds_trace.recorder.sweep import plan_seconds, schedule
+    from dds_trace.recorder.sweep.plan.schedule import plan_seconds, schedule
 
     groups = schedule(plan)
     cells = [cell for group in groups for cell in group.cells]
@@ -132,7 +136,7 @@ def _shown(plan: Plan, until: Until | None) -> tuple[dict[str, object], list[str
 
 def _remarks(plan: Plan) -> list[str]:
     """Return the lines about the plan as a whole: what it leaves out, warnings, its link, commands for the other device."""
-    from dds_trace.recorder.sweep import depth_warnings
+    from dds_trace.recorder.sweep.plan.plan import depth_warnings
 
     left_out = Counter(reason for _, reason in plan.excluded).items()
     return [
@@ -160,7 +164,9 @@ def _doubt(plan: Plan, cell: Cell) -> str:
 
 def relay_commands(plan: Plan) -> list[str]:
     """Return the commands for a person to start on the other device, in order."""
-    from dds_trace.recorder.sweep import half_arguments, printed_command, relay_arguments, schedule
+    from dds_trace.recorder.sweep.plan.commands import half_arguments, relay_arguments
+    from dds_trace.recorder.sweep.plan.schedule import schedule
+    from dds_trace.recorder.sweep.station.devices import printed_command
 
     lines = []
     for group in schedule(plan):

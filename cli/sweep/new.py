@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
-from dds_trace.tracefile import OptionError, OutputError, OutputExistsError, limits
+from dds_trace.base import limits
+from dds_trace.base.errors import OptionError, OutputError, OutputExistsError
 
 from ..quick_help import command_app, declare_command
 
@@ -59,18 +60,17 @@ def main_command(
 
     Asks three questions on a terminal: what is sent, what is compared, where the relay is. An option answers one.
     """
-    from dds_trace.recorder.sweep import (
+    from dds_trace.recorder.sweep.plan.link import PRESETS
+    from dds_trace.recorder.sweep.plan.plan_file import parse_plan
+    from dds_trace.recorder.sweep.plan.schema import SCHEMA_FILE_NAME, schema_text
+    from dds_trace.recorder.sweep.plan.template import (
         COMPARISONS,
         DATA_EXAMPLE,
         HERE,
-        PRESETS,
-        SCHEMA_FILE_NAME,
         check_place,
         parse_comparisons,
         parse_messages,
-        parse_plan,
         plan_text,
-        schema_text,
     )
 
     limits.check(limits.PATH, str(plan), "PLAN.toml")

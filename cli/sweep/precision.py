@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import OptionError
+from dds_trace.base.errors import OptionError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from dds_trace.recorder.sweep import Plan, Until
+    from dds_trace.recorder.sweep.plan.plan import Plan
+    from dds_trace.recorder.sweep.until import Until
 
 
 def precision(text: str, max_passes: int | None, plan: Plan) -> Until:
@@ -24,8 +25,9 @@ def precision(text: str, max_passes: int | None, plan: Plan) -> Until:
     Raises:
         OptionError: the text is wrong, or the plan has more passes than allowed.
     """
-    from dds_trace.analyzer import check_statistic
-    from dds_trace.recorder.sweep import DEFAULT_MAX_PASSES, Until, check_runs, parse_target
+    from dds_trace.analyzer.verdicts.false_alarms import check_statistic
+    from dds_trace.recorder.sweep.plan.plan_file import check_runs
+    from dds_trace.recorder.sweep.until import DEFAULT_MAX_PASSES, Until, parse_target
 
     statistic, percent = parse_target(text)
     check_statistic(statistic)
@@ -37,7 +39,8 @@ def precision(text: str, max_passes: int | None, plan: Plan) -> Until:
     check_runs("--max-passes", len(plan.cells), most)
 
     def measure(folder: Path, runs: Mapping[str, tuple[int, ...]]) -> Mapping[str, float]:
-        from dds_trace.analyzer import analyze, half_widths
+        from dds_trace.analyzer.pipeline import analyze
+        from dds_trace.analyzer.verdicts.false_alarms import half_widths
 
         if not runs:  # nothing was recorded: there is no trace to analyze
             return {}

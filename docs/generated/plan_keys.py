@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from dds_trace.base import limits
 from dds_trace.recorder.sweep.plan.tables import TABLES, axis_choices
-from dds_trace.tracefile import limits
 
 from .markdown import code, table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
+    from dds_trace.base.limits import Limit
     from dds_trace.recorder.sweep.plan.tables import Table, TableKey
-    from dds_trace.tracefile.limits import Limit
 
 _AXES = TABLES["axes"].keys
 _KINDS = {str: "text", int: "whole number", float: "number", bool: "true or false"}

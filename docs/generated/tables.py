@@ -11,7 +11,7 @@ from .markdown import code, escaped, table
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from dds_trace.analyzer.model.column import Column
+    from dds_trace.analyzer.model.metrics import Column
 
 
 def roundtrips() -> str:

@@ -21,7 +21,7 @@ from .records import from_json, to_json
 from .sockets import Socket, read_sockets
 
 if TYPE_CHECKING:
-    from dds_trace.tracefile import JsonObject
+    from dds_trace.tracefile.format.json_fields import JsonObject
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from .records import from_json, to_json
 from .vendors import VENDORS, vendor_facts
 
 if TYPE_CHECKING:
-    from dds_trace.tracefile import JsonObject
+    from dds_trace.tracefile.format.json_fields import JsonObject
 
 PROFILE_VARIABLES = VENDORS["fastdds"].profile_variables
 """Where Fast DDS 2 and Fast DDS 3 look for the user's profile file."""

@@ -17,7 +17,7 @@ from .vendors import SEGMENT, TransportFacts, vendor_facts
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from dds_trace.tracefile import JsonObject
+    from dds_trace.tracefile.format.json_fields import JsonObject
 
     from .applied import Applied
     from .asked import Asked

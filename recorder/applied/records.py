@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, Union, get_args, get_origin, get
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-    from dds_trace.tracefile import Json, JsonObject
+    from dds_trace.tracefile.format.json_fields import Json, JsonObject
 
 Record = TypeVar("Record")
 

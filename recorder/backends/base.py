@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import BackendUnavailableError, OptionError, limits
+from dds_trace.base import limits
+from dds_trace.base.errors import BackendUnavailableError, OptionError
 
 from ..choices import Discovery, ExecutorKind, Transport
 from ..domains import check_domain_id, first_port

@@ -13,8 +13,9 @@ from functools import partial
 from importlib import import_module, metadata
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.tracefile import BackendUnavailableError, OptionError, Qos
-from dds_trace.tracefile.units.durations import SECOND_NS
+from dds_trace.base.errors import BackendUnavailableError, OptionError
+from dds_trace.base.units.durations import SECOND_NS
+from dds_trace.tracefile.format.descriptions import Qos
 
 from ..choices import Discovery
 from ..host.environment import ConfigurationVariable, MiddlewareEnvironment

@@ -17,8 +17,9 @@ from importlib import import_module, metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.tracefile import BackendUnavailableError, OptionError, Qos
-from dds_trace.tracefile.units.durations import SECOND_NS
+from dds_trace.base.errors import BackendUnavailableError, OptionError
+from dds_trace.base.units.durations import SECOND_NS
+from dds_trace.tracefile.format.descriptions import Qos
 
 from ..host.environment import ConfigurationVariable, MiddlewareEnvironment
 from .base import DDS_MEETING, Backend, Meeting

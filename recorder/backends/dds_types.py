@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from dds_trace.tracefile import OptionError
+from dds_trace.base.errors import OptionError
 
 _OCTETS, _COVARIANCE = "uint8[]", "float64[9]"
 

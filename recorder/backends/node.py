@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, TypeVar, runtime_checkable
 
-from dds_trace.tracefile import OptionError, Qos
+from dds_trace.base.errors import OptionError
+from dds_trace.tracefile.format.descriptions import Qos
 
 from ..choices import Discovery, ExecutorKind, Transport
 

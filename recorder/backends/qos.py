@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import OptionError
-from dds_trace.tracefile.units.durations import INFINITE_NS, spell_duration
+from dds_trace.base.errors import OptionError
+from dds_trace.base.units.durations import INFINITE_NS, spell_duration
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
-    from dds_trace.tracefile import Qos
+    from dds_trace.tracefile.format.descriptions import Qos
 
     from .node import Endpoint
 

@@ -14,7 +14,7 @@ from functools import partial
 from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.tracefile import OptionError
+from dds_trace.base.errors import OptionError
 
 from ..choices import Discovery, Transport
 from ..host.environment import ConfigurationVariable, MiddlewareEnvironment
@@ -26,7 +26,7 @@ from .threaded import OpenNode, has_package
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from dds_trace.tracefile import Qos
+    from dds_trace.tracefile.format.descriptions import Qos
 
     from .node import NodeOptions, Publisher, RawMessage, Receive, Subscription
 

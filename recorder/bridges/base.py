@@ -10,7 +10,7 @@ from enum import Enum
 from importlib import import_module
 from typing import TYPE_CHECKING, Protocol
 
-from dds_trace.tracefile import OptionError
+from dds_trace.base.errors import OptionError
 
 from .options import Half
 

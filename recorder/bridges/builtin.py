@@ -12,7 +12,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import __version__
+from dds_trace.base.version import __version__
 
 from .base import Halves
 from .builtin_common import (

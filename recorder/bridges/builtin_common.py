@@ -7,8 +7,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import Qos, TraceError, TraceFormatError
-from dds_trace.tracefile.units.counts import counted
+from dds_trace.base.errors import TraceError, TraceFormatError
+from dds_trace.base.units.counts import counted
+from dds_trace.tracefile.format.descriptions import Qos
 
 from ..backends import open_node
 from ..backends.node import NodeOptions

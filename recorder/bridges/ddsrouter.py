@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import OptionError
+from dds_trace.base.errors import OptionError
 
 from ..backends.qos import asked_durations
 from ..choices import Discovery
@@ -20,7 +20,7 @@ from .texts import yaml_text
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from dds_trace.tracefile import Qos
+    from dds_trace.tracefile.format.descriptions import Qos
 
     from .options import BridgeOptions
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile.units.durations import SECOND_NS
+from dds_trace.base.units.durations import SECOND_NS
 
 from ..backends.qos import asked_durations
 from .base import Halves
@@ -17,7 +17,7 @@ from .texts import yaml_text
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from dds_trace.tracefile import Qos
+    from dds_trace.tracefile.format.descriptions import Qos
 
     from .options import BridgeOptions
 

@@ -6,7 +6,9 @@ import re
 from dataclasses import dataclass, field
 from enum import Enum
 
-from dds_trace.tracefile import OptionError, Qos, limits
+from dds_trace.base import limits
+from dds_trace.base.errors import OptionError
+from dds_trace.tracefile.format.descriptions import Qos
 
 from ..choices import Discovery, Transport
 from ..payloads import data_types

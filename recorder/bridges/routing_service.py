@@ -9,7 +9,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile.units.durations import SECOND_NS
+from dds_trace.base.units.durations import SECOND_NS
 
 from ..backends.dds_types import DDS_TYPES, dds_name, split_type
 from ..backends.qos import asked_durations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from xml.etree.ElementTree import Element
 
-    from dds_trace.tracefile import Qos
+    from dds_trace.tracefile.format.descriptions import Qos
 
     from .options import BridgeOptions, BridgeSide
 

@@ -22,7 +22,7 @@ from .environment import MiddlewareEnvironment
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from dds_trace.tracefile import Json
+    from dds_trace.tracefile.format.json_fields import Json
 
 _SOCKET_BUFFER_FILES = (
     "rmem_default",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from .fingerprint import read_text
 
 if TYPE_CHECKING:
-    from dds_trace.tracefile import JsonObject
+    from dds_trace.tracefile.format.json_fields import JsonObject
 
 _FREQUENCY_UNITS_PER_PPM = 1 << 16  # adjtimex(2): `freq` is in parts per million with 16 fractional bits
 

@@ -12,10 +12,11 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import OptionError, limits
+from dds_trace.base import limits
+from dds_trace.base.errors import OptionError
 
 if TYPE_CHECKING:
-    from dds_trace.tracefile import Json
+    from dds_trace.tracefile.format.json_fields import Json
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2  # <sys/mman.h>, equal on x86_64 and aarch64
 

@@ -11,8 +11,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dds_trace.tracefile import OutputError, Session, TraceDestination, TraceSink
-from dds_trace.tracefile.files import output_error
+from dds_trace.base.errors import OutputError
+from dds_trace.base.files import output_error
+from dds_trace.tracefile.format.descriptions import Session
+from dds_trace.tracefile.writing.destination import TraceDestination
+from dds_trace.tracefile.writing.sink import TraceSink
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import psutil
 
-from dds_trace.tracefile import run_in_background
+from dds_trace.base.threads import run_in_background
 
 from .fingerprint import read_text, wifi_signals
 from .kernel_clock import read_monotonic_pair
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
-    from dds_trace.tracefile import Json, JsonObject
+    from dds_trace.tracefile.format.json_fields import Json, JsonObject
 
 # Datagrams that the kernel threw away: the usual cause of loss and of slow reliable delivery of large messages.
 _UDP_COUNTERS = ("InErrors", "RcvbufErrors", "SndbufErrors")

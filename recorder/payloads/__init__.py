@@ -5,7 +5,8 @@ from __future__ import annotations
 from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import OptionError, limits
+from dds_trace.base import limits
+from dds_trace.base.errors import OptionError
 
 from .bag import BAG
 from .base import DataType, Source, Surroundings

@@ -7,8 +7,9 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import BackendUnavailableError, OptionError, StoppedError
+from dds_trace.base.errors import BackendUnavailableError, OptionError
 
+from ..errors import StoppedError
 from .base import DataType, Message, Payload, Source, check_held_bytes, check_stop
 from .header import recognize_data_type
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
-from dds_trace.tracefile import OptionError, StoppedError
-from dds_trace.tracefile.limits import MAX_HELD_BYTES
+from dds_trace.base.errors import OptionError
+from dds_trace.base.limits import MAX_HELD_BYTES
 
+from ..errors import StoppedError
 from .stamp import SentT
 
 if TYPE_CHECKING:

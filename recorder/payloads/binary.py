@@ -6,8 +6,8 @@ import random
 import struct
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import OptionError
-from dds_trace.tracefile.limits import MAX_HELD_BYTES
+from dds_trace.base.errors import OptionError
+from dds_trace.base.limits import MAX_HELD_BYTES
 
 from .base import DataType, Form, Message, Payload, check_stop
 from .cdr import CdrWriter

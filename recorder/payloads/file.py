@@ -7,8 +7,8 @@ from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import OptionError
-from dds_trace.tracefile.files import open_regular
+from dds_trace.base.errors import OptionError
+from dds_trace.base.files import open_regular
 
 from .base import Payload, Source, check_held_bytes, check_stop
 from .binary import BINARY, image_message

@@ -6,7 +6,7 @@ import re
 from functools import partial
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import OptionError
+from dds_trace.base.errors import OptionError
 
 from .base import DataType, Form, sized_by_length
 from .stamp import HEADER_STAMP, RAW_HEADER_STAMP

@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import OptionError
+from dds_trace.base.errors import OptionError
 
 from .base import DataType, Form, Message, Payload, sized_by_length
 from .cdr import CdrWriter

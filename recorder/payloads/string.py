@@ -7,8 +7,8 @@ import string
 import struct
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import OptionError
-from dds_trace.tracefile.limits import MAX_HELD_BYTES
+from dds_trace.base.errors import OptionError
+from dds_trace.base.limits import MAX_HELD_BYTES
 
 from .base import DataType, Form, Message, Payload, check_stop, sized_by_length
 from .cdr import CdrWriter

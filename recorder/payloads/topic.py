@@ -8,8 +8,10 @@ from collections import deque
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import OptionError, Qos, limits
-from dds_trace.tracefile.units.counts import counted
+from dds_trace.base import limits
+from dds_trace.base.errors import OptionError
+from dds_trace.base.units.counts import counted
+from dds_trace.tracefile.format.descriptions import Qos
 
 from ..backends.node import ObjectNode
 from .base import RELAY_SUFFIX, Message, Payload, Source

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import RelayLostError
-from dds_trace.tracefile.units.counts import counted
-from dds_trace.tracefile.units.durations import SECOND_NS
+from dds_trace.base.units.counts import counted
+from dds_trace.base.units.durations import SECOND_NS
 
 from ..applied import Setting
 from ..backends import load_backend, load_backends
+from ..errors import RelayLostError
 from ..payloads import data_types
 
 if TYPE_CHECKING:

@@ -9,14 +9,16 @@ import time
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import NoEchoError, Qos, TraceError
+from dds_trace.base.errors import TraceError
+from dds_trace.tracefile.format.descriptions import Qos
 
 from ..backends import load_backend
+from ..errors import NoEchoError
 from ..host.recorder_cost import measure_recorder_cost
 from ..payloads import STRING
 
 if TYPE_CHECKING:
-    from dds_trace.tracefile import Json
+    from dds_trace.tracefile.format.json_fields import Json
 
     from ..backends.node import NodeOptions, RawMessage
     from ..host.recorder_cost import RecorderCost

@@ -8,7 +8,7 @@ from ..backends.node import message_objects_of
 from ..payloads.stamp import SentT
 
 if TYPE_CHECKING:
-    from dds_trace.tracefile import Qos
+    from dds_trace.tracefile.format.descriptions import Qos
 
     from ..backends.node import Node, Publisher, RawMessage, Receive, RosMessage, Subscription
     from ..payloads.base import DataType, Form, Message

@@ -6,7 +6,7 @@ import secrets
 import threading
 from typing import TYPE_CHECKING, Generic, Protocol, TypeAlias, TypeVar
 
-from dds_trace.tracefile.units.durations import SECOND_NS
+from dds_trace.base.units.durations import SECOND_NS
 
 from ..applied import Traffic
 from ..choices import Serialization
@@ -20,7 +20,8 @@ from .replies import Replies, Silence
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from dds_trace.tracefile import Run, TraceSink
+    from dds_trace.tracefile.format.descriptions import Run
+    from dds_trace.tracefile.writing.sink import TraceSink
 
     from ..backends.node import Node, RawMessage, RosMessage
     from ..host.clock import Clock

@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import OptionError, Qos, Run, limits
-from dds_trace.tracefile.units.durations import SECOND_NS
+from dds_trace.base import limits
+from dds_trace.base.errors import OptionError
+from dds_trace.base.units.durations import SECOND_NS
+from dds_trace.tracefile.format.descriptions import Qos, Run
 
 from ..choices import Serialization
 from ..options import DEFAULT_MESSAGES, DEFAULT_RATE_HZ
@@ -15,7 +17,7 @@ from ..settings import run_settings
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from dds_trace.tracefile import JsonObject
+    from dds_trace.tracefile.format.json_fields import JsonObject
 
     from ..options import PingOptions, RecordOptions
     from ..payloads.base import DataType, Payload

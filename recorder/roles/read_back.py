@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import NotAppliedError
-
 from ..applied import Asked, asked_settings, differences, read_applied, with_path
+from ..errors import NotAppliedError
 
 if TYPE_CHECKING:
     import threading
     from collections.abc import Callable, Mapping
     from pathlib import Path
 
-    from dds_trace.tracefile import JsonObject
+    from dds_trace.tracefile.format.json_fields import JsonObject
 
     from ..applied import Applied, Difference, Setting, Traffic
     from ..backends.node import Node

@@ -14,7 +14,9 @@ from .progress import RelayProgress
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from dds_trace.tracefile import ExpectedPair, Qos, TraceSink
+    from dds_trace.tracefile.format.descriptions import Qos
+    from dds_trace.tracefile.writing.packing import ExpectedPair
+    from dds_trace.tracefile.writing.sink import TraceSink
 
     from ..backends.node import Node, Publisher, RawMessage, Receive
     from ..host.clock import Clock

@@ -6,8 +6,8 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import Session
-from dds_trace.tracefile.version import __version__
+from dds_trace.base.version import __version__
+from dds_trace.tracefile.format.descriptions import Session
 
 from ..backends import load_backend, load_backends
 from ..choices import Discovery
@@ -16,7 +16,7 @@ from ..host.fingerprint import host_fingerprint
 from ..host.kernel_clock import read_boot_id
 
 if TYPE_CHECKING:
-    from dds_trace.tracefile import JsonObject
+    from dds_trace.tracefile.format.json_fields import JsonObject
 
     from ..backends.node import Node
     from ..host.clock import ClockAnchor

@@ -7,19 +7,20 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import WIRE_TOPIC, OptionError
-from dds_trace.tracefile.format.wire import row_texts
+from dds_trace.base.errors import OptionError
+from dds_trace.tracefile.format.wire import WIRE_TOPIC, row_texts
 
-from ..wire import WireCapture, WireOptions, domain_ports
-from ..wire.interfaces import run_interfaces
+from ..wire.capture import WireCapture
+from ..wire.options import WireOptions, domain_ports, run_interfaces
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
 
-    from dds_trace.tracefile import Run, TraceSink
+    from dds_trace.tracefile.format.descriptions import Run
+    from dds_trace.tracefile.writing.sink import TraceSink
 
     from ..choices import Discovery
-    from ..wire import WireResult
+    from ..wire.capture import WireResult
 
 
 @contextmanager

@@ -19,7 +19,7 @@ from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile.files import open_regular
+from dds_trace.base.files import open_regular
 from dds_trace.tracefile.format.ring import ring_path
 
 from .rotation import later_files
@@ -27,7 +27,7 @@ from .rotation import later_files
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from dds_trace.tracefile import Session
+    from dds_trace.tracefile.format.descriptions import Session
 
 SUFFIX = ".recording"
 ENTRY_BYTES = 8192

@@ -10,8 +10,8 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import OptionError
-from dds_trace.tracefile.units.counts import counted
+from dds_trace.base.errors import OptionError
+from dds_trace.base.units.counts import counted
 
 from .plan.plan import depth_warnings
 from .plan.schedule import CellGroup, Remaining, group_by_relay, plan_seconds, schedule_pass

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import OutputError, TraceError
+from dds_trace.base.errors import OutputError, TraceError
 
 from ..payloads import is_live
 from .plan.cells import DEFAULTS

@@ -9,8 +9,9 @@ import re
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import OptionError, limits
-from dds_trace.tracefile.units.counts import counted
+from dds_trace.base import limits
+from dds_trace.base.errors import OptionError
+from dds_trace.base.units.counts import counted
 
 from .plan.schedule import number_groups, schedule_pass
 from .run.state import Status

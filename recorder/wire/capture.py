@@ -11,7 +11,7 @@ from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
-from dds_trace.tracefile import OptionError
+from dds_trace.base.errors import OptionError
 from dds_trace.tracefile.format.wire import MESSAGE_ROW
 
 from .counts import WireCounts

@@ -21,7 +21,7 @@ from contextlib import ExitStack, closing, suppress
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.tracefile import TraceError
+from dds_trace.base.errors import TraceError
 
 from .counts import ClassCount, WireCounts
 from .kernel_counters import interfaces_since, read_interfaces, read_ip_counts

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dds_trace.tracefile import OptionError
+from dds_trace.base.errors import OptionError
 
 from .packets.frames import FrameBatch, Numbers
 from .packets.packet_filter import attach_filter

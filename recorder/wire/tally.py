@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, NamedTuple
 from dds_trace.tracefile.format.wire import Direction
 
 from ..payloads.stamp import PROBE_RUN_ID
+from .counts import Beginnings, RunTally
 from .ledger import MULTICAST, Copy, SendLedger
 from .messages import message_row, message_rows, pack_rows, stamp_at
-from .packets.classes import AGAIN, RANK, WireClass, class_of
+from .packets.classes import AGAIN, RANK, TcpFlows, WireClass, class_of
 from .packets.fragments import FragmentTable, Piece
 from .packets.frames import TCP, UDP, read_frames
 from .packets.rtps import HEADER_BYTES, INFO_DST, PREFIX_BYTES, Submessage, walk_submessages
-from .packets.tcp_flows import TcpFlows
-from .run_tally import Beginnings, RunTally
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

@@ -11,14 +11,16 @@ import polars as pl
 
 from dds_trace.analyzer.model.setting import condition_of
 from dds_trace.analyzer.statistics.intervals import RUNS_TO_TELL, Basis
-from dds_trace.tracefile.units.counts import counted
-from dds_trace.tracefile.units.durations import format_duration
+from dds_trace.base.units.counts import counted
+from dds_trace.base.units.durations import format_duration
 
-from ..text import format_added_ns, format_count, format_ratio
 from .groups import (
     METRIC_LABELS,
     data_type_label,
     domain_label,
+    format_added_ns,
+    format_count,
+    format_ratio,
     group_labels,
     way_words,
 )
@@ -36,8 +38,8 @@ from .verdicts import (
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from dds_trace.analyzer import Analysis, CaseAnswer
-    from dds_trace.analyzer.analysis import Details
+    from dds_trace.analyzer.analysis import Analysis, Details
+    from dds_trace.analyzer.verdicts.answers import CaseAnswer
 
     from .groups import Group, Groups, VendorLabels
     from .numbers import Values

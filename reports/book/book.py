@@ -12,8 +12,7 @@ from .groups import groups_info
 from .numbers import curves_info, intervals_info, values_info
 from .overview import overview_info
 from .recommendation import recommendation_info
-from .recording import own_costs, record_tables
-from .runs import bridge_loads, run_times
+from .recording import bridge_loads, own_costs, record_tables, run_times
 from .sizes import size_table
 from .surroundings import surroundings
 
@@ -29,8 +28,7 @@ if TYPE_CHECKING:
     from .numbers import Curves, Intervals, Values
     from .overview import Overview
     from .recommendation import Advice
-    from .recording import OwnCost, RecordTable
-    from .runs import RunTime
+    from .recording import OwnCost, RecordTable, RunTime
     from .sizes import SizeTable
     from .surroundings import Surroundings
 

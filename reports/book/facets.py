@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.tracefile.units.rates import format_rate
-from dds_trace.tracefile.units.sizes import format_size
-from dds_trace.tracefile.visible import visible
+from dds_trace.base.printable import visible
+from dds_trace.base.units.rates import format_rate
+from dds_trace.base.units.sizes import format_size
 
 from .groups import data_type_label, device_label, domain_label, series_labels
 

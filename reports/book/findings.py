@@ -6,15 +6,16 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile.units.counts import counted
-from dds_trace.tracefile.visible import MAX_FINDING_CHARACTERS, visible
+from dds_trace.base.printable import MAX_FINDING_CHARACTERS, visible
+from dds_trace.base.units.counts import counted
 
 from .groups import group_labels
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from dds_trace.analyzer import Analysis, Finding
+    from dds_trace.analyzer.analysis import Analysis
+    from dds_trace.analyzer.model.finding import Finding
 
     from .groups import Groups
     from .numbers import Values

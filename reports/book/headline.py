@@ -14,19 +14,18 @@ import polars as pl
 
 from dds_trace.analyzer.model.setting import condition_of
 from dds_trace.analyzer.verdicts.answers import Clarity
-from dds_trace.tracefile.units.counts import counted
-from dds_trace.tracefile.units.sizes import format_size
-from dds_trace.tracefile.visible import visible
+from dds_trace.base.printable import visible
+from dds_trace.base.units.counts import counted
+from dds_trace.base.units.sizes import format_size
 
-from ..text import format_count, format_ratio
-from .groups import data_type_label, device_pair, domain_label, way_words
+from .groups import data_type_label, device_pair, domain_label, format_count, format_ratio, way_words
 from .verdicts import MODES, conditions_label, contender_labels, place_label
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
-    from dds_trace.analyzer import CaseAnswer
     from dds_trace.analyzer.analysis import Analysis
+    from dds_trace.analyzer.verdicts.answers import CaseAnswer
 
     from .groups import Group, Groups, VendorLabels
     from .numbers import Values

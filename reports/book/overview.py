@@ -7,17 +7,17 @@ from datetime import datetime, timedelta, timezone
 from typing import TYPE_CHECKING
 
 from dds_trace.analyzer.model.setting import condition_of
-from dds_trace.tracefile.units.counts import counted
-from dds_trace.tracefile.units.rates import format_rate
-from dds_trace.tracefile.units.sizes import format_size
-from dds_trace.tracefile.visible import visible
+from dds_trace.base.printable import visible
+from dds_trace.base.units.counts import counted
+from dds_trace.base.units.rates import format_rate
+from dds_trace.base.units.sizes import format_size
 
-from ..text import format_count
 from .groups import (
     VENDORS,
     data_type_label,
     device_label,
     domain_label,
+    format_count,
     known_first,
     qos_label,
 )
@@ -30,8 +30,7 @@ if TYPE_CHECKING:
     from dds_trace.analyzer.analysis import Analysis
 
     from .groups import Groups
-    from .recording import OwnCost
-    from .runs import RunTime
+    from .recording import OwnCost, RunTime
 
 MOST_LISTED = 12
 """Most values listed in one line; more become a range or are cut, so that the first screen stays one screen."""

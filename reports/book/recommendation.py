@@ -9,23 +9,21 @@ from typing import TYPE_CHECKING
 from dds_trace.analyzer.model.parameters import PLACE_COLUMNS
 from dds_trace.analyzer.model.setting import choice_of
 from dds_trace.analyzer.verdicts.recommend import Fit, place_of
-from dds_trace.tracefile.units.counts import counted
-from dds_trace.tracefile.units.durations import format_duration
-from dds_trace.tracefile.units.rates import format_rate
-from dds_trace.tracefile.units.sizes import format_size
-from dds_trace.tracefile.visible import visible
+from dds_trace.base.printable import visible
+from dds_trace.base.units.counts import counted
+from dds_trace.base.units.durations import format_duration
+from dds_trace.base.units.rates import format_rate
+from dds_trace.base.units.sizes import format_size
 
-from ..text import format_ratio
-from .groups import METRIC_LABELS, data_type_label, setting_labels
+from .groups import METRIC_LABELS, data_type_label, format_ratio, setting_labels
 from .verdicts import place_label
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from dds_trace.analyzer import Recommendation
     from dds_trace.analyzer.verdicts.cases import Setting
     from dds_trace.analyzer.verdicts.job import Job
-    from dds_trace.analyzer.verdicts.recommend import Candidate
+    from dds_trace.analyzer.verdicts.recommend import Candidate, Recommendation
 
     from .groups import VendorLabels
 

@@ -15,22 +15,21 @@ import polars as pl
 
 from dds_trace.analyzer.model.parameters import CASE_COLUMNS, CONTENDER_COLUMNS
 from dds_trace.analyzer.verdicts.cases import CONDITIONS, with_conditions
-from dds_trace.tracefile.units.counts import counted
-from dds_trace.tracefile.units.durations import format_duration
-from dds_trace.tracefile.units.quantities import MISSING
-from dds_trace.tracefile.units.rates import format_rate
-from dds_trace.tracefile.units.sizes import format_size
-from dds_trace.tracefile.visible import visible
+from dds_trace.base.printable import visible
+from dds_trace.base.units.counts import counted
+from dds_trace.base.units.durations import format_duration
+from dds_trace.base.units.quantities import MISSING
+from dds_trace.base.units.rates import format_rate
+from dds_trace.base.units.sizes import format_size
 
-from ..text import format_ratio
-from .groups import DATA_TYPES, METRIC_LABELS, data_type_label
+from .groups import DATA_TYPES, METRIC_LABELS, data_type_label, format_ratio
 from .verdicts import MODES, contender_labels, place_label
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from dds_trace.analyzer import CaseAnswer
     from dds_trace.analyzer.analysis import Analysis, Details
+    from dds_trace.analyzer.verdicts.answers import CaseAnswer
     from dds_trace.analyzer.verdicts.cases import Contender
 
     from .groups import VendorLabels

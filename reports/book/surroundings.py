@@ -5,17 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile.visible import visible
+from dds_trace.base.printable import visible
 
-from ..text import format_count
-from .groups import qos_label, vendor_labels
+from .groups import format_count, qos_label, vendor_labels
 from .recording import FLEETING, applied_words
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from dds_trace.analyzer.analysis import Analysis
-    from dds_trace.tracefile import Session
+    from dds_trace.tracefile.format.descriptions import Session
 
     from .groups import Groups, VendorLabels
 

@@ -9,20 +9,20 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
-from dds_trace.analyzer import find_headlines
 from dds_trace.analyzer.model.names import tell_apart, where_alike
 from dds_trace.analyzer.model.setting import parse_setting
 from dds_trace.analyzer.statistics.intervals import RUNS_TO_TELL
-from dds_trace.tracefile.units.counts import counted
-from dds_trace.tracefile.visible import visible
+from dds_trace.analyzer.verdicts.answers import find_headlines
+from dds_trace.base.printable import visible
+from dds_trace.base.units.counts import counted
 
 from .groups import DATA_TYPES, data_type_label, device_pair, way_words
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from dds_trace.analyzer import CaseAnswer, Headline
     from dds_trace.analyzer.model.parameters import ParameterValue
+    from dds_trace.analyzer.verdicts.answers import CaseAnswer, Headline
 
     from .groups import VendorLabels
 

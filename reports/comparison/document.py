@@ -8,8 +8,8 @@ from dataclasses import asdict
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.analyzer import to_json
 from dds_trace.analyzer.model.parameters import PARAMETER_NAMES
+from dds_trace.analyzer.saving.records import to_json
 from dds_trace.analyzer.verdicts.compared.rows import DISTRIBUTION_LEVELS
 
 if TYPE_CHECKING:

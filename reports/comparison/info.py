@@ -15,8 +15,8 @@ from dds_trace.analyzer.verdicts.gate import GateOutcome
 from dds_trace.analyzer.verdicts.gates import FAMILY as GATE_FAMILY
 from dds_trace.analyzer.verdicts.gates import overall_outcome, varying_columns
 from dds_trace.analyzer.verdicts.sides import SAME, UNKNOWN
-from dds_trace.tracefile.units.counts import counted
-from dds_trace.tracefile.visible import MAX_FINDING_CHARACTERS, visible
+from dds_trace.base.printable import MAX_FINDING_CHARACTERS, visible
+from dds_trace.base.units.counts import counted
 
 from ..book.groups import METRIC_LABELS, STATISTIC_LABELS, VENDORS, VendorLabels, group_labels, groups_of
 from ..changes import received_words

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from xml.etree import ElementTree as ET  # written, never parsed
 
 from dds_trace.analyzer.verdicts.gate import GateOutcome
-from dds_trace.tracefile.visible import MAX_FINDING_CHARACTERS, visible
+from dds_trace.base.printable import MAX_FINDING_CHARACTERS, visible
 
 from .words import gate_interval_words, measured_words, why_words
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
-from dds_trace.tracefile.visible import visible
+from dds_trace.base.printable import visible
 
 from ..book.groups import METRIC_LABELS, STATISTIC_LABELS
 from ..changes import received_words, runs_words

@@ -10,10 +10,9 @@ from rich.table import Table
 from rich.text import Text
 
 from dds_trace.analyzer.verdicts.gate import GateOutcome
-from dds_trace.tracefile.units.counts import counted
+from dds_trace.base.units.counts import counted
 
-from ..book.groups import STATISTIC_LABELS
-from ..text import format_ratio
+from ..book.groups import STATISTIC_LABELS, format_ratio
 from .words import both_words, change_with_interval
 
 if TYPE_CHECKING:

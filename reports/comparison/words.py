@@ -6,11 +6,11 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.analyzer.verdicts.gate import Against
-from dds_trace.tracefile.units.durations import format_duration
-from dds_trace.tracefile.units.quantities import MISSING
+from dds_trace.base.units.durations import format_duration
+from dds_trace.base.units.quantities import MISSING
 
+from ..book.groups import format_ratio
 from ..changes import episodes_words
-from ..text import format_ratio
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile.visible import visible
+from dds_trace.base.printable import visible
 
 from ..book.groups import STATISTIC_LABELS
 from ..book.numbers import whole_ns

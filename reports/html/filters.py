@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile.units.rates import format_rate
-from dds_trace.tracefile.units.sizes import format_size
-from dds_trace.tracefile.visible import visible
+from dds_trace.base.printable import visible
+from dds_trace.base.units.rates import format_rate
+from dds_trace.base.units.sizes import format_size
 
 from ..book.groups import data_type_label, device_label, qos_label
 from ..book.verdicts import MODES

@@ -17,8 +17,8 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import TYPE_CHECKING, TypeAlias
 
-from dds_trace.analyzer import analyze, default_output
-from dds_trace.tracefile import OutputError, TraceError
+from dds_trace.analyzer.pipeline import analyze, default_output
+from dds_trace.base.errors import OutputError, TraceError
 
 from ..book.book import Book
 from .page import live_script, render_live, without_plotly

@@ -18,10 +18,10 @@ from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from dds_trace.analyzer.pairing.parquet import summary_table
-from dds_trace.tracefile.files import replacing
-from dds_trace.tracefile.units.rates import format_rate
-from dds_trace.tracefile.units.sizes import format_size
-from dds_trace.tracefile.visible import visible
+from dds_trace.base.files import replacing
+from dds_trace.base.printable import visible
+from dds_trace.base.units.rates import format_rate
+from dds_trace.base.units.sizes import format_size
 
 from ..book.findings import severity_counts, worst_first
 from ..book.groups import (
@@ -31,11 +31,11 @@ from ..book.groups import (
     STATISTIC_LABELS,
     data_type_label,
     group_labels,
+    json_island,
 )
 from ..book.overview import utc_words
 from ..book.sizes import HOW_TO_READ
 from ..figures import Figure, LeftOut, Scope, drawn_figures
-from ..text import json_island
 from .filters import filters_info
 from .packing import packed, packed_script, policy_hash
 from .styles import line_styles

@@ -54,14 +54,13 @@ import name. A wheel holds the folders themselves.
 
 from typing import TYPE_CHECKING
 
-from dds_trace.lazy import contents_page
+from dds_trace.base.lazy import contents_page
 
 if TYPE_CHECKING:
     from .analyzer.analysis import Analysis, Details, load_analysis
     from .analyzer.exports.foxglove import write_derived
     from .analyzer.exports.tables import export_tables
-    from .analyzer.model.finding import Finding, Severity
-    from .analyzer.model.source import Source
+    from .analyzer.model.finding import Finding, Severity, Source
     from .analyzer.pipeline import analyze
     from .analyzer.recordings.topics import analyze_topics
     from .analyzer.verdicts.compare import CompareOptions, Comparison, compare
@@ -69,21 +68,15 @@ if TYPE_CHECKING:
     from .analyzer.verdicts.gates import judge_gates
     from .analyzer.verdicts.job import Job, parse_job
     from .analyzer.verdicts.recommend import Recommendation
+    from .base.errors import MissingEventsError, OptionError, OutputError, TraceError, TraceFormatError
+    from .base.version import __version__
     from .reports.reporters import write_reports
-    from .tracefile.errors import (
-        MissingEventsError,
-        OptionError,
-        OutputError,
-        TraceError,
-        TraceFormatError,
-    )
     from .tracefile.format.descriptions import Run, Session
     from .tracefile.format.events import EventColumns, Stage
     from .tracefile.reading.reader import iter_event_batches, read_trace
     from .tracefile.reading.storage import find_traces
     from .tracefile.reading.trace import Trace
     from .tracefile.recovery.recover import recover
-    from .tracefile.version import __version__
 else:
     __getattr__, __dir__ = contents_page(__name__)
 

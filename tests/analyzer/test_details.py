@@ -21,11 +21,13 @@ from trace_files import (
 )
 
 import dds_trace.analyzer.pairing.rows
-from dds_trace.analyzer import CompareOptions, analyze, parse_job
 from dds_trace.analyzer.groups.freshness import OUTAGE_SCHEMA
+from dds_trace.analyzer.pipeline import analyze
 from dds_trace.analyzer.verdicts.answers import find_answers
 from dds_trace.analyzer.verdicts.bridge_cost import bridge_cost
-from dds_trace.tracefile import Stage
+from dds_trace.analyzer.verdicts.compare import CompareOptions
+from dds_trace.analyzer.verdicts.job import parse_job
+from dds_trace.tracefile.format.events import Stage
 
 MS = 1_000_000
 PERIOD = 100 * MS

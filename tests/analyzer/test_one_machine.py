@@ -8,8 +8,8 @@ from processes import ping, relay
 from rewritten_traces import rewrite_sessions
 from roundtrip_frames import with_one_way
 
-from dds_trace.analyzer import analyze
 from dds_trace.analyzer.groups.breakdown import STAGES
+from dds_trace.analyzer.pipeline import analyze
 
 pytestmark = pytest.mark.middleware
 

@@ -9,7 +9,7 @@ import polars as pl
 import pytest
 from plain_analysis import METRICS, analyze_plain
 
-from dds_trace.analyzer import analyze
+from dds_trace.analyzer.pipeline import analyze
 
 SAMPLES = Path(__file__).parents[2] / "sample_traces"
 NAMES = sorted(path.name.removesuffix(".expected.json") for path in SAMPLES.glob("*.expected.json"))

@@ -11,19 +11,15 @@ import math
 import pytest
 from trace_files import Message, ping_session, relay_session, run, write_pair
 
-from dds_trace.analyzer import (
-    analyze,
-    compare,
-    count_false_alarms,
-    half_widths,
-    judge_gates,
-    parse_gates,
-    parse_job,
-)
 from dds_trace.analyzer.analysis import load_analysis
 from dds_trace.analyzer.model.finding import Severity
+from dds_trace.analyzer.pipeline import analyze
 from dds_trace.analyzer.verdicts.answers import Clarity
-from dds_trace.analyzer.verdicts.gate import GateOutcome
+from dds_trace.analyzer.verdicts.compare import compare
+from dds_trace.analyzer.verdicts.false_alarms import count_false_alarms, half_widths
+from dds_trace.analyzer.verdicts.gate import GateOutcome, parse_gates
+from dds_trace.analyzer.verdicts.gates import judge_gates
+from dds_trace.analyzer.verdicts.job import parse_job
 from dds_trace.analyzer.verdicts.recommend import Fit
 
 MS = 1_000_000

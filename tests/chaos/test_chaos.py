@@ -14,8 +14,10 @@ from chaos_faults import FAULTS
 from namespaces import needs_namespaces
 from trace_files import Message, event, ping_session, relay_session, run, write_pair, write_trace
 
-from dds_trace.recorder.sweep import read_plan, schedule
-from dds_trace.tracefile import Stage, read_trace
+from dds_trace.recorder.sweep.plan.plan_file import read_plan
+from dds_trace.recorder.sweep.plan.schedule import schedule
+from dds_trace.tracefile.format.events import Stage
+from dds_trace.tracefile.reading.reader import read_trace
 
 TIMELINE = [Message(n, t0=n * 100, t1=n * 100 + 1, t3=n, t4=n + 1, t2=n * 100 + 50) for n in range(6)]
 SEEDS = range(200)

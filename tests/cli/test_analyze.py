@@ -10,8 +10,7 @@ from mcap.writer import Writer
 from trace_files import Message, run, write_pair
 
 import dds_trace.cli.analyze
-from dds_trace.cli.analyze import COMMANDS, main
-from dds_trace.cli.desktop import DESKTOP_VARIABLES
+from dds_trace.cli.analyze import COMMANDS, DESKTOP_VARIABLES, main
 
 TIMELINE = [Message(s, t0=1000 * s, t1=1000 * s + 5, t3=900, t4=930, t2=1000 * s + 205) for s in range(12)]
 

@@ -10,7 +10,7 @@ from trace_files import Message, run, write_pair
 
 from dds_trace.analyzer.exports.tables import EXPORTERS
 from dds_trace.cli.analyze import ExportKind, main
-from dds_trace.tracefile import read_trace
+from dds_trace.tracefile.reading.reader import read_trace
 
 MS = 1_000_000
 ROOT = Path(__file__).parents[2]

@@ -8,8 +8,9 @@ from hostile_values import COMMANDS, check_told, run
 from hypothesis import HealthCheck, given, settings
 from typer.main import get_command
 
+from dds_trace.base.errors import MissingEventsError
+from dds_trace.recorder.errors import NoEchoError
 from dds_trace.recorder.roles.plan import count_messages
-from dds_trace.tracefile import MissingEventsError, NoEchoError
 
 PLAN = "[run]\nmessages = 1\n[axes]\nbackend = 'socket'\n"
 BASE = {
@@ -68,8 +69,8 @@ def nothing_recorded(monkeypatch, tmp_path):
 
     monkeypatch.setattr("dds_trace.cli.record.run.record", check_options)
     monkeypatch.setattr("dds_trace.cli.record.tools.report_own_cost", lambda *_: None)
-    monkeypatch.setattr("dds_trace.analyzer.analyze", nothing_analyzed)
-    monkeypatch.setattr("dds_trace.analyzer.analyze_topics", nothing_analyzed)
+    monkeypatch.setattr("dds_trace.analyzer.pipeline.analyze", nothing_analyzed)
+    monkeypatch.setattr("dds_trace.analyzer.recordings.topics.analyze_topics", nothing_analyzed)
     monkeypatch.setattr("dds_trace.reports.html.live.Watcher", nothing_analyzed)
     # A rehearsal starts a real relay, which takes as long as a hundred other values.
     monkeypatch.setattr("dds_trace.recorder.sweep.station.devices.rehearse_program", lambda *_: None)

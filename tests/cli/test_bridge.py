@@ -11,8 +11,9 @@ import pytest
 from typer.testing import CliRunner
 from waiting import wait_until
 
-from dds_trace.recorder.bridges import BRIDGE_MODULES
-from dds_trace.tracefile import Stage, TraceError
+from dds_trace.base.errors import TraceError
+from dds_trace.recorder.bridges.base import BRIDGE_MODULES
+from dds_trace.tracefile.format.events import Stage
 
 BRIDGE = [sys.executable, "-m", "dds_trace.cli.bridge"]
 
@@ -194,7 +195,7 @@ def test_a_bridge_that_dies_in_mid_run_is_described_in_the_trace_that_is_kept(do
     import psutil
     from mcap.reader import make_reader
 
-    from dds_trace.tracefile import read_trace
+    from dds_trace.tracefile.reading.reader import read_trace
 
     def received():
         try:

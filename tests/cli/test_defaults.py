@@ -11,7 +11,7 @@ from dds_trace.cli.defaults import FILE_NAME, VARIABLE, find_files
 from dds_trace.cli.errors import run_command
 from dds_trace.cli.record import command as record
 from dds_trace.cli.sweep import command as sweep
-from dds_trace.recorder.sweep import printed_command
+from dds_trace.recorder.sweep.station.devices import printed_command
 
 ROS = ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY", "RMW_IMPLEMENTATION")
 

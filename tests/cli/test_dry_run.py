@@ -15,11 +15,14 @@ from hypothesis import strategies as st
 from namespaces import needs_namespaces
 from rich.console import Console
 
+from dds_trace.base.errors import OptionError
 from dds_trace.cli.sweep import command
 from dds_trace.cli.sweep.dry_run import _check_arguments
-from dds_trace.recorder.sweep import make_progress, parse_plan, rehearse_plan, run_sweep
+from dds_trace.recorder.sweep.plan.plan_file import parse_plan
+from dds_trace.recorder.sweep.rehearsal import rehearse_plan
+from dds_trace.recorder.sweep.run.progress import make_progress
 from dds_trace.recorder.sweep.station.emulation import ip
-from dds_trace.tracefile import OptionError
+from dds_trace.recorder.sweep.sweep import run_sweep
 
 HEAD = """
 [run]

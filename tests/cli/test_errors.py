@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from dds_trace.base.errors import OptionError, OutputError, TraceFormatError
 from dds_trace.cli.errors import run_command
-from dds_trace.tracefile import NoEchoError, OptionError, OutputError, TraceFormatError
+from dds_trace.recorder.errors import NoEchoError
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ import dds_trace.cli.record.status
 import dds_trace.cli.sweep.command
 import dds_trace.cli.sweep.new
 import dds_trace.cli.watch
-from dds_trace.tracefile import __version__
+from dds_trace.base.version import __version__
 
 HEAVY = (
     *("numpy", "polars", "pyarrow", "scipy", "pandas", "plotly", "jinja2", "rich", "pygments", "markdown_it"),

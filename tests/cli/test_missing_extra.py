@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from dds_trace.tracefile import BackendUnavailableError
+from dds_trace.base.errors import BackendUnavailableError
 
 SAMPLES = Path(__file__).parents[2] / "sample_traces/same_domain"
 WITHOUT = """

@@ -7,12 +7,14 @@ from pathlib import Path
 import pytest
 
 from dds_trace.analyzer.statistics.intervals import RUNS_TO_TELL
+from dds_trace.base.version import __version__
 from dds_trace.cli.sweep import command
-from dds_trace.recorder.sweep import Cell, plan_seconds, read_plan, schedule
+from dds_trace.recorder.sweep.plan.cells import Cell
 from dds_trace.recorder.sweep.plan.plan import Order
+from dds_trace.recorder.sweep.plan.plan_file import read_plan
+from dds_trace.recorder.sweep.plan.schedule import plan_seconds, schedule
 from dds_trace.recorder.sweep.search import MaxRate, RateAnswer
 from dds_trace.recorder.sweep.sweep import SweepOutcome
-from dds_trace.tracefile import __version__
 
 ROOT = Path(__file__).parents[2]
 PLANS = sorted((ROOT / "plans").glob("*.toml"))
@@ -148,7 +150,7 @@ def test_quick_plan_is_the_three_kinds_of_data_in_one_domain_and_two():
 def unrehearsed(monkeypatch):
     """Leaves the rehearsal of a dry run out, which `test_dry_run.py` is about; what it would refuse may be set."""
     refused = {}
-    monkeypatch.setattr("dds_trace.recorder.sweep.rehearse_plan", lambda *_, **__: refused)
+    monkeypatch.setattr("dds_trace.recorder.sweep.rehearsal.rehearse_plan", lambda *_, **__: refused)
     return refused
 
 
@@ -224,33 +226,33 @@ def test_version(call):
 
 
 def test_exit_codes_tell_complete_from_incomplete(call, plan, monkeypatch, tmp_path):
-    import dds_trace.recorder.sweep
+    import dds_trace.recorder.sweep.sweep
 
     outcomes = [SweepOutcome(tmp_path, 3, {}), SweepOutcome(tmp_path, 3, {"a": "no echo"})]
     monkeypatch.setattr(
-        dds_trace.recorder.sweep, "run_sweep", lambda *_arguments, **_options: outcomes.pop(0)
+        dds_trace.recorder.sweep.sweep, "run_sweep", lambda *_arguments, **_options: outcomes.pop(0)
     )
     assert call(plan) == (0, f"Wrote {tmp_path}\n3 of 3 recordings are complete\n", "")
     assert call(plan) == (10, f"Wrote {tmp_path}\n2 of 3 recordings are complete\n", "a: no echo\n")
 
 
 def test_interruption_has_the_shells_exit_code_and_says_how_to_go_on(call, plan, monkeypatch):
-    import dds_trace.recorder.sweep
+    import dds_trace.recorder.sweep.sweep
 
     def interrupted(*_arguments, **_options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(dds_trace.recorder.sweep, "run_sweep", interrupted)
+    monkeypatch.setattr(dds_trace.recorder.sweep.sweep, "run_sweep", interrupted)
     code, _, err = call(plan)
     assert code == 130
     assert "the same command goes on" in err
 
 
 def test_max_rate_prints_a_table_and_writes_it(call, plan, monkeypatch, tmp_path):
-    import dds_trace.recorder.sweep
+    import dds_trace.recorder.sweep.sweep
 
     found = [MaxRate(Cell(size=33_000, rate=480.0), RateAnswer.FOUND, 510.0, (3, 3), "2 % lost")]
-    monkeypatch.setattr(dds_trace.recorder.sweep, "run_search", lambda *_arguments: (tmp_path, found))
+    monkeypatch.setattr(dds_trace.recorder.sweep.sweep, "run_search", lambda *_arguments: (tmp_path, found))
     code, out, _ = call(plan, "--max-rate")
     assert code == 0
     assert "480" in out

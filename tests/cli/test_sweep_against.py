@@ -13,7 +13,7 @@ from namespaces import needs_namespaces
 from processes import run
 from warm_start import stand_ins
 
-from dds_trace.tracefile import read_trace
+from dds_trace.tracefile.reading.reader import read_trace
 
 pytestmark = [pytest.mark.middleware, pytest.mark.timeout(300)]
 

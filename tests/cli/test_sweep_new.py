@@ -10,7 +10,10 @@ import jsonschema
 import pytest
 
 from dds_trace.cli.sweep import main
-from dds_trace.recorder.sweep import COMPARISONS, PRESETS, plan_schema, read_plan
+from dds_trace.recorder.sweep.plan.link import PRESETS
+from dds_trace.recorder.sweep.plan.plan_file import read_plan
+from dds_trace.recorder.sweep.plan.schema import plan_schema
+from dds_trace.recorder.sweep.plan.template import COMPARISONS
 
 if sys.version_info >= (3, 11):
     import tomllib

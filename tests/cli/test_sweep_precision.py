@@ -9,9 +9,10 @@ import pytest
 from processes import run
 from warm_start import stand_ins
 
-from dds_trace.analyzer import FalseAlarms, analyze, half_widths
+from dds_trace.analyzer.pipeline import analyze
+from dds_trace.analyzer.verdicts.false_alarms import FalseAlarms, half_widths
 from dds_trace.cli.sweep.against import _in_words
-from dds_trace.tracefile import read_trace
+from dds_trace.tracefile.reading.reader import read_trace
 
 PLAN = """
 [run]

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from processes import RunningCommand
 
-from dds_trace.recorder.sweep import read_plan
+from dds_trace.recorder.sweep.plan.plan_file import read_plan
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -14,7 +14,7 @@ from page_reader import open_browser
 
 import dds_trace
 from dds_trace.analyzer.model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
-from dds_trace.tracefile import errors
+from dds_trace.recorder import errors
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"

@@ -10,8 +10,8 @@ from fuzz_shapes import changed, shaped, shaped_seeds
 from rosbags.rosbag2 import StoragePlugin
 
 from dds_trace.analyzer.recordings.topics import analyze_topics
+from dds_trace.base.errors import TraceError
 from dds_trace.recorder.payloads.bag import load_payload
-from dds_trace.tracefile import TraceError
 
 if TYPE_CHECKING:
     from collections.abc import Callable

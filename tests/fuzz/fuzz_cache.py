@@ -10,15 +10,15 @@ from cache_entries import describe_anew
 from fuzz_shapes import changed, changed_fields, shaped, shaped_seeds
 from trace_files import Message, ping_events, ping_session, run, write_trace
 
-from dds_trace.analyzer.loading.cache import TraceCache
-from dds_trace.analyzer.loading.shelf import TraceShelf
-from dds_trace.analyzer.loading.traces import load_trace
-from dds_trace.tracefile import TraceError
+from dds_trace.analyzer.cache.loaded import load_trace
+from dds_trace.analyzer.cache.store import TraceCache
+from dds_trace.analyzer.cache.traces import TraceShelf
+from dds_trace.base.errors import TraceError
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from dds_trace.analyzer.loading.traces import LoadedTrace
+    from dds_trace.analyzer.cache.loaded import LoadedTrace
 
 
 class Target:

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 from fuzz_shapes import changed_fields, shaped, shaped_seeds
 from trace_files import Message, ping_events, ping_session, relay_events, relay_session, run, write_trace
 
-from dds_trace.analyzer import analyze
-from dds_trace.reports import REPORT_MODULES, render_report
-from dds_trace.tracefile import Run, Session, TraceError
+from dds_trace.analyzer.pipeline import analyze
+from dds_trace.base.errors import TraceError
+from dds_trace.reports.reporters import REPORT_MODULES, render_report
+from dds_trace.tracefile.format.descriptions import Run, Session
 
 if TYPE_CHECKING:
     from pathlib import Path

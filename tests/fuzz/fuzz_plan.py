@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 from fuzz_shapes import changed_fields, shaped, shaped_seeds
 
-from dds_trace.recorder.sweep import read_plan
+from dds_trace.base.errors import OptionError
 from dds_trace.recorder.sweep.plan.commands import half_arguments, ping_arguments, relay_arguments
+from dds_trace.recorder.sweep.plan.plan_file import read_plan
 from dds_trace.recorder.sweep.plan.schedule import Estimate, schedule
 from dds_trace.recorder.sweep.plan.toml_table import TomlTable
-from dds_trace.tracefile import OptionError
 
 if TYPE_CHECKING:
     from pathlib import Path

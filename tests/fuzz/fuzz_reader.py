@@ -16,18 +16,13 @@ from fuzz_shapes import changed, shaped, shaped_seeds
 from mcap.opcode import Opcode
 from trace_files import Message, ping_events, ping_session, run, string_cdr, write_trace
 
-from dds_trace.tracefile import (
-    EventColumns,
-    Stage,
-    TraceDestination,
-    TraceError,
-    TraceSink,
-    iter_event_batches,
-    read_trace,
-    read_trace_in_pieces,
-)
+from dds_trace.base.errors import TraceError
+from dds_trace.tracefile.format.events import EventColumns, Stage
 from dds_trace.tracefile.format.framing import MAGIC
 from dds_trace.tracefile.format.ring import ring_path
+from dds_trace.tracefile.reading.reader import iter_event_batches, read_trace, read_trace_in_pieces
+from dds_trace.tracefile.writing.destination import TraceDestination
+from dds_trace.tracefile.writing.sink import TraceSink
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -8,8 +8,10 @@ from fuzz_reader import small_ring
 from fuzz_shapes import changed, shaped, shaped_seeds
 from trace_files import Message, ping_events, ping_session, run, write_trace
 
-from dds_trace.tracefile import TraceError, read_trace, recover
+from dds_trace.base.errors import TraceError
 from dds_trace.tracefile.format.ring import ring_path
+from dds_trace.tracefile.reading.reader import read_trace
+from dds_trace.tracefile.recovery.recover import recover
 
 if TYPE_CHECKING:
     from pathlib import Path

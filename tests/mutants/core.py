@@ -19,22 +19,22 @@ CORE = {
     ),
     "storing": Part(
         (
-            "analyzer/loading/event_store.py",
-            "analyzer/loading/entries.py",
-            "analyzer/loading/cache.py",
+            "analyzer/cache/events.py",
+            "analyzer/cache/entries.py",
+            "analyzer/cache/store.py",
         ),
-        ("tests/analyzer/loading",),
+        ("tests/analyzer/cache",),
     ),
     "known": Part(
         (
-            "analyzer/engines/known_details.py",
-            "analyzer/engines/known_batches.py",
-            "analyzer/engines/known_parts.py",
+            "analyzer/engines/cached_details.py",
+            "analyzer/engines/cached_batches.py",
+            "analyzer/engines/cached_parts.py",
             "analyzer/engines/large_batches.py",
         ),
         (
-            "tests/analyzer/engines/test_known_details.py",
-            "tests/analyzer/engines/test_known_batches.py",
+            "tests/analyzer/engines/test_cached_details.py",
+            "tests/analyzer/engines/test_cached_batches.py",
             "tests/analyzer/engines/test_large_batches.py",
         ),
     ),

@@ -13,8 +13,9 @@ from pathlib import Path
 
 import pytest
 
+from dds_trace.base.errors import BackendUnavailableError, OptionError
 from dds_trace.recorder.service.running import list_recordings
-from dds_trace.tracefile import BackendUnavailableError, OptionError, read_trace
+from dds_trace.tracefile.reading.reader import read_trace
 
 UNIT = Path(__file__).parents[2] / "systemd/dds-trace-relay@.service"
 

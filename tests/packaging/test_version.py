@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from dds_trace.tracefile import __version__
+from dds_trace.base.version import __version__
 
 CHANGELOG = Path(__file__).parents[2] / "CHANGELOG.md"
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from dds_trace.base.errors import OptionError
 from dds_trace.recorder.domains import (
     bound_udp_ports,
     check_domain,
@@ -11,7 +12,6 @@ from dds_trace.recorder.domains import (
     first_port,
     participants_in,
 )
-from dds_trace.tracefile import OptionError
 
 HEAD = "  sl  local_address rem_address   st tx_queue rx_queue tr tm->when retrnsmt   uid  timeout inode\n"
 

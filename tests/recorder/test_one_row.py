@@ -9,19 +9,23 @@ from contextlib import nullcontext
 
 import pytest
 
-from dds_trace.analyzer import analyze
-from dds_trace.recorder import NodeOptions, PingOptions, RecordOptions, record
+from dds_trace.analyzer.pipeline import analyze
+from dds_trace.base.version import __version__
 from dds_trace.recorder.backends import BACKEND_MODULES, installed_middlewares
+from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.choices import Discovery
+from dds_trace.recorder.errors import NoEchoError
 from dds_trace.recorder.host.kernel_clock import read_adjtimex, read_boot_id
+from dds_trace.recorder.options import PingOptions, RecordOptions
 from dds_trace.recorder.payloads import PAYLOADS
 from dds_trace.recorder.payloads.base import DataType, Form, Message, Payload, Source
 from dds_trace.recorder.payloads.cdr import CdrWriter
 from dds_trace.recorder.payloads.header import payload_bytes_of
 from dds_trace.recorder.payloads.stamp import HEADER_STAMP, RAW_HEADER_STAMP, stamp_text
+from dds_trace.recorder.recording import record
 from dds_trace.reports.book.book import Book
-from dds_trace.tracefile import NoEchoError, TraceDestination, read_trace
-from dds_trace.tracefile.version import __version__
+from dds_trace.tracefile.reading.reader import read_trace
+from dds_trace.tracefile.writing.destination import TraceDestination
 
 MESSAGES, WARMUP = 8, 2
 

@@ -8,14 +8,16 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from dds_trace.recorder import NodeOptions, PingOptions, RecordOptions
+from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.choices import Discovery, ExecutorKind, Serialization, Transport
+from dds_trace.recorder.options import PingOptions, RecordOptions
 from dds_trace.recorder.settings import DESCRIBED, NO_SETTINGS, _changed, run_settings, side_settings
 from dds_trace.recorder.sweep.plan.link import PRESETS
-from dds_trace.tracefile import Qos, TraceDestination
+from dds_trace.tracefile.format.descriptions import Qos
+from dds_trace.tracefile.writing.destination import TraceDestination
 
 if TYPE_CHECKING:
-    from dds_trace.tracefile import Json
+    from dds_trace.tracefile.format.json_fields import Json
 
 PLAIN = RecordOptions(TraceDestination(Path("x.mcap")), NodeOptions(discovery=Discovery.LOCALHOST))
 

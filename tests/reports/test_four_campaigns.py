@@ -7,9 +7,9 @@ import pytest
 from four_campaigns import CAMPAIGNS
 
 from dds_trace.analyzer.verdicts.answers import Clarity
-from dds_trace.reports import load_reporter
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.notebook import MOST_CHARACTERS
+from dds_trace.reports.reporters import load_reporter
 
 OLD_WORDS = re.compile(
     r"\bcells?\b|via builtin|null for want|keeping an event|\brecorder\b|\blibrary\b|the way was full|waits in reader"

@@ -13,16 +13,17 @@ from analyses import EVERY_ANALYSIS, HOSTILE, MS, Measured, make_analysis
 from jsonschema import Draft202012Validator
 
 from dds_trace import Details, parse_job
-from dds_trace.analyzer import DETAIL_FRAMES
+from dds_trace.analyzer.analysis import DETAIL_FRAMES
 from dds_trace.analyzer.details import details_not_requested
 from dds_trace.analyzer.verdicts.recommend import recommend_settings
-from dds_trace.reports import REPORT_MODULES, document, load_reporter, write_reports
+from dds_trace.base.errors import OptionError, OutputError
+from dds_trace.reports import document
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.groups import LATENCY_MEANING
 from dds_trace.reports.book.numbers import intervals_info
 from dds_trace.reports.figures import FIGURES, Figure
 from dds_trace.reports.html.packing import unpacked
-from dds_trace.tracefile.errors import OptionError, OutputError
+from dds_trace.reports.reporters import REPORT_MODULES, load_reporter, write_reports
 
 
 @cache

@@ -3,7 +3,7 @@ import math
 
 import pytest
 
-from dds_trace.reports.text import format_count, format_ratio, json_island, markdown
+from dds_trace.reports.book.groups import format_count, format_ratio, json_island, markdown
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,7 @@ from dds_trace.recorder.backends import open_node, ros2, zenoh
 from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.choices import Discovery, Transport
 from dds_trace.recorder.payloads import BINARY
-from dds_trace.tracefile import Qos
+from dds_trace.tracefile.format.descriptions import Qos
 
 TOPIC, BACK = "applied_there", "applied_back"
 MEET_S = 0.5

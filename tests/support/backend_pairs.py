@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from processes import ping, relay
 
-from dds_trace.tracefile import Stage, read_trace
+from dds_trace.tracefile.format.events import Stage
+from dds_trace.tracefile.reading.reader import read_trace
 
 SIZES = {"binary": 33_000, "string": 1405, "imu": 296}
 MESSAGES, WARMUP = 20, 3

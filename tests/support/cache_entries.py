@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from typing import Any
 
-    from dds_trace.analyzer.loading.cache import TraceCache
+    from dds_trace.analyzer.cache.store import TraceCache
 
 
 def describe_anew(cache: TraceCache, key: str, entry: dict[str, Any]) -> None:

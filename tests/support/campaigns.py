@@ -19,8 +19,8 @@ from trace_files import (
     write_trace,
 )
 
-from dds_trace.analyzer import analyze
-from dds_trace.tracefile import Stage
+from dds_trace.analyzer.pipeline import analyze
+from dds_trace.tracefile.format.events import Stage
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from trace_files import Event
 
-    from dds_trace.analyzer import Analysis
+    from dds_trace.analyzer.analysis import Analysis
     from dds_trace.analyzer.groups.batch import Batch
 
 MESSAGES = 40

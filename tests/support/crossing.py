@@ -56,7 +56,7 @@ def main(*, first, second, topics, until, count, reliability):
     from dds_trace.recorder.backends import open_node
     from dds_trace.recorder.backends.node import NodeOptions
     from dds_trace.recorder.choices import Discovery
-    from dds_trace.tracefile import Qos
+    from dds_trace.tracefile.format.descriptions import Qos
 
     def open_one(domain_id, name):
         qos = Qos(reliability=reliability)

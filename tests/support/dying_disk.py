@@ -18,7 +18,8 @@ from forgetful_disk import ForgetfulDisk
 from power_loss import call
 from trace_files import ping_session
 
-from dds_trace.tracefile import TraceDestination, TraceSink
+from dds_trace.tracefile.writing.destination import TraceDestination
+from dds_trace.tracefile.writing.sink import TraceSink
 
 DISK_BYTES = 40 << 20
 EVENTS = 1500

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from dds_trace.recorder.host.clock import Clock
-    from dds_trace.tracefile import Qos, Run
+    from dds_trace.tracefile.format.descriptions import Qos, Run
 
 
 @dataclass

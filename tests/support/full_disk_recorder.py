@@ -17,7 +17,9 @@ from pathlib import Path
 
 from trace_files import ping_session, run
 
-from dds_trace.tracefile import RUN_TOPIC, TraceDestination, TraceSink
+from dds_trace.tracefile.format.events import RUN_TOPIC
+from dds_trace.tracefile.writing.destination import TraceDestination
+from dds_trace.tracefile.writing.sink import TraceSink
 
 DISK = "size=1m"
 RING_SLOTS = 1 << 12

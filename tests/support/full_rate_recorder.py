@@ -19,7 +19,8 @@ from pathlib import Path
 
 from trace_files import ping_session, run
 
-from dds_trace.tracefile import TraceDestination, TraceSink
+from dds_trace.tracefile.writing.destination import TraceDestination
+from dds_trace.tracefile.writing.sink import TraceSink
 
 PROGRESS_BYTES = 64
 STATE_CLOSING = 1

@@ -19,7 +19,8 @@ from typing import TYPE_CHECKING, Any
 from trace_files import ping_session, run
 
 import dds_trace.tracefile.writing.sink
-from dds_trace.tracefile import TraceDestination, TraceSink
+from dds_trace.tracefile.writing.destination import TraceDestination
+from dds_trace.tracefile.writing.sink import TraceSink
 
 if TYPE_CHECKING:
     from collections.abc import Callable

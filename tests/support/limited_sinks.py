@@ -15,9 +15,12 @@ from pathlib import Path
 import pytest
 from trace_files import ping_session, run
 
-from dds_trace.tracefile import OutputError, Stage, TraceDestination, TraceSink
+from dds_trace.base.errors import OutputError
+from dds_trace.tracefile.format.events import Stage
 from dds_trace.tracefile.format.ring import ring_path
 from dds_trace.tracefile.reading.reader import read_trace
+from dds_trace.tracefile.writing.destination import TraceDestination
+from dds_trace.tracefile.writing.sink import TraceSink
 
 NEVER_S = 3600.0
 

@@ -15,17 +15,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from wire_truth import truth_of
 
+from dds_trace.base.errors import BackendUnavailableError
 from dds_trace.recorder.sweep.station.emulation import INTERFACE, ip, open_tap, tc
 from dds_trace.recorder.sweep.station.namespaces import Side
-from dds_trace.recorder.wire import WireCounts
-from dds_trace.tracefile import BackendUnavailableError
+from dds_trace.recorder.wire.counts import WireCounts
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from wire_truth import Truth
 
-    from dds_trace.recorder.wire import WireOptions
+    from dds_trace.recorder.wire.options import WireOptions
 
 SUPPORT = Path(__file__).parent
 _FROM_ENVIRONMENT = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "ROS_LOCALHOST_ONLY": "", "ROS_DOMAIN_ID": ""}

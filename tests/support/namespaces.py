@@ -8,8 +8,8 @@ from functools import cache
 
 import pytest
 
+from dds_trace.base.errors import BackendUnavailableError
 from dds_trace.recorder.sweep.station.emulation import ip
-from dds_trace.tracefile import BackendUnavailableError
 
 
 def needs_namespaces(program: str, package: str) -> pytest.MarkDecorator:

@@ -25,10 +25,9 @@ from dds_trace.analyzer.run_statistics.bursts import (
     share_inflation,
     share_inflations,
 )
-from dds_trace.analyzer.run_statistics.long_bursts import bursts_to_count
-from dds_trace.analyzer.run_statistics.tails import episodes_of, tails_of
+from dds_trace.analyzer.run_statistics.tails import bursts_to_count, episodes_of, tails_of
 from dds_trace.analyzer.run_statistics.two_samples import fieller_ends, paired_test, welch_test
-from dds_trace.analyzer.statistics.order_statistics import order_statistic_ranks
+from dds_trace.analyzer.statistics.percentiles import order_statistic_ranks
 
 
 def modes() -> list[Any]:

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 
-from dds_trace.analyzer.model.column import schema_of
 from dds_trace.analyzer.model.columns import ROUNDTRIP_COLUMNS
-from dds_trace.analyzer.model.metrics import with_metrics
+from dds_trace.analyzer.model.metrics import schema_of, with_metrics
 from dds_trace.analyzer.model.parameters import PARAMETER_NAMES
 from dds_trace.analyzer.pairing.one_way import ONE_WAY_COLUMNS, fit_exchanges
 from dds_trace.analyzer.pairing.pair import MISSING

@@ -13,7 +13,7 @@ from trace_files import Message, ping_events, ping_session, relay_events, relay_
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan
 from dds_trace.recorder.sweep.run.state import SweepState
 from dds_trace.recorder.sweep.sweep import run_sweep
-from dds_trace.tracefile import Stage
+from dds_trace.tracefile.format.events import Stage
 
 STAND_IN = Path(__file__).with_name("stand_in_recorder.py")
 COMMAND = [sys.executable, "-I", "-S", str(STAND_IN)]

@@ -10,7 +10,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
-from dds_trace.recorder.bridges import Halves
+from dds_trace.recorder.bridges.base import Halves
 from dds_trace.recorder.bridges.builtin_common import (
     Forwarder,
     open_side,

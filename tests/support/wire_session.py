@@ -15,7 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dds_trace.recorder.wire import WireCapture, WireOptions
+from dds_trace.recorder.wire.capture import WireCapture
+from dds_trace.recorder.wire.options import WireOptions
 
 
 def main() -> None:

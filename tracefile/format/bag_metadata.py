@@ -6,7 +6,7 @@ import json
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from ..files import OWNER_AND_GROUP, create_file, replacing
+from dds_trace.base.files import OWNER_AND_GROUP, create_file, replacing
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

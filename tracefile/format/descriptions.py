@@ -9,7 +9,8 @@ import json
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from .. import limits
+from dds_trace.base import limits
+
 from .json_fields import FORMAT_VERSION, DescriptionFields
 
 if TYPE_CHECKING:

@@ -7,13 +7,13 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
-from ..errors import TraceFormatError
-from ..limits import STORED_INTEGER, shown
+from dds_trace.base.errors import TraceFormatError
+from dds_trace.base.limits import STORED_INTEGER, shown
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from ..limits import Limit
+    from dds_trace.base.limits import Limit
 
 T = TypeVar("T")
 

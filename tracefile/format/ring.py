@@ -46,8 +46,9 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from ..errors import TraceFormatError
-from ..files import OWNER_AND_GROUP, open_regular
+from dds_trace.base.errors import TraceFormatError
+from dds_trace.base.files import OWNER_AND_GROUP, open_regular
+
 from .descriptions import Session
 from .events import EVENT_DTYPE, Stage
 

@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING
 
 from mcap.opcode import Opcode
 
+from dds_trace.base.units.counts import counted
+
 from ..format.framing import MAGIC
-from ..units.counts import counted
 from .chunks import DamagedChunkError, PackedChunk, UnpackMemory
 from .file import MAX_RECORD_BYTES, TornRecordError
 from .records import record_name

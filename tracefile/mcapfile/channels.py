@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
-from ..errors import TraceFormatError
+from dds_trace.base.errors import TraceFormatError
+
 from ..format.events import EVENT_SCHEMA_NAME, STAGE_OF_TOPIC
 from .records import parse_record, record_name
 

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import cramjam
 import zstandard
 
+from dds_trace.base.units.counts import counted
+
 from ..format.framing import crc32
-from ..units.counts import counted
 from .file import MAX_RECORD_BYTES
 from .records import RecordContent
 

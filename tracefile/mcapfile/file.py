@@ -8,10 +8,11 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
-from ..errors import TraceFormatError
-from ..files import read_into
+from dds_trace.base.errors import TraceFormatError
+from dds_trace.base.files import read_into
+from dds_trace.base.units.counts import counted
+
 from ..format.framing import MAGIC, RECORD_HEADER
-from ..units.counts import counted
 from .records import parse_record, record_name
 
 if TYPE_CHECKING:

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 from mcap.opcode import Opcode
 
-from ..errors import TraceFormatError
+from dds_trace.base.errors import TraceFormatError
+
 from ..format.descriptions import Session
 from ..format.framing import MAGIC, MESSAGE_HEADER, RECORD_HEADER
 from ..format.string_cdr import decode_string

@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING
 
 from mcap.opcode import Opcode
 
+from dds_trace.base.threads import in_order
+from dds_trace.base.units.counts import counted
+
 from ..format.event_record import EVENT_RECORD_BYTES
 from ..format.events import Stage
 from ..format.framing import MAGIC, MESSAGE_HEADER
@@ -17,8 +20,6 @@ from ..mcapfile.channels import ChannelTable
 from ..mcapfile.chunks import DamagedChunkError, PackedChunk
 from ..mcapfile.file import RecordFile, TornRecordError
 from ..mcapfile.summary import read_summary
-from ..threads import in_order
-from ..units.counts import counted
 from .source import TOPIC_PREFIX, Batch, Text, event_batch, unpack_message
 
 if TYPE_CHECKING:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from ..errors import TraceFormatError
+from dds_trace.base.errors import TraceFormatError
+from dds_trace.base.units.counts import counted
+
 from ..format.ring import TICKET_MASK, events_by_stage, read_ring, ring_path
-from ..units.counts import counted
 from .source import Batch
 
 if TYPE_CHECKING:

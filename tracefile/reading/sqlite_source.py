@@ -10,10 +10,11 @@ from contextlib import ExitStack, closing
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
-from ..errors import TraceFormatError
-from ..files import open_regular
+from dds_trace.base.errors import TraceFormatError
+from dds_trace.base.files import open_regular
+from dds_trace.base.units.counts import counted
+
 from ..format.events import EVENT_SCHEMA_NAME, STAGE_OF_TOPIC, Stage
-from ..units.counts import counted
 from .source import TOPIC_PREFIX, Batch, Text, event_batch, unpack_message
 
 if TYPE_CHECKING:

@@ -11,7 +11,8 @@ from typing import IO, TYPE_CHECKING
 
 import zstandard
 
-from ..errors import MissingEventsError, TraceFormatError
+from dds_trace.base.errors import MissingEventsError, TraceFormatError
+
 from ..format.bag_metadata import METADATA_NAME
 from ..mcapfile.chunks import LARGEST_RATIO
 from .mcap_source import McapSource

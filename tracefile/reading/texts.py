@@ -6,7 +6,8 @@ from collections import Counter
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from ..errors import TraceFormatError
+from dds_trace.base.errors import TraceFormatError
+
 from ..format.descriptions import Run, Session
 from ..format.events import HOST_TOPIC, RUN_TOPIC, SESSION_TOPIC
 from ..format.json_fields import parse_json

@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from ..errors import TraceFormatError
+from dds_trace.base.errors import TraceFormatError
+from dds_trace.base.units.counts import counted
+
 from ..format.events import HOST_TOPIC, SESSION_TOPIC
 from ..format.wire import WIRE_TOPIC
-from ..units.counts import counted
 from .source import TOPIC_PREFIX
 from .texts import TextCollector
 

@@ -8,14 +8,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..errors import OptionError, OutputExistsError, TraceFormatError
-from ..files import flush_to_disk, mode_within, output_error
+from dds_trace.base.errors import OptionError, OutputExistsError, TraceFormatError
+from dds_trace.base.files import flush_to_disk, mode_within, output_error
+from dds_trace.base.units.counts import counted
+
 from ..format.bag_metadata import write_metadata
 from ..format.descriptions import Session
 from ..format.events import SESSION_TOPIC
 from ..format.ring import RING_SUFFIX, read_ring, ring_path, salvage_ring
 from ..mcapfile.file import RecordFile
-from ..units.counts import counted
 from ..writing.writer import TraceWriter
 from .salvage import Salvage, SalvagedText
 

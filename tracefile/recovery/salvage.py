@@ -9,7 +9,8 @@ import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Header
 
-from ..errors import TraceFormatError
+from dds_trace.base.errors import TraceFormatError
+
 from ..format.event_record import EVENT_RECORD_DTYPE
 from ..format.framing import MAGIC, MESSAGE_HEADER
 from ..format.ring import SLOT_DTYPE, STAGE_NUMBERS

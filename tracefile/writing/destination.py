@@ -6,15 +6,16 @@ import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from ..errors import OutputExistsError
-from ..files import OWNER_AND_GROUP, flush_to_disk, output_error
+from dds_trace.base.errors import OutputExistsError
+from dds_trace.base.files import OWNER_AND_GROUP, flush_to_disk, output_error
+
 from ..format.bag_metadata import METADATA_NAME
 from ..format.ring import ring_path
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from ..errors import OutputError
+    from dds_trace.base.errors import OutputError
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,8 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING, TypeAlias
 
+from dds_trace.base.threads import Turn
+
 from ..format.ring import (
     MARK_WORD,
     RECEIVED_WORD,
@@ -20,7 +22,6 @@ from ..format.ring import (
     STAGE_MARKS,
     TIME_WORD,
 )
-from ..threads import Turn
 
 if TYPE_CHECKING:
     import queue

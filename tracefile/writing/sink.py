@@ -19,9 +19,10 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from ..errors import OutputError
+from dds_trace.base.errors import OutputError
+from dds_trace.base.threads import run_in_background
+
 from ..format.events import RUN_TOPIC, SESSION_TOPIC
-from ..threads import run_in_background
 from .packing import EventPacker
 from .trace_files import TraceFiles
 

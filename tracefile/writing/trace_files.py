@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ..errors import OutputError
-from ..files import output_error
+from dds_trace.base.errors import OutputError
+from dds_trace.base.files import output_error
+
 from ..format.bag_metadata import METADATA_NAME, write_metadata
 from ..format.events import SESSION_TOPIC
 from ..format.ring import Ring, ring_path

@@ -23,12 +23,13 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from ..errors import OutputError
-from ..files import OWNER_AND_GROUP, output_error
+from dds_trace.base.errors import OutputError
+from dds_trace.base.files import OWNER_AND_GROUP, output_error
+from dds_trace.base.version import __version__
+
 from ..format.bag_metadata import TopicCount
 from ..format.framing import MAGIC, crc32
 from ..format.string_cdr import encode_string
-from ..version import __version__
 from .declarations import (
     EVENT_SCHEMA,
     EVENT_TOPICS,

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile.errors import OptionError
+from dds_trace.base.errors import OptionError
 
 from ...model.names import group_words, value_word, varying_parameters
 from ...model.parameters import CELL_COLUMNS, MATCH_COLUMNS

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import OptionError
+from dds_trace.base.errors import OptionError
 
 from ...applied.asked import PROFILE_VARIABLES
 from ...applied.vendors import BUFFER_BYTES, ros_middleware

@@ -12,7 +12,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import BackendUnavailableError, OptionError
+from dds_trace.base.errors import BackendUnavailableError, OptionError
 
 from ...applied.vendors import VENDORS, ros_middleware
 from ...choices import Discovery, Transport

@@ -15,7 +15,8 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.tracefile import BackendUnavailableError, OptionError, Qos
+from dds_trace.base.errors import BackendUnavailableError, OptionError
+from dds_trace.tracefile.format.descriptions import Qos
 
 from ...applied.vendors import ros_middleware
 from ...choices import ExecutorKind

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import BackendUnavailableError
+from dds_trace.base.errors import BackendUnavailableError
 
 from ...applied.vendors import ros_middleware
 from ...choices import Discovery

@@ -11,7 +11,7 @@ import socket
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol, TypeAlias
 
-from dds_trace.tracefile import OptionError
+from dds_trace.base.errors import OptionError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import OptionError
+from dds_trace.base.errors import OptionError
 
 from ...choices import Discovery, Transport
 from ..node import Endpoint, Middleware, TopicView
@@ -21,7 +21,7 @@ from .udp import TUNED_BUFFER_BYTES, UdpLinks
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from dds_trace.tracefile import Qos
+    from dds_trace.tracefile.format.descriptions import Qos
 
     from ..node import NodeOptions, Publisher, RawMessage, Receive, Subscription
     from .links import Address, Links

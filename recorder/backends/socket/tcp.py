@@ -16,7 +16,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import OptionError, Turn
+from dds_trace.base.errors import OptionError
+from dds_trace.base.threads import Turn
 
 from ..threaded import ROUND_S
 from .links import RETRY_S, Greeting, bound_socket

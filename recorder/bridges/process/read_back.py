@@ -11,7 +11,7 @@ import psutil
 from ...applied import asked_settings, differences, read_applied
 
 if TYPE_CHECKING:
-    from dds_trace.tracefile import Json
+    from dds_trace.tracefile.format.json_fields import Json
 
     from ...applied import Applied, Asked, Difference
     from ..options import BridgeOptions

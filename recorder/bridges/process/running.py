@@ -13,8 +13,9 @@ from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import BackendUnavailableError, BridgeError
+from dds_trace.base.errors import BackendUnavailableError
 
+from ...errors import BridgeError
 from ..base import load_bridge, split_halves
 from ..options import Half
 from .read_back import ProgramReadBack
@@ -23,7 +24,7 @@ from .supervise import SupervisedProgram, describe_end, killing_signal, program_
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from dds_trace.tracefile import Json
+    from dds_trace.tracefile.format.json_fields import Json
 
     from ...applied import Difference
     from ..base import Bridge

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import psutil
 
-from dds_trace.tracefile import BridgeError
+from ...errors import BridgeError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -6,20 +6,45 @@ import re
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, TypeVar
 
-from dds_trace.tracefile import limits
-from dds_trace.tracefile.files import expand_home
-from dds_trace.tracefile.units.sizes import spell_size
+from dds_trace.base import limits
+from dds_trace.base.files import expand_home
+from dds_trace.base.units.sizes import spell_size
 
 from ...backends import BACKEND_MODULES
 from ...backends.qos import RANKS
-from ...bridges import BRIDGE_MODULES
+from ...bridges.base import BRIDGE_MODULES
 from ...choices import ExecutorKind, Serialization, Transport
-from .keys import Key
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
+    from dds_trace.base.limits import Limit
+
+
 _T = TypeVar("_T")
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """One key of a plan.
+
+    Attributes:
+        meaning: what the value says, as a sentence without its subject, for the documentation and editors.
+        limit: validator of the value.
+        unit: unit of a number, empty where the name tells it or there is none.
+        default: what holds where the plan says nothing, in words; empty where the field's own default tells it.
+    """
+
+    meaning: str
+    limit: Limit = limits.TEXT
+    unit: str = ""
+    default: str = ""
+
+
+def plan_key(default: _T, limit: Limit, meaning: str, *, unit: str = "", default_words: str = "") -> _T:
+    """Return a dataclass field that is a key of a plan; the arguments are those of `Key`, `default` is the field's."""
+    value: _T = field(default=default, metadata={"key": Key(meaning, limit, unit, default_words)})
+    return value
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING, TypeAlias, TypedDict
 
-from dds_trace.tracefile import limits
+from dds_trace.base import limits
 
-from .keys import plan_key
+from .cells import plan_key
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

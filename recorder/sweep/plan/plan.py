@@ -8,15 +8,14 @@ from dataclasses import asdict, dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import limits
+from dds_trace.base import limits
 
 from ...backends import Meeting, load_backend
 from ...backends.qos import warn_of_depth
-from ...bridges import load_bridge
-from ...bridges.base import Halves
+from ...bridges.base import Halves, load_bridge
 from ...choices import Discovery
 from ...options import DEFAULT_MESSAGES
-from .keys import plan_key
+from .cells import plan_key
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

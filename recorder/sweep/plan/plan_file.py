@@ -8,9 +8,10 @@ import re
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypeAlias
 
-from dds_trace.tracefile import OptionError, limits
-from dds_trace.tracefile.files import open_regular
-from dds_trace.tracefile.units.sizes import parse_size
+from dds_trace.base import limits
+from dds_trace.base.errors import OptionError
+from dds_trace.base.files import open_regular
+from dds_trace.base.units.sizes import parse_size
 
 from ...options import DEFAULT_MESSAGES
 from ...payloads import check_data

@@ -11,8 +11,8 @@ import json
 import re
 from typing import TYPE_CHECKING, TypeAlias
 
-from dds_trace.tracefile import limits
-from dds_trace.tracefile.units.sizes import UNIT_BYTES
+from dds_trace.base import limits
+from dds_trace.base.units.sizes import UNIT_BYTES
 
 from ...payloads import PAYLOADS, data_types
 from ...payloads.base import Source
@@ -21,7 +21,7 @@ from .tables import TABLES, axis_choices
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from dds_trace.tracefile.limits import Limit
+    from dds_trace.base.limits import Limit
 
     from .tables import Table, TableKey
 

@@ -6,10 +6,9 @@ from dataclasses import dataclass, fields
 from enum import Enum
 from typing import TYPE_CHECKING, TypeAlias
 
-from dds_trace.tracefile import limits
+from dds_trace.base import limits
 
-from .cells import AXES, DEFAULTS, Cell
-from .keys import Key
+from .cells import AXES, DEFAULTS, Cell, Key
 from .link import PRESETS, Link
 from .plan import DeviceSettings, Network, RunSettings, Search
 
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
 
     from _typeshed import DataclassInstance
 
-    from dds_trace.tracefile.limits import Limit
+    from dds_trace.base.limits import Limit
 
     Kind: TypeAlias = type[str | int | float | bool]
 

@@ -8,9 +8,10 @@ import textwrap
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import OptionError, limits
-from dds_trace.tracefile.units.quantities import split_quantity
-from dds_trace.tracefile.units.sizes import parse_size
+from dds_trace.base import limits
+from dds_trace.base.errors import OptionError
+from dds_trace.base.units.quantities import split_quantity
+from dds_trace.base.units.sizes import parse_size
 
 from ...options import DEFAULT_MESSAGES
 from ...payloads import PAYLOADS, check_data

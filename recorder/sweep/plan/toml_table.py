@@ -7,8 +7,9 @@ from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 from typing import TYPE_CHECKING, TypeVar
 
-from dds_trace.tracefile import OptionError, limits
-from dds_trace.tracefile.visible import visible
+from dds_trace.base import limits
+from dds_trace.base.errors import OptionError
+from dds_trace.base.printable import visible
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
     from _typeshed import DataclassInstance
 
-    from dds_trace.tracefile.limits import Limit
+    from dds_trace.base.limits import Limit
 
     _Record = TypeVar("_Record", bound=DataclassInstance)
 

@@ -8,7 +8,7 @@ import os
 import time
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import OptionError, OutputError
+from dds_trace.base.errors import OptionError, OutputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import BackendUnavailableError, OptionError
+from dds_trace.base.errors import BackendUnavailableError, OptionError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dds_trace.tracefile import Stage, TraceFormatError, read_trace
-from dds_trace.tracefile.units.counts import counted
+from dds_trace.base.errors import TraceFormatError
+from dds_trace.base.units.counts import counted
+from dds_trace.tracefile.format.events import Stage
+from dds_trace.tracefile.reading.reader import read_trace
 
 from ..plan.plan import PERCENTILES
 
@@ -21,7 +23,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from dds_trace.tracefile import EventColumns, Run, Trace
+    from dds_trace.tracefile.format.descriptions import Run
+    from dds_trace.tracefile.format.events import EventColumns
+    from dds_trace.tracefile.reading.trace import Trace
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,15 +15,11 @@ import time
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import (
-    BackendUnavailableError,
-    RelayLostError,
-    TraceError,
-    TraceFormatError,
-)
-from dds_trace.tracefile.files import output_error
-from dds_trace.tracefile.units.counts import counted
+from dds_trace.base.errors import BackendUnavailableError, TraceError, TraceFormatError
+from dds_trace.base.files import output_error
+from dds_trace.base.units.counts import counted
 
+from ...errors import RelayLostError
 from ..plan.commands import half_arguments, ping_arguments, relay_arguments
 from ..plan.schedule import Estimate
 from ..station.devices import TRACE_ENDINGS, clear_parts, make_parts, remove_files

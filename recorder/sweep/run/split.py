@@ -13,8 +13,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dds_trace.tracefile import HOST_TOPIC, SESSION_TOPIC, WIRE_TOPIC, TraceFormatError, read_trace
-from dds_trace.tracefile.files import mode_within, replacing
+from dds_trace.base.errors import TraceFormatError
+from dds_trace.base.files import mode_within, replacing
+from dds_trace.tracefile.format.events import HOST_TOPIC, SESSION_TOPIC
+from dds_trace.tracefile.format.wire import WIRE_TOPIC
+from dds_trace.tracefile.reading.reader import read_trace
 from dds_trace.tracefile.writing.event_chunks import slots_in_time
 from dds_trace.tracefile.writing.writer import TraceWriter
 
@@ -22,8 +25,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from dds_trace.tracefile import JsonObject, Trace
+    from dds_trace.tracefile.format.json_fields import JsonObject
     from dds_trace.tracefile.format.ring import Slots
+    from dds_trace.tracefile.reading.trace import Trace
 
     from ..plan.link import LinkReport
 

@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass, replace
 from enum import Enum
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import OptionError, TraceFormatError
-from dds_trace.tracefile.files import create_file, output_error, replacing
+from dds_trace.base.errors import OptionError, TraceFormatError
+from dds_trace.base.files import create_file, output_error, replacing
 
 from ..station.devices import is_segment_name
 from .result import CellResult

@@ -6,7 +6,7 @@ import re
 import shlex
 from typing import TYPE_CHECKING, Protocol
 
-from dds_trace.tracefile import OutputError
+from dds_trace.base.errors import OutputError
 from dds_trace.tracefile.format.ring import RING_SUFFIX
 
 from .programs import Program, rehearse_program

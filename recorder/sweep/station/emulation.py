@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import BackendUnavailableError
+from dds_trace.base.errors import BackendUnavailableError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import BackendUnavailableError, OptionError
+from dds_trace.base.errors import BackendUnavailableError, OptionError
 
 from ..plan.link import EndCounters
 from .emulation import (

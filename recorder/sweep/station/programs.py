@@ -12,8 +12,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import BackendUnavailableError, OptionError, OutputError
-from dds_trace.tracefile.files import create_file
+from dds_trace.base.errors import BackendUnavailableError, OptionError, OutputError
+from dds_trace.base.files import create_file
 
 from ...bridges.process.supervise import describe_end, program_environment
 from ...host.stopping import dying_with_us

@@ -15,9 +15,10 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile import BackendUnavailableError, OptionError, __version__
-from dds_trace.tracefile.files import create_file, mode_within, replacing
-from dds_trace.tracefile.units.counts import counted
+from dds_trace.base.errors import BackendUnavailableError, OptionError
+from dds_trace.base.files import create_file, mode_within, replacing
+from dds_trace.base.units.counts import counted
+from dds_trace.base.version import __version__
 
 from .devices import LOG_ENDINGS, TRACE_ENDINGS, log_path, remove_files
 from .programs import Program

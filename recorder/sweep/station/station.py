@@ -6,7 +6,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile.files import expand_home
+from dds_trace.base.files import expand_home
 
 from .devices import LocalDevice, PrintedDevice, make_parts
 from .namespaces import NamespacePair

@@ -1,5 +1,5 @@
 "use strict";
-// Numbers for people, by the same rules as reports/text.py (a test compares the two).
+// Numbers for people, by the same rules as reports/book/groups.py (a test compares the two).
 const MISSING = "-";
 const TIME_UNITS = [[1e9, "s"], [1e6, "ms"], [1e3, "µs"], [1, "ns"]];
 const BYTE_UNITS = [[1e9, "GB"], [1e6, "MB"], [1e3, "KB"], [1, "B"]];

@@ -3,9 +3,9 @@
 import pytest
 from campaigns import write_runs
 
-from dds_trace.analyzer.engines import known_details
-from dds_trace.analyzer.loading.cache import TraceCache
-from dds_trace.analyzer.pairing import row_parts
+from dds_trace.analyzer.cache import parquet_join as row_parts
+from dds_trace.analyzer.cache.store import TraceCache
+from dds_trace.analyzer.engines import cached_details
 from dds_trace.analyzer.verdicts import answers
 
 
@@ -53,9 +53,9 @@ def take_out_of_cached(cached):
     def take_out(ending, missing):
         cache = TraceCache.open()
         for path in cached(ending):
-            files = known_details._unpacked(cache.read(path.stem, ending, known_details.MOST_BYTES))
+            files = cached_details._unpacked(cache.read(path.stem, ending, cached_details.MOST_BYTES))
             del files[missing]
-            cache.write(path.stem, ending, *known_details._packed(files))
+            cache.write(path.stem, ending, *cached_details._packed(files))
         cache.close()
 
     return take_out

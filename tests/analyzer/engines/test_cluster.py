@@ -9,15 +9,17 @@ import polars as pl
 import pytest
 from campaigns import assert_same_results, write_runs
 
+import dds_trace.analyzer.cache.loaded
 import dds_trace.analyzer.engines.batches
 import dds_trace.analyzer.engines.cluster
-import dds_trace.analyzer.loading.traces
-from dds_trace.analyzer import analyze
+from dds_trace.analyzer.cache.loaded import load_trace
 from dds_trace.analyzer.engines.cluster import _describe, _select
-from dds_trace.analyzer.loading.traces import load_trace
 from dds_trace.analyzer.model.metrics import METRICS
+from dds_trace.analyzer.pipeline import analyze
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
-from dds_trace.tracefile import EVENT_DTYPE, BackendUnavailableError, read_trace
+from dds_trace.base.errors import BackendUnavailableError
+from dds_trace.tracefile.format.events import EVENT_DTYPE
+from dds_trace.tracefile.reading.reader import read_trace
 
 distributed = pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
 
@@ -205,7 +207,7 @@ def test_traces_in_object_storage_are_analyzed_as_on_disk(cluster, runs, tmp_pat
         read.append(path.name)
         return read_trace(path)
 
-    monkeypatch.setattr(dds_trace.analyzer.loading.traces, "read_trace", reading)
+    monkeypatch.setattr(dds_trace.analyzer.cache.loaded, "read_trace", reading)
     assert analyze("s3://bucket/campaign", out=tmp_path / "out", cache=True).summary.equals(alone.summary)
     assert read == ["odd.mcap"]  # what is no trace is not kept
 

@@ -10,12 +10,13 @@ from campaigns import assert_as_without_cache, write_runs
 from file_damage import DAMAGES
 from polars.testing import assert_frame_equal
 
-from dds_trace.analyzer import analyze
-from dds_trace.analyzer.engines import batches, known_details, large_batches, local
-from dds_trace.analyzer.engines.known_parts import KnownPart
+from dds_trace.analyzer.engines import batches, cached_details, large_batches, local
+from dds_trace.analyzer.engines.cached_parts import KnownPart
 from dds_trace.analyzer.groups import timeline
 from dds_trace.analyzer.pairing import parquet
-from dds_trace.tracefile import OutputError, Stage
+from dds_trace.analyzer.pipeline import analyze
+from dds_trace.base.errors import OutputError
+from dds_trace.tracefile.format.events import Stage
 
 BOTH = (Stage.T2, Stage.T3)
 
@@ -185,7 +186,7 @@ def test_events_that_two_traces_hold_are_compared_each_time(runs, analyze_again)
 
 def test_other_code_pairs_anew(analyze_again, monkeypatch):
     analyze_again()
-    monkeypatch.setattr(known_details, "code_of_analysis", lambda: ("another",))
+    monkeypatch.setattr(cached_details, "code_of_analysis", lambda: ("another",))
     assert analyze_again() == [0, 1, 2, 3]
 
 
@@ -231,7 +232,7 @@ def test_a_table_of_another_part_is_not_taken(analyze_again, cached):
 
 
 def test_rows_that_are_too_large_are_not_kept(analyze_again, cached, monkeypatch):
-    monkeypatch.setattr(known_details, "MOST_BYTES", 100)
+    monkeypatch.setattr(cached_details, "MOST_BYTES", 100)
     analyze_again()
     assert cached("table") == []
     assert analyze_again() == [0, 1, 2, 3]
@@ -298,7 +299,7 @@ def test_a_part_that_is_read_whole_is_what_was_paired(runs, monkeypatch):
 
     real_load = KnownPart.load
     monkeypatch.setattr(KnownPart, "load", load)
-    monkeypatch.setattr(known_details.KnownDetails, "find", lambda *_: None)
+    monkeypatch.setattr(cached_details.KnownDetails, "find", lambda *_: None)
     write_runs(runs, [4], received=BOTH)
     analyze(runs, cache=True)
     assert len(seen) == 4

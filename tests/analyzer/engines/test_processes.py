@@ -15,11 +15,12 @@ from campaigns import assert_same_results, write_runs
 from waiting import wait_until
 
 import dds_trace.analyzer.engines.batches
-from dds_trace.analyzer import analyze
+from dds_trace.analyzer.cache import traces as shelf
 from dds_trace.analyzer.engines import local, processes
 from dds_trace.analyzer.engines.processes import can_start_workers
-from dds_trace.analyzer.loading import shelf
-from dds_trace.tracefile import EventColumns, TraceError, TraceFormatError
+from dds_trace.analyzer.pipeline import analyze
+from dds_trace.base.errors import TraceError, TraceFormatError
+from dds_trace.tracefile.format.events import EventColumns
 
 PATIENCE_S = 60
 

@@ -8,8 +8,10 @@ import pytest
 from snapshots import applied, counted, segment, udp
 from trace_files import Message, ping_session, relay_session, run, write_pair
 
-from dds_trace.analyzer import GateOutcome, analyze, compare, judge_gates, options_for, parse_gates
-from dds_trace.analyzer.verdicts.compare import CompareOptions
+from dds_trace.analyzer.pipeline import analyze
+from dds_trace.analyzer.verdicts.compare import CompareOptions, compare
+from dds_trace.analyzer.verdicts.gate import GateOutcome, parse_gates
+from dds_trace.analyzer.verdicts.gates import judge_gates, options_for
 from dds_trace.analyzer.verdicts.job import parse_job
 
 MS = 1_000_000

@@ -21,11 +21,14 @@ from trace_files import (
     write_trace,
 )
 
-import dds_trace.analyzer.loading.traces
-from dds_trace.analyzer import Severity, analyze
+import dds_trace.analyzer.cache.loaded
 from dds_trace.analyzer import findings as rooms
 from dds_trace.analyzer.findings.table import CHECKS
-from dds_trace.tracefile import Qos, Stage, read_trace
+from dds_trace.analyzer.model.finding import Severity
+from dds_trace.analyzer.pipeline import analyze
+from dds_trace.tracefile.format.descriptions import Qos
+from dds_trace.tracefile.format.events import Stage
+from dds_trace.tracefile.reading.reader import read_trace
 
 MS = 1_000_000
 PERIOD = 100 * MS  # 10 Hz
@@ -519,7 +522,7 @@ def test_what_the_reader_noticed(tmp_path, monkeypatch):
             read_trace(path), ring_events=3, unreadable_messages=2, notes=("odd",), truncated="at byte 9"
         )
 
-    monkeypatch.setattr(dds_trace.analyzer.loading.traces, "read_trace", noticing)
+    monkeypatch.setattr(dds_trace.analyzer.cache.loaded, "read_trace", noticing)
     found = findings(tmp_path)
     assert set(found) == {"truncated_file", "ring_recovered", "unreadable_messages", "reader_note"}
     assert "at byte 9" in found["truncated_file"].what

@@ -21,8 +21,9 @@ from trace_files import (
 )
 
 import dds_trace.analyzer.findings
-from dds_trace.analyzer import Severity, analyze
-from dds_trace.tracefile import Stage
+from dds_trace.analyzer.model.finding import Severity
+from dds_trace.analyzer.pipeline import analyze
+from dds_trace.tracefile.format.events import Stage
 
 MS = 1_000_000
 PERIOD = 100 * MS

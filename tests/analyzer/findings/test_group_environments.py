@@ -14,8 +14,9 @@ from trace_files import (
     write_trace,
 )
 
-from dds_trace.analyzer import Severity, analyze
-from dds_trace.tracefile import Stage
+from dds_trace.analyzer.model.finding import Severity
+from dds_trace.analyzer.pipeline import analyze
+from dds_trace.tracefile.format.events import Stage
 
 MS = 1_000_000
 

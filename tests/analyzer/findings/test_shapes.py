@@ -16,9 +16,9 @@ from trace_files import (
     write_trace,
 )
 
-from dds_trace.analyzer import analyze
 from dds_trace.analyzer.groups.shapes import shape_of
-from dds_trace.tracefile import Stage
+from dds_trace.analyzer.pipeline import analyze
+from dds_trace.tracefile.format.events import Stage
 
 MS = 1_000_000
 PERIOD = 10 * MS

@@ -7,9 +7,10 @@ import json
 import pytest
 from trace_files import Message, write_pair
 
-from dds_trace.analyzer import Finding, Severity, analyze
 from dds_trace.analyzer.findings import table
-from dds_trace.reports import REPORT_MODULES, render_report
+from dds_trace.analyzer.model.finding import Finding, Severity
+from dds_trace.analyzer.pipeline import analyze
+from dds_trace.reports.reporters import REPORT_MODULES, render_report
 
 
 def odd_counts(evidence):

@@ -6,7 +6,7 @@ import polars as pl
 import pytest
 from trace_files import ping_session, relay_session
 
-from dds_trace.analyzer.groups.own_cost import own_cost_ns, own_share
+from dds_trace.analyzer.groups.summary import own_cost_ns, own_share
 
 FLOOR = {"median_ns": 40_000, "p99_ns": 90_000, "messages": 50}
 COST = {"record_median_ns": 3_000}

@@ -8,8 +8,8 @@ from paired_by_hand import paired
 from polars.testing import assert_frame_equal
 from roundtrip_frames import roundtrips
 
-from dds_trace.analyzer.groups import run_rows as module
-from dds_trace.analyzer.groups.run_rows import RUN_SCHEMA, run_frame, run_rows
+from dds_trace.analyzer.groups import timeline as module
+from dds_trace.analyzer.groups.timeline import RUN_SCHEMA, run_frame, run_rows
 
 HELD = [  # group, run, relay, latency in ns of each message: None is a lost one, text a round trip that no relay stamped
     (0, 1, 1, [5, None, 8]),

@@ -16,10 +16,11 @@ from trace_files import (
     write_trace,
 )
 
-from dds_trace.analyzer import analyze
 from dds_trace.analyzer.model.metrics import METRICS
+from dds_trace.analyzer.pipeline import analyze
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
-from dds_trace.tracefile import Qos, Stage
+from dds_trace.tracefile.format.descriptions import Qos
+from dds_trace.tracefile.format.events import Stage
 
 MS = 1_000_000
 

@@ -7,11 +7,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from trace_files import RELAY_ID, Message, event, ping_events, ping_session, run, write_trace
 
-from dds_trace.analyzer import analyze
 from dds_trace.analyzer.groups.timeline import _worth_drawing
 from dds_trace.analyzer.pairing.pair import LOSSES, OUTCOMES
 from dds_trace.analyzer.pairing.roundtrips import RoundTrips
-from dds_trace.tracefile import Stage
+from dds_trace.analyzer.pipeline import analyze
+from dds_trace.tracefile.format.events import Stage
 
 MS = 1_000_000
 

@@ -18,8 +18,8 @@ from trace_files import (
     write_trace,
 )
 
-from dds_trace.analyzer import analyze
 from dds_trace.analyzer.analysis import load_analysis
+from dds_trace.analyzer.pipeline import analyze
 from dds_trace.tracefile.format.wire import MESSAGE_ROW, Direction, row_texts
 
 MS = 1_000_000

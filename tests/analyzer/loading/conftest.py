@@ -2,8 +2,8 @@
 
 import pytest
 
-import dds_trace.analyzer.loading.traces
-from dds_trace.tracefile import read_trace, read_trace_in_pieces
+import dds_trace.analyzer.cache.loaded
+from dds_trace.tracefile.reading.reader import read_trace, read_trace_in_pieces
 
 
 @pytest.fixture
@@ -19,5 +19,5 @@ def files_read(monkeypatch):
         return reading
 
     for read in (read_trace, read_trace_in_pieces):
-        monkeypatch.setattr(dds_trace.analyzer.loading.traces, read.__name__, noted(read))
+        monkeypatch.setattr(dds_trace.analyzer.cache.loaded, read.__name__, noted(read))
     return names

@@ -8,7 +8,7 @@ import polars as pl
 from roundtrip_frames import MS, steady
 
 from dds_trace.analyzer.model.runs import delivered_runs, pass_numbers, passes_of, split_runs
-from dds_trace.tracefile import Run
+from dds_trace.tracefile.format.descriptions import Run
 
 
 def values_of(frame, metric="latency"):

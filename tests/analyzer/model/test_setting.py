@@ -18,7 +18,7 @@ from dds_trace.analyzer.model.setting import (
     setting_of,
     write_setting,
 )
-from dds_trace.tracefile import Qos
+from dds_trace.tracefile.format.descriptions import Qos
 
 LINK = "wifi-54(delay_ms=1,rate_mbit_s=54)"
 

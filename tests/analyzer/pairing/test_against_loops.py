@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from plain_roundtrips import plain_roundtrips
 from trace_files import event, ping_session, relay_session, run, write_trace
 
-from dds_trace.analyzer import analyze
 from dds_trace.analyzer.model.metrics import METRICS
+from dds_trace.analyzer.pipeline import analyze
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
-from dds_trace.tracefile import Stage
+from dds_trace.tracefile.format.events import Stage
 
 MEASURED = [
     "scheduled_ns",

@@ -6,7 +6,7 @@ from trace_files import event
 
 from dds_trace.analyzer.pairing.counts import COUNT_SCHEMA, count_messages
 from dds_trace.analyzer.pairing.pair import pair_messages, published_messages
-from dds_trace.tracefile import EVENT_DTYPE, EventColumns
+from dds_trace.tracefile.format.events import EVENT_DTYPE, EventColumns
 
 
 def columns(*events):

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import polars as pl
 
-from dds_trace.analyzer.pairing.device_pairs import pair_devices
-from dds_trace.analyzer.pairing.one_way import KNOT_SCHEMA, SEGMENT_SCHEMA
+from dds_trace.analyzer.pairing.one_way import KNOT_SCHEMA, SEGMENT_SCHEMA, pair_devices
 
 S = 1_000_000_000
 MS = 1_000_000

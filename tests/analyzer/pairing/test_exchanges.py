@@ -20,10 +20,12 @@ from trace_files import (
     write_trace,
 )
 
-from dds_trace.analyzer import analyze
 from dds_trace.analyzer.model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
 from dds_trace.analyzer.model.parameters import PARAMETER_COLUMNS
-from dds_trace.tracefile import MissingEventsError, Qos, Run, Stage
+from dds_trace.analyzer.pipeline import analyze
+from dds_trace.base.errors import MissingEventsError
+from dds_trace.tracefile.format.descriptions import Qos, Run
+from dds_trace.tracefile.format.events import Stage
 
 TWO = [Message(0, t0=0, t1=10, t3=500, t4=520, t2=140), Message(1, t0=1000, t1=1010)]
 NO_RELAY_COLUMNS = (

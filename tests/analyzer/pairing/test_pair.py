@@ -5,7 +5,7 @@ import pytest
 from trace_files import event
 
 from dds_trace.analyzer.pairing.pair import MISSING, OUTCOMES, Outcome, pair_messages, published_messages
-from dds_trace.tracefile import EVENT_DTYPE, EventColumns
+from dds_trace.tracefile.format.events import EVENT_DTYPE, EventColumns
 
 
 def columns(*events):

@@ -21,11 +21,13 @@ from trace_files import (
 )
 
 import dds_trace.analyzer.pairing.parquet
-from dds_trace.analyzer import analyze
 from dds_trace.analyzer.model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
 from dds_trace.analyzer.pairing.parquet import roundtrips_writer, write_summary
 from dds_trace.analyzer.pairing.provenance import provenance
-from dds_trace.tracefile import OutputError, Stage, __version__
+from dds_trace.analyzer.pipeline import analyze
+from dds_trace.base.errors import OutputError
+from dds_trace.base.version import __version__
+from dds_trace.tracefile.format.events import Stage
 
 TIMELINE = [Message(s, t0=1000 * s, t1=1000 * s + 5, t3=900, t4=930, t2=1000 * s + 205) for s in range(12)]
 

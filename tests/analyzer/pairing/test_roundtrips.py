@@ -13,7 +13,7 @@ from dds_trace.analyzer.pairing.exchanges import Exchange
 from dds_trace.analyzer.pairing.pair import middleware_stamps, published_messages
 from dds_trace.analyzer.pairing.parquet import tables_of
 from dds_trace.analyzer.pairing.roundtrips import STAMP_NAMES, pair_exchanges
-from dds_trace.tracefile import EVENT_DTYPE, EventColumns
+from dds_trace.tracefile.format.events import EVENT_DTYPE, EventColumns
 
 RELAY = 7
 

@@ -10,8 +10,8 @@ from roundtrip_frames import MS, steady
 from trace_files import Message, run, write_pair
 
 import dds_trace.analyzer.pairing.rows
-from dds_trace.analyzer import analyze
 from dds_trace.analyzer.pairing.rows import RowStore
+from dds_trace.analyzer.pipeline import analyze
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from trace_files import run
 from dds_trace.analyzer.model.unsent import MOST_MESSAGES
 from dds_trace.analyzer.pairing.pair import MISSING, Published
 from dds_trace.analyzer.pairing.unsent import count_unsent, settled
-from dds_trace.tracefile import EventColumns
+from dds_trace.tracefile.format.events import EventColumns
 
 MS = 1_000_000
 

@@ -16,9 +16,9 @@ from rosbags.rosbag2 import storage_mcap as mcap
 from rosbags.typesys import Stores, get_typestore
 
 from dds_trace.analyzer.recordings.messages import iter_messages
+from dds_trace.base.errors import OptionError, TraceFormatError
 from dds_trace.recorder.payloads import STRING
 from dds_trace.recorder.payloads.bag import load_payload
-from dds_trace.tracefile.errors import OptionError, TraceFormatError
 from dds_trace.tracefile.mcapfile import blocks
 from dds_trace.tracefile.reading import bag_bounds
 from dds_trace.tracefile.reading.bag_bounds import bounded_unpacking

@@ -19,7 +19,7 @@ from rosbags.typesys import Stores, get_typestore
 from dds_trace.analyzer.recordings import messages as messages_of_recordings
 from dds_trace.analyzer.recordings.messages import begins_with_stamp, find_recordings, iter_messages
 from dds_trace.analyzer.recordings.topics import analyze_topics
-from dds_trace.tracefile.errors import MissingEventsError, TraceFormatError
+from dds_trace.base.errors import MissingEventsError, TraceFormatError
 from dds_trace.tracefile.mcapfile import blocks
 
 MS = 1_000_000

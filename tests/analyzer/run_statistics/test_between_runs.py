@@ -14,11 +14,11 @@ from dds_trace.analyzer.run_statistics.between_runs import (
     Scale,
     ends_of_units,
     interval_of_runs,
+    interval_within,
     scale_of,
     units_of,
 )
 from dds_trace.analyzer.run_statistics.runs import MEAN, Run, Statistic
-from dds_trace.analyzer.run_statistics.within_run import interval_within
 from dds_trace.analyzer.statistics.intervals import Basis
 
 P50, P99 = Statistic(0.5), Statistic(0.99)

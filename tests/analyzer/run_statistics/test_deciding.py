@@ -10,8 +10,8 @@ import pytest
 
 from dds_trace.analyzer.run_statistics.between_runs import interval_of_runs
 from dds_trace.analyzer.run_statistics.change import change_of_runs
-from dds_trace.analyzer.run_statistics.deciding import runs_to_settle_ratio, runs_to_settle_value
 from dds_trace.analyzer.run_statistics.runs import Run, Statistic
+from dds_trace.analyzer.run_statistics.spread import runs_to_settle_ratio, runs_to_settle_value
 from dds_trace.analyzer.statistics.power import runs_to_decide
 
 P50 = Statistic(0.5)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from drawn_series import autoregressive
 
-from dds_trace.analyzer.run_statistics.long_bursts import bursts_to_count, level_below
+from dds_trace.analyzer.run_statistics.between_runs import interval_within
 from dds_trace.analyzer.run_statistics.runs import Run, Statistic
-from dds_trace.analyzer.run_statistics.within_run import interval_within
+from dds_trace.analyzer.run_statistics.tails import bursts_to_count, level_below
 
 MESSAGES = 2000
 SINGLES = np.arange(5, MESSAGES, 10)  # one message in ten, none beside another

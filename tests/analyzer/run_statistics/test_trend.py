@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from drawn_series import autoregressive
 
-from dds_trace.analyzer.run_statistics.trend import BLOCKS, Trend, block_medians, find_trend
+from dds_trace.analyzer.run_statistics.modes import BLOCKS, Trend, block_medians, find_trend
 
 
 def test_blocks_are_equally_long():

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dds_trace.analyzer.run_statistics.superiority import probability_of_superiority
+from dds_trace.analyzer.run_statistics.change import probability_of_superiority
 from dds_trace.analyzer.run_statistics.two_samples import fieller_ends, mover_ends, paired_test, welch_test
 
 numbers = st.lists(st.floats(-100, 100), min_size=3, max_size=8)

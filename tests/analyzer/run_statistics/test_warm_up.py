@@ -11,7 +11,7 @@ from drawn_series import autoregressive
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dds_trace.analyzer.run_statistics.warm_up import WarmUp, find_warm_up, medians_of_five, mser_truncation
+from dds_trace.analyzer.run_statistics.modes import WarmUp, find_warm_up, medians_of_five, mser_truncation
 
 
 def test_the_begin_that_costs_most_is_left_out():

@@ -11,8 +11,8 @@ from drawn_series import autoregressive
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dds_trace.analyzer.run_statistics.between_runs import interval_within
 from dds_trace.analyzer.run_statistics.runs import MEAN, Run, Statistic
-from dds_trace.analyzer.run_statistics.within_run import interval_within
 from dds_trace.analyzer.statistics.intervals import Basis
 
 P50, P99 = Statistic(0.5), Statistic(0.99)

@@ -11,11 +11,12 @@ import polars as pl
 import pytest
 from analyses import EVERY_ANALYSIS
 
-from dds_trace.analyzer import analyze, parse_job
 from dds_trace.analyzer.analysis import DETAIL_FRAMES, Details, load_analysis
+from dds_trace.analyzer.pipeline import analyze
 from dds_trace.analyzer.saving.folder import MANIFEST
-from dds_trace.reports import REPORT_MODULES, render_report
-from dds_trace.tracefile import OutputError, OutputExistsError, TraceError, TraceFormatError
+from dds_trace.analyzer.verdicts.job import parse_job
+from dds_trace.base.errors import OutputError, OutputExistsError, TraceError, TraceFormatError
+from dds_trace.reports.reporters import REPORT_MODULES, render_report
 
 SAMPLES = Path(__file__).parents[3] / "sample_traces"
 JOB = parse_job("data=binary size=33KB rate=20 deadline=50ms reliability=0.9")

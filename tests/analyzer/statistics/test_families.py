@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dds_trace.analyzer.statistics.families import benjamini_hochberg_adjusted, holm_adjusted
+from dds_trace.analyzer.statistics.power import benjamini_hochberg_adjusted, holm_adjusted
 
 p_values = st.lists(st.floats(0, 1), max_size=20)
 

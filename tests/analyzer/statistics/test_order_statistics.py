@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dds_trace.analyzer.statistics.order_statistics import order_statistic_ranks
+from dds_trace.analyzer.statistics.percentiles import order_statistic_ranks
 
 
 def exact_at_most(k: int, n: int, p: float) -> float:

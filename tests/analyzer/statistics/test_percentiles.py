@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dds_trace.analyzer.statistics.order_statistics import order_statistic_ranks
 from dds_trace.analyzer.statistics.percentiles import (
     PERCENTILES,
     minimum_messages,
+    order_statistic_ranks,
     planned_messages,
     quantile_of,
     summarize_values,

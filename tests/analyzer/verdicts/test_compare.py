@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from roundtrip_frames import MS, in_runs, steady
 
-from dds_trace.analyzer.run_statistics.superiority import probability_of_superiority
+from dds_trace.analyzer.run_statistics.change import probability_of_superiority
 from dds_trace.analyzer.verdicts.compare import CompareOptions, compare_roundtrips
 
 P50_ONLY = CompareOptions(metrics=("latency",), statistics=("p50",))

@@ -33,7 +33,7 @@ from dds_trace.analyzer.verdicts.gates import (
     overall_outcome,
 )
 from dds_trace.analyzer.verdicts.sides import SideError, errors_of
-from dds_trace.tracefile.errors import OptionError
+from dds_trace.base.errors import OptionError
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dds_trace.analyzer.verdicts.interpolation import guess_time
+from dds_trace.analyzer.verdicts.job import guess_time
 
 SIZES = (10_000, 100_000, 1_000_000)
 RATES = (10.0, 20.0, 40.0)

@@ -6,7 +6,7 @@ import pytest
 from roundtrip_frames import MS
 
 from dds_trace.analyzer.verdicts.job import Job, parse_job
-from dds_trace.tracefile.errors import OptionError
+from dds_trace.base.errors import OptionError
 
 
 def test_the_grammar():

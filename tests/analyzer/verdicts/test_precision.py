@@ -5,8 +5,8 @@ import math
 import pytest
 from roundtrip_frames import MS, roundtrips
 
-from dds_trace.analyzer.verdicts.precision import check_statistic, half_widths
-from dds_trace.tracefile import OptionError
+from dds_trace.analyzer.verdicts.false_alarms import check_statistic, half_widths
+from dds_trace.base.errors import OptionError
 
 
 def rows_of(rtts_ms):

@@ -12,7 +12,7 @@ from roundtrip_frames import MS, S, in_runs, roundtrips, steady
 
 from dds_trace.analyzer.verdicts.job import Job
 from dds_trace.analyzer.verdicts.recommend import Fit, place_of, recommend_settings
-from dds_trace.tracefile import Run
+from dds_trace.tracefile.format.descriptions import Run
 
 JOB = Job("binary", 33_000, 10.0, 20 * MS, 0.9, metric="latency")
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 from trace_files import Message, ping_session, relay_session, run, write_pair
 
-from dds_trace.analyzer import analyze, compare
+from dds_trace.analyzer.pipeline import analyze
+from dds_trace.analyzer.verdicts.compare import compare
 from dds_trace.analyzer.verdicts.sides import (
     Stratum,
     difference_sentences,

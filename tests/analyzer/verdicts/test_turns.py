@@ -5,11 +5,12 @@ from __future__ import annotations
 import pytest
 from trace_files import Message, ping_session, relay_session, run, write_pair
 
-from dds_trace.analyzer import CompareOptions, analyze, compare
+from dds_trace.analyzer.pipeline import analyze
+from dds_trace.analyzer.verdicts.compare import CompareOptions, compare
 from dds_trace.analyzer.verdicts.gate import GateOutcome, parse_gate
 from dds_trace.analyzer.verdicts.gates import judge_gates, options_for
 from dds_trace.reports.comparison.info import comparison_notes
-from dds_trace.tracefile import Qos
+from dds_trace.tracefile.format.descriptions import Qos
 
 US = 1_000
 

@@ -7,7 +7,8 @@ from applied_pair import needs_large_buffers
 from processes import relay, run, running
 from shared_memory import OWN_SHM, needs_root
 
-from dds_trace.tracefile import NoEchoError, NotAppliedError, read_trace
+from dds_trace.recorder.errors import NoEchoError, NotAppliedError
+from dds_trace.tracefile.reading.reader import read_trace
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 pytestmark = pytest.mark.middleware

@@ -12,39 +12,29 @@ import pytest
 from trace_files import ping_session, run
 from typer.testing import CliRunner
 
-from dds_trace.cli.record import command
-from dds_trace.cli.record.run import print_result
-from dds_trace.cli.record.values import parse_percentage
-from dds_trace.recorder import (
-    DEFAULT_MESSAGES,
-    DEFAULT_WARMUP,
-    Discovery,
-    PingProgress,
-    Recorded,
-    RecorderCost,
-    RelayProgress,
-    Serialization,
-    Transport,
-    choices,
-)
-from dds_trace.recorder.backends import BACKEND_MODULES
-from dds_trace.recorder.backends.qos import RANKS
-from dds_trace.recorder.bridges import BRIDGE_MODULES
-from dds_trace.tracefile import (
+from dds_trace.base.errors import (
     BackendUnavailableError,
-    BridgeError,
-    ClosedTrace,
-    LossesError,
     OptionError,
     OutputError,
     OutputExistsError,
-    Qos,
-    Run,
-    Session,
-    TraceDestination,
     TraceError,
-    TraceSink,
 )
+from dds_trace.cli.record import command
+from dds_trace.cli.record.run import print_result
+from dds_trace.cli.record.values import parse_percentage
+from dds_trace.recorder import choices
+from dds_trace.recorder.backends import BACKEND_MODULES
+from dds_trace.recorder.backends.qos import RANKS
+from dds_trace.recorder.bridges.base import BRIDGE_MODULES
+from dds_trace.recorder.choices import Discovery, Serialization, Transport
+from dds_trace.recorder.errors import BridgeError, LossesError
+from dds_trace.recorder.host.recorder_cost import RecorderCost
+from dds_trace.recorder.options import DEFAULT_MESSAGES, DEFAULT_WARMUP
+from dds_trace.recorder.recording import Recorded
+from dds_trace.recorder.roles.progress import PingProgress, RelayProgress
+from dds_trace.tracefile.format.descriptions import Qos, Run, Session
+from dds_trace.tracefile.writing.destination import ClosedTrace, TraceDestination
+from dds_trace.tracefile.writing.sink import TraceSink
 
 
 @pytest.fixture

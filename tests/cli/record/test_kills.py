@@ -14,8 +14,9 @@ from importlib.util import find_spec
 import pytest
 from processes import PATIENCE_S, relay, running
 
-from dds_trace.tracefile import Stage, read_trace
+from dds_trace.tracefile.format.events import Stage
 from dds_trace.tracefile.format.ring import events_by_stage, read_ring, ring_path
+from dds_trace.tracefile.reading.reader import read_trace
 
 KILLS = int(os.environ.get("DDS_TRACE_KILLS", "200"))
 LONGEST_S = 0.4

@@ -14,8 +14,10 @@ import pytest
 from processes import ping, relay, run, running
 from small_disk import needs_root, small_disk
 
-from dds_trace.analyzer import analyze
-from dds_trace.tracefile import OutputError, Stage, read_trace
+from dds_trace.analyzer.pipeline import analyze
+from dds_trace.base.errors import OutputError
+from dds_trace.tracefile.format.events import Stage
+from dds_trace.tracefile.reading.reader import read_trace
 
 pytestmark = pytest.mark.middleware
 

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import pytest
 from processes import PATIENCE_S, relay, running
 
-from dds_trace.analyzer import analyze
+from dds_trace.analyzer.pipeline import analyze
 from dds_trace.recorder.host.sampling import HostSampler
-from dds_trace.tracefile import read_trace
+from dds_trace.tracefile.reading.reader import read_trace
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from two_devices import command_blocks, needs_devices, two_devices
 
-from dds_trace.tracefile import read_trace
+from dds_trace.tracefile.reading.reader import read_trace
 
 PAGE = Path(__file__).parents[3] / "docs" / "tutorials" / "two-devices.md"
 PING, RELAY = "192.168.0.10", "192.168.0.20"
@@ -90,7 +90,7 @@ def _copy(arguments, devices):
 
 
 def _check(runs):
-    from dds_trace.analyzer import analyze
+    from dds_trace.analyzer.pipeline import analyze
 
     assert (runs / "analysis" / "report.html").exists()
     analysis = analyze(runs)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from dds_trace.base.errors import BackendUnavailableError, OptionError
 from dds_trace.recorder.backends import (
     BACKEND_MODULES,
     Meeting,
@@ -13,7 +14,6 @@ from dds_trace.recorder.backends import (
 )
 from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.choices import Discovery, ExecutorKind, Transport
-from dds_trace.tracefile import BackendUnavailableError, OptionError
 
 LOCAL = {"domain_id": 3, "discovery": Discovery.LOCALHOST}
 

@@ -7,7 +7,7 @@ from importlib.util import find_spec
 import pytest
 from two_devices import needs_devices, two_devices
 
-from dds_trace.tracefile import read_trace
+from dds_trace.tracefile.reading.reader import read_trace
 
 pytestmark = [
     pytest.mark.middleware,

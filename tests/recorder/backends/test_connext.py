@@ -8,12 +8,13 @@ import pytest
 from backend_pairs import all_data_types
 from processes import run
 
+from dds_trace.base.errors import BackendUnavailableError, OptionError
 from dds_trace.recorder.backends import connext, open_node
 from dds_trace.recorder.backends.dds_types import DDS_TYPES
 from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.choices import Discovery, Transport
 from dds_trace.recorder.payloads import data_types
-from dds_trace.tracefile import BackendUnavailableError, OptionError, Qos
+from dds_trace.tracefile.format.descriptions import Qos
 
 dds = pytest.importorskip("rti.connextdds", reason="no rti.connext here")
 

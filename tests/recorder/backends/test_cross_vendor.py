@@ -8,7 +8,8 @@ import pytest
 from backend_pairs import MESSAGES, ROOMY, WARMUP, all_data_types, assert_whole
 from processes import PATIENCE_S, ping, relay
 
-from dds_trace.tracefile import Stage, read_trace
+from dds_trace.tracefile.format.events import Stage
+from dds_trace.tracefile.reading.reader import read_trace
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 pytest.importorskip("cyclonedds", reason="no Cyclone DDS here")

@@ -11,12 +11,13 @@ import pytest
 from backend_pairs import all_data_types
 from processes import PATIENCE_S, ping, relay
 
+from dds_trace.base.errors import OptionError
 from dds_trace.recorder.backends import cyclonedds, open_node
 from dds_trace.recorder.backends.cyclone_settings import CYCLONE_LOOPBACK, cyclone_loopback
 from dds_trace.recorder.backends.node import NodeOptions, message_objects_of
 from dds_trace.recorder.choices import Discovery, ExecutorKind, Transport
 from dds_trace.recorder.payloads import BINARY, IMU, data_types
-from dds_trace.tracefile import OptionError, Qos
+from dds_trace.tracefile.format.descriptions import Qos
 
 pytest.importorskip("cyclonedds", reason="no Cyclone DDS here")
 pytestmark = pytest.mark.middleware
@@ -223,7 +224,7 @@ def test_without_cyclonedds_it_says_how_to_get_it():
         "import sys; sys.modules['cyclonedds'] = None\n"
         "from dds_trace.recorder.backends.node import NodeOptions\n"
         "from dds_trace.recorder.backends import open_node\n"
-        "from dds_trace.tracefile import BackendUnavailableError\n"
+        "from dds_trace.base.errors import BackendUnavailableError\n"
         "try: open_node('cyclonedds', NodeOptions())\n"
         "except BackendUnavailableError as error: print(error)\n"
     )

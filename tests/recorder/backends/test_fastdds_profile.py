@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from applied_pair import needs_large_buffers, run_pair
 
+from dds_trace.base.errors import OptionError
 from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.backends.ros2 import fastdds_profile
 from dds_trace.recorder.backends.ros2.fastdds_profile import (
@@ -21,7 +22,6 @@ from dds_trace.recorder.backends.ros2.fastdds_profile import (
     written_profile,
 )
 from dds_trace.recorder.choices import Discovery, Transport
-from dds_trace.tracefile import OptionError
 
 GOLDEN = Path(__file__).parents[2] / "data" / "fastdds_profiles"
 ON_THIS_MACHINE = {"127.0.0.1", "239.255.0.1"}

@@ -12,7 +12,7 @@ from dds_trace.recorder.backends.qos import (
     mismatches,
     warn_of_depth,
 )
-from dds_trace.tracefile import Qos
+from dds_trace.tracefile.format.descriptions import Qos
 
 RELIABLE, BEST_EFFORT = Qos(), Qos(reliability="best_effort")
 LATCHED = Qos(durability="transient_local")

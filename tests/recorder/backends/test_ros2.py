@@ -14,13 +14,14 @@ from types import SimpleNamespace
 import pytest
 from processes import PATIENCE_S
 
+from dds_trace.base.errors import BackendUnavailableError, OptionError
 from dds_trace.recorder.applied.vendors import ros_middleware
 from dds_trace.recorder.backends import load_backend, open_node
 from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.backends.ros2 import node as ros2
 from dds_trace.recorder.choices import Discovery, ExecutorKind, Transport
 from dds_trace.recorder.payloads import BINARY, IMU, data_types
-from dds_trace.tracefile import BackendUnavailableError, OptionError, Qos
+from dds_trace.tracefile.format.descriptions import Qos
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 pytestmark = [
@@ -254,7 +255,7 @@ def test_a_missing_middleware_is_one_line_and_no_dead_process(domain_id, option,
         f"""
         from dds_trace.recorder.backends import open_node
         from dds_trace.recorder.backends.node import NodeOptions
-        from dds_trace.tracefile import BackendUnavailableError
+        from dds_trace.base.errors import BackendUnavailableError
         try:
             open_node("ros2", NodeOptions(domain_id={domain_id}, rmw={option}))
         except BackendUnavailableError as error:
@@ -274,7 +275,7 @@ def test_without_rclpy_it_says_how_to_get_it():
         sys.modules["rclpy"] = None  # as if it were not installed
         from dds_trace.recorder.backends import open_node
         from dds_trace.recorder.backends.node import NodeOptions
-        from dds_trace.tracefile import BackendUnavailableError
+        from dds_trace.base.errors import BackendUnavailableError
         try:
             open_node("ros2", NodeOptions())
         except BackendUnavailableError as error:

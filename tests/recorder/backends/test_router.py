@@ -9,11 +9,11 @@ import sys
 
 import pytest
 
+from dds_trace.base.errors import BackendUnavailableError
 from dds_trace.recorder.applied import vendors
 from dds_trace.recorder.applied.vendors import ROS_MIDDLEWARES
 from dds_trace.recorder.backends.ros2.router import open_router
 from dds_trace.recorder.choices import Discovery
-from dds_trace.tracefile import BackendUnavailableError
 
 RMW = "rmw_zenoh_cpp"
 LISTENING = f"""#!{sys.executable}

@@ -14,14 +14,17 @@ import pytest
 from backend_pairs import all_data_types, events
 from processes import PATIENCE_S, ping, relay, running
 
-from dds_trace.recorder import measure_floor
+from dds_trace.base.errors import OptionError
 from dds_trace.recorder.backends import open_node
 from dds_trace.recorder.backends.node import NodeOptions, message_objects_of
 from dds_trace.recorder.backends.socket import BACKEND
 from dds_trace.recorder.backends.socket.udp import FRAGMENT_BYTES
 from dds_trace.recorder.choices import Discovery, ExecutorKind, Transport
 from dds_trace.recorder.payloads import BINARY, IMU
-from dds_trace.tracefile import OptionError, Qos, Stage, read_trace
+from dds_trace.recorder.roles.floor import measure_floor
+from dds_trace.tracefile.format.descriptions import Qos
+from dds_trace.tracefile.format.events import Stage
+from dds_trace.tracefile.reading.reader import read_trace
 
 SOCKET = ("--backend", "socket")
 UDP = ("--transport", "udp", "--reliability", "best_effort")

@@ -7,8 +7,8 @@ import threading
 import pytest
 from toy_backend import ToyNode
 
+from dds_trace.base.errors import OptionError
 from dds_trace.recorder.backends.node import NodeOptions, message_objects_of
-from dds_trace.tracefile import OptionError
 
 
 class WakingNode(ToyNode):

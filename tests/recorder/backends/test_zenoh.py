@@ -11,12 +11,13 @@ import pytest
 from backend_pairs import all_data_types
 from processes import PATIENCE_S, ping, relay, running
 
+from dds_trace.base.errors import OptionError
 from dds_trace.recorder.backends import open_node
 from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.backends.zenoh import BACKEND
 from dds_trace.recorder.choices import Discovery, ExecutorKind, Transport
 from dds_trace.recorder.payloads import BINARY, IMU
-from dds_trace.tracefile import OptionError, Qos
+from dds_trace.tracefile.format.descriptions import Qos
 
 pytest.importorskip("zenoh", reason="no eclipse-zenoh here")
 pytestmark = pytest.mark.middleware
@@ -153,7 +154,7 @@ def test_without_zenoh_it_says_how_to_get_it():
         "from dds_trace.recorder.backends.node import NodeOptions\n"
         "from dds_trace.recorder.choices import Discovery\n"
         "from dds_trace.recorder.backends import open_node\n"
-        "from dds_trace.tracefile import BackendUnavailableError\n"
+        "from dds_trace.base.errors import BackendUnavailableError\n"
         "try: open_node('zenoh', NodeOptions(discovery=Discovery.LOCALHOST))\n"
         "except BackendUnavailableError as error: print(error)\n"
     )

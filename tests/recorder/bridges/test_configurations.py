@@ -14,21 +14,19 @@ from xml.etree import ElementTree as ET
 import pytest
 from ruamel.yaml import YAML
 
-from dds_trace.recorder.bridges import (
-    BRIDGE_MODULES,
+from dds_trace.base.errors import OptionError, TraceFormatError
+from dds_trace.recorder.bridges.base import BRIDGE_MODULES, Halves, load_bridge, split_halves
+from dds_trace.recorder.bridges.builtin_common import options_from_json
+from dds_trace.recorder.bridges.options import (
     BRIDGED_TOPICS,
     BridgedTopic,
     BridgeOptions,
     Half,
-    Halves,
     bridged_topic,
-    load_bridge,
-    split_halves,
 )
-from dds_trace.recorder.bridges.builtin_common import options_from_json
 from dds_trace.recorder.bridges.texts import element, xml_text, yaml_text
 from dds_trace.recorder.choices import Discovery
-from dds_trace.tracefile import OptionError, Qos, TraceFormatError
+from dds_trace.tracefile.format.descriptions import Qos
 
 IMAGE, STRING, IMU = (
     "sensor_msgs::msg::dds_::Image_",

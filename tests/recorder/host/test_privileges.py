@@ -7,15 +7,18 @@ import sys
 
 import pytest
 
+from dds_trace.base.errors import OptionError
+from dds_trace.base.threads import run_in_background
 from dds_trace.recorder.host.privileges import apply_privileges, parse_cpus, set_realtime
-from dds_trace.tracefile import OptionError, run_in_background
 
 # Each runs in a process of its own: priority and affinity must not reach the other tests.
 REALTIME = """
 import os, pathlib, sys, threading, time
 from dds_trace.recorder.host.privileges import apply_privileges
 from dds_trace.recorder.host.sampling import HostSampler
-from dds_trace.tracefile import Session, TraceDestination, TraceSink
+from dds_trace.tracefile.format.descriptions import Session
+from dds_trace.tracefile.writing.destination import TraceDestination
+from dds_trace.tracefile.writing.sink import TraceSink
 print(apply_privileges(realtime_priority=7))
 path, sampled = pathlib.Path(sys.argv[1]), threading.Event()
 session = Session(1, "ping", "pi4", "socket", "socket", None, 10, None, "loopback", 10**18, 0)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from dds_trace.base.errors import OutputError
 from dds_trace.recorder.host.recorder_cost import measure_recorder_cost, worst_stall_ns
-from dds_trace.tracefile import OutputError
 
 
 def test_the_figures_are_in_order_and_nothing_is_left(tmp_path):

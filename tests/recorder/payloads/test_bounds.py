@@ -9,10 +9,11 @@ import threading
 
 import pytest
 
+from dds_trace.base.errors import OptionError
+from dds_trace.recorder.errors import StoppedError
 from dds_trace.recorder.payloads import BINARY, STRING, open_payload
 from dds_trace.recorder.payloads import base as payloads_base
 from dds_trace.recorder.payloads.stamp import stamp_text
-from dds_trace.tracefile import OptionError, StoppedError
 
 LETTERS = (string.ascii_letters + string.digits).encode()
 PIECE = 1 << 20

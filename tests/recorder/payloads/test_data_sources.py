@@ -7,10 +7,10 @@ import threading
 
 import pytest
 
+from dds_trace.base.errors import BackendUnavailableError, OptionError
 from dds_trace.recorder.payloads import BINARY, IMU, STRING, header_data_type, open_payload, served_data_types
 from dds_trace.recorder.payloads import base as payloads_base
 from dds_trace.recorder.payloads.stamp import RAW_HEADER_STAMP, stamp_text
-from dds_trace.tracefile import BackendUnavailableError, OptionError
 
 pytest.importorskip("rosbags", reason="rosbags is not installed")
 

@@ -7,9 +7,9 @@ import zlib
 
 import pytest
 
+from dds_trace.base.errors import OptionError
 from dds_trace.recorder.payloads import BINARY, IMU, STRING, data_types, find_data_type
 from dds_trace.recorder.payloads.stamp import stamp_text
-from dds_trace.tracefile import OptionError
 
 SIZES = [
     *(pytest.param(BINARY, size, id=f"binary-{size}") for size in (1, 2, 3, 4, 33_000, 502_000)),

@@ -8,9 +8,9 @@ from types import SimpleNamespace
 
 import pytest
 
+from dds_trace.base.errors import OptionError
 from dds_trace.recorder.payloads.stamp import stamp_text
 from dds_trace.recorder.payloads.topic import MAX_WAITING, LiveFeed
-from dds_trace.tracefile import OptionError
 
 NEVER = threading.Event()
 

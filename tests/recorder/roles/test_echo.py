@@ -11,12 +11,12 @@ from dds_trace.recorder.applied import Difference, Setting
 from dds_trace.recorder.backends import BACKEND_MODULES
 from dds_trace.recorder.backends.node import Endpoint, Middleware, NodeOptions, TopicView
 from dds_trace.recorder.choices import Discovery
+from dds_trace.recorder.errors import RelayLostError
 from dds_trace.recorder.payloads import BINARY, header_data_type
 from dds_trace.recorder.payloads.base import Message, Payload
 from dds_trace.recorder.roles.echo import explain_silence, find_loss, look_for_relays
 from dds_trace.recorder.roles.plan import RunPlan
 from dds_trace.recorder.roles.replies import Silence
-from dds_trace.tracefile import RelayLostError
 
 IMAGE = "sensor_msgs/msg/Image"
 

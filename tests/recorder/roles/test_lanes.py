@@ -9,6 +9,7 @@ import pytest
 from fake_clock import FakeClock
 from fake_node import FakeNode, FakePublisher, FakeSubscription, ListSink
 
+from dds_trace.base.errors import OptionError
 from dds_trace.recorder.choices import Serialization
 from dds_trace.recorder.payloads import IMU, header_data_type
 from dds_trace.recorder.payloads.base import Message, Payload
@@ -17,7 +18,7 @@ from dds_trace.recorder.roles.lanes import ObjectLane, RawLane
 from dds_trace.recorder.roles.ping import open_ping
 from dds_trace.recorder.roles.plan import RunPlan
 from dds_trace.recorder.roles.relay import Relay
-from dds_trace.tracefile import OptionError, Qos
+from dds_trace.tracefile.format.descriptions import Qos
 
 RELAY = 0x2A
 NEVER = threading.Event()

@@ -7,12 +7,13 @@ from pathlib import Path
 
 import pytest
 
+from dds_trace.base.errors import OptionError
 from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.choices import Serialization
 from dds_trace.recorder.options import PingOptions, RecordOptions
 from dds_trace.recorder.payloads import IMU, header_data_type
 from dds_trace.recorder.roles.plan import plan_run
-from dds_trace.tracefile import OptionError, TraceDestination
+from dds_trace.tracefile.writing.destination import TraceDestination
 
 MADE = IMU.make(None, 1)
 RECORDED = dataclasses.replace(MADE, rate_hz=30.0, source="bag:x#/imu")

@@ -9,9 +9,9 @@ from snapshots import applied, counted, segment, udp
 from dds_trace.recorder.applied import Difference, Setting, Traffic
 from dds_trace.recorder.backends.node import Middleware, NodeOptions
 from dds_trace.recorder.choices import Transport
+from dds_trace.recorder.errors import NotAppliedError
 from dds_trace.recorder.roles import read_back
 from dds_trace.recorder.roles.read_back import ReadBack
-from dds_trace.tracefile import NotAppliedError
 
 
 class Bench:

@@ -11,7 +11,7 @@ from fake_node import FakeNode, ListSink
 from dds_trace.recorder.payloads import data_types
 from dds_trace.recorder.roles import relay as relay_module
 from dds_trace.recorder.roles.relay import Relay
-from dds_trace.tracefile import Qos
+from dds_trace.tracefile.format.descriptions import Qos
 
 RELAY = 0xBEEF
 

@@ -7,7 +7,7 @@ import socket
 
 import pytest
 
-from dds_trace.recorder.service.manager import STATUS_PERIOD_S, ServiceManager
+from dds_trace.recorder.service.upkeep import STATUS_PERIOD_S, ServiceManager
 
 
 @pytest.fixture(params=["path", "abstract"])

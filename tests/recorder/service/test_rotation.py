@@ -6,10 +6,10 @@ import pytest
 from trace_files import RELAY_SESSION_ID, relay_session, write_trace
 
 from dds_trace.recorder.options import KeepFree
-from dds_trace.recorder.service.disk import find_shortage
-from dds_trace.recorder.service.rotation import RotatedFiles
-from dds_trace.tracefile import TraceDestination, TraceSink
+from dds_trace.recorder.service.rotation import RotatedFiles, find_shortage
 from dds_trace.tracefile.reading.first_session import read_first_session
+from dds_trace.tracefile.writing.destination import TraceDestination
+from dds_trace.tracefile.writing.sink import TraceSink
 
 
 def record(path, **changes):

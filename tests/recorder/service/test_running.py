@@ -20,8 +20,9 @@ from dds_trace.recorder.service.running import (
     list_recordings,
     runtime_folder,
 )
-from dds_trace.tracefile import TraceDestination, TraceSink
 from dds_trace.tracefile.format.ring import ring_path
+from dds_trace.tracefile.writing.destination import TraceDestination
+from dds_trace.tracefile.writing.sink import TraceSink
 
 LIVE = """
 import sys, time

@@ -8,10 +8,12 @@ from pathlib import Path
 import pytest
 from trace_files import relay_session
 
+from dds_trace.base.errors import OutputError
 from dds_trace.recorder.backends import NodeOptions
 from dds_trace.recorder.options import RecordOptions
 from dds_trace.recorder.service import upkeep
-from dds_trace.tracefile import OutputError, TraceDestination, read_trace
+from dds_trace.tracefile.reading.reader import read_trace
+from dds_trace.tracefile.writing.destination import TraceDestination
 
 
 @pytest.mark.parametrize("looks_meanwhile", [True, False])

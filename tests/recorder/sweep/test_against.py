@@ -5,10 +5,10 @@ from pathlib import Path
 import pytest
 from sweep_desk import COMMAND, FIRST, PLAN, SECOND, Heard, files_of
 
+from dds_trace.base.errors import OptionError
 from dds_trace.recorder.sweep.against import against_seconds, run_against, take_turns
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan
 from dds_trace.recorder.sweep.plan.schedule import OWN_COST_S, RELAY_OVERHEAD_S, RUN_OVERHEAD_S
-from dds_trace.tracefile import OptionError
 
 ONE_CELL = PLAN.replace("[100, 200]", "100").replace("[axes]", "repeats = 4\n[axes]")
 OTHER = ONE_CELL.replace("[axes]", '[axes]\nreliability = "best_effort"')

@@ -17,9 +17,11 @@ import psutil
 import pytest
 from waiting import wait_until
 
-from dds_trace.recorder.bridges import load_bridge
+from dds_trace.base.errors import BackendUnavailableError
+from dds_trace.recorder.bridges.base import load_bridge
 from dds_trace.recorder.sweep.station.emulation import ip
-from dds_trace.tracefile import BackendUnavailableError, Stage, read_trace
+from dds_trace.tracefile.format.events import Stage
+from dds_trace.tracefile.reading.reader import read_trace
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 pytestmark = [pytest.mark.middleware, pytest.mark.timeout(300)]

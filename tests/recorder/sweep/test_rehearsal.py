@@ -7,8 +7,9 @@ import sys
 
 import pytest
 
-from dds_trace.recorder.sweep import parse_plan, rehearse_plan
-from dds_trace.tracefile import OptionError, OutputError, TraceFormatError
+from dds_trace.base.errors import OptionError, OutputError, TraceFormatError
+from dds_trace.recorder.sweep.plan.plan_file import parse_plan
+from dds_trace.recorder.sweep.rehearsal import rehearse_plan
 
 STAND_IN = """
 import json, os, sys

@@ -5,8 +5,9 @@ import math
 import pytest
 from sweep_desk import FIRST, PLAN, SECOND, files_of
 
+from dds_trace.base.errors import OptionError
 from dds_trace.recorder.sweep.until import Until, parse_target
-from dds_trace.tracefile import OptionError, read_trace
+from dds_trace.tracefile.reading.reader import read_trace
 
 
 class Widths:

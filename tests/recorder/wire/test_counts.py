@@ -3,17 +3,17 @@ from __future__ import annotations
 import json
 
 from dds_trace.recorder.payloads.stamp import Stamp
-from dds_trace.recorder.wire import (
-    ClassCount,
+from dds_trace.recorder.wire.counts import ClassCount, WireCounts
+from dds_trace.recorder.wire.kernel_counters import (
     InterfaceCount,
     IpCounts,
-    RepeatCount,
-    TcpConnection,
-    WireCounts,
+    interfaces_since,
+    parse_interfaces,
+    parse_snmp,
 )
-from dds_trace.recorder.wire.kernel_counters import interfaces_since, parse_interfaces, parse_snmp
 from dds_trace.recorder.wire.ledger import SentSample
-from dds_trace.recorder.wire.messages import count_repeats, message_row, message_rows, pack_rows
+from dds_trace.recorder.wire.messages import RepeatCount, count_repeats, message_row, message_rows, pack_rows
+from dds_trace.recorder.wire.tcp_info import TcpConnection
 from dds_trace.tracefile.format.wire import Direction
 
 COUNTS = WireCounts(

@@ -7,10 +7,15 @@ import struct
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dds_trace.recorder.wire import PortRange, TcpConnection, read_connections, read_socket
-from dds_trace.recorder.wire.packets.classes import WireClass
-from dds_trace.recorder.wire.packets.tcp_flows import TcpFlows
-from dds_trace.recorder.wire.tcp_info import ClosedConnections, parse_tcp_info
+from dds_trace.recorder.wire.packets.classes import TcpFlows, WireClass
+from dds_trace.recorder.wire.packets.packet_filter import PortRange
+from dds_trace.recorder.wire.tcp_info import (
+    ClosedConnections,
+    TcpConnection,
+    parse_tcp_info,
+    read_connections,
+    read_socket,
+)
 
 ACK, SYN = 0x10, 0x02
 

@@ -16,8 +16,10 @@ from namespaces import needs_namespaces
 from record_reader import events_of
 from wire_truth import truth_of
 
-from dds_trace.recorder.wire import PortRange, WireCounts, WireOptions, domain_ports
+from dds_trace.recorder.wire.counts import WireCounts
+from dds_trace.recorder.wire.options import WireOptions, domain_ports
 from dds_trace.recorder.wire.packets.classes import WireClass
+from dds_trace.recorder.wire.packets.packet_filter import PortRange
 from dds_trace.tracefile.format.wire import NEVER_NS, Direction
 
 pytestmark = [

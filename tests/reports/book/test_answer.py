@@ -9,11 +9,11 @@ from roundtrip_frames import rows_by_group
 from dds_trace.analyzer.details import details_not_requested
 from dds_trace.analyzer.groups.freshness import freshness_frame
 from dds_trace.analyzer.verdicts.answers import find_answers
-from dds_trace.reports import load_reporter
 from dds_trace.reports.book.book import Book
+from dds_trace.reports.book.groups import markdown
 from dds_trace.reports.book.overview import Fact
 from dds_trace.reports.book.verdicts import DataVerdict, WinCount
-from dds_trace.reports.text import markdown
+from dds_trace.reports.reporters import load_reporter
 
 # 0 to 19 in an order in which neighbours are no more alike than others, so that 20 messages count as 20.
 MIXED = random.Random(1).sample(range(20), 20)

@@ -3,11 +3,11 @@ from dataclasses import replace
 import pytest
 from analyses import EVERY_ANALYSIS, MS, Measured, make_analysis
 
-from dds_trace.analyzer import Finding, Severity
-from dds_trace.reports import load_reporter
+from dds_trace.analyzer.model.finding import Finding, Severity
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.findings import FindingKind, OneFinding, severity_counts
 from dds_trace.reports.book.groups import groups_info
+from dds_trace.reports.reporters import load_reporter
 
 RATES = [10.0 * step for step in range(1, 7)]
 

@@ -8,8 +8,8 @@ from analyses import MS, Measured, make_analysis
 from four_campaigns import CAMPAIGNS
 
 from dds_trace import Finding, Severity
-from dds_trace.reports import load_reporter
 from dds_trace.reports.book.book import Book
+from dds_trace.reports.reporters import load_reporter
 
 MIXED = random.Random(1).sample(range(20), 20)
 ZENOH = {"vendor": "zenoh", "relay_vendor": "zenoh"}

@@ -3,10 +3,10 @@ from dataclasses import replace
 import pytest
 from analyses import MS, Measured, make_analysis
 
-from dds_trace.reports import load_reporter
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.overview import Fact
 from dds_trace.reports.book.recording import OwnCost, own_costs
+from dds_trace.reports.reporters import load_reporter
 
 FLOOR = {"median_ns": 400_000, "p99_ns": 1_200_000, "messages": 50}
 COST = {"record_median_ns": 900, "record_p99_ns": 2000}

@@ -10,9 +10,9 @@ from four_campaigns import CAMPAIGNS
 from paired_by_hand import paired
 
 from dds_trace.analyzer.groups.freshness import freshness_frame
-from dds_trace.reports import load_reporter
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.sizes import SizeCell, Threshold
+from dds_trace.reports.reporters import load_reporter
 
 MIXED = random.Random(1).sample(range(20), 20)
 ZENOH = {"vendor": "zenoh", "relay_vendor": "zenoh"}

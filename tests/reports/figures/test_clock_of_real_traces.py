@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from rewritten_traces import rewrite_sessions, shift_relay_clock
 
-from dds_trace.analyzer import analyze
+from dds_trace.analyzer.pipeline import analyze
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.figures import Figure, LeftOut
 from dds_trace.reports.figures.clocks import clock_figure, clock_info

@@ -6,6 +6,7 @@ from analyses import EVERY_ANALYSIS, MS, Measured, make_analysis
 
 from dds_trace.analyzer.details import details_not_requested
 from dds_trace.reports.book.book import Book
+from dds_trace.reports.book.groups import json_island
 from dds_trace.reports.book.numbers import curves_info, intervals_info, values_info
 from dds_trace.reports.figures import FIGURES, Figure, LeftOut, drawn_figures
 from dds_trace.reports.figures.breakdown import MeanPart, breakdown_info
@@ -37,7 +38,6 @@ from dds_trace.reports.figures.latency import (
     relay_time_info,
 )
 from dds_trace.reports.figures.timeline import GroupTimeline, Timeline, timeline_info
-from dds_trace.reports.text import json_island
 
 BRIDGED = {"bridge": "builtin", "domain_mode": "different"}
 

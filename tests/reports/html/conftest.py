@@ -6,8 +6,8 @@ import pytest
 from kept import kept
 from page_reader import EVERY_PAGE, Reader, open_browser
 
-from dds_trace.reports import load_reporter
 from dds_trace.reports.book.book import Book
+from dds_trace.reports.reporters import load_reporter
 
 
 @pytest.fixture(scope="session")

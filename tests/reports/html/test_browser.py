@@ -19,15 +19,15 @@ from roundtrip_frames import in_runs
 from dds_trace.analyzer.verdicts.compare import compare_roundtrips
 from dds_trace.analyzer.verdicts.job import Job
 from dds_trace.analyzer.verdicts.recommend import recommend_settings
-from dds_trace.reports import load_reporter
+from dds_trace.base.printable import visible
+from dds_trace.base.units.durations import format_duration
+from dds_trace.base.units.quantities import format_quantity
+from dds_trace.base.units.rates import format_rate
 from dds_trace.reports.book.book import Book
+from dds_trace.reports.book.groups import format_ratio
 from dds_trace.reports.comparison import comparison_info, page
 from dds_trace.reports.html.live import Watcher, WatchOptions
-from dds_trace.reports.text import format_ratio
-from dds_trace.tracefile.units.durations import format_duration
-from dds_trace.tracefile.units.quantities import format_quantity
-from dds_trace.tracefile.units.rates import format_rate
-from dds_trace.tracefile.visible import visible
+from dds_trace.reports.reporters import load_reporter
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(300)]  # whoever opens a campaign first makes it
 

@@ -12,10 +12,10 @@ import urllib.request
 import pytest
 from campaigns import write_runs
 
-import dds_trace.analyzer.loading.traces
+import dds_trace.analyzer.cache.loaded
+from dds_trace.base.errors import OutputError
 from dds_trace.reports.html import live
 from dds_trace.reports.html.live import Watcher, WatchOptions, is_own_name
-from dds_trace.tracefile.errors import OutputError
 
 # No proxy of the surroundings may stand between the test and its own server.
 OPENER = urllib.request.build_opener(urllib.request.ProxyHandler({}))
@@ -72,9 +72,9 @@ def test_the_version_changes_with_the_page_and_not_otherwise(watcher, tmp_path):
 
 def test_of_a_folder_that_grew_only_new_traces_are_read(watcher, tmp_path, monkeypatch):
     read = []
-    plain = dds_trace.analyzer.loading.traces.read_trace
+    plain = dds_trace.analyzer.cache.loaded.read_trace
     monkeypatch.setattr(
-        dds_trace.analyzer.loading.traces, "read_trace", lambda path: read.append(path.name) or plain(path)
+        dds_trace.analyzer.cache.loaded, "read_trace", lambda path: read.append(path.name) or plain(path)
     )
     for number, expected in ((1, ["ping1.mcap", "relay1.mcap"]), (2, ["ping2.mcap", "relay2.mcap"])):
         read.clear()

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 import pytest
 from trace_files import ping_session
 
-from dds_trace.tracefile import Stage, TraceFormatError
+from dds_trace.base.errors import TraceFormatError
+from dds_trace.tracefile.format.events import Stage
 from dds_trace.tracefile.format.ring import Ring, events_by_stage, read_ring, salvage_ring
 
 if TYPE_CHECKING:

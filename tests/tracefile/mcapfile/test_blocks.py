@@ -7,9 +7,10 @@ from collections import deque
 import pytest
 from trace_files import Message, ping_events, ping_session, run, write_trace
 
-from dds_trace.tracefile import Stage, read_trace
+from dds_trace.tracefile.format.events import Stage
 from dds_trace.tracefile.mcapfile import blocks
 from dds_trace.tracefile.mcapfile.chunks import UnpackMemory
+from dds_trace.tracefile.reading.reader import read_trace
 
 MESSAGES = 3_000
 

@@ -10,8 +10,8 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
 import dds_trace.tracefile.mcapfile.channels
-from dds_trace.tracefile import Stage, TraceFormatError
-from dds_trace.tracefile.format.events import EVENT_SCHEMA_NAME
+from dds_trace.base.errors import TraceFormatError
+from dds_trace.tracefile.format.events import EVENT_SCHEMA_NAME, Stage
 from dds_trace.tracefile.mcapfile.channels import ChannelTable
 from dds_trace.tracefile.mcapfile.records import parse_record
 

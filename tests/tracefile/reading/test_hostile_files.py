@@ -12,12 +12,13 @@ import pytest
 import zstandard
 from trace_files import Message, write_pair
 
-from dds_trace.analyzer import analyze
-from dds_trace.tracefile import TraceFormatError, read_trace
-from dds_trace.tracefile.files import open_regular
+from dds_trace.analyzer.pipeline import analyze
+from dds_trace.base.errors import TraceFormatError
+from dds_trace.base.files import open_regular
 from dds_trace.tracefile.mcapfile import blocks
 from dds_trace.tracefile.mcapfile.file import RecordFile
 from dds_trace.tracefile.reading import mcap_source, sqlite_source
+from dds_trace.tracefile.reading.reader import read_trace
 
 MAGIC = b"\x89MCAP0\r\n"
 TIMELINE = [Message(s, t0=1000 * s, t1=1000 * s + 5, t3=900, t4=930, t2=1000 * s + 205) for s in range(12)]

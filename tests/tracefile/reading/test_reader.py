@@ -33,19 +33,12 @@ from trace_files import (
     write_trace,
 )
 
-from dds_trace.tracefile import (
-    EVENT_DTYPE,
-    HOST_TOPIC,
-    WIRE_TOPIC,
-    EventColumns,
-    Stage,
-    TraceFormatError,
-    iter_event_batches,
-    read_trace,
-    read_trace_in_pieces,
-)
+from dds_trace.base.errors import TraceFormatError
+from dds_trace.tracefile.format.events import EVENT_DTYPE, HOST_TOPIC, EventColumns, Stage
+from dds_trace.tracefile.format.wire import WIRE_TOPIC
 from dds_trace.tracefile.mcapfile import blocks
 from dds_trace.tracefile.reading import mcap_source, reader
+from dds_trace.tracefile.reading.reader import iter_event_batches, read_trace, read_trace_in_pieces
 from dds_trace.tracefile.reading.storage import open_source
 
 FIELDS = EVENT_DTYPE.names

@@ -25,18 +25,10 @@ from trace_files import (
     write_trace,
 )
 
-from dds_trace.tracefile import (
-    EVENT_DTYPE,
-    HOST_TOPIC,
-    RUN_TOPIC,
-    SESSION_TOPIC,
-    Stage,
-    TraceFormatError,
-    find_traces,
-    iter_event_batches,
-    read_trace,
-)
-from dds_trace.tracefile.reading.storage import open_source, storage_files
+from dds_trace.base.errors import TraceFormatError
+from dds_trace.tracefile.format.events import EVENT_DTYPE, HOST_TOPIC, RUN_TOPIC, SESSION_TOPIC, Stage
+from dds_trace.tracefile.reading.reader import iter_event_batches, read_trace
+from dds_trace.tracefile.reading.storage import find_traces, open_source, storage_files
 
 FIELDS = EVENT_DTYPE.names
 EVENTS = ping_events([Message(n, t0=n * 1000, t1=n * 1000 + 7, t2=n * 1000 + 500) for n in range(50)])

@@ -22,10 +22,12 @@ from trace_files import (
     write_trace,
 )
 
-from dds_trace.tracefile import EVENT_DTYPE, Stage, TraceFormatError, read_trace
+from dds_trace.base.errors import TraceFormatError
+from dds_trace.tracefile.format.events import EVENT_DTYPE, Stage
 from dds_trace.tracefile.format.framing import MAGIC
 from dds_trace.tracefile.mcapfile.file import RecordFile
 from dds_trace.tracefile.reading import mcap_source
+from dds_trace.tracefile.reading.reader import read_trace
 
 FIELDS = EVENT_DTYPE.names
 MESSAGES = [Message(n, t0=n * 1000, t1=n * 1000 + 7, t2=n * 1000 + 500) for n in range(12)]
@@ -246,7 +248,7 @@ class TestDamaged:
 
 
 LIMIT_BYTES = 2 << 30
-READ = "import sys; from pathlib import Path; from tracefile import read_trace; t = read_trace(Path(sys.argv[1])); "
+READ = "import sys; from pathlib import Path; from tracefile.reading.reader import read_trace; t = read_trace(Path(sys.argv[1])); "
 
 
 def read_in_little_memory(path, expression: str) -> str:

@@ -7,7 +7,8 @@ import zlib
 
 import pytest
 
-from dds_trace.tracefile import TraceFormatError, read_trace
+from dds_trace.base.errors import TraceFormatError
+from dds_trace.tracefile.reading.reader import read_trace
 
 DATABASES = {
     # SQLite meets an absurd size in the schema and Python's sqlite3 says MemoryError.

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from dds_trace.tracefile import MissingEventsError, find_traces
+from dds_trace.base.errors import MissingEventsError
+from dds_trace.tracefile.reading.storage import find_traces
 
 
 def test_files_and_bags_are_found_below_and_sorted(tmp_path):

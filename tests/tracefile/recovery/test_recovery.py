@@ -15,15 +15,8 @@ from mcap.writer import Writer
 from rosbags.rosbag2 import Reader
 from trace_files import ping_session, run, write_trace
 
-from dds_trace.tracefile import (
-    HOST_TOPIC,
-    OptionError,
-    OutputExistsError,
-    Stage,
-    TraceDestination,
-    TraceFormatError,
-    TraceSink,
-)
+from dds_trace.base.errors import OptionError, OutputExistsError, TraceFormatError
+from dds_trace.tracefile.format.events import HOST_TOPIC, Stage
 from dds_trace.tracefile.format.framing import MAGIC
 from dds_trace.tracefile.format.ring import ring_path
 from dds_trace.tracefile.mcapfile import blocks
@@ -32,6 +25,8 @@ from dds_trace.tracefile.mcapfile.file import RecordFile
 from dds_trace.tracefile.reading.reader import read_trace
 from dds_trace.tracefile.recovery import salvage
 from dds_trace.tracefile.recovery.recover import recover
+from dds_trace.tracefile.writing.destination import TraceDestination
+from dds_trace.tracefile.writing.sink import TraceSink
 
 EVENTS = 180
 PART = 30

@@ -10,7 +10,8 @@ import dying_disk
 import pytest
 from forgetful_disk import missing_for_a_disk
 
-from dds_trace.tracefile import Stage, read_trace
+from dds_trace.tracefile.format.events import Stage
+from dds_trace.tracefile.reading.reader import read_trace
 from dds_trace.tracefile.recovery.recover import recover
 
 

@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 from trace_files import ping_session
 
-from dds_trace.tracefile import TraceDestination, TraceSink, read_trace
+from dds_trace.tracefile.reading.reader import read_trace
+from dds_trace.tracefile.writing.destination import TraceDestination
+from dds_trace.tracefile.writing.sink import TraceSink
 
 
 def test_the_names_of_new_files_and_folders_are_flushed(tmp_path, monkeypatch):

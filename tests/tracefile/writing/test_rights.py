@@ -8,9 +8,10 @@ import stat
 import pytest
 from trace_files import ping_session
 
-from dds_trace.tracefile import TraceDestination, TraceSink
-from dds_trace.tracefile.files import create_file
+from dds_trace.base.files import create_file
 from dds_trace.tracefile.recovery.recover import recover
+from dds_trace.tracefile.writing.destination import TraceDestination
+from dds_trace.tracefile.writing.sink import TraceSink
 
 RIGHTS = {  # umask, mode -> rights of files, of the bag's folder
     (0o000, 0o640): (0o640, 0o750),

@@ -22,19 +22,13 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from trace_files import WALL_ANCHOR_NS, ping_session, run
 
-from dds_trace.tracefile import (
-    HOST_TOPIC,
-    RUN_TOPIC,
-    SESSION_TOPIC,
-    OutputExistsError,
-    Run,
-    Session,
-    TraceDestination,
-    TraceSink,
-    __version__,
-)
+from dds_trace.base.errors import OutputExistsError
+from dds_trace.base.version import __version__
+from dds_trace.tracefile.format.descriptions import Run, Session
+from dds_trace.tracefile.format.events import HOST_TOPIC, RUN_TOPIC, SESSION_TOPIC
 from dds_trace.tracefile.format.ring import ring_path
-from dds_trace.tracefile.writing.sink import BUSY_SWITCH_INTERVAL_S
+from dds_trace.tracefile.writing.destination import TraceDestination
+from dds_trace.tracefile.writing.sink import BUSY_SWITCH_INTERVAL_S, TraceSink
 from dds_trace.tracefile.writing.trace_files import TraceFiles
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ import pytest
 from limited_sinks import open_sink, sequences, stamp
 from trace_files import run
 
-from dds_trace.tracefile import OutputError
+from dds_trace.base.errors import OutputError
 from dds_trace.tracefile.reading.reader import read_trace
 from dds_trace.tracefile.recovery.recover import recover
 
@@ -105,7 +105,7 @@ def test_metadata_that_cannot_be_written(tmp_path):
 
 
 def test_every_error_number_says_what_to_do(tmp_path):
-    from dds_trace.tracefile.files import output_error
+    from dds_trace.base.files import output_error
 
     text = str(output_error(tmp_path, OSError(errno.EIO, "Input/output error")))
     assert str(tmp_path) in text

@@ -18,7 +18,7 @@ from mcap.reader import make_reader
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
 
-from dds_trace.tracefile import EVENT_DTYPE, Stage
+from dds_trace.tracefile.format.events import EVENT_DTYPE, Stage
 from dds_trace.tracefile.format.ring import ring_path
 from dds_trace.tracefile.reading.reader import read_trace
 from dds_trace.tracefile.recovery.recover import recover

@@ -11,7 +11,8 @@ import pytest
 from instruction_kills import BEFORE, STAMPED_NS, acting_at, keep_earlier, open_sink
 from trace_files import run
 
-from dds_trace.tracefile import Stage, read_trace
+from dds_trace.tracefile.format.events import Stage
+from dds_trace.tracefile.reading.reader import read_trace
 
 WRITER = "dds_trace.tracefile.writing.writer.os."
 FAULTS = [errno.ENOSPC, errno.EIO, errno.EROFS]

@@ -7,8 +7,8 @@ import pytest
 from mcap.reader import make_reader
 from trace_files import ping_session
 
-from dds_trace.tracefile import HOST_TOPIC, EventColumns, Stage, read_trace
-from dds_trace.tracefile.format.events import EVENT_DTYPE
+from dds_trace.tracefile.format.events import EVENT_DTYPE, HOST_TOPIC, EventColumns, Stage
+from dds_trace.tracefile.reading.reader import read_trace
 from dds_trace.tracefile.writing.event_chunks import slots_in_time
 from dds_trace.tracefile.writing.writer import MAX_CHUNK_EVENTS, TraceWriter
 

@@ -12,7 +12,7 @@ from dds_trace.analyzer.verdicts.compared.ignoring import (
     match_without,
     unlike_columns,
 )
-from dds_trace.tracefile import OptionError
+from dds_trace.base.errors import OptionError
 
 SAME = {"bridge": "none", "domain_mode": "same"}
 BRIDGED = {"bridge": "builtin", "domain_mode": "different"}

@@ -7,7 +7,7 @@ import pytest
 
 from dds_trace.analyzer.run_statistics.change import Verdict, change_of_runs
 from dds_trace.analyzer.run_statistics.runs import Run, Statistic
-from dds_trace.analyzer.statistics.families import benjamini_hochberg_adjusted
+from dds_trace.analyzer.statistics.power import benjamini_hochberg_adjusted
 from dds_trace.analyzer.verdicts.compared.sight import sights, smallest_seen
 
 P50 = Statistic(0.5)

@@ -14,9 +14,12 @@ import stand_in_bridge
 from stand_in_bridge import StandInBridge
 from waiting import wait_until
 
-from dds_trace.recorder.bridges import BRIDGE_MODULES, BridgeOptions, BridgeState, Halves, open_bridge
+from dds_trace.base.errors import BackendUnavailableError, OptionError
+from dds_trace.recorder.bridges.base import BRIDGE_MODULES, Halves
+from dds_trace.recorder.bridges.options import BridgeOptions
 from dds_trace.recorder.bridges.process.guard import LOG_LIMIT_BYTES
-from dds_trace.tracefile import BackendUnavailableError, BridgeError, OptionError
+from dds_trace.recorder.bridges.process.running import BridgeState, open_bridge
+from dds_trace.recorder.errors import BridgeError
 
 
 @pytest.fixture
@@ -170,7 +173,9 @@ RECORDER = """
 import sys
 sys.path[:0] = {path!r}
 import stand_in_bridge
-from dds_trace.recorder.bridges import BRIDGE_MODULES, BridgeOptions, open_bridge
+from dds_trace.recorder.bridges.base import BRIDGE_MODULES
+from dds_trace.recorder.bridges.options import BridgeOptions
+from dds_trace.recorder.bridges.process.running import open_bridge
 from dds_trace.recorder.bridges.process import supervise
 supervise.STOP_PATIENCE_S = 0.2
 BRIDGE_MODULES["stand-in"] = "stand_in_bridge"

@@ -14,13 +14,15 @@ from hostile_values import to_toml, toml_values
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from dds_trace.recorder.sweep import plan_schema, plan_seconds, read_plan, relay_arguments, schedule
+from dds_trace.base.errors import OptionError
 from dds_trace.recorder.sweep.plan.cells import AXES
-from dds_trace.recorder.sweep.plan.commands import ping_arguments
+from dds_trace.recorder.sweep.plan.commands import ping_arguments, relay_arguments
 from dds_trace.recorder.sweep.plan.link import LINK_KEYS
 from dds_trace.recorder.sweep.plan.plan import DeviceSettings, RunSettings, Search
+from dds_trace.recorder.sweep.plan.plan_file import read_plan
+from dds_trace.recorder.sweep.plan.schedule import plan_seconds, schedule
+from dds_trace.recorder.sweep.plan.schema import plan_schema
 from dds_trace.recorder.sweep.plan.tables import PLAN_LIMITS
-from dds_trace.tracefile import OptionError
 
 if sys.version_info >= (3, 11):
     import tomllib

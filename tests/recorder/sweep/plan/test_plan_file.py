@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from dds_trace.recorder.bridges import BRIDGE_MODULES
+from dds_trace.base.errors import OptionError
+from dds_trace.recorder.bridges.base import BRIDGE_MODULES
 from dds_trace.recorder.sweep.plan.commands import ping_arguments, relay_arguments
 from dds_trace.recorder.sweep.plan.link import PRESETS
 from dds_trace.recorder.sweep.plan.plan import Order
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan, read_plan
-from dds_trace.tracefile import OptionError
 
 RUN = "[run]\nmessages = 10\n"
 

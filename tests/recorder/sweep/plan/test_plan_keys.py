@@ -9,8 +9,7 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from dds_trace.recorder.sweep import plan_schema, schema_text
-from dds_trace.recorder.sweep.plan.schema import POINTER, SCHEMA_FILE_NAME
+from dds_trace.recorder.sweep.plan.schema import POINTER, SCHEMA_FILE_NAME, plan_schema, schema_text
 from dds_trace.recorder.sweep.plan.tables import TABLES
 
 if sys.version_info >= (3, 11):

@@ -5,11 +5,11 @@ from itertools import pairwise
 
 import pytest
 
+from dds_trace.base.errors import OptionError
 from dds_trace.recorder.options import DEFAULT_MESSAGES
 from dds_trace.recorder.sweep.plan.commands import half_arguments, ping_arguments
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan
 from dds_trace.recorder.sweep.plan.schedule import Estimate, Remaining, plan_seconds, schedule, schedule_pass
-from dds_trace.tracefile import OptionError
 
 PLAN = """
 [run]

@@ -7,7 +7,7 @@ import json
 import pytest
 from sweep_desk import FIRST, SECOND, files_of
 
-from dds_trace.tracefile import OutputError, TraceFormatError
+from dds_trace.base.errors import OutputError, TraceFormatError
 
 
 @pytest.fixture

@@ -3,8 +3,9 @@ from __future__ import annotations
 import pytest
 from trace_files import Message, ping_events, ping_session, run, write_trace
 
+from dds_trace.base.errors import TraceFormatError
 from dds_trace.recorder.sweep.run.result import read_result
-from dds_trace.tracefile import Stage, TraceFormatError
+from dds_trace.tracefile.format.events import Stage
 
 MS = 1_000_000
 

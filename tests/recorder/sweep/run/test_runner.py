@@ -14,13 +14,15 @@ import pytest
 from sweep_desk import COMMAND, FIRST, FOURTH, PLAN, SECOND, THIRD, TWO_RELAYS, Heard, files_of
 
 import dds_trace.recorder.sweep.run.runner as runner_module
+from dds_trace.base.errors import OptionError, OutputError
 from dds_trace.recorder.sweep import sweep as sweep_module
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan
 from dds_trace.recorder.sweep.run.state import Status
 from dds_trace.recorder.sweep.search import RateAnswer
 from dds_trace.recorder.sweep.station.station import open_station
 from dds_trace.recorder.sweep.sweep import run_search
-from dds_trace.tracefile import OptionError, OutputError, Stage, read_trace
+from dds_trace.tracefile.format.events import Stage
+from dds_trace.tracefile.reading.reader import read_trace
 
 
 def test_one_trace_for_each_device_and_cell(desk):

@@ -9,17 +9,13 @@ import pytest
 from mcap.reader import make_reader
 from trace_files import Message, event, relay_events, relay_session, write_trace
 
+from dds_trace.base.errors import OutputError, TraceFormatError
 from dds_trace.recorder.sweep.run.split import CellPart, split_relay_trace
-from dds_trace.tracefile import (
-    HOST_TOPIC,
-    WIRE_TOPIC,
-    OutputError,
-    Stage,
-    TraceDestination,
-    TraceFormatError,
-    TraceSink,
-    read_trace,
-)
+from dds_trace.tracefile.format.events import HOST_TOPIC, Stage
+from dds_trace.tracefile.format.wire import WIRE_TOPIC
+from dds_trace.tracefile.reading.reader import read_trace
+from dds_trace.tracefile.writing.destination import TraceDestination
+from dds_trace.tracefile.writing.sink import TraceSink
 from dds_trace.tracefile.writing.writer import MAX_CHUNK_EVENTS
 
 SECOND_NS = 1_000_000_000

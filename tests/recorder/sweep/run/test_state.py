@@ -6,9 +6,9 @@ import os
 
 import pytest
 
+from dds_trace.base.errors import OptionError, OutputError, TraceFormatError
 from dds_trace.recorder.sweep.run.result import CellResult
 from dds_trace.recorder.sweep.run.state import CellState, Status, SweepState, replace_text
-from dds_trace.tracefile import OptionError, OutputError, TraceFormatError
 
 RESULT = CellResult(
     run_id="ff",

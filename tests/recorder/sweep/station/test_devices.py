@@ -10,12 +10,13 @@ import loopback_sshd
 import pytest
 from waiting import wait_until
 
+from dds_trace.base.errors import BackendUnavailableError, OptionError
+from dds_trace.base.version import __version__
 from dds_trace.recorder.sweep.plan.plan import DeviceSettings
 from dds_trace.recorder.sweep.station import programs, ssh
 from dds_trace.recorder.sweep.station.devices import LocalDevice, PrintedDevice
 from dds_trace.recorder.sweep.station.programs import Program
 from dds_trace.recorder.sweep.station.ssh import SshDevice
-from dds_trace.tracefile import BackendUnavailableError, OptionError, __version__
 
 PATIENCE_S = 60.0
 

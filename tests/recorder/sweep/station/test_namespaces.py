@@ -12,10 +12,10 @@ from statistics import median
 import pytest
 from namespaces import needs_namespaces
 
+from dds_trace.base.errors import BackendUnavailableError, OptionError
 from dds_trace.recorder.sweep.plan.link import PRESETS, Link
 from dds_trace.recorder.sweep.station.emulation import ip
 from dds_trace.recorder.sweep.station.namespaces import NamespacePair, remove_stale, require_root
-from dds_trace.tracefile import BackendUnavailableError, OptionError
 
 UDP_ECHO = Path(__file__).parents[3] / "support" / "udp_echo.py"
 

@@ -6,8 +6,8 @@ import sys
 
 import pytest
 
+from dds_trace.base.errors import OptionError
 from dds_trace.recorder.sweep.station.programs import Program, environment_program
-from dds_trace.tracefile import OptionError
 
 GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 

@@ -1,0 +1,254 @@
+"""A trace whose events are in a file of ours: how they come there, and what the cache keeps of it for the next analysis."""
+
+from __future__ import annotations
+
+import json
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, TypedDict
+
+from dds_trace.base.errors import TraceFormatError
+from dds_trace.base.files import replacing
+from dds_trace.tracefile.format.descriptions import Run, Session
+from dds_trace.tracefile.format.events import Stage
+from dds_trace.tracefile.reading.trace import Trace
+
+from .event_index import EventPart
+from .events import EventsFile, StoredEvents, StoredPiece
+from .loaded import LoadedTrace, load_trace
+
+if TYPE_CHECKING:
+    import hmac
+    from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
+    from typing import BinaryIO
+
+    from dds_trace.tracefile.format.events import EventColumns
+    from dds_trace.tracefile.format.json_fields import JsonObject
+
+    from .event_index import EventKey
+    from .events import Column
+    from .store import Sealer, TraceCache
+
+    Fill = Callable[["StoredParts"], Trace]
+    """Adds all events of a trace and returns the trace without them."""
+
+_FORMAT = 4
+"""Version of an entry; an entry of another version, or without a field of this one, is not used. 1: the first; 2: seals of the
+events; 3: events in pieces; 4: one file."""
+
+
+class StoredParts:
+    """The events of one trace on their way into a file, piece by piece.
+
+    Args:
+        stream: takes them.
+        sealer: makes a seal of the events of each stage, run and relay; None makes none.
+    """
+
+    def __init__(self, stream: BinaryIO, sealer: Sealer | None) -> None:
+        self._file = EventsFile(stream)
+        self._sealer = sealer
+        self._pieces: dict[EventKey, list[tuple[int, int, StoredPiece]]] = {}
+        self._seals: dict[EventKey, hmac.HMAC] = {}
+
+    def add(self, parts: Mapping[EventKey, EventPart]) -> None:
+        """Append events to those of the same stage, run and relay.
+
+        Raises:
+            OSError: they cannot be written.
+        """
+        for key, part in parts.items():
+            events = part.load()
+            piece = self._file.write(events)
+            self._pieces.setdefault(key, []).append((part.first_ns, part.last_ns, piece))
+            if self._sealer is not None:
+                self._seals[key] = self._sealer.seal_events(piece.arrays(events), self._seals.get(key))
+
+    def index(self, file: Path, position: int) -> dict[EventKey, EventPart]:
+        """Return the event index of the trace, whose events are in `file`."""
+        index = {}
+        for key, held in self._pieces.items():
+            firsts_ns, lasts_ns, pieces = zip(*held, strict=True)
+            stored = StoredEvents(file, pieces)
+            index[key] = EventPart(position, stored.count, min(firsts_ns), max(lasts_ns), stored)
+        return index
+
+    @property
+    def seals(self) -> list[str]:
+        """The seals, in the order of the index."""
+        return [seal.hexdigest() for seal in self._seals.values()]
+
+
+def store_parts(file: Path, position: int, fill: Fill) -> LoadedTrace:
+    """Put the events of a trace into a file, which replaces `file` once it is complete.
+
+    Args:
+        file: the file.
+        position: of the trace in its campaign.
+        fill: adds the events and returns the trace without them.
+
+    Raises:
+        OSError: the file cannot be written.
+        TraceFormatError: from `fill`.
+    """
+    with replacing(file) as draft, draft.open("wb") as stream:
+        return _store(stream, file, position, fill, None)[0]
+
+
+def write_entry(cache: TraceCache, key: str, position: int, fill: Fill) -> LoadedTrace:
+    """Write an entry: as `store_parts`, the description behind the events.
+
+    Args:
+        cache: the open cache.
+        key: of the trace's content.
+        position: of the trace in its campaign.
+        fill: as for `store_parts`.
+
+    Raises:
+        OSError: it cannot be written.
+        TraceFormatError: from `fill`.
+    """
+    file = cache.path(key, "trace")
+    with replacing(file) as draft, draft.open("wb") as stream:
+        loaded, seals = _store(stream, file, position, fill, cache.sealer)
+        cache.write_end(key, stream, json.dumps(_to_dict(loaded, seals)).encode())
+    return _in_cache(loaded, [None] * len(seals))
+
+
+def _store(
+    stream: BinaryIO, file: Path, position: int, fill: Fill, sealer: Sealer | None
+) -> tuple[LoadedTrace, list[str]]:
+    """Put the events of a trace into the stream of what will be `file`; return the trace, and the seals of its parts."""
+    stored = StoredParts(stream, sealer)
+    trace = fill(stored)
+    return LoadedTrace(trace, stored.index(file, position)), stored.seals
+
+
+def read_entry(cache: TraceCache, key: str, path: Path, position: int) -> LoadedTrace | None:
+    """Return the entry of this content; None if the cache has none that can be used."""
+    try:
+        text, events_bytes = cache.read_end(key)
+        entry: _Entry = json.loads(text)
+        if entry["format"] != _FORMAT:
+            return None
+        checks = [(cache.sealer, seal) for seal in entry["seals"]]
+        loaded = _from_dict(entry, cache.path(key, "trace"), events_bytes, path, position)
+        return _in_cache(loaded, checks)
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError, TraceFormatError):
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class _KeptEvents:
+    """Events of one stage, run and relay in the cache; read from their trace again where it no longer has them as written.
+
+    Attributes:
+        stored: their place.
+        check: what makes their seal, and the seal that they are to have; None where this analysis has put them there.
+        label: stage, run and relay.
+        trace: path of their trace.
+    """
+
+    stored: StoredEvents
+    check: tuple[Sealer, str] | None
+    label: EventKey
+    trace: Path
+
+    def load(self) -> EventColumns:
+        """Read the events.
+
+        Raises:
+            TraceFormatError: they are gone, and the trace no longer has them.
+        """
+        with suppress(OSError):
+            events = self.stored.load()
+            if self.check is None:
+                return events
+            sealer, seal = self.check
+            if sealer.seal_events(self.stored.arrays(events)).hexdigest() == seal:
+                return events
+        part = load_trace(self.trace, 0).parts.get(self.label)
+        if part is None or part.count != self.stored.count:
+            raise TraceFormatError(self.trace, "changed while it was analyzed; analyze again")
+        return part.load()
+
+
+def _in_cache(loaded: LoadedTrace, checks: Sequence[tuple[Sealer, str] | None]) -> LoadedTrace:
+    """Return the trace with events that are read where they are stored, each with its check (`_KeptEvents`)."""
+    parts = {
+        label: replace(part, events=_KeptEvents(part.events, check, label, loaded.trace.path))
+        for (label, part), check in zip(loaded.parts.items(), checks, strict=True)
+        if isinstance(part.events, StoredEvents)
+    }
+    return LoadedTrace(loaded.trace, parts)
+
+
+class _Entry(TypedDict):
+    """The JSON of an entry: a trace without its events, and the places of these before it."""
+
+    format: int
+    seals: list[str]
+    sessions: list[str]
+    runs: list[str]
+    host_samples: list[JsonObject]
+    wire: list[JsonObject]
+    truncated: str | None
+    ring_events: int
+    unreadable_messages: int
+    notes: list[str]
+    parts: list[tuple[str, int, int, int, int, list[tuple[int, dict[str, Column]]]]]
+    """Stage, run, relay, first and last instant in ns, and of each piece its number of events and its columns."""
+
+
+def _to_dict(loaded: LoadedTrace, seals: list[str]) -> _Entry:
+    trace = loaded.trace
+    stored = [part.events for part in loaded.parts.values() if isinstance(part.events, StoredEvents)]
+    return {
+        "format": _FORMAT,
+        "seals": seals,
+        "sessions": [session.to_json() for session in trace.sessions],
+        "runs": [run.to_json() for run in trace.runs],
+        "host_samples": [dict(sample) for sample in trace.host_samples],
+        "wire": [dict(text) for text in trace.wire],
+        "truncated": trace.truncated,
+        "ring_events": trace.ring_events,
+        "unreadable_messages": trace.unreadable_messages,
+        "notes": list(trace.notes),
+        "parts": [
+            (
+                stage.value,
+                run_id,
+                relay_id,
+                part.first_ns,
+                part.last_ns,
+                [(piece.count, dict(piece.columns)) for piece in events.pieces],
+            )
+            for ((stage, run_id, relay_id), part), events in zip(loaded.parts.items(), stored, strict=True)
+        ],
+    }
+
+
+def _from_dict(entry: _Entry, file: Path, events_bytes: int, path: Path, position: int) -> LoadedTrace:
+    parts = {}
+    for stage, run_id, relay_id, first_ns, last_ns, places in entry["parts"]:
+        pieces = (
+            StoredPiece(count, {name: (how, value) for name, (how, value) in columns.items()})
+            for count, columns in places
+        )
+        events = StoredEvents(file, tuple(pieces))
+        events.check(events_bytes)
+        parts[Stage(stage), run_id, relay_id] = EventPart(position, events.count, first_ns, last_ns, events)
+    trace = Trace(
+        path=path,
+        sessions=tuple(Session.from_json(text, path) for text in entry["sessions"]),
+        runs=tuple(Run.from_json(text, path) for text in entry["runs"]),
+        events={},
+        host_samples=tuple(entry["host_samples"]),
+        wire=tuple(entry["wire"]),
+        truncated=entry["truncated"],
+        ring_events=entry["ring_events"],
+        unreadable_messages=entry["unreadable_messages"],
+        notes=tuple(entry["notes"]),
+    )
+    return LoadedTrace(trace, parts)

@@ -1,0 +1,169 @@
+"""The event index: how many events of each stage, run and relay a trace holds, and where they are to be fetched."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from dds_trace.tracefile.format.events import EVENT_DTYPE, EventColumns, Stage
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+EventKey = tuple[Stage, int, int]
+"""Stage, run_id and relay_id; the relay_id of T1 is 0 whatever the trace says."""
+
+
+class EventsElsewhere(Protocol):
+    """Events that are in a file, or on another machine."""
+
+    def load(self) -> EventColumns:
+        """Fetch the events."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EventPart:
+    """A row of the event index: the events of one stage, run and relay in one trace.
+
+    Attributes:
+        trace: position of the trace in its campaign.
+        count: number of events.
+        first_ns: the earliest `monotonic_ns`.
+        last_ns: the latest one.
+        events: the events, or where they are.
+    """
+
+    trace: int
+    count: int
+    first_ns: int
+    last_ns: int
+    events: EventColumns | EventsElsewhere
+
+    def __sizeof__(self) -> int:
+        # Dask weighs by it whether to move the events or the work; without it it moves whole traces.
+        held = len(self.events) if isinstance(self.events, EventColumns) else 0
+        return object.__sizeof__(self) + held * EVENT_DTYPE.itemsize
+
+    def load(self) -> EventColumns:
+        """Return the events themselves, fetched if they are elsewhere."""
+        return self.events if isinstance(self.events, EventColumns) else self.events.load()
+
+
+EventIndex = Mapping[EventKey, tuple[EventPart, ...]]
+"""The event index by key, traces in rising order; a key without events is absent."""
+
+
+@dataclass(frozen=True, slots=True)
+class Copies:
+    """Events of one trace that an earlier one holds as well.
+
+    Attributes:
+        trace: position of the trace.
+        events: number of its events that were left out for that reason.
+        others: positions of the traces that hold them.
+    """
+
+    trace: int
+    events: int
+    others: tuple[int, ...]
+
+
+def index_events(of_traces: Iterable[Mapping[EventKey, EventPart]]) -> EventIndex:
+    """Return the index of a campaign from those of its traces, in their order."""
+    index: dict[EventKey, tuple[EventPart, ...]] = {}
+    for parts in of_traces:
+        for key, part in parts.items():
+            index[key] = (*index.get(key, ()), part)
+    return index
+
+
+def split_trace(events: Mapping[Stage, EventColumns], position: int) -> dict[EventKey, EventPart]:
+    """Return the index of the events of one trace, or of a piece of it, which are in memory."""
+    return {
+        (stage, *key): EventPart(
+            position, len(columns), int(columns.monotonic_ns.min()), int(columns.monotonic_ns.max()), columns
+        )
+        for stage in Stage
+        for key, columns in split_events(events[stage], by_relay=stage is not Stage.T1).items()
+    }
+
+
+def split_events(columns: EventColumns, *, by_relay: bool) -> dict[tuple[int, int], EventColumns]:
+    """Split events by (run_id, relay_id), in file order; views where a run's events stand together in the file.
+
+    Args:
+        columns: events of one stage.
+        by_relay: False takes every relay_id as 0.
+    """
+    if not len(columns):
+        return {}
+    run_id = columns.run_id
+    relay_id = columns.relay_id if by_relay else np.zeros_like(columns.relay_id)
+    changes = (run_id[1:] != run_id[:-1]) | (relay_id[1:] != relay_id[:-1])
+    starts = np.concatenate([[0], np.flatnonzero(changes) + 1])
+    if len(starts) == 1:
+        return {(int(run_id[0]), int(relay_id[0])): columns}
+
+    # Sorting stretches instead of events: a ping's file has one stretch a run.
+    runs, run_code = np.unique(run_id[starts], return_inverse=True)
+    relays, relay_code = np.unique(relay_id[starts], return_inverse=True)
+    codes, stretch_code = np.unique(run_code * len(relays) + relay_code, return_inverse=True)
+    keys = [(int(runs[code // len(relays)]), int(relays[code % len(relays)])) for code in codes]
+    lengths = np.diff(starts, append=len(columns))
+    if len(starts) > len(codes):  # several pings at one relay take turns
+        code = np.repeat(stretch_code, lengths).astype(np.min_scalar_type(len(codes)))
+        columns = columns.take(np.argsort(code, kind="stable"))
+        lengths = np.bincount(code, minlength=len(codes))
+    else:
+        keys = [keys[code] for code in stretch_code]
+    ends = np.cumsum(lengths)
+    return {
+        key: _view(columns, slice(end - length, end))
+        for key, length, end in zip(keys, lengths.tolist(), ends.tolist(), strict=True)
+    }
+
+
+def merge_parts(parts: Sequence[EventPart]) -> tuple[EventColumns, tuple[Copies, ...]]:
+    """Return the events of one stage, run and relay, each once, and what was left out as a copy.
+
+    Two events are the same if stage, run, relay, sequence and instant agree: that holds for a copied file, for its
+    `ros2 bag convert`, for a copy taken before the recording ended, and for no two recorded events.
+    """
+    if not parts:
+        return EventColumns.empty(), ()
+    loaded = [part.load() for part in parts]
+    if len(parts) == 1:
+        return loaded[0], ()
+    columns = EventColumns.concatenate(loaded)
+    owner = np.repeat([part.trace for part in parts], [len(held) for held in loaded])
+    order = np.lexsort((owner, columns.monotonic_ns, columns.sequence))
+    sequence, instant_ns, owner = columns.sequence[order], columns.monotonic_ns[order], owner[order]
+    new = np.ones(len(order), np.bool_)
+    new[1:] = (sequence[1:] != sequence[:-1]) | (instant_ns[1:] != instant_ns[:-1])
+    if new.all():
+        return columns, ()
+    keeper = owner[new][np.cumsum(new) - 1]
+    copies = []
+    for position in np.unique(owner[~new]).tolist():
+        copied = ~new & (owner == position)
+        others = set(np.unique(keeper[copied]).tolist()) - {position}
+        copies.append(Copies(position, int(np.count_nonzero(copied)), tuple(sorted(others))))
+    return columns.take(np.sort(order[new])), tuple(copies)
+
+
+def total_copies(copies: Iterable[Copies]) -> tuple[Copies, ...]:
+    """Add up the copies of each trace, by trace."""
+    events: dict[int, int] = defaultdict(int)
+    others: dict[int, set[int]] = defaultdict(set)
+    for copied in copies:
+        events[copied.trace] += copied.events
+        others[copied.trace] |= set(copied.others)
+    return tuple(Copies(trace, events[trace], tuple(sorted(others[trace]))) for trace in sorted(events))
+
+
+def _view(columns: EventColumns, part: slice) -> EventColumns:
+    return EventColumns(**{f.name: getattr(columns, f.name)[part] for f in fields(columns)})

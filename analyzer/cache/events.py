@@ -1,0 +1,185 @@
+"""Events in a file of our own: the columns of each stage, run and relay, written piece by piece, read back one part at a time.
+
+A column that is one value throughout (run, relay, payload size), or that counts upwards by one (sequence numbers of
+a whole run), is kept as that; the others as they are in memory. That is a third of the bytes of the events.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dds_trace.base.files import open_regular, read_into
+from dds_trace.tracefile.format.events import EVENT_DTYPE, EventColumns
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+    from io import BufferedReader
+    from pathlib import Path
+    from typing import BinaryIO
+
+    from numpy.typing import NDArray
+
+    Column = tuple[str, int]
+    """How a column is kept (`constant`, `counting`, `array`), and its value, first value, or offset in the file."""
+
+_FIELDS = EVENT_DTYPE.names or ()
+
+_KEPT: Mapping[str, Callable[[np.dtype[Any], int, int], tuple[int, int]]] = {
+    "constant": lambda dtype, _count, _file_bytes: (np.iinfo(dtype).min, np.iinfo(dtype).max),
+    "counting": lambda dtype, count, _file_bytes: (np.iinfo(dtype).min, np.iinfo(dtype).max - count + 1),
+    "array": lambda dtype, count, file_bytes: (0, file_bytes - count * dtype.itemsize),
+}
+"""How a column is kept -> function of its dtype, the number of events and the bytes of the file that returns the least and
+the greatest value (or offset in the file) that it may have."""
+
+
+@dataclass(frozen=True, slots=True)
+class StoredPiece:
+    """Events that were written together.
+
+    Attributes:
+        count: number of events.
+        columns: field of the event -> how and where it is kept.
+    """
+
+    count: int
+    columns: Mapping[str, Column]
+
+    def check(self, file_bytes: int) -> None:
+        """Check that the file has room for every column, and that every value fits its column.
+
+        Args:
+            file_bytes: size of the file.
+
+        Raises:
+            ValueError, TypeError, LookupError: a column is not as `EventsFile` describes it.
+        """
+        if type(self.count) is not int or self.count <= 0:  # True is an int
+            raise ValueError(f"{self.count!r} events")
+        for name in _FIELDS:
+            how, value = self.columns[name]
+            if type(value) is not int:
+                raise TypeError(f"{name} is kept at {value!r}")
+            dtype = EVENT_DTYPE[name]
+            low, high = _KEPT[how](dtype, self.count, file_bytes)
+            if not low <= value <= high:
+                raise ValueError(f"{name} is kept as {how} {value}, which is not from {low} to {high}")
+
+    def arrays(self, events: EventColumns, first: int = 0) -> list[NDArray[np.integer]]:
+        """Return the columns that are in the file; `columns` says all of the others.
+
+        Args:
+            events: the events of this piece, and others perhaps.
+            first: position of its first event among them.
+        """
+        return [
+            getattr(events, name)[first : first + self.count]
+            for name in _FIELDS
+            if self.columns[name][0] == "array"
+        ]
+
+
+@dataclass(frozen=True, slots=True)
+class StoredEvents:
+    """The places in a file of the events of one stage, run and relay.
+
+    Attributes:
+        file: the file.
+        pieces: the events piece by piece, in their order.
+    """
+
+    file: Path
+    pieces: tuple[StoredPiece, ...]
+
+    @property
+    def count(self) -> int:
+        """Number of events."""
+        return sum(piece.count for piece in self.pieces)
+
+    def check(self, file_bytes: int) -> None:
+        """Check every piece; see `StoredPiece.check`.
+
+        Raises:
+            ValueError, TypeError, LookupError: there is none, or one is not as `EventsFile` describes it.
+        """
+        if not self.pieces:
+            raise ValueError("no events")
+        for piece in self.pieces:
+            piece.check(file_bytes)
+
+    def arrays(self, events: EventColumns) -> list[NDArray[np.integer]]:
+        """Return the columns of these events that are in the file, piece by piece."""
+        firsts = accumulate((piece.count for piece in self.pieces), initial=0)
+        return [
+            array
+            for piece, first in zip(self.pieces, firsts, strict=False)
+            for array in piece.arrays(events, first)
+        ]
+
+    def load(self) -> EventColumns:
+        """Read the events.
+
+        Raises:
+            OSError: the file cannot be read, or has become shorter.
+        """
+        with open_regular(self.file, follow_links=False) as stream:
+            return EventColumns(**{name: _read_column(stream, name, self.pieces) for name in _FIELDS})
+
+
+class EventsFile:
+    """Writes events into a file.
+
+    Args:
+        stream: takes them.
+    """
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream = stream
+
+    def write(self, events: EventColumns) -> StoredPiece:
+        """Write events, of which there is at least one.
+
+        Raises:
+            OSError: they cannot be written.
+        """
+        columns = {name: self._write_column(getattr(events, name)) for name in _FIELDS}
+        return StoredPiece(len(events), columns)
+
+    def _write_column(self, values: NDArray[np.integer]) -> Column:
+        first, last = int(values[0]), int(values[-1])  # which tell of most columns that they are neither
+        if first == last and (values == values[0]).all():
+            return "constant", first
+        if last - first == len(values) - 1 and (np.diff(values) == 1).all():
+            return "counting", first
+        offset = self._stream.tell()
+        self._stream.write(np.ascontiguousarray(values).data)
+        return "array", offset
+
+
+def _read_column(stream: BufferedReader, name: str, pieces: Sequence[StoredPiece]) -> NDArray[Any]:
+    """Read a column of pieces; one that is a single value throughout takes no memory."""
+    dtype = EVENT_DTYPE[name]
+    count = sum(piece.count for piece in pieces)
+    kept = {piece.columns[name] for piece in pieces}
+    if len(kept) == 1 and pieces[0].columns[name][0] == "constant":
+        return np.broadcast_to(np.array(pieces[0].columns[name][1], dtype), count)
+    values = np.empty(count, dtype)
+    start = 0
+    for piece in pieces:
+        how, value = piece.columns[name]
+        part = values[start : start + piece.count]
+        start += piece.count
+        if how == "constant":
+            part[:] = value
+        elif how == "counting":
+            part[:] = np.arange(piece.count, dtype=dtype)
+            part += np.array(value, dtype)
+        else:
+            room = part.data.cast("B")
+            if read_into(stream.fileno(), room, value) < len(room):
+                raise OSError(5, f"{stream.name} is shorter than it was written")
+    return values

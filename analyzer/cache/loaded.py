@@ -1,0 +1,112 @@
+"""One trace, read: what it says, and the index of its events, which are in memory or go into a file piece by piece."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from sys import getsizeof
+from typing import TYPE_CHECKING
+
+from dds_trace.base.errors import TraceFormatError
+from dds_trace.tracefile.reading.reader import read_trace, read_trace_in_pieces
+
+from .event_index import split_trace
+from .remote import local_copy
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from pathlib import Path
+
+    from dds_trace.tracefile.format.events import EventColumns, Stage
+    from dds_trace.tracefile.reading.trace import Trace
+
+    from .event_index import EventKey, EventPart
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoadedTrace:
+    """One trace, with the index of its events.
+
+    Attributes:
+        trace: the trace without its events.
+        parts: the event index of the trace.
+    """
+
+    trace: Trace
+    parts: Mapping[EventKey, EventPart]
+
+    def __sizeof__(self) -> int:
+        return object.__sizeof__(self) + sum(map(getsizeof, self.parts.values()))
+
+    @property
+    def events(self) -> int:
+        """Number of its events."""
+        return sum(part.count for part in self.parts.values())
+
+    def at(self, position: int) -> LoadedTrace:
+        """Return the trace at another position in its campaign."""
+        return LoadedTrace(
+            self.trace, {label: replace(part, trace=position) for label, part in self.parts.items()}
+        )
+
+
+def load_trace(path: Path, position: int) -> LoadedTrace:
+    """Read one trace, events in memory.
+
+    Raises:
+        TraceFormatError: it is no trace, cannot be read, or nothing was ever written into it.
+    """
+    trace = _read(path, read_trace)
+    _check_holds_something(trace, trace.event_count)
+    return LoadedTrace(replace(trace, events={}), split_trace(trace.events, position))
+
+
+def read_in_pieces(path: Path, take: Callable[[Mapping[Stage, EventColumns]], object]) -> Trace:
+    """Read one trace whose events somebody else keeps.
+
+    Args:
+        path: the trace.
+        take: called with its events piece by piece; see `tracefile.read_trace_in_pieces`.
+
+    Returns:
+        The trace without its events.
+
+    Raises:
+        TraceFormatError: as for `load_trace`.
+    """
+    events = 0
+
+    def take_and_count(piece: Mapping[Stage, EventColumns]) -> None:
+        nonlocal events
+        events += sum(map(len, piece.values()))
+        take(piece)
+
+    trace = _read(path, lambda local: read_trace_in_pieces(local, take_and_count))
+    _check_holds_something(trace, events)
+    return trace
+
+
+def loaded_or_error(
+    load: Callable[[Path, int], LoadedTrace], path: Path, position: int
+) -> LoadedTrace | TraceFormatError:
+    """Load one trace, or return why it is none."""
+    try:
+        return load(path, position)
+    except TraceFormatError as err:
+        return err
+
+
+def _read(path: Path, read: Callable[[Path], Trace]) -> Trace:
+    with local_copy(path) as local:
+        try:
+            return replace(read(local), path=path)
+        except OSError as err:
+            raise TraceFormatError(path, f"cannot be read ({err.strerror})") from err
+        except TraceFormatError as err:
+            raise TraceFormatError(path, err.what) from err
+
+
+def _check_holds_something(trace: Trace, events: int) -> None:
+    if not (trace.sessions or trace.runs or events):
+        raise TraceFormatError(
+            trace.path, f"holds nothing of a trace ({trace.truncated or 'it is complete'})"
+        )

@@ -1,0 +1,125 @@
+"""Traces in object storage (`s3://bucket/runs`, and whatever else fsspec knows): found there, copied here to be read.
+
+A path keeps its scheme; `pathlib` makes `s3:/bucket/runs` of it, and `_url` takes that back.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import tempfile
+from contextlib import contextmanager
+from importlib import import_module
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Protocol
+
+from dds_trace.base.errors import BackendUnavailableError, MissingEventsError, TraceError, TraceFormatError
+from dds_trace.base.printable import visible
+from dds_trace.tracefile.reading.storage import find_traces
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator
+
+_SCHEME = re.compile(r"^([a-z][a-z0-9+.-]+):/+")
+
+
+class _Storage(Protocol):
+    """The part of `fsspec.AbstractFileSystem` that is used here; names are texts without the scheme."""
+
+    def isdir(self, path: str) -> bool:
+        """Tell whether the name is a folder."""
+
+    def find(self, path: str) -> list[str]:
+        """List the files below a folder, or the one file."""
+
+    def ls(self, path: str, *, detail: bool) -> list[str]:
+        """List the names in a folder."""
+
+    def get_file(self, remote: str, local: str) -> None:
+        """Copy a file to this machine."""
+
+    def ukey(self, path: str) -> str:
+        """Return a tag that changes with the file's content."""
+
+
+def is_remote(path: Path) -> bool:
+    """Tell whether the path names a scheme, as `s3://` does."""
+    return _SCHEME.match(os.fspath(path)) is not None
+
+
+def find_anywhere(path: Path, skip: Collection[Path]) -> list[Path]:
+    """Find every trace at or below `path`, here or in object storage.
+
+    Raises:
+        MissingEventsError: there is nothing at `path`.
+        BackendUnavailableError: the package for this kind of storage is missing, or the storage does not answer.
+    """
+    if not is_remote(path):
+        return find_traces(path, skip=skip)
+    with _storage(path) as (files, root):
+        names = [PurePosixPath(name) for name in files.find(root)]
+    if not names:
+        raise MissingEventsError(f"{_url(path)}: nothing is there")
+    bags = {name.parent for name in names if name.name == "metadata.yaml"}
+    alone = {name for name in names if name.suffix == ".mcap" and not bags.intersection(name.parents)}
+    start = PurePosixPath(root)
+    return sorted(path if name == start else path / name.relative_to(start) for name in bags | alone)
+
+
+@contextmanager
+def local_copy(path: Path) -> Iterator[Path]:
+    """Yield the trace as a path of this machine: itself, or a temporary copy.
+
+    Raises:
+        TraceFormatError: it cannot be read.
+    """
+    if not is_remote(path):
+        yield path
+        return
+    with tempfile.TemporaryDirectory(prefix="dds-analyze-") as name:
+        with _storage(path) as (files, root):
+            for remote in _files_of(files, root):
+                local = Path(name) / path.name / PurePosixPath(remote).relative_to(root)
+                if not files.isdir(root):
+                    local = Path(name) / PurePosixPath(remote).name
+                local.parent.mkdir(parents=True, exist_ok=True)
+                files.get_file(remote, os.fspath(local))
+        yield Path(name) / path.name
+
+
+def remote_key(path: Path) -> str:
+    """Return the storage's own tags of the trace's files, which change with their content."""
+    with _storage(path) as (files, root):
+        return "\0".join(f"{remote[len(root) :]}\0{files.ukey(remote)}" for remote in _files_of(files, root))
+
+
+def _files_of(files: _Storage, root: str) -> list[str]:
+    """List a trace's files: all in a folder, or the one and those beside it that begin with its name (a ring)."""
+    if files.isdir(root):
+        return sorted(files.find(root))
+    beside = files.ls(os.fspath(PurePosixPath(root).parent), detail=False)
+    return sorted(name for name in beside if name.startswith(root))
+
+
+@contextmanager
+def _storage(path: Path) -> Iterator[tuple[_Storage, str]]:
+    """Yield the storage and the name in it; translate its errors into ours."""
+    try:
+        fsspec = import_module("fsspec")  # an extra: only who names a scheme needs it
+        files, root = fsspec.core.url_to_fs(_url(path))
+        files.invalidate_cache()
+        yield files, root.rstrip("/")
+    except ImportError as err:
+        raise BackendUnavailableError(
+            f"{_url(path)}: {err}; install the extra with `pip install 'dds-trace[cluster]'`"
+        ) from err
+    except FileNotFoundError as err:
+        raise MissingEventsError(f"{_url(path)}: no such object or folder") from err
+    except TraceError:
+        raise
+    except Exception as err:  # no credentials, an unknown scheme: each kind of storage has errors of its own
+        raise TraceFormatError(_url(path), f"cannot be read ({visible(err)})") from err
+
+
+def _url(path: Path) -> str:
+    return _SCHEME.sub(r"\1://", os.fspath(path))

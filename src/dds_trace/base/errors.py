@@ -1,0 +1,69 @@
+"""The tree of errors. Every message says what is wrong, where (path, offset, topic), and what to do next.
+
+`cli` turns a `TraceError` into one line on stderr and the class's `exit_code`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+class TraceError(Exception):
+    """Error that a user can act on; its text is one line."""
+
+    exit_code: ClassVar[int] = 1
+
+
+class TraceFormatError(TraceError):
+    """Bytes on disk that do not follow `docs/trace-format.md`.
+
+    Args:
+        path: the file.
+        what: the fault, and what to do next where that is known.
+        offset: byte offset of the fault in the file; None if it has no place.
+    """
+
+    exit_code = 3
+
+    def __init__(self, path: Path | str, what: str, offset: int | None = None) -> None:
+        where = f"{path}" if offset is None else f"{path} at byte {offset}"
+        super().__init__(f"{where}: {what}")
+        self.path = str(path)
+        self.what = what
+        self.offset = offset
+
+    def __reduce__(self) -> tuple[type, tuple[str, str, int | None]]:
+        return type(self), (self.path, self.what, self.offset)  # for another process
+
+
+class MissingEventsError(TraceError):
+    """Folder or file without an event to analyze."""
+
+    exit_code = 4
+
+
+class OutputExistsError(TraceError):
+    """Output that exists already; nothing recorded is overwritten without `--force`."""
+
+    exit_code = 5
+
+
+class OutputError(TraceError):
+    """Output that cannot be written (disk full, read-only, folder gone)."""
+
+    exit_code = 6
+
+
+class OptionError(TraceError):
+    """Value on the command line or in a plan that is wrong or impossible."""
+
+    exit_code = 2
+
+
+class BackendUnavailableError(TraceError):
+    """Middleware, bridge program or licence that is not on this machine."""
+
+    exit_code = 7

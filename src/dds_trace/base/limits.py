@@ -1,0 +1,290 @@
+"""The values that options, plans and traces may hold: one list of validators for all three.
+
+`dds-record` checks its options by it, `dds-sweep` the keys of a plan, and a reader the fields of a trace's descriptions,
+so that what one refuses no other lets through. A validator never raises anything but the error that it is there for:
+not for NaN, an integer of 400 digits or a text that no encoding has.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+from .errors import OptionError
+from .printable import visible
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+_SHOWN_CHARACTERS = 80
+"""Longest value that an error repeats whole."""
+_SHOWN_DIGITS = 20
+_COMPARED_CHARACTERS = 100
+"""Characters of a wrong word that are compared with the right ones."""
+
+
+class Limit(Protocol):
+    """A validator of one kind of value."""
+
+    def fault(self, value: object) -> str | None:
+        """Return what to write instead of `value`, None if it is allowed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Whole:
+    """Whole numbers from `low` to `high`, both allowed.
+
+    Attributes:
+        what: the noun of the value, for the error.
+    """
+
+    low: int
+    high: int
+    what: str
+
+    def fault(self, value: object) -> str | None:
+        """Return what to write instead of `value`, None if it is allowed."""
+        if isinstance(value, int) and not isinstance(value, bool) and self.low <= value <= self.high:
+            return None
+        return f"{self.what} is {self.low} to {self.high}"
+
+
+@dataclass(frozen=True, slots=True)
+class Real:
+    """Finite numbers from `low` to `high`, both allowed; whole numbers count as such.
+
+    Attributes:
+        what: the noun of the value with its unit, for the error.
+        is_above: whether `low` itself is left out.
+    """
+
+    low: float
+    high: float
+    what: str
+    is_above: bool = False
+
+    def fault(self, value: object) -> str | None:
+        """Return what to write instead of `value`, None if it is allowed."""
+        if (
+            isinstance(value, int | float)
+            and not isinstance(value, bool)
+            and self.low <= value <= self.high  # False for NaN; exact for an int of any size
+            and not (self.is_above and value == self.low)
+        ):
+            return None
+        low, high = f"{self.low:.15g}", f"{self.high:.15g}"
+        return f"{self.what} is {f'above {low} and at most' if self.is_above else f'{low} to'} {high}"
+
+
+@dataclass(frozen=True, slots=True)
+class Words:
+    """Texts that a pattern allows, and that UTF-8 can hold.
+
+    Attributes:
+        what: the noun of the value and its form, for the error.
+        pattern: the whole text has to match it.
+        most: largest number of characters.
+    """
+
+    what: str
+    pattern: re.Pattern[str] = re.compile(r".*", re.DOTALL)
+    most: int = 4096
+
+    def fault(self, value: object) -> str | None:
+        """Return what to write instead of `value`, None if it is allowed."""
+        if not isinstance(value, str):
+            return f"{self.what} is a text"
+        if not is_utf8(value):
+            return f"{self.what} is UTF-8 text; this is in another encoding, or half of a character"
+        if len(value) > self.most:
+            return f"{self.what} has at most {self.most} characters; this has {len(value)}"
+        if "\0" in value or self.pattern.fullmatch(value) is None:
+            return f"write {self.what}"
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class OneOf:
+    """One of a few values.
+
+    Attributes:
+        choices: the values, all of one type.
+    """
+
+    choices: tuple[str, ...] | tuple[float, ...]
+
+    def fault(self, value: object) -> str | None:
+        """Return what to write instead of `value`, None if it is allowed."""
+        if not isinstance(value, bool) and value in self.choices:
+            return None
+        words = [f"{choice:g}" if isinstance(choice, float) else choice for choice in self.choices]
+        return nearest(value if isinstance(value, str) else "", words)
+
+
+@dataclass(frozen=True, slots=True)
+class FilePath:
+    """Paths that Linux and every library of an analysis can name.
+
+    Attributes:
+        what: the noun of the value, for the error.
+        is_folder: whether `.`, `..` and `/` are allowed, as they are for a folder that is there.
+        is_input: whether bytes that are no UTF-8 are allowed, as others may have named what is there.
+    """
+
+    what: str
+    is_folder: bool = False
+    is_input: bool = False
+
+    def fault(self, value: object) -> str | None:
+        """Return what to write instead of `value`, None if it is allowed."""
+        # Undecodable bytes of a file's name are lone surrogates; of an input each counts as one character.
+        is_mended = self.is_input and isinstance(value, str)
+        text = str(value).encode(errors="replace").decode() if is_mended else value
+        fault = Words(self.what, most=4095).fault(text)
+        if fault is not None:
+            return fault
+        parts = str(text).rstrip("/").split("/")
+        if not self.is_folder and parts[-1] in {"", ".", ".."}:
+            return f"{self.what} ends with a name"
+        longest = max(len(part.encode()) for part in parts)
+        return f"{self.what} has names of at most 255 bytes; one has {longest}" if longest > 255 else None
+
+
+@dataclass(frozen=True, slots=True)
+class Flag:
+    """True or false."""
+
+    def fault(self, value: object) -> str | None:
+        """Return what to write instead of `value`, None if it is allowed."""
+        return None if isinstance(value, bool) else "write true or false"
+
+
+def check(limit: Limit, value: object, where: str) -> None:
+    """Refuse a value of an option.
+
+    Args:
+        limit: the validator.
+        value: the value; None passes, since it is the default of an option that was not given.
+        where: name of the option.
+
+    Raises:
+        OptionError: `<where> <value>: <what to write>`.
+    """
+    fault = None if value is None else limit.fault(value)
+    if fault is not None:
+        raise OptionError(f"{where} {shown(value)}: {fault}")
+
+
+def nearest(word: str, choices: Collection[str]) -> str:
+    """Return what to write instead of a word that is none of `choices`: the nearest one, or all."""
+    import difflib  # noqa: PLC0415 - of errors alone, and each command loads this module
+
+    near = difflib.get_close_matches(word[:_COMPARED_CHARACTERS], choices, n=1)
+    return f"did you mean {near[0]!r}?" if near else f"choose one of {', '.join(choices)}"
+
+
+def shown(value: object) -> str:
+    """Return a refused value as an error repeats it: on one line, and at most 80 characters of it."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, int):
+        # str() of an int refuses more than 4300 digits (`sys.set_int_max_str_digits`).
+        digits = int(value.bit_length() * math.log10(2)) + 1
+        return str(value) if digits <= _SHOWN_DIGITS else f"a number of about {digits} digits"
+    if isinstance(value, float):
+        return f"{value:g}"
+    if isinstance(value, list | dict):  # the text of one may hold an integer that has none
+        return "a list" if isinstance(value, list) else "a table"
+    return visible(repr(value), _SHOWN_CHARACTERS)
+
+
+def is_utf8(text: str) -> bool:
+    """Return whether UTF-8 can hold the text: it has no lone surrogate, as bytes of another encoding leave them."""
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+YEAR_S = 366 * 86_400
+LAST_DOMAIN = 231
+"""Highest domain id: of domain 232 even the first participant has no ports below 65536 (DDSI-RTPS 2.5, 9.6.2.3)."""
+MAX_HELD_BYTES = 1 << 30
+"""Most data that a payload may hold: it lies in memory while it is sent, and a small board has 2 GB."""
+MAX_MESSAGES = 100_000_000
+"""Most messages of a run; its ledger takes 20 bytes of memory for each."""
+
+DOMAIN_ID = Whole(0, LAST_DOMAIN, "a DDS domain id")
+RELAY_ID = Whole(1, (1 << 32) - 1, "a relay's id")
+SIZE_BYTES = Whole(0, MAX_HELD_BYTES, "the size of a message in bytes")
+RATE_HZ = Real(1e-6, 1e6, "a rate in messages a second")
+MESSAGES = Whole(1, MAX_MESSAGES, "the number of messages to measure")
+MESSAGES_OR_NONE = Whole(0, MAX_MESSAGES, "the number of messages")
+WARMUP = Whole(0, MAX_MESSAGES, "the number of warm-up messages")
+RELAYS = Whole(1, 1000, "the number of relays to wait for")
+DEPTH = Whole(1, (1 << 31) - 1, "the number of messages that keep_last keeps")
+SEED = Whole(-(1 << 63), (1 << 64) - 1, "a seed")
+REALTIME_PRIORITY = Whole(1, 99, "a SCHED_FIFO priority")
+PORT = Whole(1, 65535, "a port")
+FILE_BYTES = Whole(1000, 1 << 50, "the size of a file in bytes")
+KEPT_FILES = Whole(1, 1_000_000, "the number of files to keep")
+REPEATS = Whole(1, 10_000, "the number of passes")
+PASSES_OR_ALL = Whole(0, 10_000, "the number of passes")
+ATTEMPTS = Whole(1, 1000, "the number of attempts")
+KNEE_REPEATS = Whole(1, 1000, "the number of runs at the knee")
+
+WAIT_S = Real(0, YEAR_S, "a wait in seconds")
+LENGTH_S = Real(0, YEAR_S, "a length in seconds", is_above=True)
+LENGTH_OR_NONE_S = Real(0, YEAR_S, "a length in seconds")
+FILE_AGE_S = Real(1, YEAR_S, "the age of a file in seconds")
+LOOK_S = Real(0.1, YEAR_S, "the time between two looks in seconds")
+DELAY_MS = Real(0, 3_600_000, "a time in milliseconds")
+DEADLINE_MS = Real(0, 3_600_000, "a deadline in milliseconds", is_above=True)
+LINE_MBIT_S = Real(0, 1e6, "a line rate in Mbit/s")
+PERCENT = Real(0, 100, "a share in percent")
+WIDTH_PERCENT = Real(0, 1e6, "half the width of an interval in percent", is_above=True)
+FACTOR = Real(1, 1000, "a factor", is_above=True)
+
+FLAG = Flag()
+TEXT = Words("a text")
+NAME = Words("a name of one line", re.compile(r"[^\x00-\x1f\x7f]*"), 255)
+LABEL_KEY = Words("a key of one line, without =", re.compile(r"[^\x00-\x1f\x7f=]+"), 255)
+FILE_NAME = Words(
+    "a name: not empty, no slash, no control character, not . or ..",
+    re.compile(r"(?!\.{1,2}\Z)[^/\x00-\x1f\x7f]+"),
+    100,
+)
+PATH = FilePath("a path")
+FOLDER = FilePath("a path", is_folder=True)
+INPUT = FilePath("a path", is_folder=True, is_input=True)
+SCHEDULER = Words(
+    "HOST:PORT or tcp://HOST:PORT",
+    re.compile(r"(?:[a-z]+://)?[\w.%\[\]-]+(?::[\w%]+)*:\d{1,5}", re.ASCII),
+    255,
+)
+CPUS = Words(
+    "CPU numbers and ranges, such as 3 or 0,2 or 2-3",
+    re.compile(r"\s*\d{1,4}(?:-\d{1,4})?\s*(?:,\s*\d{1,4}(?:-\d{1,4})?\s*)*", re.ASCII),
+)
+RMW = Words("a ROS middleware's name such as rmw_fastrtps_cpp", re.compile(r"\w+", re.ASCII), 255)
+ADDRESS = Words(
+    "HOST:PORT, for example 192.168.0.5:7447", re.compile(r"[\w.:%\[\]-]+:\d{1,5}", re.ASCII), 255
+)
+HOST = Words("a host's name or address", re.compile(r"[\w.:%\[\]-]+", re.ASCII), 255)
+TOPIC_NAME = Words(
+    "a ROS topic's name such as /camera/image",
+    re.compile(r"/?[A-Za-z_]\w*(?:/[A-Za-z_]\w*)*/?", re.ASCII),
+    200,
+)
+
+# Fields of traces: what the columns of an analysis hold, sums and differences of two included.
+STORED_COUNT = Whole(0, (1 << 48) - 1, "a count")
+STORED_BYTES = Whole(0, (1 << 32) - 1, "a size in bytes")
+STORED_NUMBER = Whole(0, (1 << 31) - 1, "a number")
+STORED_RELAY_ID = Whole(0, (1 << 32) - 1, "a relay's id")
+STORED_TIME_NS = Whole(-(1 << 62), 1 << 62, "a time in ns")
+STORED_RATE_HZ = Real(0, 1e12, "a rate in messages a second")
+STORED_INTEGER = Whole(-(1 << 63), (1 << 64) - 1, "an integer")

@@ -1,0 +1,76 @@
+"""`replacing`: whole or not at all, and never through a link."""
+
+from __future__ import annotations
+
+import pytest
+
+from dds_trace.base.files import replacing
+
+
+def test_the_draft_takes_the_place_of_the_old_file(tmp_path):
+    path = tmp_path / "state.json"
+    path.write_text("old")
+    with replacing(path, fsync=True) as draft:
+        draft.write_text("new")
+        assert path.read_text() == "old"
+        assert (draft.parent, draft.suffix) == (tmp_path, ".part")
+    assert path.read_text() == "new"
+    assert [file.name for file in tmp_path.iterdir()] == ["state.json"]
+
+
+def test_an_error_leaves_the_old_file_and_no_draft(tmp_path):
+    path = tmp_path / "state.json"
+    path.write_text("old")
+
+    def fail_half_way():
+        with replacing(path) as draft:
+            draft.write_text("ne")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fail_half_way()
+    assert path.read_text() == "old"
+    assert [file.name for file in tmp_path.iterdir()] == ["state.json"]
+
+
+def test_a_link_is_replaced_and_its_target_left_alone(tmp_path):
+    target = tmp_path / "target.json"
+    target.write_text("somebody else's")
+    path = tmp_path / "state.json"
+    path.symlink_to(target)
+    with replacing(path) as draft:
+        draft.write_text("ours")
+    assert target.read_text() == "somebody else's"
+    assert not path.is_symlink()
+    assert path.read_text() == "ours"
+
+
+def test_two_writers_of_one_file_have_a_draft_each(tmp_path):
+    path = tmp_path / "roundtrips.parquet"
+    with replacing(path) as later:
+        later.write_text("later")
+        with replacing(path) as sooner:
+            sooner.write_text("sooner")
+        assert path.read_text() == "sooner"
+    assert path.read_text() == "later"
+
+
+def test_a_folder_that_is_gone_is_an_os_error(tmp_path):
+    def write():
+        with replacing(tmp_path / "none" / "state.json") as draft:
+            draft.write_text("{}")
+
+    with pytest.raises(FileNotFoundError):
+        write()
+
+
+def test_a_draft_that_cannot_take_its_place_is_removed(tmp_path):
+    (tmp_path / "state.json").mkdir()
+
+    def write():
+        with replacing(tmp_path / "state.json") as draft:
+            draft.write_text("{}")
+
+    with pytest.raises(IsADirectoryError):
+        write()
+    assert [file.name for file in tmp_path.iterdir()] == ["state.json"]

@@ -1,0 +1,132 @@
+"""The list of validators, and every field of a description on values that nobody means."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import pytest
+from hostile_values import HOSTILE_NUMBERS, HOSTILE_TEXTS, json_values
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from trace_files import ping_session, run
+
+from dds_trace.base import limits
+from dds_trace.base.errors import OptionError, TraceFormatError
+from dds_trace.tracefile.format.descriptions import Run, Session
+
+LIMITS = {name: value for name, value in vars(limits).items() if name.isupper() and hasattr(value, "fault")}
+FIELDS = [
+    (kind, (name,))
+    for kind, described in ((Session, ping_session()), (Run, run()))
+    for name in json.loads(described.to_json())
+] + [(Run, ("qos", name)) for name in run().qos.to_dict()]
+
+
+@pytest.mark.parametrize("name", LIMITS)
+def test_no_value_makes_a_validator_raise_anything_but_its_own_error(name):
+    for value in (*HOSTILE_NUMBERS, *HOSTILE_TEXTS, None, True, [10**5000], {}, b"", object()):
+        fault = LIMITS[name].fault(value)
+        said = refusal(lambda value=value: limits.check(LIMITS[name], value, "--it"))
+        if said is not None:
+            assert said == f"--it {limits.shown(value)}: {fault}"
+            assert "\n" not in said
+            assert len(said) < 400
+            said.encode()
+        else:
+            assert fault is None or value is None
+
+
+def test_bounds_themselves_are_allowed_or_left_out_as_they_say():
+    assert limits.DOMAIN_ID.fault(0) is limits.DOMAIN_ID.fault(231) is None
+    assert limits.DOMAIN_ID.fault(232) == "a DDS domain id is 0 to 231"
+    assert limits.LENGTH_S.fault(0) == "a length in seconds is above 0 and at most 31622400"
+    assert limits.LENGTH_S.fault(0.1) is limits.LENGTH_S.fault(limits.YEAR_S) is None
+    assert limits.WAIT_S.fault(0) is None
+    assert limits.WAIT_S.fault(-1) == "a wait in seconds is 0 to 31622400"
+    assert limits.PORT.fault(True) is not None
+    assert limits.FILE_NAME.fault("..") is not None
+    assert limits.FILE_NAME.fault("...") is None
+
+
+def test_a_path_of_others_may_have_bytes_that_are_no_text():
+    assert limits.INPUT.fault("\udcff") is None
+    assert "UTF-8" in limits.FOLDER.fault("\udcff")
+    assert limits.FOLDER.fault(".") is None
+    assert limits.PATH.fault(".") == "a path ends with a name"
+    assert limits.PATH.fault("a/" + "x" * 256) == "a path has names of at most 255 bytes; one has 256"
+
+
+def refusal(action):
+    """The text of the error that an action ends with, None if it ends well."""
+    try:
+        action()
+    except (OptionError, TraceFormatError) as error:
+        return str(error)
+    return None
+
+
+def replaced(described, place, value):
+    """The JSON object with another value at a place."""
+    if len(place) == 1:
+        return {**described, place[0]: value}
+    return {**described, place[0]: replaced(described[place[0]], place[1:], value)}
+
+
+@pytest.mark.parametrize(("kind", "place"), FIELDS, ids=str)
+@settings(max_examples=8)
+@given(value=json_values())
+def test_any_value_of_any_field_is_taken_or_named_in_one_line(kind, place, value):
+    good = ping_session() if kind is Session else run()
+    text = json.dumps(replaced(json.loads(good.to_json()), place, value))
+    said = refusal(lambda: kind.from_json(text, "x.mcap"))
+    if said is not None:
+        assert said.startswith("x.mcap: ")
+        assert "\n" not in said
+        return
+    read = kind.from_json(text, "x.mcap")
+    repr(read).encode()  # no lone surrogate is left
+    json.dumps(json.loads(read.to_json()), ensure_ascii=False).encode()
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "said"),
+    [
+        ("domain_id", 10**400, "an integer of 401 digits does not fit into 64 bits"),
+        (
+            "domain_id",
+            2**31,
+            "field 'domain_id' of the session description is 2147483648; a number is 0 to 2147483647",
+        ),
+        (
+            "wall_anchor_ns",
+            2**63 - 1,
+            "field 'wall_anchor_ns' of the session description is 9223372036854775807; a time",
+        ),
+        ("host", {"cores": 10**400}, "an integer of 401 digits does not fit into 64 bits"),
+        (
+            "dropped_events",
+            -1,
+            "field 'dropped_events' of the session description is -1; a count is 0 to 281474976710655",
+        ),
+    ],
+)
+def test_a_value_that_no_column_holds_is_named(field, value, said):
+    text = json.dumps(replaced(json.loads(ping_session().to_json()), (field,), value))
+    with pytest.raises(TraceFormatError, match=re.escape(said)):
+        Session.from_json(text, "x.mcap")
+
+
+def test_a_lone_surrogate_is_spelled_out_and_a_pair_is_a_character():
+    described = replaced(json.loads(ping_session().to_json()), ("device",), "pi\ud83d\ude00\udcff")
+    text = json.dumps(described)
+    assert "\\ud83d\\ude00\\udcff" in text
+    assert Session.from_json(text, "x.mcap").device == "pi\U0001f600\\udcff"
+
+
+@given(depth=st.integers(1000, 5000))
+@settings(max_examples=3)
+def test_a_description_nested_without_end_is_one_line(depth):
+    text = json.dumps(json.loads(ping_session().to_json()))[:-1] + f', "x": {"[" * depth * 100}'
+    with pytest.raises(TraceFormatError, match=r"nested deeper|is not JSON"):
+        Session.from_json(text, "x.mcap")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import json
 import os
 import shutil
 import tempfile
@@ -16,7 +17,7 @@ from hypothesis import settings
 from shared_memory import middleware_files, remove_orphans
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
 # The tools themselves default to the subnet; tests never leave this machine.
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
@@ -112,3 +113,23 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     if not hasattr(session.config, "workerinput"):
         shutil.rmtree(os.environ.pop(kept.VARIABLE), ignore_errors=True)
         remove_orphans(session.config.stash[_SHM_BEFORE])
+
+
+SENTENCES = Path(__file__).parent / "data" / "sentences.json"
+"""Sentences that users read, by test: `DDS_TRACE_UPDATE_SENTENCES=1 pytest FILE -n0` writes them again, to be read in the diff."""
+
+
+@pytest.fixture
+def sentences(request: pytest.FixtureRequest) -> Callable[..., None]:
+    """Compare sentences with those of the golden file, so that a test asserts codes and numbers and a sentence is changed in one place."""
+    test = f"{request.path.relative_to(Path(__file__).parent)}::{request.node.name}"
+
+    def check(*texts: str) -> None:
+        golden = json.loads(SENTENCES.read_text(encoding="utf-8"))
+        if os.environ.get("DDS_TRACE_UPDATE_SENTENCES"):
+            golden[test] = list(texts)
+            lines = json.dumps(golden, indent=1, sort_keys=True, ensure_ascii=False)
+            SENTENCES.write_text(lines + "\n", encoding="utf-8")
+        assert list(texts) == golden.get(test)
+
+    return check

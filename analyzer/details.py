@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from dds_trace.tracefile.format.descriptions import Run
 
-    from .groups.batch import Grouping, Wanted
+    from .groups.batch import Grouping, AnalysisOptions
     from .groups.frames import Frames
     from .loading.campaign import Campaign
     from .verdicts.answers import Mapper
@@ -46,7 +46,7 @@ def collect_details(
     frames: Frames,
     rows: RowStore,
     in_parts: Sequence[int],
-    wanted: Wanted,
+    options: AnalysisOptions,
     judged: GroupRows,
     mapper: Mapper,
 ) -> Details:
@@ -58,11 +58,11 @@ def collect_details(
         frames: those of `frames.DETAIL_MAKERS`, of all batches.
         rows: the round trips.
         in_parts: groups that no batch held whole: the frames lack what only a whole column of their rows gives.
-        wanted: what is asked for.
+        options: the options of the analysis.
         judged: the messages that groups are compared by, of which those of a few groups are read at a time.
         mapper: answers the kinds of messages.
     """
-    if not wanted.details:
+    if not options.details:
         return details_not_requested()
     passes = pass_numbers(campaign.runs.values())
     boots = ping_boots(campaign.sessions.values(), campaign.runs.values())
@@ -88,9 +88,9 @@ def collect_details(
         bridge_costs=find_bridge_costs(judged, passes),
         **wire_frames(campaign.traces, campaign.runs, grouping, rows)._asdict(),
         answers=answers,
-        deadline_ns=wanted.deadline_ns,
-        deadline_metric=wanted.deadline_metric,
-        recommendation=_recommendation(judged, wanted, campaign.runs.values()),
+        deadline_ns=options.deadline_ns,
+        deadline_metric=options.deadline_metric,
+        recommendation=_recommendation(judged, options, campaign.runs.values()),
     )
 
 
@@ -123,12 +123,12 @@ def _clock_fits(knots: pl.DataFrame, boots: Mapping[int, int]) -> pl.DataFrame:
     return segment_table(fit_devices(knots, boots))
 
 
-def _recommendation(rows: GroupRows, wanted: Wanted, runs: Iterable[Run]) -> Recommendation | None:
+def _recommendation(rows: GroupRows, options: AnalysisOptions, runs: Iterable[Run]) -> Recommendation | None:
     """Recommend settings for the job, if there is one, from the rows of its data type."""
-    if wanted.job is None:
+    if options.job is None:
         return None
-    groups = rows.groups.filter(data_type=wanted.job.data_type)
-    return recommend_settings(rows.frame(groups), wanted.job, runs=runs)
+    groups = rows.groups.filter(data_type=options.job.data_type)
+    return recommend_settings(rows.frame(groups), options.job, runs=runs)
 
 
 def _column_of(rows: RowStore, group: int) -> Callable[[str], pl.Series]:

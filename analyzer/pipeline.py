@@ -18,7 +18,7 @@ from .engines.local import LocalEngine
 from .engines.merge import merge_results
 from .findings.evidence import Evidence
 from .findings.table import find_findings
-from .groups.batch import DEADLINE_METRIC, Wanted, group_exchanges
+from .groups.batch import DEADLINE_METRIC, AnalysisOptions, group_exchanges
 from .groups.shapes import SHAPE_SCHEMA
 from .loading.place import Place
 from .pairing.exchanges import find_exchanges
@@ -99,33 +99,33 @@ def analyze(
         )
     engine: Engine = ClusterEngine(cluster) if cluster is not None else LocalEngine(cache=cache)
     try:
-        wanted = Wanted(
+        options = AnalysisOptions(
             rows=not sketch,
             details=details,
             deadline_ns=deadline_ns,
             deadline_metric=deadline_metric,
             job=job,
         )
-        return _analyze(engine, place, target, wanted, progress)
+        return _analyze(engine, place, target, options, progress)
     finally:
         engine.close()
 
 
 def _analyze(
-    engine: Engine, place: Place, out: Path | None, wanted: Wanted, progress: Progress | None
+    engine: Engine, place: Place, out: Path | None, options: AnalysisOptions, progress: Progress | None
 ) -> Analysis:
     own = place.own_folders | ({out} if out is not None else set())
     outputs = {kind: out / f"{kind}.parquet" for kind in ("roundtrips", "summary")} if out else {}
-    stale_rows = None if wanted.rows else outputs.pop("roundtrips", None)
+    stale_rows = None if options.rows else outputs.pop("roundtrips", None)
 
     campaign = engine.load(place, own, progress)
     exchanges = find_exchanges(campaign)
     grouping = group_exchanges(exchanges.held)
-    batches = plan_batches(grouping, wanted)
+    batches = plan_batches(grouping, options)
     told = provenance(campaign, exchanges)
     with RowStore(outputs.get("roundtrips"), told) as rows:
         results = _keep_rows(engine.work(batches, campaign.events), rows)
-        merged = merge_results(results, grouping, sketch=not wanted.rows)
+        merged = merge_results(results, grouping, sketch=not options.rows)
     rows.locate(merged.summary.frame)
     campaign = campaign.with_copies(total_copies([*exchanges.copies, *merged.copies]))
     in_parts = groups_in_parts(batches)
@@ -133,7 +133,7 @@ def _analyze(
     is_sent = rows.file is not None and engine.has_workers_with(rows.file)
     judged = UnbarredRows(rows.in_file() if is_sent else rows, grouping.not_applied(), unsent)
     mapper = engine.map if is_sent else map
-    details = collect_details(campaign, grouping, merged.frames, rows, in_parts, wanted, judged, mapper)
+    details = collect_details(campaign, grouping, merged.frames, rows, in_parts, options, judged, mapper)
     evidence = Evidence(
         campaign=campaign,
         exchanges=exchanges,
@@ -142,7 +142,7 @@ def _analyze(
         details=details,
         rows=rows,
         in_parts=tuple(in_parts),
-        wanted=wanted,
+        options=options,
         stale_rows=stale_rows if stale_rows and stale_rows.exists() else None,
         sending=merged.frames["sending"],
         shapes=merged.frames.get("shapes", pl.DataFrame(schema=SHAPE_SCHEMA)),

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from ..cache.event_index import Copies, EventKey, EventPart
-    from ..groups.batch import Grouping, Wanted
+    from ..groups.batch import Grouping, AnalysisOptions
     from ..groups.frames import Frames
     from ..pairing.exchanges import Exchange
     from ..pairing.roundtrips import PairedRows, RoundTrips
@@ -69,7 +69,7 @@ def keep_freed_memory() -> None:
     np.empty(KEPT_BLOCK_BYTES, np.uint8)
 
 
-def plan_batches(grouping: Grouping, wanted: Wanted) -> list[Batch]:
+def plan_batches(grouping: Grouping, options: AnalysisOptions) -> list[Batch]:
     """Return batches of whole groups, in their order; a group too large for one comes in parts of whole runs.
 
     Some groups end their batch though it is not full, chosen by their parameters and events alone: so a new run changes few
@@ -107,7 +107,7 @@ def plan_batches(grouping: Grouping, wanted: Wanted) -> list[Batch]:
             groups_held = 1
         is_ended = _ends_batch(parameters[groups[first]], events(first, after))
     return [
-        Batch(exchanges[first:after], groups[first:after], len(exchanges), whole, wanted)
+        Batch(exchanges[first:after], groups[first:after], len(exchanges), whole, options)
         for first, after, whole in spans
     ]
 
@@ -211,7 +211,7 @@ def split_rows(parts: Iterable[Batch], roundtrips: RoundTrips) -> Iterator[Round
 
 def tables_of_batch(batch: Batch, roundtrips: RoundTrips) -> Iterator[pa.Table]:
     """Yield the rows as `RowStore` takes them, none if they are not wanted; each table is made when it is asked for."""
-    if batch.wanted.rows:
+    if batch.options.rows:
         for of_part in split_rows(parts_of(batch), roundtrips):
             yield from tables_of(of_part)
 
@@ -260,7 +260,7 @@ def measure_at(paired: PairedBatch[RoundTrips], known: KnownDetails | None, pool
         pool: makes each part.
     """
     batch, rows = paired.batch, paired.rows
-    of_runs = {**MAKERS, **(RUN_DETAIL_MAKERS if batch.wanted.details else {})}
+    of_runs = {**MAKERS, **(RUN_DETAIL_MAKERS if batch.options.details else {})}
     begin_runs = partial(begin_frames, of_runs, batch, rows, pool)
     return measure_groups_of(
         paired, begin_frames(CAMPAIGN_MAKERS, batch, rows, pool), begin_runs, known, pool
@@ -284,20 +284,20 @@ def measure_groups_of(
         pool: makes each part.
     """
     batch, parts, rows = paired.batch, paired.parts, paired.rows
-    wanted = batch.wanted
+    options = batch.options
 
     def make() -> Frames:
         statistics = pool.submit(measure_batch, rows, batch.group_of_exchange)
         of_runs = begin_runs()
-        of_groups = begin_frames(GROUP_DETAIL_MAKERS, batch, rows, pool) if wanted.details else {}
+        of_groups = begin_frames(GROUP_DETAIL_MAKERS, batch, rows, pool) if options.details else {}
         frames = _results(of_runs) | _results(of_groups)
         measured = statistics.result()
         return {"statistics": measured.frame, "distributions": measured.distributions} | frames
 
-    frames = known.frames_of(batch, parts, make) if known and wanted.details else make()
+    frames = known.frames_of(batch, parts, make) if known and options.details else make()
     statistics = Statistics(frames.pop("statistics"), frames.pop("distributions"))
     values = None
-    if wanted.rows and not batch.whole:
+    if options.rows and not batch.whole:
         exchanges = len(batch.exchanges)
         values = {metric: metric_values(rows, metric, 0, exchanges) for metric in METRICS}
     return BatchResult(
@@ -327,5 +327,5 @@ def pair_at(
     merged = dict(zip(keys, pool.map(merge_parts, [parts.get(key, ()) for key in keys]), strict=True))
     events = {key: columns for key, (columns, _) in merged.items()}
     copies = {key: of_key for key, (_, of_key) in merged.items() if of_key}
-    roundtrips = pair_exchanges(batch.exchanges, events, details=batch.wanted.details, pool=pool)
+    roundtrips = pair_exchanges(batch.exchanges, events, details=batch.options.details, pool=pool)
     return PairedBatch(batch, parts, roundtrips, copies)

@@ -45,7 +45,7 @@ def encoded_batch(
     Raises:
         OutputError: the rows could not be kept.
     """
-    if known is None or not (batch.whole and batch.wanted.rows and batch.wanted.details):
+    if known is None or not (batch.whole and batch.options.rows and batch.options.details):
         return work_at(batch, parts, known).encoded(folder)
     of_details = known.key_of(batch, parts)
     key = known.key_of_text("rows", f"{of_details} {points_of_exchange(batch.all_exchanges)}")

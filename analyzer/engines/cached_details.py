@@ -136,7 +136,7 @@ class KnownDetails:
 
     def key_of(self, batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]]) -> str:
         """Return the key of everything that the frames depend on, the numbers of groups but for their order left out."""
-        wanted, groups = batch.wanted, batch.group_of_exchange.tolist()
+        options, groups = batch.options, batch.group_of_exchange.tolist()
         held = [
             (
                 group - groups[0],
@@ -153,7 +153,7 @@ class KnownDetails:
             )
             for group, exchange in zip(groups, batch.exchanges, strict=True)
         ]
-        asked = (batch.whole, wanted.deadline_ns, wanted.deadline_metric)
+        asked = (batch.whole, options.deadline_ns, options.deadline_metric)
         return self._cache.key_of_text("details", json.dumps([code_of_analysis(), asked, held]))
 
     def _text_of(self, described: Run | Session) -> str:

@@ -116,7 +116,7 @@ class LocalEngine:
         ):
 
             def work_at_large(batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]]) -> WorkedBatch:
-                if known is None or not (batch.wanted.rows and batch.wanted.details):
+                if known is None or not (batch.options.rows and batch.options.details):
                     paired = pair_at(batch, parts, measuring)
                     rows = tables_of_batch(batch, paired.rows)
                     return WorkedBatch(rows, threads.submit(measure_at, paired, known, measuring))

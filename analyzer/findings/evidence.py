@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.format.descriptions import Session
 
     from ..analysis import Details
-    from ..groups.batch import Grouping, Wanted
+    from ..groups.batch import Grouping, AnalysisOptions
     from ..groups.summary import Summary
     from ..loading.campaign import Campaign
     from ..pairing.exchanges import Exchange, Exchanges
@@ -46,7 +46,7 @@ class Evidence:
         details: the details, empty if they were not requested.
         rows: the round trips; a sketch has none.
         in_parts: groups that no batch held whole.
-        wanted: what was asked for.
+        options: the options of the analysis.
         stale_rows: file with the rows of an earlier analysis, which this one does not replace.
         sending: how each run was sent (`sending.sending_frame`).
         shapes: what the latency of each run does over its time (`shapes.shape_frame`); empty without details.
@@ -59,7 +59,7 @@ class Evidence:
     details: Details
     rows: RowStore
     in_parts: tuple[int, ...]
-    wanted: Wanted
+    options: AnalysisOptions
     stale_rows: Path | None
     sending: pl.DataFrame
     shapes: pl.DataFrame

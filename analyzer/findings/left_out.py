@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 def sketched(evidence: Evidence) -> Iterator[Finding]:
     """Report that percentiles come from histograms and that there are no rows."""
-    if not evidence.wanted.rows:
+    if not evidence.options.rows:
         yield Finding(
             Severity.INFO,
             "sketched",

@@ -79,7 +79,7 @@ def group_exchanges(exchanges: Sequence[Exchange]) -> Grouping:
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class AnalysisOptions:
     """The outputs asked for beside the summary.
 
     Attributes:
@@ -108,14 +108,14 @@ class Batch:
         all_exchanges: number of exchanges of the whole campaign, which share the points of a drawing.
         whole: False for a part of the one group that is larger than memory: it comes in several batches, each
             with whole runs. Frames that need a whole group have no rows then.
-        wanted: what is asked for.
+        options: the options of the analysis.
     """
 
     exchanges: tuple[Exchange, ...]
     group_of_exchange: NDArray[np.uint32]
     all_exchanges: int
     whole: bool
-    wanted: Wanted = field(default_factory=Wanted)
+    options: AnalysisOptions = field(default_factory=AnalysisOptions)
 
     @property
     def events(self) -> int:

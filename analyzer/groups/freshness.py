@@ -70,7 +70,7 @@ OUTAGE_SCHEMA = {
 def freshness_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     """Summarize deadline misses, age of information and outages of each run and relay with messages.
 
-    A message misses the deadline of `batch.wanted` if it is lost or its metric is larger; without one nothing is judged. Of
+    A message misses the deadline of `batch.options` if it is lost or its metric is larger; without one nothing is judged. Of
     a response a message without a schedule has its round trip. A one-way time meets or misses the deadline surely, by its
     `clock_bound_ns`, or is not judged. Messages that were due and never left miss it.
 
@@ -188,8 +188,8 @@ def _runs(batch: Batch, roundtrips: RoundTrips) -> Iterator[tuple[int, _Run]]:
         "lost": roundtrips.outcome != OUTCOMES.index(Outcome.COMPLETED),
         "seen": is_present(measured["outbound_ns"]),
     }
-    deadline_ns = batch.wanted.deadline_ns
-    judged = {} if deadline_ns is None else _judged_columns(roundtrips, f"{batch.wanted.deadline_metric}_ns")
+    deadline_ns = batch.options.deadline_ns
+    judged = {} if deadline_ns is None else _judged_columns(roundtrips, f"{batch.options.deadline_metric}_ns")
     bounds = roundtrips.bounds.tolist()
 
     def order(number: int) -> tuple[int, int, int]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 import polars as pl
 
-from dds_trace.analyzer.groups.batch import Batch, Wanted
+from dds_trace.analyzer.groups.batch import Batch, AnalysisOptions
 from dds_trace.analyzer.model.parameters import PARAMETER_NAMES
 from dds_trace.analyzer.pairing.counts import COUNT_SCHEMA
 from dds_trace.analyzer.pairing.one_way import KNOT_SCHEMA
@@ -58,7 +58,7 @@ def paired(
         group_of_exchange=np.array([part["group"][0] for part in parts], np.uint32),
         all_exchanges=len(parts),
         whole=whole,
-        wanted=Wanted(deadline_ns=deadline_ns, deadline_metric=metric),
+        options=AnalysisOptions(deadline_ns=deadline_ns, deadline_metric=metric),
     )
     roundtrips = RoundTrips(
         measured=ordered.drop("group", "run_id", "relay_id", *PARAMETER_NAMES, *_STAMPS, strict=False),

@@ -11,7 +11,7 @@ import pytest
 
 import dds_trace.analyzer.engines.batches
 from dds_trace.analyzer.engines.batches import groups_in_parts, plan_batches
-from dds_trace.analyzer.groups.batch import Grouping, Wanted
+from dds_trace.analyzer.groups.batch import Grouping, AnalysisOptions
 
 
 @pytest.fixture(autouse=True)
@@ -30,7 +30,7 @@ def plan(*groups):
     )
     group_of_exchange = np.repeat(np.arange(len(groups), dtype=np.uint32), [len(group) for group in groups])
     parameters = pl.DataFrame({"payload_bytes": [1000 * number for number in range(len(groups))]})
-    batches = plan_batches(Grouping(parameters, exchanges, group_of_exchange), Wanted())
+    batches = plan_batches(Grouping(parameters, exchanges, group_of_exchange), AnalysisOptions())
     place = {id(exchange): position for position, exchange in enumerate(exchanges)}
     assert {batch.all_exchanges for batch in batches} == {len(exchanges)}
     return batches, [

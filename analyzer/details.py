@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from dds_trace.tracefile.format.descriptions import Run
 
-    from .groups.batch import Grouping, AnalysisOptions
+    from .groups.batch import AnalysisOptions, Grouping
     from .groups.frames import Frames
     from .loading.campaign import Campaign
     from .verdicts.answers import Mapper

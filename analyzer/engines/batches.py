@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from ..cache.event_index import Copies, EventKey, EventPart
-    from ..groups.batch import Grouping, AnalysisOptions
+    from ..groups.batch import AnalysisOptions, Grouping
     from ..groups.frames import Frames
     from ..pairing.exchanges import Exchange
     from ..pairing.roundtrips import PairedRows, RoundTrips

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.format.descriptions import Session
 
     from ..analysis import Details
-    from ..groups.batch import Grouping, AnalysisOptions
+    from ..groups.batch import AnalysisOptions, Grouping
     from ..groups.summary import Summary
     from ..loading.campaign import Campaign
     from ..pairing.exchanges import Exchange, Exchanges

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 import polars as pl
 
-from dds_trace.analyzer.groups.batch import Batch, AnalysisOptions
+from dds_trace.analyzer.groups.batch import AnalysisOptions, Batch
 from dds_trace.analyzer.model.parameters import PARAMETER_NAMES
 from dds_trace.analyzer.pairing.counts import COUNT_SCHEMA
 from dds_trace.analyzer.pairing.one_way import KNOT_SCHEMA

@@ -11,7 +11,7 @@ import pytest
 
 import dds_trace.analyzer.engines.batches
 from dds_trace.analyzer.engines.batches import groups_in_parts, plan_batches
-from dds_trace.analyzer.groups.batch import Grouping, AnalysisOptions
+from dds_trace.analyzer.groups.batch import AnalysisOptions, Grouping
 
 
 @pytest.fixture(autouse=True)

@@ -53,6 +53,10 @@ samples: setup
 plan-schema: setup
     {{bin}}/python scripts/plan_schema.py
 
+# Make the schemas of report.json and of comparisons from their records
+schemas: setup
+    {{bin}}/python scripts/report_schemas.py
+
 # Build the real zenoh-bridge-dds and zenoh-bridge-ros2dds from crates (cargo, about twenty minutes)
 install-zenoh-bridge:
     scripts/install-zenoh-bridge.sh

@@ -20,7 +20,7 @@ import typer
 from dds_trace.analyzer.engines.gc_tuning import tune_gc
 from dds_trace.base import limits
 from dds_trace.base.errors import MissingEventsError
-from dds_trace.base.units.durations import parse_duration
+from dds_trace.base.units import parse_duration
 from dds_trace.reports.reporters import REPORT_MODULES
 
 from . import compare, watch

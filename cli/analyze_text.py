@@ -6,10 +6,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from dds_trace.base.printable import visible
-from dds_trace.base.units.durations import format_duration
-from dds_trace.base.units.rates import format_rate
-from dds_trace.base.units.sizes import format_size
+from dds_trace.base.printable import printable
+from dds_trace.base.units import format_duration, format_rate, format_size
 
 if TYPE_CHECKING:
     from dds_trace.analyzer.recordings.topics import TopicReport
@@ -27,7 +25,7 @@ def print_topics(report: "TopicReport") -> None:
     """Print a table for each recording, a row for each topic."""
     console = Console(width=None if Console().is_terminal else WIDTH)
     for (recording,), rows in report.topics.group_by("recording", maintain_order=True):
-        console.print(Text(visible(recording), style="bold"), soft_wrap=True)
+        console.print(Text(printable(recording), style="bold"), soft_wrap=True)
         table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False, header_style="dim")
         table.add_column("Topic", overflow="fold")
         for name, width in _COLUMNS:
@@ -43,7 +41,7 @@ def print_topics(report: "TopicReport") -> None:
 def _cells(row: dict[str, Any]) -> tuple[str, ...]:
     age = "" if row["age_p50_ns"] is None else f"{format_duration(row['age_p50_ns'])} ({row['age_from']})"
     return (
-        visible(row["topic"]),
+        printable(row["topic"]),
         f"{row['messages']:,}",
         "" if row["rate_hz"] is None else format_rate(row["rate_hz"]),
         "" if row["gaps"] is None else f"{row['gaps']:,}",

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.writing.destination import ClosedTrace
     from dds_trace.tracefile.writing.sink import TraceSink
 
-    from .applied import Difference
+    from .applied.differences import Difference
     from .backends.node import Node
     from .bridges.process.running import RunningBridge
     from .options import PingOptions, RecordOptions

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.analyzer.statistics.intervals import Basis
-from dds_trace.base.units.counts import counted
+from dds_trace.base.units import counted
 
 from .book.groups import format_ratio
 

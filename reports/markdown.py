@@ -5,11 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from dds_trace.base.files import replacing
-from dds_trace.base.units.counts import counted
-from dds_trace.base.units.durations import format_duration
-from dds_trace.base.units.quantities import MISSING
-from dds_trace.base.units.rates import format_rate
-from dds_trace.base.units.sizes import format_size
+from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_size
 
 from .book.groups import (
     LATENCY_MEANING,

@@ -11,7 +11,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.base.units.counts import counted
+from dds_trace.base.units import counted
 
 from .book.book import Book
 from .book.findings import severity_counts

@@ -9,9 +9,7 @@ from plotly.graph_objects import Figure, Scatter
 from plotly.subplots import make_subplots
 
 from dds_trace.base.errors import OptionError
-from dds_trace.base.units.durations import format_duration
-from dds_trace.base.units.rates import format_rate
-from dds_trace.base.units.sizes import format_size
+from dds_trace.base.units import format_duration, format_rate, format_size
 
 from .book.groups import METRIC_LABELS, STATISTIC_LABELS, format_ratio
 from .figures import capacity, comparison, distribution, latency

@@ -13,11 +13,8 @@ from rich.table import Table
 from rich.text import Text
 
 from dds_trace.analyzer.statistics.intervals import EPISODES_TO_TELL, RUNS_TO_TELL
-from dds_trace.base.printable import visible
-from dds_trace.base.units.durations import format_duration
-from dds_trace.base.units.quantities import MISSING
-from dds_trace.base.units.rates import format_rate
-from dds_trace.base.units.sizes import format_size
+from dds_trace.base.printable import printable
+from dds_trace.base.units import MISSING, format_duration, format_rate, format_size
 
 from .book.groups import METRIC_LABELS, format_ratio
 from .book.sizes import HOW_TO_READ
@@ -224,7 +221,7 @@ def _table(shown: _Shown, series: int) -> Table:
     for group in sorted(groups, key=lambda group: group.cell):
         cell = shown.groups.cell_of(group)
         table.add_row(
-            Text(visible(cell.data_type)),
+            Text(printable(cell.data_type)),
             format_size(cell.payload_bytes),
             format_rate(cell.rate_hz),
             _runs(shown, group.index),

@@ -14,7 +14,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Protocol
 
 from dds_trace.base.errors import BackendUnavailableError, MissingEventsError, TraceError, TraceFormatError
-from dds_trace.base.printable import visible
+from dds_trace.base.printable import printable
 from dds_trace.tracefile.reading.storage import find_traces
 
 if TYPE_CHECKING:
@@ -118,7 +118,7 @@ def _storage(path: Path) -> Iterator[tuple[_Storage, str]]:
     except TraceError:
         raise
     except Exception as err:  # no credentials, an unknown scheme: each kind of storage has errors of its own
-        raise TraceFormatError(_url(path), f"cannot be read ({visible(err)})") from err
+        raise TraceFormatError(_url(path), f"cannot be read ({printable(err)})") from err
 
 
 def _url(path: Path) -> str:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from dds_trace.base.threads import Here
+from dds_trace.base.threads import InlineExecutor
 
 from ..cache.event_index import merge_parts
 from ..cache.parquet_join import RowPart
@@ -246,7 +246,7 @@ def work_at(
     batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]], known: KnownDetails | None = None
 ) -> WorkedBatch:
     """Pair and measure a batch; see `pair_at` and `measure_at`."""
-    here = Here()
+    here = InlineExecutor()
     paired = pair_at(batch, parts, here)
     return WorkedBatch(list(tables_of_batch(batch, paired.rows)), measure_at(paired, known, here))
 

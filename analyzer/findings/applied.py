@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from typing import TYPE_CHECKING
 
-from dds_trace.base.units.counts import counted
+from dds_trace.base.units import counted
 
 from ..model.applied import kernel_counts, kernel_limits, may_be_cut, socket_drops, words_not_applied
 from ..model.finding import Finding, Severity

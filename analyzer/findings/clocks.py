@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from dds_trace.base.units.counts import counted
-from dds_trace.base.units.durations import format_ms
+from dds_trace.base.units import counted, format_ms
 
 from ..clocks.slews import CRYSTAL_PPB, slewed_ppm
 from ..model.finding import Finding, Severity

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from typing import TYPE_CHECKING
 
-from dds_trace.base.units.counts import counted
-from dds_trace.base.units.durations import format_ms
+from dds_trace.base.units import counted, format_ms
 
 from ..model.environment import environment_differences
 from ..model.finding import Finding, Severity

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from dds_trace.base.units.counts import counted
+from dds_trace.base.units import counted
 
 from ..engines.batches import WHOLE_GROUP_EVENTS
 from ..model.finding import Finding, Severity

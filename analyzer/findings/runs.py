@@ -6,7 +6,7 @@ from collections import defaultdict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.base.units.counts import counted
+from dds_trace.base.units import counted
 
 from ..model.finding import Finding, Severity
 from .evidence import exchange_name, percent, some

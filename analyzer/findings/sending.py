@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from dds_trace.base.units.counts import counted
-from dds_trace.base.units.durations import format_ms
+from dds_trace.base.units import counted, format_ms
 
 from ..clocks.boots import machine_of
 from ..groups.sending import LATE_NS

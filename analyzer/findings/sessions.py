@@ -6,8 +6,7 @@ import json
 from collections import Counter, defaultdict
 from typing import TYPE_CHECKING
 
-from dds_trace.base.units.counts import counted
-from dds_trace.base.units.durations import format_duration
+from dds_trace.base.units import counted, format_duration
 
 from ..loading.campaign import part_of
 from ..model.environment import FLEETING, flat_fields

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from dds_trace.base.units.counts import counted
-from dds_trace.base.units.durations import format_ms
+from dds_trace.base.units import counted, format_ms
 
 from ..model.applied import SHARED_MEMORY, UNKNOWN, maps_memory, payload_path, udp_receive_buffer_bytes
 from ..model.finding import Finding, Severity

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, TypedDict, cast
 
-from dds_trace.base.units.counts import counted
-from dds_trace.base.units.durations import format_ms
+from dds_trace.base.units import counted, format_ms
 
 from ..model.applied import may_be_cut
 from ..model.finding import Finding, Severity

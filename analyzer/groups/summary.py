@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from dds_trace.base.units.durations import SECOND_NS
+from dds_trace.base.units import SECOND_NS
 
 from ..model.columns import STATISTICS, SUMMARY_COLUMNS
 from ..model.metrics import METRICS

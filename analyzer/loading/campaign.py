@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import MissingEventsError, TraceFormatError
-from dds_trace.base.units.counts import counted
+from dds_trace.base.units import counted
 from dds_trace.tracefile.reading.trace import FOREIGN_HINT
 
 from ..cache.event_index import Copies, EventIndex, index_events

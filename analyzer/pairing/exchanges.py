@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import MissingEventsError
-from dds_trace.base.units.counts import counted
+from dds_trace.base.units import counted
 from dds_trace.tracefile.format.events import Stage
 
 from ..cache.event_index import merge_parts

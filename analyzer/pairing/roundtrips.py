@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 
-from dds_trace.base.threads import Here
+from dds_trace.base.threads import InlineExecutor
 from dds_trace.tracefile.format.events import Stage
 
 from ..model.columns import KEY_COLUMNS
@@ -149,7 +149,7 @@ def pair_exchanges(
         details: fit clocks and keep the middleware's stamps; without, the columns of one-way times are null.
         pool: counts messages and fits clocks beside the caller; None does all in turn.
     """
-    pool = pool or Here()
+    pool = pool or InlineExecutor()
     # A run's messages are the same for each of its relays.
     published = {
         run_id: published_messages(events[exchange.event_keys()[0]], exchange.run.warmup_messages)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dds_trace.base.units.durations import SECOND_NS
+from dds_trace.base.units import SECOND_NS
 
 from ..model.unsent import MOST_MESSAGES
 from .pair import MISSING, first_replies

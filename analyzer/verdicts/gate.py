@@ -28,8 +28,7 @@ from enum import Enum
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
-from dds_trace.base.units.durations import UNIT_NS
-from dds_trace.base.units.quantities import split_quantity
+from dds_trace.base.units import UNIT_NS, split_quantity
 
 from ..model.metrics import METRICS
 from .compare import COMPARED_STATISTICS

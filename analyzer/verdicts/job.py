@@ -10,10 +10,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from dds_trace.base.errors import OptionError
-from dds_trace.base.units.durations import parse_duration
-from dds_trace.base.units.quantities import split_quantity
-from dds_trace.base.units.rates import parse_rate
-from dds_trace.base.units.sizes import parse_size
+from dds_trace.base.units import parse_duration, parse_rate, parse_size, split_quantity
 
 from ..model.metrics import METRICS
 

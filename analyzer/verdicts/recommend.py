@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from dds_trace.base.units.counts import counted
-from dds_trace.base.units.durations import SECOND_NS
+from dds_trace.base.units import SECOND_NS, counted
 
 from ..model.parameters import PLACE_COLUMNS, SETTING_COLUMNS
 from ..model.setting import condition_of

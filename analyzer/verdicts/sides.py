@@ -7,7 +7,7 @@ from collections import defaultdict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
-from dds_trace.base.units.counts import counted
+from dds_trace.base.units import counted
 
 from ..model.environment import lasting_parts
 from ..model.finding import Severity

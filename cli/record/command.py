@@ -97,7 +97,7 @@ def main_command(
     """
     from dds_trace.base import limits
     from dds_trace.base.errors import OptionError
-    from dds_trace.base.units.sizes import parse_size
+    from dds_trace.base.units import parse_size
     from dds_trace.recorder.backends import load_backend
     from dds_trace.recorder.backends.node import NodeOptions
     from dds_trace.recorder.options import DEFAULT_WARMUP, PingOptions, RecordOptions, check_fields

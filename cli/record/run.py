@@ -12,8 +12,7 @@ from rich.live import Live
 from rich.text import Text
 
 from dds_trace.base.errors import OutputError
-from dds_trace.base.units.counts import counted
-from dds_trace.base.units.durations import format_duration
+from dds_trace.base.units import counted, format_duration
 from dds_trace.recorder.errors import LossesError
 from dds_trace.recorder.host.stopping import stop_at_signals
 from dds_trace.recorder.recording import record

@@ -45,7 +45,7 @@ def _lines(listed: Listed) -> list[str]:
     """Return the lines of one recording: what it is and does, its file, and what is wrong with it."""
     from datetime import datetime
 
-    from dds_trace.base.units.counts import counted
+    from dds_trace.base.units import counted
     from dds_trace.recorder.service.running import State
 
     entry = listed.entry

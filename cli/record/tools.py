@@ -6,7 +6,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import TraceError
-from dds_trace.base.units.durations import format_duration
+from dds_trace.base.units import format_duration
 from dds_trace.recorder.host.recorder_cost import measure_recorder_cost
 from dds_trace.recorder.rehearsal import rehearse
 from dds_trace.recorder.roles.floor import measure_floor

@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.limits import shown
-from dds_trace.base.units.durations import parse_duration
-from dds_trace.base.units.quantities import split_quantity
-from dds_trace.base.units.sizes import parse_size
+from dds_trace.base.units import parse_duration, parse_size, split_quantity
 from dds_trace.recorder.choices import Discovery
 from dds_trace.recorder.options import KeepFree, Rotation
 

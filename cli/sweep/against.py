@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
-from dds_trace.base.units.counts import counted
+from dds_trace.base.units import counted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection

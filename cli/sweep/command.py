@@ -15,7 +15,7 @@ import typer
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
-from dds_trace.base.units.counts import counted
+from dds_trace.base.units import counted
 
 from .. import defaults
 from ..program import run_program

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from dds_trace.base.errors import OptionError
-from dds_trace.base.units.counts import counted
+from dds_trace.base.units import counted
 
 from .against import shown_sides, side_folders
 

@@ -14,7 +14,7 @@ from importlib import import_module, metadata
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError
-from dds_trace.base.units.durations import SECOND_NS
+from dds_trace.base.units import SECOND_NS
 from dds_trace.tracefile.format.descriptions import Qos
 
 from ..choices import Discovery

@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
-from dds_trace.base.units.durations import INFINITE_NS, spell_duration
+from dds_trace.base.units import INFINITE_NS, spell_duration
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping

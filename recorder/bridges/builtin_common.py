@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import TraceError, TraceFormatError
-from dds_trace.base.units.counts import counted
+from dds_trace.base.units import counted
 from dds_trace.tracefile.format.descriptions import Qos
 
 from ..backends import open_node

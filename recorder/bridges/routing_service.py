@@ -9,7 +9,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.base.units.durations import SECOND_NS
+from dds_trace.base.units import SECOND_NS
 
 from ..backends.dds_types import DDS_TYPES, dds_name, split_type
 from ..backends.qos import asked_durations

@@ -5,16 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.base.units.counts import counted
-from dds_trace.base.units.durations import SECOND_NS
+from dds_trace.base.units import SECOND_NS, counted
 
-from ..applied import Setting
+from ..applied.differences import Setting
 from ..backends import load_backend, load_backends
 from ..errors import RelayLostError
 from ..payloads import data_types
 
 if TYPE_CHECKING:
-    from ..applied import Difference
+    from ..applied.differences import Difference
     from ..backends.node import Endpoint, Node
     from ..payloads.base import DataType
     from .plan import RunPlan

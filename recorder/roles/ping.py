@@ -6,9 +6,9 @@ import secrets
 import threading
 from typing import TYPE_CHECKING, Generic, Protocol, TypeAlias, TypeVar
 
-from dds_trace.base.units.durations import SECOND_NS
+from dds_trace.base.units import SECOND_NS
 
-from ..applied import Traffic
+from ..applied.carried import Traffic
 from ..choices import Serialization
 from ..host.clock import SystemClock, sharpen_sleep
 from ..host.steady import steady_interpreter

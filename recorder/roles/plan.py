@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
-from dds_trace.base.units.durations import SECOND_NS
+from dds_trace.base.units import SECOND_NS
 from dds_trace.tracefile.format.descriptions import Qos, Run
 
 from ..choices import Serialization

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ..applied import Asked, asked_settings, differences, read_applied, with_path
+from ..applied.applied import read_applied
+from ..applied.asked import Asked, asked_settings
+from ..applied.carried import with_path
+from ..applied.differences import differences
 from ..errors import NotAppliedError
 
 if TYPE_CHECKING:
@@ -14,7 +17,9 @@ if TYPE_CHECKING:
 
     from dds_trace.tracefile.format.json_fields import JsonObject
 
-    from ..applied import Applied, Difference, Setting, Traffic
+    from ..applied.applied import Applied
+    from ..applied.carried import Traffic
+    from ..applied.differences import Difference, Setting
     from ..backends.node import Node
 
 NEWS_S = 0.02

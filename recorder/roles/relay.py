@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, cast
 
-from ..applied import Traffic
+from ..applied.carried import Traffic
 from ..choices import Serialization
 from ..host.clock import SystemClock
 from ..payloads.stamp import PROBE_RUN_ID, SentT

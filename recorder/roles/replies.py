@@ -6,7 +6,7 @@ import math
 from array import array
 from dataclasses import dataclass
 
-from dds_trace.base.units.durations import SECOND_NS
+from dds_trace.base.units import SECOND_NS
 
 from .progress import rtt_percentiles_ns
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OutputError
-from dds_trace.base.units.sizes import format_size
+from dds_trace.base.units import format_size
 from dds_trace.tracefile.format.ring import RING_SUFFIX, ring_path
 from dds_trace.tracefile.reading.first_session import read_first_session
 

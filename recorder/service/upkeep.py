@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OutputError, OutputExistsError
-from dds_trace.base.units.counts import counted
+from dds_trace.base.units import counted
 from dds_trace.tracefile.writing.sink import TraceSink
 
 from .rotation import RotatedFiles, find_shortage

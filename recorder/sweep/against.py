@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
-from dds_trace.base.units.counts import counted
+from dds_trace.base.units import counted
 
 from .plan.plan import depth_warnings
 from .plan.schedule import CellGroup, Remaining, group_by_relay, plan_seconds, schedule_pass

@@ -10,7 +10,7 @@ from dataclasses import asdict
 from html import escape
 from typing import TYPE_CHECKING
 
-from dds_trace.base.units.sizes import spell_size
+from dds_trace.base.units import spell_size
 
 from .run.state import replace_text
 from .search import RateAnswer

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import TYPE_CHECKING, NamedTuple
 
-from dds_trace.base.units.counts import counted
+from dds_trace.base.units import counted
 
 from .plan.schedule import group_by_relay
 from .run.state import Status

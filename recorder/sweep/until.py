@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
-from dds_trace.base.units.counts import counted
+from dds_trace.base.units import counted
 
 from .plan.schedule import number_groups, schedule_pass
 from .run.state import Status

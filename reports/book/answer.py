@@ -11,8 +11,7 @@ import polars as pl
 
 from dds_trace.analyzer.model.setting import condition_of
 from dds_trace.analyzer.statistics.intervals import RUNS_TO_TELL, Basis
-from dds_trace.base.units.counts import counted
-from dds_trace.base.units.durations import format_duration
+from dds_trace.base.units import counted, format_duration
 
 from .groups import (
     METRIC_LABELS,

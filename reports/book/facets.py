@@ -9,9 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.base.printable import visible
-from dds_trace.base.units.rates import format_rate
-from dds_trace.base.units.sizes import format_size
+from dds_trace.base.printable import printable
+from dds_trace.base.units import format_rate, format_size
 
 from .groups import data_type_label, device_label, domain_label, series_labels
 
@@ -96,7 +95,7 @@ def facets_info(groups: Groups) -> Facets:
     def choice(series: Series) -> Value:
         name, way = names[_apart_from_place(series)], domain_label(series)
         told = f"{series.vendor_label}, {way}"
-        bridge = SHORT_BRIDGES.get(series.bridge, visible(series.bridge))
+        bridge = SHORT_BRIDGES.get(series.bridge, printable(series.bridge))
         brief = f"{series.vendor_label}, {bridge}" if bridging else bridge
         at_home = series.domain_mode == "same" or series.bridge == "none"
         short = name.replace(", same domain", "") if at_home else name.replace(told, brief)
@@ -110,7 +109,7 @@ def facets_info(groups: Groups) -> Facets:
         return _named(device_label(series))
 
     def link(series: Series) -> Value:
-        return _named(visible(series.connectivity))
+        return _named(printable(series.connectivity))
 
     of_cell: dict[str, Callable[[Cell], Value]] = {
         "data": lambda cell: _named(data_type_label(cell.data_type)),

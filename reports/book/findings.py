@@ -6,8 +6,8 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.base.printable import MAX_FINDING_CHARACTERS, visible
-from dds_trace.base.units.counts import counted
+from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
+from dds_trace.base.units import counted
 
 from .groups import group_labels
 
@@ -37,7 +37,7 @@ _MOST_NAMED = 3
 
 @dataclass(frozen=True, slots=True)
 class OneFinding:
-    """One finding; strings are `visible` and not yet escaped for a medium.
+    """One finding; strings are `printable` and not yet escaped for a medium.
 
     Attributes:
         groups: names of all its groups if `where` only counts them, else empty.
@@ -141,7 +141,7 @@ def _one(
     else:
         where = "; ".join(named) or finding.where
     where, what, action = (
-        visible(text, MAX_FINDING_CHARACTERS) for text in (where, finding.what, finding.action)
+        printable(text, MAX_FINDING_CHARACTERS) for text in (where, finding.what, finding.action)
     )
     listed = named if many and len(named) < len(labels) else ()
     return OneFinding(
@@ -152,5 +152,5 @@ def _one(
 def _title(code: str) -> str:
     if code in _TITLES:
         return _TITLES[code]
-    first, *rest = (_SPELLED.get(word, word) for word in visible(code).split("_"))
+    first, *rest = (_SPELLED.get(word, word) for word in printable(code).split("_"))
     return " ".join([first[:1].upper() + first[1:], *rest])

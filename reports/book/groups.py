@@ -15,11 +15,8 @@ from dds_trace.analyzer.model.metrics import METRICS
 from dds_trace.analyzer.model.names import tell_apart, where_it_helps, where_it_varies
 from dds_trace.analyzer.model.parameters import SERIES_COLUMNS
 from dds_trace.analyzer.model.setting import parse_setting
-from dds_trace.base.printable import MAX_FINDING_CHARACTERS, visible
-from dds_trace.base.units.durations import format_duration
-from dds_trace.base.units.quantities import MISSING
-from dds_trace.base.units.rates import format_rate
-from dds_trace.base.units.sizes import format_size
+from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
+from dds_trace.base.units import MISSING, format_duration, format_rate, format_size
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -40,7 +37,7 @@ def markdown(text: object) -> str:
     because GitHub resolves entities before it looks for mentions and issue references.
     """
     parts = []
-    for c in visible(text, MAX_FINDING_CHARACTERS):
+    for c in printable(text, MAX_FINDING_CHARACTERS):
         if c.isalnum() or c in _MARKDOWN_PLAIN:
             parts.append(c)
         elif c in "@#":
@@ -143,7 +140,7 @@ class VendorLabels:
 
     def of(self, vendor: str) -> str:
         """Return the label of a vendor."""
-        return self.labels.get(vendor, visible(vendor))
+        return self.labels.get(vendor, printable(vendor))
 
     def of_pair(self, vendor: str, relay_vendor: str | None) -> str:
         """Return the label of the vendors of ping and relay; the relay's is None without its trace."""
@@ -276,7 +273,7 @@ def _setting_label_of(series: Iterable[Series]) -> Callable[[Series], str]:
     def label(one: Series) -> str:
         own = settings[one.setting]
         words = [key if own[key] == "true" else f"{key}={own[key]}" for key in varying if key in own]
-        return visible(", ".join(words)) or "nothing else set"
+        return printable(", ".join(words)) or "nothing else set"
 
     return label
 
@@ -298,7 +295,7 @@ def setting_labels(settings: Sequence[Mapping[str, Any]], vendors: VendorLabels)
 def vendor_labels(analysis: Analysis) -> VendorLabels:
     """Collect the labels of the vendors: those of `VENDORS`, and those that the sessions name."""
     named = {session.vendor: session.extra.get("vendor_label") for session in analysis.sessions}
-    told = {vendor: visible(label) for vendor, label in named.items() if isinstance(label, str) and label}
+    told = {vendor: printable(label) for vendor, label in named.items() if isinstance(label, str) and label}
     return VendorLabels({**told, **VENDORS})
 
 
@@ -326,7 +323,7 @@ def _short_labels(groups: Groups) -> list[str]:
 
 def data_type_label(data_type: str) -> str:
     """Return the label of a data type."""
-    return DATA_TYPES.get(data_type, visible(data_type))
+    return DATA_TYPES.get(data_type, printable(data_type))
 
 
 def domain_label(series: Series) -> str:
@@ -338,17 +335,17 @@ def domain_label(series: Series) -> str:
 
 def way_words(bridge: str) -> str:
     """Name the way between two domains: `through our built-in bridge`, `different domains` without a bridge."""
-    return "different domains" if bridge == "none" else f"through {BRIDGES.get(bridge, visible(bridge))}"
+    return "different domains" if bridge == "none" else f"through {BRIDGES.get(bridge, printable(bridge))}"
 
 
 def qos_label(series: Series) -> str:
     """Describe the QoS, as in `reliable, volatile, keep_last 10`."""
-    return visible(f"{series.reliability}, {series.durability}, {_history_label(series)}")
+    return printable(f"{series.reliability}, {series.durability}, {_history_label(series)}")
 
 
 def _history_label(series: Series) -> str:
     depth = "" if series.history == "keep_all" or series.depth is None else f" {series.depth}"
-    return visible(f"{series.history}{depth}")
+    return printable(f"{series.history}{depth}")
 
 
 def device_label(series: Series) -> str:
@@ -359,32 +356,32 @@ def device_label(series: Series) -> str:
 def device_pair(ping_device: str, relay_device: str | None) -> str:
     """Name the ping's device, and the relay's if it is known and differs."""
     if relay_device is None or relay_device == ping_device:
-        return visible(ping_device)
-    return f"{visible(ping_device)} → {visible(relay_device)}"
+        return printable(ping_device)
+    return f"{printable(ping_device)} → {printable(relay_device)}"
 
 
 def _backend_label(series: Series) -> str:
     if series.relay_backend is None or series.relay_backend == series.backend:
-        return visible(series.backend)
-    return f"{visible(series.backend)} → {visible(series.relay_backend)}"
+        return printable(series.backend)
+    return f"{printable(series.backend)} → {printable(series.relay_backend)}"
 
 
 def _rmw_label(series: Series) -> str:
-    return visible(series.rmw or "no rmw")
+    return printable(series.rmw or "no rmw")
 
 
 _LABEL_PARTS: tuple[tuple[Rule, Callable[[Series], str]], ...] = (
     (where_it_varies, domain_label),  # readers look for it first
     (where_it_helps, _backend_label),
-    (where_it_helps, lambda s: visible(s.reliability)),
-    (where_it_helps, lambda s: visible(s.durability)),
+    (where_it_helps, lambda s: printable(s.reliability)),
+    (where_it_helps, lambda s: printable(s.durability)),
     (where_it_helps, _history_label),
-    (where_it_helps, lambda s: visible(s.serialization)),
+    (where_it_helps, lambda s: printable(s.serialization)),
     (where_it_helps, device_label),
-    (where_it_helps, lambda s: visible(s.connectivity)),
+    (where_it_helps, lambda s: printable(s.connectivity)),
     (where_it_helps, lambda s: f"domains {s.ping_domain_id} → {s.relay_domain_id}"),
     (where_it_helps, _rmw_label),
-    (where_it_helps, lambda s: visible(", ".join(s.further))),
+    (where_it_helps, lambda s: printable(", ".join(s.further))),
 )
 """Parts of a series label behind the vendor."""
 

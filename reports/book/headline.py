@@ -14,9 +14,8 @@ import polars as pl
 
 from dds_trace.analyzer.model.setting import condition_of
 from dds_trace.analyzer.verdicts.answers import Clarity
-from dds_trace.base.printable import visible
-from dds_trace.base.units.counts import counted
-from dds_trace.base.units.sizes import format_size
+from dds_trace.base.printable import printable
+from dds_trace.base.units import counted, format_size
 
 from .groups import data_type_label, device_pair, domain_label, format_count, format_ratio, way_words
 from .verdicts import MODES, conditions_label, contender_labels, place_label
@@ -64,7 +63,7 @@ def _scope(lossy: Sequence[Group], groups: Groups) -> str:
     sides: tuple[tuple[Callable[[Group], str], str], ...] = (
         (lambda one: groups.series_of(one).vendor_label, "by {}"),
         (lambda one: domain_label(groups.series_of(one)), "{}"),
-        (lambda one: visible(groups.series_of(one).connectivity), "over {}"),
+        (lambda one: printable(groups.series_of(one).connectivity), "over {}"),
     )
     ways = {domain_label(groups.series_of(one)) for one in lossy}
     of_ways = {
@@ -194,7 +193,7 @@ def winner_sentences(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> tu
     for (mode, data_type), of_places in sorted(kinds.items(), key=lambda item: item[0][0] != "same"):
         if not any(case.clarity is Clarity.CLEAR for cases in of_places.values() for case in cases):
             continue
-        words = MODES.get(mode, visible(mode))
+        words = MODES.get(mode, printable(mode))
         where = f"In the {words}" if mode == "same" else f"Across {words}"
         what = f"{where}, {data_type_label(data_type)}" if several_types else where
         alike: dict[tuple[tuple[str | None, tuple[int, ...]], ...], list[str]] = {}
@@ -357,7 +356,7 @@ def where_sentence(analysis: Analysis, groups: Groups, values: Values) -> str:
         if series.relay_device == series.ping_device:
             pair = f"one machine ({pair})"
         conditions = conditions_label(condition_of(series.setting))
-        link = visible(series.connectivity) + (f" with {conditions}" if conditions else "")
+        link = printable(series.connectivity) + (f" with {conditions}" if conditions else "")
         if link not in links.setdefault(pair, []):
             links[pair].append(link)
     of_links: dict[tuple[str, ...], list[str]] = {}

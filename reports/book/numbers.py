@@ -11,7 +11,7 @@ import polars as pl
 
 from dds_trace.analyzer.statistics.intervals import Basis
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
-from dds_trace.base.units.quantities import MISSING
+from dds_trace.base.units import MISSING
 
 from .groups import METRIC_LABELS, STATISTIC_LABELS
 

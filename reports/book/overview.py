@@ -7,10 +7,8 @@ from datetime import datetime, timedelta, timezone
 from typing import TYPE_CHECKING
 
 from dds_trace.analyzer.model.setting import condition_of
-from dds_trace.base.printable import visible
-from dds_trace.base.units.counts import counted
-from dds_trace.base.units.rates import format_rate
-from dds_trace.base.units.sizes import format_size
+from dds_trace.base.printable import printable
+from dds_trace.base.units import counted, format_rate, format_size
 
 from .groups import (
     VENDORS,
@@ -50,7 +48,7 @@ class Overview:
 
     Attributes:
         title: name of the analyzed folder.
-        facts: lines in order; strings from traces are `visible` but not escaped for a format.
+        facts: lines in order; strings from traces are `printable` but not escaped for a format.
     """
 
     title: str
@@ -73,7 +71,7 @@ def overview_info(
     """Collect the facts; one without a value is left out."""
     facts = (
         Fact("Devices", _devices(analysis, groups)),
-        Fact("Link", _listed(sorted({visible(one.connectivity) for one in groups.series}))),
+        Fact("Link", _listed(sorted({printable(one.connectivity) for one in groups.series}))),
         Fact("Conditions", _conditions(groups)),
         Fact("Middleware", _listed(_vendors(analysis, groups))),
         Fact("Domains", _listed(list(dict.fromkeys(domain_label(one) for one in groups.series)))),
@@ -87,7 +85,7 @@ def overview_info(
         Fact("Versions", version_words(analysis)),
         Fact("Cost of measuring", cost_words(costs)),
     )
-    return Overview(visible(analysis.title), tuple(fact for fact in facts if fact.value))
+    return Overview(printable(analysis.title), tuple(fact for fact in facts if fact.value))
 
 
 def _listed(values: Iterable[str]) -> str:
@@ -100,7 +98,7 @@ def _listed(values: Iterable[str]) -> str:
 def _devices(analysis: Analysis, groups: Groups) -> str:
     if groups.series:
         return _listed(dict.fromkeys(device_label(one) for one in groups.series))
-    return _listed(sorted({f"{visible(one.device)} ({visible(one.role)})" for one in analysis.sessions}))
+    return _listed(sorted({f"{printable(one.device)} ({printable(one.role)})" for one in analysis.sessions}))
 
 
 def _conditions(groups: Groups) -> str:
@@ -182,4 +180,4 @@ def _traces(analysis: Analysis) -> str:
     status: dict[str, int] = {}
     for source in analysis.sources:
         status[source.status] = status.get(source.status, 0) + 1
-    return ", ".join(f"{count} {visible(name)}" for name, count in status.items())
+    return ", ".join(f"{count} {printable(name)}" for name, count in status.items())

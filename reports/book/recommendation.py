@@ -9,11 +9,8 @@ from typing import TYPE_CHECKING
 from dds_trace.analyzer.model.parameters import PLACE_COLUMNS
 from dds_trace.analyzer.model.setting import choice_of
 from dds_trace.analyzer.verdicts.recommend import Fit, place_of
-from dds_trace.base.printable import visible
-from dds_trace.base.units.counts import counted
-from dds_trace.base.units.durations import format_duration
-from dds_trace.base.units.rates import format_rate
-from dds_trace.base.units.sizes import format_size
+from dds_trace.base.printable import printable
+from dds_trace.base.units import counted, format_duration, format_rate, format_size
 
 from .groups import METRIC_LABELS, data_type_label, format_ratio, setting_labels
 from .verdicts import place_label
@@ -105,14 +102,14 @@ _JUDGED_BY = {"response": "from planned send to reply", "latency": "by the laten
 
 def _asked(job: Job) -> str:
     judged_by = _JUDGED_BY.get(
-        job.metric, f"by the {METRIC_LABELS.get(job.metric, visible(job.metric)).lower()}"
+        job.metric, f"by the {METRIC_LABELS.get(job.metric, printable(job.metric)).lower()}"
     )
     asked = (
         f"{data_type_label(job.data_type)} {format_size(job.payload_bytes)} at {format_rate(job.rate_hz)}: "
         f"{format_ratio(job.reliability)} of the messages within the deadline of {format_duration(job.deadline_ns)}, {judged_by}"
     )
     if job.domain_mode is not None:
-        asked += f"; {visible(job.domain_mode)} domain" + ("s" if job.domain_mode == "different" else "")
+        asked += f"; {printable(job.domain_mode)} domain" + ("s" if job.domain_mode == "different" else "")
     return f"{asked}."
 
 

@@ -17,8 +17,8 @@ from dds_trace.analyzer.model.applied import (
     payload_path,
     udp_receive_buffer_bytes,
 )
-from dds_trace.base.printable import visible
-from dds_trace.base.units.durations import format_duration
+from dds_trace.base.printable import printable
+from dds_trace.base.units import format_duration
 
 from .groups import VENDORS, format_count, known_first, vendor_labels
 
@@ -107,7 +107,7 @@ FLEETING = "wifi"
 
 @dataclass(frozen=True, slots=True)
 class RecordTable:
-    """Table of strings that are `visible` but not escaped for a format.
+    """Table of strings that are `printable` but not escaped for a format.
 
     Attributes:
         count: number of sessions or files, including those left out.
@@ -132,16 +132,16 @@ def _sessions(analysis: Analysis) -> RecordTable:
     vendors = vendor_labels(analysis)
     for one in analysis.sessions:
         surroundings = [
-            f"{visible(name)} {visible(value)}" for name, value in one.host.items() if name != FLEETING
+            f"{printable(name)} {printable(value)}" for name, value in one.host.items() if name != FLEETING
         ]
         key = (
-            visible(one.device),
-            visible(one.role),
+            printable(one.device),
+            printable(one.role),
             vendors.of(one.vendor),
-            visible(one.backend),
-            visible(one.rmw or "-"),
+            printable(one.backend),
+            printable(one.rmw or "-"),
             str(one.domain_id),
-            visible(one.connectivity),
+            printable(one.connectivity),
             "clean" if one.state == "closed" else "cut off",
             ", ".join([*surroundings, *applied_words(one)]),
         )
@@ -175,8 +175,8 @@ def applied_words(session: Session) -> list[str]:
     buffers = (
         [] if buffer_bytes is None else [f"UDP receive buffer as granted {format_count(buffer_bytes)} B"]
     )
-    controls = [f"TCP by {visible(name)}" for name in congestion_controls(session)]
-    return [f"payload carried by {_WAYS.get(path, visible(path))}", *controls, *buffers]
+    controls = [f"TCP by {printable(name)}" for name in congestion_controls(session)]
+    return [f"payload carried by {_WAYS.get(path, printable(path))}", *controls, *buffers]
 
 
 _LONGEST_SETTING = 40
@@ -190,7 +190,7 @@ def _sources(analysis: Analysis) -> RecordTable:
     """Tabulate the files, those with a problem first."""
     ordered = sorted(analysis.sources, key=lambda one: one.status == "read")
     rows: list[tuple[str, ...]] = [
-        (visible(one.path), visible(one.status), format_count(one.events), visible(one.detail))
+        (printable(one.path), printable(one.status), format_count(one.events), printable(one.detail))
         for one in ordered
     ]
     return _table("Files", ("File", "Status", "Events", "Detail"), rows, len(rows))
@@ -270,13 +270,13 @@ def setting_words(analysis: Analysis) -> str:
         middleware = session.host.get("middleware")
         for name, value in middleware.items() if isinstance(middleware, dict) else ():
             # A configuration in XML would be most of a first screen; whole it stands in the table of the sessions.
-            words = visible(value, _LONGEST_SETTING)
-            if words not in told.setdefault(visible(name), []):
-                told[visible(name)].append(words)
+            words = printable(value, _LONGEST_SETTING)
+            if words not in told.setdefault(printable(name), []):
+                told[printable(name)].append(words)
         path = payload_path(session)
         if path is not None:
             ways = told.setdefault("payload carried by", [])
-            words = _WAYS.get(path, visible(path))
+            words = _WAYS.get(path, printable(path))
             ways += [words] if words not in ways else []
     return "; ".join(f"{name} {' or '.join(values)}" for name, values in told.items())
 
@@ -287,8 +287,8 @@ def version_words(analysis: Analysis) -> str:
     for session in analysis.sessions:
         versions = session.host.get("versions")
         for name, value in versions.items() if isinstance(versions, dict) else ():
-            if visible(value) not in told.setdefault(visible(name), []):
-                told[visible(name)].append(visible(value))
+            if printable(value) not in told.setdefault(printable(name), []):
+                told[printable(name)].append(printable(value))
     return ", ".join(f"{name} {' or '.join(values)}" for name, values in told.items())
 
 

@@ -15,12 +15,8 @@ import polars as pl
 
 from dds_trace.analyzer.model.parameters import CASE_COLUMNS, CONTENDER_COLUMNS
 from dds_trace.analyzer.verdicts.cases import CONDITIONS, with_conditions
-from dds_trace.base.printable import visible
-from dds_trace.base.units.counts import counted
-from dds_trace.base.units.durations import format_duration
-from dds_trace.base.units.quantities import MISSING
-from dds_trace.base.units.rates import format_rate
-from dds_trace.base.units.sizes import format_size
+from dds_trace.base.printable import printable
+from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_size
 
 from .groups import DATA_TYPES, METRIC_LABELS, data_type_label, format_ratio
 from .verdicts import MODES, contender_labels, place_label
@@ -142,7 +138,7 @@ def size_table(analysis: Analysis, vendors: VendorLabels) -> SizeTable | None:
         of_place.setdefault(place, []).append(answer)
     modes = Counter(mode for mode, _ in columns)
     return SizeTable(
-        modes=tuple((MODES.get(mode, visible(mode)), count) for mode, count in modes.items()),
+        modes=tuple((MODES.get(mode, printable(mode)), count) for mode, count in modes.items()),
         choices=tuple(labels[name] for _, name in columns),
         deadline=_deadline_words(analysis.details),
         rates=_rates_words(shown),
@@ -240,7 +236,7 @@ def _time(value_ns: float | None) -> str:
 def _deadline_words(details: Details) -> str:
     if details.deadline_ns is None or not details.freshness.height:
         return ""
-    metric = METRIC_LABELS.get(details.deadline_metric, visible(details.deadline_metric)).lower()
+    metric = METRIC_LABELS.get(details.deadline_metric, printable(details.deadline_metric)).lower()
     return f"{metric} within {format_duration(details.deadline_ns)}"
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.base.printable import visible
+from dds_trace.base.printable import printable
 
 from .groups import format_count, qos_label, vendor_labels
 from .recording import FLEETING, applied_words
@@ -47,7 +47,7 @@ _NAMES = {
 
 @dataclass(frozen=True, slots=True)
 class RecordedRow:
-    """One value of all devices and roles; strings are `visible` but not escaped for a format.
+    """One value of all devices and roles; strings are `printable` but not escaped for a format.
 
     Attributes:
         values: of each column; empty where no session names it.
@@ -80,7 +80,7 @@ def surroundings(analysis: Analysis, groups: Groups) -> Surroundings | None:
     told: dict[tuple[str, str], dict[str, dict[str, None]]] = {}
     columns: dict[str, None] = {}
     for session in sorted(analysis.sessions, key=lambda one: (one.device, one.role)):
-        column = f"{visible(session.device)} ({visible(session.role)})"
+        column = f"{printable(session.device)} ({printable(session.role)})"
         columns.setdefault(column)
         for section, name, value in _described(session, vendors):
             told.setdefault((section, name), {}).setdefault(column, {}).setdefault(value)
@@ -105,11 +105,11 @@ def surroundings(analysis: Analysis, groups: Groups) -> Surroundings | None:
 def _described(session: Session, vendors: VendorLabels) -> Iterator[tuple[str, str, str]]:
     """Yield section, name and value of everything that a session says of itself."""
     yield _VARIED, "middleware", vendors.of(session.vendor)
-    yield _VARIED, "backend", visible(session.backend)
+    yield _VARIED, "backend", printable(session.backend)
     if session.rmw:
-        yield _VARIED, "RMW", visible(session.rmw)
+        yield _VARIED, "RMW", printable(session.rmw)
     yield _VARIED, "domain", str(session.domain_id)
-    yield _VARIED, "link", visible(session.connectivity)
+    yield _VARIED, "link", printable(session.connectivity)
     for words in applied_words(session):
         what, _, used = words.rpartition(" by ") if " by " in words else words.rpartition(" granted ")
         yield "Seen in use", what or words, used
@@ -118,15 +118,15 @@ def _described(session: Session, vendors: VendorLabels) -> Iterator[tuple[str, s
             continue
         if isinstance(value, dict):
             for inner, held in value.items():
-                yield _SECTIONS.get(name, "Machine"), visible(inner), _said(held)
+                yield _SECTIONS.get(name, "Machine"), printable(inner), _said(held)
         else:
-            yield "Machine", _NAMES.get(name, visible(name).replace("_", " ")), _said(value)
+            yield "Machine", _NAMES.get(name, printable(name).replace("_", " ")), _said(value)
 
 
 def _said(value: object) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
-    return format_count(value) if isinstance(value, int) else visible(value, 200)
+    return format_count(value) if isinstance(value, int) else printable(value, 200)
 
 
 def _joined(values: dict[str, None]) -> str:

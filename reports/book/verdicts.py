@@ -13,8 +13,8 @@ from dds_trace.analyzer.model.names import tell_apart, where_alike
 from dds_trace.analyzer.model.setting import parse_setting
 from dds_trace.analyzer.statistics.intervals import RUNS_TO_TELL
 from dds_trace.analyzer.verdicts.answers import find_headlines
-from dds_trace.base.printable import visible
-from dds_trace.base.units.counts import counted
+from dds_trace.base.printable import printable
+from dds_trace.base.units import counted
 
 from .groups import DATA_TYPES, data_type_label, device_pair, way_words
 
@@ -95,7 +95,7 @@ def verdicts_info(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> tuple
     for headline in sorted(find_headlines(answers), key=_order):
         if not headline.cases:
             continue
-        mode = MODES.get(headline.domain_mode, visible(headline.domain_mode))
+        mode = MODES.get(headline.domain_mode, printable(headline.domain_mode))
         verdicts.append(
             DataVerdict(
                 data=f"{data_type_label(headline.data_type)}, {mode}",
@@ -127,12 +127,12 @@ _CONDITION_WORDS = {
 def conditions_label(conditions: str) -> str:
     """Put conditions of a setting into words: `emulated link wifi-54(loss=1), 2 runs at once`; empty for none."""
     told = parse_setting(conditions).items()
-    return visible(", ".join(_CONDITION_WORDS.get(key, f"{key} {{}}").format(value) for key, value in told))
+    return printable(", ".join(_CONDITION_WORDS.get(key, f"{key} {{}}").format(value) for key, value in told))
 
 
 def place_label(ping_device: str, relay_device: str | None, connectivity: str, conditions: str = "") -> str:
     """Name where something was measured, as in `pi-3 → pi-4, wired, 2 runs at once`."""
-    parts = (device_pair(ping_device, relay_device), visible(connectivity), conditions_label(conditions))
+    parts = (device_pair(ping_device, relay_device), printable(connectivity), conditions_label(conditions))
     return ", ".join(part for part in parts if part)
 
 
@@ -162,7 +162,7 @@ def _label(vendors: VendorLabels, setting: Mapping[str, ParameterValue]) -> str:
 
 def _value(column: str, setting: Mapping[str, ParameterValue]) -> str:
     value = setting[column]
-    return visible(f"depth {value}" if column == "depth" else value)
+    return printable(f"depth {value}" if column == "depth" else value)
 
 
 def _order(headline: Headline) -> tuple[object, ...]:

@@ -15,8 +15,8 @@ from dds_trace.analyzer.verdicts.gate import GateOutcome
 from dds_trace.analyzer.verdicts.gates import FAMILY as GATE_FAMILY
 from dds_trace.analyzer.verdicts.gates import overall_outcome, varying_columns
 from dds_trace.analyzer.verdicts.sides import SAME, UNKNOWN
-from dds_trace.base.printable import MAX_FINDING_CHARACTERS, visible
-from dds_trace.base.units.counts import counted
+from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
+from dds_trace.base.units import counted
 
 from ..book.groups import METRIC_LABELS, STATISTIC_LABELS, VENDORS, VendorLabels, group_labels, groups_of
 from ..changes import received_words
@@ -100,7 +100,7 @@ class Gated:
         """The outcome in one line."""
         why = why_words(self.result)
         return f"{self.result.outcome.value}: {self.result.gate.text} ({self.where})" + (
-            f": {visible(why)}" if why else ""
+            f": {printable(why)}" if why else ""
         )
 
 
@@ -350,7 +350,7 @@ def _gates(
         known = max((each for each in words if where.startswith(each)), key=len, default="")
         return f"{words[known]}{where.removeprefix(known)}" if known else where
 
-    gated = [Gated(visible(named(result.where), MAX_FINDING_CHARACTERS), result) for result in results]
+    gated = [Gated(printable(named(result.where), MAX_FINDING_CHARACTERS), result) for result in results]
     return tuple(
         sorted(gated, key=lambda one: order.index(one.result.outcome) if one.result.outcome in order else 9)
     )
@@ -359,12 +359,15 @@ def _gates(
 def comparison_notes(comparison: Comparison) -> tuple[str, ...]:
     """Return what makes the sides unlike or unfit: what was not matched or asked for, environments, order in time, errors."""
     return (
-        *(f"Not matched: {visible(text, MAX_FINDING_CHARACTERS)}" for text in comparison.ignored),
-        *(f"Measured in turns: {visible(text, MAX_FINDING_CHARACTERS)}" for text in comparison.asked),
-        *(f"Unlike environments: {visible(text, MAX_FINDING_CHARACTERS)}" for text in comparison.environment),
+        *(f"Not matched: {printable(text, MAX_FINDING_CHARACTERS)}" for text in comparison.ignored),
+        *(f"Measured in turns: {printable(text, MAX_FINDING_CHARACTERS)}" for text in comparison.asked),
+        *(
+            f"Unlike environments: {printable(text, MAX_FINDING_CHARACTERS)}"
+            for text in comparison.environment
+        ),
         *([f"Order: {comparison.order}"] if comparison.order else []),
         *(
-            f"Finding of severity error: {visible(error.text, MAX_FINDING_CHARACTERS)}"
+            f"Finding of severity error: {printable(error.text, MAX_FINDING_CHARACTERS)}"
             for error in comparison.errors
         ),
     )

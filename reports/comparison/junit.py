@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from xml.etree import ElementTree as ET  # written, never parsed
 
 from dds_trace.analyzer.verdicts.gate import GateOutcome
-from dds_trace.base.printable import MAX_FINDING_CHARACTERS, visible
+from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 
 from .words import gate_interval_words, measured_words, why_words
 
@@ -28,19 +28,19 @@ def render(info: ComparisonInfo) -> str:
     suite = ET.SubElement(root, "testsuite", {"name": "dds-analyze compare", **counts, "time": "0"})
     for result in results:
         name = {
-            "classname": visible(result.where, MAX_FINDING_CHARACTERS),
-            "name": visible(result.gate.text),
+            "classname": printable(result.where, MAX_FINDING_CHARACTERS),
+            "name": printable(result.gate.text),
             "time": "0",
         }
         case = ET.SubElement(suite, "testcase", name)
         said = f"{measured_words(result, result.measured)}, interval {gate_interval_words(result)}"
         why = why_words(result)
-        said += f"; {visible(why)}" if why else ""
+        said += f"; {printable(why)}" if why else ""
         if result.outcome is GateOutcome.REGRESSED:
             ET.SubElement(case, "failure", {"message": said, "type": "regression"})
         elif result.outcome is GateOutcome.INCONCLUSIVE:
             ET.SubElement(case, "skipped", {"message": f"inconclusive: {said}"})
-    ET.SubElement(suite, "system-out").text = visible(
+    ET.SubElement(suite, "system-out").text = printable(
         f"{info.said} {info.seen}".strip(), MAX_FINDING_CHARACTERS
     )
     ET.indent(root)

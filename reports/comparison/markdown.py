@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.base.units.counts import counted
+from dds_trace.base.units import counted
 
 from ..book.groups import METRIC_LABELS, STATISTIC_LABELS, markdown
 from ..changes import received_words, runs_words

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
-from dds_trace.base.printable import visible
+from dds_trace.base.printable import printable
 
 from ..book.groups import METRIC_LABELS, STATISTIC_LABELS
 from ..changes import received_words, runs_words
@@ -54,7 +54,7 @@ def render(info: ComparisonInfo, title: str) -> str:
         policy=_policy(script),
         style=Markup(_asset("html", "page.css") + _asset("comparison", "comparison.css")),  # noqa: S704 - our own files
         script=Markup(script),  # noqa: S704 - our own file
-        title=visible(title),
+        title=printable(title),
         info=info,
         shown_labels=[STATISTIC_LABELS.get(row["statistic"], row["statistic"]) for row in shown],
         groups=[_group(group) for group in info.groups],
@@ -76,7 +76,7 @@ def _group(group: ComparedGroup) -> dict[str, object]:
     own = next((row for row in group.distributions if row["metric"] == group.changes[0]["metric"]), None)
     return {
         "label": group.label,
-        "unlike": visible(group.unlike),
+        "unlike": printable(group.unlike),
         "verdict": group.verdict,
         "where": group.where,
         "tone": _TONES.get(group.verdict, ""),

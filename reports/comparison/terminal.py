@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from dds_trace.analyzer.verdicts.gate import GateOutcome
-from dds_trace.base.units.counts import counted
+from dds_trace.base.units import counted
 
 from ..book.groups import STATISTIC_LABELS, format_ratio
 from .words import both_words, change_with_interval

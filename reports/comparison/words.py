@@ -6,8 +6,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.analyzer.verdicts.gate import Against
-from dds_trace.base.units.durations import format_duration
-from dds_trace.base.units.quantities import MISSING
+from dds_trace.base.units import MISSING, format_duration
 
 from ..book.groups import format_ratio
 from ..changes import episodes_words

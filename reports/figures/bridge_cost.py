@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from dds_trace.analyzer.model.parameters import BRIDGED_COLUMNS
-from dds_trace.base.units.counts import counted
+from dds_trace.base.units import counted
 
 from ..book.numbers import whole_ns
 from ..changes import received_words, runs_words

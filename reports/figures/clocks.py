@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.base.printable import visible
+from dds_trace.base.printable import printable
 
 from ..book.groups import STATISTIC_LABELS
 from ..book.numbers import whole_ns
@@ -129,7 +129,7 @@ def clock_info(book: Book) -> Clock:
         first_ns, first_offset_ns = own["at_ns"][0], own["offset_ns"][0]
         pairs.append(
             ClockPair(
-                f"{visible(ping)} → {visible(relay)}: drift {drift}",
+                f"{printable(ping)} → {printable(relay)}: drift {drift}",
                 first_offset_ns,
                 tuple(((own["at_ns"] - first_ns) / 1e9).round(3).to_list()),
                 tuple((own["offset_ns"] - first_offset_ns).to_list()),

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.base.printable import visible
-from dds_trace.base.units.rates import format_rate
-from dds_trace.base.units.sizes import format_size
+from dds_trace.base.printable import printable
+from dds_trace.base.units import format_rate, format_size
 
 from ..book.groups import data_type_label, device_label, qos_label
 from ..book.verdicts import MODES
@@ -53,18 +52,22 @@ _FILTERS: tuple[tuple[str, str, Callable[[Cell, Series], Option]], ...] = (
     (
         "domain",
         "Domains",
-        lambda _, s: Option(s.domain_mode, MODES.get(s.domain_mode, visible(s.domain_mode))),
+        lambda _, s: Option(s.domain_mode, MODES.get(s.domain_mode, printable(s.domain_mode))),
     ),
-    ("bridge", "Bridge", lambda _, s: _same(visible(s.bridge))),
-    ("data", "Data", lambda c, _: Option(visible(c.data_type), data_type_label(c.data_type))),
+    ("bridge", "Bridge", lambda _, s: _same(printable(s.bridge))),
+    ("data", "Data", lambda c, _: Option(printable(c.data_type), data_type_label(c.data_type))),
     ("size", "Size", lambda c, _: Option(str(c.payload_bytes), format_size(c.payload_bytes))),
     ("rate", "Rate", lambda c, _: Option(f"{c.rate_hz:g}", format_rate(c.rate_hz))),
     ("qos", "QoS", lambda _, s: _same(qos_label(s))),
     ("device", "Devices", lambda _, s: _same(device_label(s))),
-    ("backend", "Backend", lambda _, s: _same(visible(s.backend))),
-    ("serialization", "Serialization", lambda _, s: _same(visible(s.serialization))),
-    ("link", "Link", lambda _, s: _same(visible(s.connectivity))),
-    ("setting", "Setting", lambda _, s: Option(visible(s.setting), visible(s.setting) or "nothing else set")),
+    ("backend", "Backend", lambda _, s: _same(printable(s.backend))),
+    ("serialization", "Serialization", lambda _, s: _same(printable(s.serialization))),
+    ("link", "Link", lambda _, s: _same(printable(s.connectivity))),
+    (
+        "setting",
+        "Setting",
+        lambda _, s: Option(printable(s.setting), printable(s.setting) or "nothing else set"),
+    ),
 )
 
 

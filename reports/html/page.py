@@ -19,9 +19,8 @@ from plotly.offline import get_plotlyjs
 
 from dds_trace.analyzer.pairing.parquet import summary_table
 from dds_trace.base.files import replacing
-from dds_trace.base.printable import visible
-from dds_trace.base.units.rates import format_rate
-from dds_trace.base.units.sizes import format_size
+from dds_trace.base.printable import printable
+from dds_trace.base.units import format_rate, format_size
 
 from ..book.findings import severity_counts, worst_first
 from ..book.groups import (
@@ -169,7 +168,7 @@ def _island(book: Book, figures: list[Figure]) -> dict[str, object]:
     groups, values = book.groups, book.values
     filters, styles = filters_info(groups), line_styles(book.facets)
     return {
-        "title": visible(book.analysis.title),
+        "title": printable(book.analysis.title),
         "metrics": [
             {"key": key, "label": label, "menu": METRIC_MENU.get(key, label)}
             for key, label in METRIC_LABELS.items()

@@ -48,13 +48,14 @@ Traces:
 - `OutputError`: an output cannot be written.
 
 Every name is imported at its first use: `import dds_trace` loads neither numpy nor polars, and an analysis machine needs
-no ROS 2. The rooms of the package lie at the top level of the repository; the links beside this file give them their one
-import name. A wheel holds the folders themselves.
+no ROS 2. The rooms are folders at the top level of the repository, linked next to this file; a wheel contains the folders.
 """
 
+import ast
+from functools import cache
+from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING
-
-from dds_trace.base.lazy import contents_page
 
 if TYPE_CHECKING:
     from .analyzer.analysis import Analysis, Details, load_analysis
@@ -78,7 +79,23 @@ if TYPE_CHECKING:
     from .tracefile.reading.trace import Trace
     from .tracefile.recovery.recover import recover
 else:
-    __getattr__, __dir__ = contents_page(__name__)
+
+    @cache
+    def _homes() -> dict[str, str]:
+        """Return the names that the block above imports, each with its module (PEP 562; SPEC 1 does so with stub files)."""
+        tree = ast.parse(Path(__file__).read_text(encoding="utf-8"))
+        block = next(block for block in tree.body if isinstance(block, ast.If))
+        return {alias.name: f".{line.module}" for line in block.body for alias in line.names}
+
+    def __getattr__(name: str) -> object:
+        if name not in _homes():
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        value = globals()[name] = getattr(import_module(_homes()[name], __name__), name)
+        return value
+
+    def __dir__() -> list[str]:
+        return sorted({*globals(), *_homes()})
+
 
 __all__ = [
     "Analysis",

@@ -10,7 +10,7 @@ from functools import partial
 
 import pytest
 
-from dds_trace.base.threads import Here, Turn, in_order
+from dds_trace.base.threads import FastLock, InlineExecutor, in_order
 
 
 def results(jobs, threads=2, most_jobs=4, most_size=100):
@@ -28,10 +28,10 @@ def test_no_job_is_no_result():
 
 def test_an_executor_without_threads_does_each_job_at_once():
     done = []
-    assert Here().submit(done.append, 1).result() is None
+    assert InlineExecutor().submit(done.append, 1).result() is None
     assert done == [1]
     with pytest.raises(ZeroDivisionError):
-        Here().submit(divmod, 1, 0)
+        InlineExecutor().submit(divmod, 1, 0)
 
 
 def test_who_waits_does_the_jobs_that_nobody_has_begun():
@@ -89,7 +89,7 @@ def _quick_switches():
 
 @pytest.mark.usefixtures("_quick_switches")
 def test_one_thread_at_a_time_has_its_turn():
-    turn, total, inside = Turn(), [0], []
+    turn, total, inside = FastLock(), [0], []
 
     def add():
         for _ in range(2000):
@@ -108,7 +108,7 @@ def test_one_thread_at_a_time_has_its_turn():
 
 
 def test_who_waits_for_a_turn_is_told():
-    turn, had = Turn(), []
+    turn, had = FastLock(), []
 
     def take_turn():
         with turn:
@@ -129,7 +129,7 @@ def test_who_waits_for_a_turn_is_told():
 
 
 def test_a_turn_is_given_back_behind_an_error():
-    turn = Turn()
+    turn = FastLock()
     with pytest.raises(KeyError), turn:
         raise KeyError
     turn.take()

@@ -13,7 +13,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from dds_trace.recorder.applied import Applied, Asked, Traffic
+from dds_trace.recorder.applied.applied import Applied
+from dds_trace.recorder.applied.asked import Asked
+from dds_trace.recorder.applied.carried import Traffic
 from dds_trace.recorder.applied.vendors import BUFFER_BYTES
 
 if TYPE_CHECKING:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dds_trace.recorder.applied import Applied, Snapshot
+from dds_trace.recorder.applied.applied import Applied, Snapshot
 from dds_trace.recorder.applied.counters import InterfaceCounters
 from dds_trace.recorder.applied.memory import SharedMemory
 from dds_trace.recorder.applied.sockets import Socket, TcpState

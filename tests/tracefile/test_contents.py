@@ -24,9 +24,7 @@ def loaded_by(statement):
     "statement",
     [
         "from dds_trace.base.errors import TraceError; from dds_trace.tracefile.format.descriptions import Session, Qos",
-        "import dds_trace.base.units.sizes, dds_trace.base.units.durations",
-        "import dds_trace.base.units.rates, dds_trace.base.units.counts",
-        "import dds_trace.base.printable, dds_trace.base.files, dds_trace.base.threads",
+        "import dds_trace.base.units, dds_trace.base.printable, dds_trace.base.files, dds_trace.base.threads",
     ],
 )
 def test_light_names_load_nothing_heavy(statement):

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from mcap.opcode import Opcode
 
-from dds_trace.base.units.counts import counted
+from dds_trace.base.units import counted
 
 from ..format.framing import MAGIC
 from .chunks import DamagedChunkError, PackedChunk, UnpackMemory

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import cramjam
 import zstandard
 
-from dds_trace.base.units.counts import counted
+from dds_trace.base.units import counted
 
 from ..format.framing import crc32
 from .file import MAX_RECORD_BYTES

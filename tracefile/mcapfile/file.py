@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from dds_trace.base.errors import TraceFormatError
 from dds_trace.base.files import read_into
-from dds_trace.base.units.counts import counted
+from dds_trace.base.units import counted
 
 from ..format.framing import MAGIC, RECORD_HEADER
 from .records import parse_record, record_name

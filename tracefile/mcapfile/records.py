@@ -13,7 +13,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Footer, Header, Schema, Statistics
 
-from dds_trace.base.units.counts import counted
+from dds_trace.base.units import counted
 
 if TYPE_CHECKING:
     from typing import TypeAlias

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from mcap.opcode import Opcode
 
 from dds_trace.base.threads import in_order
-from dds_trace.base.units.counts import counted
+from dds_trace.base.units import counted
 
 from ..format.event_record import EVENT_RECORD_BYTES
 from ..format.events import Stage

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import TraceFormatError
-from dds_trace.base.units.counts import counted
+from dds_trace.base.units import counted
 
 from ..format.ring import TICKET_MASK, events_by_stage, read_ring, ring_path
 from .source import Batch

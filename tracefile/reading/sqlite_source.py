@@ -12,7 +12,7 @@ from urllib.parse import quote
 
 from dds_trace.base.errors import TraceFormatError
 from dds_trace.base.files import open_regular
-from dds_trace.base.units.counts import counted
+from dds_trace.base.units import counted
 
 from ..format.events import EVENT_SCHEMA_NAME, STAGE_OF_TOPIC, Stage
 from .source import TOPIC_PREFIX, Batch, Text, event_batch, unpack_message

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import TraceFormatError
-from dds_trace.base.units.counts import counted
+from dds_trace.base.units import counted
 
 from ..format.events import HOST_TOPIC, SESSION_TOPIC
 from ..format.wire import WIRE_TOPIC

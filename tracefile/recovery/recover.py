@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError, OutputExistsError, TraceFormatError
 from dds_trace.base.files import flush_to_disk, mode_within, output_error
-from dds_trace.base.units.counts import counted
+from dds_trace.base.units import counted
 
 from ..format.bag_metadata import write_metadata
 from ..format.descriptions import Session

@@ -1,7 +1,7 @@
 """The hot path of a trace: events are packed into the ring, by threads that others wait for.
 
 Caches are cold when a message arrives, so what is touched costs more than what is computed: nothing is called that need not
-be, the lock is a `Turn`, and what is known before an instant is packed before it.
+be, the lock is a `FastLock`, and what is known before an instant is packed before it.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING, TypeAlias
 
-from dds_trace.base.threads import Turn
+from dds_trace.base.threads import FastLock
 
 from ..format.ring import (
     MARK_WORD,
@@ -52,7 +52,7 @@ class EventPacker:
         self._wake = wake
         self._dropped = 0
         self._is_closed = False
-        self._packing = Turn()
+        self._packing = FastLock()
         self._take, self._give = self._packing.take, self._packing.give
         self._use(files)
 

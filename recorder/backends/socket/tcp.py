@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
-from dds_trace.base.threads import Turn
+from dds_trace.base.threads import FastLock
 
 from ..threaded import ROUND_S
 from .links import RETRY_S, Greeting, bound_socket
@@ -60,7 +60,7 @@ class TcpLinks:
         self._own = own
         self._receivers = receivers
         self._prepare = prepare
-        self._delivering = Turn()
+        self._delivering = FastLock()
         self._error: BaseException | None = None  # of a callback
         self._selector = selectors.DefaultSelector()
         self._changing = threading.Lock()
@@ -212,7 +212,7 @@ def _head(topic: bytes, message_bytes: int) -> bytes:
 
 
 def _hand_on(
-    frames: list[tuple[bytes, str, bytearray]], receivers: Receivers, delivering: Turn
+    frames: list[tuple[bytes, str, bytearray]], receivers: Receivers, delivering: FastLock
 ) -> tuple[bytes, str, int]:
     """Call the callbacks for each frame; return head, topic and length of the last, of which there may be none."""
     head, topic, frame_bytes = b"", "", 0
@@ -233,7 +233,7 @@ class _TcpPeer:
         self.thread: threading.Thread | None = None
         self._connection = connection
         self._send, self._receive = connection.sendmsg, connection.recv_into
-        self._writing = Turn()
+        self._writing = FastLock()
         self._take, self._give = self._writing.take, self._writing.give
 
     def greet(self, own: Greeting) -> None:
@@ -258,7 +258,7 @@ class _TcpPeer:
             if self._writing.is_awaited:
                 self._writing.wake()
 
-    def read(self, receivers: Receivers, delivering: Turn) -> None:
+    def read(self, receivers: Receivers, delivering: FastLock) -> None:
         """Hand on each frame until the connection ends, or brings something that is no frame of ours.
 
         The messages of a run are alike, so each read expects a frame like the last one, in memory made beforehand: such a

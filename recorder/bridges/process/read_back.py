@@ -8,12 +8,16 @@ from typing import TYPE_CHECKING
 
 import psutil
 
-from ...applied import asked_settings, differences, read_applied
+from ...applied.applied import read_applied
+from ...applied.asked import asked_settings
+from ...applied.differences import differences
 
 if TYPE_CHECKING:
     from dds_trace.tracefile.format.json_fields import Json
 
-    from ...applied import Applied, Asked, Difference
+    from ...applied.applied import Applied
+    from ...applied.asked import Asked
+    from ...applied.differences import Difference
     from ..options import BridgeOptions
 
 WITHIN = {"zenoh-bridge-dds": "cyclonedds", "zenoh-bridge-ros2dds": "cyclonedds"}

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from dds_trace.tracefile.format.json_fields import Json
 
-    from ...applied import Difference
+    from ...applied.differences import Difference
     from ..base import Bridge
     from ..options import BridgeOptions
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from dds_trace.base import limits
 from dds_trace.base.files import expand_home
-from dds_trace.base.units.sizes import spell_size
+from dds_trace.base.units import spell_size
 
 from ...backends import BACKEND_MODULES
 from ...backends.qos import RANKS

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
 from dds_trace.base.files import open_regular
-from dds_trace.base.units.sizes import parse_size
+from dds_trace.base.units import parse_size
 
 from ...options import DEFAULT_MESSAGES
 from ...payloads import check_data

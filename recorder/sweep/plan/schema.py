@@ -12,7 +12,7 @@ import re
 from typing import TYPE_CHECKING, TypeAlias
 
 from dds_trace.base import limits
-from dds_trace.base.units.sizes import UNIT_BYTES
+from dds_trace.base.units import UNIT_BYTES
 
 from ...payloads import PAYLOADS, data_types
 from ...payloads.base import Source

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
-from dds_trace.base.units.quantities import split_quantity
-from dds_trace.base.units.sizes import parse_size
+from dds_trace.base.units import parse_size, split_quantity
 
 from ...options import DEFAULT_MESSAGES
 from ...payloads import PAYLOADS, check_data

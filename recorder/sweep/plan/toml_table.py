@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
-from dds_trace.base.printable import visible
+from dds_trace.base.printable import printable
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -68,7 +68,7 @@ class TomlTable:
         except RecursionError as err:
             raise OptionError(f"{path}: a value is nested deeper than any plan needs") from err
         except ValueError as err:  # TOMLDecodeError, and what an integer of 5000 digits raises
-            raise OptionError(f"{path}: {visible(err)}") from err
+            raise OptionError(f"{path}: {printable(err)}") from err
 
     @property
     def where(self) -> str:

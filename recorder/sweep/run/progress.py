@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from dds_trace.base.units.counts import counted
+from dds_trace.base.units import counted
 
 if TYPE_CHECKING:
     from rich.console import Console

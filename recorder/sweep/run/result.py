@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dds_trace.base.errors import TraceFormatError
-from dds_trace.base.units.counts import counted
+from dds_trace.base.units import counted
 from dds_trace.tracefile.format.events import Stage
 from dds_trace.tracefile.reading.reader import read_trace
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import BackendUnavailableError, TraceError, TraceFormatError
 from dds_trace.base.files import output_error
-from dds_trace.base.units.counts import counted
+from dds_trace.base.units import counted
 
 from ...errors import RelayLostError
 from ..plan.commands import half_arguments, ping_arguments, relay_arguments

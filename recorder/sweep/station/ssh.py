@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError
 from dds_trace.base.files import create_file, mode_within, replacing
-from dds_trace.base.units.counts import counted
+from dds_trace.base.units import counted
 from dds_trace.base.version import __version__
 
 from .devices import LOG_ENDINGS, TRACE_ENDINGS, log_path, remove_files

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 from .errors import OptionError
-from .printable import visible
+from .printable import printable
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -197,7 +197,7 @@ def shown(value: object) -> str:
         return f"{value:g}"
     if isinstance(value, list | dict):  # the text of one may hold an integer that has none
         return "a list" if isinstance(value, list) else "a table"
-    return visible(repr(value), _SHOWN_CHARACTERS)
+    return printable(repr(value), _SHOWN_CHARACTERS)
 
 
 def is_utf8(text: str) -> bool:

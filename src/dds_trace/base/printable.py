@@ -1,4 +1,4 @@
-"""Texts from traces made harmless: whatever shows one, on a terminal, a page or in a file, shows `visible(text)`.
+"""Texts from traces made harmless: whatever shows one, on a terminal, a page or in a file, shows `printable(text)`.
 
 A label, a device or a topic may hold anything: a sequence that steers the terminal, a change of the direction of
 reading, a lone surrogate that cannot be encoded.
@@ -18,7 +18,7 @@ MAX_FINDING_CHARACTERS = 3000
 _HIDDEN_CATEGORIES = frozenset({"Cc", "Cf", "Zl", "Zp", "Cs", "Co"})
 
 
-def visible(text: object, most: int = MAX_SHOWN_CHARACTERS) -> str:
+def printable(text: object, most: int = MAX_SHOWN_CHARACTERS) -> str:
     r"""Return the text on one line, with every control or invisible character spelled out: `\x1b`, `\u2028`.
 
     Args:

@@ -18,7 +18,7 @@ T = TypeVar("T")
 T_co = TypeVar("T_co", covariant=True)
 
 
-class Begun(Protocol[T_co]):
+class PendingResult(Protocol[T_co]):
     """A job that was begun: a future of a pool is one."""
 
     def result(self) -> T_co:
@@ -29,7 +29,7 @@ class Begun(Protocol[T_co]):
 
 
 def in_turn(
-    jobs: Iterable[tuple[int, Callable[[], Begun[T]]]], most_jobs: int, most_size: int
+    jobs: Iterable[tuple[int, Callable[[], PendingResult[T]]]], most_jobs: int, most_size: int
 ) -> Iterator[T]:
     """Yield the results of `jobs` in order; a job that fails raises its exception here, perhaps before its turn.
 
@@ -40,7 +40,7 @@ def in_turn(
         most_jobs: the number of jobs that are begun, or done, before their results are asked for.
         most_size: the sum of the sizes of all these; a larger job is done alone.
     """
-    begun: deque[tuple[int, Begun[T]]] = deque()
+    begun: deque[tuple[int, PendingResult[T]]] = deque()
     try:
         for size, begin in jobs:
             while begun and (
@@ -111,7 +111,7 @@ class _Shared(Generic[T]):
         return self.future.cancel()
 
 
-class Here(Executor):
+class InlineExecutor(Executor):
     """An executor without threads: each job is done by the one who submits it, at once."""
 
     def submit(self, fn: Callable[..., T], /, *args: object, **kwargs: object) -> Future[T]:
@@ -121,7 +121,7 @@ class Here(Executor):
         return done
 
 
-class Turn:
+class FastLock:
     """A lock that is quick when caches are cold and nobody else has it, as is the rule beside a message.
 
     A `threading.Lock` then takes 6 to 9 us, this 2 (`docs/explanation/performance.md`): it is a token in a list, which one

@@ -17,7 +17,7 @@ from dds_trace.analyzer.engines.cached_details import KnownDetails
 from dds_trace.analyzer.groups import timeline
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.base.errors import OutputError
-from dds_trace.base.threads import Here
+from dds_trace.base.threads import InlineExecutor
 
 
 class NearWorkers:
@@ -30,7 +30,7 @@ class NearWorkers:
 
     def work(self, batch, parts, keys):
         known = KnownDetails(self._cache, keys) if self._cache else None
-        return Here().submit(encoded_batch, batch, parts, known, self._folder)
+        return InlineExecutor().submit(encoded_batch, batch, parts, known, self._folder)
 
     def map(self, function, items):
         return map(function, items)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from dds_trace.recorder.applied import Asked, asked_settings
-from dds_trace.recorder.applied.asked import interface_named
+from dds_trace.recorder.applied.asked import Asked, asked_settings, interface_named
 from dds_trace.recorder.applied.profile_request import ProfileRequest, read_profile_request
 from dds_trace.recorder.applied.vendors import BUFFER_BYTES
 from dds_trace.recorder.backends.ros2 import fastdds_profile

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 from snapshots import applied, counted, port, segment, tcp, udp
 
-from dds_trace.recorder.applied import Traffic, payload_path, with_path
-from dds_trace.recorder.applied.carried import is_excluded
+from dds_trace.recorder.applied.carried import Traffic, is_excluded, payload_path, with_path
 
 TRAFFIC = Traffic(sent=100, received=100, payload_bytes=100_000)
 MB = 1_000_000

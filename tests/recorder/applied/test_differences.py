@@ -7,7 +7,9 @@ from dataclasses import replace
 import pytest
 from snapshots import applied, counted, port, segment, tcp, udp
 
-from dds_trace.recorder.applied import Asked, Setting, Traffic, differences
+from dds_trace.recorder.applied.asked import Asked
+from dds_trace.recorder.applied.carried import Traffic
+from dds_trace.recorder.applied.differences import Setting, differences
 from dds_trace.recorder.applied.vendors import VENDORS
 
 MB = 1_000_000

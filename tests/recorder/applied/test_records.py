@@ -7,7 +7,8 @@ import json
 import pytest
 from snapshots import applied, counted, segment, tcp, udp
 
-from dds_trace.recorder.applied import Applied, Asked, Snapshot, read_applied
+from dds_trace.recorder.applied.applied import Applied, Snapshot, read_applied
+from dds_trace.recorder.applied.asked import Asked
 
 
 def there_and_back(value):

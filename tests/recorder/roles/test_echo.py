@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from fake_node import FakeNode
 
-from dds_trace.recorder.applied import Difference, Setting
+from dds_trace.recorder.applied.differences import Difference, Setting
 from dds_trace.recorder.backends import BACKEND_MODULES
 from dds_trace.recorder.backends.node import Endpoint, Middleware, NodeOptions, TopicView
 from dds_trace.recorder.choices import Discovery

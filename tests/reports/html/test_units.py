@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from dds_trace.base.units.counts import counted
+from dds_trace.base.units import counted
 
 UNITS = Path(__file__).parents[3] / "reports" / "html" / "assets" / "units.js"
 COUNTS = (0, 1, 2, 1000)

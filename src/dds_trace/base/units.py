@@ -1,0 +1,159 @@
+"""Numbers with units: read as people write them (`20ms`, `33KB`, `1kHz`) and written for people."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import TYPE_CHECKING
+
+from .errors import OptionError
+from .limits import shown
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+MISSING = "-"
+"""Text in place of a number that does not exist; 0 would be a measurement."""
+
+SECOND_NS = 1_000_000_000
+UNIT_NS = {"s": SECOND_NS, "ms": 1_000_000, "us": 1_000, "ns": 1}
+"""Unit as the command line takes it -> its ns."""
+
+INFINITE_NS = (2**31 - 1) * SECOND_NS
+"""Shortest duration that DDS takes as infinite: its seconds are a signed 32-bit integer (RTPS 2.5, section 9.3.2)."""
+
+UNIT_HZ = {"": 1, "hz": 1, "khz": 1000}
+"""Unit in lower case -> its Hz."""
+
+_SHOWN_NS = {"s": SECOND_NS, "ms": 1_000_000, "µs": 1_000, "ns": 1}
+_READ_NS = UNIT_NS | _SHOWN_NS
+_DECIMAL_BYTES = {"GB": 10**9, "MB": 10**6, "KB": 10**3, "B": 1}
+_BINARY_BYTES = {"GiB": 2**30, "MiB": 2**20, "KiB": 2**10}
+UNIT_BYTES = {"": 1} | {unit.lower(): size for unit, size in (_DECIMAL_BYTES | _BINARY_BYTES).items()}
+"""Unit in lower case -> its bytes; a number without unit is bytes."""
+
+_QUANTITY = re.compile(r"\s*(\d{1,30}(?:\.\d{0,30})?|\.\d{1,30})\s*([a-zµ%]*)\s*", re.IGNORECASE | re.ASCII)
+
+
+def counted(count: float, one: str, many: str = "", *, text: str = "") -> str:
+    """Return a count with its noun: `1 message`, `2 messages`, `1,000 replies`.
+
+    Args:
+        count: selects the singular or the plural.
+        one: the noun for a count of 1, with any words after it that depend on the number.
+        many: the noun for any other count; by default `one` with an `s`.
+        text: the count as printed, e.g. with thousands separated; by default its digits.
+    """
+    noun = one if count == 1 else many or f"{one}s"
+    return f"{text or count} {noun}"
+
+
+def split_quantity(text: str) -> tuple[float, str] | None:
+    """Split `1.5 ms` into its number (no sign, no exponent) and its unit in lower case; None if `text` is no quantity."""
+    match = _QUANTITY.fullmatch(text)
+    return None if match is None else (float(match[1]), match[2].lower())
+
+
+def format_quantity(value: float | None, units: Mapping[str, float]) -> str:
+    """Write a value to three digits, in the unit that leaves one to three of them before the point: `1.25 ms`.
+
+    Args:
+        value: in the unit whose factor is 1; None, infinity and NaN are written as `MISSING`.
+        units: unit -> its factor, from the largest to the smallest.
+    """
+    if value is None or not math.isfinite(value):
+        return MISSING
+    # 999.96 would be written as 1000: the larger unit takes it.
+    unit = next((unit for unit, factor in units.items() if abs(value) >= 0.9995 * factor), [*units][-1])
+    return f"{_three_digits(value / units[unit])} {unit}"
+
+
+def _three_digits(value: float) -> str:
+    """Write three significant digits without exponent or trailing zeros after the point; whole numbers stay whole."""
+    if value == 0:
+        return "0"
+    decimals = max(0, 2 - math.floor(math.log10(abs(value)) + 1e-12))
+    digits = f"{value:.{min(decimals, 9)}f}"
+    return digits.rstrip("0").rstrip(".") if "." in digits else digits
+
+
+def parse_duration(text: str, what: str = "duration") -> int:
+    """Read a duration (ns, us, µs, ms, s) in ns; `what` names the value in the error.
+
+    Raises:
+        OptionError: `text` is no duration, is shorter than half a nanosecond, or is `INFINITE_NS` or longer.
+    """
+    value, unit = split_quantity(text) or (0.0, "")
+    duration_ns = round(value * _READ_NS.get(unit, 0))
+    if not 0 < duration_ns < INFINITE_NS:
+        raise OptionError(f"{what} {shown(text)} is not understood; write 20ms, 1.5s or 500us, more than 0")
+    return duration_ns
+
+
+def format_duration(value_ns: float | None, unit: str | None = None) -> str:
+    """Write a duration to three digits: `812 ns`, `1.25 ms`; in `unit` of `UNIT_NS` if one is given."""
+    return format_quantity(value_ns, _SHOWN_NS if unit is None else {unit: UNIT_NS[unit]})
+
+
+def format_ms(value_ns: float) -> str:
+    """Write a duration in ms with three decimals and without the unit: `1.250`."""
+    return f"{value_ns / 1e6:.3f}"
+
+
+def spell_duration(duration_ns: int, digits: int = 15) -> str:
+    """Write a duration to `digits` digits as `parse_duration` reads it, in the largest unit that it fills: `20ms`."""
+    unit = next((unit for unit, factor in UNIT_NS.items() if duration_ns >= factor), "ns")
+    return f"{duration_ns / UNIT_NS[unit]:.{digits}g}{unit}"
+
+
+def parse_rate(text: str, what: str = "rate") -> float:
+    """Read a rate (no unit, Hz, kHz) in Hz; `what` names the value in the error.
+
+    Raises:
+        OptionError: `text` is no rate, or 0.
+    """
+    value, unit = split_quantity(text) or (0.0, "")
+    rate_hz = value * UNIT_HZ.get(unit, 0)
+    if not rate_hz:
+        raise OptionError(f"{what} {shown(text)} is not understood; write 20, 2.5Hz or 1kHz, more than 0")
+    return rate_hz
+
+
+def format_rate(value_hz: float | None) -> str:
+    """Write a rate to three digits: `10 Hz`."""
+    return format_quantity(value_hz, {"Hz": 1})
+
+
+def parse_size(text: str, what: str = "size") -> int:
+    """Read a size in bytes; KB is 1000, KiB 1024. `what` names the value in the error.
+
+    Raises:
+        OptionError: `text` is no size, or no whole number of bytes.
+    """
+    value, unit = split_quantity(text) or (0.0, "?")
+    if unit not in UNIT_BYTES:
+        raise OptionError(
+            f"{what} {shown(text)} is not understood; write bytes, or 33KB, 4MB (1000), 1KiB, 2MiB (1024)"
+        )
+    size_bytes = value * UNIT_BYTES[unit]
+    if size_bytes != int(size_bytes):
+        raise OptionError(f"{what} {shown(text)} is not a whole number of bytes")
+    return int(size_bytes)
+
+
+def format_size(size_bytes: int) -> str:
+    """Write a size exactly, with at most one decimal: `33 KB`, `1.5 MB`, `1 KiB`, `1405 B`."""
+    for unit, factor in _DECIMAL_BYTES.items():
+        if size_bytes >= factor > 1 and size_bytes % (factor / 10) == 0:
+            return f"{size_bytes / factor:.15g} {unit}"
+    for unit, factor in _BINARY_BYTES.items():
+        if size_bytes >= factor and size_bytes % factor == 0:
+            return f"{size_bytes // factor} {unit}"
+    return f"{size_bytes} B"
+
+
+def spell_size(size_bytes: int) -> str:
+    """Write a size exactly and as `parse_size` reads it, in whole decimal units: `33KB`, `1500KB`, `91B`."""
+    whole = (unit for unit, size in _DECIMAL_BYTES.items() if size_bytes >= size and size_bytes % size == 0)
+    unit = next(whole, "B")
+    return f"{size_bytes // _DECIMAL_BYTES[unit]}{unit}"

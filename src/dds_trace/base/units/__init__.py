@@ -1,1 +1,0 @@
-"""The one parser and the one printer of each unit."""

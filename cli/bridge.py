@@ -207,7 +207,7 @@ def _check(bridge: Bridge, options: BridgeOptions) -> None:
 def _run(name: str, options: BridgeOptions) -> None:
     """Run the bridge until SIGINT or SIGTERM; print the end of the log of a program that fails."""
     from dds_trace.recorder.bridges.process.running import open_bridge
-    from dds_trace.recorder.host.stopping import stop_at_signals
+    from dds_trace.recorder.host.process import stop_at_signals
 
     stop = stop_at_signals()
     with open_bridge(name, options) as bridge:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import secrets
 import threading
@@ -19,11 +20,9 @@ from .backends.qos import warn_of_depth
 from .bridges.asked import open_asked_bridge
 from .domains import check_domain
 from .errors import BridgeError, NoEchoError, NotAppliedError, RelayLostError
-from .host.clock import SystemClock
-from .host.kernel_clock import read_adjtimex
-from .host.privileges import apply_privileges
+from .host.clock import SystemClock, read_adjtimex
+from .host.process import apply_privileges, tuned_gc
 from .host.sampling import HostSampler
-from .host.steady import collect_young, steady_interpreter
 from .payloads import open_payload, served_data_types
 from .roles.echo import explain_silence, find_loss, look_for_relays
 from .roles.floor import measured_cost, measured_floor
@@ -141,7 +140,7 @@ class _Recording:
         data_types = served_data_types(options.types)
         check_serialization(data_types, options.serialization)
         self._measure_costs()
-        with self._open_wire() as wire, self._open_node("relay") as node, steady_interpreter():
+        with self._open_wire() as wire, self._open_node("relay") as node, tuned_gc():
             read_back = self._read_back(node)
             session = self._describe("relay", node, read_back, relay_id)
             with self._open_trace(session) as upkeep:
@@ -377,7 +376,7 @@ class _Recording:
             if quiet % WIRE_LOOKS == WIRE_LOOKS - 1:
                 wire.write_relay(relayed, self.session_id, upkeep.sink, go_on=True)
             if quiet % QUIET_LOOKS == QUIET_LOOKS - 1:
-                collect_young()
+                gc.collect()
                 lines = {line for topic in relay.topics for line in node.look_at(topic).incompatible}
                 for line in sorted(lines - noted):
                     self.watch.note(f"these will never meet: {line}")

@@ -13,7 +13,7 @@ from .backends import load_backend
 from .bridges.asked import check_asked_bridge
 from .domains import check_domain_id
 from .errors import StoppedError
-from .host.privileges import parse_cpus
+from .host.process import parse_cpus
 from .payloads import BINARY, is_live, open_payload, served_data_types
 from .recording import record
 from .roles.plan import check_rate, check_serialization

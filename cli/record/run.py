@@ -14,7 +14,7 @@ from rich.text import Text
 from dds_trace.base.errors import OutputError
 from dds_trace.base.units import counted, format_duration
 from dds_trace.recorder.errors import LossesError
-from dds_trace.recorder.host.stopping import stop_at_signals
+from dds_trace.recorder.host.process import stop_at_signals
 from dds_trace.recorder.recording import record
 from dds_trace.recorder.roles.progress import PingProgress, RelayProgress
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import sys
 from pathlib import Path
@@ -14,8 +15,7 @@ from dds_trace.tracefile.format.descriptions import Qos
 from ..backends import open_node
 from ..backends.node import NodeOptions
 from ..choices import Discovery, Transport
-from ..host.steady import collect_young, steady_interpreter
-from ..host.stopping import stop_at_signals
+from ..host.process import stop_at_signals, tuned_gc
 from .options import BridgedTopic, BridgeOptions, Half
 
 if TYPE_CHECKING:
@@ -130,7 +130,7 @@ def serve(nodes: Sequence[Node], forwarder: Forwarder, what: str) -> None:
     stop = stop_at_signals()
     for node in nodes:
         node.start()
-    with steady_interpreter():
+    with tuned_gc():
         print(f"{UP_LINE} {what}", flush=True)
         before = 0
         while not stop.wait(LOOK_S):
@@ -138,7 +138,7 @@ def serve(nodes: Sequence[Node], forwarder: Forwarder, what: str) -> None:
                 if node.error is not None:
                     raise node.error
             if before == (before := forwarder.messages):  # a quiet moment
-                collect_young()
+                gc.collect()
     print(f"forwarded {counted(forwarder.messages, 'message')}", flush=True)
 
 

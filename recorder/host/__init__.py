@@ -1,1 +1,1 @@
-"""The machine that records: its fingerprint, its clocks, its load, and what recording costs on it."""
+"""The recorder's device and process: clocks, fingerprint, load, settings of the process, its own cost."""

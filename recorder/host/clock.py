@@ -1,4 +1,4 @@
-"""The clock of a device as the roles use it: injected, so that tests can make time themselves."""
+"""The clocks of a device: as the roles use them (a Protocol, so that tests have their own), and as the kernel corrects them."""
 
 from __future__ import annotations
 
@@ -9,11 +9,16 @@ from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
     import threading
+    from collections.abc import Callable
+
+    from dds_trace.tracefile.format.json_fields import JsonObject
 
 STOP_CHECK_NS = 50_000_000
-"""Longest part of a wait after which `stop` is looked at."""
+"""Longest part of a wait after which `stop` is checked."""
 
+_ANCHOR_READINGS, _PAIR_READINGS = 20, 5
 _PR_SET_TIMERSLACK = 29  # linux/prctl.h
+_FREQUENCY_UNITS_PER_PPM = 1 << 16  # adjtimex(2): `freq` is in parts per million with 16 fractional bits
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,19 +53,14 @@ class SystemClock:
     monotonic_ns = staticmethod(time.monotonic_ns)
 
     def anchor(self) -> ClockAnchor:
-        """Read both clocks some times and return the narrowest pair, so that one preemption does not spoil it."""
-        best: tuple[int, ClockAnchor] | None = None
-        for _ in range(20):
-            before, wall, after = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
-            if best is None or after - before < best[0]:
-                best = after - before, ClockAnchor(wall, (before + after) // 2)
-        assert best is not None
-        return best[1]
+        """Read both clocks at one instant."""
+        monotonic_ns, wall_ns = _read_together(time.time_ns, _ANCHOR_READINGS)
+        return ClockAnchor(wall_ns, monotonic_ns)
 
     def wait_until(self, monotonic_ns: int, stop: threading.Event) -> bool:
-        """Sleep without a final spin: a spin holds the interpreter lock, and T2 of the last message waits.
+        """Sleep without a final spin, which would hold the interpreter lock while T2 of the last message waits.
 
-        A late send costs nothing in latency, since T1 is stamped when the message really goes.
+        A late send costs nothing in latency: T1 is stamped when the message really goes.
         """
         while (left_ns := monotonic_ns - time.monotonic_ns()) > 0:
             if stop.is_set():
@@ -72,5 +72,62 @@ class SystemClock:
 
 
 def sharpen_sleep() -> None:
-    """Let the calling thread's sleeps end when they should: the kernel may add 50 us of slack by default."""
+    """Remove the 50 us of slack that the kernel may add to the calling thread's sleeps."""
     ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
+
+
+def read_monotonic_pair() -> tuple[int, int]:
+    """Return CLOCK_MONOTONIC and CLOCK_MONOTONIC_RAW at one instant, ns; NTP slews the first one only."""
+    return _read_together(lambda: time.clock_gettime_ns(time.CLOCK_MONOTONIC_RAW), _PAIR_READINGS)
+
+
+def _read_together(read_other: Callable[[], int], readings: int) -> tuple[int, int]:
+    """Return CLOCK_MONOTONIC and another clock, by the narrowest of some readings: a preemption widens one."""
+    narrowest: tuple[int, int, int] | None = None
+    for _ in range(readings):
+        before_ns, other_ns, after_ns = time.monotonic_ns(), read_other(), time.monotonic_ns()
+        if narrowest is None or after_ns - before_ns < narrowest[0]:
+            narrowest = after_ns - before_ns, (before_ns + after_ns) // 2, other_ns
+    assert narrowest is not None
+    return narrowest[1:]
+
+
+class _Timex(ctypes.Structure):
+    """`struct timex` of adjtimex(2) up to the last field that is read; `rest` is room for what the kernel writes."""
+
+    _fields_ = (
+        ("modes", ctypes.c_uint),
+        ("offset", ctypes.c_long),
+        ("freq", ctypes.c_long),
+        ("maxerror", ctypes.c_long),
+        ("esterror", ctypes.c_long),
+        ("status", ctypes.c_int),
+        ("constant", ctypes.c_long),
+        ("precision", ctypes.c_long),
+        ("tolerance", ctypes.c_long),
+        ("time", ctypes.c_long * 2),
+        ("tick", ctypes.c_long),
+        ("rest", ctypes.c_long * 32),
+    )
+
+
+def read_adjtimex() -> JsonObject | None:
+    """Read how the kernel corrects CLOCK_MONOTONIC, without privileges; None where that is not permitted.
+
+    Returns:
+        `frequency_ppb`: correction by NTP or PTP (adjtimex's `freq`); `tick_us`: length of a tick, 10,000 unless
+        something slews by it (chrony does for large corrections); `status`: bits of `STA_*`, where 0x40 means not
+        synchronized.
+    """
+    timex = _Timex(modes=0)  # no mode: nothing is set
+    try:
+        failed = ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.byref(timex)) < 0
+    except AttributeError:  # a C library without the call
+        return None
+    if failed:
+        return None
+    return {
+        "frequency_ppb": round(timex.freq * 1000 / _FREQUENCY_UNITS_PER_PPM),
+        "tick_us": timex.tick,
+        "status": timex.status,
+    }

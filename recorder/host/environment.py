@@ -1,7 +1,4 @@
-"""The configuration of a middleware that lies outside the command line: environment variables and files.
-
-Of a file its name and hash are kept, never its folder or its text.
-"""
+"""The configuration of a middleware outside the command line: environment variables, and files by name and hash."""
 
 from __future__ import annotations
 
@@ -11,19 +8,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterable, Mapping
 
 _INLINE_STARTS = ("<", "{", "str://")
-"""First characters of a value that is a configuration itself and no file's name."""
+"""First characters of a value that is a configuration itself and not the name of a file."""
 
 
 @dataclass(frozen=True, slots=True)
 class ConfigurationVariable:
-    """An environment variable that names the configuration of a middleware.
+    """An environment variable with the configuration of a middleware.
 
     Attributes:
         name: the environment variable.
-        separator: text between several entries of its value; None if it holds one only.
+        separator: text between several entries of its value; None if there is only one.
     """
 
     name: str
@@ -36,8 +33,8 @@ class MiddlewareEnvironment:
 
     Attributes:
         settings: variables whose values are settings; a session keeps them whole.
-        configuration: variables that name files or hold their text; a session keeps hashes.
-        files: names of files that the middleware loads from the working directory without being told.
+        configuration: variables that name files or contain their text; a session keeps hashes.
+        files: names of files that the middleware loads from the working directory by itself.
     """
 
     settings: tuple[str, ...] = ()
@@ -45,7 +42,7 @@ class MiddlewareEnvironment:
     files: tuple[str, ...] = ()
 
     def read_settings(self, variables: Mapping[str, str]) -> dict[str, str]:
-        """Return those of `settings` that are set, with their values."""
+        """Return the `settings` that are set, with their values."""
         return {name: variables[name] for name in self.settings if name in variables}
 
     def hash_configuration(
@@ -77,17 +74,17 @@ def join_environments(environments: Iterable[MiddlewareEnvironment]) -> Middlewa
     """Return one environment with the variables and files of all, each once."""
     every = list(environments)
     return MiddlewareEnvironment(
-        settings=tuple(dict.fromkeys(name for each in every for name in each.settings)),
-        configuration=tuple(dict.fromkeys(variable for each in every for variable in each.configuration)),
-        files=tuple(dict.fromkeys(name for each in every for name in each.files)),
+        settings=tuple(dict.fromkeys(name for one in every for name in one.settings)),
+        configuration=tuple(dict.fromkeys(variable for one in every for variable in one.configuration)),
+        files=tuple(dict.fromkeys(name for one in every for name in one.files)),
     )
 
 
-def _entries(value: str, separator: str | None) -> Iterator[str]:
-    # Inline XML or JSON may hold the separator itself; it is hashed whole.
-    inline = value.lstrip().startswith(_INLINE_STARTS)
-    parts = [value] if inline or separator is None else value.split(separator)
-    return (part.strip() for part in parts if part.strip())
+def _entries(value: str, separator: str | None) -> list[str]:
+    # Inline XML or JSON may contain the separator itself.
+    is_inline = value.lstrip().startswith(_INLINE_STARTS)
+    parts = [value] if is_inline or separator is None else value.split(separator)
+    return [part.strip() for part in parts if part.strip()]
 
 
 def _hashed(entry: str) -> dict[str, str | None]:

@@ -1,7 +1,6 @@
-"""The fingerprint of a device: the facts that a reader needs before comparing its numbers with those of others.
+"""The fingerprint of a device: what a reader must know before comparing its numbers with those of another device.
 
-Nothing here identifies a person or a device: no host name, no address, no serial number. A field that this system
-does not report is null or empty; a missing file under `/proc` or `/sys` is never an error.
+No host name, address or serial number. A field that this system does not report is null or empty, never an error.
 """
 
 from __future__ import annotations
@@ -24,16 +23,9 @@ if TYPE_CHECKING:
 
     from dds_trace.tracefile.format.json_fields import Json
 
-_SOCKET_BUFFER_FILES = (
-    "rmem_default",
-    "rmem_max",
-    "wmem_default",
-    "wmem_max",
-    "optmem_max",
-    "netdev_max_backlog",
-)
+_SOCKET_BUFFERS = ("rmem_default", "rmem_max", "wmem_default", "wmem_max", "optmem_max", "netdev_max_backlog")
 
-_WIFI_COMMAND_TIMEOUT_S = 2.0
+_IW_TIMEOUT_S = 2.0
 
 
 def host_fingerprint(
@@ -42,15 +34,13 @@ def host_fingerprint(
     """Return the `host` object of a session.
 
     Args:
-        versions: version of the middleware and its client library, by package name, as the backend reports them.
+        versions: package name -> version of the middleware and its client library.
         environment: variables and files by which the middlewares can be configured.
 
     Returns:
-        A JSON object with the fields `machine`, `board`, `cpu_model`, `cpu_cores`, `cpu_cores_physical`,
-        `cpu_governor`, `cpu_max_mhz`, `os`, `kernel`, `kernel_realtime`, `memory_bytes`, `python`, `versions`,
-        `configuration` (variable or file name -> entries of `name`, `sha256`), `settings` (environment
-        variables), `socket_buffers` (`net.core.rmem_max` and so on, bytes), `reassembly` (see `reassembly_limits`),
-        `mtu` (interface -> bytes, interfaces that are up), `clock_source`, `container` and `wifi` (interface -> see `wifi_links`).
+        `configuration`: variable or file name -> entries of `name` and `sha256`; `settings`: environment variables;
+        `socket_buffers`: `net.core.rmem_max` and so on, bytes; `reassembly`: see `reassembly_limits`; `mtu`: interface ->
+        bytes; `wifi`: interface -> see `wifi_links`; the other fields as they are called.
     """
     environment = environment or MiddlewareEnvironment()
     return {
@@ -60,7 +50,7 @@ def host_fingerprint(
         "cpu_cores": os.cpu_count(),
         "cpu_cores_physical": psutil.cpu_count(logical=False),
         "cpu_governor": read_text("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor"),
-        "cpu_max_mhz": _cpu_max_mhz(),
+        "cpu_max_mhz": read_mhz("/sys/devices/system/cpu/cpu0/cpufreq/cpuinfo_max_freq"),
         "os": _os_name(),
         "kernel": platform.release(),
         "kernel_realtime": is_realtime_kernel(),
@@ -86,29 +76,35 @@ def read_text(path: str | Path) -> str | None:
         return None
 
 
+def read_mhz(path: str) -> float | None:
+    """Return the MHz that a file of cpufreq has in kHz, None where there is none."""
+    khz = read_text(path)
+    return int(khz) / 1000 if khz and khz.isdigit() else None
+
+
+def read_boot_id() -> str | None:
+    """Return the random text that the kernel drew at boot: sessions with one text share CLOCK_MONOTONIC."""
+    return read_text("/proc/sys/kernel/random/boot_id") or None
+
+
 def socket_buffers() -> dict[str, int]:
     """Return the kernel's limits of socket buffers: `net.core.NAME` -> bytes (or packets).
 
-    In a network namespace other than the first, Linux before 6.10 or so shows only some of them.
+    Linux before about 6.10 shows only some of them in a network namespace.
     """
-    texts = {f"net.core.{name}": read_text(f"/proc/sys/net/core/{name}") for name in _SOCKET_BUFFER_FILES}
+    texts = {f"net.core.{name}": read_text(f"/proc/sys/net/core/{name}") for name in _SOCKET_BUFFERS}
     for protocol in ("udp_mem", "tcp_rmem", "tcp_wmem"):
-        texts |= {
-            f"net.ipv4.{protocol}.{bound}": text
-            for bound, text in zip(
-                ("min", "default", "max"),
-                (read_text(f"/proc/sys/net/ipv4/{protocol}") or "").split(),
-                strict=False,
-            )
-        }
+        values = (read_text(f"/proc/sys/net/ipv4/{protocol}") or "").split()
+        names = (f"net.ipv4.{protocol}.{bound}" for bound in ("min", "default", "max"))
+        texts |= dict(zip(names, values, strict=False))
     return {name: int(text) for name, text in texts.items() if text and text.isdigit()}
 
 
 def reassembly_limits() -> dict[str, int]:
-    """Return the kernel's limits of putting IP fragments together.
+    """Return the kernel's limits of IP reassembly.
 
-    These are `net.ipv4.ipfrag_time` (seconds that a fragment waits for the others), `net.ipv4.ipfrag_high_thresh` and
-    `ipfrag_low_thresh` (bytes of all that wait) and `ipfrag_max_dist` (fragments of others in between).
+    `net.ipv4.ipfrag_time`: seconds that a fragment waits for the others; `ipfrag_high_thresh` and `ipfrag_low_thresh`:
+    bytes of all waiting fragments; `ipfrag_max_dist`: fragments of other datagrams in between.
     """
     return {name: value for name, value in read_limits().items() if name.startswith("net.ipv4.ipfrag_")}
 
@@ -122,10 +118,7 @@ def interface_mtus() -> dict[str, int]:
 
 
 def wifi_signals() -> dict[str, dict[str, float]]:
-    """Return the signal of each wireless interface with a link: name -> `link_quality`, `signal_dbm`, `noise_dbm`.
-
-    They are read from `/proc/net/wireless`, cheap enough for once a second.
-    """
+    """Return the signal of each wireless interface with a link: name -> `link_quality`, `signal_dbm`, `noise_dbm`."""
     signals: dict[str, dict[str, float]] = {}
     for line in (read_text("/proc/net/wireless") or "").splitlines()[2:]:
         interface, _, rest = line.partition(":")
@@ -137,14 +130,11 @@ def wifi_signals() -> dict[str, dict[str, float]]:
 
 
 def wifi_links() -> dict[str, dict[str, float]]:
-    """Return the links of `wifi_signals` and, where `iw` is installed, their `frequency_mhz` and `bitrate_mbit_s`.
-
-    Names of networks and addresses of access points are left out on purpose.
-    """
+    """Return the links of `wifi_signals` and, where `iw` is installed, their `frequency_mhz` and `bitrate_mbit_s`."""
     links = wifi_signals()
     iw = shutil.which("iw", path=os.environ.get("PATH", "") + ":/usr/sbin:/sbin")
     for interface, link in links.items():
-        text = _output_of([iw, "dev", interface, "link"]) if iw else ""
+        text = _run_iw(iw, interface) if iw else ""
         for name, pattern in (
             ("frequency_mhz", r"freq: ([\d.]+)"),
             ("bitrate_mbit_s", r"tx bitrate: ([\d.]+) MBit/s"),
@@ -155,21 +145,18 @@ def wifi_links() -> dict[str, dict[str, float]]:
     return links
 
 
-def _output_of(command: list[str]) -> str:
+def _run_iw(iw: str, interface: str) -> str:
+    command = [iw, "dev", interface, "link"]
     try:
         return subprocess.run(
-            command,
-            capture_output=True,
-            text=True,
-            timeout=_WIFI_COMMAND_TIMEOUT_S,
-            check=False,
+            command, capture_output=True, text=True, timeout=_IW_TIMEOUT_S, check=False
         ).stdout
     except (OSError, subprocess.TimeoutExpired):
         return ""
 
 
 def is_realtime_kernel() -> bool:
-    """Tell whether the kernel is PREEMPT_RT."""
+    """Return whether the kernel is PREEMPT_RT."""
     return read_text("/sys/kernel/realtime") == "1" or "PREEMPT_RT" in platform.version()
 
 
@@ -186,22 +173,17 @@ def container_name() -> str | None:
 
 
 def _board() -> str | None:
-    """Return the board's model, such as `Raspberry Pi 4 Model B Rev 1.4`; on a PC the product's name."""
+    """Return a board's model (`Raspberry Pi 4 Model B Rev 1.4`) or a PC's product name."""
     return read_text("/proc/device-tree/model") or read_text("/sys/class/dmi/id/product_name")
 
 
 def _cpu_model() -> str:
-    # Arm boards have no "model name"; their /proc/cpuinfo also holds the board's serial number, which stays there.
-    named = re.search(r"^model name\s*:\s*(.+)$", read_text("/proc/cpuinfo") or "", re.MULTILINE)
+    cpuinfo = read_text("/proc/cpuinfo") or ""
+    named = re.search(r"^model name\s*:\s*(.+)$", cpuinfo, re.MULTILINE)
     if named:
         return named[1].strip()
-    part = re.search(r"^CPU part\s*:\s*(\S+)$", read_text("/proc/cpuinfo") or "", re.MULTILINE)
+    part = re.search(r"^CPU part\s*:\s*(\S+)$", cpuinfo, re.MULTILINE)  # Arm boards have no model name
     return f"{platform.machine()} part {part[1]}" if part else platform.processor() or platform.machine()
-
-
-def _cpu_max_mhz() -> float | None:
-    text = read_text("/sys/devices/system/cpu/cpu0/cpufreq/cpuinfo_max_freq")
-    return int(text) / 1000 if text and text.isdigit() else None
 
 
 def _os_name() -> str:

@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Record = Callable[[int, int, int, int], object]
-    """Function that keeps an event, given stage, run id, sequence and monotonic time in ns, as `TraceSink.record` is."""
+    """A function like `TraceSink.record`, called with stage, run id, sequence and monotonic time in ns."""
 
 PACE_NS = 1_000_000
-"""Time between two events: at 1 kHz, caches and the draining thread are in the state that they have in a node."""
+"""Time between two events: at 1 kHz, caches and the draining thread are in the state of a node."""
 
 STALL_EVENTS = 10
 _TIMER_READINGS = 2_000
@@ -40,13 +40,10 @@ class RecorderCost:
 
     Attributes:
         timer_ns: time of one reading of the monotonic clock in a loop.
-        record_median_ns: median time of keeping one event at 1 kHz.
-        record_p99_ns: 99th percentile of that time.
-        record_max_ns: maximum of that time; chunks are closed during the measurement.
+        record_median_ns: median time of keeping one event; likewise `record_p99_ns` and `record_max_ns`.
         stall_of_ten_ns: maximum time of ten consecutive events together.
         events: number of measured events.
-        cold_timer_ns: time of one reading behind another after a sleep, which is what is taken off the times of events; 0 if
-            it was not measured.
+        cold_timer_ns: time of one reading of the clock after a sleep, which is subtracted from the times of events.
     """
 
     timer_ns: float
@@ -62,7 +59,7 @@ def measure_recorder_cost(folder: Path | None = None, seconds: float = 3.0) -> R
     """Measure the cost of recording on this machine with a trace that is deleted again.
 
     Args:
-        folder: folder of the coming traces, because their disk may add to the cost; else the temporary folder.
+        folder: folder of the coming traces, whose disk may add to the cost; else the temporary folder.
         seconds: duration of the measurement.
 
     Raises:
@@ -84,7 +81,7 @@ def measure_recorder_cost(folder: Path | None = None, seconds: float = 3.0) -> R
     net = np.maximum(times - cold_timer_ns, 0.0)
     return RecorderCost(
         timer_ns=measure_timer_ns(),
-        # Of statistics, as the medians of numpy load numpy.ma: 50 ms at the start of each recorder.
+        # numpy's medians would load numpy.ma: 50 ms at the start of each recorder.
         record_median_ns=statistics.median(net.tolist()),
         record_p99_ns=statistics.quantiles(net.tolist(), n=100, method="inclusive")[98],
         record_max_ns=float(net.max()),
@@ -103,31 +100,24 @@ def measure_timer_ns() -> float:
 
 def measure_cold_timer_ns(readings: int) -> float:
     """Return the median time in ns from one reading of the clock to the next, of pairs of readings at 1 kHz."""
-    now = time.monotonic_ns
-    times = np.zeros(readings)
-    planned = now()
-    for number in range(readings):
-        planned += PACE_NS
-        time.sleep(max(planned - now(), 0) / 1e9)
-        begin = now()
-        times[number] = now() - begin
-    return float(statistics.median(times.tolist()))
+    return float(statistics.median(time_paced_events(None, readings).tolist()))
 
 
-def time_paced_events(record: Record, count: int) -> NDArray[np.float64]:
-    """Return the time in ns that each of `count` events takes at 1 kHz, one reading of the clock included.
+def time_paced_events(record: Record | None, count: int) -> NDArray[np.float64]:
+    """Return the time in ns of each of `count` calls of `record` at 1 kHz, one reading of the clock included.
 
-    The thread sleeps between events, as one that waits for messages does.
+    The thread sleeps between events, as one that waits for messages does; None records nothing.
     """
     now = time.monotonic_ns
     times = np.zeros(count)
-    planned = now()
+    planned_ns = now()
     for sequence in range(count):
-        planned += PACE_NS
-        time.sleep(max(planned - now(), 0) / 1e9)
-        stamped = now()
-        record(1, 1, sequence, stamped)
-        times[sequence] = now() - stamped
+        planned_ns += PACE_NS
+        time.sleep(max(planned_ns - now(), 0) / 1e9)
+        stamped_ns = now()
+        if record is not None:
+            record(1, 1, sequence, stamped_ns)
+        times[sequence] = now() - stamped_ns
     return times
 
 

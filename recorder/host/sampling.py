@@ -1,4 +1,4 @@
-"""Samples of the host's load once a second: CPU, memory, network, Wi-Fi signal, and the share of named processes."""
+"""Samples of the host's load once a second: CPU, memory, network, Wi-Fi signal, and the load of named processes."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import psutil
 
 from dds_trace.base.threads import run_in_background
 
-from .fingerprint import read_text, wifi_signals
-from .kernel_clock import read_monotonic_pair
+from .clock import read_monotonic_pair
+from .fingerprint import read_mhz, read_text, wifi_signals
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -23,29 +23,25 @@ if TYPE_CHECKING:
 
     from dds_trace.tracefile.format.json_fields import Json, JsonObject
 
-# Datagrams that the kernel threw away: the usual cause of loss and of slow reliable delivery of large messages.
-_UDP_COUNTERS = ("InErrors", "RcvbufErrors", "SndbufErrors")
-_IP_COUNTERS = ("ReasmFails", "ReasmTimeout", "FragFails")
+_DROP_COUNTERS = {
+    "Udp:": ("InErrors", "RcvbufErrors", "SndbufErrors"),
+    "Ip:": ("ReasmFails", "ReasmTimeout", "FragFails"),
+}
+"""Datagrams that the kernel threw away: the usual cause of loss and of slow reliable delivery of large messages."""
 
 
 @dataclass(slots=True)
 class HostSampler:
     """A thread that hands one sample a second to a callback, from `start` to `stop`.
 
-    A sample is a JSON object:
-        `monotonic_ns` and at the same instant `monotonic_raw_ns`, which NTP does not slew; `host` (`cpu_percent`, `cpu_percent_each`, `cpu_mhz`, `memory_used_bytes`,
-        `memory_available_bytes`, `load_1min`, `temperature_c`, `steal_ns`: time since boot that a hypervisor gave to
-        others, all processors together, and `pressure_us` of `cpu`, `io`, `memory`: time since boot in which some task
-        waited for it); `network` (interface -> `sent_bytes`,
-        `received_bytes`, `sent_packets`, `received_packets`, `dropped`, `errors`: totals since boot);
-        `udp` (kernel totals such as `RcvbufErrors`); `wifi` (interface -> `signal_dbm` ...);
-        `processes` (name -> `pid`, `cpu_percent` of one core, `memory_bytes` resident, `threads`,
-        `involuntary_switches`); `sampling_cpu_ns`, the CPU time that the sample before this one took.
+    Of a sample's fields, `monotonic_raw_ns` is not slewed by NTP; totals since boot are `network` (by interface), `udp`
+    (`RcvbufErrors` ...), `steal_ns` (time that a hypervisor gave to others, all processors together) and `pressure_us`
+    (time in which some task waited for `cpu`, `io` or `memory`); `cpu_percent` of a process is of one core;
+    `sampling_cpu_ns` is the CPU time that the preceding sample took.
 
     Attributes:
         write: callback that takes each sample, such as `functools.partial(sink.write_json, HOST_TOPIC)`.
-        processes: further processes to follow, name -> pid (`{"bridge": 4711}`); this one is `self`. May be
-            changed while running by replacing the mapping.
+        processes: further processes to follow, name -> pid (`{"bridge": 4711}`); this one is `self`.
         period_s: time between two samples.
     """
 
@@ -83,13 +79,13 @@ class HostSampler:
 
     def _run(self) -> None:
         run_in_background()
-        self.sample()  # psutil's shares are since its call before; what this one says is dropped
+        self.sample()  # psutil's shares count from the preceding call
         while not self._stop.wait(self.period_s):
             self.write(self.sample())
         self.write(self.sample())
 
     def sample(self) -> dict[str, Json]:
-        """Take one sample now; shares of CPU are since the call before."""
+        """Take one sample now; shares of CPU count from the preceding call."""
         began_ns = time.thread_time_ns()
         monotonic_ns, monotonic_raw_ns = read_monotonic_pair()
         sample: dict[str, Json] = {
@@ -124,18 +120,18 @@ class HostSampler:
                     "threads": process.num_threads(),
                     "involuntary_switches": process.num_ctx_switches().involuntary,
                 }
-        except psutil.Error:  # it has ended, and that is for its supervisor to say
+        except psutil.Error:  # it has ended; its supervisor reports that
             self._followed.pop(pid, None)
             return None
 
 
 def _host_load() -> dict[str, Json]:
-    each = psutil.cpu_percent(percpu=True)
+    cores = psutil.cpu_percent(percpu=True)
     memory = psutil.virtual_memory()
     return {
-        "cpu_percent": round(sum(each) / max(len(each), 1), 1),
-        "cpu_percent_each": each,
-        "cpu_mhz": _cpu_mhz(),
+        "cpu_percent": round(sum(cores) / max(len(cores), 1), 1),
+        "cpu_percent_each": cores,
+        "cpu_mhz": read_mhz("/sys/devices/system/cpu/cpu0/cpufreq/scaling_cur_freq"),
         "memory_used_bytes": memory.total - memory.available,
         "memory_available_bytes": memory.available,
         "load_1min": os.getloadavg()[0],
@@ -146,7 +142,7 @@ def _host_load() -> dict[str, Json]:
 
 
 def _pressure_us() -> dict[str, Json]:
-    """Read the kernel's pressure stall information (`/proc/pressure`, Linux 4.20); empty where there is none."""
+    """Read `/proc/pressure` (Linux 4.20); empty where there is none."""
     totals: dict[str, Json] = {}
     for resource in ("cpu", "io", "memory"):
         some = (read_text(f"/proc/pressure/{resource}") or "").partition("\n")[0]
@@ -156,13 +152,8 @@ def _pressure_us() -> dict[str, Json]:
     return totals
 
 
-def _cpu_mhz() -> float | None:
-    khz = read_text("/sys/devices/system/cpu/cpu0/cpufreq/scaling_cur_freq")
-    return int(khz) / 1000 if khz and khz.isdigit() else None
-
-
 def _temperature_c() -> float | None:
-    """Read the first thermal zone: on a Raspberry Pi the SoC, which throttles at 80 degrees."""
+    """Read the first thermal zone: on a Raspberry Pi the SoC."""
     millidegrees = read_text("/sys/class/thermal/thermal_zone0/temp")
     return int(millidegrees) / 1000 if millidegrees and millidegrees.lstrip("-").isdigit() else None
 
@@ -186,14 +177,11 @@ def _network_totals() -> dict[str, dict[str, int]]:
 
 
 def _kernel_totals() -> dict[str, int]:
-    """Read the counters of `/proc/net/snmp`, where each protocol has a line of names and a line of values."""
+    """Read `/proc/net/snmp`, where each protocol has a line of names and a line of values."""
     lines = [line.split() for line in (read_text("/proc/net/snmp") or "").splitlines()]
     totals: dict[str, int] = {}
     for names, values in zip(lines[::2], lines[1::2], strict=False):
-        if names[0] in ("Udp:", "Ip:"):
-            totals |= {
-                name: int(value)
-                for name, value in zip(names[1:], values[1:], strict=False)
-                if name in _UDP_COUNTERS + _IP_COUNTERS
-            }
+        counters = _DROP_COUNTERS.get(names[0], ())
+        pairs = zip(names[1:], values[1:], strict=False)
+        totals |= {name: int(value) for name, value in pairs if name in counters}
     return totals

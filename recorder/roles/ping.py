@@ -11,7 +11,7 @@ from dds_trace.base.units import SECOND_NS
 from ..applied.carried import Traffic
 from ..choices import Serialization
 from ..host.clock import SystemClock, sharpen_sleep
-from ..host.steady import steady_interpreter
+from ..host.process import tuned_gc
 from ..payloads.stamp import PROBE_RUN_ID, SentT
 from .lanes import ObjectLane, RawLane
 from .progress import PingProgress
@@ -193,7 +193,7 @@ class Ping(Generic[SentT, ReceivedT]):
         sink.write_run(description)
         self._record = sink.record
         sharpen_sleep()
-        with steady_interpreter():
+        with tuned_gc():
             self._send(sink, stop)
             ended_ns = self._now()
             self._drain(hopeless or threading.Event())

@@ -12,8 +12,7 @@ from dds_trace.tracefile.format.descriptions import Session
 from ..backends import load_backend, load_backends
 from ..choices import Discovery
 from ..host.environment import join_environments
-from ..host.fingerprint import host_fingerprint
-from ..host.kernel_clock import read_boot_id
+from ..host.fingerprint import host_fingerprint, read_boot_id
 
 if TYPE_CHECKING:
     from dds_trace.tracefile.format.json_fields import JsonObject

@@ -15,7 +15,8 @@ from dds_trace.recorder.backends import BACKEND_MODULES, installed_middlewares
 from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.choices import Discovery
 from dds_trace.recorder.errors import NoEchoError
-from dds_trace.recorder.host.kernel_clock import read_adjtimex, read_boot_id
+from dds_trace.recorder.host.clock import read_adjtimex
+from dds_trace.recorder.host.fingerprint import read_boot_id
 from dds_trace.recorder.options import PingOptions, RecordOptions
 from dds_trace.recorder.payloads import PAYLOADS
 from dds_trace.recorder.payloads.base import DataType, Form, Message, Payload, Source

@@ -22,7 +22,7 @@ from dds_trace.base.errors import BackendUnavailableError
 
 from ...applied.vendors import ros_middleware
 from ...choices import Discovery
-from ...host.stopping import dying_with_us
+from ...host.process import ending_with_parent
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -131,7 +131,7 @@ def _start(program: Path, port: int) -> subprocess.Popen[bytes]:
     asked = os.environ.get("ZENOH_CONFIG_OVERRIDE", "")
     environment = {**os.environ, "ZENOH_CONFIG_OVERRIDE": f"{asked};{own}" if asked else own}
     return subprocess.Popen(
-        [*dying_with_us(), str(program)],
+        [*ending_with_parent(), str(program)],
         env=environment,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,

@@ -16,7 +16,7 @@ from dds_trace.base.errors import BackendUnavailableError, OptionError, OutputEr
 from dds_trace.base.files import create_file
 
 from ...bridges.process.supervise import describe_end, program_environment
-from ...host.stopping import dying_with_us
+from ...host.process import ending_with_parent
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -95,7 +95,7 @@ class Program:
         limit = _writing_at_most(MOST_LOG_BYTES) if stops_by_input else []
         with _new_file(log) as output:
             self._process = subprocess.Popen(
-                [*dying_with_us(), *limit, *command],
+                [*ending_with_parent(), *limit, *command],
                 stdin=subprocess.PIPE if stops_by_input else subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,

@@ -1,0 +1,184 @@
+"""How this process runs: fixed CPUs and real-time priority, garbage collection, signals that stop it.
+
+A privilege that the system refuses is an error: numbers recorded under other conditions than requested would look right.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import gc
+import os
+import shutil
+import signal
+import sys
+import threading
+from pathlib import Path
+from queue import SimpleQueue
+from typing import TYPE_CHECKING
+
+from dds_trace.base import limits
+from dds_trace.base.errors import OptionError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from dds_trace.tracefile.format.json_fields import Json
+
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+SWITCH_INTERVAL_S = 0.0005
+"""Longest time that a computing thread keeps the interpreter lock from one that received a message (5 ms by default)."""
+
+_MCL_CURRENT, _MCL_FUTURE = 1, 2  # <sys/mman.h>, equal on x86_64 and aarch64
+
+_HOW_TO_BE_PERMITTED = (
+    "run as root, or add 'USER - rtprio 99' and 'USER - memlock unlimited' to "
+    "/etc/security/limits.conf and log in again, or leave --realtime out"
+)
+
+_UNLESS_ORPHAN = 'test "$PPID" = "$0" && exec "$@"'
+
+
+def apply_privileges(
+    cpu_affinity: str | None = None, realtime_priority: int | None = None
+) -> dict[str, Json]:
+    """Give this process its CPUs and its real-time priority; threads started later inherit both.
+
+    Call it before the middleware starts its threads. Threads that write the trace or sample the host give the priority
+    back (`base.threads.run_in_background`).
+
+    Args:
+        cpu_affinity: CPUs as `--cpu-affinity` names them: `3`, `0,2`, `2-3`.
+        realtime_priority: 1 (lowest) to 99 for SCHED_FIFO; all memory is locked as well.
+
+    Returns:
+        The session's fields `cpu_affinity` (list of CPU numbers), `realtime_priority` and `memory_locked`, as far as
+        they were requested.
+
+    Raises:
+        OptionError: a value is impossible on this machine, or the system does not permit it.
+    """
+    applied: dict[str, Json] = {}
+    if cpu_affinity is not None:
+        applied["cpu_affinity"] = pin_cpus(cpu_affinity)
+    if realtime_priority is not None:
+        lock_memory()
+        set_realtime(realtime_priority)
+        applied |= {"realtime_priority": realtime_priority, "memory_locked": True}
+    return applied
+
+
+def parse_cpus(text: str) -> list[int]:
+    """Return the CPU numbers in `0,2-3`, sorted.
+
+    Raises:
+        OptionError: not a list of numbers and ranges.
+    """
+    limits.check(limits.CPUS, text, "--cpu-affinity")
+    cpus: set[int] = set()
+    for part in text.split(","):
+        first, _, last = part.partition("-")
+        cpus.update(range(int(first), int(last or first) + 1))
+    if not cpus:
+        raise OptionError(f"--cpu-affinity {text!r}: a range goes from the lower CPU number to the higher")
+    return sorted(cpus)
+
+
+def pin_cpus(text: str) -> list[int]:
+    """Let every thread of this process run on these CPUs only, and return their numbers.
+
+    Raises:
+        OptionError: not a list of CPUs, or a CPU that this process may not use.
+    """
+    cpus = parse_cpus(text)
+    allowed = os.sched_getaffinity(0)
+    missing = [cpu for cpu in cpus if cpu not in allowed]
+    if missing:
+        raise OptionError(
+            f"--cpu-affinity {text}: CPU {missing[0]} is not among those this process may use "
+            f"({', '.join(map(str, sorted(allowed)))})",
+        )
+    # Loaded libraries may have started threads already, and the call moves one thread.
+    for thread in Path("/proc/self/task").iterdir():
+        with contextlib.suppress(ProcessLookupError):
+            os.sched_setaffinity(int(thread.name), cpus)
+    return cpus
+
+
+def set_realtime(priority: int) -> None:
+    """Run the calling thread, and those it starts, under SCHED_FIFO.
+
+    Raises:
+        OptionError: the priority is not 1 to 99, or the system does not permit it.
+    """
+    limits.check(limits.REALTIME_PRIORITY, priority, "--realtime")
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except OSError as err:
+        raise OptionError(
+            f"--realtime {priority}: SCHED_FIFO is not permitted ({err.strerror}): {_HOW_TO_BE_PERMITTED}",
+        ) from err
+
+
+def lock_memory() -> None:
+    """Keep every page of this process in memory, now and later, so that no page fault delays a stamp.
+
+    Raises:
+        OptionError: the system does not permit it.
+    """
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:
+        reason = os.strerror(ctypes.get_errno())
+        raise OptionError(f"--realtime: locking memory is not permitted ({reason}): {_HOW_TO_BE_PERMITTED}")
+
+
+@contextlib.contextmanager
+def tuned_gc() -> Iterator[None]:
+    """Switch garbage collection off within the block, and let received messages wait less for other threads.
+
+    Reference counts free the objects of a message; call `gc.collect` in a quiet moment for the rest.
+    """
+    was_enabled, interval_s = gc.isenabled(), sys.getswitchinterval()
+    gc.collect()
+    gc.freeze()  # a later collection skips older objects, and so is quick
+    gc.disable()
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(interval_s)
+        gc.unfreeze()
+        if was_enabled:
+            gc.enable()
+
+
+def stop_at_signals() -> threading.Event:
+    """Return an event that SIGINT and SIGTERM set from now on.
+
+    A handler runs between any two steps of the main thread, even while that holds the event's lock in `wait()`: a
+    handler that called `set()` would deadlock. `SimpleQueue.put` is reentrant, so a thread behind a queue sets the event.
+    """
+    stop = threading.Event()
+    received: SimpleQueue[int] = SimpleQueue()
+
+    def set_at_first() -> None:
+        received.get()
+        stop.set()
+
+    threading.Thread(target=set_at_first, name="stop-signals", daemon=True).start()
+    for number in STOP_SIGNALS:
+        signal.signal(number, lambda number, _: received.put(number))
+    return stop
+
+
+def ending_with_parent() -> list[str]:
+    """Return the words before a command that make the kernel end it by SIGTERM when this process ends.
+
+    Empty where the system has no `setpriv` (util-linux). The kernel sends nothing if the parent ended before `setpriv`
+    asked, so a shell, which the command replaces, compares its parent with this process first.
+    """
+    setpriv = shutil.which("setpriv")
+    if setpriv is None:
+        return []
+    return [setpriv, "--pdeathsig", "TERM", "--", "sh", "-c", _UNLESS_ORPHAN, str(os.getpid())]

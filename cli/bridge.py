@@ -17,8 +17,7 @@ from .quick_help import Version, command_app, declare_command
 if TYPE_CHECKING:
     from typer.models import OptionInfo
 
-    from dds_trace.recorder.bridges.base import Bridge
-    from dds_trace.recorder.bridges.options import BridgeOptions
+    from dds_trace.recorder.bridges.base import Bridge, BridgeOptions
     from dds_trace.recorder.bridges.process.running import RunningBridge
 
 LOOK_S = 0.2
@@ -121,8 +120,13 @@ def main_command(
     [bold]dds-bridge zenoh-bridge-dds --half relay --peer 192.168.0.5:7447[/bold]
     """
     from dds_trace.base.errors import OptionError
-    from dds_trace.recorder.bridges.base import load_bridge
-    from dds_trace.recorder.bridges.options import BRIDGED_TOPICS, BridgeOptions, Half, bridged_topic
+    from dds_trace.recorder.bridges.base import (
+        BRIDGED_TOPICS,
+        BridgeOptions,
+        Half,
+        bridged_topic,
+        load_bridge,
+    )
     from dds_trace.tracefile.format.descriptions import Qos
 
     from .record.values import default_discovery, parse_durations

@@ -56,21 +56,27 @@ class FileMode(Enum):
         return int(self.value, 8)
 
 
-class Reliability(Enum):
+class QosPolicy(str, Enum):
+    """A value of a QoS policy, equal to its text in a trace (`Qos`)."""
+
+    __str__ = str.__str__
+
+
+class Reliability(QosPolicy):
     """QoS reliability."""
 
     RELIABLE = "reliable"
     BEST_EFFORT = "best_effort"
 
 
-class Durability(Enum):
+class Durability(QosPolicy):
     """QoS durability."""
 
     VOLATILE = "volatile"
     TRANSIENT_LOCAL = "transient_local"
 
 
-class History(Enum):
+class History(QosPolicy):
     """QoS history."""
 
     KEEP_LAST = "keep_last"

@@ -17,7 +17,7 @@ from dds_trace.tracefile.writing.destination import discard
 
 from .backends import load_backend, open_node
 from .backends.qos import warn_of_depth
-from .bridges.asked import open_asked_bridge
+from .bridges.requested import open_requested_bridge
 from .domains import check_domain
 from .errors import BridgeError, NoEchoError, NotAppliedError, RelayLostError
 from .host.clock import SystemClock, read_adjtimex
@@ -181,7 +181,7 @@ class _Recording:
             node = stack.enter_context(self._open_node("ping"))
             ping = open_ping(node, plan, self.clock)
             node.start()
-            bridge = open_asked_bridge(self.options, asked, payload.data_type, stack)
+            bridge = open_requested_bridge(self.options, asked, payload.data_type, stack)
             read_back = self._read_back(node)
             if self.rehearses:  # what is applied shows once there is a connection
                 return Recorded(None, self._describe("ping", node, read_back), ping.progress())

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .backends import load_backend
-from .bridges.asked import check_asked_bridge
+from .bridges.requested import check_requested_bridge
 from .domains import check_domain_id
 from .errors import StoppedError
 from .host.process import parse_cpus
@@ -55,7 +55,7 @@ def check_options(options: RecordOptions) -> None:
         check_serialization(served_data_types(options.types), options.serialization)
     else:
         _check_data(options.ping)
-        check_asked_bridge(options, options.ping, BINARY)
+        check_requested_bridge(options, options.ping, BINARY)
 
 
 def _check_data(asked: PingOptions) -> None:

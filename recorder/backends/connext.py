@@ -22,7 +22,7 @@ from ..host.environment import ConfigurationVariable, MiddlewareEnvironment
 from .base import DDS_MEETING, Backend, Meeting
 from .dds_types import DDS_TYPES, check_known, dds_name, dds_topic, ros_name, split_type
 from .node import Endpoint, Middleware, TopicView
-from .qos import asked_durations, duration_extra, incompatible_pairs
+from .qos import duration_extra, incompatible_pairs, requested_durations
 from .threaded import LAST_ACKNOWLEDGEMENT_S, ROUND_S, NodeSubscription, ThreadedNode, has_package
 
 if TYPE_CHECKING:
@@ -277,7 +277,7 @@ def _fill(policies: Any, qos: Qos) -> Any:
     except KeyError as err:
         raise OptionError(f"RTI Connext has no quality of service {err}") from err
     durations = {
-        policy: dds.Duration(*divmod(asked, SECOND_NS)) for policy, asked in asked_durations(qos).items()
+        policy: dds.Duration(*divmod(asked, SECOND_NS)) for policy, asked in requested_durations(qos).items()
     }
     if "deadline" in durations:
         policies.deadline.period = durations["deadline"]

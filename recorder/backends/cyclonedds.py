@@ -26,7 +26,7 @@ from .base import DDS_MEETING, Backend, Meeting
 from .cyclone_settings import cyclone_loopback, cyclone_settings
 from .dds_types import DDS_TYPES, check_known, dds_name, dds_topic, ros_name, split_type
 from .node import Endpoint, Middleware, TopicView
-from .qos import asked_durations, duration_extra, incompatible_pairs
+from .qos import duration_extra, incompatible_pairs, requested_durations
 from .threaded import LAST_ACKNOWLEDGEMENT_S, ROUND_S, NodeSubscription, ThreadedNode, has_package
 
 if TYPE_CHECKING:
@@ -348,7 +348,7 @@ def _cyclone_qos(qos: Qos) -> Any:
     except KeyError as err:
         raise OptionError(f"Cyclone DDS has no quality of service {err}") from err
     durations = {"deadline": Policy.Deadline, "lifespan": Policy.Lifespan}
-    policies += [durations[policy](duration_ns) for policy, duration_ns in asked_durations(qos).items()]
+    policies += [durations[policy](duration_ns) for policy, duration_ns in requested_durations(qos).items()]
     if qos.durability == "transient_local":  # what is kept for late readers, as much as ROS 2 keeps
         policies.append(Policy.DurabilityService(0, history, -1, -1, -1))
     return CycloneQos(*policies)

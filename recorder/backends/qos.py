@@ -47,7 +47,7 @@ def warn_of_depth(history: str, depth: int, rate_hz: float) -> str | None:
     )
 
 
-def asked_durations(qos: Qos) -> dict[str, int]:
+def requested_durations(qos: Qos) -> dict[str, int]:
     """Return policy -> ns for those of `DURATION_POLICIES` that `qos` asks for; one that is left out is infinite."""
     given = {policy: qos.extra.get(f"{policy}_ns") for policy in DURATION_POLICIES}
     return {policy: duration_ns for policy, duration_ns in given.items() if isinstance(duration_ns, int)}
@@ -68,7 +68,7 @@ def refuse_durations(backend: str, qos: Qos) -> None:
     Raises:
         OptionError: `qos` asks for one.
     """
-    for policy in asked_durations(qos):
+    for policy in requested_durations(qos):
         raise OptionError(f"--{policy}: the backend {backend} has no such quality of service; leave it out")
 
 
@@ -82,7 +82,7 @@ def mismatches(offered: Qos, requested: Qos) -> list[str]:
         offers, requests = getattr(offered, policy), getattr(requested, policy)
         if offers in ranks and requests in ranks and ranks.index(offers) < ranks.index(requests):
             shortfalls.append(f"{policy} ({offers} offered, {requests} requested)")
-    offers_ns, requests_ns = (asked_durations(qos).get("deadline") for qos in (offered, requested))
+    offers_ns, requests_ns = (requested_durations(qos).get("deadline") for qos in (offered, requested))
     if requests_ns is not None and (offers_ns is None or offers_ns > requests_ns):
         offers = "none" if offers_ns is None else spell_duration(offers_ns, digits=6)
         shortfalls.append(f"deadline ({offers} offered, {spell_duration(requests_ns, digits=6)} requested)")

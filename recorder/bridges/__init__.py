@@ -1,1 +1,1 @@
-"""The bridges between two DDS domains: one file for each, launched and supervised, never imported by a role."""
+"""The bridges between two DDS domains: one file for each, the record of one in `base`, its running programs in `process`."""

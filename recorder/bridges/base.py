@@ -1,24 +1,26 @@
-"""The table of bridges, and what each of its entries offers: configuration text and how to run its program.
+"""A bridge between two DDS domains: the table of bridges, the record of one (`Bridge`), and its options.
 
-Every bridge has the same names in the same order. Nothing here starts a program.
+Nothing here starts a program.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+import re
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from importlib import import_module
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
+from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
+from dds_trace.tracefile.format.descriptions import Qos
 
-from .options import Half
+from ..choices import Discovery, Transport
+from ..payloads import data_types
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
-
-    from .options import BridgeOptions
 
 BRIDGE_MODULES = {
     "builtin": "dds_trace.recorder.bridges.builtin",
@@ -30,64 +32,212 @@ BRIDGE_MODULES = {
     "routing-service": "dds_trace.recorder.bridges.routing_service",
     "domain_bridge": "dds_trace.recorder.bridges.domain_bridge",
 }
-"""Name of each bridge -> the module that holds its `BRIDGE`, imported at first use.
-
-`dds-record --bridge`, `dds-bridge`, the axis `bridge` of sweep plans and their help know the bridges from here alone.
-"""
+"""Name of each bridge -> the module with its `BRIDGE`, imported at first use."""
 
 LOCAL_LINK = "127.0.0.1:7447"
-"""Address at which two halves on this machine meet if no other is given."""
+"""Default address at which two halves on this machine meet."""
+
+
+class Half(Enum):
+    """Part of a bridge that runs here; a bridge of one program only has `BOTH`."""
+
+    BOTH = "both"
+    PING = "ping"
+    RELAY = "relay"
 
 
 class Halves(Enum):
-    """Whether a bridge runs as one process for each domain, joined by a link of their own."""
+    """Whether a bridge runs as one process for each domain, joined by a link between the two."""
 
     NEVER = "never"
     OPTIONAL = "optional"  # one process for both domains, or a half on each device
     ALWAYS = "always"
 
 
-class Bridge(Protocol):
-    """One bridging program; each module of `BRIDGE_MODULES` has one, named `BRIDGE`."""
+@dataclass(frozen=True, slots=True)
+class BridgedTopic:
+    """A topic that crosses from the ping's domain to the relay's; its `_relay` twin crosses back.
+
+    Attributes:
+        name: ROS name without the first slash.
+        type_name: message type, such as `sensor_msgs/msg/Image`.
+    """
+
+    name: str
+    type_name: str
 
     @property
-    def name(self) -> str:
-        """Name as given to `--bridge` and written to the run."""
+    def reply_name(self) -> str:
+        """Name of the `_relay` twin."""
+        return f"{self.name}_relay"
 
     @property
-    def install(self) -> str:
-        """How to install the program, in one line."""
+    def dds_type_name(self) -> str:
+        """Name of the type in DDS: `sensor_msgs::msg::dds_::Image_`."""
+        package, kind, name = self.type_name.split("/")
+        return f"{package}::{kind}::dds_::{name}_"
+
+
+def bridged_topic(text: str) -> BridgedTopic:
+    """Parse `NAME:TYPE`, as in `data_sensor_msgs_PointCloud2:sensor_msgs/msg/PointCloud2`.
+
+    Raises:
+        OptionError: the text has another form.
+    """
+    match = re.fullmatch(r"/?([A-Za-z]\w*(?:/\w+)*):([a-z]\w*/msg/[A-Z]\w*)", text, re.ASCII)
+    if match is None:
+        raise OptionError(
+            f"--topic {text!r}: write NAME:TYPE, for example data_sensor_msgs_PointCloud2:sensor_msgs/msg/PointCloud2"
+        )
+    return BridgedTopic(match[1], match[2])
+
+
+BRIDGED_TOPICS = tuple(BridgedTopic(data.topic, data.type_name) for data in data_types().values())
+"""Topics that cross every bridge, each with its `_relay` twin."""
+
+
+@dataclass(frozen=True, slots=True)
+class BridgeSide:
+    """One domain that a bridge joins; no topic is in both tuples, so no message circles.
+
+    Attributes:
+        domain_id: the DDS domain.
+        takes: names of the topics that leave this domain through the bridge.
+        puts: names of the topics that come in.
+    """
+
+    domain_id: int
+    takes: tuple[str, ...]
+    puts: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class BridgeOptions:
+    """All values that the configuration of a bridge depends on.
+
+    Attributes:
+        ping_domain_id: domain of the ping, which `topics` leave.
+        relay_domain_id: domain of the relay, which the `_relay` topics leave.
+        topics: the only topics that cross.
+        qos: quality of service of every bridged topic in both domains.
+        discovery: how far the bridge looks for nodes.
+        transport: transport of our own bridges' nodes (see `NodeOptions`).
+        tuned: whether our own nodes, and the Cyclone DDS in zenoh's bridges, get the settings for large messages.
+        half: part of the bridge that runs here.
+        listen: `HOST:PORT` at which this half waits for the other.
+        peers: `HOST:PORT` of each other half that this one connects to.
+
+    Raises:
+        OptionError: a domain, a topic or an address cannot be used.
+    """
+
+    ping_domain_id: int = 5
+    relay_domain_id: int = 10
+    topics: tuple[BridgedTopic, ...] = BRIDGED_TOPICS
+    qos: Qos = field(default_factory=Qos)
+    discovery: Discovery = Discovery.SUBNET
+    transport: Transport = Transport.DEFAULT
+    tuned: bool = False
+    half: Half = Half.BOTH
+    listen: str | None = None
+    peers: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for domain_id in (self.ping_domain_id, self.relay_domain_id):
+            fault = limits.DOMAIN_ID.fault(domain_id)
+            if fault is not None:
+                raise OptionError(f"there is no domain {limits.shown(domain_id)}; {fault}")
+        limits.check(limits.DEPTH, self.qos.depth, "--depth")
+        if self.ping_domain_id == self.relay_domain_id:
+            raise OptionError(
+                f"a bridge joins two domains, but both are {self.ping_domain_id}; name two or leave the bridge out"
+            )
+        names = self.topic_names
+        for name in names:
+            if names.count(name) > 1:
+                raise OptionError(
+                    f"the topic {name} would cross the bridge both ways, or twice; name it once"
+                )
+        for address in (self.listen, *self.peers):
+            if address is not None:
+                split_address(address)
 
     @property
-    def halves(self) -> Halves:
-        """Whether the bridge runs as one process for each domain, joined by a link of their own."""
+    def topic_names(self) -> list[str]:
+        """Names of all topics that cross, each followed by its twin."""
+        return [name for topic in self.topics for name in (topic.name, topic.reply_name)]
 
-    @property
-    def suffix(self) -> str:
-        """Suffix of the configuration file: `.json5`, `.yaml`, `.xml`."""
+    def sides(self) -> tuple[BridgeSide, ...]:
+        """Return the domains that this process joins."""
+        there = tuple(topic.name for topic in self.topics)
+        back = tuple(topic.reply_name for topic in self.topics)
+        sides = {
+            Half.PING: BridgeSide(self.ping_domain_id, takes=there, puts=back),
+            Half.RELAY: BridgeSide(self.relay_domain_id, takes=back, puts=there),
+        }
+        return tuple(sides.values()) if self.half is Half.BOTH else (sides[self.half],)
 
-    @property
-    def up_pattern(self) -> str | None:
-        """Regular expression of the log line that says the bridge serves; None if its log has no such line."""
+    def topic_of(self, name: str) -> BridgedTopic:
+        """Return the topic whose name, or whose twin's name, is `name`."""
+        return next(topic for topic in self.topics if name in (topic.name, topic.reply_name))
 
-    @property
-    def needs_ros_nodes(self) -> bool:
-        """Whether it knows nodes by what ROS 2 alone publishes, `ros_discovery_info`; plain DDS programs do not cross it."""
+    def type_of(self, name: str) -> str:
+        """Return the message type of a topic or twin."""
+        return self.topic_of(name).type_name
 
-    def configuration(self, options: BridgeOptions) -> str:
-        """Return the text of the configuration file, from `options` alone."""
 
-    def find(self) -> Path | None:
-        """Return the program's path on this machine, None if it is not installed."""
+def split_address(address: str) -> tuple[str, int]:
+    """Return host and port of `HOST:PORT` (`[::1]:7447` for IPv6).
 
-    def version(self, program: Path) -> str:
-        """Return the version that the program reports, or an empty text if it reports none."""
+    Raises:
+        OptionError: the text has another form, or the port is not 1 to 65535.
+    """
+    host, _, port = address.rpartition(":")
+    if limits.ADDRESS.fault(address) is not None or limits.PORT.fault(int(port)) is not None:
+        raise OptionError(f"{limits.shown(address)} is not an address; write {limits.ADDRESS.what}")
+    return host.strip("[]"), int(port)
 
-    def command(self, program: Path, configuration: Path, options: BridgeOptions) -> Sequence[str]:
-        """Return the command line that serves until SIGINT."""
 
-    def environment(self, program: Path, options: BridgeOptions) -> Mapping[str, str]:
-        """Return the environment variables that the program needs beyond those of this process."""
+def no_arguments(_program: Path) -> Sequence[str]:
+    """Return no arguments: the program takes the path of its configuration only."""
+    return ()
+
+
+def no_variables(_options: BridgeOptions) -> Mapping[str, str]:
+    """Return no variables."""
+    return {}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bridge:
+    """One bridging program; each module in `BRIDGE_MODULES` has one, named `BRIDGE`.
+
+    Attributes:
+        name: name in `--bridge` and in a run.
+        install: instruction to install the program, in one line.
+        suffix: suffix of the configuration file: `.json5`, `.yaml`, `.xml`.
+        configuration: returns the text of the configuration file.
+        find: returns the program's path on this machine, None if it is not installed.
+        version: returns the version that the program reports, empty if it reports none.
+        arguments: returns the arguments between the program and the path of its configuration.
+        environment: returns the variables that the program needs beyond those of this process.
+        halves: whether it runs as one process for each domain.
+        up_pattern: regular expression of the log line that says the bridge is up; None if its log has no such line.
+        needs_ros_nodes: whether it finds nodes by `ros_discovery_info`, which only ROS 2 publishes, so that plain DDS
+            programs do not cross it.
+    """
+
+    name: str
+    install: str
+    suffix: str
+    configuration: Callable[[BridgeOptions], str]
+    find: Callable[[], Path | None]
+    version: Callable[[Path], str]
+    arguments: Callable[[Path], Sequence[str]] = no_arguments
+    environment: Callable[[BridgeOptions], Mapping[str, str]] = no_variables
+    halves: Halves = Halves.NEVER
+    up_pattern: str | None = None
+    needs_ros_nodes: bool = False
 
 
 def load_bridge(name: str) -> Bridge:
@@ -105,24 +255,24 @@ def load_bridge(name: str) -> Bridge:
 def split_halves(bridge: Bridge, options: BridgeOptions, link: str = LOCAL_LINK) -> tuple[BridgeOptions, ...]:
     """Return the options of each process to start here.
 
-    Two when a bridge of halves runs wholly on this machine, where they meet at `link`; one otherwise. With `listen` or
-    `peers` the other half is elsewhere, and the one here is the ping's unless the options say the relay's.
+    There are two when both halves run on this machine, where they meet at `link`; else one. With `listen` or `peers`
+    the other half is elsewhere, and this one is the ping's unless the options say the relay's.
 
     Raises:
-        OptionError: the bridge has no halves and one is asked for, or the half could never meet the other.
+        OptionError: the bridge has no halves and one is requested, or the half could never meet the other.
     """
-    joins_others = bool(options.listen or options.peers)
-    half = Half.PING if options.half is Half.BOTH and joins_others else options.half
+    has_link = bool(options.listen or options.peers)
+    half = Half.PING if options.half is Half.BOTH and has_link else options.half
     if half is not Half.BOTH:
         if bridge.halves is Halves.NEVER:
             raise OptionError(
                 f"{bridge.name} is one program that joins both domains and has no halves; "
-                "run it on one of the devices, without --half, --listen and --peer",
+                "run it on one of the devices, without --half, --listen and --peer"
             )
-        if not joins_others:
+        if not has_link:
             raise OptionError(
                 f"this half of {bridge.name} would never meet the other one; give --listen HOST:PORT here "
-                "and --peer HOST:PORT there, or the other way round",
+                "and --peer HOST:PORT there, or the other way round"
             )
         return (replace(options, half=half),)
     if bridge.halves is Halves.ALWAYS:

@@ -1,20 +1,19 @@
-"""`builtin`: our own bridge, two ROS 2 contexts in one process, raw forwarding in both directions.
+"""`builtin`: our own bridge, two ROS 2 nodes in one process that forward serialized messages both ways.
 
-Run as `python -m dds_trace.recorder.bridges.builtin CONFIGURATION` it serves until SIGINT or SIGTERM.
+`python -m dds_trace.recorder.bridges.builtin CONFIGURATION` serves until SIGINT or SIGTERM.
 """
 
 from __future__ import annotations
 
 import sys
 from contextlib import ExitStack
-from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.base.version import __version__
 
-from .base import Halves
+from .base import Bridge
 from .builtin_common import (
     INSTALL_ROS2,
     UP_LINE,
@@ -27,51 +26,28 @@ from .builtin_common import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from .options import BridgeOptions
+    from collections.abc import Sequence
 
 
-@dataclass(frozen=True, slots=True)
-class BuiltinBridge:
-    """Two ROS 2 nodes in one process; see `Bridge` for the names."""
-
-    name: str = "builtin"
-    install: str = INSTALL_ROS2
-    halves: Halves = Halves.NEVER
-    suffix: str = ".json"
-    up_pattern: str | None = f"^{UP_LINE}"
-    needs_ros_nodes: bool = False
-
-    def configuration(self, options: BridgeOptions) -> str:
-        """Return the options as JSON; the program needs nothing else."""
-        return options_to_json(options)
-
-    def find(self) -> Path | None:
-        """Return this Python if it has rclpy."""
-        return Path(sys.executable) if find_spec("rclpy") else None
-
-    def version(self, program: Path) -> str:
-        """Return our version."""
-        del program
-        return __version__
-
-    def command(self, program: Path, configuration: Path, options: BridgeOptions) -> Sequence[str]:
-        """Return the command that runs this module."""
-        del options
-        return (str(program), "-m", __name__, str(configuration))
-
-    def environment(self, program: Path, options: BridgeOptions) -> Mapping[str, str]:
-        """Return no variables: the nodes set their discovery range themselves."""
-        del program, options
-        return {}
+def arguments(_program: Path) -> Sequence[str]:
+    """Return the arguments with which Python runs this module."""
+    return ("-m", __name__)
 
 
-BRIDGE = BuiltinBridge()
+BRIDGE = Bridge(
+    name="builtin",
+    install=INSTALL_ROS2,
+    suffix=".json",
+    configuration=options_to_json,
+    find=lambda: Path(sys.executable) if find_spec("rclpy") else None,
+    version=lambda _: __version__,
+    arguments=arguments,
+    up_pattern=f"^{UP_LINE}",
+)
 
 
 def main(configuration: Path) -> None:
-    """Serve the two domains that the file `configuration` names."""
+    """Serve the two domains of the file `configuration`."""
     options = options_from_json(configuration)
     sides = options.sides()
     with ExitStack() as stack:

@@ -16,58 +16,53 @@ from ..backends import open_node
 from ..backends.node import NodeOptions
 from ..choices import Discovery, Transport
 from ..host.process import stop_at_signals, tuned_gc
-from .options import BridgedTopic, BridgeOptions, Half
+from .base import BridgedTopic, BridgeOptions, Half
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from ..backends.node import Node, RawMessage, Receive
-    from .options import BridgeSide
+    from .base import BridgeSide
 
 INSTALL_ROS2 = "it needs ROS 2's rclpy: pip install 'dds-trace[ros2]', or source /opt/ros/DISTRO/setup.bash"
 UP_LINE = "bridging"
-"""First word of the line that says the program serves."""
+"""First word of the line that says the bridge is up."""
 
-LOOK_S = 0.5
+CHECK_PERIOD_S = 0.5
 
 
 def options_to_json(options: BridgeOptions) -> str:
     """Return the part of `options` that our own bridge programs read, as indented JSON."""
-    return (
-        json.dumps(
-            {
-                "ping_domain_id": options.ping_domain_id,
-                "relay_domain_id": options.relay_domain_id,
-                "half": options.half.value,
-                "listen": options.listen,
-                "peers": options.peers,
-                "discovery": options.discovery.value,
-                "transport": options.transport.value,
-                "tuned": options.tuned,
-                "qos": options.qos.to_dict(),
-                "topics": {topic.name: topic.type_name for topic in options.topics},
-            },
-            indent=2,
-        )
-        + "\n"
-    )
+    values = {
+        "ping_domain_id": options.ping_domain_id,
+        "relay_domain_id": options.relay_domain_id,
+        "half": options.half.value,
+        "listen": options.listen,
+        "peers": options.peers,
+        "discovery": options.discovery.value,
+        "transport": options.transport.value,
+        "tuned": options.tuned,
+        "qos": options.qos.to_dict(),
+        "topics": {topic.name: topic.type_name for topic in options.topics},
+    }
+    return json.dumps(values, indent=2) + "\n"
 
 
 def options_from_json(path: Path) -> BridgeOptions:
     """Return the options that `options_to_json` wrote to `path`.
 
     Raises:
-        TraceFormatError: the file holds something else.
+        TraceFormatError: the file contains something else.
     """
     try:
         values = json.loads(path.read_text())
         qos = values["qos"]
-        named = {name: qos.pop(name) for name in ("reliability", "durability", "history", "depth")}
+        policies = {name: qos.pop(name) for name in ("reliability", "durability", "history", "depth")}
         return BridgeOptions(
             ping_domain_id=values["ping_domain_id"],
             relay_domain_id=values["relay_domain_id"],
             topics=tuple(BridgedTopic(name, type_name) for name, type_name in values["topics"].items()),
-            qos=Qos(**named, extra=qos),
+            qos=Qos(**policies, extra=qos),
             discovery=Discovery(values["discovery"]),
             transport=Transport(values["transport"]),
             tuned=values["tuned"],
@@ -78,7 +73,7 @@ def options_from_json(path: Path) -> BridgeOptions:
     except (OSError, ValueError, KeyError, TypeError) as err:
         raise TraceFormatError(
             path,
-            f"is no configuration of a bridge of ours ({err}); `dds-bridge NAME --print-config` prints one",
+            f"is not a configuration of a built-in bridge ({err}); `dds-bridge NAME --print-config` prints one",
         ) from err
 
 
@@ -98,19 +93,19 @@ def open_side(side: BridgeSide, options: BridgeOptions) -> Node:
 
 
 class Forwarder:
-    """The routes of a bridge, each with a count of its messages, as each may have a thread of its own."""
+    """The routes of a bridge, each with a count of its own, as routes may run on different threads."""
 
     def __init__(self) -> None:
         self._counts: list[list[int]] = []
 
-    def forward(self, hand_on: Callable[[RawMessage], None]) -> Receive[RawMessage]:
-        """Return a callback that forwards each serialized message as it is."""
+    def forward(self, publish: Callable[[RawMessage], None]) -> Receive[RawMessage]:
+        """Return a callback that publishes each serialized message as it is."""
         count = [0]
         self._counts.append(count)
 
         def receive(message: RawMessage, source_ns: int = 0, received_ns: int = 0, /) -> None:
             del source_ns, received_ns
-            hand_on(message)
+            publish(message)
             count[0] += 1
 
         return receive
@@ -133,17 +128,17 @@ def serve(nodes: Sequence[Node], forwarder: Forwarder, what: str) -> None:
     with tuned_gc():
         print(f"{UP_LINE} {what}", flush=True)
         before = 0
-        while not stop.wait(LOOK_S):
+        while not stop.wait(CHECK_PERIOD_S):
             for node in nodes:
                 if node.error is not None:
                     raise node.error
-            if before == (before := forwarder.messages):  # a quiet moment
+            if before == (before := forwarder.messages):  # nothing is under way
                 gc.collect()
     print(f"forwarded {counted(forwarder.messages, 'message')}", flush=True)
 
 
 def run(main: Callable[[Path], None]) -> None:
-    """Call `main` with the configuration file named on the command line; an error of ours is one line."""
+    """Call `main` with the configuration file named on the command line; print a `TraceError` as one line."""
     try:
         main(Path(sys.argv[1]))
     except TraceError as error:

@@ -1,7 +1,7 @@
-"""`builtin-zenoh`: our own bridge over zenoh, domain 5 <-> zenoh <-> domain 10, one half on each device.
+"""`builtin-zenoh`: our own bridge over zenoh, one half on each device.
 
-Each half is a ROS 2 node in its domain and a zenoh peer; the two peers meet over TCP at an address that both are
-given. Run as `python -m dds_trace.recorder.bridges.builtin_zenoh CONFIGURATION` it serves one half until SIGINT or SIGTERM.
+Each half is a ROS 2 node in its domain and a zenoh peer; the peers meet over TCP at an address that both are given.
+`python -m dds_trace.recorder.bridges.builtin_zenoh CONFIGURATION` serves one half until SIGINT or SIGTERM.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import importlib
 import json
 import sys
-from dataclasses import dataclass
 from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
@@ -17,7 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 from dds_trace.base.version import __version__
 
-from .base import Halves
+from ..choices import Reliability
+from .base import Bridge, Halves
 from .builtin_common import (
     INSTALL_ROS2,
     UP_LINE,
@@ -31,72 +31,50 @@ from .builtin_common import (
 from .zenoh_link import zenoh_link
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Sequence
 
     from ..backends.node import RawMessage, Receive
-    from .options import BridgeOptions
 
 KEY_PREFIX = "dds_trace/bridge"
-"""A topic travels between the halves as the zenoh key `dds_trace/bridge/TOPIC`."""
+"""A topic crosses the link as the zenoh key `dds_trace/bridge/TOPIC`."""
 
 
-@dataclass(frozen=True, slots=True)
-class BuiltinZenohBridge:
-    """One ROS 2 node and one zenoh session in each half; see `Bridge` for the names."""
-
-    name: str = "builtin-zenoh"
-    install: str = f"it needs eclipse-zenoh (pip install eclipse-zenoh), and {INSTALL_ROS2}"
-    halves: Halves = Halves.ALWAYS
-    suffix: str = ".json"
-    up_pattern: str | None = f"^{UP_LINE}"
-    needs_ros_nodes: bool = False
-
-    def configuration(self, options: BridgeOptions) -> str:
-        """Return the options as JSON; the program needs nothing else."""
-        return options_to_json(options)
-
-    def find(self) -> Path | None:
-        """Return this Python if it has rclpy and zenoh."""
-        return Path(sys.executable) if find_spec("rclpy") and find_spec("zenoh") else None
-
-    def version(self, program: Path) -> str:
-        """Return our version and zenoh's."""
-        del program
-        return f"{__version__} (eclipse-zenoh {metadata.version('eclipse-zenoh')})"
-
-    def command(self, program: Path, configuration: Path, options: BridgeOptions) -> Sequence[str]:
-        """Return the command that runs this module."""
-        del options
-        return (str(program), "-m", __name__, str(configuration))
-
-    def environment(self, program: Path, options: BridgeOptions) -> Mapping[str, str]:
-        """Return no variables: the node sets its discovery range itself."""
-        del program, options
-        return {}
+def arguments(_program: Path) -> Sequence[str]:
+    """Return the arguments with which Python runs this module."""
+    return ("-m", __name__)
 
 
-BRIDGE = BuiltinZenohBridge()
+BRIDGE = Bridge(
+    name="builtin-zenoh",
+    install=f"it needs eclipse-zenoh (pip install eclipse-zenoh), and {INSTALL_ROS2}",
+    suffix=".json",
+    configuration=options_to_json,
+    find=lambda: Path(sys.executable) if find_spec("rclpy") and find_spec("zenoh") else None,
+    version=lambda _: f"{__version__} (eclipse-zenoh {metadata.version('eclipse-zenoh')})",
+    arguments=arguments,
+    halves=Halves.ALWAYS,
+    up_pattern=f"^{UP_LINE}",
+)
 
 
 def main(configuration: Path) -> None:
-    """Serve the half that the file `configuration` names."""
+    """Serve the half of the file `configuration`."""
     zenoh: Any = importlib.import_module("zenoh")
     zenoh.init_log_from_env_or("error")
     options = options_from_json(configuration)
     (side,) = options.sides()
     forwarder = Forwarder()
-    reliable = options.qos.reliability == "reliable"
+    is_reliable = options.qos.reliability == Reliability.RELIABLE
+    congestion, reliability = zenoh.CongestionControl, zenoh.Reliability
     link = zenoh.Config.from_json5(json.dumps(zenoh_link(options, mode="peer")))
     with zenoh.open(link) as session, open_side(side, options) as node:
         for name in side.takes:
             key = session.declare_publisher(
                 f"{KEY_PREFIX}/{name}",
-                # A full queue waits as a reliable DDS writer does, or drops as a best-effort one does.
-                congestion_control=zenoh.CongestionControl.BLOCK
-                if reliable
-                else zenoh.CongestionControl.DROP,
-                reliability=zenoh.Reliability.RELIABLE if reliable else zenoh.Reliability.BEST_EFFORT,
-                express=True,  # at once, not in a batch with the next message
+                # A full queue blocks as a reliable DDS writer does, or drops as a best-effort one does.
+                congestion_control=congestion.BLOCK if is_reliable else congestion.DROP,
+                reliability=reliability.RELIABLE if is_reliable else reliability.BEST_EFFORT,
+                express=True,  # not batched with the next message
             )
             node.create_subscription(name, options.type_of(name), forwarder.forward(key.put))
         subscribers = [
@@ -107,7 +85,7 @@ def main(configuration: Path) -> None:
             for name in side.puts
         ]
         serve([node], forwarder, f"domain {side.domain_id} and zenoh")
-        for subscriber in subscribers:  # before the node that they publish to is gone
+        for subscriber in subscribers:  # before the node that they publish to is closed
             subscriber.undeclare()
 
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
-from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,110 +10,88 @@ from typing import TYPE_CHECKING
 from dds_trace.base.units import SECOND_NS
 
 from ..backends.dds_types import DDS_TYPES, dds_name, split_type
-from ..backends.qos import asked_durations
+from ..backends.qos import requested_durations
 from ..choices import Discovery
-from .base import Halves
-from .process.programs import reported_version
+from .base import Bridge
+from .process.programs import program_on_path, reported_version
 from .texts import element, xml_text
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
     from xml.etree.ElementTree import Element
 
     from dds_trace.tracefile.format.descriptions import Qos
 
-    from .options import BridgeOptions, BridgeSide
+    from .base import BridgeOptions, BridgeSide
 
 PROGRAM = "rtiroutingservice"
 CONFIGURATION_NAME = "dds_trace"
 POOL_BUFFER_BYTES = 4096
-"""Largest unbounded sample that comes from the pool; larger ones come from the heap, as RTI asks for such types."""
+"""Largest unbounded sample from the pool; RTI wants larger ones on the heap."""
 
 RTI_NAMES = {"uint8": "byte", "bool": "boolean"}
-"""Plain type of ROS -> its name in RTI's XML, where the two differ."""
+"""Plain type of ROS -> its name in RTI's XML, where they differ."""
 
 
-@dataclass(frozen=True, slots=True)
-class RoutingService:
-    """RTI Routing Service; see `Bridge` for the names."""
+def configuration(options: BridgeOptions) -> str:
+    """Return XML: the types, and a domain route with a session each way and a topic route for each topic."""
+    ping, relay = options.sides()
+    document = element(
+        "dds",
+        *_types(sorted({topic.type_name for topic in options.topics})),
+        element(
+            "routing_service",
+            element(
+                "domain_route",
+                *(_participant(side, options) for side in (ping, relay)),
+                _session("ping_to_relay", ping, relay, options),
+                _session("relay_to_ping", relay, ping, options),
+                name="domains",
+            ),
+            name=CONFIGURATION_NAME,
+        ),
+    )
+    return xml_text(document)
 
-    name: str = "routing-service"
-    install: str = (
+
+def find() -> Path | None:
+    """Return the program below NDDSHOME, else on the PATH."""
+    home = os.environ.get("NDDSHOME")
+    return (program_on_path(PROGRAM, Path(home) / "bin") if home else None) or program_on_path(PROGRAM)
+
+
+BRIDGE = Bridge(
+    name="routing-service",
+    install=(
         "it is part of RTI Connext Professional (https://www.rti.com) and needs its licence; "
         "set NDDSHOME and RTI_LICENSE_FILE"
-    )
-    halves: Halves = Halves.NEVER
-    suffix: str = ".xml"
-    up_pattern: str | None = "RTI Routing Service .*executing"
-    needs_ros_nodes: bool = False
-
-    def configuration(self, options: BridgeOptions) -> str:
-        """Return XML: the types, and a domain route with a session each way and a topic route for each topic."""
-        ping, relay = options.sides()
-        types = sorted({topic.type_name for topic in options.topics})
-        document = element(
-            "dds",
-            *_types(types),
-            element(
-                "routing_service",
-                element(
-                    "domain_route",
-                    *(_participant(side, options) for side in (ping, relay)),
-                    _session("ping_to_relay", ping, relay, options),
-                    _session("relay_to_ping", relay, ping, options),
-                    name="domains",
-                ),
-                name=CONFIGURATION_NAME,
-            ),
-        )
-        return xml_text(document)
-
-    def find(self) -> Path | None:
-        """Return the program below NDDSHOME, else on the PATH."""
-        home = os.environ.get("NDDSHOME")
-        path = shutil.which(PROGRAM, path=str(Path(home) / "bin")) if home else None
-        path = path or shutil.which(PROGRAM)
-        return Path(path) if path else None
-
-    def version(self, program: Path) -> str:
-        """Return the line of `-version`."""
-        return reported_version(program, "-version")
-
-    def command(self, program: Path, configuration: Path, options: BridgeOptions) -> Sequence[str]:
-        """Return the program with its file and the name of the configuration in it."""
-        del options
-        return (str(program), "-cfgFile", str(configuration), "-cfgName", CONFIGURATION_NAME)
-
-    def environment(self, program: Path, options: BridgeOptions) -> Mapping[str, str]:
-        """Return no variables: it is no ROS 2 program."""
-        del program, options
-        return {}
-
-
-BRIDGE = RoutingService()
+    ),
+    suffix=".xml",
+    configuration=configuration,
+    find=find,
+    version=lambda program: reported_version(program, "-version"),
+    arguments=lambda _: ("-cfgName", CONFIGURATION_NAME, "-cfgFile"),
+    up_pattern="RTI Routing Service .*executing",
+)
 
 
 def _participant(side: BridgeSide, options: BridgeOptions) -> Element:
     names = sorted({topic.dds_type_name for topic in options.topics})
-    local = _localhost_qos() if options.discovery is Discovery.LOCALHOST else ()
-    return element(
-        "participant",
-        element("domain_id", str(side.domain_id)),
-        *local,
-        *(element("registered_type", name=name, type_name=name) for name in names),
-        name=f"domain_{side.domain_id}",
-    )
-
-
-def _localhost_qos() -> tuple[Element, ...]:
-    """Return quality of service that uses UDP over the loopback interface alone and looks for others there."""
-    return (
+    # UDP over the loopback interface, and a search for participants there only.
+    local = (
         element(
             "participant_qos",
             element("transport_builtin", element("mask", "UDPv4")),
             element("discovery", element("initial_peers", element("element", "builtin.udpv4://127.0.0.1"))),
             _properties({"dds.transport.UDPv4.builtin.parent.allow_interfaces_list": "127.0.0.1"}),
         ),
+    )
+    return element(
+        "participant",
+        element("domain_id", str(side.domain_id)),
+        *(local if options.discovery is Discovery.LOCALHOST else ()),
+        *(element("registered_type", name=name, type_name=name) for name in names),
+        name=f"domain_{side.domain_id}",
     )
 
 
@@ -138,7 +114,7 @@ def _topic_route(name: str, here: BridgeSide, there: BridgeSide, options: Bridge
     )
 
 
-def _reader_qos(qos: Qos) -> Element:  # a lifespan is the writer's alone
+def _reader_qos(qos: Qos) -> Element:  # only a writer has a lifespan
     pool = "dds.data_reader.history.memory_manager.fast_pool.pool_buffer_max_size"
     return element("datareader_qos", *_common_qos(qos), _properties({pool: str(POOL_BUFFER_BYTES)}))
 
@@ -149,7 +125,7 @@ def _writer_qos(qos: Qos) -> Element:
         "datawriter_qos",
         *_common_qos(qos),
         *_duration(qos, "lifespan", "duration"),
-        # Samples larger than a datagram are fragmented by the asynchronous publisher alone.
+        # Only the asynchronous publisher fragments samples that are larger than a datagram.
         element("publish_mode", element("kind", "ASYNCHRONOUS_PUBLISH_MODE_QOS")),
         _properties({pool: str(POOL_BUFFER_BYTES)}),
     )
@@ -167,11 +143,10 @@ def _common_qos(qos: Qos) -> tuple[Element, ...]:
 
 
 def _duration(qos: Qos, policy: str, name: str) -> tuple[Element, ...]:
-    """Return the element of `policy`, none if `qos` does not ask for that policy."""
-    durations_ns = asked_durations(qos)
-    if policy not in durations_ns:
+    duration_ns = requested_durations(qos).get(policy)
+    if duration_ns is None:
         return ()
-    seconds, nanoseconds = divmod(durations_ns[policy], SECOND_NS)
+    seconds, nanoseconds = divmod(duration_ns, SECOND_NS)
     return (
         element(policy, element(name, element("sec", str(seconds)), element("nanosec", str(nanoseconds)))),
     )
@@ -185,10 +160,7 @@ def _properties(values: Mapping[str, str]) -> Element:
 
 
 def _types(type_names: list[str]) -> tuple[Element, ...]:
-    """Return a `types` element that defines `type_names` and all types in them; none if `DDS_TYPES` has none of them.
-
-    The program learns any other type from the nodes that it discovers.
-    """
+    """Return a `types` element with the known of `type_names`; the program learns other types by discovery."""
     needed: set[str] = set()
     for name in type_names:
         _collect(name, needed)

@@ -1,11 +1,11 @@
-"""Texts of configuration files: YAML that people can read, and XML."""
+"""Texts of configuration files: YAML and XML."""
 
 from __future__ import annotations
 
 import json
 import re
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, TypeGuard
+from typing import TYPE_CHECKING
 from xml.etree.ElementTree import Element, indent, tostring
 
 if TYPE_CHECKING:
@@ -23,42 +23,36 @@ def yaml_text(value: Mapping[str, object]) -> str:
 def _yaml_lines(value: Mapping[str, object] | Sequence[object]) -> Iterator[str]:
     if isinstance(value, Mapping):
         for name, inner in value.items():
-            yield from _yaml_entry(f"{_yaml_scalar(name)}:", inner)
+            key = f"{_yaml_scalar(name)}:"
+            if isinstance(inner, dict | list) and inner:
+                yield key
+                yield from (f"  {line}" for line in _yaml_lines(inner))
+            else:
+                yield f"{key} {_yaml_scalar(inner)}"
     else:
         for inner in value:
-            lines = list(_yaml_lines(inner)) if _is_nested(inner) else [_yaml_scalar(inner)]
+            lines = [_yaml_scalar(inner)]
+            if isinstance(inner, dict | list) and inner:
+                lines = list(_yaml_lines(inner))
             yield f"- {lines[0]}"
             yield from (f"  {line}" for line in lines[1:])
-
-
-def _yaml_entry(name: str, value: object) -> Iterator[str]:
-    if _is_nested(value):
-        yield name
-        yield from (f"  {line}" for line in _yaml_lines(value))
-    else:
-        yield f"{name} {_yaml_scalar(value)}"
-
-
-def _is_nested(value: object) -> TypeGuard[Mapping[str, object] | list[object]]:
-    """Return whether a value takes lines of its own; empty ones do not."""
-    return isinstance(value, (dict, list)) and bool(value)
 
 
 def _yaml_scalar(value: object) -> str:
     if isinstance(value, str) and _PLAIN.fullmatch(value) and not value.endswith(":"):
         return value
-    return json.dumps(value)  # YAML holds JSON: numbers, booleans, quoted strings, empty lists
+    return json.dumps(value)  # JSON is YAML
 
 
 def element(tag: str, /, *content: Element | str, **attributes: str) -> Element:
-    """Return an XML element that holds other elements, or text."""
-    made = Element(tag, attributes)
+    """Return an XML element that contains other elements, or text."""
+    parent = Element(tag, attributes)
     for part in content:
         if isinstance(part, str):
-            made.text = part
+            parent.text = part
         else:
-            made.append(part)
-    return made
+            parent.append(part)
+    return parent
 
 
 def xml_text(root: Element) -> str:

@@ -1,7 +1,8 @@
-"""What all our zenoh bridges share: the link between two zenoh programs, and zenoh's router with a plugin as the program."""
+"""The parts that zenoh's bridges share: the link between two zenoh programs, and zenoh's router with a plugin."""
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,16 +10,15 @@ from typing import TYPE_CHECKING
 from ..backends.cyclone_settings import cyclone_loopback, cyclone_settings
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
-    from .options import BridgeOptions
+    from .base import BridgeOptions
 
 
 def zenoh_link(options: BridgeOptions, mode: str) -> dict[str, object]:
     """Return `mode`, `listen`, `connect` and `scouting` of a zenoh configuration.
 
-    The halves meet at the given addresses alone: multicast and gossip stay off, so that no other zenoh program of
-    the network joins in. A half that only connects does not listen at all.
+    The halves meet at the given addresses only: no other zenoh program of the network joins in.
     """
     return {
         "mode": mode,
@@ -31,13 +31,18 @@ def zenoh_link(options: BridgeOptions, mode: str) -> dict[str, object]:
     }
 
 
+def plugin_configuration(plugin: str, settings: Mapping[str, object], options: BridgeOptions) -> str:
+    """Return the configuration of a bridge, program or router with plugin, as JSON, which is JSON5."""
+    return json.dumps({"plugins": {plugin: settings}, **zenoh_link(options, mode="router")}, indent=2) + "\n"
+
+
 def zenoh_environment(options: BridgeOptions, *, names_loopback: bool) -> Mapping[str, str]:
-    """Return the settings that let the Cyclone DDS in a zenoh bridge meet ROS 2 nodes, and those of the log.
+    """Return the settings of the Cyclone DDS in a zenoh bridge, and those of the log.
 
     Args:
-        options: of the bridge.
-        names_loopback: whether the bridge itself keeps its Cyclone DDS on the loopback interface; named twice, Cyclone
-            DDS does not start.
+        options: options of the bridge.
+        names_loopback: whether the bridge itself keeps Cyclone DDS on the loopback interface; named twice, Cyclone DDS
+            does not start.
     """
     log = {"RUST_LOG": "z=info", "NO_COLOR": "1"}
     loopback = "" if names_loopback else cyclone_loopback(options.discovery)
@@ -45,21 +50,17 @@ def zenoh_environment(options: BridgeOptions, *, names_loopback: bool) -> Mappin
     return {**log, "CYCLONEDDS_URI": settings} if settings else log
 
 
-def installed_folder() -> Path:
-    """Return the folder of the router and the plugins that `just install-zenoh-bridge` builds."""
-    data = os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share"
-    return Path(data) / "dds-trace" / "zenoh-bridge-dds"
-
-
 def router_with(plugin: str) -> Path | None:
-    """Return `zenohd` in the folder of our recipe if the plugin's library is beside it."""
-    router = installed_folder() / "zenohd"
+    """Return the `zenohd` that `just install-zenoh-bridge` builds, if the plugin's library is next to it."""
+    data = os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share"
+    router = Path(data) / "dds-trace" / "zenoh-bridge-dds" / "zenohd"
     return router if router.is_file() and _library(router, plugin).is_file() else None
 
 
-def plugin_arguments(program: Path, plugin: str) -> tuple[str, ...]:
-    """Return what makes zenoh's router load a plugin or end; nothing for a bridge's own program."""
-    return ("-P", f"{plugin}:{_library(program, plugin)}") if program.name == "zenohd" else ()
+def plugin_arguments(program: Path, plugin: str) -> Sequence[str]:
+    """Return the arguments of a bridge's program, or of zenoh's router, which loads the plugin or ends."""
+    required = ("-P", f"{plugin}:{_library(program, plugin)}") if program.name == "zenohd" else ()
+    return (*required, "-c")
 
 
 def _library(router: Path, plugin: str) -> Path:

@@ -131,8 +131,8 @@ FINDS: dict[str, list[tuple[list[str], int, str]]] = {
         (["runs", "--port", "0", "--out", "\udcff"], 2, "--out '\\udcff': a path is UTF-8 text"),
     ],
     "dds-bridge": [
-        (["builtin-zenoh", "--listen", "a:\u00b2"], 2, "'a:\u00b2' is no address; write HOST:PORT"),
-        (["zenoh-bridge-dds", "--print-config", "--peer", '"\n:1'], 2, "is no address; write HOST:PORT"),
+        (["builtin-zenoh", "--listen", "a:\u00b2"], 2, "'a:\u00b2' is not an address; write HOST:PORT"),
+        (["zenoh-bridge-dds", "--print-config", "--peer", '"\n:1'], 2, "is not an address; write HOST:PORT"),
         (["builtin", "--depth", LARGE], 2, "--depth a number of about 401 digits: "),
         (
             ["builtin", "--from", LARGE],

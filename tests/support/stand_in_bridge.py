@@ -37,10 +37,10 @@ class StandInBridge:
     def version(self, _program):
         return "0.1-stand-in"
 
-    def command(self, program, configuration, _options):
-        return (str(program), "-u", __file__, str(configuration))
+    def arguments(self, _program):
+        return ("-u", __file__)
 
-    def environment(self, _program, _options):
+    def environment(self, _options):
         return {"STAND_IN": "yes"}
 
 

@@ -7,10 +7,9 @@ from __future__ import annotations
 
 import sys
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 
-from dds_trace.recorder.bridges.base import Halves
+from dds_trace.recorder.bridges.base import Bridge
 from dds_trace.recorder.bridges.builtin_common import (
     Forwarder,
     open_side,
@@ -20,36 +19,21 @@ from dds_trace.recorder.bridges.builtin_common import (
     serve,
 )
 
-
-@dataclass(frozen=True)
-class ToyBridge:
-    name: str = "toy"
-    install: str = "it is a test's own"
-    halves: Halves = Halves.NEVER
-    suffix: str = ".toy"
-    up_pattern: str | None = "^bridging toys"
-    needs_ros_nodes: bool = False
-
-    def configuration(self, options):
-        return options_to_json(options)
-
-    def find(self):
-        return Path(sys.executable)
-
-    def version(self, _program):
-        return "1.0-toy"
-
-    def command(self, program, configuration, _options):
-        return (str(program), __file__, str(configuration))
-
-    def environment(self, _program, _options):
-        return {"TOY": "yes"}
+BRIDGE = Bridge(
+    name="toy",
+    install="it is a test's own",
+    suffix=".toy",
+    configuration=options_to_json,
+    find=lambda: Path(sys.executable),
+    version=lambda _: "1.0-toy",
+    arguments=lambda _: (__file__,),
+    environment=lambda _: {"TOY": "yes"},
+    up_pattern="^bridging toys",
+)
 
 
-BRIDGE = ToyBridge()
-
-
-def main(configuration):
+def main(configuration: Path) -> None:
+    """Forward between the two domains of the file `configuration`."""
     options = options_from_json(configuration)
     with ExitStack() as stack:
         nodes = [stack.enter_context(open_side(side, options)) for side in options.sides()]

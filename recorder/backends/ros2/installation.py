@@ -16,7 +16,7 @@ from dds_trace.base.errors import BackendUnavailableError, OptionError
 
 from ...applied.vendors import VENDORS, ros_middleware
 from ...choices import Discovery, Transport
-from ..qos import DURATION_POLICIES, asked_durations
+from ..qos import DURATION_POLICIES, requested_durations
 from ..threaded import has_package
 
 if TYPE_CHECKING:
@@ -130,7 +130,7 @@ def check_vendor(options: NodeOptions, rmw: str) -> None:
             raise OptionError(
                 f"--tuned: no settings for large messages of {rmw} are known here; leave it out, or give them by its own files"
             )
-    durations = [policy for policy in DURATION_POLICIES if policy in asked_durations(options.qos)]
+    durations = [policy for policy in DURATION_POLICIES if policy in requested_durations(options.qos)]
     if durations and not known.has_durations:
         raise OptionError(f"--{durations[0]}: {rmw} does not implement it; leave it out")
 

@@ -21,7 +21,7 @@ from dds_trace.tracefile.format.descriptions import Qos
 from ...applied.vendors import ros_middleware
 from ...choices import ExecutorKind
 from ..node import Endpoint, Middleware, TopicView
-from ..qos import DURATION_POLICIES, asked_durations, duration_extra, incompatible_pairs
+from ..qos import DURATION_POLICIES, duration_extra, incompatible_pairs, requested_durations
 from ..threaded import LAST_ACKNOWLEDGEMENT_S, ROUND_S, ThreadedNode
 from .installation import INSTALL, package_version
 
@@ -348,7 +348,7 @@ def _qos_profile(qos: Qos) -> Any:
             depth=qos.depth,
             **{
                 policy: _rclpy().duration.Duration(nanoseconds=duration_ns)
-                for policy, duration_ns in asked_durations(qos).items()
+                for policy, duration_ns in requested_durations(qos).items()
             },
         )
     except KeyError as err:

@@ -1,12 +1,12 @@
 """The guard of one bridge program: bounds its log, stops it, and leaves no process behind.
 
-A process of its own, started as a file so that it imports no module of ours; `supervise.py` has the other end. It ends
-the program when its standard input closes; when the recorder is killed, the kernel closes it.
+`supervise.py` starts it as a file, so that it imports no module of ours. It ends the program when its standard input
+closes, as the kernel does when the recorder is killed.
 
     guard.py FOLDER UP_PATTERN PATIENCE_S PROGRAM ARGUMENTS...
 
-writes the program's pid to standard output as soon as it runs, makes the file `FOLDER/up` when a line of the
-program's output matches UP_PATTERN, and writes a line of JSON at the end (`GuardReport`).
+prints the program's pid, creates the file `FOLDER/up` when a line of the program's output matches UP_PATTERN, and prints a
+line of JSON at the end (`GuardReport`).
 """
 
 from __future__ import annotations
@@ -26,30 +26,27 @@ from functools import partial
 from pathlib import Path
 
 LOG_LIMIT_BYTES = 128 * 1024
-"""Largest size of each of the two files that hold the log's tail."""
+"""Largest size of each of the two files of the log."""
 
 READ_BYTES = 64 * 1024
 LAST_READS = 64
-"""Most reads of the output after the program's end; a child that it left may go on writing for ever."""
+"""Most reads of the output after the program's end: a child may go on writing for ever."""
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
-"""Signals to the program, one after the other, with the patience between them."""
+"""Signals to the program, with the patience between them."""
 
 PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36  # <linux/prctl.h>
 CANNOT_START = 127
 
 
 class BoundedLog:
-    """The tail of a log in `FOLDER/log` and `FOLDER/log.1`, however much is written.
-
-    It looks for `up_pattern` itself, as the matching line may have left the tail before the recorder looks.
-    """
+    """The end of a log in `FOLDER/log` and `FOLDER/log.1`; creates `FOLDER/up` when `up_pattern` matches."""
 
     def __init__(self, folder: Path, up_pattern: str) -> None:
         self._path = folder / "log"
         self._up = folder / "up"
         self._up_pattern = re.compile(up_pattern.encode(), re.MULTILINE) if up_pattern else None
-        self._before = b""
+        self._recent = b""
         self._file = self._path.open("wb", buffering=0)
         self.total_bytes = 0
 
@@ -67,18 +64,18 @@ class BoundedLog:
     def _look_for_up(self, data: bytes) -> None:
         if self._up_pattern is None:
             return
-        self._before = (self._before + data)[-READ_BYTES - 1024 :]  # the line may come in two pieces
-        if self._up_pattern.search(self._before):
+        self._recent = (self._recent + data)[-READ_BYTES - 1024 :]  # the line may come in two pieces
+        if self._up_pattern.search(self._recent):
             self._up.touch()
             self._up_pattern = None
 
 
 def descendants() -> list[int]:
-    """Return the pids of all processes below this one that still run, whoever leads their group."""
+    """Return the pids of all processes below this one that still run, in any process group."""
     children: dict[int, list[int]] = {}
     for stat in Path("/proc").glob("[0-9]*/stat"):
-        with contextlib.suppress(OSError):  # it ended meanwhile
-            # The name in parentheses may hold anything, so the fields are counted from its end.
+        with contextlib.suppress(OSError):  # it has ended
+            # The name in parentheses may contain anything.
             state, parent = stat.read_text(errors="replace").rpartition(") ")[2].split()[:2]
             if state != "Z":
                 children.setdefault(int(parent), []).append(int(stat.parent.name))
@@ -91,7 +88,7 @@ def descendants() -> list[int]:
 
 
 def end_all(program: subprocess.Popen[bytes], drain: Drain, patience_s: float) -> int:
-    """End the program and its children; return how many of these outlived the program."""
+    """End the program and its children; return how many children outlived it."""
     for number in STOP_SIGNALS:
         if program.poll() is not None:
             break
@@ -110,14 +107,14 @@ def end_all(program: subprocess.Popen[bytes], drain: Drain, patience_s: float) -
 
 
 class Drain:
-    """The reader of the program's output, which waits for its end or for the word to stop."""
+    """The reader of the program's output, which waits for its end or for the request to stop."""
 
     def __init__(self, program: subprocess.Popen[bytes], log: BoundedLog) -> None:
         assert program.stdout is not None
         self._log = log
         self._output = program.stdout.fileno()
         self.stopping = False
-        self.orphaned = True  # until the recorder says that it wants the end
+        self.orphaned = True  # until the recorder requests the end
         self._wakeup, wakeup_in = os.pipe()
         os.set_blocking(wakeup_in, False)
         signal.set_wakeup_fd(wakeup_in)
@@ -160,7 +157,7 @@ class Drain:
 
 
 def die_with(guard_pid: int) -> None:
-    """Ask the kernel, in the program before it runs, to kill it when the guard dies; end it if the guard has died already."""
+    """Have the kernel kill this process, the program before it runs, when the guard dies; end it if that has happened."""
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != guard_pid:
         os.kill(os.getpid(), signal.SIGKILL)
@@ -202,7 +199,7 @@ def main() -> int:
             {"asked": asked, "exit_code": code, "left_behind": left_behind, "log_bytes": log.total_bytes}
         )
     )
-    if drain.orphaned and drain.stopping:  # nobody else is left to tidy up
+    if drain.orphaned and drain.stopping:  # nobody else removes it
         shutil.rmtree(folder, ignore_errors=True)
         with contextlib.suppress(OSError):  # the other half's folder is still in it
             folder.parent.rmdir()

@@ -4,42 +4,47 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import subprocess
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ...choices import Discovery
-from .supervise import program_environment
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from ..options import BridgeOptions
+    from ..base import BridgeOptions
 
 VERSION_TIMEOUT_S = 10.0
 
+_WHEELS_GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
+
+
+def program_on_path(name: str, folder: Path | None = None) -> Path | None:
+    """Return the path of the program `name` in `folder`, by default on the PATH; None if it is not there."""
+    path = shutil.which(name, path=None if folder is None else str(folder))
+    return Path(path) if path else None
+
 
 def reported_version(program: Path, *arguments: str) -> str:
-    """Return the first printed line of a program that holds a version.
-
-    Empty if there is no such line, or if the program fails to start or to end in time: a missing version must not end
-    a recording.
-    """
+    """Return the first printed line that contains a version; empty if none does, or the program fails or hangs."""
     try:
-        ran = subprocess.run(
+        done = subprocess.run(
             [str(program), *arguments],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
             errors="replace",
-            env=program_environment({"RUST_LOG": "off"}, foreign=True),  # zenoh logs to where it answers
+            env=program_environment({"RUST_LOG": "off"}, foreign=True),  # zenoh logs to the same output
             timeout=VERSION_TIMEOUT_S,
             check=False,
         )
     except (OSError, subprocess.TimeoutExpired):
         return ""
-    return next((line.strip() for line in ran.stdout.splitlines() if re.search(r"\d+\.\d+", line)), "")
+    return next((line.strip() for line in done.stdout.splitlines() if re.search(r"\d+\.\d+", line)), "")
 
 
 def ros_package_program(package: str, program: str) -> Path | None:
@@ -52,7 +57,7 @@ def ros_package_program(package: str, program: str) -> Path | None:
 
 
 def ros_package_version(program: Path, package: str) -> str:
-    """Return the version of the package of `program` (`PREFIX/lib/PACKAGE/PROGRAM`), empty if its manifest has none."""
+    """Return the version of the package of `PREFIX/lib/PACKAGE/PROGRAM`, empty if its manifest has none."""
     manifest = program.parents[2] / "share" / package / "package.xml"
     try:
         match = re.search(r"<version>\s*([^<\s]+)", manifest.read_text())
@@ -62,9 +67,26 @@ def ros_package_version(program: Path, package: str) -> str:
 
 
 def discovery_environment(options: BridgeOptions) -> Mapping[str, str]:
-    """Return the discovery range for a program with a ROS 2 inside: the variables of Jazzy and of Humble."""
+    """Return the discovery range for a program that contains ROS 2: the variables of Jazzy and of Humble."""
     localhost = options.discovery is Discovery.LOCALHOST
     return {
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST" if localhost else "SUBNET",
         "ROS_LOCALHOST_ONLY": "1" if localhost else "0",
     }
+
+
+def program_environment(extra: Mapping[str, str], *, foreign: bool) -> dict[str, str]:
+    """Return the environment variables of a program.
+
+    Args:
+        extra: variables that the program needs beyond those of this process.
+        foreign: whether the program brings libraries of its own; then it must not get the search path that the ROS 2
+            wheels set for themselves (`docs/reference/bridges.md`).
+    """
+    variables = {**os.environ, **extra}
+    if foreign and variables.pop(_WHEELS_GUARD, ""):
+        paths = variables.pop("LD_LIBRARY_PATH", "").split(os.pathsep)
+        others = [path for path in paths if path and not Path(path).is_relative_to(sys.prefix)]
+        if others:
+            variables["LD_LIBRARY_PATH"] = os.pathsep.join(others)
+    return variables

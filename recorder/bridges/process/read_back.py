@@ -1,4 +1,4 @@
-"""The settings of a bridge's program, read back from outside: what its process uses, beside what it was asked for."""
+"""The settings that a bridge's program uses, read from outside and compared with the requested ones."""
 
 from __future__ import annotations
 
@@ -18,42 +18,45 @@ if TYPE_CHECKING:
     from ...applied.applied import Applied
     from ...applied.asked import Asked
     from ...applied.differences import Difference
-    from ..options import BridgeOptions
+    from ..base import BridgeOptions
 
-WITHIN = {"zenoh-bridge-dds": "cyclonedds", "zenoh-bridge-ros2dds": "cyclonedds"}
-"""Name of a bridge -> middleware that is compiled into its program, where no loaded library tells it."""
+COMPILED_IN = {"zenoh-bridge-dds": "cyclonedds", "zenoh-bridge-ros2dds": "cyclonedds"}
+"""Name of a bridge -> middleware in its program, where no loaded library shows it."""
 
-NOT_BRIDGED = ("zenoh", "socket")
-"""Middlewares that join the halves of a bridge; `--transport` and `--tuned` are for those that join its domains."""
+LINK_MIDDLEWARES = ("zenoh", "socket")
+"""Middlewares that join the halves of a bridge; `--transport` and `--tuned` are for those of its domains."""
 
 
 class ProgramReadBack:
-    """What one program of a bridge uses, read when an echo has come through it and again before it is stopped.
+    """What one program of a bridge uses, read after the first echo and again before the program is stopped.
 
     Args:
         bridge: name of the bridge.
         options: options of the program, whose `transport` and `tuned` are compared with what it uses.
-        pid: its process; where that only starts another one (a script), the first of its children that has sockets is read.
+        pid: its process; if that one is a script, its first child that has sockets is read.
     """
 
     def __init__(self, bridge: str, options: BridgeOptions, pid: int) -> None:
         self._bridge = bridge
         self._options = options
         self._pid = pid
-        self._asked: tuple[Asked, ...] = ()
+        self._requested: tuple[Asked, ...] = ()
         self._applied: Applied | None = None
 
     def read(self) -> None:
-        """Read what the program uses: at first its beginning, later its end. A program that has ended is not read."""
+        """Read what the program uses, if it still runs."""
         if self._applied is None:
             self._pid = self._pid_with_sockets()
         applied = read_applied(self._applied, self._pid)
         if applied.latest.sockets is None:  # it has ended, or is another user's
             return
         self._applied = applied
-        loaded = (each.vendor for each in applied.begin.libraries if each.vendor not in NOT_BRIDGED)
-        vendor = next(loaded, WITHIN.get(self._bridge, ""))
-        self._asked = tuple(
+        vendors = (library.vendor for library in applied.begin.libraries)
+        vendor = next(
+            (vendor for vendor in vendors if vendor not in LINK_MIDDLEWARES),
+            COMPILED_IN.get(self._bridge, ""),
+        )
+        self._requested = tuple(
             asked_settings(
                 vendor,
                 domain_id=side.domain_id,
@@ -72,25 +75,29 @@ class ProgramReadBack:
 
     @property
     def not_applied(self) -> tuple[Difference, ...]:
-        """The settings that the program was asked for and does not use, in words that name the bridge; each once."""
+        """The requested settings that the program does not use, each once, in words that name the bridge."""
         if self._applied is None:
             return ()
-        found = {
-            each.setting: each for asked in self._asked for each in differences(asked, self._applied)
-        }.values()
+        by_setting = {
+            difference.setting: difference
+            for requested in self._requested
+            for difference in differences(requested, self._applied)
+        }
         return tuple(
             replace(
-                each, asked=f"{self._bridge}: {each.asked}", words=f"the bridge {self._bridge}: {each.words}"
+                difference,
+                asked=f"{self._bridge}: {difference.asked}",
+                words=f"the bridge {self._bridge}: {difference.words}",
             )
-            for each in found
+            for difference in by_setting.values()
         )
 
     def fields(self) -> dict[str, Json]:
-        """Return `asked` (a list, by domain), `applied` and `not_applied` of the program; nothing before it was read."""
+        """Return `asked` (a list, by domain), `applied` and `not_applied` of the program; empty before `read`."""
         if self._applied is None:
             return {}
         return {
-            "asked": [each.to_json() for each in self._asked],
+            "asked": [requested.to_json() for requested in self._requested],
             "applied": self._applied.to_json(),
-            "not_applied": [each.to_json() for each in self.not_applied],
+            "not_applied": [difference.to_json() for difference in self.not_applied],
         }

@@ -1,4 +1,4 @@
-"""A bridge that runs: `open_bridge` starts its programs on this machine and ends them again, whatever happens."""
+"""A running bridge: `open_bridge` starts its programs on this machine and ends them again."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING
 from dds_trace.base.errors import BackendUnavailableError
 
 from ...errors import BridgeError
-from ..base import load_bridge, split_halves
-from ..options import Half
+from ..base import Half, load_bridge, split_halves
+from .programs import program_environment
 from .read_back import ProgramReadBack
-from .supervise import SupervisedProgram, describe_end, killing_signal, program_environment
+from .supervise import SupervisedProgram, describe_end, killing_signal
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -27,11 +27,10 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.format.json_fields import Json
 
     from ...applied.differences import Difference
-    from ..base import Bridge
-    from ..options import BridgeOptions
+    from ..base import Bridge, BridgeOptions
 
 UP_TIMEOUT_S = 20.0
-"""Longest time until a program's log says that it serves; ROS 2 on a small board needs seconds to start."""
+"""Longest time until a program is up; ROS 2 on a small board needs seconds to start."""
 
 
 class BridgeState(Enum):
@@ -39,14 +38,14 @@ class BridgeState(Enum):
 
     STARTING = "starting"
     READY = "ready"  # an echo has come back through it
-    STOPPED = "stopped"  # it was ready, and served until it was told to stop
-    NEVER_READY = "never_ready"  # it was told to stop before any echo
-    DIED = "died"  # it ended by itself
+    STOPPED = "stopped"  # was ready until it was asked to stop
+    NEVER_READY = "never_ready"  # was asked to stop before any echo
+    DIED = "died"  # ended by itself
 
 
 @dataclass(frozen=True, slots=True)
 class _RunningHalf:
-    """One of a bridge's programs with the options, configuration and environment of its start, and what it uses."""
+    """One program of a bridge, with its options, configuration and environment."""
 
     options: BridgeOptions
     version: str
@@ -65,7 +64,7 @@ class _RunningHalf:
 
 
 class RunningBridge:
-    """A bridge whose programs run; it is ready once its caller has seen an echo and calls `mark_ready`."""
+    """A bridge whose programs run; its caller calls `mark_ready` after the first echo."""
 
     def __init__(self, bridge: Bridge, options: BridgeOptions, halves: tuple[_RunningHalf, ...]) -> None:
         self.name = bridge.name
@@ -89,7 +88,7 @@ class RunningBridge:
 
     @property
     def failure(self) -> str | None:
-        """One line with the program that ended by itself and how: its signal, or its last line; None while all run."""
+        """One line that says which program ended by itself and how; None while all run."""
         failed = self._failed_half()
         if failed is None or failed.program.report is None:
             return None
@@ -106,7 +105,7 @@ class RunningBridge:
             BridgeError: a program has ended.
         """
         if (failure := self.failure) is not None:
-            raise BridgeError(f"{failure}; `dds-bridge {self.name}` runs it alone and shows its log")
+            raise BridgeError(f"{failure}; run `dds-bridge {self.name}` to see its log")
 
     @property
     def parts(self) -> tuple[BridgeOptions, ...]:
@@ -115,23 +114,17 @@ class RunningBridge:
 
     @property
     def processes(self) -> Mapping[str, int]:
-        """Pid of each program by the name it has in host samples (`bridge`, or `bridge_ping`, `bridge_relay`)."""
+        """Pid of each program by its label in host samples: `bridge`, or `bridge_ping` and `bridge_relay`."""
         return {half.label: half.program.pid for half in self._halves}
 
     def read_applied(self) -> tuple[Difference, ...]:
-        """Read what the programs use, before the first message or behind the last one; return what was not applied."""
+        """Read what the programs use; return what was not applied."""
         for half in self._halves:
             half.read_back.read()
-        return tuple(each for half in self._halves for each in half.read_back.not_applied)
+        return tuple(setting for half in self._halves for setting in half.read_back.not_applied)
 
     def describe(self) -> dict[str, Json]:
-        """Return programs, configurations and ends as a JSON object for the trace.
-
-        `bridge`, `state` (see `BridgeState`), `ping_domain_id`, `relay_domain_id`, `failure` (a line or null) and
-        `programs`: for each `half`, `version`, `command`, `configuration`, `environment` (what was added to it),
-        `log_tail`, what was `read_back` (`ProgramReadBack.fields`) and, once it has ended,
-        `exit_code`, `asked`, `left_behind`, `log_bytes`.
-        """
+        """Return programs, configurations and ends as the JSON object `bridge` of a trace's session."""
         return {
             "bridge": self.name,
             "state": self.state.value,
@@ -142,7 +135,7 @@ class RunningBridge:
                 {
                     "half": half.half.value,
                     "version": half.version,
-                    # Names alone: a trace is passed on, and where a person's files lie is nobody's business.
+                    # Without folders: a trace is passed on to others.
                     "command": [
                         Path(part).name if part.startswith("/") else part for part in half.program.command
                     ],
@@ -157,11 +150,7 @@ class RunningBridge:
         }
 
     def sample(self) -> dict[str, Json]:
-        """Return the present CPU and memory of each program and its children, as a JSON object for the trace.
-
-        `monotonic_ns`, `bridge` and `programs`: label -> `cpu_percent` of one core since the sample before,
-        `memory_bytes` resident, `processes`.
-        """
+        """Return the present load of each program (`ProgramLoad`) as a JSON object for the trace."""
         return {
             "monotonic_ns": time.monotonic_ns(),
             "bridge": self.name,
@@ -169,12 +158,12 @@ class RunningBridge:
         }
 
     def log_tail(self, half: Half | None = None) -> str:
-        """Return the last lines of a program's log: that of `half`, or of the one that failed, or of the first."""
+        """Return the last lines of the log of `half`'s program, else of the one that failed, else of the first."""
         default = self._failed_half() or self._halves[0]
-        return next((each for each in self._halves if each.half is half), default).program.log_tail()
+        return next((part for part in self._halves if part.half is half), default).program.log_tail()
 
     def wait_until_up(self, timeout_s: float) -> None:
-        """Wait until the log of each program that has an `up_pattern` says that it serves.
+        """Wait until all programs are up by their logs.
 
         Raises:
             BridgeError: a program ended or did not get that far in time.
@@ -186,7 +175,7 @@ class RunningBridge:
                 if time.monotonic() > deadline:
                     raise BridgeError(
                         f"the bridge {self.name} did not come up within {timeout_s:g} s: {half.program.last_line()}; "
-                        f"`dds-bridge {self.name}` runs it alone and shows its log",
+                        f"run `dds-bridge {self.name}` to see its log"
                     )
                 time.sleep(0.02)
         self.check()
@@ -198,20 +187,15 @@ class RunningBridge:
         self._stopped = True
 
     def _failed_half(self) -> _RunningHalf | None:
-        for half in self._halves:
-            report = half.program.report
-            if report is not None and not report.asked:
-                return half
-        return None
+        reports = ((half, half.program.report) for half in self._halves)
+        return next((half for half, report in reports if report is not None and not report.asked), None)
 
 
 @contextmanager
 def open_bridge(
     name: str, options: BridgeOptions, *, up_timeout_s: float = UP_TIMEOUT_S
 ) -> Iterator[RunningBridge]:
-    """Run the bridge called `name` while the block runs; all its processes are gone after the block.
-
-    The programs of the yielded bridge run, but no message has crossed yet: wait for an echo, then call `mark_ready`.
+    """Run the bridge called `name` while the block runs; no message has crossed yet when the block starts.
 
     Raises:
         OptionError: there is no such bridge, or it does not support the options.
@@ -226,7 +210,7 @@ def open_bridge(
     try:
         version = bridge.version(program)
         for half_options in split_halves(bridge, options, _free_local_link()):
-            halves.append(_start_half(bridge, program, version, half_options, folder))  # noqa: PERF401 - a failing start leaves the ones before it in the list
+            halves.append(_start_half(bridge, program, version, half_options, folder))  # noqa: PERF401 - after a failed start the list has the started ones
         running = RunningBridge(bridge, options, tuple(halves))
         running.wait_until_up(up_timeout_s)
         yield running
@@ -253,20 +237,21 @@ def find_program(bridge: Bridge) -> Path:
 def _start_half(
     bridge: Bridge, program: Path, version: str, options: BridgeOptions, folder: Path
 ) -> _RunningHalf:
-    own = folder / options.half.value
-    own.mkdir()
+    folder = folder / options.half.value
+    folder.mkdir()
     text = bridge.configuration(options)
-    file = own / f"configuration{bridge.suffix}"
+    file = folder / f"configuration{bridge.suffix}"
     file.write_text(text)
-    added = bridge.environment(program, options)
-    variables = program_environment(added, foreign=program != Path(sys.executable))
-    started = SupervisedProgram(bridge.command(program, file, options), own, variables, bridge.up_pattern)
-    read_back = ProgramReadBack(bridge.name, options, started.pid)
-    return _RunningHalf(options, version, text, added, started, read_back)
+    extra = bridge.environment(options)
+    variables = program_environment(extra, foreign=program != Path(sys.executable))
+    command = (str(program), *bridge.arguments(program), str(file))
+    supervised = SupervisedProgram(command, folder, variables, bridge.up_pattern)
+    read_back = ProgramReadBack(bridge.name, options, supervised.pid)
+    return _RunningHalf(options, version, text, extra, supervised, read_back)
 
 
 def _free_local_link() -> str:
-    """Return a free address of this machine, so that two bridges can run side by side."""
+    """Return a free address, so that two bridges can run at once."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return f"127.0.0.1:{probe.getsockname()[1]}"

@@ -1,14 +1,13 @@
 """A bridge's program as a supervised child process: started, watched, sampled, ended, never orphaned.
 
-`guard.py` stands between this process and the program. Closing the pipe to it stops the program, and the kernel closes
-it when this process dies, however it dies.
+This process starts `guard.py`, and that starts the program. The program ends when the pipe to the guard closes, which
+the kernel does if this process dies.
 """
 
 from __future__ import annotations
 
 import contextlib
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -27,15 +26,13 @@ STOP_PATIENCE_S = 4.0
 """Time for a program to end after SIGINT, then after SIGTERM, before it is killed."""
 
 LAST_LINES = 40
-"""Most lines of the log's tail in messages and traces."""
+"""Most lines of the log in messages and traces."""
 
 LAST_LINES_BYTES = 8 * 1024
 """Most bytes of those lines together."""
 
 OUTSIDE_SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
-"""Signals that come from others: the log of a program that one of them ended says nothing about its end."""
-
-_WHEELS_GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
+"""Signals that others send: the log of a program does not explain an end by one of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,10 +40,10 @@ class GuardReport:
     """The end of a program.
 
     Attributes:
-        asked: whether it still ran when it was told to stop.
+        asked: whether it still ran when it was asked to stop.
         exit_code: its exit code, or 128 + signal.
         left_behind: number of its children that outlived it and had to be ended.
-        log_bytes: bytes that it wrote to its log, kept or not.
+        log_bytes: bytes that it wrote to its log in total.
     """
 
     asked: bool
@@ -60,7 +57,7 @@ class ProgramLoad:
     """The present load of a program and its children.
 
     Attributes:
-        cpu_percent: CPU time since the sample before, in percent of one core; 0 in the first sample.
+        cpu_percent: CPU time since the previous sample, in percent of one core; 0 in the first.
         memory_bytes: resident memory.
         processes: number of processes.
     """
@@ -75,9 +72,9 @@ class SupervisedProgram:
 
     Args:
         command: program and arguments.
-        folder: holds its log, `log` and `log.1`; removed by the guard if this process dies.
+        folder: folder of its log, `log` and `log.1`; the guard removes it if this process dies.
         environment: all environment variables of the program.
-        up_pattern: regular expression of the log line that says it serves, None if its log has no such line.
+        up_pattern: as in `Bridge`.
 
     Raises:
         BridgeError: the program cannot be started.
@@ -92,9 +89,9 @@ class SupervisedProgram:
         self._report: GuardReport | None = None
         self._last_log: str | None = None
         self._stopping = False
-        self._followed: dict[int, psutil.Process] = {}
+        self._processes: dict[int, psutil.Process] = {}
         guard = Path(__file__).with_name("guard.py")
-        # -I -S: the guard needs the standard library alone, and nothing of ours may keep it from starting.
+        # -I -S: the guard only needs the standard library, and nothing of ours may keep it from starting.
         self._guard = subprocess.Popen(
             [
                 sys.executable,
@@ -109,7 +106,7 @@ class SupervisedProgram:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env=dict(environment),
-            start_new_session=True,  # Ctrl-C is for the recorder, which stops the bridge when it is done with it
+            start_new_session=True,  # Ctrl-C is for the recorder, which stops the bridge
         )
         assert self._guard.stdin is not None
         assert self._guard.stdout is not None
@@ -121,9 +118,7 @@ class SupervisedProgram:
     @property
     def report(self) -> GuardReport | None:
         """The end of the program, None while it runs."""
-        if self._guard.poll() is None:
-            return None
-        return self._keep_report()
+        return None if self._guard.poll() is None else self._read_report()
 
     @property
     def is_up(self) -> bool:
@@ -131,12 +126,12 @@ class SupervisedProgram:
         return self._up_pattern is None or (self._folder / "up").exists()
 
     def log_tail(self) -> str:
-        """Return the last lines of the program's log, at most 8 KiB; they are kept when it is stopped."""
+        """Return the last lines of the program's log, at most 8 KiB, also after it was stopped."""
         if self._last_log is not None:
             return self._last_log
         content = b""
         for name in ("log.1", "log"):
-            with contextlib.suppress(FileNotFoundError):  # it never wrote that much, or they are just swapped
+            with contextlib.suppress(FileNotFoundError):  # shorter log, or the two are swapped just now
                 content += (self._folder / name).read_bytes()
         text = content[-LAST_LINES_BYTES:].decode(errors="replace")
         return "\n".join(text.splitlines()[-LAST_LINES:])
@@ -144,15 +139,15 @@ class SupervisedProgram:
     def last_line(self) -> str:
         """Return the last line of the log that is not empty."""
         return next(
-            (line for line in reversed(self.log_tail().splitlines()) if line.strip()), "it said nothing"
+            (line for line in reversed(self.log_tail().splitlines()) if line.strip()), "it logged nothing"
         )
 
     def load(self) -> ProgramLoad:
         """Return the present load of the program and its children."""
         loads = []
         for pid in self._pids():
-            with contextlib.suppress(psutil.Error):  # it ended meanwhile
-                process = self._followed.setdefault(pid, psutil.Process(pid))
+            with contextlib.suppress(psutil.Error):  # it has ended
+                process = self._processes.setdefault(pid, psutil.Process(pid))
                 loads.append((process.cpu_percent(), process.memory_info().rss))
         return ProgramLoad(sum(cpu for cpu, _ in loads), sum(memory for _, memory in loads), len(loads))
 
@@ -160,16 +155,16 @@ class SupervisedProgram:
         """End the program, its children and the guard; a second call does nothing."""
         assert self._guard.stdin is not None
         self._stopping = True
-        with contextlib.suppress(BrokenPipeError):  # it has ended by itself
+        with contextlib.suppress(BrokenPipeError):  # the guard has ended
             if not self._guard.stdin.closed:
                 self._guard.stdin.write(b"stop\n")
                 self._guard.stdin.close()
         try:
             self._guard.wait(5 * STOP_PATIENCE_S + 5)  # the program's three signals, its children's two
         except subprocess.TimeoutExpired:
-            self._guard.kill()  # the program is told by the kernel to go with it
+            self._guard.kill()  # the kernel ends the program with it
             self._guard.wait()
-        self._keep_report()
+        self._read_report()
         self._last_log = self._last_log or self.log_tail()
 
     def _pids(self) -> list[int]:
@@ -178,13 +173,12 @@ class SupervisedProgram:
         except psutil.Error:
             return []
 
-    def _keep_report(self) -> GuardReport:
-        """Return the report that the ended guard has printed; it is read once."""
+    def _read_report(self) -> GuardReport:
         if self._report is None:
             assert self._guard.stdout is not None
             line = self._guard.stdout.read()
             self._guard.stdout.close()
-            # Without a line the guard itself was killed, and the kernel has killed the program with it.
+            # Without a line the guard was killed, and the program with it.
             self._report = (
                 GuardReport(**json.loads(line))
                 if line.startswith(b"{")
@@ -197,7 +191,7 @@ def killing_signal(exit_code: int) -> signal.Signals | None:
     """Return the signal that ended a program, None if it ended by itself.
 
     Args:
-        exit_code: its exit code, or -signal as `subprocess` tells, or 128 + signal as a shell and the guard tell.
+        exit_code: its exit code, or -signal (`subprocess`), or 128 + signal (a shell and the guard).
     """
     try:
         return signal.Signals(-exit_code if exit_code < 0 else exit_code - 128)
@@ -205,32 +199,10 @@ def killing_signal(exit_code: int) -> signal.Signals | None:
         return None
 
 
-def describe_end(exit_code: int, last_words: str) -> str:
-    """Return how a program ended: `killed by signal 9 (SIGKILL)`, or what it said last.
-
-    Args:
-        exit_code: as for `killing_signal`.
-        last_words: the last line of its log, which is kept where it may explain the end.
-    """
+def describe_end(exit_code: int, last_line: str) -> str:
+    """Return how a program ended: `killed by signal 9 (SIGKILL)`, or the last line of its log where that explains it."""
     number = killing_signal(exit_code)
     if number is None:
-        return last_words
+        return last_line
     killed = f"killed by signal {number.value} ({number.name})"
-    return killed if number in OUTSIDE_SIGNALS else f"{killed}: {last_words}"
-
-
-def program_environment(extra: Mapping[str, str], *, foreign: bool) -> dict[str, str]:
-    """Return the environment variables of a bridge's program.
-
-    Args:
-        extra: variables that the program needs beyond those of this process.
-        foreign: whether the program brings libraries of its own; then the search path that the ROS 2 wheels made
-            for themselves (see `docs/reference/bridges.md`) must not reach it.
-    """
-    variables = {**os.environ, **extra}
-    if foreign and variables.pop(_WHEELS_GUARD, ""):
-        paths = variables.pop("LD_LIBRARY_PATH", "").split(os.pathsep)
-        ours = [path for path in paths if path and not Path(path).is_relative_to(sys.prefix)]
-        if ours:
-            variables["LD_LIBRARY_PATH"] = os.pathsep.join(ours)
-    return variables
+    return killed if number in OUTSIDE_SIGNALS else f"{killed}: {last_line}"

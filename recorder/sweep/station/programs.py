@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING
 from dds_trace.base.errors import BackendUnavailableError, OptionError, OutputError
 from dds_trace.base.files import create_file
 
-from ...bridges.process.supervise import describe_end, program_environment
+from ...bridges.process.programs import program_environment
+from ...bridges.process.supervise import describe_end
 from ...host.process import ending_with_parent
 
 if TYPE_CHECKING:

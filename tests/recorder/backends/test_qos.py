@@ -6,10 +6,10 @@ import pytest
 
 from dds_trace.recorder.backends.node import Endpoint
 from dds_trace.recorder.backends.qos import (
-    asked_durations,
     duration_extra,
     incompatible_pairs,
     mismatches,
+    requested_durations,
     warn_of_depth,
 )
 from dds_trace.tracefile.format.descriptions import Qos
@@ -47,7 +47,7 @@ def test_durations_without_end_are_left_out():
     told_ns = {"deadline": 20_000_000, "lifespan": (2**31 - 1) * 10**9}
     assert duration_extra(told_ns) == {"deadline_ns": 20_000_000}
     assert duration_extra({"deadline": 0, "lifespan": 2**63 - 1}) == {}
-    assert asked_durations(Qos(extra={"lifespan_ns": 7, "vendor": "x"})) == {"lifespan": 7}
+    assert requested_durations(Qos(extra={"lifespan_ns": 7, "vendor": "x"})) == {"lifespan": 7}
 
 
 def test_pairs_of_ours_are_named_and_others_are_not():

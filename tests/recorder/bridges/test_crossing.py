@@ -6,8 +6,7 @@ from dataclasses import replace
 import pytest
 from crossing import watch_crossing
 
-from dds_trace.recorder.bridges.base import load_bridge
-from dds_trace.recorder.bridges.options import BRIDGED_TOPICS, BridgeOptions, Half
+from dds_trace.recorder.bridges.base import BRIDGED_TOPICS, BridgeOptions, Half, load_bridge
 from dds_trace.recorder.bridges.process.running import open_bridge
 from dds_trace.recorder.choices import Discovery
 from dds_trace.tracefile.format.descriptions import Qos

@@ -15,8 +15,7 @@ from stand_in_bridge import StandInBridge
 from waiting import wait_until
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError
-from dds_trace.recorder.bridges.base import BRIDGE_MODULES, Halves
-from dds_trace.recorder.bridges.options import BridgeOptions
+from dds_trace.recorder.bridges.base import BRIDGE_MODULES, BridgeOptions, Halves
 from dds_trace.recorder.bridges.process.guard import LOG_LIMIT_BYTES
 from dds_trace.recorder.bridges.process.running import BridgeState, open_bridge
 from dds_trace.recorder.errors import BridgeError
@@ -174,7 +173,7 @@ import sys
 sys.path[:0] = {path!r}
 import stand_in_bridge
 from dds_trace.recorder.bridges.base import BRIDGE_MODULES
-from dds_trace.recorder.bridges.options import BridgeOptions
+from dds_trace.recorder.bridges.base import BridgeOptions
 from dds_trace.recorder.bridges.process.running import open_bridge
 from dds_trace.recorder.bridges.process import supervise
 supervise.STOP_PATIENCE_S = 0.2

@@ -1,4 +1,4 @@
-"""The bridge of a ping's options: started around its recording, for the topics of its data."""
+"""The bridge that a ping's options request: started around its recording, for the topics of its data."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 from dds_trace.base.errors import OptionError
 
 from ..backends import load_backend
-from .base import load_bridge, split_halves
-from .options import BRIDGED_TOPICS, BridgedTopic, BridgeOptions
+from .base import BRIDGED_TOPICS, BridgedTopic, BridgeOptions, load_bridge, split_halves
 from .process.running import open_bridge
 
 if TYPE_CHECKING:
@@ -19,54 +18,53 @@ if TYPE_CHECKING:
     from .process.running import RunningBridge
 
 
-def open_asked_bridge(
-    options: RecordOptions, asked: PingOptions, data_type: DataType, stack: ExitStack
+def open_requested_bridge(
+    options: RecordOptions, ping: PingOptions, data_type: DataType, stack: ExitStack
 ) -> RunningBridge | None:
-    """Open the bridge that the ping's options name; it ends with `stack`.
-
-    Returns:
-        The bridge, or None if the options name none or say that it runs already.
+    """Open the bridge that the ping's options name, until `stack` ends; return None if there is none to start.
 
     Raises:
         OptionError: there is no such bridge, or it does not support the options or the backend.
         BackendUnavailableError: its program is not on this machine.
         BridgeError: it did not come up.
     """
-    wanted = check_asked_bridge(options, asked, data_type)
-    return None if wanted is None else stack.enter_context(open_bridge(asked.bridge, wanted))
+    bridge_options = check_requested_bridge(options, ping, data_type)
+    if bridge_options is None:
+        return None
+    return stack.enter_context(open_bridge(ping.bridge, bridge_options))
 
 
-def check_asked_bridge(
-    options: RecordOptions, asked: PingOptions, data_type: DataType
+def check_requested_bridge(
+    options: RecordOptions, ping: PingOptions, data_type: DataType
 ) -> BridgeOptions | None:
-    """Return the options of the bridge that the ping's options name, None if there is none to be started.
+    """Return the options of the bridge that the ping's options name, None if there is none to start.
 
     Raises:
         OptionError: there is no such bridge, or it does not support the options or the backend.
     """
-    if asked.bridge == "none":
+    if ping.bridge == "none":
         return None
-    bridge = load_bridge(asked.bridge)
+    bridge = load_bridge(ping.bridge)
     # Also of one that runs already: the trace keeps its name.
     if bridge.needs_ros_nodes and not load_backend(options.backend).has_ros:
         raise OptionError(
-            f"--bridge {asked.bridge}: it knows nodes by ros_discovery_info, which those of the backend {options.backend} do "
+            f"--bridge {ping.bridge}: it finds nodes by ros_discovery_info, which those of the backend {options.backend} do "
             "not publish; use --backend ros2, or zenoh-bridge-dds"
         )
-    if asked.bridge_running:
+    if ping.bridge_running:
         return None
     node = options.node
     topic = BridgedTopic(data_type.topic, data_type.type_name)
-    wanted = BridgeOptions(
+    bridge_options = BridgeOptions(
         node.domain_id,
-        node.domain_id if asked.relay_domain_id is None else asked.relay_domain_id,
+        node.domain_id if ping.relay_domain_id is None else ping.relay_domain_id,
         topics=tuple(dict.fromkeys((*BRIDGED_TOPICS, topic))),
         qos=node.qos,
         discovery=node.discovery,
         transport=node.transport,
         tuned=node.tuned,
-        listen=asked.bridge_listen,
-        peers=asked.bridge_peers,
+        listen=ping.bridge_listen,
+        peers=ping.bridge_peers,
     )
-    split_halves(bridge, wanted)
-    return wanted
+    split_halves(bridge, bridge_options)
+    return bridge_options

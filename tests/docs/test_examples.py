@@ -50,7 +50,6 @@ OTHER_PROGRAMS = {
     "scp": "the other device is not here",
     "source": "sets up the environment that runs this test",
     "sudo": "changes the machine",
-    "SOCKPERF": "a benchmark against programs that are not here",
 }
 """First word of a line in a `sh` block -> why it is not run."""
 

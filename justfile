@@ -8,7 +8,7 @@ bin := venv / "bin"
 
 # Everything below runs on this machine only.
 export ROS_AUTOMATIC_DISCOVERY_RANGE := "LOCALHOST"
-# Where byte code is forbidden (many containers), each of the hundreds of processes of the tests would compile our modules anew.
+# Where byte code is forbidden (many containers), each of the hundreds of test processes would compile our modules again.
 export PYTHONDONTWRITEBYTECODE := ""
 
 _default:
@@ -32,7 +32,7 @@ check: setup
     {{bin}}/lint-imports
     @if test -x {{bin}}/hadolint; then {{bin}}/hadolint docker/Dockerfile; else echo 'no hadolint for this machine: docker/ is unchecked'; fi
 
-# Mend what ruff can mend
+# Fix what ruff can fix
 fix: setup
     {{bin}}/ruff check --fix .
     {{bin}}/ruff format .
@@ -45,7 +45,7 @@ test *args: setup
 test-slow *args: setup
     {{bin}}/pytest -m slow {{args}}
 
-# Record sample_traces/ anew
+# Record sample_traces/ again
 samples: setup
     DDS_TRACE_BIN={{bin}} sample_traces/record.sh
 
@@ -66,7 +66,7 @@ docs: setup
     {{bin}}/sphinx-build --quiet --fail-on-warning --keep-going -E -d out/site-cache docs out/site
     @echo "file://{{justfile_directory()}}/out/site/index.html"
 
-# Take the pictures of docs/images/ anew from the campaigns of docs/results/ (Chromium)
+# Take the pictures of docs/images/ again from the campaigns of docs/results/ (Chromium)
 screenshots *names: setup
     {{bin}}/python scripts/screenshots.py {{names}}
 
@@ -98,11 +98,11 @@ bench-report *args: setup
     uv pip install --quiet --python {{bin}}/python -e '.[browsers]'
     {{bin}}/python benchmarks/report_page.py {{args}}
 
-# How often intervals and verdicts hold, by drawing: the tables of docs/explanation/coverage.md (--quick: about a minute)
+# How often intervals and verdicts hold, by drawing: the tables of docs/results/coverage.md (--quick: about a minute)
 coverage *args: setup
     {{bin}}/python benchmarks/coverage.py {{args}}
 
-# How often comparisons of equal sides err, by drawing pairs from the recordings of a sweep (twenty passes: docs/explanation/coverage.md)
+# How often comparisons of equal sides err, by drawing pairs from the recordings of a sweep (twenty repeats: docs/results/coverage.md)
 real-aa *args: setup
     {{bin}}/python benchmarks/real_aa.py {{args}}
 
@@ -122,7 +122,7 @@ fuzz seconds="600" *targets="reader descriptions plan bag ring cache watch": set
 mutants *args: setup
     {{bin}}/python tests/mutants/mutants.py {{args}}
 
-# What a release takes: archives, each extra alone on each Python that is here, wheels for aarch64, a bill of materials in out/dist/
+# What a release takes: archives, each extra by itself on each Python that is here, wheels for aarch64, a bill of materials in out/dist/
 release-check *args: setup
     {{bin}}/python scripts/check_release.py {{args}}
 

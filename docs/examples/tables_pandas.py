@@ -13,7 +13,7 @@ roundtrips = pd.read_parquet(folder / "roundtrips.parquet", columns=columns)
 lost = roundtrips[roundtrips.outcome != "completed"]
 print(f"{len(lost)} of {len(roundtrips)} messages lost")
 
-# A median for every second of UTC, to lay beside the load of the machine or the network.
+# A median for every second of UTC, to compare with the load of the machine or the network.
 by_second = roundtrips.set_index("publish_utc").latency_ns.resample("1s").median() / 1e6
 print(by_second.dropna().rename("latency_ms"))
 

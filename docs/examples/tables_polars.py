@@ -22,7 +22,7 @@ tail = (
 )
 print(tail)
 
-told = pl.read_parquet_metadata(folder / "roundtrips.parquet")
-print("written by dds-trace", told["dds_trace.version"], "by", told["dds_trace.contract"])
-for clock in json.loads(told["dds_trace.clocks"])["sessions"]:
+metadata = pl.read_parquet_metadata(folder / "roundtrips.parquet")
+print("written by dds-trace", metadata["dds_trace.version"], "by", metadata["dds_trace.contract"])
+for clock in json.loads(metadata["dds_trace.clocks"])["sessions"]:
     print(clock["role"], clock["device"], "started", clock["started"], "synchronized:", clock["synchronized"])

@@ -215,7 +215,7 @@ OPTION_LIMITS: Mapping[str, tuple[str, Limit]] = {
     "realtime_priority": ("--realtime", limits.REALTIME_PRIORITY),
     "file_bytes": ("--rotate", limits.FILE_BYTES),
     "age_s": ("--rotate", limits.FILE_AGE_S),
-    "keep": ("--keep", limits.KEPT_FILES),
+    "keep": ("--keep", limits.RETAINED_FILES),
 }
 """Field of a record of options -> its option and its validator. Fields that are no option, whose value is an Enum or a flag,
 or that are checked where they are parsed (`data`, `labels`, the durations of a `Qos`) are not here."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 from dds_trace.base.errors import OptionError
-from dds_trace.base.limits import MAX_HELD_BYTES
+from dds_trace.base.limits import MAX_PAYLOAD_BYTES
 
 from ..errors import StoppedError
 from .stamp import SentT
@@ -196,10 +196,10 @@ def check_held_bytes(held_bytes: int, path: Path) -> None:
     """Refuse data that does not fit into memory beside everything else.
 
     Raises:
-        OptionError: there are more than `MAX_HELD_BYTES`.
+        OptionError: there are more than `MAX_PAYLOAD_BYTES`.
     """
-    if held_bytes > MAX_HELD_BYTES:
+    if held_bytes > MAX_PAYLOAD_BYTES:
         raise OptionError(
-            f"{path} holds more than {MAX_HELD_BYTES >> 30} GiB of data to send; all of it is held in memory, "
+            f"{path} holds more than {MAX_PAYLOAD_BYTES >> 30} GiB of data to send; all of it is held in memory, "
             "so give a part of it"
         )

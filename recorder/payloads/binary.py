@@ -7,7 +7,7 @@ import struct
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
-from dds_trace.base.limits import MAX_HELD_BYTES
+from dds_trace.base.limits import MAX_PAYLOAD_BYTES
 
 from .base import DataType, Form, Message, Payload, check_stop
 from .cdr import CdrWriter
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ..backends.node import RawMessage, RosMessage
 
 DEFAULT_BYTES = 33_000
-MAX_BYTES = MAX_HELD_BYTES  # within the four bytes of width, step and the length of `data`
+MAX_BYTES = MAX_PAYLOAD_BYTES  # within the four bytes of width, step and the length of `data`
 _PIECE_BYTES = 1 << 20  # a multiple of four, so that pieces join to what one draw gives
 _UINT32 = struct.Struct("<I")
 _ENCODING_OFFSET = (

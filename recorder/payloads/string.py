@@ -8,7 +8,7 @@ import struct
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
-from dds_trace.base.limits import MAX_HELD_BYTES
+from dds_trace.base.limits import MAX_PAYLOAD_BYTES
 
 from .base import DataType, Form, Message, Payload, check_stop, sized_by_length
 from .cdr import CdrWriter
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 PAPER_BYTES = (4, 91, 1405, 2675)
 DEFAULT_BYTES = PAPER_BYTES[1]
-MAX_BYTES = MAX_HELD_BYTES  # within the four bytes of the length of `data`
+MAX_BYTES = MAX_PAYLOAD_BYTES  # within the four bytes of the length of `data`
 _ALPHABET = (string.ascii_letters + string.digits).encode()
 _PIECE_BYTES = 1 << 20
 _UINT32 = struct.Struct("<I")

@@ -7,7 +7,7 @@ Analyze:
 
 - `analyze`: analyze every trace in a folder.
 - `Analysis`: everything that was computed from one folder of traces.
-- `Details`: what takes a closer look than rows and summary.
+- `Details`: what is computed in addition to rows and summary.
 - `Finding`: a doubtful measurement, and what to do about it.
 - `Severity`: how much a finding should change a reader's trust in the numbers.
 - `Source`: one file or folder that was looked at.
@@ -19,14 +19,14 @@ Analyze:
 
 Judge:
 
-- `compare`: compare every group that two analyses measured.
+- `compare`: compare every result that two analyses have in common.
 - `CompareOptions`: how two sides are compared.
-- `Comparison`: the groups that two sides have in common, and those that only one side has.
+- `Comparison`: the results that two sides have in common, and those that only one side has.
 - `Gate`: a condition under which a comparison fails.
 - `parse_gate`: read a gate such as `latency_p99 > +10%`.
-- `judge_gates`: judge every matched group by every gate.
+- `judge_gates`: judge every matched result by every gate.
 - `GateOutcome`: the outcome of a gate, with its exit code.
-- `Job`: messages to send, and what is asked of their latency.
+- `Job`: messages to send, and the latency that they need.
 - `parse_job`: read a job such as `data=binary size=502KB rate=20 deadline=50ms reliability=0.999`.
 - `Recommendation`: the settings for a job, best first.
 
@@ -40,11 +40,11 @@ Traces:
 - `EventColumns`: events as numpy columns.
 - `Stage`: T1 to T4, where a message was stamped.
 - `Session`: one recording process, as it describes itself.
-- `Run`: one series of messages, as its ping describes it.
+- `Run`: one run, as its ping describes it.
 - `TraceError`: what a user can act on; the base of all errors below.
 - `TraceFormatError`: bytes on disk that do not follow the trace format.
 - `MissingEventsError`: nothing that could be analyzed.
-- `OptionError`: a value that cannot be meant.
+- `OptionError`: a value that is wrong or impossible.
 - `OutputError`: an output cannot be written.
 
 Every name is imported at its first use: `import dds_trace` loads neither numpy nor polars, and an analysis machine needs

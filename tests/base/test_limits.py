@@ -39,11 +39,11 @@ def test_no_value_makes_a_validator_raise_anything_but_its_own_error(name):
 
 def test_bounds_themselves_are_allowed_or_left_out_as_they_say():
     assert limits.DOMAIN_ID.fault(0) is limits.DOMAIN_ID.fault(231) is None
-    assert limits.DOMAIN_ID.fault(232) == "a DDS domain id is 0 to 231"
-    assert limits.LENGTH_S.fault(0) == "a length in seconds is above 0 and at most 31622400"
+    assert limits.DOMAIN_ID.fault(232) == "a DDS domain id must be between 0 and 231"
+    assert limits.LENGTH_S.fault(0) == "a length in seconds must be above 0 and at most 31622400"
     assert limits.LENGTH_S.fault(0.1) is limits.LENGTH_S.fault(limits.YEAR_S) is None
     assert limits.WAIT_S.fault(0) is None
-    assert limits.WAIT_S.fault(-1) == "a wait in seconds is 0 to 31622400"
+    assert limits.WAIT_S.fault(-1) == "a wait in seconds must be between 0 and 31622400"
     assert limits.PORT.fault(True) is not None
     assert limits.FILE_NAME.fault("..") is not None
     assert limits.FILE_NAME.fault("...") is None
@@ -96,7 +96,7 @@ def test_any_value_of_any_field_is_taken_or_named_in_one_line(kind, place, value
         (
             "domain_id",
             2**31,
-            "field 'domain_id' of the session description is 2147483648; a number is 0 to 2147483647",
+            "field 'domain_id' of the session description is 2147483648; a number must be between 0 and 2147483647",
         ),
         (
             "wall_anchor_ns",
@@ -107,7 +107,7 @@ def test_any_value_of_any_field_is_taken_or_named_in_one_line(kind, place, value
         (
             "dropped_events",
             -1,
-            "field 'dropped_events' of the session description is -1; a count is 0 to 281474976710655",
+            "field 'dropped_events' of the session description is -1; a count must be between 0 and 281474976710655",
         ),
     ],
 )

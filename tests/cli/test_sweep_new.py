@@ -111,7 +111,7 @@ def test_everything_that_can_be_compared_makes_a_plan(new, tmp_path, word):
         ("x.toml", [], 2, "there is no terminal to ask on: give --send, for example"),
         ("x.toml", ["--send", "imu"], 2, "--send 'imu': write a kind, a size and a rate"),
         ("x.toml", ["--send", "imu @ 0"], 2, "--send the rate 0: a rate in messages a second"),
-        ("x.toml", ["--send", "binary 2GB @ 1"], 2, "the size of a message in bytes is 0 to"),
+        ("x.toml", ["--send", "binary 2GB @ 1"], 2, "the size of a message in bytes must be between 0 and"),
         ("x.toml", ["--send", "binary 3 apples @ 1"], 2, "is not understood"),
         ("x.json", [], 2, "a plan is a .toml file"),
         (

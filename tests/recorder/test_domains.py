@@ -37,7 +37,7 @@ def discovery_ports(domain_id, count):
 
 @pytest.mark.parametrize("domain_id", [-1, 232, 1000])
 def test_domain_ids_out_of_range_are_refused(proc, domain_id):
-    with pytest.raises(OptionError, match=f"--domain {domain_id}: a DDS domain id is 0 to 231"):
+    with pytest.raises(OptionError, match=f"--domain {domain_id}: a DDS domain id must be between 0 and 231"):
         check_domain(domain_id, proc())
 
 

@@ -91,7 +91,7 @@ class RecordFile(AbstractContextManager["RecordFile"]):
         self.size = status.st_size
         if not stat.S_ISREG(status.st_mode):
             self.close()
-            raise TraceFormatError(self.path, "no MCAP file: it is no regular file")
+            raise TraceFormatError(self.path, "no MCAP file: it is not a regular file")
         begin = self.read(0, min(len(MAGIC), self.size))
         if begin != MAGIC[: len(begin)]:
             self.close()

@@ -1,4 +1,4 @@
-"""The tree of errors. Every message says what is wrong, where (path, offset, topic), and what to do next.
+"""The tree of errors. A message says what is wrong, where (path, offset, topic), and what to do next.
 
 `cli` turns a `TraceError` into one line on stderr and the class's `exit_code`.
 """
@@ -22,8 +22,8 @@ class TraceFormatError(TraceError):
 
     Args:
         path: the file.
-        what: the fault, and what to do next where that is known.
-        offset: byte offset of the fault in the file; None if it has no place.
+        what: the fault, and what to do next if known.
+        offset: byte offset of the fault in the file, if it has one.
     """
 
     exit_code = 3

@@ -1,4 +1,4 @@
-"""Files that are written: replaced whole or not at all, and what a failure means; files that are read: regular ones, from any offset."""
+"""Files that are written whole or not at all, files that are read safely, and what a failed write means."""
 
 from __future__ import annotations
 
@@ -20,22 +20,21 @@ if TYPE_CHECKING:
 
 @contextmanager
 def replacing(path: Path, *, fsync: bool = False) -> Iterator[Path]:
-    """Yield the path of a draft beside `path`, which takes the place of `path` once the block ends without an error.
+    """Yield the path of a draft that replaces `path` once the block ends without an error; after an error it is removed.
 
-    A reader finds the old file or the new one, never a part of it. After an error the old file stays and the draft is
-    removed. Where `path` is a symbolic link the link itself is replaced; what it points to is not touched.
+    A reader sees the old file or the new one, never a part. A symbolic link is replaced itself; its target is not touched.
 
     Args:
         path: the file to write; its folder exists.
-        fsync: whether the new file and its folder are on the disk, not only in the page cache, when this returns.
+        fsync: whether the new file and its folder are on the disk, not only in the page cache, on return.
 
     Yields:
-        A path that does not exist yet. Its ending is `.part`, so that nobody takes a draft for a trace or a table.
+        A path that does not exist yet, ending in `.part`, so that no draft is taken for a trace or a table.
 
     Raises:
-        OSError: the draft cannot be flushed to the disk, or cannot take the place of `path`.
+        OSError: the draft cannot be flushed to the disk, or cannot replace `path`.
     """
-    # Random, so that neither another process nor a link that somebody left in a shared folder meets the draft.
+    # Random, so that no other process and no link in a shared folder has the same name.
     draft = path.with_name(f"{path.name}.{secrets.token_hex(4)}.part")
     try:
         yield draft
@@ -53,33 +52,26 @@ def replacing(path: Path, *, fsync: bool = False) -> Iterator[Path]:
 def open_regular(path: Path, *, follow_links: bool = True) -> BufferedReader:
     """Open a regular file for reading; a pipe would wait for a writer, and a device may never end.
 
-    Args:
-        path: the file.
-        follow_links: whether `path` may be a symbolic link to it.
-
     Raises:
-        OSError: as `open`; the file is no regular file.
+        OSError: as `open`; the file is not a regular file, or is a symbolic link and `follow_links` is False.
     """
     flags = os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK | (0 if follow_links else os.O_NOFOLLOW)
     descriptor = os.open(path, flags)
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
-        raise OSError(errno.EINVAL, "no regular file", str(path))
+        raise OSError(errno.EINVAL, "not a regular file", str(path))
     return os.fdopen(descriptor, "rb")
 
 
-def read_into(descriptor: int, room: memoryview, offset: int) -> int:
-    """Fill `room` with the bytes of a file from `offset` on.
-
-    Returns:
-        How many there were: fewer than `room` has where the file ends before.
+def read_into(descriptor: int, target: memoryview, offset: int) -> int:
+    """Fill `target` with the bytes of a file from `offset` on; return how many there were.
 
     Raises:
         OSError: as `os.preadv`.
     """
     done = 0
-    while done < len(room):  # the kernel hands out at most 2 GiB at once
-        count = os.preadv(descriptor, [room[done:]], offset + done)
+    while done < len(target):  # the kernel returns at most 2 GiB at once
+        count = os.preadv(descriptor, [target[done:]], offset + done)
         if not count:
             break
         done += count
@@ -87,7 +79,7 @@ def read_into(descriptor: int, room: memoryview, offset: int) -> int:
 
 
 def expand_home(text: str) -> Path:
-    """Return a path with the home folder in place of `~` or `~user`; as it is where that user is not known.
+    """Return a path with the home folder in place of `~` or `~user`, or as it is if that user does not exist.
 
     `Path.expanduser` raises there, though such a name may be a folder's.
     """
@@ -95,26 +87,26 @@ def expand_home(text: str) -> Path:
 
 
 OWNER_AND_GROUP = 0o640
-"""Mode of a new trace and its ring: the owner writes, the group reads, others do nothing; the umask may take more away."""
+"""Mode of a new trace and its ring; the umask may reduce it."""
 
 
 def create_file(path: Path, mode: int = OWNER_AND_GROUP) -> BinaryIO:
-    """Make a file that does not exist and open it for writing; it never has more rights than `mode`.
+    """Create a file and open it for writing; it never has more rights than `mode`.
 
     Raises:
-        OSError: as `open`; there is something of that name already, a dangling link too.
+        OSError: as `open`; something has that name already, a dangling link too.
     """
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
     return os.fdopen(descriptor, "wb")
 
 
 def mode_within(rights: int) -> int:
-    """Return the mode for a file that is made of one with these rights: no more, and none for others."""
+    """Return the mode for a file derived from one with these rights: no more rights, and none for others."""
     return rights & OWNER_AND_GROUP | stat.S_IRUSR | stat.S_IWUSR
 
 
 def flush_to_disk(path: Path) -> None:
-    """Have a file, or the names in a folder, on the disk and not only in the page cache.
+    """Flush a file, or the names in a folder, from the page cache to the disk.
 
     Raises:
         OSError: it cannot be opened or flushed.
@@ -134,11 +126,11 @@ _ADVICE = {
     errno.EACCES: "no permission to write here; choose another --out",
     errno.EPERM: "no permission to write here; choose another --out",
     errno.ENOENT: "the file or its folder was deleted or moved; record to a folder that stays",
-    errno.ENOTDIR: "a part of the path is no folder; choose another --out",
+    errno.ENOTDIR: "a part of the path is not a folder; choose another --out",
 }
 
 
 def output_error(path: Path, err: OSError, what: str = "the trace") -> OutputError:
-    """Return the error that tells a user what a failed write means and what to do, by the system's error number."""
+    """Return the error for a failed write: what the system's error number means, and what to do."""
     advice = _ADVICE.get(err.errno or 0, f"{err.strerror}; check the disk")
     return OutputError(f"{path}: cannot write {what}: {advice}")

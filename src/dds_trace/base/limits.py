@@ -1,8 +1,6 @@
-"""The values that options, plans and traces may hold: one list of validators for all three.
+"""One list of validators for the values of options, plans and traces, so that what one refuses no other accepts.
 
-`dds-record` checks its options by it, `dds-sweep` the keys of a plan, and a reader the fields of a trace's descriptions,
-so that what one refuses no other lets through. A validator never raises anything but the error that it is there for:
-not for NaN, an integer of 400 digits or a text that no encoding has.
+A validator raises nothing of its own, whatever the value: NaN, an integer of 400 digits, text that no encoding has.
 """
 
 from __future__ import annotations
@@ -19,10 +17,8 @@ if TYPE_CHECKING:
     from collections.abc import Collection
 
 _SHOWN_CHARACTERS = 80
-"""Longest value that an error repeats whole."""
 _SHOWN_DIGITS = 20
 _COMPARED_CHARACTERS = 100
-"""Characters of a wrong word that are compared with the right ones."""
 
 
 class Limit(Protocol):
@@ -34,11 +30,7 @@ class Limit(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Whole:
-    """Whole numbers from `low` to `high`, both allowed.
-
-    Attributes:
-        what: the noun of the value, for the error.
-    """
+    """Whole numbers from `low` to `high`, inclusive; `what` is the noun for the error."""
 
     low: int
     high: int
@@ -48,17 +40,12 @@ class Whole:
         """Return what to write instead of `value`, None if it is allowed."""
         if isinstance(value, int) and not isinstance(value, bool) and self.low <= value <= self.high:
             return None
-        return f"{self.what} is {self.low} to {self.high}"
+        return f"{self.what} must be between {self.low} and {self.high}"
 
 
 @dataclass(frozen=True, slots=True)
 class Real:
-    """Finite numbers from `low` to `high`, both allowed; whole numbers count as such.
-
-    Attributes:
-        what: the noun of the value with its unit, for the error.
-        is_above: whether `low` itself is left out.
-    """
+    """Finite numbers from `low` to `high`, inclusive unless `is_above`; `what` is the noun with its unit for the error."""
 
     low: float
     high: float
@@ -75,18 +62,13 @@ class Real:
         ):
             return None
         low, high = f"{self.low:.15g}", f"{self.high:.15g}"
-        return f"{self.what} is {f'above {low} and at most' if self.is_above else f'{low} to'} {high}"
+        bounds = f"above {low} and at most {high}" if self.is_above else f"between {low} and {high}"
+        return f"{self.what} must be {bounds}"
 
 
 @dataclass(frozen=True, slots=True)
 class Words:
-    """Texts that a pattern allows, and that UTF-8 can hold.
-
-    Attributes:
-        what: the noun of the value and its form, for the error.
-        pattern: the whole text has to match it.
-        most: largest number of characters.
-    """
+    """Texts that match `pattern` as a whole, with at most `most` characters; `what` is the noun and form for the error."""
 
     what: str
     pattern: re.Pattern[str] = re.compile(r".*", re.DOTALL)
@@ -95,9 +77,9 @@ class Words:
     def fault(self, value: object) -> str | None:
         """Return what to write instead of `value`, None if it is allowed."""
         if not isinstance(value, str):
-            return f"{self.what} is a text"
+            return f"{self.what} must be text"
         if not is_utf8(value):
-            return f"{self.what} is UTF-8 text; this is in another encoding, or half of a character"
+            return f"{self.what} must be UTF-8 text; this is in another encoding, or half of a character"
         if len(value) > self.most:
             return f"{self.what} has at most {self.most} characters; this has {len(value)}"
         if "\0" in value or self.pattern.fullmatch(value) is None:
@@ -107,11 +89,7 @@ class Words:
 
 @dataclass(frozen=True, slots=True)
 class OneOf:
-    """One of a few values.
-
-    Attributes:
-        choices: the values, all of one type.
-    """
+    """One of a few values of one type."""
 
     choices: tuple[str, ...] | tuple[float, ...]
 
@@ -129,8 +107,8 @@ class FilePath:
 
     Attributes:
         what: the noun of the value, for the error.
-        is_folder: whether `.`, `..` and `/` are allowed, as they are for a folder that is there.
-        is_input: whether bytes that are no UTF-8 are allowed, as others may have named what is there.
+        is_folder: whether `.`, `..` and `/` are allowed, as they are for an existing folder.
+        is_input: whether bytes that are not UTF-8 are allowed, as in names that others gave.
     """
 
     what: str
@@ -139,13 +117,12 @@ class FilePath:
 
     def fault(self, value: object) -> str | None:
         """Return what to write instead of `value`, None if it is allowed."""
-        # Undecodable bytes of a file's name are lone surrogates; of an input each counts as one character.
-        is_mended = self.is_input and isinstance(value, str)
-        text = str(value).encode(errors="replace").decode() if is_mended else value
-        fault = Words(self.what, most=4095).fault(text)
+        if self.is_input and isinstance(value, str):
+            value = value.encode(errors="replace").decode()  # undecodable bytes of a name are lone surrogates
+        fault = Words(self.what, most=4095).fault(value)
         if fault is not None:
             return fault
-        parts = str(text).rstrip("/").split("/")
+        parts = str(value).rstrip("/").split("/")
         if not self.is_folder and parts[-1] in {"", ".", ".."}:
             return f"{self.what} ends with a name"
         longest = max(len(part.encode()) for part in parts)
@@ -162,12 +139,7 @@ class Flag:
 
 
 def check(limit: Limit, value: object, where: str) -> None:
-    """Refuse a value of an option.
-
-    Args:
-        limit: the validator.
-        value: the value; None passes, since it is the default of an option that was not given.
-        where: name of the option.
+    """Refuse a value of the option `where`; None passes as the default of an option that was not given.
 
     Raises:
         OptionError: `<where> <value>: <what to write>`.
@@ -178,15 +150,15 @@ def check(limit: Limit, value: object, where: str) -> None:
 
 
 def nearest(word: str, choices: Collection[str]) -> str:
-    """Return what to write instead of a word that is none of `choices`: the nearest one, or all."""
-    import difflib  # noqa: PLC0415 - of errors alone, and each command loads this module
+    """Return what to write instead of a word that is not in `choices`: the nearest one, or all."""
+    import difflib  # noqa: PLC0415 - only errors need it, and each command loads this module
 
     near = difflib.get_close_matches(word[:_COMPARED_CHARACTERS], choices, n=1)
     return f"did you mean {near[0]!r}?" if near else f"choose one of {', '.join(choices)}"
 
 
 def shown(value: object) -> str:
-    """Return a refused value as an error repeats it: on one line, and at most 80 characters of it."""
+    """Return a refused value for an error message: on one line, at most 80 characters."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, int):
@@ -195,13 +167,13 @@ def shown(value: object) -> str:
         return str(value) if digits <= _SHOWN_DIGITS else f"a number of about {digits} digits"
     if isinstance(value, float):
         return f"{value:g}"
-    if isinstance(value, list | dict):  # the text of one may hold an integer that has none
+    if isinstance(value, list | dict):  # one may contain an integer that has no text
         return "a list" if isinstance(value, list) else "a table"
     return printable(repr(value), _SHOWN_CHARACTERS)
 
 
 def is_utf8(text: str) -> bool:
-    """Return whether UTF-8 can hold the text: it has no lone surrogate, as bytes of another encoding leave them."""
+    """Return whether UTF-8 can encode the text: it has no lone surrogate, as bytes of another encoding leave them."""
     try:
         text.encode()
     except UnicodeEncodeError:
@@ -211,15 +183,15 @@ def is_utf8(text: str) -> bool:
 
 YEAR_S = 366 * 86_400
 LAST_DOMAIN = 231
-"""Highest domain id: of domain 232 even the first participant has no ports below 65536 (DDSI-RTPS 2.5, 9.6.2.3)."""
-MAX_HELD_BYTES = 1 << 30
-"""Most data that a payload may hold: it lies in memory while it is sent, and a small board has 2 GB."""
+"""Highest domain id: ports of domain 232 are above 65535 (DDSI-RTPS 2.5, 9.6.2.3)."""
+MAX_PAYLOAD_BYTES = 1 << 30
+"""Largest payload: it is in memory while it is sent, and a small board has 2 GB."""
 MAX_MESSAGES = 100_000_000
-"""Most messages of a run; its ledger takes 20 bytes of memory for each."""
+"""Most messages of a run; its ledger needs 20 bytes of memory for each."""
 
 DOMAIN_ID = Whole(0, LAST_DOMAIN, "a DDS domain id")
 RELAY_ID = Whole(1, (1 << 32) - 1, "a relay's id")
-SIZE_BYTES = Whole(0, MAX_HELD_BYTES, "the size of a message in bytes")
+SIZE_BYTES = Whole(0, MAX_PAYLOAD_BYTES, "the size of a message in bytes")
 RATE_HZ = Real(1e-6, 1e6, "a rate in messages a second")
 MESSAGES = Whole(1, MAX_MESSAGES, "the number of messages to measure")
 MESSAGES_OR_NONE = Whole(0, MAX_MESSAGES, "the number of messages")
@@ -230,9 +202,9 @@ SEED = Whole(-(1 << 63), (1 << 64) - 1, "a seed")
 REALTIME_PRIORITY = Whole(1, 99, "a SCHED_FIFO priority")
 PORT = Whole(1, 65535, "a port")
 FILE_BYTES = Whole(1000, 1 << 50, "the size of a file in bytes")
-KEPT_FILES = Whole(1, 1_000_000, "the number of files to keep")
-REPEATS = Whole(1, 10_000, "the number of passes")
-PASSES_OR_ALL = Whole(0, 10_000, "the number of passes")
+RETAINED_FILES = Whole(1, 1_000_000, "the number of files to keep")
+REPEATS = Whole(1, 10_000, "the number of repeats")
+PASSES_OR_ALL = Whole(0, 10_000, "the number of repeats")
 ATTEMPTS = Whole(1, 1000, "the number of attempts")
 KNEE_REPEATS = Whole(1, 1000, "the number of runs at the knee")
 
@@ -240,7 +212,7 @@ WAIT_S = Real(0, YEAR_S, "a wait in seconds")
 LENGTH_S = Real(0, YEAR_S, "a length in seconds", is_above=True)
 LENGTH_OR_NONE_S = Real(0, YEAR_S, "a length in seconds")
 FILE_AGE_S = Real(1, YEAR_S, "the age of a file in seconds")
-LOOK_S = Real(0.1, YEAR_S, "the time between two looks in seconds")
+LOOK_S = Real(0.1, YEAR_S, "the time between two checks in seconds")
 DELAY_MS = Real(0, 3_600_000, "a time in milliseconds")
 DEADLINE_MS = Real(0, 3_600_000, "a deadline in milliseconds", is_above=True)
 LINE_MBIT_S = Real(0, 1e6, "a line rate in Mbit/s")
@@ -280,7 +252,7 @@ TOPIC_NAME = Words(
     200,
 )
 
-# Fields of traces: what the columns of an analysis hold, sums and differences of two included.
+# Fields of traces: what the columns of an analysis can store, sums and differences of two included.
 STORED_COUNT = Whole(0, (1 << 48) - 1, "a count")
 STORED_BYTES = Whole(0, (1 << 32) - 1, "a size in bytes")
 STORED_NUMBER = Whole(0, (1 << 31) - 1, "a number")

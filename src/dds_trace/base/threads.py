@@ -1,4 +1,4 @@
-"""Threads: jobs on all cores with results in order, and work in the background that must not delay a time stamp."""
+"""Jobs on all cores with results in order, and a lock and a scheduler change for threads that time stamps wait for."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ T_co = TypeVar("T_co", covariant=True)
 
 
 class PendingResult(Protocol[T_co]):
-    """A job that was begun: a future of a pool is one."""
+    """A job that was started, such as a future of a pool."""
 
     def result(self) -> T_co:
-        """Wait for the job's end and return what it gave, or raise what it raised."""
+        """Wait until the job is done and return its result, or raise its exception."""
 
     def cancel(self) -> bool:
-        """See to it that the job never begins, if it has not."""
+        """Keep the job from starting, if it has not."""
 
 
 def in_turn(
@@ -33,67 +33,58 @@ def in_turn(
 ) -> Iterator[T]:
     """Yield the results of `jobs` in order; a job that fails raises its exception here, perhaps before its turn.
 
-    Jobs that have not begun when this ends early, by an exception or because nobody wants more results, never begin.
+    Jobs that have not started when this ends early, by an exception or because it is closed, never start.
 
     Args:
-        jobs: (size, what begins it) pairs.
-        most_jobs: the number of jobs that are begun, or done, before their results are asked for.
-        most_size: the sum of the sizes of all these; a larger job is done alone.
+        jobs: (size, function that starts it) pairs.
+        most_jobs: most jobs that are started, or done, before their results are requested.
+        most_size: most that their sizes may sum to; a larger job runs by itself.
     """
-    begun: deque[tuple[int, PendingResult[T]]] = deque()
+    started: deque[tuple[int, PendingResult[T]]] = deque()
     try:
-        for size, begin in jobs:
-            while begun and (
-                len(begun) >= most_jobs or size + sum(of_job for of_job, _ in begun) > most_size
+        for size, start in jobs:
+            while started and (
+                len(started) >= most_jobs or size + sum(other for other, _ in started) > most_size
             ):
-                yield begun.popleft()[1].result()
-            begun.append((size, begin()))
-        while begun:
-            yield begun.popleft()[1].result()
+                yield started.popleft()[1].result()
+            started.append((size, start()))
+        while started:
+            yield started.popleft()[1].result()
     finally:
-        for _, job in begun:
+        for _, job in started:
             job.cancel()
 
 
 def in_order(
     jobs: Iterable[tuple[int, Callable[[], T]]], pool: Executor, most_jobs: int, most_size: int
 ) -> Iterator[T]:
-    """Yield the results of `jobs` in order as `in_turn` does.
+    """Yield the results of (size, job) pairs in order as `in_turn` does.
 
-    The thread that waits for a result does jobs meanwhile, so that a pool with one thread less than there are cores is enough.
-
-    Args:
-        jobs: (size, job) pairs.
-        pool: the threads that do the jobs.
-        most_jobs: as for `in_turn`.
-        most_size: as for `in_turn`.
+    The thread that waits for a result does jobs meanwhile, so that a pool needs one thread less than there are cores.
     """
-    waiting: deque[_Shared[T]] = deque()
+    waiting: deque[_SharedJob[T]] = deque()
 
-    def begin(job: Callable[[], T]) -> _Shared[T]:
-        waiting.append(_Shared(job, pool.submit(job), waiting))
+    def start(job: Callable[[], T]) -> _SharedJob[T]:
+        waiting.append(_SharedJob(job, pool.submit(job), waiting))
         return waiting[-1]
 
-    return in_turn(((size, partial(begin, job)) for size, job in jobs), most_jobs, most_size)
+    return in_turn(((size, partial(start, job)) for size, job in jobs), most_jobs, most_size)
 
 
 @dataclass(slots=True)
-class _Shared(Generic[T]):
-    """A job that the pool does, or the thread that waits for it or for one before it.
+class _SharedJob(Generic[T]):
+    """A job that is done by the pool, or by the thread that waits for it or for a job before it.
 
     Attributes:
-        job: the job.
-        future: its result.
-        waiting: this job and those behind it, in their order.
+        waiting: this job and those after it, in their order.
     """
 
     job: Callable[[], T]
     future: Future[T]
-    waiting: deque[_Shared[T]]
+    waiting: deque[_SharedJob[T]]
 
     def result(self) -> T:
-        """Do jobs that no thread has taken until this one is done; return its result."""
-        while not self.future.done() and any(one.done_here() for one in self.waiting):
+        while not self.future.done() and any(job.done_here() for job in self.waiting):
             pass
         self.waiting.popleft()
         return self.future.result()
@@ -102,73 +93,71 @@ class _Shared(Generic[T]):
         """Do the job in this thread unless a thread of the pool has it; return whether it was done here."""
         if not self.cancel():
             return False
-        self.future = Future()
-        self.future.set_result(self.job())
+        self.future = InlineExecutor().submit(self.job)
         return True
 
     def cancel(self) -> bool:
-        """See to it that the pool never begins the job, if it has not."""
         return self.future.cancel()
 
 
 class InlineExecutor(Executor):
-    """An executor without threads: each job is done by the one who submits it, at once."""
+    """An executor without threads: `submit` does the job at once, and raises what it raises."""
 
     def submit(self, fn: Callable[..., T], /, *args: object, **kwargs: object) -> Future[T]:
-        """Do the job; what it raises is raised here."""
+        """Do the job."""
         done: Future[T] = Future()
         done.set_result(fn(*args, **kwargs))
         return done
 
 
 class FastLock:
-    """A lock that is quick when caches are cold and nobody else has it, as is the rule beside a message.
+    """A lock that is fast when caches are cold and no other thread has it, as is usual when a message arrives.
 
-    A `threading.Lock` then takes 6 to 9 us, this 2 (`docs/explanation/performance.md`): it is a token in a list, which one
-    thread has at a time. Where each microsecond counts, write
+    A `threading.Lock` then takes 6 to 9 us, this takes 2 (`docs/explanation/performance.md`): it is a token in a list, which
+    one thread has at a time. Where each microsecond counts, write
 
         try:
-            take()  # turn.take
+            take()  # lock.take
         except IndexError:
-            turn.wait()
+            lock.wait()
         try:
             ...
         finally:
-            give(None)  # turn.give
-            if turn.is_awaited:
-                turn.wake()
+            give(None)  # lock.give
+            if lock.is_awaited:
+                lock.wake()
 
-    and everywhere else `with turn:`. Unlike a lock it is not for a thread that a signal handler may interrupt by an exception:
-    between `take` and `try` the token would be lost.
+    and everywhere else `with lock:`. A signal handler must not raise in a thread that uses it: between `take` and `try`
+    the token would be lost.
 
     Attributes:
         take: takes the token, or raises `IndexError` if another thread has it.
         give: gives it back; its argument is None.
-        is_awaited: whether somebody waits for it, whom `wake` then tells.
+        is_awaited: whether a thread waits for it; `wake` then wakes that thread.
     """
 
-    __slots__ = ("_queue", "_told", "give", "is_awaited", "take", "wake")
+    __slots__ = ("_queue", "_released", "give", "is_awaited", "take", "wake")
 
     def __init__(self) -> None:
         token = [None]
         self.take = cast("Callable[[], None]", token.pop)
         self.give = token.append
         self.is_awaited = False
-        self._queue = threading.Lock()  # one waits for the token, the others for that one
-        self._told = threading.Event()
-        self.wake = self._told.set
+        self._queue = threading.Lock()  # one thread waits for the token, the others for that thread
+        self._released = threading.Event()
+        self.wake = self._released.set
 
     def wait(self) -> None:
         """Take the token as soon as it is there."""
         with self._queue:
             self.is_awaited = True
             while True:
-                # First the mark, then the look: who gives the token back behind the look sees the mark.
-                self._told.clear()
+                # Clear before trying: a release after the try then sees `is_awaited`.
+                self._released.clear()
                 try:
                     self.take()
                 except IndexError:
-                    self._told.wait()
+                    self._released.wait()
                 else:
                     self.is_awaited = False
                     return
@@ -188,8 +177,8 @@ class FastLock:
 def run_in_background() -> None:
     """Put the calling thread back under the ordinary scheduler.
 
-    A thread inherits SCHED_FIFO from the one that starts it (`dds-record --realtime`). Never raises: without the
-    right to change the scheduler there was no real-time priority to inherit, nor is there one outside of Linux.
+    A thread inherits SCHED_FIFO from the one that starts it (`dds-record --realtime`). Never raises: without the right to
+    change the scheduler, or outside of Linux, there is no real-time priority to inherit.
     """
     with suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

@@ -429,7 +429,7 @@ def test_an_impossible_description_is_not_used_and_its_field_is_named(tmp_path, 
         (
             "warmup_messages",
             -1,
-            r"ping\.mcap was not used: field 'warmup_messages' of the run description is -1; a count is 0 to \d+; replace",
+            r"ping\.mcap was not used: field 'warmup_messages' of the run description is -1; a count must be between 0 and \d+; replace",
         ),
         (
             "rate_hz",

@@ -61,7 +61,7 @@ def test_a_signal_ends_the_making(data):
 
 def test_a_signal_ends_the_reading_of_a_file(tmp_path):
     with (tmp_path / "large").open("wb") as file:
-        file.truncate(payloads_base.MAX_HELD_BYTES)
+        file.truncate(payloads_base.MAX_PAYLOAD_BYTES)
     stop = StopAtThird()
     with pytest.raises(StoppedError):
         load(f"file:{tmp_path / 'large'}", stop=stop)

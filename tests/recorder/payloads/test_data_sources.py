@@ -56,7 +56,7 @@ def test_files_that_cannot_be_sent(tmp_path, monkeypatch):
     with pytest.raises(OptionError, match=r"empty: the file is empty"):
         load(f"file:{tmp_path}")
     (tmp_path / "empty").write_bytes(bytes(11))
-    monkeypatch.setattr(payloads_base, "MAX_HELD_BYTES", 10)
+    monkeypatch.setattr(payloads_base, "MAX_PAYLOAD_BYTES", 10)
     with pytest.raises(OptionError, match="more than 0 GiB"):
         load(f"file:{tmp_path}")
 
@@ -149,7 +149,7 @@ def test_a_bag_that_cannot_be_sent_is_refused_in_one_line(tmp_path, monkeypatch)
         load(f"bag:{__file__}#/x")
     with pytest.raises(OptionError, match="there is no such file or folder"):
         load(f"bag:{tmp_path}/nothing#/x")
-    monkeypatch.setattr(payloads_base, "MAX_HELD_BYTES", 300)
+    monkeypatch.setattr(payloads_base, "MAX_PAYLOAD_BYTES", 300)
     with pytest.raises(OptionError, match="holds more than"):
         load(f"bag:{bag}#/camera/image")
 

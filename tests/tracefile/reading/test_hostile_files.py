@@ -114,14 +114,14 @@ def test_a_pipe_is_not_waited_for(whole, name):
     if path.suffix == ".ring":
         assert any("ring beside it is not used" in note for note in read_trace(whole).notes)
     else:
-        with pytest.raises(TraceFormatError, match="no regular file"):
+        with pytest.raises(TraceFormatError, match="not a regular file"):
             read_trace(path)
 
 
 @pytest.mark.parametrize("path", ["/dev/zero", "/dev/null"])
 def test_a_device_is_no_regular_file(path, tmp_path):
     (tmp_path / "x").symlink_to(path)
-    with pytest.raises(OSError, match="no regular file"):
+    with pytest.raises(OSError, match="not a regular file"):
         open_regular(tmp_path / "x")
     with pytest.raises(OSError):  # noqa: PT011 - ELOOP, in whatever words
         open_regular(tmp_path / "x", follow_links=False)

@@ -403,7 +403,7 @@ class TestNoTrace:
 
     def test_a_pipe(self, tmp_path):
         os.mkfifo(tmp_path / "t.mcap")
-        with pytest.raises(TraceFormatError, match="no regular file"):
+        with pytest.raises(TraceFormatError, match="not a regular file"):
             read_trace(tmp_path / "t.mcap")
 
     def test_nothing_there(self, tmp_path):

@@ -33,7 +33,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dds_trace.analyzer.run_statistics import (
-    RUNS_TO_TELL,
+    MIN_RUNS,
     Run,
     Statistic,
     Verdict,
@@ -284,11 +284,11 @@ def measure(scenario: Scenario, runs: int, messages: int, samples: int) -> Cell:
     """Draw groups of runs and count what is said of them; each two neighbours are a pair of equal sides."""
     generator = np.random.default_rng([SEED, runs, messages])
     intervals = {quantile: Intervals() for quantile in QUANTILES}
-    verdicts = {quantile: Verdicts() for quantile in QUANTILES} if runs >= RUNS_TO_TELL else {}
+    verdicts = {quantile: Verdicts() for quantile in QUANTILES} if runs >= MIN_RUNS else {}
     cell = Cell(scenario, runs, messages, intervals, Intervals(), verdicts)
     truths = {quantile: scenario.truth(quantile) for quantile in QUANTILES}
     for _ in range(0, samples, SAMPLES_AT_ONCE):
-        drawn = scenario.draw(generator, runs * SAMPLES_AT_ONCE, messages, runs < RUNS_TO_TELL)
+        drawn = scenario.draw(generator, runs * SAMPLES_AT_ONCE, messages, runs < MIN_RUNS)
         groups = [
             [Run(values) for values in group] for group in drawn.reshape(SAMPLES_AT_ONCE, runs, messages)
         ]

@@ -12,7 +12,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from dds_trace.analyzer.statistics.intervals import EPISODES_TO_TELL, RUNS_TO_TELL
+from dds_trace.analyzer.statistics.intervals import MIN_EPISODES, MIN_RUNS
 from dds_trace.base.printable import printable
 from dds_trace.base.units import MISSING, format_duration, format_rate, format_size
 
@@ -45,8 +45,8 @@ _COLUMNS = (
     ("max", 7),
 )
 _NOTES = (
-    f"Runs: with a *, what is said holds within one run; it takes {RUNS_TO_TELL} to tell more. Epi.: the episodes that "
-    f"p99 rests on; with fewer than {EPISODES_TO_TELL} nothing is known of how late it may be."
+    f"Runs: with a *, what is said holds within one run; it takes {MIN_RUNS} to tell more. Epi.: the episodes that "
+    f"p99 rests on; with fewer than {MIN_EPISODES} nothing is known of how late it may be."
 )
 
 
@@ -237,7 +237,7 @@ def _table(shown: _Shown, series: int) -> Table:
 def _runs(shown: _Shown, group: int) -> str:
     """Return the runs of a group, with a star where they are too few to tell more than of one run."""
     runs = shown.values.plain["runs"][group]
-    return MISSING if runs is None else f"{runs:.0f}" + ("*" if runs < RUNS_TO_TELL else "")
+    return MISSING if runs is None else f"{runs:.0f}" + ("*" if runs < MIN_RUNS else "")
 
 
 def _episodes(shown: _Shown, group: int) -> str:

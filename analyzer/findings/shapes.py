@@ -18,7 +18,7 @@ from dds_trace.base.units import counted, format_ms
 from ..model.applied import SHARED_MEMORY, UNKNOWN, maps_memory, payload_path, udp_receive_buffer_bytes
 from ..model.finding import Finding, Severity
 from ..model.parameters import SIZE_LINE_COLUMNS
-from ..statistics.intervals import RUNS_TO_TELL
+from ..statistics.intervals import MIN_RUNS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -43,7 +43,7 @@ def unlike_sizes(evidence: Evidence) -> Iterator[Finding]:
     simulated pairs of equal sizes, three or five runs each that differ by 5 %, 0.2 and 0.3 % fall.
     """
     medians = evidence.details.intervals.filter(
-        pl.col("runs") >= RUNS_TO_TELL, metric="latency", percentile="p50"
+        pl.col("runs") >= MIN_RUNS, metric="latency", percentile="p50"
     ).drop_nulls("method")
     interval = {row["group"]: row for row in medians.iter_rows(named=True)}
     lines: dict[tuple[ParameterValue, ...], list[tuple[int, int]]] = defaultdict(list)

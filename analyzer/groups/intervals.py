@@ -9,20 +9,20 @@ import numpy as np
 import polars as pl
 
 from ..model.metrics import METRICS
-from ..run_statistics.between_runs import interval_of_runs
-from ..run_statistics.runs import Groups, Runs, Statistic, Times, find_inflations, find_quantiles
-from ..run_statistics.spread import find_log_errors, spread_of_runs
-from ..run_statistics.tails import find_own_inflations, find_tails
+from ..run_statistics.batching import SMALL_GROUP, spreads_of_groups
+from ..run_statistics.between_runs import estimates_of_runs
+from ..run_statistics.runs import Runs, SendTimes, Statistic
 from ..statistics.intervals import Basis
 from ..statistics.percentiles import PERCENTILES, quantile_of, summarize_values
 from .batch import columns_by_group, is_present, present, runs_by_group
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
     from ..pairing.roundtrips import PairedRows
+    from ..run_statistics.spread import Spread
     from ..statistics.intervals import Interval
     from .batch import Batch
 
@@ -62,13 +62,7 @@ ONE_WAY_SCHEMA: dict[str, type[pl.DataType]] = {
 ONE_WAY_METRICS = ("outbound", "return")
 _METRICS = (*METRICS, *ONE_WAY_METRICS)
 
-_FINDERS = (find_quantiles, find_inflations, find_tails, find_own_inflations, find_log_errors)
-"""What intervals rest on, in the order in which one rests on another."""
-
-_SIDE_BY_SIDE = 20_000
-"""Messages of a group up to which its metrics are looked at side by side; those of more are as quick one by one."""
-
-_QUANTILES = tuple(percentile.quantile for percentile in PERCENTILES)
+_STATISTICS = [Statistic(percentile.quantile) for percentile in PERCENTILES]
 _METHODS = {Basis.BETWEEN_RUNS: "student_t_of_runs", Basis.WITHIN_RUN: "order_statistics"}
 
 
@@ -118,33 +112,23 @@ def interval_rows(
             sending = _Sending.of(sent_ns[has_value], run_of_row[has_value])
         return sending.runs(present(values))
 
-    one_by_one = ((metric, runs_of(metric)) for metric in _METRICS)
-    is_small = len(run_of_row) <= _SIDE_BY_SIDE
-    for metric, runs in _found_together(one_by_one) if is_small else one_by_one:
-        # No quantile of one-way times is further off than its worst message.
-        off_ns = bound_ns if metric in ONE_WAY_METRICS else 0.0
-        for row in _rows_of_runs(runs, off_ns) if runs else ():
-            yield {"group": group, "metric": metric, **row}
+    is_small = len(run_of_row) <= SMALL_GROUP
+    for metrics in [_METRICS] if is_small else [(metric,) for metric in _METRICS]:
+        runs = {metric: runs for metric in metrics if (runs := runs_of(metric))}
+        spreads = spreads_of_groups(list(runs.values()), _STATISTICS)
+        for metric, spreads_of_metric in zip(runs, spreads, strict=True):
+            # No quantile of one-way times is further off than its worst message.
+            off_ns = bound_ns if metric in ONE_WAY_METRICS else 0.0
+            for row in _rows_of_runs(runs[metric], spreads_of_metric, off_ns):
+                yield {"group": group, "metric": metric, **row}
 
 
-def _found_together(of_metrics: Iterator[tuple[str, Runs | None]]) -> Iterator[tuple[str, Runs | None]]:
-    """Yield the metrics, those that have values looked at side by side."""
-    found = list(of_metrics)
-    having_values = tuple(runs for _, runs in found if runs)
-    if having_values:
-        together = Groups.together(having_values)
-        for find in _FINDERS:
-            together.find(find)
-    yield from found
-
-
-def _rows_of_runs(runs: Runs, off_ns: float) -> Iterator[dict[str, object]]:
-    """Yield the columns that follow `metric`, for each percentile; what was computed of the runs is free behind the last."""
-    ordered = runs.all_ordered
-    for percentile in PERCENTILES:
-        statistic = Statistic(percentile.quantile)
-        interval = interval_of_runs(runs, statistic)
-        spread = spread_of_runs(runs, statistic)
+def _rows_of_runs(runs: Runs, spreads: Sequence[Spread], off_ns: float) -> Iterator[dict[str, object]]:
+    """Yield the columns that follow `metric`, for each percentile."""
+    ordered = runs.ordered
+    estimates = estimates_of_runs(runs, _STATISTICS)
+    for percentile, estimate, spread in zip(PERCENTILES, estimates, spreads, strict=True):
+        interval = estimate.interval
         supported = len(ordered) >= percentile.needs
         yield {
             "percentile": percentile.name,
@@ -182,23 +166,23 @@ class _Sending:
         order: where the messages stand that are so ordered; None if they stand so, as all but those of several relays do.
     """
 
-    times: Times
+    times: SendTimes
     order: NDArray[np.intp] | None
 
     @classmethod
     def of(cls, sent_ns: NDArray[np.int64], run_of_row: NDArray[np.int64]) -> _Sending:
         """Look at messages, `run_of_row` a number that those of one run share."""
         edges = np.concatenate([[0], np.flatnonzero(np.diff(run_of_row)) + 1, [len(run_of_row)]])
-        times = Times(sent_ns, edges)
-        if all(bool((of_run[1:] >= of_run[:-1]).all()) for of_run in times.of_runs):
+        times = SendTimes(sent_ns, edges)
+        if all(bool((of_run[1:] >= of_run[:-1]).all()) for of_run in times.by_run):
             return cls(times, None)
-        orders = [np.argsort(of_run, kind="stable") for of_run in times.of_runs]
+        orders = [np.argsort(of_run, kind="stable") for of_run in times.by_run]
         order = np.concatenate([first + of for first, of in zip(edges.tolist(), orders, strict=False)])
-        return cls(Times(sent_ns[order], edges), order)
+        return cls(SendTimes(sent_ns[order], edges), order)
 
     def runs(self, values: NDArray[np.int64]) -> Runs:
         """Return a value of each message as runs, each in the order of T1: several relays of a run side by side."""
-        return Runs.cut(values if self.order is None else values[self.order], self.times, _QUANTILES)
+        return Runs.split(values if self.order is None else values[self.order], self.times)
 
 
 def one_way_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:

@@ -3,7 +3,7 @@
 Everything is numpy in and frozen records out: no frame, no file. Numbers are in the unit of the values that come in.
 """
 
-from ..statistics.intervals import EPISODES_TO_TELL, RUNS_TO_TELL, Basis, Interval
+from ..statistics.intervals import MIN_EPISODES, MIN_RUNS, Basis, Interval
 from ..statistics.power import (
     benjamini_hochberg_adjusted,
     holm_adjusted,
@@ -21,9 +21,9 @@ from .runs import MEAN, Run, Statistic
 from .spread import Spread, runs_to_settle_ratio, runs_to_settle_value, spread_of_runs
 
 __all__ = [
-    "EPISODES_TO_TELL",
     "MEAN",
-    "RUNS_TO_TELL",
+    "MIN_EPISODES",
+    "MIN_RUNS",
     "Basis",
     "Change",
     "DeliveryChange",

@@ -1,12 +1,12 @@
 """What changed from one side's runs to the other's: difference, ratio, their intervals, a verdict.
 
-With three runs a side the runs decide: Welch's test of the logarithms of the runs' statistics, or Student's test of
-their differences pass by pass where a sweep measured both sides in the same passes. With fewer runs there is an
-interval within one run, and no verdict.
+With three runs a side the runs decide: Welch's test of the logarithms of the runs' statistics, or Student's test of their
+differences repeat by repeat where a sweep measured both sides in the same repeats. With fewer runs there is an interval
+within one run, and no verdict.
 
-Pairs pay where the machine drifts and both sides of a pass share that: of 5 passes with a spread of 5 %, a difference of
-10 % is found in 88 of 100 against 78 by Welch's test where the sides correlate by 0.5, in 74 with both at 0.25, and in 62
-against 72 where they do not. Both are false in at most 5 of 100.
+Pairs pay where the machine drifts and both sides of a repeat share that: of 5 repeats with a spread of 5 %, a difference of
+10 % is detected in 88 % against 78 % by Welch's test where the sides correlate by 0.5, in 74 % with both at 0.25, and in
+62 % against 72 % where they do not. Both are false in at most 5 %.
 """
 
 from __future__ import annotations
@@ -20,30 +20,18 @@ import numpy as np
 
 from ..statistics.intervals import Basis, Interval
 from ..statistics.power import smallest_shift
-from .between_runs import (
-    Scale,
-    Units,
-    interval_of_runs,
-    interval_of_units,
-    measured_units,
-    scale_of,
-)
-from .two_samples import (
-    StudentTest,
-    fieller_ends,
-    mover_ends,
-    paired_test,
-    welch_test,
-)
+from .between_runs import Scale, estimates_of_runs, scale_of
+from .two_samples import fieller_ends, mover_ends, paired_test, welch_test
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from .runs import Run, Statistic
-    from .two_samples import Ends
+    from .between_runs import Estimate, Units
+    from .runs import Run, Runs, Statistic, Values
+    from .two_samples import Ends, StudentTest
 
     Passes = tuple[Sequence[int], Sequence[int]]
-    from .runs import Values
+    """For each run of the base and of the new side the repeat of the sweep it was measured in."""
 
 
 def probability_of_superiority(base: Values, new: Values) -> float | None:
@@ -53,12 +41,11 @@ def probability_of_superiority(base: Values, new: Values) -> float | None:
     "A common language effect size statistic", Psychological Bulletin 111, 1992).
 
     Args:
-        base: rising, infinity for a lost message.
+        base: ascending, infinity for a lost message.
         new: likewise.
     """
     if not len(base) or not len(new):
         return None
-    # Looked up in rising order: neighbours of one search are still in the cache at the next.
     not_above = np.searchsorted(base, new, side="right")
     ties = not_above - np.searchsorted(base, new, side="left")
     above = len(base) - not_above
@@ -66,7 +53,7 @@ def probability_of_superiority(base: Values, new: Values) -> float | None:
 
 
 class Verdict(Enum):
-    """What the interval of a change says of a side."""
+    """What the interval of a change says about the new side."""
 
     BETTER = "better"
     WORSE = "worse"
@@ -86,9 +73,9 @@ class Change:
         ratio: new / base, with `ratio_low` and `ratio_high`; infinite where the new side lost too much; None where a
             side is not above zero.
         p_value: probability of a difference like this between equal sides; None within one run.
-        smallest_ratio: the smallest ratio above 1 that these runs would have found with a probability of 80 %.
+        smallest_ratio: the smallest ratio above 1 that these runs would have detected with a probability of 80 %.
         degrees: degrees of freedom of the test; None within one run.
-        pairs: passes that were compared one by one; 0 for Welch's test.
+        pairs: repeats that were compared one by one; 0 for Welch's test.
         pair_spread: standard deviation of their differences of logarithms; None for Welch's test.
     """
 
@@ -108,13 +95,10 @@ class Change:
     pair_spread: float | None = None
 
     def verdict(self, same_within: float) -> Verdict:
-        """Return better, worse, the same, or that these runs cannot tell, of a time, where less is better.
+        """Return the verdict on a time, where less is better; always `INCONCLUSIVE` within one run.
 
         Args:
             same_within: a ratio wholly within `1 +- same_within` is the same.
-
-        Returns:
-            Always `INCONCLUSIVE` within one run.
         """
         if self.basis is Basis.WITHIN_RUN or self.ratio_low is None or self.ratio_high is None:
             return Verdict.INCONCLUSIVE
@@ -126,72 +110,59 @@ class Change:
 
 
 def change_of_runs(
-    base: Sequence[Run],
-    new: Sequence[Run],
+    base: Runs | Sequence[Run],
+    new: Runs | Sequence[Run],
     statistic: Statistic,
     confidence: float = 0.95,
     passes: Passes | None = None,
 ) -> Change:
-    """Return the change of a statistic between two sides.
+    """Return the change of one statistic between two sides, whose runs are in the order of time (`change_of_estimates`)."""
+    before, after = (estimates_of_runs(side, [statistic], confidence)[0] for side in (base, new))
+    return change_of_estimates(before, after, passes)
 
-    If a run's statistic is infinite, the reciprocals are compared, of which none is; the ratio's upper end is
-    infinite where the new side's reciprocal is not surely above zero. If one is not above zero, there is a difference
-    and no ratio.
+
+def change_of_estimates(base: Estimate, new: Estimate, passes: Passes | None = None) -> Change:
+    """Return the change between two estimates of one statistic with the same confidence.
+
+    If a run's statistic is infinite, the reciprocals are compared; the ratio's upper end is infinite where the new side's
+    reciprocal is not surely above zero. If one is not above zero, there is a difference and no ratio.
 
     Args:
-        base: runs of the base in the order of time.
-        new: runs of the new side, likewise.
-        statistic: what is compared.
-        confidence: of every interval.
-        passes: for each run of the base and of the new side the pass of the sweep it was measured in; None without
-            passes.
+        base: estimate of the base.
+        new: estimate of the new side.
+        passes: the repeat of each run of both sides; None without repeats.
     """
-    of_base, of_new = (measured_units(side, statistic) for side in (base, new))
-    if of_base is None or of_new is None:
-        before, after = (interval_of_runs(side, statistic, confidence) for side in (base, new))
-        return _within(before, after)
+    if base.units is None or new.units is None:
+        return _change_within(base.interval, new.interval)
+    sides = base.interval, new.interval
+    scale = scale_of(np.concatenate([base.units.values, new.units.values]))
+    if scale is Scale.NONE:
+        return Change(*sides, Basis.BETWEEN_RUNS)
     compare = {
-        Scale.LOGARITHM: _of_logarithms,
-        Scale.LINEAR: _of_differences,
-        Scale.RECIPROCAL: _of_reciprocals,
-        Scale.NONE: _of_nothing,
-    }[scale_of(np.concatenate([of_base.values, of_new.values]))]
-    return compare(_Sides(of_base, of_new, statistic, confidence, passes))
+        Scale.LOGARITHM: _change_of_logarithms,
+        Scale.LINEAR: _change_of_values,
+        Scale.RECIPROCAL: _change_of_reciprocals,
+    }[scale]
+    return compare(*sides, base.units, new.units, passes)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Sides:
-    """Both sides with at least three units each."""
-
-    of_base: Units
-    of_new: Units
-    statistic: Statistic
-    confidence: float
-    passes: Passes | None
-
-    @property
-    def base(self) -> Interval:
-        return interval_of_units(self.of_base, self.statistic, self.confidence)
-
-    @property
-    def new(self) -> Interval:
-        return interval_of_units(self.of_new, self.statistic, self.confidence)
-
-
-def _of_logarithms(sides: _Sides) -> Change:
-    test = _test_of_logarithms(sides)
-    reach = test.reach(sides.confidence)
-    base, new = (
-        _exponential_ends(float(np.log(units.values).mean()), reach * error)
-        for units, error in ((sides.of_base, test.base_error), (sides.of_new, test.new_error))
+def _change_of_logarithms(
+    base: Interval, new: Interval, base_units: Units, new_units: Units, passes: Passes | None
+) -> Change:
+    logs = np.log(base_units.values), np.log(new_units.values)
+    test = _paired_where_possible(base_units, new_units, passes) or welch_test(*logs)
+    reach = test.reach(base.confidence)
+    before, after = (
+        _exponential_ends(float(values.mean()), reach * error)
+        for values, error in zip(logs, (test.base_error, test.new_error), strict=True)
     )
     ratio, ratio_low, ratio_high = _exponential_ends(test.difference, reach * test.error)
-    difference_low, difference_high = mover_ends(base, new)
+    difference_low, difference_high = mover_ends(before, after)
     return Change(
-        base=sides.base,
-        new=sides.new,
+        base=base,
+        new=new,
         basis=Basis.BETWEEN_RUNS,
-        difference=new[0] - base[0],
+        difference=after[0] - before[0],
         difference_low=difference_low,
         difference_high=difference_high,
         ratio=ratio,
@@ -199,32 +170,34 @@ def _of_logarithms(sides: _Sides) -> Change:
         ratio_high=ratio_high,
         p_value=test.p_value,
         degrees=test.degrees,
-        smallest_ratio=math.exp(smallest_shift(test.error, test.degrees, sides.confidence)),
+        smallest_ratio=math.exp(smallest_shift(test.error, test.degrees, base.confidence)),
         pairs=test.pairs,
         pair_spread=test.error * math.sqrt(test.pairs) if test.pairs else None,
     )
 
 
-def _test_of_logarithms(sides: _Sides) -> StudentTest:
-    """Return the test: pass by pass if every unit is one run and every run has its partner."""
-    base, new = np.log(sides.of_base.values), np.log(sides.of_new.values)
-    if sides.passes is not None and all(len(side) == side.runs for side in (sides.of_base, sides.of_new)):
-        common, of_base, of_new = np.intersect1d(*sides.passes, return_indices=True)
-        if len(common) == len(base) == len(new):
-            return paired_test(base[of_base], new[of_new])
-    return welch_test(base, new)
+def _paired_where_possible(base: Units, new: Units, passes: Passes | None) -> StudentTest | None:
+    """Return the test repeat by repeat if every unit is one run and every run has its partner."""
+    if passes is None or any(len(side) != side.runs for side in (base, new)):
+        return None
+    common, base_index, new_index = np.intersect1d(*passes, return_indices=True)
+    if not len(common) == len(base) == len(new):
+        return None
+    return paired_test(np.log(base.values)[base_index], np.log(new.values)[new_index])
 
 
-def _exponential_ends(logarithm: float, reach: float) -> tuple[float, float, float]:
+def _exponential_ends(logarithm: float, reach: float) -> Ends:
     return math.exp(logarithm), math.exp(logarithm - reach), math.exp(logarithm + reach)
 
 
-def _of_differences(sides: _Sides) -> Change:
-    test = welch_test(sides.of_base.values, sides.of_new.values)
-    reach = test.reach(sides.confidence) * test.error
+def _change_of_values(
+    base: Interval, new: Interval, base_units: Units, new_units: Units, _: object
+) -> Change:
+    test = welch_test(base_units.values, new_units.values)
+    reach = test.reach(base.confidence) * test.error
     return Change(
-        base=sides.base,
-        new=sides.new,
+        base=base,
+        new=new,
         basis=Basis.BETWEEN_RUNS,
         difference=test.difference,
         difference_low=test.difference - reach,
@@ -234,14 +207,15 @@ def _of_differences(sides: _Sides) -> Change:
     )
 
 
-def _of_reciprocals(sides: _Sides) -> Change:
+def _change_of_reciprocals(
+    base: Interval, new: Interval, base_units: Units, new_units: Units, _: object
+) -> Change:
     """Compare mean reciprocals: the base's over the new side's is new / base of the statistic."""
-    base, new = sides.base, sides.new
-    above, below = 1 / sides.of_base.values, 1 / sides.of_new.values
+    above, below = 1 / base_units.values, 1 / new_units.values
     if not above.any() and not below.any():  # everything is lost on both sides
         return Change(base, new, Basis.BETWEEN_RUNS)
     test = welch_test(above, below)
-    ratio_low, ratio_high = fieller_ends(above, below, test, sides.confidence)
+    ratio_low, ratio_high = fieller_ends(above, below, test, base.confidence)
     return Change(
         base=base,
         new=new,
@@ -257,10 +231,6 @@ def _of_reciprocals(sides: _Sides) -> Change:
     )
 
 
-def _of_nothing(sides: _Sides) -> Change:
-    return Change(sides.base, sides.new, Basis.BETWEEN_RUNS)
-
-
 def _difference(base: float | None, new: float | None) -> float | None:
     """Return new - base; None where either is unknown or both are infinite."""
     if base is None or new is None or (math.isinf(base) and math.isinf(new)):
@@ -268,8 +238,8 @@ def _difference(base: float | None, new: float | None) -> float | None:
     return new - base
 
 
-def _within(base: Interval, new: Interval) -> Change:
-    """Put the sides' own intervals together: for the difference as they are, for the ratio by their logarithms."""
+def _change_within(base: Interval, new: Interval) -> Change:
+    """Combine the sides' own intervals: for the difference as they are, for the ratio by their logarithms."""
     before, after = _finite_ends(base), _finite_ends(new)
     difference: tuple[float | None, float | None] = (None, None)
     ratio: tuple[float | None, float | None] = (None, None)

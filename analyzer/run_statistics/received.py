@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..statistics.distributions import poisson_limits, student_quantile
-from ..statistics.intervals import EPISODES_TO_TELL, RUNS_TO_TELL, Basis, Interval
+from ..statistics.intervals import MIN_EPISODES, MIN_RUNS, Basis, Interval
 from .bursts import COSINES, episode_sizes, share_inflation
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def received_interval(received: Sequence[Bools], confidence: float = 0.95) -> In
         confidence: between 0 and 1, both excluded.
     """
     held = [run for run in received if len(run)]
-    basis = Basis.BETWEEN_RUNS if len(held) >= RUNS_TO_TELL else Basis.WITHIN_RUN
+    basis = Basis.BETWEEN_RUNS if len(held) >= MIN_RUNS else Basis.WITHIN_RUN
     n = sum(len(run) for run in held)
     if not n:
         return Interval(None, None, None, confidence, 0, 0, basis, len(received), 0, None)
@@ -50,7 +50,7 @@ def received_interval(received: Sequence[Bools], confidence: float = 0.95) -> In
     sizes = np.concatenate([episode_sizes(np.flatnonzero(run), len(run)) for run in events])
     share = (came if replies_are_rare else n - came) / n
     independent = _independent(events, share, n)
-    if len(sizes) < EPISODES_TO_TELL:
+    if len(sizes) < MIN_EPISODES:
         low, high = _few_episodes(sizes, n, confidence)
     else:
         degrees = len(held) - 1 if basis is Basis.BETWEEN_RUNS else COSINES
@@ -67,7 +67,7 @@ def _independent(events: Sequence[Bools], share: float, n: int) -> float:
     of_independent = share * (1 - share) / n
     if of_independent == 0:
         return n
-    if len(events) >= RUNS_TO_TELL:
+    if len(events) >= MIN_RUNS:
         # The share of all messages is a ratio of two sums over runs (W. G. Cochran, "Sampling Techniques", 1977, 6.3).
         weights = np.array([len(run) for run in events]) / n
         apart = weights * (np.array([run.mean() for run in events]) - share)

@@ -1,4 +1,4 @@
-"""How much of the spread of a group's runs lies between them and how much within them."""
+"""How much of the spread of a group's runs is between them and how much within them, and how many runs decide."""
 
 from __future__ import annotations
 
@@ -18,20 +18,86 @@ from .tails import inflations_of
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
-    from .runs import Run, Statistic
-
-    Float64 = NDArray[np.float64]
     from ..statistics.intervals import Interval
     from .change import Change
+    from .runs import Float64, Run, Statistic
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """Standard deviations of the logarithm of a statistic of one run; 0.05 is 5 %.
+
+    Attributes:
+        between: what differs from run to run and no number of messages averages away; 0 if the runs differ by less than
+            their messages explain; None below two runs or where a logarithm does not exist.
+        within: what longer runs would average away, the root mean square over the runs; None where a run is too short.
+    """
+
+    between: float | None
+    within: float | None
+
+
+def spread_of_runs(runs: Runs | Sequence[Run], statistic: Statistic) -> Spread:
+    """Return the variance components of a statistic (one-way random effects, S. Searle et al., 1992, section 3.6).
+
+    The variance of the runs' logarithms is the sum of both; the part within is each run's own error, so that
+    `between**2 = max(0, variance - within**2)`. Runs that do not support the statistic are left out.
+    """
+    return spread_from(Runs.of(runs), statistic, None)
+
+
+def spread_from(group: Runs, statistic: Statistic, errors: Float64 | None) -> Spread:
+    """Return `spread_of_runs`, with the `log_errors` of the group at hand; None computes them."""
+    needs = max(statistic.needs, 2 * COSINES + 1)
+    runs = group
+    if any(messages < needs for messages in group.lengths):
+        runs, errors = Runs(tuple(run for run in group if len(run) >= needs)), None
+    if not len(runs):
+        return Spread(None, None)
+    values = statistic.of_runs(runs)
+    if scale_of(values) is not Scale.LOGARITHM:
+        return Spread(None, None)
+    if statistic.quantile is None:
+        errors = np.array([_log_error_of_mean(run, v) for run, v in zip(runs, values.tolist(), strict=True)])
+    elif errors is None:
+        (errors,) = log_errors(runs, [statistic.quantile])
+    within_squared = float(np.add.reduce(errors * errors) / len(errors))
+    if math.isnan(within_squared):
+        return Spread(None, None)
+    between = None
+    if len(runs) > 1:
+        between = math.sqrt(max(0.0, mean_and_variance(np.log(values))[1] - within_squared))
+    return Spread(between, math.sqrt(within_squared))
+
+
+def _log_error_of_mean(run: Run, mean: float) -> float:
+    variance = max(float(run.values.var()), long_run_variance(run.values))
+    return math.sqrt(variance / len(run)) / mean
+
+
+def log_errors(runs: Runs, quantiles: Sequence[float]) -> list[Float64]:
+    """Return the standard error of the logarithm of each run's quantiles, NaN where it is not finite; each of shape (runs,).
+
+    Half of the logarithm's rise over one standard error of the share below it to either side (R. Woodruff, "Confidence
+    intervals for medians and other position measures", JASA 47, 1952).
+    """
+    share, n = np.array(quantiles)[:, None], np.array(runs.lengths)
+    inflations = np.array(inflations_of(runs, quantiles))
+    errors = np.sqrt(share * (1 - share) * np.maximum(1.0, inflations) / n)
+    steps = np.minimum(np.maximum([share - errors, share + errors], 0.5 / n), 1 - 0.5 / n)
+    low, high = quantiles_at(runs.ordered_by_run, runs.offsets, (n + 1 / 3) * steps + 1 / 3)
+    width = steps[1] - steps[0]
+    is_finite = (low > 0) & np.isfinite(high) & (width > 0)
+    by_quantile = np.full_like(low, np.nan)
+    by_quantile[is_finite] = np.log(high[is_finite] / low[is_finite]) * errors[is_finite] / width[is_finite]
+    return list(by_quantile)
 
 
 def runs_to_settle_ratio(change: Change, limit: float) -> int | None:
-    """Return the runs a side after which the interval of a ratio very likely lies on one side of a limit.
+    """Return the runs a side after which the interval of a ratio very likely is on one side of a limit.
 
-    Supposes that the measured ratio is the true one and that further runs spread like those that were measured; it
-    then happens with a probability of 80 %.
+    If the measured ratio is the true one and further runs spread like the measured ones, that happens with a probability of
+    80 %.
 
     Args:
         change: of the two sides.
@@ -46,11 +112,11 @@ def runs_to_settle_ratio(change: Change, limit: float) -> int | None:
     spreads = (change.base.unit_spread, change.new.unit_spread)
     if change.pairs:
         spreads = (change.pair_spread, 0.0)
-    return _runs(change.ratio / limit, spreads, change.base, change.new)
+    return _runs_to_decide(change.ratio / limit, spreads, change.base, change.new)
 
 
 def runs_to_settle_value(interval: Interval, limit: float) -> int | None:
-    """Return the runs after which the interval of a statistic very likely lies on one side of a limit.
+    """Return the runs after which the interval of a statistic very likely is on one side of a limit.
 
     Args:
         interval: of the statistic.
@@ -61,86 +127,14 @@ def runs_to_settle_value(interval: Interval, limit: float) -> int | None:
     """
     if interval.value is None or not 0 < interval.value < math.inf:
         return None
-    return _runs(interval.value / limit, (interval.unit_spread, 0.0), interval)
+    return _runs_to_decide(interval.value / limit, (interval.unit_spread, 0.0), interval)
 
 
-def _runs(distance: float, spreads: tuple[float | None, float | None], *sides: Interval) -> int | None:
-    """Return the units that it takes, times the runs that a unit has."""
+def _runs_to_decide(ratio: float, spreads: tuple[float | None, float | None], *sides: Interval) -> int | None:
+    """Return the units that it takes, times the runs of a unit."""
     base, new = spreads
     if base is None or new is None:
         return None
-    units = runs_to_decide(math.log(distance), base, new, sides[0].confidence)
+    units = runs_to_decide(math.log(ratio), base, new, sides[0].confidence)
     runs_of_unit = max(side.runs / side.units for side in sides)
     return None if units is None else math.ceil(round(units * runs_of_unit, 6))
-
-
-@dataclass(frozen=True, slots=True)
-class Spread:
-    """Standard deviations of the logarithm of a statistic of one run; 0.05 is 5 %.
-
-    Attributes:
-        between: what differs from run to run and no number of messages averages away; 0 if the runs differ by less
-            than their messages explain; None below two runs or where a logarithm does not exist.
-        within: what longer runs would average away, the root mean square over the runs; None where a run is too
-            short to tell.
-    """
-
-    between: float | None
-    within: float | None
-
-
-def spread_of_runs(runs: Sequence[Run], statistic: Statistic) -> Spread:
-    """Return the variance components of a statistic (one-way random effects, S. Searle et al., 1992, section 3.6).
-
-    The variance of the runs' logarithms is the sum of both; the part within is each run's own error, so that
-    `between**2 = max(0, variance - within**2)`.
-
-    Args:
-        runs: those that do not support the statistic are left out.
-        statistic: what is estimated.
-    """
-    needs = max(statistic.needs, 2 * COSINES + 1)
-    held = Runs.of(runs)
-    if any(messages < needs for messages in held.lengths):
-        held = Runs(run for run in runs if len(run) >= needs)
-    if not held:
-        return Spread(None, None)
-    values = statistic.of_runs(held)
-    if scale_of(values) is not Scale.LOGARITHM:
-        return Spread(None, None)
-    errors = (
-        np.array([_log_error_of_mean(run, value) for run, value in zip(held, values.tolist(), strict=True)])
-        if statistic.quantile is None
-        else held.of_quantile(statistic.quantile, find_log_errors)
-    )
-    within_squared = float(np.add.reduce(errors * errors) / len(errors))
-    if math.isnan(within_squared):
-        return Spread(None, None)
-    between = None
-    if len(held) > 1:
-        between = math.sqrt(max(0.0, mean_and_variance(np.log(values))[1] - within_squared))
-    return Spread(between, math.sqrt(within_squared))
-
-
-def _log_error_of_mean(run: Run, value: float) -> float:
-    """Return the standard error of the logarithm of a run's mean."""
-    variance = max(float(run.values.var()), long_run_variance(run.values))
-    return math.sqrt(variance / len(run)) / value
-
-
-def find_log_errors(runs: Runs, shares: Sequence[float]) -> list[Float64]:
-    """Return the standard error of the logarithm of each run's quantiles, NaN where it is not finite; each of shape (runs,).
-
-    Half of the logarithm's rise over one standard error of the share below it to either side (R. Woodruff, "Confidence
-    intervals for medians and other position measures", JASA 47, 1952).
-    """
-    share, n = np.array(shares)[:, None], np.array(runs.lengths)
-    inflations = np.array([inflations_of(runs, each) for each in shares])
-    errors = np.sqrt(share * (1 - share) * np.maximum(1.0, inflations) / n)
-    steps = np.minimum(np.maximum([share - errors, share + errors], 0.5 / n), 1 - 0.5 / n)
-    low, high = quantiles_at(runs.each_ordered, runs.edges, (n + 1 / 3) * steps + 1 / 3)
-    width = steps[1] - steps[0]  # 0 where a run is too short for the quantile: nobody asks for its error then
-    is_finite = (low > 0) & np.isfinite(high) & (width > 0)
-    found = np.full_like(low, np.nan)
-    found[is_finite] = np.log(high[is_finite] / low[is_finite]) * errors[is_finite] / width[is_finite]
-    return list(found)

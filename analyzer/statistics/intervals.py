@@ -21,10 +21,10 @@ def mean_and_variance(values: NDArray[np.float64]) -> tuple[float, float]:
     return float(mean), float(np.add.reduce(apart * apart) / (count - 1))
 
 
-RUNS_TO_TELL = 3
+MIN_RUNS = 3
 """Runs from which on an interval comes from the runs: two leave one degree of freedom, and Student's t is 12.7 there."""
 
-EPISODES_TO_TELL = 10
+MIN_EPISODES = 10
 """Episodes that an end beyond a tail needs: the spread of fewer is known to no better than a factor of two (their
 number has a relative error of 1/sqrt(10), their lengths one of the same size)."""
 
@@ -105,6 +105,6 @@ def without_open_end(
         quantile: its tail lies above it from p50 on, below it otherwise.
         episodes: those that the messages beyond the quantile came in; None where no message lies beyond.
     """
-    if episodes is None or episodes >= EPISODES_TO_TELL or lower == math.inf:
+    if episodes is None or episodes >= MIN_EPISODES or lower == math.inf:
         return lower, upper
     return (lower, None) if quantile >= 0.5 else (None, upper)

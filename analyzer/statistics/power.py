@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .distributions import shift_for_power, student_quantile
-from .intervals import EPISODES_TO_TELL, RUNS_TO_TELL
+from .intervals import MIN_EPISODES, MIN_RUNS
 from .percentiles import planned_messages
 
 if TYPE_CHECKING:
@@ -128,10 +128,10 @@ def runs_to_narrow(spread: float, half_width: float, confidence: float = 0.95) -
 
 
 def _fewest(is_enough: Callable[[int], bool]) -> int | None:
-    """Return the smallest number of runs that is enough, from `RUNS_TO_TELL` on; every larger one has to be, too."""
+    """Return the smallest number of runs that is enough, from `MIN_RUNS` on; every larger one has to be, too."""
     if not is_enough(MOST_RUNS):
         return None
-    too_few, enough = RUNS_TO_TELL - 1, MOST_RUNS
+    too_few, enough = MIN_RUNS - 1, MOST_RUNS
     while enough - too_few > 1:
         middle = (too_few + enough) // 2
         too_few, enough = (too_few, middle) if is_enough(middle) else (middle, enough)
@@ -157,5 +157,5 @@ def messages_to_close(interval: Interval, quantile: float) -> int | None:
     independent = planned_messages(quantile, interval.confidence)
     times = [independent / max(1, interval.independent)]
     if interval.episodes is not None:
-        times.append(EPISODES_TO_TELL / interval.episodes)
+        times.append(MIN_EPISODES / interval.episodes)
     return max(1, math.ceil(round(interval.samples * (max(times) - 1), 6)))

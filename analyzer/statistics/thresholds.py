@@ -1,4 +1,4 @@
-"""Where the tail of a series begins, and which of its values lie beyond."""
+"""Where the tail of a sample begins, and which values are in it."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Threshold:
-    """Where the tail of a group begins.
+    """Where a tail begins.
 
     Attributes:
-        value: the order statistic of all messages next to the quantile, on the side of the bulk.
-        is_upper: whether the tail lies above it (quantiles from p50 on) or below.
+        value: the order statistic next to the quantile, on the side of the bulk.
+        is_upper: whether the tail is above it (quantiles from p50 on) or below.
         is_part: whether messages equal to the value are part of the tail.
     """
 
@@ -32,84 +32,70 @@ class Threshold:
     is_upper: bool
     is_part: bool
 
-    @property
-    def least(self) -> float:
-        """The least value of an upper tail: the value itself if it is part of it or infinite, else the next number above."""
-        return self.value if self.is_part else math.nextafter(self.value, math.inf)
-
     def is_beyond(self, values: Values) -> NDArray[np.bool_]:
-        """Return which values lie in the tail.
-
-        Where the value is infinite, the lost messages do: more of them than the quantile leaves room for, but
-        comparing with infinity as with a number would make a series of lost and received ones look constant.
-        """
-        if self.is_upper or math.isinf(self.value):
-            return values >= self.least
+        """Return which values are in the tail; beyond an infinite threshold, the lost messages."""
+        if math.isinf(self.value):
+            return values >= self.value
+        if self.is_upper:
+            return values >= (self.value if self.is_part else math.nextafter(self.value, math.inf))
         return values <= self.value if self.is_part else values < self.value
 
 
 def thresholds_of(ordered: Values, quantiles: Sequence[float]) -> list[Threshold]:
-    """Return where the tails of a series begin.
+    """Return the threshold of each quantile.
 
-    Of a clock that ticks once a millisecond many values are equal: those at the quantile are part of the tail if that
-    brings its share closer to the one that the quantile leaves, and if no others are.
+    A clock with a tick of a millisecond makes many values equal: those at the quantile are part of the tail if that brings
+    its share closer to what the quantile leaves beyond, and if the tail is empty without them.
 
     Args:
-        ordered: its values, rising, at least one.
+        ordered: the values, ascending, at least one.
         quantiles: between 0 and 1, both excluded.
     """
-    messages = len(ordered)
-    positions = [(messages - 1) * quantile for quantile in quantiles]
-    values = ordered[
-        [
-            math.floor(position) if quantile >= 0.5 else math.ceil(position)
-            for position, quantile in zip(positions, quantiles, strict=True)
-        ]
-    ]
+    last = len(ordered) - 1
+    values = ordered[[math.floor(last * q) if q >= 0.5 else math.ceil(last * q) for q in quantiles]]
     below, after = (ordered.searchsorted(values, side).tolist() for side in ("left", "right"))
     return [
-        _threshold(value, quantile, messages, of_less, of_no_more)
-        for value, quantile, of_less, of_no_more in zip(values.tolist(), quantiles, below, after, strict=True)
+        _threshold(value, quantile, len(ordered), less, no_more)
+        for value, quantile, less, no_more in zip(values.tolist(), quantiles, below, after, strict=True)
     ]
 
 
-def _threshold(value: float, quantile: float, messages: int, below: int, after: int) -> Threshold:
-    """Return the threshold at an order statistic that `below` values lie below, and `after` not above."""
+def _threshold(value: float, quantile: float, messages: int, less: int, no_more: int) -> Threshold:
+    """Return the threshold at an order statistic: `less` values are below it, `no_more` are not above."""
     is_upper = quantile >= 0.5
     if math.isinf(value):
         return Threshold(float(value), is_upper, is_part=False)
-    counts = (messages - after, messages - below) if is_upper else (below, after)
-    wanted = messages * (1 - quantile if is_upper else quantile)
-    misfits = [(count in {0, messages}, abs(count - wanted)) for count in counts]
+    counts = (messages - no_more, messages - less) if is_upper else (less, no_more)
+    expected = messages * (1 - quantile if is_upper else quantile)
+    misfits = [(count in {0, messages}, abs(count - expected)) for count in counts]
     return Threshold(float(value), is_upper, is_part=misfits[1] < misfits[0])
 
 
-def places_beyond(
+def indices_beyond(
     values: Values,
-    edges: NDArray[np.intp],
+    offsets: NDArray[np.intp],
     thresholds: Sequence[Sequence[Threshold]],
     quantiles: Sequence[float],
 ) -> list[NDArray[np.intp]]:
-    """Return for each quantile where the values of some series, side by side, lie beyond its threshold.
+    """Return for each quantile the indices of the values that are beyond the threshold of their series.
 
-    An upper tail is looked for in the next wider one, by the places that it has: numpy cuts an array by a mask that holds by
-    chance five times slower.
+    An upper tail is searched in the next wider one by its indices: numpy takes five times as long to select by a mask.
 
     Args:
         values: of the first series, then of the second ...; shape (values,).
-        edges: the first value of each series and the number of all, shape (series + 1,).
+        offsets: the first value of each series and the number of all, shape (series + 1,).
         thresholds: of each series one for each quantile.
         quantiles: between 0 and 1, both excluded.
     """
-    found: dict[float, NDArray[np.intp]] = {}
-    wider, rest, ends = None, values, edges
-    of_quantiles = zip(quantiles, zip(*thresholds, strict=True), strict=True)
-    for quantile, of_series in sorted(of_quantiles, key=itemgetter(0)):
+    indices: dict[float, NDArray[np.intp]] = {}
+    wider, rest, ends = None, values, offsets
+    by_quantile = zip(quantiles, zip(*thresholds, strict=True), strict=True)
+    for quantile, by_series in sorted(by_quantile, key=itemgetter(0)):
         spans = pairwise(ends.tolist())
-        parts = [one.is_beyond(rest[begin:end]) for one, (begin, end) in zip(of_series, spans, strict=True)]
-        which = np.concatenate(parts).nonzero()[0]
-        found[quantile] = which if wider is None else wider[which]
-        if of_series[0].is_upper:
-            wider, rest = found[quantile], rest[which]
-            ends = wider.searchsorted(edges)
-    return [found[quantile] for quantile in quantiles]
+        parts = [one.is_beyond(rest[start:end]) for one, (start, end) in zip(by_series, spans, strict=True)]
+        inside = np.concatenate(parts).nonzero()[0]
+        indices[quantile] = inside if wider is None else wider[inside]
+        if by_series[0].is_upper:
+            wider, rest = indices[quantile], rest[inside]
+            ends = wider.searchsorted(offsets)
+    return [indices[quantile] for quantile in quantiles]

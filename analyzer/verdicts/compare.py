@@ -16,9 +16,10 @@ import polars as pl
 
 from ..model.parameters import MATCH_COLUMNS
 from ..model.runs import pass_numbers, passes_of
-from ..run_statistics.change import Change, Verdict, change_of_runs, probability_of_superiority
+from ..run_statistics.between_runs import estimates_of_runs
+from ..run_statistics.change import Change, Verdict, change_of_estimates, probability_of_superiority
 from ..run_statistics.delivery import DeliveryChange, change_of_received
-from ..run_statistics.runs import MEAN, Statistic, joined_runs
+from ..run_statistics.runs import MEAN, Statistic
 from ..statistics.percentiles import PERCENTILES
 from ..statistics.power import benjamini_hochberg_adjusted
 from .compared.ignoring import check_match, ignored_sentences
@@ -324,12 +325,12 @@ def _changes(
     paired = passes_of(base.runs, new.runs, passes) if options.paired else None
     for metric in options.metrics:
         before, after = base.delivered(metric), new.delivered(metric)
-        of_base, of_new = joined_runs(before).ordered, joined_runs(after).ordered
-        superiority = probability_of_superiority(of_base, of_new)
+        superiority = probability_of_superiority(before.ordered, after.ordered)
+        statistics = [STATISTIC_BY_NAME[name] for name in options.statistics]
+        estimates = (estimates_of_runs(side, statistics, options.confidence) for side in (before, after))
         changes = []
-        for name in options.statistics:
-            statistic = STATISTIC_BY_NAME[name]
-            change = change_of_runs(before, after, statistic, options.confidence, paired)
+        for name, statistic, one, other in zip(options.statistics, statistics, *estimates, strict=True):
+            change = change_of_estimates(one, other, paired)
             row = ChangeRow(
                 metric=metric,
                 statistic=name,
@@ -365,7 +366,7 @@ def _changes(
                 smallest_ratio=change.smallest_ratio,
             )
             changes.append((row, change))
-        yield DistributionRow(metric, at_levels(of_base), at_levels(of_new)), changes
+        yield DistributionRow(metric, at_levels(before.ordered), at_levels(after.ordered)), changes
 
 
 def _adjusted(rows: pl.DataFrame, confidence: float) -> pl.DataFrame:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from ..model.names import group_words, varying_parameters
 from ..run_statistics.spread import runs_to_settle_ratio, runs_to_settle_value
 from ..statistics.distributions import student_cdf, student_quantile
-from ..statistics.intervals import RUNS_TO_TELL, Basis
+from ..statistics.intervals import MIN_RUNS, Basis
 from ..statistics.power import holm_adjusted, messages_to_close
 from .compare import STATISTIC_BY_NAME
 from .gate import RECEIVED_RATIO, Against, Gate, GateOutcome
@@ -244,8 +244,8 @@ def _wanted(gate: Gate, change: Change) -> str:
     """Return how many more runs or messages it very likely takes to decide by a gate."""
     sides = [change.new] if gate.against is Against.NEW else [change.base, change.new]
     have = " and ".join(str(side.runs) for side in sides)
-    if any(side.runs < RUNS_TO_TELL for side in sides):
-        return f"it takes {RUNS_TO_TELL} runs a side, there are {have}"
+    if any(side.runs < MIN_RUNS for side in sides):
+        return f"it takes {MIN_RUNS} runs a side, there are {have}"
     statistic = STATISTIC_BY_NAME[gate.statistic]
     short = [side for side in sides if side.value is None]
     if short:
@@ -295,8 +295,8 @@ def _wanted_of_received(gate: Gate, change: DeliveryChange) -> str:
     is_alone = gate.against is Against.NEW
     sides = [change.new] if is_alone else [change.base, change.new]
     have = " and ".join(str(side.runs) for side in sides)
-    if any(side.runs < RUNS_TO_TELL for side in sides):
-        return f"it takes {RUNS_TO_TELL} runs a side, there are {have}"
+    if any(side.runs < MIN_RUNS for side in sides):
+        return f"it takes {MIN_RUNS} runs a side, there are {have}"
     value = change.new.value if is_alone else change.difference
     low = change.new.lower if is_alone else change.difference_low
     high = change.new.upper if is_alone else change.difference_high

@@ -85,7 +85,7 @@ class MatchedGroup:
     def delivered(self, metric: str) -> Runs:
         """Return a metric of every message of each run, ns, infinite for a lost one."""
         if metric not in self._delivered:
-            self._delivered[metric] = Runs(delivered_runs(self.runs, metric))
+            self._delivered[metric] = Runs.of(delivered_runs(self.runs, metric))
         return self._delivered[metric]
 
     def survivors(self, metric: str) -> Run:

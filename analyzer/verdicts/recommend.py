@@ -24,7 +24,7 @@ from ..model.setting import condition_of
 from ..run_statistics.between_runs import interval_of_runs
 from ..run_statistics.runs import Statistic
 from ..run_statistics.spread import runs_to_settle_value
-from ..statistics.intervals import RUNS_TO_TELL, Basis, ranges_overlap
+from ..statistics.intervals import MIN_RUNS, Basis, ranges_overlap
 from ..statistics.percentiles import planned_messages
 from ..statistics.power import messages_to_close
 from .cases import parts_of
@@ -307,7 +307,7 @@ def _fit_of_cell(cell: _Cell, wanted: _Wanted) -> tuple[Fit, str]:
     if fit is Fit.MEETS and interval.basis is Basis.WITHIN_RUN:
         return (
             Fit.LIKELY,
-            f"{Basis.WITHIN_RUN.value}: it takes {RUNS_TO_TELL} runs, there are {interval.runs}",
+            f"{Basis.WITHIN_RUN.value}: it takes {MIN_RUNS} runs, there are {interval.runs}",
         )
     return fit, ""
 

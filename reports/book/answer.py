@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import polars as pl
 
 from dds_trace.analyzer.model.setting import condition_of
-from dds_trace.analyzer.statistics.intervals import RUNS_TO_TELL, Basis
+from dds_trace.analyzer.statistics.intervals import MIN_RUNS, Basis
 from dds_trace.base.units import counted, format_duration
 
 from .groups import (
@@ -123,11 +123,11 @@ def _no_winner(verdicts: Sequence[DataVerdict], answers: Sequence[CaseAnswer]) -
     where = "the one combination" if cells == 1 else f"any of the {cells} combinations"
     if few < cells:
         said = f"No clear winner: no choice was faster than the others by a test of the runs, in {where} of data, size and rate compared."
-        return f"{said} {few} of them had fewer than {RUNS_TO_TELL} runs of each." if few else said
+        return f"{said} {few} of them had fewer than {MIN_RUNS} runs of each." if few else said
     fewest = min(answer.fewest_runs for answer in answers if len(answer.contenders) > 1)
     there = "is" if fewest == 1 else "are"
     return (
-        f"No clear winner in {where} of data, size and rate compared: telling apart takes {RUNS_TO_TELL} runs of each, "
+        f"No clear winner in {where} of data, size and rate compared: telling apart takes {MIN_RUNS} runs of each, "
         f"there {there} {fewest}."
     )
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.analyzer.model.names import tell_apart, where_alike
 from dds_trace.analyzer.model.setting import parse_setting
-from dds_trace.analyzer.statistics.intervals import RUNS_TO_TELL
+from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.analyzer.verdicts.answers import find_headlines
 from dds_trace.base.printable import printable
 from dds_trace.base.units import counted
@@ -35,7 +35,7 @@ CLEARLY = (
 )
 
 WITHIN_ONE_RUN = (
-    f"Compared is within one combination of data, size and rate. With fewer than {RUNS_TO_TELL} runs of each nothing is told apart: "
+    f"Compared is within one combination of data, size and rate. With fewer than {MIN_RUNS} runs of each nothing is told apart: "
     "runs of equal settings differ by more than the messages within one run can show."
 )
 """The rule of a campaign whose every comparison has too few runs."""

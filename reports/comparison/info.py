@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from dds_trace.analyzer.model.names import group_words
 from dds_trace.analyzer.model.parameters import SERIES_COLUMNS
-from dds_trace.analyzer.statistics.intervals import RUNS_TO_TELL, Basis
+from dds_trace.analyzer.statistics.intervals import MIN_RUNS, Basis
 from dds_trace.analyzer.verdicts.compare import FAMILY
 from dds_trace.analyzer.verdicts.compared.ignoring import columns_to_ignore, unlike_columns
 from dds_trace.analyzer.verdicts.gate import GateOutcome
@@ -284,7 +284,7 @@ def _said(groups: Sequence[ComparedGroup]) -> str:
             f"slower in {count} of {counted(len(groups), 'group')}, most the {_statistic_words(row)}{where}: {change_words(row['ratio'])}"
         )
     elif len(of_verdict["too few runs"]) == len(groups):
-        said.append(f"what changed cannot be told: it takes {RUNS_TO_TELL} runs a side")
+        said.append(f"what changed cannot be told: it takes {MIN_RUNS} runs a side")
     else:
         said.append(f"nothing is shown to be slower in {counted(len(groups), 'group')}")
     faster = len(of_verdict["faster"])
@@ -379,7 +379,7 @@ def _rules(comparison: Comparison, *, gated: bool) -> tuple[str, ...]:
     return (
         f"Changes and intervals ({share}) are of new / base; 'the same' is a group whose intervals here lie within {within}.",
         "A lost message is infinitely late.",
-        f"The run is the unit: it takes {RUNS_TO_TELL} runs a side to tell.",
+        f"The run is the unit: it takes {MIN_RUNS} runs a side to tell.",
         f"Verdicts are adjusted for the number of groups ({FAMILY}){gates}.",
         "A change that would not be seen is one that these runs would have missed in more than 20 of 100 repetitions.",
     )

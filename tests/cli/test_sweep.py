@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from dds_trace.analyzer.statistics.intervals import RUNS_TO_TELL
+from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.base.version import __version__
 from dds_trace.cli.sweep import command
 from dds_trace.recorder.sweep.plan.cells import Cell
@@ -130,7 +130,7 @@ def test_demo_allows_verdicts_on_all_that_pip_brings_within_three_minutes():
         *(("ros2", bridge) for bridge in ("builtin", "builtin-zenoh")),
     }
     assert sorted({cell.size for cell in asked.cells}) == [33_000, 145_000, 502_000]
-    assert (asked.run.repeats, asked.run.order, len(asked.cells)) == (RUNS_TO_TELL, Order.ALTERNATING, 18)
+    assert (asked.run.repeats, asked.run.order, len(asked.cells)) == (MIN_RUNS, Order.ALTERNATING, 18)
     assert asked.run.repeats * asked.run.messages >= 100  # p99 takes 100
     assert plan_seconds(asked).seconds <= 3 * 60
 

@@ -25,6 +25,7 @@ from dds_trace.analyzer.run_statistics.bursts import (
     share_inflation,
     share_inflations,
 )
+from dds_trace.analyzer.run_statistics.runs import Runs
 from dds_trace.analyzer.run_statistics.tails import bursts_to_count, episodes_of, tails_of
 from dds_trace.analyzer.run_statistics.two_samples import fieller_ends, paired_test, welch_test
 from dds_trace.analyzer.statistics.percentiles import order_statistic_ranks
@@ -115,7 +116,7 @@ def tails() -> list[Any]:
     found: list[Any] = []
     for runs in _groups():
         for quantile in (0.02, 0.4, 0.5, 0.9, 0.97, 0.99):
-            of_runs = tails_of(runs, quantile)
+            (of_runs,) = tails_of(Runs.of(runs), [quantile])
             found.append(
                 [
                     episodes_of(of_runs),
@@ -125,7 +126,7 @@ def tails() -> list[Any]:
                             each.sizes.tolist(),
                             each.inflation,
                             each.squares,
-                            each.rows,
+                            each.streaks,
                             each.bursts,
                         ]
                         for each in of_runs

@@ -145,7 +145,7 @@ def test_metrics_side_by_side_are_each_as_by_themselves(runs, monkeypatch):
     columns = columns_of(latency_ns, np.arange(messages) * MS, **held)
 
     def found(most):
-        monkeypatch.setattr("dds_trace.analyzer.groups.intervals._SIDE_BY_SIDE", most)
+        monkeypatch.setattr("dds_trace.analyzer.groups.intervals.SMALL_GROUP", most)
         return pl.DataFrame(list(interval_rows(0, columns, run_of_row)), INTERVAL_SCHEMA, strict=False)
 
     together, alone = found(messages), found(0)

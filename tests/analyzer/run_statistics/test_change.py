@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dds_trace.analyzer.run_statistics.between_runs import interval_of_runs
-from dds_trace.analyzer.run_statistics.change import Change, Verdict, _within, change_of_runs
+from dds_trace.analyzer.run_statistics.change import Change, Verdict, _change_within, change_of_runs
 from dds_trace.analyzer.run_statistics.runs import MEAN, Run, Statistic
 from dds_trace.analyzer.statistics.distributions import student_quantile
 from dds_trace.analyzer.statistics.intervals import Basis, Interval
@@ -235,7 +235,7 @@ def side(value, lower, upper, basis=Basis.WITHIN_RUN):
 
 def test_two_intervals_within_runs_are_put_together():
     # 10 (8 to 14) and 20 (16 to 25): 10 - hypot(4, 4), 10 + hypot(5, 2); 2 times and through hypot of the logarithms.
-    change = _within(side(10.0, 8.0, 14.0), side(20.0, 16.0, 25.0))
+    change = _change_within(side(10.0, 8.0, 14.0), side(20.0, 16.0, 25.0))
     assert (change.difference, change.ratio, change.basis) == (10, 2, Basis.WITHIN_RUN)
     assert (change.difference_low, change.difference_high) == pytest.approx(
         (10 - math.sqrt(32), 10 + math.sqrt(29))
@@ -243,12 +243,12 @@ def test_two_intervals_within_runs_are_put_together():
     low = math.log(2) - math.hypot(math.log(20 / 16), math.log(14 / 10))
     high = math.log(2) + math.hypot(math.log(25 / 20), math.log(10 / 8))
     assert (change.ratio_low, change.ratio_high) == pytest.approx((math.exp(low), math.exp(high)))
-    touching = _within(
+    touching = _change_within(
         side(0.5, 0.0, 14.0), side(20.0, 16.0, 25.0)
     )  # no logarithm of zero, but a ratio of the values
     assert (touching.ratio, touching.ratio_low, touching.ratio_high) == (40, None, None)
     assert touching.difference_low == pytest.approx(19.5 - math.hypot(4, 13.5))
-    small = _within(side(0.5, 0.25, 0.75), side(0.5, 0.25, 0.75))
+    small = _change_within(side(0.5, 0.25, 0.75), side(0.5, 0.25, 0.75))
     assert small.ratio_low == pytest.approx(math.exp(-math.hypot(math.log(2), math.log(1.5))))
 
 
@@ -265,7 +265,7 @@ def test_two_intervals_within_runs_are_put_together():
     ],
 )
 def test_what_is_unknown_or_infinite_has_no_ends(base, new, difference, ratio):
-    change = _within(side(*base), side(*new))
+    change = _change_within(side(*base), side(*new))
     assert (change.difference, change.ratio) == (difference, ratio)
     if None in base + new or math.inf in base + new:
         assert (change.difference_low, change.difference_high) == (None, None)

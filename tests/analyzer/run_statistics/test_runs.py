@@ -57,18 +57,19 @@ def test_joined_runs_follow_each_other_in_time():
 
 
 def test_the_values_of_two_runs_in_order():
-    runs = Runs([Run(np.array([5, 1, 3])), Run(np.array([4, 2]))])
-    assert runs.all_ordered.tolist() == [1, 2, 3, 4, 5]
-    assert Runs(runs[:1]).all_ordered.tolist() == [1, 3, 5]
+    first, second = Run(np.array([5, 1, 3])), Run(np.array([4, 2]))
+    assert Runs((first, second)).ordered.tolist() == [1, 2, 3, 4, 5]
+    assert Runs((first, second)).ordered_by_run.tolist() == [1, 3, 5, 2, 4]
+    assert Runs((first,)).ordered.tolist() == [1, 3, 5]
 
 
 @pytest.mark.parametrize("count", [1, 3])
 def test_runs_that_nobody_uses_are_gone_at_once(count):
     """What is kept of a run of millions of messages is hundreds of megabytes, which must not wait for the collector."""
-    runs = Runs([Run(np.arange(200), np.arange(200)) for _ in range(count)])
+    runs = Runs(tuple(Run(np.arange(200), np.arange(200)) for _ in range(count)))
     interval_of_runs(runs, Statistic(0.9))
     spread_of_runs(runs, Statistic(0.9))
-    array = weakref.ref(runs.all_ordered)
+    array = weakref.ref(runs.ordered)
     gc.disable()
     try:
         del runs
@@ -82,17 +83,21 @@ def test_positions_of_runs_side_by_side_are_those_of_each():
     draw = np.random.default_rng(0)
     lengths = (40, 1, 25, 30)
     runs = Runs(
-        Run(draw.normal(size=n), None if n == 25 else 10**18 + np.cumsum(draw.integers(1, 10**9, n)))
-        for n in lengths
+        tuple(
+            Run(draw.normal(size=n), None if n == 25 else 10**18 + np.cumsum(draw.integers(1, 10**9, n)))
+            for n in lengths
+        )
     )
     is_meant = draw.random(sum(lengths)) < 0.4
     is_meant[40:41], is_meant[66:] = True, False
-    beyond = runs.at(is_meant.nonzero()[0])
+    indices = is_meant.nonzero()[0]
+    offsets = indices.searchsorted(runs.offsets)
+    positions = np.split(runs.positions(indices, offsets), offsets[1:-1])
     expected = [
         positions_of(mask.nonzero()[0], run.sent_ns)
         for run, mask in zip(runs, np.split(is_meant, np.cumsum(lengths)[:-1]), strict=True)
     ]
-    for found, own in zip(beyond.of_runs(beyond.positions), expected, strict=True):
+    for found, own in zip(positions, expected, strict=True):
         assert found.tolist() == own.tolist()
     assert len(expected[1]) == 1
     assert len(expected[3]) == 0

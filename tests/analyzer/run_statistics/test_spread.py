@@ -58,7 +58,7 @@ def test_an_error_that_reaches_what_has_no_logarithm_is_unknown(missing):
 @pytest.mark.parametrize(("quantile", "steps"), [(0.99, (0.0, 0.995)), (0.01, (0.005, 0.0))])
 def test_an_error_ends_half_a_message_before_the_end(quantile, steps):
     run = Run(np.exp(np.random.default_rng(1).standard_normal(100)))
-    (inflation,) = inflations_of(Runs([run]), quantile)
+    ((inflation,),) = inflations_of(Runs((run,)), [quantile])
     error = math.sqrt(0.99 * 0.01 * max(1.0, inflation) / 100)
     low, high = steps[0] or quantile - error, steps[1] or quantile + error
     ends = np.quantile(run.values, [low, high], method="median_unbiased")

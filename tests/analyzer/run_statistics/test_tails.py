@@ -9,14 +9,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dds_trace.analyzer.run_statistics.runs import Levels, Run, Runs
-from dds_trace.analyzer.run_statistics.tails import (
-    Tail,
-    episodes_of,
-    inflations_of,
-    tails_of,
-)
+from dds_trace.analyzer.run_statistics.runs import Levels, Run, Runs, quantiles_of_runs
+from dds_trace.analyzer.run_statistics.tails import Tail, beyond_quantiles, episodes_of, inflations_of
+from dds_trace.analyzer.run_statistics.tails import tails_of as tails_of_quantiles
 from dds_trace.analyzer.statistics.thresholds import Threshold, thresholds_of
+
+
+def tails_of(runs, quantile):
+    (tails,) = tails_of_quantiles(Runs.of(runs), [quantile])
+    return tails
 
 
 def threshold_alone(values, quantile):
@@ -38,14 +39,14 @@ def test_the_tail_begins_at_an_order_statistic():
 )
 @settings(deadline=None)
 def test_a_group_has_the_threshold_of_all_its_values(groups, quantile):
-    runs = Runs(Run(np.array(values, np.float64)) for values in groups)
+    runs = Runs(tuple(Run(np.array(values, np.float64)) for values in groups))
     levels = runs.levels
-    relative = [levels.relative(run.values, level) for run, level in zip(runs, levels.of_runs, strict=True)]
-    beyond = runs.beyond(quantile)
+    relative = [levels.relative(run.values, level) for run, level in zip(runs, levels.values, strict=True)]
+    (beyond,) = beyond_quantiles(runs, [quantile])
     threshold = threshold_alone(np.concatenate(relative), quantile)
     places = [threshold.is_beyond(values).nonzero()[0].tolist() for values in relative]
     begins = np.cumsum([0, *map(len, groups)]).tolist()
-    assert [of_run.tolist() for of_run in beyond.of_runs(beyond.places)] == [
+    assert [part.tolist() for part in np.split(beyond.indices, beyond.offsets[1:-1])] == [
         [begin + place for place in of_run] for begin, of_run in zip(begins, places, strict=False)
     ]
 
@@ -57,24 +58,24 @@ def test_a_group_has_the_threshold_of_all_its_values(groups, quantile):
     quantiles=st.permutations([0.01, 0.1, 0.5, 0.9, 0.95, 0.99]),
 )
 @settings(deadline=None)
-def test_quantiles_that_are_asked_for_together_say_the_same(groups, quantiles):
-    """Tails within wider ones, with ties and losses, whatever is asked for first."""
+def test_quantiles_together_give_the_same_as_one_by_one(groups, quantiles):
+    """Tails within wider ones, with ties and losses, in whatever order."""
 
-    def said(runs, quantile):
-        beyond = runs.beyond(quantile)
-        tails = [
-            (tail.sizes.tolist(), tail.rows, tail.bursts, tail.squares) for tail in tails_of(runs, quantile)
-        ]
-        places = (beyond.places.tolist(), beyond.positions.tolist(), beyond.edges.tolist())
-        return places, tails, runs.quantile(quantile).tolist()
+    def compared(beyond, tails):
+        rows = [(tail.sizes.tolist(), tail.streaks, tail.bursts, tail.squares) for tail in tails]
+        return (beyond.indices.tolist(), beyond.positions.tolist(), beyond.offsets.tolist()), rows
 
-    each = [Run(np.array(values, np.float64)) for values in groups]
-    together = Runs.of(each, tuple(quantiles))
-    for quantile in quantiles:
-        alone = Runs(each)
-        assert said(together, quantile) == said(alone, quantile)
-        for find in (Runs.inflations, inflations_of):
-            assert find(together, quantile) == pytest.approx(find(alone, quantile), rel=1e-9)
+    runs = Runs(tuple(Run(np.array(values, np.float64)) for values in groups))
+    beyond, tails = beyond_quantiles(runs, quantiles), tails_of_quantiles(runs, quantiles)
+    inflations, values = inflations_of(runs, quantiles), quantiles_of_runs(runs, quantiles)
+    for row, quantile in enumerate(quantiles):
+        alone = tails_of(runs, quantile)
+        assert compared(beyond[row], tails[row]) == compared(beyond_quantiles(runs, [quantile])[0], alone)
+        assert [tail.inflation for tail in tails[row]] == pytest.approx(
+            [tail.inflation for tail in alone], rel=1e-9
+        )
+        assert inflations[row] == pytest.approx(inflations_of(runs, [quantile])[0], rel=1e-9)
+        assert values[row].tolist() == quantiles_of_runs(runs, [quantile])[0].tolist()
 
 
 @given(
@@ -85,8 +86,8 @@ def test_quantiles_that_are_asked_for_together_say_the_same(groups, quantiles):
 def test_one_run_alone_has_the_same_inflation_either_way(values, quantile):
     run, other = Run(np.array(values, np.float64)), Run(np.arange(50.0))
     (tail,) = tails_of([run], quantile)
-    (alone,) = inflations_of(Runs([run]), quantile)
-    beside = inflations_of(Runs([run, other]), quantile)[0]
+    ((alone,),) = inflations_of(Runs((run,)), [quantile])
+    ((beside, _),) = inflations_of(Runs((run, other)), [quantile])
     assert alone == tail.inflation == pytest.approx(beside, rel=1e-12)
 
 
@@ -146,19 +147,21 @@ def test_episodes_of_unlike_sizes_are_worth_fewer():
 
 
 def test_levels_that_are_not_positive_are_taken_off():
-    assert Runs([Run(np.array([-2, -1, 0])), Run(np.array([4, 5, 6]))]).levels == Levels(
+    assert Runs.of([Run(np.array([-2, -1, 0])), Run(np.array([4, 5, 6]))]).levels == Levels(
         (-1, 5), is_ratio=False
     )
-    assert Runs([Run(np.array([1, 2, 3])), Run(np.array([4, 5, 6]))]).levels == Levels((2, 5), is_ratio=True)
-    assert Runs([Run(np.array([-1, 0, 1])), Run(np.array([4, 5, 6]))]).levels == Levels(
+    assert Runs.of([Run(np.array([1, 2, 3])), Run(np.array([4, 5, 6]))]).levels == Levels(
+        (2, 5), is_ratio=True
+    )
+    assert Runs.of([Run(np.array([-1, 0, 1])), Run(np.array([4, 5, 6]))]).levels == Levels(
         (0, 5), is_ratio=False
     )
 
 
 def test_a_run_that_lost_most_is_given_the_level_of_the_others():
     runs = [Run(np.array([2.0, math.inf, math.inf])), Run(np.array([3.0, 4.0, 5.0]))]
-    assert Runs(runs).levels == Levels((4, 4), is_ratio=True)
-    assert Runs([Run(np.full(3, math.inf))] * 2).levels == Levels((0, 0), is_ratio=False)
+    assert Runs.of(runs).levels == Levels((4, 4), is_ratio=True)
+    assert Runs.of([Run(np.full(3, math.inf))] * 2).levels == Levels((0, 0), is_ratio=False)
 
 
 def test_a_pause_of_the_sender_ends_an_episode():

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from dds_trace.analyzer.statistics.intervals import EPISODES_TO_TELL, ranges_overlap, without_open_end
+from dds_trace.analyzer.statistics.intervals import MIN_EPISODES, ranges_overlap, without_open_end
 
 
 @pytest.mark.parametrize(
@@ -29,8 +29,8 @@ def test_ranges_overlap_where_they_have_a_value_in_common(one, other, do_overlap
 
 
 def test_the_end_beyond_a_tail_of_few_episodes_is_open():
-    few = EPISODES_TO_TELL - 1
-    assert EPISODES_TO_TELL == 10
+    few = MIN_EPISODES - 1
+    assert MIN_EPISODES == 10
     assert without_open_end(1.0, 2.0, 0.99, few) == (1.0, None)
     assert without_open_end(1.0, 2.0, 0.5, few) == (1.0, None)  # the median's tail lies above
     assert without_open_end(1.0, 2.0, 0.49, few) == (None, 2.0)

@@ -24,6 +24,7 @@ DEFAULT_MESSAGES = 1000
 5 % they find +20 % of p50 four times in five; p99 rests on ten messages of a run."""
 DEFAULT_RATE_HZ = 10.0
 DEFAULT_WARMUP = 10
+DEFAULT_WAIT_S = 20.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +54,7 @@ class PingOptions:
     rate_hz: float | None = None
     messages: int | None = None
     warmup: int = DEFAULT_WARMUP
-    wait_s: float = 20.0
+    wait_s: float = DEFAULT_WAIT_S
     relays: int = 1
     seed: int | None = None
     bridge: str = "none"

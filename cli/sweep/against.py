@@ -78,9 +78,9 @@ def new_side(
 
 def shown_sides(base: Plan, other: NewSide) -> tuple[dict[str, object], list[str]]:
     """Return the runs of both sides in their order and how long they take, as a JSON object and as lines."""
-    from dds_trace.recorder.sweep.against import against_seconds, take_turns
+    from dds_trace.recorder.sweep.against import against_seconds, interleave
 
-    turns = [(turn.side, turn.group.cells[0].name) for turn in take_turns(base, other.plan)]
+    turns = [(turn.side, turn.group.cells[0].name) for turn in interleave(base, other.plan)]
     seconds = against_seconds(base, other.plan)
     described: dict[str, object] = {
         "plan": _name(base, other),

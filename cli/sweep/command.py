@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from dds_trace.recorder.sweep.plan.plan import Plan
-    from dds_trace.recorder.sweep.until import Until
+    from dds_trace.recorder.sweep.sweep import Until
 
 INTERRUPTED_EXIT_CODE = 130
 """Exit code after Ctrl-C, as shells report it."""

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from dds_trace.recorder.sweep.plan.cells import Cell
     from dds_trace.recorder.sweep.plan.plan import Plan
-    from dds_trace.recorder.sweep.until import Until
+    from dds_trace.recorder.sweep.sweep import Until
 
     from .against import NewSide
 

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from dds_trace.recorder.sweep.plan.plan import Plan
-    from dds_trace.recorder.sweep.until import Until
+    from dds_trace.recorder.sweep.sweep import Until
 
 
 def precision(text: str, max_passes: int | None, plan: Plan) -> Until:
@@ -27,7 +27,7 @@ def precision(text: str, max_passes: int | None, plan: Plan) -> Until:
     """
     from dds_trace.analyzer.verdicts.false_alarms import check_statistic
     from dds_trace.recorder.sweep.plan.plan_file import check_runs
-    from dds_trace.recorder.sweep.until import DEFAULT_MAX_PASSES, Until, parse_target
+    from dds_trace.recorder.sweep.sweep import DEFAULT_MAX_PASSES, Until, parse_target
 
     statistic, percent = parse_target(text)
     check_statistic(statistic)

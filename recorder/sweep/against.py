@@ -1,7 +1,7 @@
-"""Two sides measured in turns: base, new, new, base ... each in a folder of its own.
+"""Two plans interleaved: base, new, new, base ... each in a folder of its own.
 
-What two folders that were recorded one after the other differ by is first of all the time between them. In turns both
-sides meet the same machine, and pass by pass they can be compared as pairs.
+Folders recorded one after the other differ first of all by the time between them. Interleaved runs meet the same
+machine, and can be compared as pairs, repeat by repeat.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 from dds_trace.base.errors import OptionError
 from dds_trace.base.units import counted
 
+from .folder import locked_folder
 from .plan.plan import depth_warnings
 from .plan.schedule import CellGroup, Remaining, group_by_relay, plan_seconds, schedule_pass
-from .run.lock import holding_folder
 from .run.runner import Runner
 from .station.station import open_station
 from .sweep import SweepOutcome
@@ -32,12 +32,12 @@ BASE, NEW = "base", "new"
 
 
 @dataclass(frozen=True, slots=True)
-class Turn:
+class InterleavedRun:
     """One cell of one side.
 
     Attributes:
         side: `base` or `new`.
-        group: the cell alone, with its relay.
+        group: only this cell, with its relay.
     """
 
     side: str
@@ -59,39 +59,38 @@ class AgainstOutcome:
     new: SweepOutcome
 
 
-def take_turns(base: Plan, new: Plan) -> list[Turn]:
-    """Return every cell of both sides in the order of the base's plan; of each cell base, new, new, base ... by pass.
+def interleave(base: Plan, new: Plan) -> list[InterleavedRun]:
+    """Return every cell of both sides in the order of the base's plan; of each cell base, new, new, base ... by repeat.
 
-    The two runs of a cell follow each other at once, and the side that begins alternates: a linear drift cancels over
-    two passes, and so does what the first run of a pair leaves to the second. Each run has a relay of its own.
+    The two runs of a cell are adjacent and the first side alternates: a linear drift cancels over two repeats, and so
+    does what the first run of a pair leaves to the second. Each run has a relay of its own.
 
     Raises:
-        OptionError: the plans have not as many cells.
+        OptionError: the plans differ in their number of cells.
     """
     if len(base.cells) != len(new.cells):
         raise OptionError(
             f"the base has {counted(len(base.cells), 'cell')} and the new side {len(new.cells)}; "
-            "give plans whose cells stand in the same order, one for one"
+            "give plans with the same number of cells, in the same order"
         )
-    partners = {cell.name: place for place, cell in enumerate(base.cells)}
-    turns = []
+    indices = {cell.name: index for index, cell in enumerate(base.cells)}
+    runs = []
     for number in range(1, base.run.repeats + 1):
         for group in schedule_pass(base, base.cells, number):
             for cell in group.cells:
-                place = partners[replace(cell, repeat=1).name]
-                both = [(BASE, base, cell), (NEW, new, replace(new.cells[place], repeat=number))]
-                for side, plan, one in both if (place + number) % 2 else reversed(both):
-                    turns += [Turn(side, alone) for alone in group_by_relay(plan, [one])]
-    return [
-        replace(turn, group=replace(turn.group, number=number)) for number, turn in enumerate(turns, start=1)
-    ]
+                index = indices[replace(cell, repeat=1).name]
+                pair = [(BASE, base, cell), (NEW, new, replace(new.cells[index], repeat=number))]
+                for side, plan, one in pair if (index + number) % 2 else reversed(pair):
+                    runs += [InterleavedRun(side, single) for single in group_by_relay(plan, [one])]
+    return [replace(run, group=replace(run.group, number=number)) for number, run in enumerate(runs, start=1)]
 
 
 def against_seconds(base: Plan, new: Plan) -> Remaining:
     """Return the expected time of both sides."""
-    alone = len(base.cells) * base.run.repeats
-    both = [plan_seconds(side, passes=base.run.repeats, relay_starts=alone).seconds for side in (base, new)]
-    return Remaining(sum(both))
+    starts = len(base.cells) * base.run.repeats
+    return Remaining(
+        sum(plan_seconds(side, passes=base.run.repeats, relay_starts=starts).seconds for side in (base, new))
+    )
 
 
 def run_against(
@@ -102,10 +101,10 @@ def run_against(
     *,
     commands: tuple[Sequence[str] | None, Sequence[str] | None] = (None, None),
 ) -> AgainstOutcome:
-    """Record every cell of both sides in turns.
+    """Record every cell of both sides, interleaved.
 
     Args:
-        base: plan of the base; its order and number of passes are those of both.
+        base: plan of the base, whose order and number of repeats count for both.
         new: plan of the new side.
         folder: folder in which the sides' folders `base` and `new` are made.
         progress: receiver of every step.
@@ -114,16 +113,18 @@ def run_against(
     Raises:
         TraceError: no cell can be recorded at all; failures of single cells are in the outcome.
     """
-    turns = take_turns(base, new)
-    partners = {own.name: of_base.name for own, of_base in zip(new.cells, base.cells, strict=True)}
-    new = replace(new, partners=partners)
-    cells = {side: [turn.group.cells[0] for turn in turns if turn.side == side] for side in (BASE, NEW)}
+    runs = interleave(base, new)
+    partners = {
+        new_cell.name: base_cell.name for new_cell, base_cell in zip(new.cells, base.cells, strict=True)
+    }
+    plans = {BASE: base, NEW: replace(new, partners=partners)}
+    cells = {side: [run.group.cells[0] for run in runs if run.side == side] for side in plans}
     with ExitStack() as stack:
         runners = {}
-        for side, plan, command in zip((BASE, NEW), (base, new), commands, strict=True):
-            held = stack.enter_context(holding_folder(folder / side, progress.note))
+        for (side, plan), command in zip(plans.items(), commands, strict=True):
+            lock = stack.enter_context(locked_folder(folder / side, progress.note))
             station = stack.enter_context(
-                open_station(plan, folder / side, held, show=progress.note, command=command)
+                open_station(plan, folder / side, lock, show=progress.note, command=command)
             )
             runners[side] = Runner(plan, folder / side, station, _SideProgress(progress, side))
         for warning in dict.fromkeys([*depth_warnings(base), *depth_warnings(new)]):
@@ -131,15 +132,15 @@ def run_against(
         for runner in runners.values():
             runner.prepare()
         done = sum(runners[side].state[cell.name].done for side in cells for cell in cells[side])
-        progress.begin(len(turns), done)
+        progress.begin(len(runs), done)
         try:
-            for turn in turns:
-                runners[turn.side].run_group(turn.group, cells[turn.side])
+            for run in runs:
+                runners[run.side].run_group(run.group, cells[run.side])
         finally:
             progress.end()
         outcomes = [
             SweepOutcome(folder / side, len(cells[side]), runners[side].reasons(cells[side]))
-            for side in (BASE, NEW)
+            for side in plans
         ]
     return AgainstOutcome(folder, *outcomes)
 
@@ -148,7 +149,7 @@ class _SideProgress:
     """Progress of one side, handed on with the side's name before the cell's.
 
     Args:
-        progress: receiver of both sides.
+        progress: receiver for both sides.
         side: name of this one.
     """
 
@@ -157,14 +158,14 @@ class _SideProgress:
         self._side = side
 
     def begin(self, cells: int, done: int) -> None:
-        """Take nothing: the sweep of both sides has one beginning."""
+        """Do nothing: both sides start as one sweep."""
 
     def relay(self, name: str) -> None:
         """Hand on the name of the relay."""
         self._progress.relay(f"{self._side} {name}")
 
     def cell(self, name: str, remaining: Remaining) -> None:
-        """Hand on the cell; the other side, which takes turns with this one, has about the same time left."""
+        """Hand on the cell; the other side has about the same time left."""
         self._progress.cell(f"{self._side} {name}", Remaining(2 * remaining.seconds))
 
     def ended(self, name: str, outcome: str, *, complete: bool) -> None:
@@ -176,4 +177,4 @@ class _SideProgress:
         self._progress.note(f"{self._side}: {text}")
 
     def end(self) -> None:
-        """Take nothing: the sweep of both sides has one end."""
+        """Do nothing: both sides end as one sweep."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base.units import spell_size
 
-from .run.state import replace_text
+from .folder import replace_text
 from .search import RateAnswer
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ _COLOURS = {
     RateAnswer.BELOW: "#d55e00",
     RateAnswer.FAILED: "#999999",
 }
-"""Colour of a bar by its answer, from Okabe and Ito's palette for the colour-blind; each bar also has its answer in words."""
+"""Colour of a bar by its answer, from Okabe and Ito's palette for the colour-blind."""
 
 
 def write_max_rates(folder: Path, answers: list[MaxRate], search: Search) -> list[Path]:
@@ -124,8 +124,8 @@ def _ticks(search: Search) -> list[float]:
 _HEAD = """\
 <svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" font-family="sans-serif" font-size="12">
 <rect width="100%" height="100%" fill="white"/>
-<text x="10" y="20" font-size="15">Highest rate that holds (messages a second, log axis)</text>
-<text x="10" y="38" fill="#555">holds: at most {search.loss_percent:g} % lost, response p{search.percentile:g} \
+<text x="10" y="20" font-size="15">Highest sustained rate (messages a second, log axis)</text>
+<text x="10" y="38" fill="#555">sustained: at most {search.loss_percent:g} % lost, response p{search.percentile:g} \
 within {search.deadline_ms:g} ms; longer is better</text>
 """
 

@@ -1,4 +1,4 @@
-"""The rehearsal of a plan: what stands in the way of its cells, found before any of them is recorded."""
+"""The rehearsal of a plan: reports the cells that cannot be recorded, before any of them is."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     """Function that raises an `OptionError` where `dds-record` would refuse its arguments."""
 
 _TOO_OLD = "No such option: --check"
-"""Part of the refusal of a `dds-record` of another environment that knows no rehearsal."""
+"""Part of the refusal by a `dds-record` of another environment that has no rehearsal."""
 
 
 def rehearse_plan(
@@ -41,22 +41,21 @@ def rehearse_plan(
     note: Callable[[str], None],
     command: Sequence[str] | None = None,
 ) -> dict[str, str]:
-    """Find the cells of a plan that cannot be recorded here.
+    """Return the cells of a plan that cannot be recorded here.
 
-    The arguments of every cell are checked as `dds-record` checks them. Of cells that differ in size and rate alone one
-    starts and ends before its first message, and so does the relay of each, where it will run: the namespaces of the plan
-    are made, the other device is asked, programs of bridges are started, middleware is loaded. What passes can fail for what
-    surrounds it: the network between two devices, a full disk, other programs.
+    The arguments of every cell are checked. Of cells that differ only in size and rate, one ping starts and ends before
+    its first message, and so does the relay of each group, on its own device: namespaces are made, the other device is
+    asked, programs of bridges start, middleware is loaded. The network between two devices and a full disk stay untested.
 
     Args:
         plan: the plan.
         folder: folder of the sweep, which is not made.
         check_arguments: refuses what `dds-record` would refuse.
-        note: receiver of what could not be rehearsed.
+        note: takes a line about what could not be rehearsed.
         command: `dds-record` on this machine; the installed one if left out.
 
     Returns:
-        Name of each cell, of all passes, that cannot be recorded -> the reason.
+        Name of each cell, of all repeats, that cannot be recorded -> the reason.
 
     Raises:
         TraceError: no cell can be recorded at all, as `run_sweep`.
@@ -64,13 +63,13 @@ def rehearse_plan(
     _check_folder(plan, folder)
     refused: dict[Cell, str] = {}
     with (
-        tempfile.TemporaryDirectory(prefix="dds-trace-rehearsal-") as made,
-        open_station(plan, Path(made), None, show=note, command=command) as station,
+        tempfile.TemporaryDirectory(prefix="dds-trace-rehearsal-") as scratch,
+        open_station(plan, Path(scratch), None, show=note, command=command) as station,
     ):
         station.device.check()
-        rehearsal = _Rehearsal(plan, station, Path(made), check_arguments, note)
+        rehearsal = _Rehearsal(plan, station, Path(scratch), check_arguments, note)
         for group in group_by_relay(plan, plan.cells):
-            refused.update(rehearsal.of_group(group))
+            refused |= rehearsal.refused_cells(group)
     return {
         replace(cell, repeat=number).name: reason
         for number in range(1, plan.run.repeats + 1)
@@ -79,54 +78,46 @@ def rehearse_plan(
 
 
 def _check_folder(plan: Plan, folder: Path) -> None:
-    """Check that the sweep's folder can be made and goes on with this plan.
+    """Check that the sweep's folder can be made, and that it has no other sweep.
 
     Raises:
         OutputError: it cannot be made or written.
-        OptionError, TraceFormatError: it holds another sweep.
+        OptionError, TraceFormatError: it has another sweep.
     """
-    there = next(each for each in (folder.absolute(), *folder.absolute().parents) if each.exists())
-    if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
-        raise OutputError(f"{there}: not a folder that can be written; give another --out")
+    nearest = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
+    if not nearest.is_dir() or not os.access(nearest, os.W_OK | os.X_OK):
+        raise OutputError(f"{nearest}: not a folder that can be written; give another --out")
     SweepState(folder / "state.json", plan.name, plan.digest)
 
 
 class _Rehearsal:
-    """The rehearsal of a plan at its station.
-
-    Args:
-        plan: the plan.
-        station: the devices of ping and relay.
-        folder: folder for logs.
-        check_arguments: refuses what `dds-record` would refuse.
-        note: receiver of what could not be rehearsed.
-    """
+    """The rehearsal of a plan at its station; arguments as for `rehearse_plan`."""
 
     def __init__(
         self,
         plan: Plan,
         station: Station,
-        folder: Path,
+        scratch: Path,
         check_arguments: CheckArguments,
         note: Callable[[str], None],
     ) -> None:
         self._plan = plan
         self._station = station
-        self._folder = folder
+        self._scratch = scratch
         self._check_arguments = check_arguments
         self._note = note
-        self._started: dict[Cell, str | None] = {}
-        self._noted: set[str] = set()
+        self._reasons: dict[Cell, str | None] = {}  # of the pings that were started
+        self._too_old: set[str] = set()  # environments
 
-    def of_group(self, group: CellGroup) -> dict[Cell, str]:
+    def refused_cells(self, group: CellGroup) -> dict[Cell, str]:
         """Rehearse the relay of a group and its pings; return each cell that cannot be recorded with the reason."""
         reasons = {cell: self._refusal(self._ping_arguments(cell)) for cell in group.cells}
-        left = [cell for cell, reason in reasons.items() if reason is None]
-        of_relay = self._relay(group) if left else None
-        reasons |= {cell: self._ping(cell) if of_relay is None else of_relay for cell in left}
+        accepted = [cell for cell, reason in reasons.items() if reason is None]
+        relay_reason = self._rehearse_relay(group) if accepted else None
+        reasons |= {cell: relay_reason or self._rehearse_ping(cell) for cell in accepted}
         return {cell: reason for cell, reason in reasons.items() if reason is not None}
 
-    def _relay(self, group: CellGroup) -> str | None:
+    def _rehearse_relay(self, group: CellGroup) -> str | None:
         arguments = relay_arguments(self._plan, group.need)
         reason = self._refusal(arguments)
         device = self._station.within(group.need.environment).device
@@ -136,14 +127,14 @@ class _Rehearsal:
             reason = device.rehearse_half(half_arguments(self._plan, group))
         return None if reason is None else f"its relay: {reason}"
 
-    def _ping(self, cell: Cell) -> str | None:
+    def _rehearse_ping(self, cell: Cell) -> str | None:
         alike = replace(cell, rate=DEFAULTS["rate"], size=None)
-        if alike not in self._started:
+        if alike not in self._reasons:
             sent = replace(cell, data="binary") if is_live(cell.data) else cell
             command = [*self._station.within(cell.environment).ping_command, *self._ping_arguments(sent)]
-            reason = rehearse_program(command, self._folder)
-            self._started[alike] = self._unless_old(cell.environment, reason)
-        return self._started[alike]
+            reason = rehearse_program(command, self._scratch)
+            self._reasons[alike] = self._unless_old(cell.environment, reason)
+        return self._reasons[alike]
 
     def _ping_arguments(self, cell: Cell) -> list[str]:
         return ping_arguments(self._plan, cell, self._station.wait_s, self._station.relay_address)
@@ -151,16 +142,16 @@ class _Rehearsal:
     def _refusal(self, arguments: Sequence[str]) -> str | None:
         """Return why `dds-record` refuses arguments, None if it does not."""
         try:
-            self._check_arguments([*arguments, "--out", str(self._folder / "rehearsal.mcap")])
+            self._check_arguments([*arguments, "--out", str(self._scratch / "rehearsal.mcap")])
         except TraceError as err:
             return str(err)
         return None
 
     def _unless_old(self, environment: str, reason: str | None) -> str | None:
-        """Return a reason, or None for that of an environment whose dds-trace has no rehearsal, which is noted."""
+        """Return the reason, or None with a note if the environment's dds-trace has no rehearsal."""
         if reason is None or not environment or _TOO_OLD not in reason:
             return reason
-        if environment not in self._noted:
-            self._noted.add(environment)
-            self._note(f"{environment}: its dds-record knows no --check, so nothing was rehearsed with it")
+        if environment not in self._too_old:
+            self._too_old.add(environment)
+            self._note(f"{environment}: its dds-record has no --check, so nothing was rehearsed with it")
         return None

@@ -1,7 +1,7 @@
-"""The search for the highest rate that a middleware holds: bisection between two rates, repeated at the knee.
+"""The search for the highest rate that a setup sustains: bisection between two rates, repeated at the knee.
 
-A rate holds if the schedule was kept, no more was lost than allowed, and the percentile of the response time
-(planned send to reply, so that a sender that falls behind is not let off) keeps the deadline.
+A run sustains its rate if it kept the schedule, lost no more than allowed, and the percentile of the response time
+(planned send to reply, so that a late sender counts) met the deadline.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ if TYPE_CHECKING:
     from .run.result import CellResult
     from .run.runner import Runner
 
-HELD_SHARE = 0.95
-"""Share of the asked rate that the sender has to reach."""
+SUSTAINED_SHARE = 0.95
+"""Share of the requested rate that the sender has to reach."""
 
 MESSAGES_FOR_PERCENTILE = 1.0
-"""A percentile needs at least one message beyond it: p99 takes 100 messages."""
+"""Messages beyond a percentile: p99 takes 100 messages."""
 
 KNEE_STEPS = 10
-"""Most steps by which repeats may move the rate away from where the bisection ended."""
+"""Most steps by which repeats may move the rate away from the end of the bisection."""
 
 
 class RateAnswer(Enum):
     """The meaning of the rate that a search gives."""
 
     FOUND = "found"
-    AT_LEAST = "at least"  # even the highest rate of the plan holds
-    BELOW = "below"  # even the lowest rate of the plan does not hold
+    AT_LEAST = "at least"  # even the highest rate of the plan is sustained
+    BELOW = "below"  # not even the lowest rate of the plan is
     FAILED = "failed"  # a trial could not be run at all
 
 
@@ -48,11 +48,11 @@ class MaxRate:
     """The answer of a search for one cell.
 
     Attributes:
-        cell: the parameters that were searched; its `rate` is the answer.
+        cell: the searched parameters; its `rate` is the answer.
         answer: meaning of the rate.
-        failing_hz: the lowest rate known not to hold, None if every tried rate held.
-        held_repeats: runs at the answer that held, and all runs at the answer.
-        reason: reason why the next rate did not hold, or why the search failed.
+        failing_hz: the lowest rate that was not sustained, None if every tried one was.
+        held_repeats: runs at the answer that sustained it, and all runs at the answer.
+        reason: reason why the next rate was not sustained, or why the search failed.
     """
 
     cell: Cell
@@ -71,9 +71,9 @@ class Knee(NamedTuple):
 
     Attributes:
         answer: meaning of `rate_hz`.
-        rate_hz: the highest rate that holds.
-        failing_hz: the lowest rate that does not hold, None if there is no such rate.
-        reason: reason why `failing_hz` does not hold.
+        rate_hz: the highest sustained rate.
+        failing_hz: the lowest rate that is not sustained, None if there is none.
+        reason: reason why `failing_hz` is not sustained.
     """
 
     answer: RateAnswer
@@ -88,16 +88,16 @@ class Bisection:
 
     Attributes:
         search: the rates and the conditions.
-        trial: runs the n-th trial at a rate; returns an empty text if it held, else the reason why it did not.
+        trial: runs the n-th trial at a rate; returns an empty text if it was sustained, else the reason why not.
     """
 
     search: Search
     trial: Callable[[float, int], str]
 
     def run(self) -> Knee:
-        """Run trials until the highest rate that holds is known within the resolution, and return it."""
+        """Run trials until the highest sustained rate is known within the resolution, and return it."""
         low, high = self.search.min_rate, self.search.max_rate
-        low_held, why = False, ""
+        is_low_sustained, why = False, ""
         while high / low > self.search.resolution:
             middle = round_rate(math.sqrt(low * high))
             if not low < middle < high:
@@ -105,16 +105,16 @@ class Bisection:
             if reason := self.trial(middle, 1):
                 high, why = middle, reason
             else:
-                low, low_held = middle, True
-        # The two given rates are tried only where the search ended at one of them: they cost the most.
-        if not low_held and (reason := self._majority(low)):
+                low, is_low_sustained = middle, True
+        # The two given rates cost the most, so they are tried only if the search ended at one of them.
+        if not is_low_sustained and (reason := self._majority(low)):
             return Knee(RateAnswer.BELOW, low, low, reason)
         if not why and not (why := self._majority(high)):
             return Knee(RateAnswer.AT_LEAST, high, None, "")
         return self._settle(low, high, why)
 
     def _settle(self, low: float, high: float, reason: str) -> Knee:
-        """Repeat the trials at the knee; where the majority contradicts the single trial, move it by one step."""
+        """Repeat the trials at the knee; move it by one step where the majority contradicts the single trial."""
         for _ in range(KNEE_STEPS):
             if why := self._majority(low):
                 high, reason = low, why
@@ -130,7 +130,7 @@ class Bisection:
         return Knee(RateAnswer.FOUND, low, high, reason)
 
     def _majority(self, rate_hz: float) -> str:
-        """Return the reason why most repeats at this rate did not hold, or an empty text if most did."""
+        """Return the reason why most repeats did not sustain this rate, or an empty text if most did."""
         repeats = self.search.knee_repeats
         reasons = []
         for number in range(1, repeats + 1):
@@ -144,16 +144,16 @@ class Bisection:
 
 
 def round_rate(rate_hz: float) -> float:
-    """Round to three digits, so that a rate can be named and met again."""
+    """Round to three digits, so that a rate has a short name and is tried once."""
     return float(f"{rate_hz:.3g}")
 
 
-def why_not_held(search: Search, asked_hz: float, result: CellResult) -> str:
-    """Return the reason why a run did not hold its rate, or an empty text if it did.
+def why_not_sustained(search: Search, rate_hz: float, result: CellResult) -> str:
+    """Return the reason why a run did not sustain its rate, or an empty text if it did.
 
     Args:
         search: the conditions.
-        asked_hz: the rate that was asked for.
+        rate_hz: the requested rate.
         result: the run's numbers.
     """
     achieved_hz = result.achieved_rate_hz or 0.0
@@ -165,8 +165,8 @@ def why_not_held(search: Search, asked_hz: float, result: CellResult) -> str:
             f"cut off after {result.published} of {counted(result.planned, 'message')}",
         ),
         (
-            achieved_hz < HELD_SHARE * asked_hz,
-            f"{achieved_hz:.0f} of {counted(asked_hz, 'message', text=f'{asked_hz:g}')} a second sent",
+            achieved_hz < SUSTAINED_SHARE * rate_hz,
+            f"{achieved_hz:.0f} of {counted(rate_hz, 'message', text=f'{rate_hz:g}')} a second sent",
         ),
         (result.loss_percent > search.loss_percent, f"{result.loss_percent:.3g} % lost"),
         (response_ms > search.deadline_ms, f"response {percentile} {response_ms:.3g} ms"),
@@ -176,7 +176,7 @@ def why_not_held(search: Search, asked_hz: float, result: CellResult) -> str:
 
 
 def search_plan(plan: Plan) -> Plan:
-    """Return a plan with one cell for all rates of a cell, and with runs long enough for the percentile."""
+    """Return a plan with one cell for all rates of a cell, and runs long enough for the percentile."""
     cells = dict.fromkeys(replace(cell, rate=plan.search.max_rate) for cell in plan.cells)
     return replace(
         plan,
@@ -189,7 +189,7 @@ def search_plan(plan: Plan) -> Plan:
 
 
 def messages_needed(search: Search) -> int:
-    """Return the fewest messages of a run at which the search's percentile is not simply its largest value."""
+    """Return the fewest messages at which the search's percentile is not simply the largest value."""
     return math.ceil(MESSAGES_FOR_PERCENTILE / (1 - search.percentile / 100) - 1e-9)
 
 
@@ -207,22 +207,24 @@ def find_max_rates(plan: Plan, runner: Runner) -> Iterator[MaxRate]:
                         state = runner.record(tried, relay)
                     if state.status is Status.FAILED or state.result is None:
                         raise TrialFailedError(state.reason)
-                    return why_not_held(plan.search, rate_hz, state.result)
+                    return why_not_sustained(plan.search, rate_hz, state.result)
 
                 try:
                     knees.append((cell, Bisection(plan.search, trial).run()))
                 except TrialFailedError as err:
                     knees.append((cell, Knee(RateAnswer.FAILED, 0.0, None, str(err))))
         for cell, knee in knees:
-            held = _held_repeats(plan, runner, cell, knee.rate_hz)
-            yield MaxRate(replace(cell, rate=knee.rate_hz), knee.answer, knee.failing_hz, held, knee.reason)
+            repeats = _count_sustained(plan, runner, cell, knee.rate_hz)
+            yield MaxRate(
+                replace(cell, rate=knee.rate_hz), knee.answer, knee.failing_hz, repeats, knee.reason
+            )
 
 
-def _held_repeats(plan: Plan, runner: Runner, cell: Cell, rate_hz: float) -> tuple[int, int]:
-    """Return the number of complete runs at a rate that held it, and of all complete ones."""
+def _count_sustained(plan: Plan, runner: Runner, cell: Cell, rate_hz: float) -> tuple[int, int]:
+    """Return the number of complete runs that sustained a rate, and of all complete runs at it."""
     names = [
         replace(cell, rate=rate_hz, repeat=number).name for number in range(1, plan.search.knee_repeats + 1)
     ]
     states = [runner.state[name] for name in names]
     results = [state.result for state in states if state.done and state.result is not None]
-    return sum(not why_not_held(plan.search, rate_hz, result) for result in results), len(results)
+    return sum(not why_not_sustained(plan.search, rate_hz, result) for result in results), len(results)

@@ -2,31 +2,83 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import re
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
+from dds_trace.base import limits
+from dds_trace.base.errors import OptionError
+from dds_trace.base.units import counted
+
+from .folder import locked_folder
 from .plan.plan import depth_warnings
-from .plan.schedule import schedule
-from .run.lock import holding_folder
+from .plan.schedule import number_groups, schedule, schedule_pass
 from .run.runner import Runner
+from .run.state import Status
 from .search import find_max_rates, search_plan
 from .station.station import open_station
-from .until import run_further_passes
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
+    from .plan.cells import Cell
     from .plan.plan import Plan
     from .run.progress import SweepProgress
     from .search import MaxRate
-    from .until import Until
+
+    RunIds = Mapping[str, tuple[int, ...]]
+    """Name of a cell -> ids of its complete runs, in the order of the passes."""
+
+    MeasureWidths = Callable[[Path, RunIds], Mapping[str, float]]
+    """Function from the folder of a sweep and the runs of its cells to the half width of each cell's interval."""
 
 INCOMPLETE_EXIT_CODE = 10
-"""Exit code of `dds-sweep` if some cells have no complete recording; 1 to 9 are those of the `TraceError` tree."""
+"""Exit code of `dds-sweep` if some cells have no complete recording; the `TraceError` tree has 1 to 9."""
 
 TOO_WIDE_EXIT_CODE = 11
 """Exit code of `dds-sweep --until` if everything is recorded and some cells are still too wide after the last pass."""
+
+DEFAULT_MAX_PASSES = 20
+"""Runs whose statistic spreads by 10 % (standard deviation) need 18 passes for an interval of +-5 %."""
+
+_TARGET = re.compile(r"\s*(\w+)\s*:\s*([0-9.]+)\s*%\s*")
+
+
+@dataclass(frozen=True, slots=True)
+class Until:
+    """The precision at which a sweep ends.
+
+    Attributes:
+        statistic: measured statistic, such as `latency_p99`.
+        percent: widest half width of its interval, in percent of the value.
+        max_passes: most passes, including the plan's.
+        measure: returns the half width of each cell's interval in percent; infinite where the interval lacks an end.
+    """
+
+    statistic: str
+    percent: float
+    max_passes: int
+    measure: MeasureWidths
+
+
+def parse_target(text: str) -> tuple[str, float]:
+    """Return statistic and percent of a text such as `latency_p99:5%`.
+
+    Raises:
+        OptionError: another text.
+    """
+    match = _TARGET.fullmatch(text)
+    try:
+        percent = float(match[2]) if match else 0.0
+    except ValueError:
+        percent = 0.0
+    if match is None or limits.WIDTH_PERCENT.fault(percent) is not None:
+        raise OptionError(
+            f"--until {limits.shown(text)}: write STATISTIC:PERCENT, for example latency_p99:5%, above 0% and at most "
+            f"{limits.WIDTH_PERCENT.high:.0f}%"
+        )
+    return match[1], percent
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +89,7 @@ class SweepOutcome:
         folder: folder with the traces and `state.json`.
         cells: number of cells of the plan, repeats included.
         missing: name of each cell without a complete recording -> the reason.
-        too_wide: name of each cell whose interval is wider than asked for -> half width in percent.
+        too_wide: name of each cell whose interval is wider than requested -> half width in percent.
     """
 
     folder: Path
@@ -61,7 +113,7 @@ def run_sweep(
         out: folder in which the plan's folder is made.
         progress: receiver of every step.
         command: `dds-record` on this machine; the installed one if left out.
-        until: precision up to which further passes are run; None for the passes of the plan alone.
+        until: precision up to which further passes are run; None for the plan's passes only.
 
     Raises:
         TraceError: no cell can be recorded at all; failures of single cells are in the outcome.
@@ -69,8 +121,8 @@ def run_sweep(
     folder = out / plan.name
     groups = schedule(plan)
     with (
-        holding_folder(folder, progress.note) as held,
-        open_station(plan, folder, held, show=progress.note, command=command) as station,
+        locked_folder(folder, progress.note) as lock,
+        open_station(plan, folder, lock, show=progress.note, command=command) as station,
     ):
         for warning in depth_warnings(plan):
             progress.note(warning)
@@ -79,10 +131,49 @@ def run_sweep(
         cells = [cell for group in groups for cell in group.cells]
         too_wide: dict[str, float] = {}
         if until is not None:
-            further = run_further_passes(plan, runner, until, progress.note)
-            cells += further.cells
-            too_wide = further.too_wide
+            further, too_wide = _run_further_passes(plan, runner, until, progress.note)
+            cells += further
         return SweepOutcome(folder, len(cells), runner.reasons(cells), too_wide)
+
+
+def _run_further_passes(
+    plan: Plan, runner: Runner, until: Until, note: Callable[[str], None]
+) -> tuple[list[Cell], dict[str, float]]:
+    """Repeat the cells that are too wide until none is or the passes are used up; return the new cells and too wide ones.
+
+    A cell without any complete run is left out: it has failed.
+    """
+    cells: list[Cell] = []
+    measured: RunIds = {}
+    widths: Mapping[str, float] = {}
+    next_group = len(plan.cells) * plan.run.repeats + 1
+    number = plan.run.repeats
+    while True:
+        runs = dict(_complete_runs(plan, runner, until.max_passes))
+        if runs != measured:  # equal after a pass that an interrupted sweep had recorded
+            measured, widths = runs, until.measure(runner.folder, runs)
+        too_wide = {name: widths[name] for name in runs if not widths[name] <= until.percent}
+        if not too_wide or number >= until.max_passes:
+            return cells, too_wide
+        number += 1
+        note(
+            f"repeat {number}: {until.statistic} of {counted(len(too_wide), 'result is', 'results are')} "
+            f"wider than +-{until.percent:g} %"
+        )
+        wide_cells = [cell for cell in plan.cells if cell.name in too_wide]
+        groups = number_groups(schedule_pass(plan, wide_cells, number), next_group)
+        next_group += len(groups)
+        cells += [cell for group in groups for cell in group.cells]
+        runner.run(groups)
+
+
+def _complete_runs(plan: Plan, runner: Runner, passes: int) -> Iterator[tuple[str, tuple[int, ...]]]:
+    """Yield name and complete runs of each cell that has one."""
+    for cell in plan.cells:
+        states = [runner.state[replace(cell, repeat=number).name] for number in range(1, passes + 1)]
+        run_ids = tuple(int(state.run_id, 16) for state in states if state.status is Status.COMPLETE)
+        if run_ids:
+            yield cell.name, run_ids
 
 
 def run_search(
@@ -92,21 +183,21 @@ def run_search(
     *,
     command: Sequence[str] | None = None,
 ) -> tuple[Path, list[MaxRate]]:
-    """Search the highest rate of each cell of the plan, whatever its rates; return the folder of the trials and the answers.
+    """Search the highest rate of each cell, ignoring the plan's rates; return the folder of the trials and the answers.
 
     Raises:
         TraceError: as `run_sweep`.
     """
-    searched = search_plan(plan)
-    folder = out / searched.name
+    plan = search_plan(plan)
+    folder = out / plan.name
     with (
-        holding_folder(folder, progress.note) as held,
-        open_station(searched, folder, held, show=progress.note, command=command) as station,
+        locked_folder(folder, progress.note) as lock,
+        open_station(plan, folder, lock, show=progress.note, command=command) as station,
     ):
-        runner = Runner(searched, folder, station, progress)
+        runner = Runner(plan, folder, station, progress)
         runner.prepare()
         progress.begin(0, 0)
         try:
-            return folder, list(find_max_rates(searched, runner))
+            return folder, list(find_max_rates(plan, runner))
         finally:
             progress.end()

@@ -1,1 +1,1 @@
-"""A sweep at work: its runner, state, lock, results and progress."""
+"""A running sweep: its runner, state, results and progress."""

@@ -18,13 +18,13 @@ class SweepProgress(Protocol):
     """Receiver of the steps of a sweep."""
 
     def begin(self, cells: int, done: int) -> None:
-        """Take the number of cells, 0 if it is not known, and of those that were complete before."""
+        """Take the number of cells, 0 if it is open, and how many of them were complete before."""
 
     def relay(self, name: str) -> None:
         """Take the name of a relay that starts."""
 
     def cell(self, name: str, remaining: Remaining) -> None:
-        """Take the name of a cell that begins, and the time that is left."""
+        """Take the name of a cell that starts, and the time that is left."""
 
     def ended(self, name: str, outcome: str, *, complete: bool) -> None:
         """Take the end of a cell: its result in words, or the reason of its failure."""
@@ -44,7 +44,7 @@ class PlainProgress:
         self._cells = self._done = 0
 
     def begin(self, cells: int, done: int) -> None:
-        """Keep the numbers; print a line if some cells are complete."""
+        """Print a line if some cells are complete."""
         self._cells, self._done = cells, done
         if done:
             self.note(f"{done} of {counted(cells, 'recording is', 'recordings are')} there already")
@@ -59,11 +59,11 @@ class PlainProgress:
     def ended(self, name: str, outcome: str, *, complete: bool) -> None:
         """Print the outcome with the cell's number."""
         self._done += complete
-        of = f"/{self._cells}" if self._cells else ""
-        self.note(f"[{self._done}{of}] {name}: {outcome}")
+        total = f"/{self._cells}" if self._cells else ""
+        self.note(f"[{self._done}{total}] {name}: {outcome}")
 
     def note(self, text: str) -> None:
-        """Print a line, not as markup, since it may hold output of a program."""
+        """Print a line, not as markup, since it may contain output of a program."""
         self._console.print(text, markup=False, highlight=False, soft_wrap=True)
 
     def end(self) -> None:
@@ -71,7 +71,7 @@ class PlainProgress:
 
 
 class RichProgress(PlainProgress):
-    """The same lines above a bar with the running cell, the time left and the last percentiles."""
+    """The same lines above a bar with the running cell, the time left and the latest percentiles."""
 
     def __init__(self, console: Console) -> None:
         super().__init__(console)

@@ -1,6 +1,6 @@
 """The result of one cell: a few numbers of its ping trace, for progress, the state file and the search of rates.
 
-Publish the analyzer's figures, not these: they only tell a sweep whether a cell is whole.
+Publish the analyzer's figures, not these.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class CellResult:
-    """One run as its ping recorded it; no number but `sent_bytes` counts the warm-up.
+    """One run as its ping recorded it, without the warm-up except in `sent_bytes`.
 
     Attributes:
         run_id: 16 hex digits.
-        planned: messages that the schedule held.
+        planned: messages of the schedule.
         published: messages handed to the middleware.
-        received: published messages whose reply came.
-        sent_bytes: application bytes of all published messages, those of the warm-up included.
+        received: published messages with a reply.
+        sent_bytes: application bytes of all published messages, warm-up included.
         achieved_rate_hz: rate of publishing, None with fewer than two messages.
         rtt_ms: percentile (`p50`, `p90`, `p95`, `p99`, `p99.9`) -> T2 - T1, None without replies.
         response_ms: percentile -> T2 - T0, None without replies.
-        dropped_events: events that the recorder could not keep.
-        cut_off: whether the run was ended before the end of its schedule.
-        not_applied: settings that the ping's middleware did not use although they were asked for, in words; empty if none.
+        dropped_events: events that the recorder lost.
+        cut_off: whether the run ended before its schedule.
+        not_applied: requested settings that the ping's middleware did not use, in words; empty if none.
     """
 
     run_id: str
@@ -60,7 +60,7 @@ class CellResult:
 
     @property
     def loss_percent(self) -> float:
-        """Share of the published messages without a reply; 100 if nothing was published."""
+        """Percent of the published messages without a reply; 100 if nothing was published."""
         return 100.0 * (self.published - self.received) / self.published if self.published else 100.0
 
     def __str__(self) -> str:
@@ -69,25 +69,25 @@ class CellResult:
         rtt = (
             f"RTT p50 {self.rtt_ms['p50']:.2f} p99 {self.rtt_ms['p99']:.2f} ms" if self.rtt_ms else "no reply"
         )
-        unlike = f"; not applied: {self.not_applied}" if self.not_applied else ""
-        return f"{rtt}, {self.received}/{counted(self.published, 'message')}{loss}{cut}{unlike}"
+        not_applied = f"; not applied: {self.not_applied}" if self.not_applied else ""
+        return f"{rtt}, {self.received}/{counted(self.published, 'message')}{loss}{cut}{not_applied}"
 
 
 def read_result(path: Path) -> CellResult:
     """Return the result of the one run in a ping's trace.
 
     Raises:
-        TraceFormatError: `path` is no trace, or does not hold exactly one finished run.
+        TraceFormatError: `path` is not a trace of exactly one finished run.
     """
     trace = read_trace(path)
     if len(trace.runs) != 1:
-        raise TraceFormatError(path, f"holds {counted(len(trace.runs), 'run')} where a cell has one")
+        raise TraceFormatError(path, f"has {counted(len(trace.runs), 'run')} where a cell has one")
     run = trace.runs[0]
     if run.state != "finished":
         raise TraceFormatError(path, "the run was not finished")
     sent = _measured_events(trace, Stage.T1, run)
     replies = _measured_events(trace, Stage.T2, run)
-    # The first reply of each message counts; further ones are duplicates.
+    # The first reply of each message counts.
     answered, first = np.unique(replies.sequence, return_index=True)
     receive_ns = replies.monotonic_ns[first]
     both, in_sent, in_answered = np.intersect1d(sent.sequence, answered, return_indices=True)
@@ -108,7 +108,6 @@ def read_result(path: Path) -> CellResult:
 
 
 def _words_not_applied(trace: Trace) -> Iterator[str]:
-    """Yield the words of each entry of the last session's field `not_applied`."""
     entries = trace.sessions[-1].extra.get("not_applied") if trace.sessions else None
     for entry in entries if isinstance(entries, list) else ():
         if isinstance(entry, dict):
@@ -116,7 +115,6 @@ def _words_not_applied(trace: Trace) -> Iterator[str]:
 
 
 def _measured_events(trace: Trace, stage: Stage, run: Run) -> EventColumns:
-    """Return the events of a run at one stage, without its warm-up."""
     columns = trace.events[stage]
     return columns.take((columns.run_id == run.run_id) & (columns.sequence >= run.warmup_messages))
 

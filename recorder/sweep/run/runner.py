@@ -1,10 +1,8 @@
 """The runner of a sweep: records cell after cell and leaves one closed trace per device and cell.
 
-The relay of a group of cells is started once and writes one trace, a *segment*, under `.parts/`. Each cell's ping
-writes its trace there too; when it is whole it moves to its final name, so that a file with a cell's name is
-always a complete recording. When the relay is stopped its segment is taken apart into the cells' relay files.
-Files in `.parts/` at the start of a sweep were left by an interrupted one: segments are taken apart, traces of
-pings deleted.
+The relay of a group of cells starts once and writes one trace, a *segment*, into `.parts/`. Each cell's ping writes
+its trace there too; a complete one moves to its final name. When the relay is stopped, its segment is split into the
+cells' relay files. After an interrupted sweep, segments in `.parts/` are split and traces of pings deleted.
 """
 
 from __future__ import annotations
@@ -15,28 +13,28 @@ import time
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from dds_trace.base.errors import BackendUnavailableError, TraceError, TraceFormatError
+from dds_trace.base.errors import BackendUnavailableError, OptionError, TraceError, TraceFormatError
 from dds_trace.base.files import output_error
 from dds_trace.base.units import counted
 
 from ...errors import RelayLostError
+from ..folder import TRACE_ENDINGS, clear_parts, make_parts, remove_files
 from ..plan.commands import half_arguments, ping_arguments, relay_arguments
 from ..plan.schedule import Estimate
-from ..station.devices import TRACE_ENDINGS, clear_parts, make_parts, remove_files
 from ..station.programs import Program
-from .relay import HOPELESS_EXIT_CODES, CellFailedError, GroupRelay
 from .result import read_result
 from .split import CellPart, split_relay_trace
 from .state import CellState, Status, SweepState
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from ..plan.cells import Cell
     from ..plan.link import LinkReport
     from ..plan.plan import Plan
     from ..plan.schedule import CellGroup
+    from ..station.devices import RelayDevice, StartedProgram
     from ..station.station import Station
     from .progress import SweepProgress
     from .result import CellResult
@@ -47,7 +45,89 @@ START_ALLOWANCE_S = 40.0
 POLL_S = 0.2
 
 ENDED_CODES = (0, RelayLostError.exit_code)
-"""Exit codes of a ping whose trace counts: where the relay still runs, its silence is the loss that the cell measures."""
+"""Exit codes of a ping whose trace counts: while the relay runs, its silence is the loss that the cell measures."""
+
+HOPELESS_EXIT_CODES = {OptionError.exit_code, BackendUnavailableError.exit_code}
+"""Exit codes of `dds-record` after which another attempt would end the same way."""
+
+
+class CellFailedError(Exception):
+    """Failure of one attempt at a cell; the text gives the reason.
+
+    Attributes:
+        hopeless: whether another attempt would fail alike.
+    """
+
+    def __init__(self, reason: str, *, hopeless: bool = False) -> None:
+        super().__init__(reason)
+        self.hopeless = hopeless
+
+
+class GroupRelay:
+    """The relay of a group of cells and its half of a bridge, started again in a new segment after it ended by itself.
+
+    Args:
+        device: the device that it runs on.
+        arguments: arguments of `dds-record`, without `--out`.
+        half: arguments of `dds-bridge`, None without a half next to the relay.
+        new_segments: names for the traces of one start after the other.
+    """
+
+    def __init__(
+        self,
+        device: RelayDevice,
+        arguments: Sequence[str],
+        half: Sequence[str] | None,
+        new_segments: Iterator[str],
+    ) -> None:
+        self._device = device
+        self._arguments = arguments
+        self._half = half
+        self._new_segments = new_segments
+        self._segments: list[str] = []
+        self._running: dict[str, StartedProgram] = {}
+        self._hopeless: CellFailedError | None = None
+
+    def serve(self) -> str:
+        """Start the relay unless it runs, and return the name of the segment that it writes.
+
+        Raises:
+            CellFailedError: the relay cannot run on its device at all.
+        """
+        if self._hopeless is not None:
+            raise self._hopeless
+        if not self._running:
+            segment = next(self._new_segments)
+            self._segments.append(segment)
+            self._running["relay"] = self._device.start(self._arguments, segment)
+            if self._half is not None:
+                self._running["bridge's half"] = self._device.start_half(self._half, segment)
+        return self._segments[-1]
+
+    def check(self) -> None:
+        """Raise if the relay or its half of a bridge has ended by itself; `serve` then starts both again.
+
+        Raises:
+            CellFailedError: one of the two has ended.
+        """
+        ended = next((name for name, program in self._running.items() if program.failure is not None), None)
+        if ended is None:
+            return
+        failure = CellFailedError(
+            f"the {ended} ended: {self._running[ended].failure}",
+            hopeless=self._running[ended].exit_code in HOPELESS_EXIT_CODES,
+        )
+        self.stop()
+        if failure.hopeless:
+            self._hopeless = failure
+        raise failure
+
+    def stop(self) -> list[str]:
+        """Stop the running programs and return the names of all segments written so far."""
+        for program in reversed(self._running.values()):
+            program.stop()
+        self._running.clear()
+        return self._segments
 
 
 class Runner:
@@ -55,7 +135,7 @@ class Runner:
 
     Args:
         plan: the plan to record.
-        folder: `runs/NAME`, held with `holding_folder`.
+        folder: `runs/NAME`, locked with `locked_folder`.
         station: the devices of ping and relay.
         progress: receiver of every step.
 
@@ -72,11 +152,11 @@ class Runner:
         self.state = SweepState(folder / "state.json", plan.name, plan.digest)
         self._estimate = Estimate(plan)
 
-    def run(self, groups: list[CellGroup]) -> list[str]:
-        """Run every cell that is not complete and return the names of those that still are not.
+    def run(self, groups: list[CellGroup]) -> None:
+        """Run every cell that is not complete; `reasons` then names those that still are not.
 
         Raises:
-            OutputError: the folder cannot be written any more.
+            OutputError: the folder can no longer be written.
         """
         cells = [cell for group in groups for cell in group.cells]
         self.resume()
@@ -90,20 +170,18 @@ class Runner:
                 self.run_group(group, cells)
         finally:
             self._progress.end()
-        return list(self.reasons(cells))
 
     def prepare(self) -> None:
-        """Take up what an interrupted sweep left, and check that relays can be started."""
+        """Clean up after an interrupted sweep, and check that relays can be started."""
         self.resume()
         self._prepare_device()
 
     def _prepare_device(self) -> None:
-        """Check that relays can be started, and remove what an interrupted sweep left on the device."""
         self._station.device.prepare()
         self._station.device.clear(self.state.segments)
 
     def reasons(self, cells: Iterable[Cell]) -> dict[str, str]:
-        """Return for each of these cells without a complete recording its name and the reason."""
+        """Return the name of each cell without a complete recording, and the reason."""
         return {
             cell.name: self.state[cell.name].reason or "the relay's trace is still on its device"
             for cell in cells
@@ -111,11 +189,13 @@ class Runner:
         }
 
     def resume(self) -> None:
-        """Take apart the segments that an interrupted sweep left, and delete its unfinished cells."""
+        """Split the segments that an interrupted sweep left, and delete its unfinished cells."""
         for segment in self.state.segments:
             self._collect(segment)
         if foreign := clear_parts(self._parts):
-            self._progress.note(f"{self._parts} holds {', '.join(foreign)}, which no sweep wrote; left alone")
+            self._progress.note(
+                f"{self._parts} contains {', '.join(foreign)}, which no sweep wrote; not deleted"
+            )
 
     def run_group(self, group: CellGroup, all_cells: list[Cell]) -> None:
         """Run the cells of a group that are not complete.
@@ -137,7 +217,7 @@ class Runner:
 
     @contextlib.contextmanager
     def relay(self, group: CellGroup) -> Iterator[GroupRelay]:
-        """Yield a relay for the cells of this group; at the end of the block its part of each is in place."""
+        """Yield a relay for the cells of this group; after the block each cell has its relay trace."""
         relay = GroupRelay(
             self._station.within(group.need.environment).device,
             relay_arguments(self.plan, group.need, group.cells[0].repeat),
@@ -155,20 +235,20 @@ class Runner:
         """Record one cell, trying as often as the plan allows, and return its new state."""
         for _ in range(self.plan.run.attempts):
             before = self.state[cell.name]
-            begun = replace(before, status=Status.RUNNING, attempts=before.attempts + 1, reason="")
-            self.state[cell.name] = begun
+            running = replace(before, status=Status.RUNNING, attempts=before.attempts + 1, reason="")
+            self.state[cell.name] = running
             try:
                 segment = relay.serve()
                 result, link = self._ping(cell, relay)
             except CellFailedError as failure:
-                self.state[cell.name] = replace(begun, status=Status.FAILED, reason=str(failure))
+                self.state[cell.name] = replace(running, status=Status.FAILED, reason=str(failure))
                 self._progress.ended(cell.name, f"failed: {failure}", complete=False)
                 if failure.hopeless:
                     break
                 self._refresh(relay)
             else:
                 self.state[cell.name] = replace(
-                    begun,
+                    running,
                     status=Status.RECORDED,
                     run_id=result.run_id,
                     segment=segment,
@@ -184,24 +264,23 @@ class Runner:
         return self.state[cell.name]
 
     def _refresh(self, relay: GroupRelay) -> None:
-        """Stop a relay that may hold parts of messages, so that the next cell gets a new one.
+        """Stop a relay that may have parts of messages, so that the next cell gets a new one.
 
-        A reader of Fast DDS that waits for the rest of a large message, whose writer is gone, hands on what others
-        write up to some messages late from then on (docs/reference/middlewares.md). That would be the next cell's latency.
+        A reader of Fast DDS that waits for the rest of a large message from a closed writer delivers messages of other
+        writers late from then on (docs/reference/middlewares.md).
         """
         if not self.plan.by_hand:
             relay.stop()
 
     def _ping(self, cell: Cell, relay: GroupRelay) -> tuple[CellResult, LinkReport | None]:
-        """Run one attempt; return its result and the report of the emulated link, None without such a link."""
         draft = self._parts / f"{cell.name}.ping.mcap"
         try:
             return self._attempt(cell, relay, draft)
-        finally:  # a whole trace has moved to its final name
+        finally:  # a complete trace has moved to its final name
             remove_files(self._parts, draft.name, (*TRACE_ENDINGS, ".log"))
 
     def _attempt(self, cell: Cell, relay: GroupRelay, draft: Path) -> tuple[CellResult, LinkReport | None]:
-        self._report_link()  # from here on, traffic counts for this attempt
+        self._report_link()  # traffic counts for this attempt from here on
         began_s = time.monotonic()
         log = draft.with_name(draft.name + ".log")
         command = [
@@ -210,7 +289,7 @@ class Runner:
             "--out",
             str(draft),
         ]
-        program = Program(command, log, held=self._station.held)
+        program = Program(command, log, lock=self._station.lock)
         limit_s = (
             START_ALLOWANCE_S
             + self._station.wait_s
@@ -221,16 +300,16 @@ class Runner:
             while program.wait(POLL_S) is None and time.monotonic() - began_s < limit_s:
                 relay.check()
             cut_off = program.exit_code is None
-        finally:  # also at Ctrl-C: the cell is begun anew another time
+        finally:  # also at Ctrl-C
             code = program.stop()
         if not cut_off:
-            relay.check()  # it may have ended behind the last look
+            relay.check()  # it may have ended since the last check
         if code not in ENDED_CODES and not cut_off:
             raise CellFailedError(program.last_words(), hopeless=code in HOPELESS_EXIT_CODES)
         try:
             result = read_result(draft)
         except (TraceError, OSError) as err:
-            raise CellFailedError(f"its trace is not whole: {err}") from err
+            raise CellFailedError(f"its trace is incomplete: {err}") from err
         if not result.published:
             raise CellFailedError(f"it sent nothing: {program.last_words()}")
         link = self._report_link()
@@ -251,7 +330,7 @@ class Runner:
         return None if self._station.report_link is None else self._station.report_link()
 
     def _collect(self, segment: str) -> None:
-        """Take a segment apart into the relay files of its cells."""
+        """Split a segment into the relay files of its cells."""
         cells = self.state.in_segment(segment)
         device = self._station.device
         try:
@@ -260,19 +339,19 @@ class Runner:
             self._progress.note(f"{err}; the relay's trace is fetched when the sweep is run again")
             return
         for name, cell in cells.items():
-            nothing_came = cell.result is None or not cell.result.received
-            if device.keeps_traces or counts.get(int(cell.run_id, 16)) or nothing_came:
+            is_silent = cell.result is None or not cell.result.received
+            if device.keeps_traces or counts.get(int(cell.run_id, 16)) or is_silent:
                 self.state[name] = replace(cell, status=Status.COMPLETE, segment="")
             else:
                 remove_files(self.folder, self.ping_path(name).name, ("",))
                 self.state[name] = replace(
-                    cell, status=Status.FAILED, segment="", reason="the relay's part of it is lost"
+                    cell, status=Status.FAILED, segment="", reason="its relay trace is lost"
                 )
-                self._progress.note(f"{name}: the relay's part of it is lost")
+                self._progress.note(f"{name}: its relay trace is lost")
         try:
             device.discard(segment)
         except BackendUnavailableError as err:
-            self._progress.note(f"{err}; a trace that is no longer needed stays there")
+            self._progress.note(f"{err}; a trace that is no longer needed stays on the device")
 
     def _split(self, path: Path | None, cells: Mapping[str, CellState]) -> dict[int, int]:
         parts = [
@@ -293,6 +372,6 @@ class Runner:
         return self.folder / f"{name}.relay.mcap"
 
     def _segment_names(self, group: CellGroup) -> Iterator[str]:
-        """Return names that no earlier sweep in this folder has used; each begins with the group's number."""
+        """Return names that no earlier sweep in this folder has used; each starts with the group's number."""
         began_ms = time.time_ns() // 1_000_000
         return (f"{group.number}-{began_ms}-{start}.mcap" for start in itertools.count(1))

@@ -1,8 +1,7 @@
-"""Takes a relay's trace of many runs apart into one trace for each cell.
+"""Split a relay's trace of many runs into one trace for each cell.
 
-A relay serves cell after cell without a restart and writes one file; a sweep hands on one file per device
-and cell. Each part keeps the relay's session as it is (same `session_id`, same clock anchor), so a
-reader sees one recording process whose trace is split over files.
+A relay serves cell after cell and writes one file; a sweep hands on one file per device and cell. Each part keeps the
+relay's session (same `session_id` and clock anchor), so that a reader sees one recording over several files.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ if TYPE_CHECKING:
     from ..plan.link import LinkReport
 
 _SAMPLE_MARGIN_NS = 1_000_000_000
-"""Longest time between the end of a run and a host sample that still belongs to it: one sampling period."""
+"""Longest time from the end of a run to a host sample that still belongs to it: one sampling period."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +41,7 @@ class CellPart:
     Attributes:
         run_id: the cell's run.
         path: the file to write.
-        link: counters of the emulated link during the run, one host sample more; None without such a link.
+        link: counters of the emulated link during the run, written as a host sample; None without such a link.
     """
 
     run_id: int
@@ -51,13 +50,13 @@ class CellPart:
 
 
 def split_relay_trace(segment: Path, parts: list[CellPart]) -> dict[int, int]:
-    """Write the file of each part, replacing what is there; a part without any event gets no file.
+    """Write the file of each part, replacing an older one; a part without events gets no file.
 
     Returns:
         Run id -> number of its events in `segment`.
 
     Raises:
-        TraceFormatError: `segment` is no trace, or describes no session.
+        TraceFormatError: `segment` is not a trace, or describes no session.
         OutputError: a part cannot be written; `segment` is untouched.
     """
     trace = read_trace(segment)
@@ -77,7 +76,7 @@ def split_relay_trace(segment: Path, parts: list[CellPart]) -> dict[int, int]:
 
 
 def wire_of_run(trace: Trace, run_id: int) -> list[JsonObject]:
-    """Return what the wire says of a run: its records, and the relay's counts while it served no other run."""
+    """Return a run's records of the wire, and the relay's counts while it served only this run."""
     name = f"{run_id:016x}"
     return [text for text in trace.wire if name == text.get("run_id") or text.get("run_ids") == [name]]
 
@@ -94,11 +93,11 @@ def _write(part: CellPart, trace: Trace, slots: Slots, mode: int) -> None:
     if part.link is not None:
         samples.append((session.wall_ns(part.link["monotonic_ns"]), part.link))
     samples.sort(key=lambda timed: timed[0])
-    before = np.searchsorted(times_ns, [time_ns for time_ns, _ in samples], side="right").tolist()
+    ends = np.searchsorted(times_ns, [time_ns for time_ns, _ in samples], side="right").tolist()
     with replacing(part.path) as draft, TraceWriter(draft, session, mode=mode) as writer:
         writer.write_text(SESSION_TOPIC, session.to_json(), session.wall_anchor_ns)
         written = 0
-        for end, (time_ns, sample) in zip(before, samples, strict=True):
+        for end, (time_ns, sample) in zip(ends, samples, strict=True):
             writer.write_events(slots[written:end])
             writer.write_text(HOST_TOPIC, json.dumps(sample), time_ns)
             written = end

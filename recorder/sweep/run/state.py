@@ -9,9 +9,8 @@ from enum import Enum
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError, TraceFormatError
-from dds_trace.base.files import create_file, output_error, replacing
 
-from ..station.devices import is_segment_name
+from ..folder import is_segment_name, replace_text
 from .result import CellResult
 
 if TYPE_CHECKING:
@@ -26,11 +25,11 @@ STATE_VERSION = 1
 class Status(Enum):
     """Progress of one cell."""
 
-    PENDING = "pending"  # not begun
-    RUNNING = "running"  # begun; in a state file that no sweep works on, it was interrupted
-    RECORDED = "recorded"  # the ping's trace is there, the relay's part is still in the relay's own trace
-    COMPLETE = "complete"  # both traces are there
-    FAILED = "failed"  # tried as often as the plan allows; `reason` says why it failed
+    PENDING = "pending"
+    RUNNING = "running"  # also of a cell that was interrupted
+    RECORDED = "recorded"  # the ping's trace exists, the relay's part is still in the relay's own trace
+    COMPLETE = "complete"  # both traces exist
+    FAILED = "failed"  # tried as often as the plan allows
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,12 +37,12 @@ class CellState:
     """One cell's entry in the state file.
 
     Attributes:
-        attempts: number of runs that were begun.
+        attempts: number of runs that were started.
         reason: reason of the last failure; empty without one.
         run_id: the run that counts, 16 hex digits; empty before there is one.
-        segment: name of the relay's own trace that still holds this cell's part; empty once it is taken out.
-        result: numbers of the ping's trace; None before there are any. The file has `{}` for None.
-        link: report of the emulated link for the run; None without such a link, `{}` in the file.
+        segment: name of the relay's own trace that still contains this cell's part; empty once it is split off.
+        result: numbers of the ping's trace; None (in the file `{}`) before there are any.
+        link: report of the emulated link for the run; None (in the file `{}`) without such a link.
     """
 
     status: Status = Status.PENDING
@@ -69,7 +68,7 @@ class SweepState:
         digest: digest of the plan's settings; a file of another digest is refused.
 
     Attributes:
-        planned: number of cells of the sweep, for `dds-analyze watch`; 0 where it is not known.
+        planned: number of cells of the sweep, for `dds-analyze watch`; 0 while it is open.
         left_s: estimate of the time that is left, as of the last change of the file.
 
     Raises:
@@ -105,8 +104,8 @@ class SweepState:
 
     def _load(self) -> None:
         try:
-            held = json.loads(self.path.read_text())
-            version, digest = held["format"], held["plan_digest"]
+            document = json.loads(self.path.read_text())
+            version, digest = document["format"], document["plan_digest"]
             self._cells = {
                 name: replace(
                     CellState(**cell),
@@ -114,24 +113,23 @@ class SweepState:
                     result=CellResult(**cell["result"]) if cell["result"] else None,
                     link=cell["link"] or None,
                 )
-                for name, cell in held["cells"].items()
+                for name, cell in document["cells"].items()
             }
             for name, state in self._cells.items():
                 _check_names(name, state)
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as err:
             raise TraceFormatError(
-                self.path,
-                f"not the state of a sweep ({err}); move the folder away to begin anew",
+                self.path, f"not the state of a sweep ({err}); move the folder away to start over"
             ) from err
         if version != STATE_VERSION:
             raise TraceFormatError(
                 self.path,
-                f"state of format {version}; this version reads {STATE_VERSION}; move the folder away to begin anew",
+                f"state of format {version}; this version reads {STATE_VERSION}; move the folder away to start over",
             )
         if digest != self._digest:
             raise OptionError(
                 f"{self.path.parent}: recorded under other [run], [link] or [devices] settings of the plan "
-                f"{self._plan_name!r}; give another --out or name, so that unlike runs are not mixed",
+                f"{self._plan_name!r}; give another --out or name, so that different runs are not mixed",
             )
 
     def _save(self) -> None:
@@ -159,26 +157,13 @@ def _check_names(name: str, cell: CellState) -> None:
     """Check what becomes part of a path: a state file may come with a folder from somebody else.
 
     Raises:
-        ValueError: a name is none that a sweep gives.
+        ValueError: a sweep does not give such a name.
     """
     if not re.fullmatch(r"[\w+-][\w.+-]*", name):
-        raise ValueError(f"{name!r} is no name of a cell")
+        raise ValueError(f"{name!r} is not the name of a cell")
     if cell.segment and not is_segment_name(cell.segment):
-        raise ValueError(f"{cell.segment!r} is no name of a relay's trace")
+        raise ValueError(f"{cell.segment!r} is not the name of a relay's trace")
     if cell.run_id and not re.fullmatch(r"[0-9a-f]{1,16}", cell.run_id):
-        raise ValueError(f"{cell.run_id!r} is no run id")
+        raise ValueError(f"{cell.run_id!r} is not a run id")
     if bool(cell.segment) > bool(cell.run_id):
-        raise ValueError(f"{name} has a relay's trace and no run")
-
-
-def replace_text(path: Path, text: str) -> None:
-    """Replace a file so that a reader, or a reboot, finds either the old text or the new one.
-
-    Raises:
-        OutputError: it cannot be written.
-    """
-    try:
-        with replacing(path, fsync=True) as draft, create_file(draft) as file:
-            file.write(text.encode())
-    except OSError as err:
-        raise output_error(path, err, "the state of the sweep") from err
+        raise ValueError(f"{name} has a relay's trace but no run")

@@ -1,4 +1,4 @@
-"""The parts of an emulated link: the system's `ip` and `tc`, queue disciplines, TAP devices and the user-space wire."""
+"""The parts of an emulated link: the system's `ip` and `tc`, queue disciplines, TAP devices and the forwarder of frames."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _IFF_TAP, _IFF_NO_PI = 0x0002, 0x1000
 
 _TBF_BURST_FRAMES_BYTES = 2 * 1514
 _TBF_BURST_S = 0.0002
-"""Time at the full rate that a token bucket may save up: as little as the kernel's timers allow; at least two frames."""
+"""Largest burst of a token bucket, as time at the full rate: as little as the kernel's timers allow; at least two frames."""
 
 
 def ip(*arguments: str) -> str:
@@ -76,7 +76,7 @@ def queue_disciplines(link: Link, *, kernel_does_all: bool) -> list[list[str]]:
 
     Args:
         link: the link to emulate.
-        kernel_does_all: whether netem applies what is no rate; if False, the user-space wire does.
+        kernel_does_all: whether netem applies everything but the rate; if False, the forwarder does.
     """
     disciplines: list[list[str]] = []
     parent = ["root"]
@@ -88,7 +88,7 @@ def queue_disciplines(link: Link, *, kernel_does_all: bool) -> list[list[str]]:
         )  # fmt: skip
         parent = ["parent", "1:1"]
     if kernel_does_all and not link.needs_only_rate:
-        # netem's limit counts packets and holds those in flight; its default of 1000 would drop at 12 MB/s and 1 s.
+        # netem's limit counts the packets in flight; its default of 1000 would drop at 12 MB/s and 1 s.
         disciplines.append(
             [*parent, "handle", "10:", "netem", "delay", f"{link.delay_ms:g}ms", f"{link.jitter_ms:g}ms",
              "distribution", "normal", "loss", f"{link.loss_percent:g}%", "limit", "50000"],
@@ -117,7 +117,7 @@ def open_tap(name: str, namespace: str) -> int:
 def start_forwarder(taps: Sequence[int], link: Link) -> subprocess.Popen[str]:
     """Start the process that carries frames between the two TAP devices."""
     program = Path(__file__).with_name("tap_forwarder.py")
-    # -I -S: it needs the standard library alone, and starts at once.
+    # -I -S: only the standard library, which starts fastest.
     return subprocess.Popen(
         [sys.executable, "-I", "-S", str(program), *map(str, taps), json.dumps(link.to_dict())],
         stdin=subprocess.PIPE,

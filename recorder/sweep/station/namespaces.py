@@ -1,4 +1,4 @@
-"""Two network namespaces on this machine in place of two devices, joined by a link; none of them outlives the sweep."""
+"""Two network namespaces on this machine in place of two devices, joined by a link until the sweep ends."""
 
 from __future__ import annotations
 
@@ -56,20 +56,12 @@ class Side:
     def prefix(self) -> list[str]:
         """Words before a command that make it run in this namespace, with shared memory of its own.
 
-        `ip netns exec` gives the command its own view of mounts, so the mount is for it alone. With one `/dev/shm` for
-        both sides a middleware that finds the other one there would send its messages past the link (Zenoh does).
+        With one `/dev/shm` for both sides some middleware (Zenoh) would bypass the link. `ip netns exec` gives the
+        command its own view of mounts.
         """
         own_memory = 'mount -t tmpfs -o mode=1777 tmpfs /dev/shm && exec "$@"'
-        return [
-            shutil.which("ip", path=SYSTEM_PATH) or "ip",
-            "netns",
-            "exec",
-            self.namespace,
-            "sh",
-            "-c",
-            own_memory,
-            "sh",
-        ]
+        system_ip = shutil.which("ip", path=SYSTEM_PATH) or "ip"
+        return [system_ip, "netns", "exec", self.namespace, "sh", "-c", own_memory, "sh"]
 
 
 class NamespacePair:
@@ -115,10 +107,10 @@ class NamespacePair:
         self._remove()
 
     def report(self) -> LinkReport:
-        """Return the work of the link since the call before, as written to the trace.
+        """Return the work of the link since the preceding call, as written to the trace.
 
         Raises:
-            BackendUnavailableError: the user-space wire has ended by itself.
+            BackendUnavailableError: the forwarder of frames has ended by itself.
         """
         return {
             "monotonic_ns": time.monotonic_ns(),
@@ -131,7 +123,6 @@ class NamespacePair:
         }
 
     def _traffic_since(self, side: Side) -> EndCounters:
-        """Return the traffic of one end of the link since the call before."""
         now = count_traffic(side.namespace)
         before = self._counted.get(side, EndCounters(sent_bytes=0, sent_packets=0, dropped_packets=0))
         self._counted[side] = now
@@ -146,9 +137,10 @@ class NamespacePair:
         for side in sides:
             ip("netns", "add", side.namespace)
             ip("-n", side.namespace, "link", "set", "lo", "up")
-        needs_forwarder = self.link is not None and not self.link.needs_only_rate
-        if needs_forwarder and self.link and not self.link.outage_ms and self._has_netem():
-            needs_forwarder = False
+        link = self.link
+        needs_forwarder = (
+            link is not None and not link.needs_only_rate and (bool(link.outage_ms) or not self._has_netem())
+        )
         if needs_forwarder:
             self._taps = [
                 open_tap(f"ddt{os.getpid()}.{self._number}{role[0]}", side.namespace)
@@ -160,11 +152,11 @@ class NamespacePair:
         for side in sides:
             ip("-n", side.namespace, "address", "add", f"{side.address}/24", "dev", INTERFACE)
             ip("-n", side.namespace, "link", "set", INTERFACE, "up")
-            # DDS discovery and Zenoh scouting send to groups; without the route the kernel has nowhere to send them.
+            # DDS discovery and Zenoh scouting send to multicast groups, which need a route.
             ip("-n", side.namespace, "route", "add", "224.0.0.0/4", "dev", INTERFACE)
         applied = ["tap_forwarder" if needs_forwarder else "veth"]
-        if self.link is not None:
-            disciplines = queue_disciplines(self.link, kernel_does_all=not needs_forwarder)
+        if link is not None:
+            disciplines = queue_disciplines(link, kernel_does_all=not needs_forwarder)
             applied += [discipline[discipline.index("handle") + 2] for discipline in disciplines]
             for side, discipline in itertools.product(sides, disciplines):
                 tc("-n", side.namespace, "qdisc", "add", "dev", INTERFACE, *discipline)
@@ -172,9 +164,9 @@ class NamespacePair:
                 "tc qdisc add dev " + " ".join([INTERFACE, *discipline]) for discipline in disciplines
             ]
         self.applied_by = "+".join(applied)
-        if needs_forwarder and self.link:
-            self._forwarder = start_forwarder(self._taps, self.link)
-        self.report()  # what setting up sent does not count
+        if needs_forwarder and link is not None:
+            self._forwarder = start_forwarder(self._taps, link)
+        self.report()  # the traffic of the setup does not count
 
     def _has_netem(self) -> bool:
         try:
@@ -197,7 +189,7 @@ class NamespacePair:
 
     def _remove(self) -> None:
         if self._forwarder is not None:
-            self._forwarder.communicate()  # closes its input, at which it ends
+            self._forwarder.communicate()  # closes its input, which ends it
             self._forwarder = None
         for descriptor in self._taps:
             os.close(descriptor)
@@ -212,7 +204,7 @@ def remove_stale() -> list[str]:
     removed = []
     for match in map(_NAME.match, ip("netns", "list").splitlines()):
         if match and not Path("/proc", match[1]).exists():
-            with contextlib.suppress(BackendUnavailableError):  # another sweep that starts now was quicker
+            with contextlib.suppress(BackendUnavailableError):  # another sweep may remove it at the same time
                 ip("netns", "delete", match[0])
                 removed.append(match[0])
     return removed

@@ -21,7 +21,6 @@ from ...host.process import ending_with_parent
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from typing import BinaryIO
 
 STOP_PATIENCE_S = 60.0
 """Time for a recorder to wait for late replies, close its trace and stop its bridge."""
@@ -39,15 +38,15 @@ _REASON = re.compile(r"dds-\w+: ")
 
 def local_program(name: str) -> list[str]:
     """Return the path of the command `name` of this installation."""
-    beside = Path(sys.executable).with_name(name)
-    return [str(beside if beside.exists() else shutil.which(name) or name)]
+    installed = Path(sys.executable).with_name(name)
+    return [str(installed if installed.exists() else shutil.which(name) or name)]
 
 
 def environment_program(folder: Path, name: str) -> tuple[str, ...]:
     """Return the words that run the command `name` of another Python environment.
 
-    Where ROS 2 is from wheels, this process has their guard variable and library path; with these the other
-    environment's ROS 2 would load ours.
+    ROS 2 from wheels sets a guard variable and a library path in this process, with which the other environment's ROS 2
+    would load ours; the words remove them.
 
     Args:
         folder: absolute path of the environment.
@@ -72,8 +71,8 @@ class Program:
     Args:
         command: program and arguments.
         log: file for its output; the folder exists.
-        stops_by_input: whether it ends when its standard input closes (a program on another device) and not by SIGTERM.
-        held: file descriptor of a lock that must not be free before the program has ended.
+        stops_by_input: whether it ends when its standard input closes (a program on another device), not by SIGTERM.
+        lock: file descriptor of a lock that is taken until the program has ended.
 
     Raises:
         BackendUnavailableError: there is no such program.
@@ -86,21 +85,26 @@ class Program:
         log: Path,
         *,
         stops_by_input: bool = False,
-        held: int | None = None,
+        lock: int | None = None,
     ) -> None:
-        self.command = list(command)
         self.log = log
         self._stops_by_input = stops_by_input
         if shutil.which(command[0]) is None:
             raise BackendUnavailableError(f"{command[0]} is not installed or not on the PATH")
-        limit = _writing_at_most(MOST_LOG_BYTES) if stops_by_input else []
-        with _new_file(log) as output:
+        prlimit = shutil.which("prlimit") if stops_by_input else None  # util-linux
+        limit = [prlimit, f"--fsize={MOST_LOG_BYTES}", "--"] if prlimit else []
+        try:
+            log.unlink(missing_ok=True)  # a link there is not followed
+            output = create_file(log)
+        except OSError as err:
+            raise OutputError(f"{log}: {err.strerror}; give another --out") from err
+        with output:
             self._process = subprocess.Popen(
                 [*ending_with_parent(), *limit, *command],
                 stdin=subprocess.PIPE if stops_by_input else subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
-                pass_fds=() if held is None else (held,),
+                pass_fds=() if lock is None else (lock,),
                 start_new_session=True,  # Ctrl-C is for the sweep, which ends its programs in order
             )
 
@@ -121,7 +125,7 @@ class Program:
         return None
 
     def stop(self, patience_s: float = STOP_PATIENCE_S) -> int:
-        """End the program, by force if `patience_s` is over, and return its exit code; a second call does nothing."""
+        """End the program, by force after `patience_s`, and return its exit code; a second call does nothing."""
         if self._process.stdin is not None:
             with contextlib.suppress(BrokenPipeError):
                 self._process.stdin.close()
@@ -135,14 +139,14 @@ class Program:
     def last_words(self) -> str:
         """Return the reason of its end: the signal that killed it, or what it printed.
 
-        Our programs print last their name, a colon and the reason, over one line or more.
+        The last output of our programs is their name, a colon and the reason, over one line or more.
         """
         with self.log.open("rb") as file:
             file.seek(max(0, self.log.stat().st_size - LAST_WORDS_BYTES))
             text = file.read().decode(errors="replace").replace("\r", "\n")
         lines = [line.strip() for line in text.splitlines() if line.strip()]
-        begins = [number for number, line in enumerate(lines) if _REASON.match(line)]
-        reason = lines[begins[-1] :] if begins else lines[-1:]
+        starts = [number for number, line in enumerate(lines) if _REASON.match(line)]
+        reason = lines[starts[-1] :] if starts else lines[-1:]
         said = _REASON.sub("", "; ".join(reason)) or "it said nothing"
         return said if self.exit_code is None else describe_end(self.exit_code, said)
 
@@ -168,22 +172,3 @@ def rehearse_program(command: Sequence[str], folder: Path) -> str | None:
     finally:
         code = program.stop(REHEARSAL_STOP_S)
     return program.last_words() if code else None
-
-
-def _new_file(path: Path) -> BinaryIO:
-    """Open a new file in place of what is there: where that is a link, what it points to is left alone.
-
-    Raises:
-        OutputError: it cannot be made.
-    """
-    try:
-        path.unlink(missing_ok=True)
-        return create_file(path)
-    except OSError as err:
-        raise OutputError(f"{path}: {err.strerror}; give another --out") from err
-
-
-def _writing_at_most(size: int) -> list[str]:
-    """Return the words before a command that let the kernel end it when a file that it writes becomes larger."""
-    prlimit = shutil.which("prlimit")  # util-linux too
-    return [prlimit, f"--fsize={size}", "--"] if prlimit else []

@@ -20,7 +20,8 @@ from dds_trace.base.files import create_file, mode_within, replacing
 from dds_trace.base.units import counted
 from dds_trace.base.version import __version__
 
-from .devices import LOG_ENDINGS, TRACE_ENDINGS, log_path, remove_files
+from ..folder import LOG_ENDINGS, TRACE_ENDINGS, log_path, remove_files
+from .devices import RelayDevice
 from .programs import Program
 
 if TYPE_CHECKING:
@@ -32,31 +33,29 @@ if TYPE_CHECKING:
 
 SSH_TIMEOUT_S = 60.0
 MOST_TRACE_BYTES = 1 << 30
-"""Largest trace that is fetched: a hundred million events, and as much as a link of 150 Mbit/s carries in that time."""
+"""Largest trace that is fetched: a hundred million events."""
 
 MOST_ANSWER_BYTES = 1 << 16
 _COPY_BYTES = 1 << 18
-_LOOK_S = 0.2
+_POLL_S = 0.2
 _WAIT_FOR_END = (
     "for i in $(seq 100); do kill -0 $(cat {pid}) 2>/dev/null || break; sleep 0.2; done; rm -f {pid}"
 )
-"""Shell commands that wait up to 20 s for the end of the process whose id is in the file {pid}, which they remove."""
+"""Shell commands that wait up to 20 s for the process whose id is in the file {pid} to end, and remove the file."""
 
 
-class SshDevice:
+class SshDevice(RelayDevice):
     """Another machine, through the system's `ssh` and with its keys.
 
-    The shell there ends the relay when its standard input closes: because this machine closes it, or because the
-    connection or this machine is gone. The traces lie there in `~/.cache/dds-trace/SWEEP/` until they are fetched.
-    The device is not trusted: no name and no number of bytes that it sends is taken for granted.
+    The shell there ends the relay when its standard input closes, which also happens when the connection or this machine
+    is gone. Traces wait there in `~/.cache/dds-trace/SWEEP/` until they are fetched. The device is not trusted: every
+    name and number of bytes that it sends is checked.
 
     Args:
         settings: the device of the plan; its `ssh` is set.
         folder: folder on this machine for the fetched traces and for logs.
         sweep: name of the folder there.
     """
-
-    keeps_traces = False
 
     def __init__(self, settings: DeviceSettings, folder: Path, sweep: str) -> None:
         assert settings.ssh is not None
@@ -65,9 +64,9 @@ class SshDevice:
             *("ssh", "-o", "BatchMode=yes", "-o", "ConnectTimeout=10", "-o", "ServerAliveInterval=5"),
             *(*settings.ssh_options, "--", settings.ssh),  # whatever it begins with, it is a host
         ]
-        # The folder is not quoted, so that the shell there expands its ~.
+        # Not quoted, so that the shell there expands its ~.
         path = f"PATH={settings.path}:$PATH" if settings.path else ":"
-        # The output of the setup must not be taken for an answer.
+        # The setup prints to stderr, so that its output is not taken for an answer.
         self._setup = f"export DDS_TRACE_CONFIG=; {{ {path} && {settings.setup or ':'}; }} >&2 || exit 127;"
         self._folder = folder
         self._remote = f'"$HOME"/.cache/dds-trace/{shlex.quote(sweep)}'
@@ -96,13 +95,13 @@ class SshDevice:
         """Make the folder there and compare versions."""
         self._compare_versions(f"umask 077; mkdir -p {self._remote} && ")
 
-    def _compare_versions(self, before: str) -> None:
-        answer = self._run(f"{before}dds-sweep --version").split()
+    def _compare_versions(self, prefix: str) -> None:
+        answer = self._run(f"{prefix}dds-sweep --version").split()
         there = answer[-1] if answer else "nothing"
         if there != __version__:
             raise OptionError(
-                f"{self._host} has dds-trace {there}, this machine {__version__}; install the same on both, "
-                "as unlike recorders are not one measurement",
+                f"{self._host} has dds-trace {there}, this machine {__version__}; install the same version "
+                "on both; results of different versions must not be mixed",
             )
 
     def start(self, arguments: Sequence[str], segment: str) -> StartedProgram:
@@ -118,8 +117,8 @@ class SshDevice:
         )
 
     def _start(self, command: str, pid: str, log: Path) -> StartedProgram:
-        # The id is this shell's, which ends after the program: that of the program is not known before it runs.
-        # A command in the background reads from /dev/null unless it is given a copy of the input.
+        # The id in the file is this shell's, which ends after the program.
+        # A command in the background reads from /dev/null unless it gets a copy of the input.
         script = (
             f"{self._setup} exec 3<&0; echo $$ >{pid}; {command} </dev/null 3<&- & program=$!; "
             "{ cat <&3 >/dev/null; kill -TERM $program; } 2>/dev/null & watch=$!; "
@@ -128,15 +127,14 @@ class SshDevice:
         return Program([*self._ssh, script], log, stops_by_input=True)
 
     def collect(self, segment: str) -> Path | None:
-        """Copy the trace here, with the ring beside it if its relay was killed."""
-        pid = self._pid_file(segment)
-        # Where the connection broke, the relay there may still be closing its trace.
-        self._run(_WAIT_FOR_END.format(pid=pid))
+        """Copy the trace here, and its ring if its relay was killed."""
+        # If the connection broke, the relay there may still be closing its trace.
+        self._run(_WAIT_FOR_END.format(pid=self._pid_file(segment)))
         fetched = [ending for ending in TRACE_ENDINGS if self._fetch(segment + ending)]
         return self._folder / segment if "" in fetched else None
 
     def _fetch(self, name: str) -> bool:
-        """Copy one file here with its rights, in place of what is there under its name; return whether the device has it."""
+        """Copy one file here with its rights, replacing a file of its name; return whether the device has it."""
         quoted = f"{self._remote}/{shlex.quote(name)}"
         rights = self._run(f"test ! -f {quoted} || stat -c %a {quoted}").strip()
         if not re.fullmatch(r"[0-7]{1,4}", rights, re.ASCII):
@@ -152,9 +150,9 @@ class SshDevice:
         self._run(f"rm -f {' '.join(names)}")
         remove_files(self._folder, segment, (*TRACE_ENDINGS, *LOG_ENDINGS))
 
-    def clear(self, kept: Collection[str]) -> None:
-        """Remove the traces there that no cell waits for, once the relays that a killed sweep left have closed them."""
-        names = " ".join(shlex.quote(name) for name in kept) or "''"
+    def clear(self, keep: Collection[str]) -> None:
+        """Remove the traces there that no cell needs, once the relays of a killed sweep have closed them."""
+        names = " ".join(shlex.quote(name) for name in keep) or "''"
         ended = _WAIT_FOR_END.format(pid='"$pid"')
         self._run(
             f"cd {self._remote} || exit; "
@@ -179,10 +177,10 @@ class SshDevice:
         Args:
             script: commands for the shell.
             output: file for what they print.
-            most_bytes: size that the file may have.
+            most_bytes: largest size of the file.
 
         Raises:
-            BackendUnavailableError: the device cannot be reached, a command failed, or more came.
+            BackendUnavailableError: the device cannot be reached, a command failed, or it printed more.
         """
         if shutil.which("ssh") is None:
             raise BackendUnavailableError("ssh is not installed; apt install openssh-client")
@@ -212,13 +210,13 @@ class SshDevice:
 
 
 def _copy(source: IO[bytes], output: BinaryIO, errors: BinaryIO, most_bytes: int) -> str | None:
-    """Copy what a program prints up to its end; return the reason why that cannot be awaited, or None."""
+    """Copy what a program prints up to its end; return the reason why copying stopped earlier, or None."""
     deadline_s, copied = time.monotonic() + SSH_TIMEOUT_S, 0
     os.set_blocking(source.fileno(), False)
     while (left_s := deadline_s - time.monotonic()) > 0:
         if max(copied, os.fstat(errors.fileno()).st_size) > most_bytes:
             return f"sent more than {counted(most_bytes, 'byte')}"
-        if not select.select([source], [], [], min(left_s, _LOOK_S))[0]:
+        if not select.select([source], [], [], min(left_s, _POLL_S))[0]:
             continue
         data = os.read(source.fileno(), _COPY_BYTES)
         if not data:
@@ -229,11 +227,11 @@ def _copy(source: IO[bytes], output: BinaryIO, errors: BinaryIO, most_bytes: int
 
 
 def folder_there(plan: str, folder: Path) -> str:
-    """Return the name of a sweep's folder on the device: that of the plan, and a mark of this machine and folder.
+    """Return the name of a sweep's folder on the device: the plan's name and a hash of this machine and folder.
 
-    So what one sweep clears away there is not another's, of another machine or folder, whose plan has the same name.
+    With the hash, a sweep does not delete the traces of another machine or folder whose plan has the same name.
     """
-    machine = Path("/etc/machine-id")
-    known = machine.read_text() if machine.is_file() else platform.node()
-    mark = hashlib.sha256(f"{known}\0{folder.resolve()}".encode(errors="surrogateescape")).hexdigest()[:8]
+    id_file = Path("/etc/machine-id")
+    machine = id_file.read_text() if id_file.is_file() else platform.node()
+    mark = hashlib.sha256(f"{machine}\0{folder.resolve()}".encode(errors="surrogateescape")).hexdigest()[:8]
     return f"{re.sub(r'[^A-Za-z0-9._-]', '-', plan).lstrip('.-')}-{mark}"

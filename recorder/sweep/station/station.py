@@ -1,4 +1,4 @@
-"""The station of a sweep: where the two roles run, here, in two namespaces, or with the relay on another device."""
+"""The station of a sweep: where the two roles run: on this machine, in two namespaces, or with the relay on another device."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base.files import expand_home
 
-from .devices import LocalDevice, PrintedDevice, make_parts
+from ...options import DEFAULT_WAIT_S
+from ..folder import make_parts
+from .devices import LocalDevice, PrintedDevice
 from .namespaces import NamespacePair
 from .programs import environment_program, local_program
 from .ssh import SshDevice, folder_there
@@ -21,35 +23,34 @@ if TYPE_CHECKING:
     from ..plan.plan import Plan
     from .devices import RelayDevice
 
-ECHO_WAIT_S = 20.0
 PERSON_WAIT_S = 3600.0
 """Time for a person to start the relay on the other device."""
 
 
 @dataclass(frozen=True, slots=True)
 class Station:
-    """The places where the two roles of a sweep run.
+    """Where the two roles of a sweep run.
 
     Attributes:
         ping_command: `dds-record` on this machine, with the words that must precede it.
         device: device of the relay.
-        held: file descriptor of the lock of `holding_folder`, for the programs to hold as well.
+        lock: file descriptor of the lock of `locked_folder`, for the programs to inherit.
         wait_s: longest time that a ping waits for the relay's echo.
         relay_address: address at which the ping reaches the relay's device, None on one machine.
-        report_link: returns the report of the emulated link since the call before; None without such a link.
+        report_link: returns the report of the emulated link since the preceding call; None without such a link.
         environments: folder of each other Python environment of the plan -> command of the ping and device of the relay.
     """
 
     ping_command: Sequence[str]
     device: RelayDevice
-    held: int | None = None
-    wait_s: float = 20.0
+    lock: int | None = None
+    wait_s: float = DEFAULT_WAIT_S
     relay_address: str | None = None
     report_link: Callable[[], LinkReport | None] | None = None
     environments: Mapping[str, tuple[Sequence[str], RelayDevice]] = field(default_factory=dict)
 
     def within(self, environment: str) -> Station:
-        """Return this station with the `dds-record` of a Python environment of the plan; empty for that of this one."""
+        """Return this station with the `dds-record` of a Python environment of the plan; empty means this process's."""
         if not environment:
             return self
         ping_command, device = self.environments[environment]
@@ -60,7 +61,7 @@ class Station:
 def open_station(
     plan: Plan,
     folder: Path,
-    held: int | None,
+    lock: int | None,
     *,
     show: Callable[[str], None],
     command: Sequence[str] | None = None,
@@ -70,7 +71,7 @@ def open_station(
     Args:
         plan: the plan, which names the devices and the link.
         folder: folder of the sweep.
-        held: file descriptor of the folder's lock, None for a rehearsal, which has none.
+        lock: file descriptor of the folder's lock, None for a rehearsal, which has none.
         show: prints a line, such as a command for a person to start.
         command: `dds-record` on this machine; the installed one if left out.
 
@@ -85,41 +86,23 @@ def open_station(
         if environment
     }
     if plan.by_hand:
-        yield Station(own, PrintedDevice(show), held, PERSON_WAIT_S, plan.relay.reached_at)
-    elif plan.relay.ssh is not None:
+        yield Station(own, PrintedDevice(show), lock, PERSON_WAIT_S, plan.relay.reached_at)
+        return
+    if plan.relay.ssh is not None:
+        device = SshDevice(plan.relay, parts, folder_there(plan.name, folder))
+        yield Station(own, device, lock, relay_address=plan.relay.reached_at)
+        return
+    with ExitStack() as stack:
+        pair = stack.enter_context(NamespacePair(plan.link)) if plan.namespaces else None
+        ping_prefix, relay_prefix = (pair.ping.prefix, pair.relay.prefix) if pair else ([], [])
+
+        def both(program: Sequence[str]) -> tuple[Sequence[str], RelayDevice]:
+            return [*ping_prefix, *program], LocalDevice(parts, [*relay_prefix, *program], lock)
+
         yield Station(
-            own,
-            SshDevice(plan.relay, parts, folder_there(plan.name, folder)),
-            held,
-            ECHO_WAIT_S,
-            plan.relay.reached_at,
-        )
-    elif plan.namespaces:
-        with ExitStack() as stack:
-            pair = stack.enter_context(NamespacePair(plan.link))
-            relay = LocalDevice(parts, [*pair.relay.prefix, *own], held)
-            yield Station(
-                [*pair.ping.prefix, *own],
-                relay,
-                held,
-                ECHO_WAIT_S,
-                pair.relay.address,
-                pair.report,
-                {
-                    environment: (
-                        [*pair.ping.prefix, *other],
-                        LocalDevice(parts, [*pair.relay.prefix, *other], held),
-                    )
-                    for environment, other in others.items()
-                },
-            )
-    else:
-        yield Station(
-            own,
-            LocalDevice(parts, own, held),
-            held,
-            ECHO_WAIT_S,
-            environments={
-                environment: (other, LocalDevice(parts, other, held)) for environment, other in others.items()
-            },
+            *both(own),
+            lock,
+            relay_address=pair.relay.address if pair else None,
+            report_link=pair.report if pair else None,
+            environments={environment: both(program) for environment, program in others.items()},
         )

@@ -1,16 +1,15 @@
-"""The user-space wire of an emulated link: it carries frames between two TAP devices with delay, jitter, loss and outages.
+"""The forwarder of an emulated link: carries frames between two TAP devices with delay, jitter, loss and outages.
 
-For kernels without netem. A process of its own, started as a file, so that the sweep's Python never delays
-a frame:
+For kernels without netem. It runs as a process of its own, so that the sweep's Python never delays a frame:
 
     tap_forwarder.py FD FD JSON
 
-takes the two TAP devices as open file descriptors and a `Link` as JSON. Every line on standard input is
-answered by a line of JSON on standard output: the report of each direction since the line before (`Wire.report`). It
-ends when standard input closes; when the sweep is killed, the kernel closes it.
+takes the two TAP devices as open file descriptors and a `Link` as JSON. It answers every line on standard input with
+a line of JSON, the report of each direction since the preceding line (`Wire.report`), and ends when standard input
+closes.
 
-The link's rate is not applied here but by the kernel's token bucket on the TAP devices: there a full line
-holds the sender back as a network card does; a program behind it cannot.
+The kernel's token bucket on the TAP devices applies the link's rate: there a full line slows the sender down as a
+network card does, which this process cannot.
 """
 
 from __future__ import annotations
@@ -26,11 +25,11 @@ import time
 from collections import Counter, deque
 
 FRAME_BYTES = 65536
-HELD_FRAMES = 50_000
+MOST_FRAMES = 50_000
 """Most frames on the wire at once; a delay of 0.5 s at 1 Gbit/s has 42,000."""
 
 IP_FRAMES = (b"\x08\x00", b"\x86\xdd")
-"""Ethertypes of frames that may be lost: a lost address resolution would cost a second and measure nothing."""
+"""Ethertypes of frames that may be lost: a lost ARP request would cost a second and measure nothing."""
 
 PR_SET_TIMERSLACK = 29  # <linux/prctl.h>
 WIRE_PRIORITY = 10
@@ -43,7 +42,7 @@ class Wire:
         source: TAP device to read from, non-blocking.
         sink: TAP device to write to.
         link: fields of a `Link`.
-        started_ns: start of the link on the monotonic clock, from which outages are counted.
+        started_ns: start of the link on the monotonic clock, from which periods of outages count.
     """
 
     def __init__(self, source: int, sink: int, link: dict[str, float], started_ns: int) -> None:
@@ -57,12 +56,12 @@ class Wire:
         self._started_ns = started_ns
         self._chance = random.Random()  # noqa: S311 - losses, not a secret
         self._last_due_ns = 0
-        self._held: deque[tuple[int, bytes]] = deque()
+        self._in_flight: deque[tuple[int, bytes]] = deque()
         self._lateness_us: Counter[int] = Counter()
         self._counts: Counter[str] = Counter()
 
     def take(self) -> None:
-        """Read the waiting frames and decide the fate of each: lost, or due at some time."""
+        """Read the waiting frames, drop the lost ones and queue the others."""
         with contextlib.suppress(BlockingIOError):
             while True:
                 frame = os.read(self.source, FRAME_BYTES)
@@ -72,23 +71,23 @@ class Wire:
                 if fate == "carried":
                     due_ns = now_ns + max(0, int(self._chance.gauss(self._delay_ns, self._jitter_ns)))
                     self._last_due_ns = max(self._last_due_ns, due_ns)  # frames keep their order
-                    self._held.append((self._last_due_ns, frame))
+                    self._in_flight.append((self._last_due_ns, frame))
 
     def _fate(self, frame: bytes, now_ns: int) -> str:
         if self._outage_ns and self._in_outage(now_ns):
             return "in_outage"
         if self._loss and frame[12:14] in IP_FRAMES and self._chance.random() < self._loss:
             return "lost"
-        return "carried" if len(self._held) < HELD_FRAMES else "overflow"
+        return "carried" if len(self._in_flight) < MOST_FRAMES else "overflow"
 
     def _in_outage(self, now_ns: int) -> bool:
-        # At the end of each period, so that a link is up when it is new.
+        # At the end of each period, so that a new link is up.
         return (now_ns - self._started_ns) % self._outage_every_ns >= self._outage_every_ns - self._outage_ns
 
     def release(self) -> None:
         """Write every frame that is due to the other side."""
-        while self._held and self._held[0][0] <= time.monotonic_ns():
-            due_ns, frame = self._held.popleft()
+        while self._in_flight and self._in_flight[0][0] <= time.monotonic_ns():
+            due_ns, frame = self._in_flight.popleft()
             try:
                 os.write(self._sink, frame)
             except OSError:  # that side's device is down or its queue is full
@@ -98,10 +97,10 @@ class Wire:
     @property
     def due_ns(self) -> int | None:
         """Time at which the next frame is due, None if the wire is empty."""
-        return self._held[0][0] if self._held else None
+        return self._in_flight[0][0] if self._in_flight else None
 
     def report(self) -> dict[str, float | None]:
-        """Return the frames by fate and the lateness of the carried ones, since the report before."""
+        """Return the frames by fate and the lateness of the carried ones, since the preceding report."""
         report: dict[str, float | None] = {
             **{fate: self._counts[fate] for fate in ("carried", "lost", "in_outage", "overflow", "refused")},
             "lateness_p50_us": quantile(self._lateness_us, 0.50),
@@ -115,20 +114,17 @@ class Wire:
 
 def quantile(counts: Counter[int], share: float) -> int | None:
     """Return the smallest value that at least this share of the counted values does not exceed, None without values."""
-    wanted = share * counts.total()
+    rank = share * counts.total()
     reached = 0
     for value in sorted(counts):
         reached += counts[value]
-        if reached >= wanted:
+        if reached >= rank:
             return value
     return None
 
 
 def run_ahead_of_others() -> None:
-    """Take real-time priority and no timer slack, where permitted: a wire does not wait for the CPU.
-
-    Without the permission, the reported lateness grows.
-    """
+    """Take real-time priority and no timer slack; without permission the reported lateness grows."""
     ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, 1)
     with contextlib.suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(WIRE_PRIORITY))
@@ -141,18 +137,18 @@ def main() -> None:
     run_ahead_of_others()
     started_ns = time.monotonic_ns()
     wires = (Wire(first, second, link, started_ns), Wire(second, first, link, started_ns))
-    asked = sys.stdin.fileno()
+    stdin = sys.stdin.fileno()
     while True:
         due_ns = [wire.due_ns for wire in wires if wire.due_ns is not None]
         wait_s = max(0.0, (min(due_ns) - time.monotonic_ns()) / 1e9) if due_ns else None
-        # Not poll or epoll: their time-out is in whole milliseconds.
-        ready, _, _ = select.select([first, second, asked], [], [], wait_s)
+        # The time-out of poll and epoll is in whole milliseconds.
+        ready, _, _ = select.select([first, second, stdin], [], [], wait_s)
         for wire in wires:
             if wire.source in ready:
                 wire.take()
             wire.release()
-        if asked in ready:
-            if not os.read(asked, 4096):
+        if stdin in ready:
+            if not os.read(stdin, 4096):
                 return
             print(json.dumps({"from_ping": wires[0].report(), "from_relay": wires[1].report()}), flush=True)
 

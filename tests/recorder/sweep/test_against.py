@@ -6,7 +6,7 @@ import pytest
 from sweep_desk import COMMAND, FIRST, PLAN, SECOND, Heard, files_of
 
 from dds_trace.base.errors import OptionError
-from dds_trace.recorder.sweep.against import against_seconds, run_against, take_turns
+from dds_trace.recorder.sweep.against import against_seconds, interleave, run_against
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan
 from dds_trace.recorder.sweep.plan.schedule import OWN_COST_S, RELAY_OVERHEAD_S, RUN_OVERHEAD_S
 
@@ -19,7 +19,7 @@ def plan(text=ONE_CELL):
 
 
 def turns_of(base, new):
-    return [(turn.side, turn.group.cells[0].name, turn.group.number) for turn in take_turns(base, new)]
+    return [(turn.side, turn.group.cells[0].name, turn.group.number) for turn in interleave(base, new)]
 
 
 def test_sides_take_turns_and_the_one_that_begins_alternates():
@@ -38,7 +38,7 @@ def test_sides_take_turns_and_the_one_that_begins_alternates():
 def test_linear_drift_over_two_alternating_passes_is_the_same_for_both_sides_of_a_cell():
     text = PLAN.replace("[axes]", 'repeats = 2\norder = "alternating"\n[axes]')
     places = {}
-    for place, turn in enumerate(take_turns(plan(text), plan(text))):
+    for place, turn in enumerate(interleave(plan(text), plan(text))):
         places.setdefault((turn.side, turn.group.cells[0].rate), []).append(place)
     assert {sum(of_cell) for of_cell in places.values()} == {7}  # 0 .. 7 in pairs
     assert len(places) == 4
@@ -46,7 +46,7 @@ def test_linear_drift_over_two_alternating_passes_is_the_same_for_both_sides_of_
 
 def test_sides_of_unlike_length_are_refused():
     with pytest.raises(OptionError, match="the base has 1 cell and the new side 2"):
-        take_turns(plan(), plan(PLAN))
+        interleave(plan(), plan(PLAN))
 
 
 def test_time_of_both_sides_has_a_start_of_the_relay_for_each_run():

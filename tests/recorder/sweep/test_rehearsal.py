@@ -146,7 +146,7 @@ def test_an_environment_whose_recorder_knows_no_rehearsal_is_noted_once(stage):
     program.chmod(0o755)
     assert stage.rehearse(f'[axes]\nenvironment = ["{environment}"]\ndata = ["binary", "imu"]\n') == {}
     assert len(stage.notes) == 1
-    assert "knows no --check" in stage.notes[0]
+    assert "has no --check" in stage.notes[0]
 
 
 def test_a_folder_that_holds_another_sweep_is_refused(stage):

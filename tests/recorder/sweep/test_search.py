@@ -21,7 +21,7 @@ from dds_trace.recorder.sweep.search import (
     RateAnswer,
     messages_needed,
     search_plan,
-    why_not_held,
+    why_not_sustained,
 )
 
 SEARCH = Search(min_rate=1, max_rate=1000, resolution=1.1, knee_repeats=3)
@@ -111,7 +111,7 @@ def result(**changes):
     ],
 )
 def test_conditions_of_a_rate_that_holds(changes, why):
-    assert why_not_held(Search(), 100.0, result(**changes)) == why
+    assert why_not_sustained(Search(), 100.0, result(**changes)) == why
 
 
 def test_runs_are_long_enough_for_the_percentile():

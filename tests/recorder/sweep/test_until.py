@@ -6,7 +6,7 @@ import pytest
 from sweep_desk import FIRST, PLAN, SECOND, files_of
 
 from dds_trace.base.errors import OptionError
-from dds_trace.recorder.sweep.until import Until, parse_target
+from dds_trace.recorder.sweep.sweep import Until, parse_target
 from dds_trace.tracefile.reading.reader import read_trace
 
 
@@ -34,7 +34,7 @@ def test_further_passes_are_run_over_the_wide_cells_alone(desk):
     assert (outcome.missing, outcome.too_wide, outcome.cells) == ({}, {}, 4)
     assert desk.traces == files_of(FIRST, SECOND, f"{SECOND}_r2", f"{SECOND}_r3")
     assert measure.asked == [{FIRST: 1, SECOND: n} for n in (1, 2, 3)]
-    assert desk.heard.notes[-1] == "pass 3: latency_p99 of 1 combination is wider than +-5 %"
+    assert desk.heard.notes[-1] == "repeat 3: latency_p99 of 1 result is wider than +-5 %"
 
 
 def test_cells_still_too_wide_are_named_and_a_later_call_goes_on(desk):

@@ -68,5 +68,5 @@ def test_run_that_was_not_finished_is_no_result(tmp_path):
 
 
 def test_trace_of_a_relay_is_no_result(tmp_path):
-    with pytest.raises(TraceFormatError, match="holds 0 runs"):
+    with pytest.raises(TraceFormatError, match="has 0 runs"):
         read_result(write_trace(tmp_path / "a.mcap", ping_session()))

@@ -152,7 +152,7 @@ def test_after_a_loss_or_a_failure_the_next_cell_has_a_relay_of_its_own(desk):
 def test_cells_whose_relay_part_is_lost_are_not_complete(desk):
     desk.script(relay=["lossy"])
     outcome = desk.sweep()
-    assert outcome.missing == dict.fromkeys((FIRST, SECOND), "the relay's part of it is lost")
+    assert outcome.missing == dict.fromkeys((FIRST, SECOND), "its relay trace is lost")
     assert desk.traces == []
     assert desk.sweep().missing == {}
     assert desk.traces == files_of(FIRST, SECOND)
@@ -201,13 +201,13 @@ def test_search_of_the_highest_rate_goes_on_where_it_was_interrupted(desk):
 
 
 def test_second_sweep_in_the_same_folder_is_refused(desk, monkeypatch):
-    from dds_trace.recorder.sweep.run import lock
+    from dds_trace.recorder.sweep import folder as sweep_folder
 
-    monkeypatch.setattr(lock, "LOCK_PATIENCE_S", 0.0)
+    monkeypatch.setattr(sweep_folder, "LOCK_PATIENCE_S", 0.0)
     heard = []
     with (
-        lock.holding_folder(desk.folder / "runs" / "plan", heard.append),
-        pytest.raises(OptionError, match="another sweep is at work"),
+        sweep_folder.locked_folder(desk.folder / "runs" / "plan", heard.append),
+        pytest.raises(OptionError, match="in use by another sweep"),
     ):
         desk.sweep()
     assert heard == []

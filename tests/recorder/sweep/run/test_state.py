@@ -7,8 +7,9 @@ import os
 import pytest
 
 from dds_trace.base.errors import OptionError, OutputError, TraceFormatError
+from dds_trace.recorder.sweep.folder import replace_text
 from dds_trace.recorder.sweep.run.result import CellResult
-from dds_trace.recorder.sweep.run.state import CellState, Status, SweepState, replace_text
+from dds_trace.recorder.sweep.run.state import CellState, Status, SweepState
 
 RESULT = CellResult(
     run_id="ff",
@@ -53,7 +54,7 @@ def test_state_comes_back_as_it_was_left(tmp_path):
 
 def test_other_settings_of_the_plan_are_not_mixed_in(tmp_path):
     open_state(tmp_path)["a"] = CellState(Status.COMPLETE)
-    with pytest.raises(OptionError, match="unlike runs are not mixed"):
+    with pytest.raises(OptionError, match="different runs are not mixed"):
         open_state(tmp_path, digest="d2")
 
 
@@ -146,6 +147,6 @@ def test_a_state_that_cannot_be_written_says_what_helps(tmp_path, monkeypatch, n
     def fail(*_arguments):
         raise OSError(number, os.strerror(number))
 
-    monkeypatch.setattr("dds_trace.recorder.sweep.run.state.create_file", fail)
+    monkeypatch.setattr("dds_trace.recorder.sweep.folder.create_file", fail)
     with pytest.raises(OutputError, match=f"cannot write the state of the sweep: {words}"):
         replace_text(tmp_path / "state.json", "{}")

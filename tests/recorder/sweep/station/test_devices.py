@@ -280,7 +280,7 @@ def test_printed_relay_is_a_command_line_for_a_person():
     assert lines == [
         "start on the other device: DDS_TRACE_CONFIG= dds-record --role relay --device 'the robot' --out relay-1.mcap",
         "end the relay there (Ctrl-C), then start: DDS_TRACE_CONFIG= dds-record --role relay --out relay-2.mcap",
-        "and beside it: dds-bridge zenoh-bridge-dds --half relay",
+        "and next to it: dds-bridge zenoh-bridge-dds --half relay",
     ]
     assert device.keeps_traces
 
@@ -340,5 +340,5 @@ def test_what_a_rehearsal_over_ssh_finds_is_the_devices_own_reason(remote):
 
 
 def test_a_rehearsal_finds_another_version_and_a_device_that_cannot_be_reached(remote):
-    with pytest.raises(OptionError, match="install the same on both"):
+    with pytest.raises(OptionError, match="install the same version on both"):
         remote(version="0.0.0").check()

@@ -9,7 +9,7 @@ from collections import Counter
 import pytest
 
 from dds_trace.recorder.sweep.plan.link import Link
-from dds_trace.recorder.sweep.station.tap_forwarder import HELD_FRAMES, Wire, quantile
+from dds_trace.recorder.sweep.station.tap_forwarder import MOST_FRAMES, Wire, quantile
 
 FRAME = b"\xff" * 12 + b"\x08\x00" + b"payload"
 ARP = b"\xff" * 12 + b"\x08\x06" + b"who has"
@@ -123,7 +123,7 @@ def test_outage_is_at_the_end_of_each_period(ends, clock):
 
 def test_frames_on_a_full_wire_are_dropped_and_counted(ends, clock):
     line = wire(ends, clock, delay_ms=1000)
-    line._held.extend((clock.now_ns + 1, FRAME) for _ in range(HELD_FRAMES))
+    line._in_flight.extend((clock.now_ns + 1, FRAME) for _ in range(MOST_FRAMES))
     ends[0].send(FRAME)
     line.take()
     assert line.report()["overflow"] == 1

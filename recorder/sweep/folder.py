@@ -1,0 +1,140 @@
+"""The folder of a sweep: its lock, the folder `.parts/` for unfinished traces, the names of the files in it."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import re
+import time
+from typing import TYPE_CHECKING
+
+from dds_trace.base.errors import OptionError, OutputError
+from dds_trace.base.files import create_file, output_error, replacing
+from dds_trace.tracefile.format.ring import RING_SUFFIX
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Iterator
+    from pathlib import Path
+
+LOCK_PATIENCE_S = 30.0
+"""Time for the recorders of a killed sweep to close their traces."""
+
+POLL_S = 0.2
+
+PARTS = ".parts"
+
+TRACE_ENDINGS = ("", RING_SUFFIX)
+"""What follows a segment's name in the names of its trace and of that trace's ring."""
+
+LOG_ENDINGS = (".log", ".half.log")
+"""What follows it in the names of the logs of the relay and of its half of a bridge."""
+
+_SEGMENT = r"\d{1,6}-\d{1,15}-\d{1,6}\.mcap"
+_CELL_TRACE = r"[\w+-][\w.+-]*\.ping\.mcap"
+_OWN_NAME = re.compile(
+    rf"({_SEGMENT}({'|'.join(map(re.escape, (*TRACE_ENDINGS, *LOG_ENDINGS)))})|{_CELL_TRACE}(\.ring|\.log)?)"
+    r"(\.[0-9a-f]{8}\.part)?"
+)
+"""Names of the files that a sweep makes below `PARTS`, and of their drafts."""
+
+
+@contextlib.contextmanager
+def locked_folder(folder: Path, note: Callable[[str], None]) -> Iterator[int]:
+    """Keep a second sweep out of the folder while the block runs.
+
+    The programs of a sweep inherit the lock, so a killed sweep is resumed only after the last of them has closed its trace.
+
+    Args:
+        folder: folder of the sweep, made if it is missing.
+        note: takes a line of text if the lock is not free at once.
+
+    Yields:
+        File descriptor of the lock, for the programs to inherit.
+
+    Raises:
+        OutputError: the folder cannot be made.
+        OptionError: another sweep uses it.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
+    except OSError as err:
+        raise OutputError(f"{folder}: {err.strerror}; give another --out") from err
+    try:
+        if not _try_lock(lock):
+            note(f"{folder} is in use; waiting for the programs of an earlier sweep to end")
+            deadline_s = time.monotonic() + LOCK_PATIENCE_S
+            while not _try_lock(lock):
+                if time.monotonic() > deadline_s:
+                    raise OptionError(f"{folder} is in use by another sweep; wait for it or end it")
+                time.sleep(POLL_S)
+        yield lock
+    finally:
+        os.close(lock)
+
+
+def _try_lock(lock: int) -> bool:
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def make_parts(folder: Path) -> Path:
+    """Make the folder for unfinished traces below the folder of a sweep, and return its path.
+
+    Raises:
+        OutputError: it cannot be made, or is a link, which would lead writing and deleting elsewhere.
+    """
+    parts = folder / PARTS
+    try:
+        parts.mkdir(parents=True, exist_ok=True)
+    except OSError as err:
+        raise OutputError(f"{parts}: {err.strerror}; give another --out") from err
+    if parts.is_symlink():
+        raise OutputError(f"{parts} is a link; remove it, or give another --out")
+    return parts
+
+
+def clear_parts(parts: Path) -> list[str]:
+    """Remove a sweep's files from its folder for unfinished traces, and return the names of all other files."""
+    foreign = []
+    for path in sorted(parts.iterdir()):
+        if _OWN_NAME.fullmatch(path.name) and (path.is_symlink() or path.is_file()):
+            path.unlink()
+        else:
+            foreign.append(path.name)
+    return foreign
+
+
+def remove_files(folder: Path, name: str, endings: Collection[str]) -> None:
+    """Remove the files NAME + ENDING that are in a folder; a folder of that name stays."""
+    for ending in endings:
+        path = folder / f"{name}{ending}"
+        if path.is_symlink() or path.is_file():
+            path.unlink(missing_ok=True)
+
+
+def is_segment_name(name: str) -> bool:
+    """Return whether a text is the name of a relay's trace of one start: GROUP-MILLISECONDS-START.mcap."""
+    return re.fullmatch(_SEGMENT, name, re.ASCII) is not None
+
+
+def log_path(folder: Path, segment: str) -> Path:
+    """Return the path of the log of a relay that writes the trace `segment`."""
+    return folder / f"{segment}.log"
+
+
+def replace_text(path: Path, text: str) -> None:
+    """Replace a file so that a reader, or a reboot, sees either the old text or the new one.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    try:
+        with replacing(path, fsync=True) as draft, create_file(draft) as file:
+            file.write(text.encode())
+    except OSError as err:
+        raise output_error(path, err, "the state of the sweep") from err

@@ -16,7 +16,7 @@ from dds_trace.base.threads import InlineExecutor
 
 from ..cache.event_index import merge_parts
 from ..cache.parquet_join import RowPart
-from ..groups.batch import Batch
+from ..groups.batch import WHOLE_GROUP_EVENTS, Batch
 from ..groups.frames import CAMPAIGN_MAKERS, GROUP_DETAIL_MAKERS, MAKERS, RUN_DETAIL_MAKERS, begin_frames
 from ..groups.measure import Statistics, measure_batch, metric_values
 from ..model.metrics import METRICS
@@ -50,9 +50,6 @@ batches one is written while the next is paired; smaller ones cost more in polar
 
 BATCH_GROUPS = 250
 """Groups of a batch at most, each of which takes a millisecond however few its messages: else thousands are one core's work."""
-
-WHOLE_GROUP_EVENTS = 24_000_000
-"""A group with more events is worked at in parts of whole runs; one of 20 M takes 2 GB whole, alone in memory."""
 
 
 KEPT_BLOCK_BYTES = 31 << 20

@@ -1,9 +1,9 @@
-"""The results that the checks behind the findings look at, and the names by which findings call things."""
+"""What checks look at: the results of every step of an analysis, and the names of its parts."""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -12,7 +12,7 @@ from ..model.names import name_groups
 from ..pairing.one_way import pair_devices
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping
     from pathlib import Path
 
     import polars as pl
@@ -28,10 +28,29 @@ if TYPE_CHECKING:
     from ..pairing.rows import RowStore
 
 SMALLER_DATAGRAMS = "send smaller datagrams (Cyclone DDS MaxMessageSize, Fast DDS maxMessageSize), or raise net.ipv4.ipfrag_high_thresh"
-"""What to set where IP fragments are lost."""
+"""Remedy for lost IP fragments."""
 
 _MOST_FILES = 2
-"""Files that a session's name lists: those of a long sweep would fill a screen."""
+"""Files listed in a recording's name: those of a long sweep would fill a screen."""
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """What a check saw in one place.
+
+    Attributes:
+        where: the subject's name.
+        what: one sentence with the figures.
+        groups: rows of `summary` that it concerns.
+        effect: as in `Finding`.
+        blanks: values for the `{names}` in the action of the check.
+    """
+
+    where: str
+    what: str
+    groups: tuple[int, ...] = ()
+    effect: float = 1.0
+    blanks: Mapping[str, object] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,17 +58,17 @@ class Evidence:
     """The results of every step of one analysis.
 
     Attributes:
-        campaign: the traces, sessions and runs.
-        exchanges: who exchanged messages with whom, and the events that belong to no exchange.
+        campaign: traces, sessions and runs.
+        exchanges: who exchanged messages with whom, and the events of no exchange.
         grouping: the exchanges by group.
         summary: counts and statistics.
-        details: the details, empty if they were not requested.
+        details: empty if they were not requested.
         rows: the round trips; a sketch has none.
         in_parts: groups that no batch held whole.
         options: the options of the analysis.
-        stale_rows: file with the rows of an earlier analysis, which this one does not replace.
+        stale_rows: file with the rows of an earlier analysis that this one does not replace.
         sending: how each run was sent (`sending.sending_frame`).
-        shapes: what the latency of each run does over its time (`shapes.shape_frame`); empty without details.
+        shapes: latency over the time of each run (`shapes.shape_frame`); empty without details.
     """
 
     campaign: Campaign
@@ -64,41 +83,75 @@ class Evidence:
     sending: pl.DataFrame
     shapes: pl.DataFrame
 
+    def result(self, group: int, what: str, effect: float = 1.0, **blanks: object) -> Observation:
+        """Observe something about a result."""
+        return Observation(self.group_names[group], what, (group,), effect, blanks)
+
+    def recording(self, session: Session, what: str, effect: float = 1.0) -> Observation:
+        """Observe something about a recording, which concerns all results that it took part in."""
+        groups = self.groups_of_sessions.get(session.session_id, ())
+        return Observation(self.session_name(session), what, groups, effect)
+
+    def run(self, run_id: int, what: str, groups: tuple[int, ...] = (), effect: float = 1.0) -> Observation:
+        """Observe something about a run."""
+        return Observation(self.run_name(run_id), what, groups, effect)
+
+    def rows_by_group(self, *columns: str) -> Iterator[tuple[int, dict[str, int]]]:
+        """Yield each group and these columns of its row of the summary."""
+        return enumerate(self.summary.frame.select(columns).iter_rows(named=True))
+
+    def exchanges_by_group(self) -> Iterator[tuple[Exchange, int]]:
+        """Yield each exchange and its group."""
+        return zip(self.grouping.exchanges, self.grouping.group_of_exchange.tolist(), strict=True)
+
+    @cached_property
+    def _counts(self) -> list[dict[str, int]]:
+        return self.summary.exchange_counts.to_dicts()
+
+    def counts_by_exchange(self) -> Iterator[tuple[Exchange, int, dict[str, int]]]:
+        """Yield each exchange, its group and its counts."""
+        rows = zip(self.exchanges_by_group(), self._counts, strict=True)
+        return ((exchange, group, row) for (exchange, group), row in rows)
+
     def counts_by_run(self) -> dict[int, tuple[Exchange, dict[str, int]]]:
-        """Return for each run_id one exchange of the run (all share run and T1) and its row of counts."""
-        counts = self.summary.of_exchange.iter_rows(named=True)
-        return {e.run.run_id: (e, row) for e, row in zip(self.grouping.exchanges, counts, strict=True)}
+        """Return run_id -> one exchange of the run and its counts; all exchanges of a run share its T1."""
+        return {exchange.run.run_id: (exchange, row) for exchange, _, row in self.counts_by_exchange()}
 
     @cached_property
     def group_names(self) -> list[str]:
-        """For each group a short name that tells it from the others (`names.name_groups`)."""
+        """A short distinct name of each group (`names.name_groups`)."""
         return name_groups(self.grouping.parameters)
 
     @cached_property
     def device_pairs(self) -> tuple[DevicePair, ...]:
-        """The clock fits of the campaign, which several checks look at (`device_pairs.pair_devices`)."""
+        """The clock fits of the campaign."""
         boots = ping_boots(self.campaign.sessions.values(), self.campaign.runs.values())
         return tuple(pair_devices(self.details.clock_fits, self.details.clock_knots, boots))
 
-    def exchange_groups(self) -> list[int]:
-        """Return the group of each exchange in `grouping`."""
-        return [int(group) for group in self.grouping.group_of_exchange]
-
     @cached_property
     def groups_of_sessions(self) -> Mapping[int, tuple[int, ...]]:
-        """Session -> the groups that it took part in; a session without an exchange is missing."""
+        """session_id -> the groups that the session took part in."""
+        return self.groups_by_session(lambda _session, _payload_bytes: True)
+
+    def groups_by_session(self, concerns: Callable[[Session, int], bool]) -> Mapping[int, tuple[int, ...]]:
+        """Return session_id -> its groups with messages that concern it or the other side.
+
+        Args:
+            concerns: whether messages of a size concern a session.
+        """
         groups: dict[int, dict[int, None]] = defaultdict(dict)
-        for exchange, group in zip(self.grouping.exchanges, self.exchange_groups(), strict=True):
-            for session in (exchange.ping, exchange.relay):
-                if session is not None:
+        for exchange, group in self.exchanges_by_group():
+            sides = [session for session in (exchange.ping, exchange.relay) if session is not None]
+            if any(concerns(session, exchange.run.payload_bytes) for session in sides):
+                for session in sides:
                     groups[session.session_id][group] = None
-        return {session_id: tuple(own) for session_id, own in groups.items()}
+        return {session_id: tuple(numbers) for session_id, numbers in groups.items()}
 
     def session_name(self, session: Session) -> str:
         """Name a session: `relay on beta (relay.mcap)`."""
         traces = sorted(set(self.campaign.session_traces[session.session_id]))
-        named = some((self.campaign.name(trace) for trace in traces), _MOST_FILES)
-        return f"{session.role} on {session.device} ({named})"
+        files = some((self.campaign.name(trace) for trace in traces), _MOST_FILES)
+        return f"{session.role} on {session.device} ({files})"
 
     def run_name(self, run_id: int) -> str:
         """Name a run: `run 1122334455667788 (ping.mcap)`."""
@@ -120,6 +173,6 @@ def some(names: Iterable[str], at_most: int = 3) -> str:
 
 
 def percent(part: float, whole: float) -> str:
-    """Print a share with as many digits as it takes to tell it from 0 and from 100 %."""
+    """Print a share with enough digits to differ from 0 and from 100 %."""
     share = 100 * part / whole
     return f"{share:.3g} %" if share < 99 else f"{share:.6g} %"

@@ -1,4 +1,4 @@
-"""Checks of the groups of the summary: losses, order, impossible times, samples too few for a percentile."""
+"""Checks of the results of the summary: losses, order, impossible times, too few samples for a percentile."""
 
 from __future__ import annotations
 
@@ -8,14 +8,15 @@ from typing import TYPE_CHECKING
 from dds_trace.base.units import counted, format_ms
 
 from ..model.environment import environment_differences
-from ..model.finding import Finding, Severity
+from ..model.finding import Severity
 from ..model.metrics import METRICS
 from ..pairing.pair import Outcome
 from ..statistics.percentiles import PERCENTILES
-from .evidence import exchange_name, percent, some
+from .check import Subject, check
+from .evidence import Observation, exchange_name, percent, some
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from ..statistics.percentiles import Percentile
     from .evidence import Evidence
@@ -24,212 +25,229 @@ _LOST = {
     Outcome.LOST_OUTBOUND.value: "on the way out",
     Outcome.LOST_IN_RELAY.value: "in the relay",
     Outcome.LOST_RETURN.value: "on the way back",
-    Outcome.LOST_UNKNOWN.value: "nobody knows where",
+    Outcome.LOST_UNKNOWN.value: "at an unknown point",
 }
 """Outcome -> where the message was lost, in words."""
 
 
-def losses(evidence: Evidence) -> Iterator[Finding]:
-    """Report groups that lost messages."""
-    rows = evidence.summary.frame.iter_rows(named=True)
-    for group, (name, row) in enumerate(zip(evidence.group_names, rows, strict=True)):
-        published, received = row["published"], row["received"]
-        lost = ", ".join(f"{row[outcome]} {where}" for outcome, where in _LOST.items() if row[outcome])
-        if published and not received:
-            yield Finding(
-                Severity.ERROR,
-                "nothing_received",
-                name,
-                f"None of {counted(published, 'message')} came back ({lost}).",
-                "Check domain, bridge and middleware of both sides; there is nothing to compare here.",
-                (group,),
-            )
-        elif lost:
-            yield Finding(
-                Severity.WARNING,
-                "loss",
-                name,
-                f"{published - received} of {counted(published, 'message')} ({percent(published - received, published)}) "
-                f"did not come back: {lost}.",
-                "Read percentiles here as those of the messages that survived; look at reliability, "
-                "socket buffers and rate.",
-                (group,),
-                effect=(published - received) / published,
+def _lost_where(row: Mapping[str, int]) -> str:
+    return ", ".join(f"{row[outcome]} {where}" for outcome, where in _LOST.items() if row[outcome])
+
+
+@check(
+    "nothing_received",
+    Severity.ERROR,
+    "No message came back",
+    "Check domain, bridge and middleware of both sides; there is nothing to compare here.",
+    Subject.RESULT,
+)
+def nothing_received(evidence: Evidence) -> Iterator[Observation]:
+    """Report results without a single reply."""
+    for group, row in evidence.rows_by_group("published", "received", *_LOST):
+        if row["published"] and not row["received"]:
+            yield evidence.result(
+                group, f"None of {counted(row['published'], 'message')} came back ({_lost_where(row)})."
             )
 
 
-def unmeasured_groups(evidence: Evidence) -> Iterator[Finding]:
-    """Report groups all of whose messages were warm-up."""
-    counts = evidence.summary.frame["published"]
-    for group, (name, published) in enumerate(zip(evidence.group_names, counts, strict=True)):
-        if not published:
-            yield Finding(
-                Severity.WARNING,
-                "nothing_counted",
-                name,
-                "All messages were warm-up; nothing is counted.",
-                "Record more messages than warm-up messages.",
-                (group,),
+@check(
+    "loss",
+    Severity.WARNING,
+    "Messages were lost",
+    "Percentiles here are of the received messages only; look at reliability, socket buffers and rate.",
+    Subject.RESULT,
+)
+def losses(evidence: Evidence) -> Iterator[Observation]:
+    """Report results of which some messages came back."""
+    for group, row in evidence.rows_by_group("published", "received", *_LOST):
+        published, lost = row["published"], row["published"] - row["received"]
+        if row["received"] and (where := _lost_where(row)):
+            yield evidence.result(
+                group,
+                f"{lost} of {counted(published, 'message')} ({percent(lost, published)}) did not come back: {where}.",
+                lost / published,
             )
 
 
-def duplicates(evidence: Evidence) -> Iterator[Finding]:
-    """Report groups in which replies came more than once."""
-    columns = evidence.summary.frame.select("duplicates", "received").iter_rows()
-    for group, (name, (count, received)) in enumerate(zip(evidence.group_names, columns, strict=True)):
-        if count:
-            yield Finding(
-                Severity.WARNING,
-                "duplicates",
-                name,
+@check(
+    "nothing_counted",
+    Severity.WARNING,
+    "All messages were warm-up",
+    "Record more messages than warm-up messages.",
+    Subject.RESULT,
+)
+def unmeasured_groups(evidence: Evidence) -> Iterator[Observation]:
+    """Report results without a counted message."""
+    for group, row in evidence.rows_by_group("published"):
+        if not row["published"]:
+            yield evidence.result(group, "All messages were warm-up; nothing is counted.")
+
+
+@check(
+    "duplicates",
+    Severity.WARNING,
+    "Replies came more than once",
+    "Look for a second bridge or route between the two sides.",
+    Subject.RESULT,
+)
+def duplicates(evidence: Evidence) -> Iterator[Observation]:
+    """Count the further replies."""
+    for group, row in evidence.rows_by_group("duplicates", "received"):
+        if count := row["duplicates"]:
+            yield evidence.result(
+                group,
                 f"{counted(count, 'reply', 'replies')} came more than once; the first one counts.",
-                "Look for a second bridge or route between the two sides.",
-                (group,),
-                effect=min(count / max(received, 1), 1.0),
+                min(count / max(row["received"], 1), 1.0),
             )
 
 
-def reordering(evidence: Evidence) -> Iterator[Finding]:
-    """Report groups in which replies overtook each other."""
-    columns = evidence.summary.frame.select("reordered", "received").iter_rows()
-    for group, (name, (count, received)) in enumerate(zip(evidence.group_names, columns, strict=True)):
-        if count:
-            yield Finding(
-                Severity.WARNING,
-                "reordering",
-                name,
-                f"{count} of {counted(received, 'reply', 'replies')} came after the reply to a later message.",
-                "With reliable QoS on one topic this should not happen: look for several routes or relays.",
-                (group,),
-                effect=count / received,
+@check(
+    "reordering",
+    Severity.WARNING,
+    "Replies overtook each other",
+    "With reliable QoS on one topic this should not happen: look for several routes or relays.",
+    Subject.RESULT,
+)
+def reordering(evidence: Evidence) -> Iterator[Observation]:
+    """Count the replies that came after a later message's."""
+    for group, row in evidence.rows_by_group("reordered", "received"):
+        if count := row["reordered"]:
+            yield evidence.result(
+                group,
+                f"{count} of {counted(row['received'], 'reply', 'replies')} came after the reply to a later message.",
+                count / row["received"],
             )
 
 
-def impossible_times(evidence: Evidence) -> Iterator[Finding]:
-    """Report negative times: a clock stepped, or stamps do not belong together."""
-    counts = evidence.summary.of_exchange.select("negative_rtt", "negative_intermediate", "negative_latency")
-    rows = counts.iter_rows(named=True)
-    for exchange, group, row in zip(
-        evidence.grouping.exchanges, evidence.exchange_groups(), rows, strict=True
-    ):
+@check(
+    "negative_times",
+    Severity.ERROR,
+    "Times are below zero: a clock stepped, or stamps do not belong together",
+    "Do not use these numbers: check that stamps are CLOCK_MONOTONIC of one device each, and that no two relays share a "
+    "relay_id.",
+    Subject.RUN,
+)
+def impossible_times(evidence: Evidence) -> Iterator[Observation]:
+    """Count the negative times of each exchange."""
+    for exchange, group, counts in evidence.counts_by_exchange():
         below_zero = [
-            f"{name.removeprefix('negative_')} of {counted(n, 'message')}" for name, n in row.items() if n
+            f"{name} of {counted(count, 'message')}"
+            for name in ("rtt", "intermediate", "latency")
+            if (count := counts[f"negative_{name}"])
         ]
         if below_zero:
-            yield Finding(
-                Severity.ERROR,
-                "negative_times",
-                exchange_name(exchange),
-                f"Below zero: {', '.join(below_zero)}. They are in the statistics as computed.",
-                "Do not use these numbers: check that stamps are CLOCK_MONOTONIC of one device each, and that no "
-                "two relays share a relay_id.",
-                (group,),
-            )
+            what = f"Below zero: {', '.join(below_zero)}. They are in the statistics as computed."
+            yield Observation(exchange_name(exchange), what, (group,))
 
 
 _REPEAT_LABELS = frozenset({"attempt", "iteration", "pass", "repeat", "round", "run", "seed", "trial"})
-"""Labels that number plain repeats, and tell of no setting."""
+"""Labels that number repeats; they describe no setting."""
 
 
-def mixed_labels(evidence: Evidence) -> Iterator[Finding]:
-    """Report groups that pool runs with different labels, which are no parameter column; numbers of repeats are none."""
-    names = evidence.group_names
+@check(
+    "mixed_labels",
+    Severity.WARNING,
+    "A result has runs with different labels",
+    "Analyze them as separate folders, or compare them by run in roundtrips.parquet.",
+    Subject.RESULT,
+)
+def mixed_labels(evidence: Evidence) -> Iterator[Observation]:
+    """Compare the labels of the runs of a result, as labels are no parameter; numbers of repeats may differ."""
     for group, members in enumerate(evidence.grouping.members()):
-        values: dict[str, set[str | None]] = defaultdict(set)
         runs = [evidence.grouping.exchanges[member].run for member in members]
-        for label in {label for run in runs for label in run.labels if label.lower() not in _REPEAT_LABELS}:
-            values[label] = {run.labels.get(label) for run in runs}
-        mixed = {label: different for label, different in sorted(values.items()) if len(different) > 1}
+        labels = {label for run in runs for label in run.labels if label.lower() not in _REPEAT_LABELS}
+        values = {label: {run.labels.get(label) for run in runs} for label in sorted(labels)}
+        mixed = "; ".join(
+            f"{label}: {some(sorted(map(str, different)), 5)}"
+            for label, different in values.items()
+            if len(different) > 1
+        )
         if mixed:
-            listed = "; ".join(
-                f"{label}: {some(sorted(map(str, different)), 5)}" for label, different in mixed.items()
-            )
-            yield Finding(
-                Severity.WARNING,
-                "mixed_labels",
-                names[group],
-                f"Runs with different labels are summarized together ({listed}).",
-                "Analyze them as separate folders, or compare them by run in roundtrips.parquet.",
-                (group,),
-            )
+            yield evidence.result(group, f"Runs with different labels are summarized together ({mixed}).")
 
 
-def unlike_group_environments(evidence: Evidence) -> Iterator[Finding]:
-    """Report groups whose runs had unlike environments, which nobody asked for."""
+_MOST_FIELDS = 5
+"""Fields that a finding about different environments lists; the others are in the descriptions of the sessions."""
+
+
+@check(
+    "environment_differs",
+    Severity.WARNING,
+    "A result has runs of different environments",
+    "Analyze them as separate folders, or record again under equal conditions.",
+    Subject.RESULT,
+)
+def unlike_group_environments(evidence: Evidence) -> Iterator[Observation]:
+    """List the fields in which the environments of a result's runs differ."""
     for group, members in enumerate(evidence.grouping.members()):
         exchanges = [evidence.grouping.exchanges[member] for member in members]
         differences = environment_differences((exchange.ping, exchange.relay) for exchange in exchanges)
         if differences:
-            listed = "; ".join(
-                f"{name}: {some(values, 4)}" for name, values in list(differences.items())[:_FIELDS]
+            listed = some(
+                (f"{name}: {some(values, 4)}" for name, values in differences.items()), _MOST_FIELDS
             )
-            more = len(differences) - _FIELDS
-            yield Finding(
-                Severity.WARNING,
-                "environment_differs",
-                evidence.group_names[group],
-                f"Runs of unlike environments are summarized together ({listed}{f'; and {more} more' if more > 0 else ''}).",
-                "Analyze them as separate folders, or record again under equal conditions.",
-                (group,),
+            yield evidence.result(
+                group, f"Runs of different environments are summarized together ({listed})."
             )
 
 
-_FIELDS = 5
-"""Fields of unlike environments that a finding lists."""
-
-
-def few_samples(evidence: Evidence) -> Iterator[Finding]:
-    """Report percentiles that are null for want of samples; groups that lack the same percentiles share a finding."""
+@check(
+    "few_samples",
+    Severity.INFO,
+    "Too few messages for a percentile",
+    "Record at least {needed} messages for each result to see all of them.",
+    Subject.RESULT,
+)
+def few_samples(evidence: Evidence) -> Iterator[Observation]:
+    """Report percentiles that are null; results that lack the same percentiles share a finding."""
     names, samples = evidence.group_names, evidence.summary.samples
     lacking: dict[tuple[tuple[int, ...], tuple[str, ...]], list[Percentile]] = defaultdict(list)
     for percentile in PERCENTILES:
-        alike: dict[tuple[int, ...], list[str]] = defaultdict(list)
+        metrics_of: dict[tuple[int, ...], list[str]] = defaultdict(list)
         for metric in METRICS:
             # Without any sample, another finding says why (a loss, a missing relay trace).
             groups = tuple(
-                group for group, n in enumerate(samples[metric].tolist()) if 0 < n < percentile.needs
+                group for group, count in enumerate(samples[metric].tolist()) if 0 < count < percentile.needs
             )
-            alike[groups].append(metric)
-        for groups, together in alike.items():
+            metrics_of[groups].append(metric)
+        for groups, metrics in metrics_of.items():
             if groups:
-                lacking[groups, tuple(together)].append(percentile)
-    for (groups, metrics), percentiles in lacking.items():
-        counts = sorted(int(samples[metric][group]) for metric in metrics for group in groups)
+                lacking[groups, tuple(metrics)].append(percentile)
+    for (groups, together), percentiles in lacking.items():
+        counts = sorted(int(samples[metric][group]) for metric in together for group in groups)
         few = f"{counts[0]} to " if counts[0] != counts[-1] else ""
-        first, *further = (f"{_shown(p)} needs {p.needs:,}" for p in percentiles)
-        wanted = ", ".join([f"{first} messages", *further])
+        first, *further = (f"{p.name.replace('_', '.')} needs {p.needs:,}" for p in percentiles)
+        needs = ", ".join([f"{first} messages", *further])
         everywhere = len(groups) == len(names) and len(groups) > 1
-        yield Finding(
-            Severity.INFO,
-            "few_samples",
-            f"all {len(groups)} groups" if everywhere else some(names[group] for group in groups),
-            f"{wanted}; you have {few}{counts[-1]:,} (of {', '.join(metrics)}).",
-            f"Record at least {percentiles[-1].needs} messages a group to see all of them.",
+        yield Observation(
+            f"all {len(groups)} results" if everywhere else some(names[group] for group in groups),
+            f"{needs}; you have {few}{counts[-1]:,} (of {', '.join(together)}).",
             groups,
+            blanks={"needed": percentiles[-1].needs},
         )
 
 
-def _shown(percentile: Percentile) -> str:
-    return percentile.name.replace("_", ".")
-
-
-def outages(evidence: Evidence) -> Iterator[Finding]:
-    """Report groups that lost several messages in a row."""
-    names, published = evidence.group_names, evidence.summary.frame["published"].to_list()
-    for (key,), of_group in evidence.details.outages.group_by(["group"], maintain_order=True):
+@check(
+    "outage",
+    Severity.WARNING,
+    "Several messages in a row were lost",
+    "Look at the timeline: a link that drops out, a bridge or relay that restarts, a full buffer.",
+    Subject.RESULT,
+)
+def outages(evidence: Evidence) -> Iterator[Observation]:
+    """Count the outages of a result, with the longest one."""
+    published = evidence.summary.frame["published"].to_list()
+    for (key,), rows in evidence.details.outages.group_by(["group"], maintain_order=True):
         group = int(str(key))
-        durations_ns = of_group["duration_ns"].drop_nulls().to_list()
+        lost = rows["messages"].sum()
+        durations_ns = rows["duration_ns"].drop_nulls().to_list()
         longest = f"; the longest lasted {format_ms(max(durations_ns))} ms" if durations_ns else ""
-        endless = len(of_group) - len(durations_ns)
-        yield Finding(
-            Severity.WARNING,
-            "outage",
-            names[group],
-            f"{counted(len(of_group), 'time')} several messages in a row were lost, {of_group['messages'].sum()} in all{longest}"
-            + (f"; {endless} lasted to the end of the run." if endless else "."),
-            "Look at the timeline: a link that drops out, a bridge or relay that restarts, a full buffer.",
-            (group,),
-            effect=of_group["messages"].sum() / published[group],
+        endless = rows.height - len(durations_ns)
+        end = f"; {endless} lasted to the end of the run." if endless else "."
+        yield evidence.result(
+            group,
+            f"{counted(rows.height, 'time')} several messages in a row were lost, {lost} in all{longest}{end}",
+            lost / published[group],
         )
 
 
@@ -240,13 +258,20 @@ _TAIL_PERIODS, _TAIL_NS = 2, 20_000_000
 """Wait of the slowest hundredth, in periods and at least in ns, that no busy processor explains."""
 
 
-def waits_in_readers(evidence: Evidence) -> Iterator[Finding]:
-    """Report groups whose messages lay with the middleware for periods before the callback took them.
+@check(
+    "waits_in_reader",
+    Severity.WARNING,
+    "Messages wait for the program that reads them",
+    "This is the {role}'s program, not the link: look at its CPU and at --executor, and record again with a fresh process.",
+    Subject.RESULT,
+)
+def waits_in_readers(evidence: Evidence) -> Iterator[Observation]:
+    """Report messages that waited in the middleware for periods before the callback took them.
 
-    A reader that falls behind takes each message when a later one arrives: the latency is then a multiple of the
+    A reader that has fallen back takes each message when a later one arrives: the latency is then a multiple of the
     period, and says nothing of the link.
     """
-    names, rates = evidence.group_names, evidence.summary.frame["rate_hz"].to_list()
+    rates = evidence.summary.frame["rate_hz"].to_list()
     parts = evidence.details.breakdown.select("group", "part", "p50_ns", "p99_ns").iter_rows()
     for group, part, median_ns, p99_ns in parts:
         role, rate_hz = _DELIVERIES.get(part), rates[group]
@@ -258,14 +283,10 @@ def waits_in_readers(evidence: Evidence) -> Iterator[Finding]:
             words, share, waited_ns = "One message in a hundred", 0.01, p99_ns
         else:
             continue
-        yield Finding(
-            Severity.WARNING,
-            "waits_in_reader",
-            names[group],
+        yield evidence.result(
+            group,
             f"{words} waited {format_ms(waited_ns)} ms or longer between the middleware of the {role} and its "
             f"callback, {waited_ns * rate_hz / 1e9:.1f} periods.",
-            f"This is the {role}'s program, not the link: look at its CPU and at --executor, and record anew with a "
-            "fresh process.",
-            (group,),
-            effect=share,
+            share,
+            role=role,
         )

@@ -1,284 +1,384 @@
-"""Checks of runs and relays: what is missing, what does not fit together, what the clocks say."""
+"""Checks of runs and relays: what is missing, and what does not fit together."""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from dds_trace.base.units import counted
 
-from ..model.finding import Finding, Severity
-from .evidence import exchange_name, percent, some
+from ..model.finding import Severity
+from .check import Subject, check
+from .evidence import Observation, exchange_name, percent, some
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from ..pairing.exchanges import Exchange, Unplaced
     from .evidence import Evidence
 
 
-@dataclass(frozen=True, slots=True)
-class _Reason:
-    """The finding about events without a row, for one reason."""
-
-    severity: Severity
-    code: str
-    what: str
-    action: str
-
-
-_UNPLACED = {
-    "no_ping_trace": _Reason(
-        Severity.WARNING,
-        "orphan_relay_events",
-        "No T1 of these runs is here: the trace of their ping is missing.",
-        "Copy the ping's trace into the folder, or ignore this if those runs do not matter.",
-    ),
-    "no_run_description": _Reason(
-        Severity.ERROR,
-        "undescribed_run",
-        "No trace describes these runs (topic /dds_trace/run), so their messages were left out.",
-        "Keep that topic when filtering bags.",
-    ),
-    "no_ping_session": _Reason(
-        Severity.ERROR,
-        "undescribed_session",
-        "No trace describes the ping session of these runs (topic /dds_trace/session), so they were left out.",
-        "Keep that topic when filtering bags.",
-    ),
-}
+@check(
+    "orphan_relay_events",
+    Severity.WARNING,
+    "The ping's trace is missing",
+    "Copy the ping's trace into the folder, or ignore this if those runs do not matter.",
+    Subject.FILE,
+)
+def runs_without_ping(evidence: Evidence) -> Iterator[Observation]:
+    """Report events of relays whose run has no T1."""
+    return _unplaced(
+        evidence, "no_ping_trace", "No T1 of these runs is here: the trace of their ping is missing."
+    )
 
 
-def unplaced_events(evidence: Evidence) -> Iterator[Finding]:
-    """Report events that belong to no row: one finding per reason, relay and file."""
-    alike: dict[tuple[str, int, tuple[int, ...]], list[Unplaced]] = defaultdict(list)
+@check(
+    "undescribed_run",
+    Severity.ERROR,
+    "No trace describes a run",
+    "Keep that topic when filtering bags.",
+    Subject.FILE,
+)
+def undescribed_runs(evidence: Evidence) -> Iterator[Observation]:
+    """Report events whose run has no description."""
+    what = "No trace describes these runs (topic /dds_trace/run), so their messages were left out."
+    return _unplaced(evidence, "no_run_description", what)
+
+
+@check(
+    "undescribed_session",
+    Severity.ERROR,
+    "No trace describes the ping's session",
+    "Keep that topic when filtering bags.",
+    Subject.FILE,
+)
+def undescribed_sessions(evidence: Evidence) -> Iterator[Observation]:
+    """Report events whose ping has no description."""
+    what = (
+        "No trace describes the ping session of these runs (topic /dds_trace/session), so they were left out."
+    )
+    return _unplaced(evidence, "no_ping_session", what)
+
+
+def _unplaced(evidence: Evidence, reason: str, what: str) -> Iterator[Observation]:
+    """Observe events without a row for one reason, once for each relay and file."""
+    alike: dict[tuple[int, tuple[int, ...]], list[Unplaced]] = defaultdict(list)
     for unplaced in evidence.exchanges.unplaced:
-        alike[unplaced.reason, unplaced.relay_id, unplaced.traces].append(unplaced)
-    for (reason, relay_id, traces), held in alike.items():
-        of_relay = f", relay {relay_id:08x}" if relay_id else ""
-        runs = some(f"{unplaced.run_id:016x}" for unplaced in held)
-        yield Finding(
-            _UNPLACED[reason].severity,
-            _UNPLACED[reason].code,
-            f"{evidence.campaign.names(traces)}{of_relay}",
-            f"{_UNPLACED[reason].what} {counted(sum(u.events for u in held), 'event')}, "
-            f"{'run' if len(held) == 1 else 'runs'} {runs}.",
-            _UNPLACED[reason].action,
+        if unplaced.reason == reason:
+            alike[unplaced.relay_id, unplaced.traces].append(unplaced)
+    for (relay_id, traces), parts in alike.items():
+        relay = f", relay {relay_id:08x}" if relay_id else ""
+        runs = some(f"{unplaced.run_id:016x}" for unplaced in parts)
+        events = counted(sum(unplaced.events for unplaced in parts), "event")
+        yield Observation(
+            f"{evidence.campaign.names(traces)}{relay}",
+            f"{what} {events}, {'run' if len(parts) == 1 else 'runs'} {runs}.",
         )
 
 
-def unfinished_runs(evidence: Evidence) -> Iterator[Finding]:
-    """Report runs that were cut short, and runs whose publications are not all in the trace."""
+@check(
+    "unfinished_run",
+    Severity.WARNING,
+    "A run has no end",
+    "Messages that were under way are censored: whether they would have come is unknown, so they count neither as received nor as "
+    "lost. Repeat the run if that matters.",
+    Subject.RUN,
+)
+def runs_without_end(evidence: Evidence) -> Iterator[Observation]:
+    """Report runs that were cut short."""
     groups: dict[int, set[int]] = defaultdict(set)
-    for exchange, group in zip(evidence.grouping.exchanges, evidence.exchange_groups(), strict=True):
+    for exchange, group in evidence.exchanges_by_group():
         groups[exchange.run.run_id].add(group)
     for run_id, (exchange, counts) in evidence.counts_by_run().items():
-        run, kept = exchange.run, counts["with_warmup"]
-        if run.state != "finished":
+        if exchange.run.state != "finished":
+            published = counted(counts["with_warmup"], "message was", "messages were")
             under_way = counted(counts["in_flight"], "message was", "messages were")
-            yield Finding(
-                Severity.WARNING,
-                "unfinished_run",
-                evidence.run_name(run_id),
-                f"The run has no end: {counted(kept, 'message was', 'messages were')} published, {run.planned_messages} planned; "
-                f"{under_way} under way at its end.",
-                "Messages that were under way are censored: nobody knows whether they would have come, so they count neither "
-                "as received nor as lost. Repeat the run if that matters.",
+            yield evidence.run(
+                run_id,
+                f"The run has no end: {published} published, {exchange.run.planned_messages} planned; {under_way} under way at "
+                "its end.",
                 tuple(sorted(groups[run_id])),
             )
-        elif run.published < run.planned_messages:
-            yield Finding(
-                Severity.WARNING,
-                "unfinished_run",
-                evidence.run_name(run_id),
+
+
+@check(
+    "unfinished_run",
+    Severity.WARNING,
+    "A run was stopped before its plan",
+    "Percentiles rest on fewer samples than planned; repeat the run if that matters.",
+    Subject.RUN,
+)
+def stopped_runs(evidence: Evidence) -> Iterator[Observation]:
+    """Report runs that ended with fewer messages than planned."""
+    for run_id, (exchange, _) in evidence.counts_by_run().items():
+        run = exchange.run
+        if run.state == "finished" and run.published < run.planned_messages:
+            yield evidence.run(
+                run_id,
                 f"The run was stopped after {run.published} of {counted(run.planned_messages, 'planned message')}.",
-                "Percentiles rest on fewer samples than planned; repeat the run if that matters.",
                 effect=1 - run.published / run.planned_messages,
             )
-        if run.state == "finished" and kept < run.published:
-            yield Finding(
-                Severity.ERROR,
-                "missing_publications",
-                evidence.run_name(run_id),
-                f"{run.published - kept} of {counted(run.published, 'published message')} "
-                f"{'has no T1 in the trace; it has' if run.published - kept == 1 else 'have no T1 in the trace; they have'} "
-                "no row.",
-                "Use the whole trace; if it is whole, the recorder dropped events.",
-                effect=1 - kept / run.published,
+
+
+@check(
+    "missing_publications",
+    Severity.ERROR,
+    "Publications are missing in the trace",
+    "Use the whole trace; if it is whole, the recorder dropped events.",
+    Subject.RUN,
+)
+def missing_publications(evidence: Evidence) -> Iterator[Observation]:
+    """Report finished runs that published more messages than have a T1."""
+    for run_id, (exchange, counts) in evidence.counts_by_run().items():
+        run, recorded = exchange.run, counts["with_warmup"]
+        missing = run.published - recorded
+        if run.state == "finished" and missing > 0:
+            yield evidence.run(
+                run_id,
+                f"{missing} of {counted(run.published, 'published message')} "
+                f"{'has no T1 in the trace; it has' if missing == 1 else 'have no T1 in the trace; they have'} no row.",
+                effect=1 - recorded / run.published,
             )
 
 
-def unpublished_runs(evidence: Evidence) -> Iterator[Finding]:
-    """Report runs that planned messages and published none: no row stands for them, so no verdict counts them.
+@check(
+    "unpublished_run",
+    Severity.ERROR,
+    "A run published nothing",
+    "See what stopped the ping before its first message, and repeat the run or remove its trace.",
+    Subject.RUN,
+)
+def unpublished_runs(evidence: Evidence) -> Iterator[Observation]:
+    """Report finished runs without a message: no row stands for them, so without this error a gate would pass."""
+    return _unpublished(evidence, finished=True)
 
-    Where the run has ended this is an error, so that no gate passes without it; one that was only begun may be going on.
-    """
-    known = {exchange.run.run_id for exchange in evidence.grouping.exchanges}
-    known |= {unplaced.run_id for unplaced in evidence.exchanges.unplaced}
+
+@check(
+    "unpublished_run",
+    Severity.WARNING,
+    "A run that may be going on has published nothing",
+    "See what stopped the ping before its first message, and repeat the run or remove its trace.",
+    Subject.RUN,
+)
+def unpublished_open_runs(evidence: Evidence) -> Iterator[Observation]:
+    """Report runs without a message and without an end."""
+    return _unpublished(evidence, finished=False)
+
+
+def _unpublished(evidence: Evidence, *, finished: bool) -> Iterator[Observation]:
+    with_events = {exchange.run.run_id for exchange in evidence.grouping.exchanges}
+    with_events |= {unplaced.run_id for unplaced in evidence.exchanges.unplaced}
     for run_id, run in evidence.campaign.runs.items():
-        if run_id not in known and run.published == 0 and run.planned_messages > 0:
-            yield Finding(
-                Severity.ERROR if run.state == "finished" else Severity.WARNING,
-                "unpublished_run",
-                evidence.run_name(run_id),
-                f"None of {counted(run.planned_messages, 'planned message')} left, and no group has the run.",
-                "See what stopped the ping before its first message, and repeat the run or take its trace away.",
-            )
+        is_empty = run_id not in with_events and run.published == 0 and run.planned_messages > 0
+        if is_empty and (run.state == "finished") is finished:
+            planned = counted(run.planned_messages, "planned message")
+            yield evidence.run(run_id, f"None of {planned} left, and no result includes the run.")
 
 
-def repeated_publications(evidence: Evidence) -> Iterator[Finding]:
+@check(
+    "repeated_publications",
+    Severity.ERROR,
+    "A sequence number was published more than once",
+    "Each run needs its own random run_id, and each message its own sequence number.",
+    Subject.RUN,
+)
+def repeated_publications(evidence: Evidence) -> Iterator[Observation]:
     """Report messages with more than one T1."""
     for run_id, (_, counts) in evidence.counts_by_run().items():
         if counts["repeated"]:
-            yield Finding(
-                Severity.ERROR,
-                "repeated_publications",
-                evidence.run_name(run_id),
-                f"{counted(counts['repeated'], 'T1 event repeats', 'T1 events repeat')} the sequence number of another; the first one counts.",
-                "Each run needs its own random run_id, and each message its own sequence number.",
+            repeats = counted(counts["repeated"], "T1 event repeats", "T1 events repeat")
+            yield evidence.run(run_id, f"{repeats} the sequence number of another; the first one counts.")
+
+
+@check(
+    "orphan_events",
+    Severity.WARNING,
+    "Events name messages that were never published",
+    "Use the whole trace of the ping; if it is whole, its recorder dropped events.",
+    Subject.RUN,
+)
+def orphan_events(evidence: Evidence) -> Iterator[Observation]:
+    """Report events of a run whose message has no T1."""
+    for exchange, group, counts in evidence.counts_by_exchange():
+        if counts["orphans"]:
+            what = counted(
+                counts["orphans"],
+                "T2, T3 or T4 event names a message without T1; it has no row.",
+                "T2, T3 or T4 events name messages without T1; they have no row.",
             )
+            yield Observation(exchange_name(exchange), what, (group,))
 
 
-def orphan_events(evidence: Evidence) -> Iterator[Finding]:
-    """Report events of a known run whose message has no T1."""
-    orphans = evidence.summary.of_exchange["orphans"].to_list()
-    for exchange, group, count in zip(
-        evidence.grouping.exchanges, evidence.exchange_groups(), orphans, strict=True
-    ):
-        if count:
-            yield Finding(
-                Severity.WARNING,
-                "orphan_events",
-                exchange_name(exchange),
-                counted(
-                    count,
-                    "T2, T3 or T4 event names a message without T1; it has no row.",
-                    "T2, T3 or T4 events name messages without T1; they have no row.",
-                ),
-                "Use the whole trace of the ping; if it is whole, its recorder dropped events.",
-                (group,),
-            )
-
-
-def missing_schedule(evidence: Evidence) -> Iterator[Finding]:
-    """Report runs whose T1 carry no T0."""
-    counts = evidence.summary.of_exchange.select("published", "unscheduled").iter_rows()
+@check(
+    "no_schedule",
+    Severity.INFO,
+    "Runs have no planned send times",
+    "Record T0 (scheduled_ns of T1) to see what a late sender hides.",
+    Subject.RUN,
+)
+def missing_schedule(evidence: Evidence) -> Iterator[Observation]:
+    """Report runs whose T1 have no T0."""
     unscheduled = {
         exchange.run.run_id
-        for exchange, (published, without) in zip(evidence.grouping.exchanges, counts, strict=True)
-        if published and without == published
+        for exchange, _, counts in evidence.counts_by_exchange()
+        if counts["published"] and counts["unscheduled"] == counts["published"]
     }
     if unscheduled:
-        yield Finding(
-            Severity.INFO,
-            "no_schedule",
+        yield Observation(
             some(evidence.run_name(run_id) for run_id in sorted(unscheduled)),
             counted(
                 len(unscheduled),
                 "run recorded no planned send times; its response times are null.",
                 "runs recorded no planned send times; their response times are null.",
             ),
-            "Record T0 (scheduled_ns of T1) to see what a late sender hides.",
         )
 
 
-def relays_without_trace(evidence: Evidence) -> Iterator[Finding]:
-    """Report runs in which no relay took part, and relays whose events or description are missing."""
-    unrecorded: dict[tuple[int, bool], list[int]] = defaultdict(list)
-    undescribed: dict[int, list[int]] = defaultdict(list)
-    exchanges = evidence.grouping.exchanges
-    for exchange, group in zip(exchanges, evidence.exchange_groups(), strict=True):
+@check(
+    "no_relay",
+    Severity.ERROR,
+    "No relay took part in a run",
+    "Start the relay first, in the same domain or on the other side of the bridge, and add its trace.",
+    Subject.RUN,
+)
+def runs_without_relay(evidence: Evidence) -> Iterator[Observation]:
+    """Report runs without a reply and without a relay's trace."""
+    for exchange, group in evidence.exchanges_by_group():
         if not exchange.took_part:
-            yield Finding(
-                Severity.ERROR,
-                "no_relay",
-                evidence.run_name(exchange.run.run_id),
-                "No relay took part: no reply came, and no trace of a relay knows the run.",
-                "Start the relay first, in the same domain or behind the bridge, and add its trace.",
+            yield evidence.run(
+                exchange.run.run_id,
+                "No relay took part: no reply came, and no relay's trace has the run.",
                 (group,),
             )
-        elif not exchange.relay_recorded:
-            unrecorded[exchange.relay_id, exchange.relay is not None].append(exchange.run.run_id)
-        elif exchange.relay is None:
-            undescribed[exchange.relay_id].append(exchange.run.run_id)
-    for (relay_id, described), runs in unrecorded.items():
-        yield Finding(
-            Severity.WARNING,
-            "missing_relay_trace",
-            f"relay {relay_id:08x}",
-            f"{counted(len(runs), 'run has', 'runs have')} replies of this relay but none of its events: latency and intermediate time "
-            "are null, and losses are lost_unknown.",
-            "Its trace here does not know these runs: use the whole trace, or the one that is missing."
-            if described
-            else "Copy the relay's trace into the folder and analyze again.",
-        )
-    for relay_id, runs in undescribed.items():
-        yield Finding(
-            Severity.WARNING,
-            "undescribed_relay",
-            f"relay {relay_id:08x}",
-            f"{counted(len(runs), 'run has', 'runs have')} events of this relay, but no session describes it: its vendor, backend and "
-            "device are null.",
-            "Keep the topic /dds_trace/session when filtering bags.",
-        )
 
 
-def gaps_of_relays(evidence: Evidence) -> Iterator[Finding]:
-    """Report messages that came back through a relay whose trace lacks them, which makes its losses doubtful, too."""
-    counts = evidence.summary.of_exchange.select("relay_gaps", "received").iter_rows()
-    for exchange, group, (gaps, received) in zip(
-        evidence.grouping.exchanges, evidence.exchange_groups(), counts, strict=True
-    ):
+@check(
+    "missing_relay_trace",
+    Severity.WARNING,
+    "The relay's trace is missing",
+    "Copy the relay's trace into the folder and analyze again.",
+    Subject.RELAY,
+)
+def missing_relay_traces(evidence: Evidence) -> Iterator[Observation]:
+    """Report relays that replied and have no trace here."""
+    return _without_events(evidence, described=False)
+
+
+@check(
+    "missing_relay_trace",
+    Severity.WARNING,
+    "The relay's trace lacks runs",
+    "Its trace here does not have these runs: use the whole trace, or add the one that is missing.",
+    Subject.RELAY,
+)
+def incomplete_relay_traces(evidence: Evidence) -> Iterator[Observation]:
+    """Report relays whose trace here lacks runs to which they replied."""
+    return _without_events(evidence, described=True)
+
+
+def _without_events(evidence: Evidence, *, described: bool) -> Iterator[Observation]:
+    runs: dict[int, int] = defaultdict(int)
+    for exchange in evidence.grouping.exchanges:
+        is_missing = exchange.took_part and not exchange.relay_recorded
+        if is_missing and (exchange.relay is not None) is described:
+            runs[exchange.relay_id] += 1
+    return _of_relays(
+        runs,
+        "replies of this relay but none of its events: latency and intermediate time are null, and losses are lost_unknown.",
+    )
+
+
+@check(
+    "undescribed_relay",
+    Severity.WARNING,
+    "No trace describes the relay's session",
+    "Keep the topic /dds_trace/session when filtering bags.",
+    Subject.RELAY,
+)
+def undescribed_relays(evidence: Evidence) -> Iterator[Observation]:
+    """Report relays with events and without a description."""
+    runs: dict[int, int] = defaultdict(int)
+    for exchange in evidence.grouping.exchanges:
+        if exchange.took_part and exchange.relay_recorded and exchange.relay is None:
+            runs[exchange.relay_id] += 1
+    return _of_relays(
+        runs, "events of this relay, but no session describes it: its vendor, backend and device are null."
+    )
+
+
+def _of_relays(runs: Mapping[int, int], what: str) -> Iterator[Observation]:
+    for relay_id, count in runs.items():
+        yield Observation(f"relay {relay_id:08x}", f"{counted(count, 'run has', 'runs have')} {what}")
+
+
+@check(
+    "relay_trace_gaps",
+    Severity.WARNING,
+    "The relay's trace has gaps",
+    "Use the whole trace of the relay.",
+    Subject.RUN,
+)
+def gaps_of_relays(evidence: Evidence) -> Iterator[Observation]:
+    """Report messages that came back though the relay's trace lacks them, which makes its losses doubtful, too."""
+    for exchange, group, counts in evidence.counts_by_exchange():
+        gaps, received = counts["relay_gaps"], counts["received"]
         if exchange.relay_recorded and gaps:
-            yield Finding(
-                Severity.WARNING,
-                "relay_trace_gaps",
+            yield Observation(
                 exchange_name(exchange),
                 f"{gaps} of {counted(received, 'message')} ({percent(gaps, received)}) came back, but the relay's trace "
                 "lacks their T3 or T4: their latency is null, and lost_outbound may count messages that did arrive.",
-                "Use the whole trace of the relay.",
                 (group,),
-                effect=gaps / received,
+                gaps / received,
             )
 
 
-def unlike_domains(evidence: Evidence) -> Iterator[Finding]:
-    """Report runs whose ping was told another domain than the relay was in."""
-    for exchange, group in zip(evidence.grouping.exchanges, evidence.exchange_groups(), strict=True):
-        told = exchange.run.relay_domain_id
-        if exchange.relay and told is not None and told != exchange.relay.domain_id:
-            yield Finding(
-                Severity.WARNING,
-                "unlike_domains",
-                exchange_name(exchange),
-                f"The ping was told relay domain {told}, the relay was in {exchange.relay.domain_id}, which counts.",
-                "Check the options --domain and --bridge of both sides.",
-                (group,),
-            )
+@check(
+    "unlike_domains",
+    Severity.WARNING,
+    "The relay was in another domain than the ping was given",
+    "Check the options --domain and --bridge of both sides.",
+    Subject.RUN,
+)
+def unlike_domains(evidence: Evidence) -> Iterator[Observation]:
+    """Compare the relay's domain with the one in the description of the run."""
+    for exchange, group in evidence.exchanges_by_group():
+        given = exchange.run.relay_domain_id
+        if exchange.relay and given is not None and given != exchange.relay.domain_id:
+            what = f"The ping was given relay domain {given}, the relay was in {exchange.relay.domain_id}, which counts."
+            yield Observation(exchange_name(exchange), what, (group,))
 
 
-def unlike_payloads(evidence: Evidence) -> Iterator[Finding]:
-    """Report runs whose messages are not of the described size."""
+@check(
+    "unlike_payloads",
+    Severity.WARNING,
+    "Messages are not of the described size",
+    "Give each size a run of its own.",
+    Subject.RUN,
+)
+def unlike_payloads(evidence: Evidence) -> Iterator[Observation]:
+    """Compare the sizes of T1 events with the description of the run."""
     for run_id, (exchange, counts) in evidence.counts_by_run().items():
         described = exchange.run.payload_bytes
         low, high = counts["least_payload_bytes"], counts["most_payload_bytes"]
         if (low, high) != (described, described):
-            yield Finding(
-                Severity.WARNING,
-                "unlike_payloads",
-                evidence.run_name(run_id),
+            yield evidence.run(
+                run_id,
                 f"The run is described as {described} B a message, its T1 events say {low} to {high} B; "
                 "sizes and transfer rates here go by the description.",
-                "Give each size a run of its own.",
             )
 
 
-def restarted_relays(evidence: Evidence) -> Iterator[Finding]:
-    """Report runs in which relays of one device took part one after the other: one was started anew.
+@check(
+    "relay_restarted",
+    Severity.WARNING,
+    "A relay was restarted during a run",
+    "Every message has a row for each relay, and is lost with all but one: repeat the run with one relay throughout.",
+    Subject.RUN,
+)
+def restarted_relays(evidence: Evidence) -> Iterator[Observation]:
+    """Report relays of one device that took part one after the other.
 
-    Relays that all answered at one time were meant to be there together, and `relays` in the setting of their group
-    counts them.
+    Relays that all answered at one time were there together on purpose; `relays` in the setting of their result counts them.
     """
     relays: dict[tuple[int, str], list[Exchange]] = defaultdict(list)
     for exchange in evidence.grouping.exchanges:
@@ -287,17 +387,13 @@ def restarted_relays(evidence: Evidence) -> Iterator[Finding]:
     for (run_id, device), exchanges in relays.items():
         if len(exchanges) > 1 and not _answered_together(exchanges):
             listed = some(f"{exchange.relay_id:08x}" for exchange in exchanges)
-            yield Finding(
-                Severity.WARNING,
-                "relay_restarted",
-                evidence.run_name(run_id),
-                f"{len(exchanges)} relays on {device} took part ({listed}), but never all at once: the relay was started anew.",
-                "Every message has a row for each, lost with all but one: repeat the run with one relay throughout.",
+            yield evidence.run(
+                run_id,
+                f"{len(exchanges)} relays on {device} took part ({listed}), but never all at once: the relay was restarted.",
             )
 
 
 def _answered_together(exchanges: list[Exchange]) -> bool:
-    """Return whether there was a time at which every relay had answered and was to answer again."""
-    spans = [exchange.replied_ns for exchange in exchanges]
-    known = [span for span in spans if span is not None]
-    return len(known) == len(spans) and max(first for first, _ in known) < min(last for _, last in known)
+    """Return whether at some time every relay had answered and was to answer again."""
+    spans = [exchange.replied_ns for exchange in exchanges if exchange.replied_ns is not None]
+    return len(spans) == len(exchanges) and max(first for first, _ in spans) < min(last for _, last in spans)

@@ -1,8 +1,7 @@
-"""Checks of the sender: schedules that were not held, and messages that left late."""
+"""Checks of the sender: schedules that were not kept, and messages that left late."""
 
 from __future__ import annotations
 
-from collections import defaultdict
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -12,19 +11,47 @@ from dds_trace.base.units import counted, format_ms
 
 from ..clocks.boots import machine_of
 from ..groups.sending import LATE_NS
-from ..model.finding import Finding, Severity
+from ..model.finding import Severity
+from .check import Subject, check
 from .evidence import percent
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from .evidence import Evidence
+    from .evidence import Evidence, Observation
 
 _RATE_TOLERANCE = 0.02
-"""Share by which the rate may stay below the asked one: a slower run has measured another load."""
+"""Share by which the rate may stay below the requested one: a slower run has measured another load."""
 
-_BEHIND_NS = 10_000_000
-"""Time that a run must have fallen behind: two late sends (`sending.LATE_NS`), which no short run loses by its timers."""
+_LAG_NS = 10_000_000
+"""Least lag of a run: two late sends (`sending.LATE_NS`), which no short run loses by its timers."""
+
+
+@check(
+    "schedule_not_held",
+    Severity.WARNING,
+    "Messages were published slower than requested",
+    "Do not compare this result with others of the requested rate; lower the rate or free the CPU.",
+    Subject.RESULT,
+)
+def schedule_not_held(evidence: Evidence) -> Iterator[Observation]:
+    """Judge each result by the last tenth of its runs, not by their last message."""
+    totals = (
+        evidence.sending.drop_nulls("behind_ns")
+        .group_by("group")
+        .agg(pl.col("elapsed_ns", "behind_ns").sum())
+        .sort("group")
+    )
+    rates = evidence.summary.frame["rate_hz"].to_list()
+    for group, elapsed_ns, lag_ns in totals.iter_rows():
+        share = elapsed_ns / (elapsed_ns + lag_ns) if elapsed_ns + lag_ns > 0 else 1.0
+        if lag_ns >= _LAG_NS and share < 1 - _RATE_TOLERANCE:
+            yield evidence.result(
+                group,
+                f"Published at {rates[group] * share:.4g} Hz, requested {rates[group]:g} Hz.",
+                1 - share,
+            )
+
 
 _LATE_SHARE = 0.01
 """Late messages from which on the p99 of the response is a late message's. Of 1000 simulated runs of 1000 messages, sent
@@ -34,84 +61,68 @@ _LATE_MESSAGES = 3
 """Late messages at least: one hiccup of a short run is no habit."""
 
 
-_SAMPLES_NS = 2_000_000_000
-"""Time without a sample of the host, which is taken once a second, from which on the sampling thread stood still, too."""
-
-
-def schedule_not_held(evidence: Evidence) -> Iterator[Finding]:
-    """Report groups that published slower than asked: judged by the last tenth of each run, not by its last message."""
-    names = evidence.group_names
-    behind: dict[int, list[int]] = defaultdict(lambda: [0, 0])
-    for group, elapsed_ns, lag_ns in (
-        evidence.sending.drop_nulls("behind_ns").select("group", "elapsed_ns", "behind_ns").iter_rows()
-    ):
-        behind[group][0] += elapsed_ns
-        behind[group][1] += lag_ns
-    rates = evidence.summary.frame["rate_hz"].to_list()
-    for group, (elapsed_ns, lag_ns) in sorted(behind.items()):
-        share = elapsed_ns / (elapsed_ns + lag_ns) if elapsed_ns + lag_ns > 0 else 1.0
-        if lag_ns >= _BEHIND_NS and share < 1 - _RATE_TOLERANCE:
-            yield Finding(
-                Severity.WARNING,
-                "schedule_not_held",
-                names[group],
-                f"Published at {rates[group] * share:.4g} Hz, asked for {rates[group]:g} Hz.",
-                "Do not compare this group with others of the asked rate; lower the rate or free the CPU.",
-                (group,),
-                effect=1 - share,
-            )
-
-
-def late_sends(evidence: Evidence) -> Iterator[Finding]:
-    """Report groups whose messages left later than planned so often that it shows in the tail of the response."""
-    totals: dict[int, list[int]] = defaultdict(lambda: [0, 0, 0])
-    sent = evidence.sending.unique(["group", "run_id"], maintain_order=True).drop_nulls("late_max_ns")
-    for group, messages, late, late_max_ns in sent.select(
-        "group", "messages", "late", "late_max_ns"
-    ).iter_rows():
-        held = totals[group]
-        held[0], held[1], held[2] = held[0] + messages, held[1] + late, max(held[2], late_max_ns)
-    for group, (messages, late, late_max_ns) in sorted(totals.items()):
+@check(
+    "late_sends",
+    Severity.WARNING,
+    "Messages left later than planned",
+    "Latency does not include that wait; read response (T2 - T0). A publish that blocks or a busy processor delays the sender: "
+    "lower rate or size, or free the CPU.",
+    Subject.RESULT,
+)
+def late_sends(evidence: Evidence) -> Iterator[Observation]:
+    """Report results of which so many messages left late that it shows in the tail of the response."""
+    totals = (
+        evidence.sending.unique(["group", "run_id"], maintain_order=True)
+        .drop_nulls("late_max_ns")
+        .group_by("group")
+        .agg(pl.col("messages", "late").sum(), pl.col("late_max_ns").max())
+        .sort("group")
+    )
+    for group, messages, late, late_max_ns in totals.iter_rows():
         if late >= _LATE_MESSAGES and late >= _LATE_SHARE * messages:
-            yield Finding(
-                Severity.WARNING,
-                "late_sends",
-                evidence.group_names[group],
+            yield evidence.result(
+                group,
                 f"{late} of {counted(messages, 'message')} ({percent(late, messages)}) left more than "
                 f"{format_ms(LATE_NS)} ms later than planned (T1 - T0), the latest {format_ms(late_max_ns)} ms.",
-                "Latency leaves that wait out; read response (T2 - T0). A publish that blocks or a busy processor holds "
-                "the sender up: lower rate or size, or free the CPU.",
-                (group,),
-                effect=late / messages,
+                late / messages,
             )
 
 
-def stand_stills(evidence: Evidence) -> Iterator[Finding]:
-    """Report runs whose ping sent nothing for a second or longer though messages were due, with what the host tells of it."""
+_SAMPLES_NS = 2_000_000_000
+"""Time without a sample of the host, which is taken once a second, that shows that the sampling thread stood still, too."""
+
+
+@check(
+    "stood_still",
+    Severity.WARNING,
+    "The ping sent nothing though messages were due",
+    "Latency does not include that time, response (T2 - T0) does. Repeat the run; a stopped process, a paused machine and a "
+    "publish that blocks look alike to a subscriber.",
+    Subject.RUN,
+)
+def stand_stills(evidence: Evidence) -> Iterator[Observation]:
+    """Report pauses of a second or longer, with what the host's samples show of them."""
     stood = evidence.sending.unique(["group", "run_id"], maintain_order=True).filter(pl.col("still") > 0)
     sessions = {exchange.run.run_id: exchange.ping for exchange in evidence.grouping.exchanges}
     machines = {session.session_id: machine_of(session) for session in evidence.campaign.sessions.values()}
     for row in stood.iter_rows(named=True):
         times = "" if row["still"] == 1 else f", {row['still']} times in all"
         ping = sessions[row["run_id"]]
-        of_machine = [each for each, machine in machines.items() if machine == machine_of(ping)]
-        samples = evidence.details.host_samples.filter(pl.col("session_id").is_in(of_machine))
-        yield Finding(
-            Severity.WARNING,
-            "stood_still",
-            evidence.run_name(row["run_id"]),
+        neighbours = [session_id for session_id, machine in machines.items() if machine == machine_of(ping)]
+        samples = evidence.details.host_samples.filter(pl.col("session_id").is_in(neighbours))
+        meanwhile = _host_meanwhile(samples, ping.session_id, row["still_ns"], row["still_end_ns"])
+        yield evidence.run(
+            row["run_id"],
             f"The ping sent nothing for {row['still_ns'] / 1e9:.1f} s though messages were due, until "
             f"{row['still_end_ns'] / 1e9:.1f} s of its clock{times}; 99 % of all left at most "
-            f"{format_ms(row['late_p99_ns'])} ms late{_host_meanwhile(samples, ping.session_id, row['still_ns'], row['still_end_ns'])}.",
-            "Latency leaves that time out, response (T2 - T0) holds it. Repeat the run; a stopped process, a paused machine "
-            "and a publish that blocks look alike to a subscriber.",
+            f"{format_ms(row['late_p99_ns'])} ms late{meanwhile}.",
             (row["group"],),
-            effect=min(row["still_ns"] / max(row["elapsed_ns"] or 0, row["still_ns"]), 1.0),
+            min(row["still_ns"] / max(row["elapsed_ns"] or 0, row["still_ns"]), 1.0),
         )
 
 
 def _host_meanwhile(samples: pl.DataFrame, ping_id: int, still_ns: int, end_ns: int) -> str:
-    """Tell what the samples of a machine say of the time in which a ping stood still; empty without samples around it."""
+    """Describe the machine while a ping stood still; empty without samples before and after."""
     timed = samples.drop_nulls("monotonic_ns").sort("monotonic_ns")
     own = timed.filter(session_id=ping_id)
     before = own.filter(pl.col("monotonic_ns") <= end_ns - still_ns).tail(1).to_dicts()
@@ -123,22 +134,21 @@ def _host_meanwhile(samples: pl.DataFrame, ping_id: int, still_ns: int, end_ns: 
         for name in ("monotonic_ns", "cpu_steal_ns", "cpu_pressure_us")
     )
     others = timed.filter(pl.col("session_id") != ping_id)
-    told = []
+    events = []
     if _went_on(own, still_ns, end_ns):
-        told.append("the sampling thread of its process went on")
+        events.append("the sampling thread of its process went on")
     elif still_ns >= _SAMPLES_NS and others.is_empty():
-        told.append("its whole process did nothing, as no sample of the host was taken")
+        events.append("its whole process did nothing, as no sample of the host was taken")
     elif still_ns >= _SAMPLES_NS and _went_on(others, still_ns, end_ns):
-        told.append("its whole process did nothing, and other recordings on its machine went on")
+        events.append("its whole process did nothing, and other recordings on its machine went on")
     elif still_ns >= _SAMPLES_NS:
-        told.append("no recording on its machine took a sample of the host either: the machine stood still")
+        events.append("no recording on its machine took a sample of the host either: the machine stood still")
     if stolen_ns > 0:
-        told.append(f"the hypervisor gave {stolen_ns / 1e9:.2g} s of processor time to others")
+        events.append(f"the hypervisor gave {stolen_ns / 1e9:.2g} s of processor time to others")
     if waited_us > 0:
-        told.append(
-            f"some task waited for a processor in {percent(min(waited_us * 1000, lasted_ns), lasted_ns)} of that time"
-        )
-    return f". Meanwhile {', and '.join(told)}" if told else ""
+        share = percent(min(waited_us * 1000, lasted_ns), lasted_ns)
+        events.append(f"some task waited for a processor in {share} of that time")
+    return f". Meanwhile {', and '.join(events)}" if events else ""
 
 
 def _went_on(timed: pl.DataFrame, still_ns: int, end_ns: int) -> bool:

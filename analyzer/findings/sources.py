@@ -1,4 +1,4 @@
-"""Checks of the files: what was skipped, cut, copied or rescued."""
+"""Checks of the files: what was skipped, cut, copied or recovered."""
 
 from __future__ import annotations
 
@@ -6,114 +6,150 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base.units import counted
 
-from ..model.finding import Finding, Severity
-from .evidence import some
+from ..model.finding import Severity
+from .check import Subject, check
+from .evidence import Observation, some
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from dds_trace.tracefile.reading.trace import Trace
+
     from .evidence import Evidence
 
 
-def skipped_files(evidence: Evidence) -> Iterator[Finding]:
-    """Report files that are not traces; a file whose name says that it is one weighs more."""
-    skipped = [source for source in evidence.campaign.sources if source.status == "skipped"]
-    for source in skipped:
-        if source.path.endswith(".mcap"):
-            yield Finding(
-                Severity.WARNING,
-                "skipped_file",
-                source.path,
-                f"Not used: {source.detail}.",
-                "If this should be a trace, look at it with `mcap doctor`; else move it elsewhere.",
-            )
-    others = [source.path for source in skipped if not source.path.endswith(".mcap")]
+@check(
+    "skipped_file",
+    Severity.WARNING,
+    "An .mcap file was not used",
+    "If this should be a trace, look at it with `mcap doctor`; else move it elsewhere.",
+    Subject.FILE,
+)
+def skipped_traces(evidence: Evidence) -> Iterator[Observation]:
+    """Report unusable files that are traces by their name."""
+    for source in evidence.campaign.sources:
+        if source.status == "skipped" and source.path.endswith(".mcap"):
+            yield Observation(source.path, f"Not used: {source.detail}.")
+
+
+@check(
+    "skipped_file",
+    Severity.INFO,
+    "Other files were not used",
+    "Nothing to do, unless one of them should be a trace.",
+    Subject.FILE,
+)
+def skipped_files(evidence: Evidence) -> Iterator[Observation]:
+    """Report all other files together."""
+    others = [
+        source.path
+        for source in evidence.campaign.sources
+        if source.status == "skipped" and not source.path.endswith(".mcap")
+    ]
     if others:
-        yield Finding(
-            Severity.INFO,
-            "skipped_file",
-            some(others, 10),
-            f"No trace and not used: {len(others)} of the files here.",
-            "Nothing to do, unless one of them should be a trace.",
+        yield Observation(
+            some(others, 10), f"{len(others)} of the files here are not traces and were not used."
         )
 
 
-def truncated_files(evidence: Evidence) -> Iterator[Finding]:
+def _named_traces(evidence: Evidence) -> Iterator[tuple[str, Trace]]:
+    return ((evidence.campaign.name(index), trace) for index, trace in enumerate(evidence.campaign.traces))
+
+
+@check(
+    "truncated_file",
+    Severity.WARNING,
+    "A file ends early",
+    "Messages near the end may count as lost though they were not: record again if that matters.",
+    Subject.FILE,
+)
+def truncated_files(evidence: Evidence) -> Iterator[Observation]:
     """Report files that end early."""
-    for position, trace in enumerate(evidence.campaign.traces):
+    for name, trace in _named_traces(evidence):
         if trace.truncated:
-            yield Finding(
-                Severity.WARNING,
-                "truncated_file",
-                evidence.campaign.name(position),
-                f"The file ends early ({trace.truncated}); everything before that was used.",
-                "Messages near the end may count as lost though they were not: record again if that matters.",
+            yield Observation(
+                name, f"The file ends early ({trace.truncated}); everything before that was used."
             )
 
 
-def rescued_events(evidence: Evidence) -> Iterator[Finding]:
-    """Report events from the ring of a recorder that was killed before it wrote them."""
-    for position, trace in enumerate(evidence.campaign.traces):
-        if trace.ring_events:
-            yield Finding(
-                Severity.INFO,
-                "ring_recovered",
-                evidence.campaign.name(position),
-                f"{counted(trace.ring_events, 'event comes', 'events come')} from the ring that a killed recorder left beside the file.",
-                "Nothing to do; keep the ring file beside its trace.",
-            )
-
-
-def unreadable_messages(evidence: Evidence) -> Iterator[Finding]:
-    """Report messages on event topics that are not events."""
-    for position, trace in enumerate(evidence.campaign.traces):
+@check(
+    "unreadable_messages",
+    Severity.WARNING,
+    "Messages on event topics are not events",
+    "Compare what wrote the file with docs/trace-format.md.",
+    Subject.FILE,
+)
+def unreadable_messages(evidence: Evidence) -> Iterator[Observation]:
+    """Count the messages that no event is in."""
+    for name, trace in _named_traces(evidence):
         if trace.unreadable_messages:
-            yield Finding(
-                Severity.WARNING,
-                "unreadable_messages",
-                evidence.campaign.name(position),
-                counted(
-                    trace.unreadable_messages,
-                    "message on an event topic is no event and was not used.",
-                    "messages on event topics are no events and were not used.",
-                ),
-                "Compare what wrote the file with docs/trace-format.md.",
+            what = counted(
+                trace.unreadable_messages,
+                "message on an event topic is not an event and was not used.",
+                "messages on event topics are not events and were not used.",
             )
+            yield Observation(name, what)
 
 
-def reader_notes(evidence: Evidence) -> Iterator[Finding]:
-    """Report what else the reader noticed."""
-    for position, trace in enumerate(evidence.campaign.traces):
-        for note in trace.notes:
-            yield Finding(
-                Severity.INFO,
-                "reader_note",
-                evidence.campaign.name(position),
-                note,
-                "Judge whether it touches the numbers.",
-            )
+@check(
+    "ring_recovered",
+    Severity.INFO,
+    "Events were recovered from the ring of a killed recorder",
+    "Nothing to do; keep the ring file in the trace's folder.",
+    Subject.FILE,
+)
+def recovered_events(evidence: Evidence) -> Iterator[Observation]:
+    """Count the events that a recorder was killed before it wrote."""
+    for name, trace in _named_traces(evidence):
+        if trace.ring_events:
+            events = counted(trace.ring_events, "event comes", "events come")
+            yield Observation(name, f"{events} from the ring that a killed recorder left next to the file.")
 
 
-def copied_files(evidence: Evidence) -> Iterator[Finding]:
-    """Report files that share events with another one; each event counts once."""
+@check(
+    "duplicate_file",
+    Severity.INFO,
+    "A file is a copy of another",
+    "Nothing to do; remove the copy to save time.",
+    Subject.FILE,
+)
+def copied_files(evidence: Evidence) -> Iterator[Observation]:
+    """Report files that add no event."""
     for source in evidence.campaign.sources:
         if source.status == "duplicate":
-            yield Finding(
-                Severity.INFO,
-                "duplicate_file",
-                source.path,
-                f"Not counted again: {source.detail}.",
-                "Nothing to do; remove the copy to save time.",
-            )
+            yield Observation(source.path, f"Not counted again: {source.detail}.")
+
+
+@check(
+    "overlapping_files",
+    Severity.INFO,
+    "Files share events",
+    "Nothing to do; keep the more complete file to save time.",
+    Subject.FILE,
+)
+def overlapping_files(evidence: Evidence) -> Iterator[Observation]:
+    """Report files that share some events with another one; each event counts once."""
+    read = {source.path for source in evidence.campaign.sources if source.status != "duplicate"}
     for copy in evidence.campaign.copies:
         name = evidence.campaign.name(copy.trace)
-        if any(source.path == name and source.status != "duplicate" for source in evidence.campaign.sources):
-            yield Finding(
-                Severity.INFO,
-                "overlapping_files",
-                name,
-                f"{copy.events} of its events {'is' if copy.events == 1 else 'are'} also in "
-                f"{evidence.campaign.names(copy.others) or name}; "
-                f"{'it was' if copy.events == 1 else 'they were'} counted once.",
-                "Nothing to do; keep the more complete file to save time.",
+        if name in read:
+            events = "is" if copy.events == 1 else "are"
+            once = "it was" if copy.events == 1 else "they were"
+            others = evidence.campaign.names(copy.others) or name
+            yield Observation(
+                name, f"{copy.events} of its events {events} also in {others}; {once} counted once."
             )
+
+
+@check(
+    "reader_note",
+    Severity.INFO,
+    "The reader noticed something else",
+    "Judge whether it affects the numbers.",
+    Subject.FILE,
+)
+def reader_notes(evidence: Evidence) -> Iterator[Observation]:
+    """Report each note of the reader."""
+    for name, trace in _named_traces(evidence):
+        for note in trace.notes:
+            yield Observation(name, note)

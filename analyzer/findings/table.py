@@ -1,7 +1,7 @@
-"""The findings: everything doubtful in an analysis, worst first.
+"""The findings of an analysis: everything doubtful, worst first.
 
-A check is a function that looks at the evidence and yields findings. A new check is a function in a file of this
-folder and a row of `CHECKS`; analysis, reports and JSON follow from that.
+A new finding is a function with `@check` in a file of this folder, and a row of `CHECKS`; reports, JSON and the reference
+follow.
 """
 
 from __future__ import annotations
@@ -11,26 +11,11 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from ..model.finding import Finding, Severity
-from . import (
-    applied,
-    clocks,
-    groups,
-    left_out,
-    runs,
-    sending,
-    sessions,
-    shapes,
-    sides,
-    sources,
-    wire,
-)
+from . import applied, clocks, groups, left_out, runs, sending, sessions, shapes, sides, sources, wire
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
+    from .check import Check
     from .evidence import Evidence
-
-    Check = Callable[[Evidence], Iterator[Finding]]
 
 CHECKS: tuple[Check, ...] = (
     applied.settings_not_applied,
@@ -38,13 +23,22 @@ CHECKS: tuple[Check, ...] = (
     sessions.failed_bridges,
     sessions.failed_recordings,
     sessions.stopped_recordings,
-    runs.unplaced_events,
-    runs.relays_without_trace,
+    runs.runs_without_ping,
+    runs.undescribed_runs,
+    runs.undescribed_sessions,
+    runs.runs_without_relay,
+    runs.missing_relay_traces,
+    runs.incomplete_relay_traces,
+    runs.undescribed_relays,
     runs.gaps_of_relays,
-    runs.unfinished_runs,
+    runs.runs_without_end,
+    runs.stopped_runs,
+    runs.missing_publications,
     runs.unpublished_runs,
+    runs.unpublished_open_runs,
     runs.repeated_publications,
     runs.orphan_events,
+    groups.nothing_received,
     groups.losses,
     groups.outages,
     groups.waits_in_readers,
@@ -74,6 +68,7 @@ CHECKS: tuple[Check, ...] = (
     clocks.suspends,
     clocks.clock_steps,
     clocks.slews,
+    clocks.slow_slews,
     clocks.clock_drifts,
     clocks.cpu_saturation,
     applied.dropped_datagrams,
@@ -84,53 +79,52 @@ CHECKS: tuple[Check, ...] = (
     wire.retransmission_storms,
     wire.heartbeat_bound_recoveries,
     wire.discovery_traffic,
-    shapes.unlike_sizes,
+    shapes.falls_with_size,
+    shapes.jumps_with_size,
     groups.few_samples,
     sessions.missing_files,
+    sources.skipped_traces,
     sources.skipped_files,
     sources.truncated_files,
     sources.unreadable_messages,
-    sources.rescued_events,
+    sources.recovered_events,
     sources.copied_files,
+    sources.overlapping_files,
     sources.reader_notes,
     left_out.sketched,
     left_out.stale_rows,
     left_out.groups_in_parts,
     left_out.cases_not_compared,
 )
-"""Every check, in the order in which findings of equal severity and effect are listed."""
+"""All checks, in the order in which findings of equal severity and effect are listed."""
 
 _RANK = {severity: rank for rank, severity in enumerate(Severity)}
 
-_OF_A_KIND = 20
+_MOST_LISTED = 20
 """Findings of one severity and code that are listed one by one; a campaign of 500 runs may well have 500 of a kind."""
 
 
 def find_findings(evidence: Evidence) -> tuple[Finding, ...]:
-    """Return the findings of every check, worst first: by severity, then by effect.
-
-    Of many of a kind the worst ones and a count of the rest.
-    """
+    """Return the findings of every check, by severity, then by effect; of very many of a kind the worst and a count."""
     kinds: dict[tuple[Severity, str], list[Finding]] = defaultdict(list)
     for check in CHECKS:
-        for finding in check(evidence):
-            kinds[finding.severity, finding.code].append(finding)
-    listed = [finding for of_kind in kinds.values() for finding in _worst_ones(of_kind)]
+        kinds[check.severity, check.code] += check(evidence)
+    listed = [finding for findings in kinds.values() for finding in _worst(findings)]
     return tuple(sorted(listed, key=lambda finding: (_RANK[finding.severity], -finding.effect)))
 
 
-def _worst_ones(of_kind: list[Finding]) -> list[Finding]:
-    """Return the worst findings of a kind, and one that stands for all others."""
-    of_kind = sorted(of_kind, key=lambda finding: -finding.effect)
-    more = len(of_kind) - _OF_A_KIND
-    if more <= 1:
-        return of_kind
-    last, left = of_kind[_OF_A_KIND], of_kind[_OF_A_KIND:]
+def _worst(findings: list[Finding]) -> list[Finding]:
+    """Return the worst findings of a kind, and one for all others."""
+    findings = sorted(findings, key=lambda finding: -finding.effect)
+    others = findings[_MOST_LISTED:]
+    if len(others) <= 1:
+        return findings
+    first = others[0]
     rest = replace(
-        last,
-        where=f"{last.where}; and {more - 1} more",
-        what=f"{more} more of this kind. {last.what}",
-        groups=tuple(dict.fromkeys(group for finding in left for group in finding.groups)),
-        count=more,
+        first,
+        where=f"{first.where}; and {len(others) - 1} more",
+        what=f"{len(others)} more of this kind. {first.what}",
+        groups=tuple(dict.fromkeys(group for finding in others for group in finding.groups)),
+        count=len(others),
     )
-    return [*of_kind[:_OF_A_KIND], rest]
+    return [*findings[:_MOST_LISTED], rest]

@@ -32,6 +32,10 @@ DEADLINE_METRICS = (*METRICS, "outbound", "return")
 """Metrics that a deadline can be for."""
 
 
+WHOLE_GROUP_EVENTS = 24_000_000
+"""A group with more events is processed in parts of whole runs; one of 20 M takes 2 GB."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Grouping:
     """Exchanges with equal parameters are one group; groups are sorted by their parameters, null last.

@@ -66,13 +66,13 @@ class Summary:
         frame: the columns of `columns.SUMMARY_COLUMNS`; row i is group i.
         distributions: `group` u32, `metric` str, `value_ns` f64, `count` u64.
         samples: metric -> int64, number of values of each group that are not null.
-        of_exchange: counts and spans of every exchange of the grouping, columns of `counts.COUNT_SCHEMA`.
+        exchange_counts: counts and spans of every exchange of the grouping, columns of `counts.COUNT_SCHEMA`.
     """
 
     frame: pl.DataFrame
     distributions: pl.DataFrame
     samples: dict[str, NDArray[np.int64]]
-    of_exchange: pl.DataFrame
+    exchange_counts: pl.DataFrame
 
     def unsent_by_run(self, grouping: Grouping) -> dict[int, int]:
         """Return run_id -> messages that were due and never left, of the runs that have any.
@@ -82,19 +82,19 @@ class Summary:
         """
         unsent: dict[int, int] = {}
         for exchange, count in zip(
-            grouping.exchanges, self.of_exchange["unsent"].fill_null(0).to_list(), strict=True
+            grouping.exchanges, self.exchange_counts["unsent"].fill_null(0).to_list(), strict=True
         ):
             if count:
                 unsent[exchange.run.run_id] = max(count, unsent.get(exchange.run.run_id, 0))
         return unsent
 
 
-def summarize_groups(grouping: Grouping, of_exchange: pl.DataFrame, statistics: Statistics) -> Summary:
+def summarize_groups(grouping: Grouping, exchange_counts: pl.DataFrame, statistics: Statistics) -> Summary:
     """Make one row per group.
 
     Args:
         grouping: the groups.
-        of_exchange: counts of every exchange of the grouping, in its order.
+        exchange_counts: counts of every exchange of the grouping, in its order.
         statistics: of every group.
     """
     measured = statistics.frame.sort("group", maintain_order=True)
@@ -104,7 +104,7 @@ def summarize_groups(grouping: Grouping, of_exchange: pl.DataFrame, statistics: 
         )
         for metric in METRICS
     ]
-    counts = _counts_and_rates(of_exchange, grouping)
+    counts = _counts_and_rates(exchange_counts, grouping)
     frame = pl.concat([grouping.parameters, counts, *wide], how="horizontal").with_columns(
         own_share().alias("own_share")
     )
@@ -112,11 +112,11 @@ def summarize_groups(grouping: Grouping, of_exchange: pl.DataFrame, statistics: 
         frame=frame.select(pl.col(column.name).cast(column.dtype) for column in SUMMARY_COLUMNS),
         distributions=statistics.distributions,
         samples={metric: measured.filter(metric=metric)["samples"].to_numpy() for metric in METRICS},
-        of_exchange=of_exchange,
+        exchange_counts=exchange_counts,
     )
 
 
-def _counts_and_rates(of_exchange: pl.DataFrame, grouping: Grouping) -> pl.DataFrame:
+def _counts_and_rates(exchange_counts: pl.DataFrame, grouping: Grouping) -> pl.DataFrame:
     """Compute the columns of `columns.COUNT_COLUMNS` and `columns.RUN_COLUMNS`, one row per group."""
     exchanges = grouping.exchanges
     recorded = pl.Series([exchange.relay_recorded for exchange in exchanges], dtype=pl.Boolean)
@@ -125,7 +125,7 @@ def _counts_and_rates(of_exchange: pl.DataFrame, grouping: Grouping) -> pl.DataF
     own_ns = [own_cost_ns(exchange.ping, exchange.relay) for exchange in exchanges]
     moved = pl.when(recorded).then("relayed").otherwise("replied")
     return (
-        of_exchange.lazy()
+        exchange_counts.lazy()
         .with_columns(
             pl.Series("group", grouping.group_of_exchange),
             pl.Series("run_id", [exchange.run.run_id for exchange in exchanges], dtype=pl.UInt64),

@@ -203,6 +203,6 @@ def test_a_run_of_which_nothing_left_is_told(tmp_path, state, severity, outcome)
     (finding,) = (one for one in analysis.findings if one.code == "unpublished_run")
     assert finding.severity is severity
     assert finding.where == "run 00000000000001f4 (silent/ping.mcap)"
-    assert finding.what == "None of 600 planned messages left, and no group has the run."
+    assert "None of 600 planned messages left" in finding.what
     (result,) = judge_gates(compare(analysis, analysis), parse_gates(["latency_p90 > +10%"]))
     assert result.outcome is outcome

@@ -150,7 +150,7 @@ def test_drops_of_the_own_sockets_are_found(tmp_path):
     record(tmp_path, relay=instants(begin, end), ping=instants(begin, begin))
     (finding,) = of_code(analyze(tmp_path), "udp_buffer_overflow")
     assert finding.where.startswith("relay on alpha")
-    assert "threw away 9 datagrams at its own sockets" in finding.what
+    assert "dropped 9 datagrams at its own sockets" in finding.what
     assert finding.groups == (0,)
 
 

@@ -23,6 +23,7 @@ from trace_files import (
 
 import dds_trace.analyzer.cache.loaded
 from dds_trace.analyzer import findings as rooms
+from dds_trace.analyzer.findings.check import Check
 from dds_trace.analyzer.findings.table import CHECKS
 from dds_trace.analyzer.model.finding import Severity
 from dds_trace.analyzer.pipeline import analyze
@@ -62,17 +63,9 @@ def test_a_sound_recording_has_no_finding(tmp_path):
 
 
 def test_every_check_is_in_the_table():
-    names = {module.name for module in iter_modules(rooms.__path__)} - {"table", "evidence"}
-    checking = [import_module(f"{rooms.__name__}.{name}") for name in names]
-    functions = {
-        value
-        for module in checking
-        for name, value in vars(module).items()
-        if callable(value)
-        and getattr(value, "__module__", "") == module.__name__
-        and not name.startswith("_")
-    }
-    assert functions == set(CHECKS)
+    modules = [import_module(f"{rooms.__name__}.{module.name}") for module in iter_modules(rooms.__path__)]
+    checks = {value for module in modules for value in vars(module).values() if isinstance(value, Check)}
+    assert checks == set(CHECKS)
 
 
 def test_the_most_severe_come_first(tmp_path):
@@ -245,7 +238,7 @@ def test_metrics_with_fewer_samples_are_told_apart(tmp_path):
 
 def test_schedule_not_held(tmp_path):
     write_pair(tmp_path, sound(), runs=[described(sound(), rate_hz=12.0)])
-    assert findings(tmp_path)["schedule_not_held"].what == "Published at 10 Hz, asked for 12 Hz."
+    assert findings(tmp_path)["schedule_not_held"].what == "Published at 10 Hz, requested 12 Hz."
     write_pair(tmp_path, sound(), runs=[described(sound(), rate_hz=10.1)])  # within 2 %
     assert "schedule_not_held" not in findings(tmp_path)
 
@@ -263,7 +256,7 @@ def test_one_late_last_message_does_not_break_a_schedule(tmp_path):
     write_pair(tmp_path, sent_late(lambda s: 300 * MS if s == 29 else 50, 30))
     assert set(findings(tmp_path)) == {"few_samples"}
     write_pair(tmp_path, sent_late(lambda s: s * 10 * MS, 30))  # a tenth of a period more each time
-    assert findings(tmp_path)["schedule_not_held"].what == "Published at 9.091 Hz, asked for 10 Hz."
+    assert findings(tmp_path)["schedule_not_held"].what == "Published at 9.091 Hz, requested 10 Hz."
 
 
 def test_a_sender_that_is_held_up_again_and_again_sends_late(tmp_path):
@@ -396,7 +389,7 @@ def test_what_a_stand_still_held_up_is_no_late_send(tmp_path):
             "unlike_payloads",
             "described as 20 B a message, its T1 events say 33000 to 33000 B",
         ),
-        ({"relay_domain_id": 7}, "unlike_domains", "told relay domain 7, the relay was in 10"),
+        ({"relay_domain_id": 7}, "unlike_domains", "given relay domain 7, the relay was in 10"),
     ],
 )
 def test_runs_that_are_not_what_they_say(tmp_path, changes, code, text):
@@ -555,7 +548,7 @@ def test_a_relay_without_its_events(tmp_path):
     write_trace(tmp_path / "ping.mcap", ping_session(), [described(sound())], ping_events(sound()))
     assert "Copy the relay's trace" in findings(tmp_path)["missing_relay_trace"].action
     write_trace(tmp_path / "relay.mcap", relay_session(), (), {})
-    assert "does not know these runs" in findings(tmp_path)["missing_relay_trace"].action
+    assert "does not have these runs" in findings(tmp_path)["missing_relay_trace"].action
 
 
 def side_by_side(folder, shift_ns, **second):
@@ -580,7 +573,7 @@ def test_unlike_pings_at_the_same_time_on_a_device(tmp_path):
     found = side_by_side(tmp_path, 5 * 10**9)["overlapping_pings"]  # of ten seconds each
     assert found.groups == (0, 1)
     assert found.what == (
-        "1 pair of runs of the two groups went on at the same time on one machine, such as "
+        "1 pair of runs of the two results went on at the same time on one machine, such as "
         "run 0000000000000001 (ping1.mcap) and run 0000000000000002 (ping2.mcap) for 49.5 % of the shorter one."
     )
     assert found.effect == pytest.approx(4.9 / 9.9, rel=1e-3)
@@ -649,7 +642,7 @@ def test_a_ping_and_a_relay_of_unlike_versions(tmp_path):
     write_pair(tmp_path, sound(), ping=ping_session(**old), relay=relay_session(**new))
     found = findings(tmp_path)["unlike_versions"]
     assert found.what == (
-        "The ping and the relay ran unlike versions: dds-trace 0.1.0 and 0.2.0; rmw_fastrtps_cpp 8.4.1 and 8.4.2."
+        "The ping and the relay ran different versions: dds-trace 0.1.0 and 0.2.0; rmw_fastrtps_cpp 8.4.1 and 8.4.2."
     )
     assert (found.where, found.groups) == ("ping on alpha, relay on beta", (0,))
     write_pair(tmp_path, sound(), ping=ping_session(**old), relay=relay_session(**old))

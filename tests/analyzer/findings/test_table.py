@@ -1,30 +1,33 @@
-"""A finding is a function and a row of the table: a toy one reaches every report through that row alone."""
+"""A finding is a function with its record, and a row of the table: a toy one reaches every report through these alone."""
 
 from __future__ import annotations
 
 import json
+import re
+from importlib import import_module
+from pathlib import Path
 
 import pytest
 from trace_files import Message, write_pair
 
 from dds_trace.analyzer.findings import table
-from dds_trace.analyzer.model.finding import Finding, Severity
+from dds_trace.analyzer.findings.check import Subject, check
+from dds_trace.analyzer.model.finding import Severity
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.reports.reporters import REPORT_MODULES, render_report
 
 
+@check(
+    "odd_count",
+    Severity.WARNING,
+    "A result has an odd number of messages",
+    "Send {more} message more.",
+    Subject.RESULT,
+)
 def odd_counts(evidence):
-    """Report groups with an odd number of messages."""
     for group, published in enumerate(evidence.summary.frame["published"]):
         if published % 2:
-            yield Finding(
-                Severity.WARNING,
-                "odd_count",
-                evidence.group_names[group],
-                f"{published} messages cannot be halved.",
-                "Send one message more.",
-                (group,),
-            )
+            yield evidence.result(group, f"{published} messages cannot be halved.", more="one")
 
 
 @pytest.fixture
@@ -47,3 +50,22 @@ def test_a_toy_finding_is_in_every_report(analysis, kind):
     if kind == "json":
         (finding,) = [f for f in json.loads(report)["findings"] if f["code"] == "odd_count"]
         assert (finding["severity"], finding["groups"]) == ("warning", [0])
+
+
+def test_a_toy_finding_is_in_the_reference(monkeypatch):
+    monkeypatch.syspath_prepend(Path(__file__).parents[3] / "docs")
+    reference = import_module("generated.findings")
+    monkeypatch.setattr(reference, "CHECKS", (*table.CHECKS, odd_counts))
+    text = reference.findings()
+    assert "### odd_count\n\n- **Warning**, about a result: A result has an odd number of messages." in text
+    assert "Send … message more." in text
+    assert set(re.findall("### (.*)", text)) == {check.code for check in table.CHECKS} | {"odd_count"}
+
+
+@pytest.mark.parametrize("check", table.CHECKS, ids=lambda check: f"{check.code}-{check.severity.value}")
+def test_a_check_has_a_short_title_and_says_what_to_do(check):
+    assert re.fullmatch("[a-z]+(_[a-z]+)*", check.code)
+    assert check.title[0].isupper() or check.title.startswith("--")
+    assert not check.title.endswith(".")
+    assert len(check.title) <= 72
+    assert check.action.endswith(".")

@@ -251,7 +251,7 @@ def test_many_messages_sent_again_are_a_storm_though_their_bytes_are_few(tmp_pat
 @pytest.mark.parametrize(
     ("kernel", "words"),
     [
-        ({"udp_receive_buffer_full": 7, "reassembly_failed": 9}, "7 datagrams found a full receive buffer"),
+        ({"udp_receive_buffer_full": 7, "reassembly_failed": 9}, "7 datagrams met a full receive buffer"),
         ({"reassembly_failed": 9}, "9 datagrams that could not be put together from IP fragments, so send"),
         ({}, "neither kernel counted a lost datagram, so look at the link: lower the rate"),
     ],

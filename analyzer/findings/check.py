@@ -1,0 +1,62 @@
+"""A check: what one kind of finding is, as a record, and the function that observes it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from functools import partial
+from typing import TYPE_CHECKING
+
+from ..model.finding import Finding, Severity
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from .evidence import Evidence, Observation
+
+    Observe = Callable[[Evidence], Iterator[Observation]]
+
+
+class Subject(Enum):
+    """What the `where` of a finding names."""
+
+    ANALYSIS = "the analysis"
+    DEVICE = "a device or a pair of devices"
+    FILE = "a file"
+    RECORDING = "a recording"
+    RELAY = "a relay"
+    RESULT = "a result"
+    RUN = "a run"
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One kind of finding; calling it yields its findings.
+
+    Attributes:
+        code: as in `Finding`.
+        title: what is wrong, without figures.
+        action: what to do next; `{names}` are filled by the observation.
+    """
+
+    code: str
+    severity: Severity
+    title: str
+    action: str
+    subject: Subject
+    observe: Observe
+
+    def __call__(self, evidence: Evidence) -> Iterator[Finding]:
+        """Yield a finding for each observation."""
+        for seen in self.observe(evidence):
+            action = self.action.format(**seen.blanks)
+            yield Finding(
+                self.severity, self.code, seen.where, seen.what, action, seen.groups, effect=seen.effect
+            )
+
+
+def check(
+    code: str, severity: Severity, title: str, action: str, subject: Subject
+) -> Callable[[Observe], Check]:
+    """Make a `Check` of the function below, which yields where it holds and the figures."""
+    return partial(Check, code, severity, title, action, subject)

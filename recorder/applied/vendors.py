@@ -82,7 +82,7 @@ class VendorFacts:
 
 
 BUFFER_BYTES = 4_000_000
-"""Socket buffer of every vendor's `--tuned`; `recorder.backends.socket.udp.TUNED_BUFFER_BYTES` is the same number."""
+"""Socket buffer of every vendor's `--tuned`."""
 
 UDP = TransportFacts("UDP", "udp", shared_memory=False)
 

@@ -1,4 +1,4 @@
-"""The middlewares that messages can travel on: one file for each API, loaded when it is asked for."""
+"""The middlewares that carry messages: one file for each API, loaded when it is used."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ BACKEND_MODULES = {
     "connext": "dds_trace.recorder.backends.connext",
     "socket": "dds_trace.recorder.backends.socket",
 }
-"""Name of each backend -> the module that holds its `BACKEND`."""
+"""Name of each backend -> the module with its `BACKEND`."""
 
 
 def load_backend(name: str) -> Backend:
@@ -36,7 +36,7 @@ def load_backend(name: str) -> Backend:
 
 
 def load_backends() -> tuple[Backend, ...]:
-    """Return all backends, in the order in which they are offered; no middleware is imported."""
+    """Return all backends; no middleware is imported."""
     return tuple(map(load_backend, BACKEND_MODULES))
 
 

@@ -1,12 +1,10 @@
-"""The record of a middleware: `Backend`, one in each file of `recorder/backends/`, with all that the rest of dds-trace knows.
-
-Nothing here imports a middleware.
-"""
+"""The record of a middleware: `Backend`, one in each file of `recorder/backends/`. Nothing here imports a middleware."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import Enum
+from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
@@ -23,12 +21,12 @@ if TYPE_CHECKING:
 
 
 class Meeting(Enum):
-    """The way in which the nodes of a ping and a relay find each other."""
+    """How the nodes of a ping and a relay meet."""
 
     DISCOVERY = "discovery"
-    """By themselves; an address is refused."""
+    """They discover each other; an address is refused."""
     DISCOVERY_OR_PEERS = "discovery or peers"
-    """By themselves, or at the addresses given."""
+    """They discover each other, or use the addresses given."""
     PEERS = "peers"
     """The ping connects to the relay's address, the relay listens."""
 
@@ -37,7 +35,7 @@ DDS_MEETING = (
     "both have the same --domain and --discovery and a --backend that speaks DDS ({dds_backends}), and the network lets "
     "multicast through"
 )
-"""Beginning of `Backend.meeting_needs` of a backend that speaks DDS."""
+"""Start of `Backend.meeting_needs` of a backend that speaks DDS."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,22 +47,22 @@ class Backend:
         label: name for people.
         make_node: opens a node that has joined the domain and is not started; an `ImportError` means that the package
             is missing or broken.
-        find_installed: the ROS middlewares that a node can run on here, found without loading them; `[None]` where
+        find_installed: returns the ROS middlewares that a node can run on here, without loading them; `[None]` where
             there is no choice, empty where the backend cannot run.
         install: instruction to install the middleware, for the end of a message.
-        meeting: the way in which ping and relay find each other.
-        meeting_needs: what must hold for that, for the end of a sentence, with `{port}` in place of the relay's port
-            and `{dds_backends}` in place of the names of all backends that speak DDS.
+        meeting: how ping and relay meet.
+        meeting_needs: what that requires, for the end of a sentence, with `{port}` in place of the relay's port and
+            `{dds_backends}` in place of the names of all backends that speak DDS.
         speaks_dds: whether its nodes meet those of other backends that speak DDS.
         relay_port: number of the relay's port among the 250 of the domain, of which DDS participants use 0, 1 and
             those from 10 on; None where the relay does not listen.
         make_pair: opens two nodes on this device, one that subscribes and one that publishes, for a backend whose nodes do
-            not hear themselves; None where one node does both.
-        has_ros: whether it runs on a ROS middleware with an executor, both of which can be chosen.
+            not receive their own messages; None where one node does both.
+        has_ros: whether it has a ROS middleware and an executor, which can be chosen.
         has_congestion_control: whether TCP's congestion control can be chosen.
         transports: transports that can be chosen.
         environment: variables and files that change what the middleware does.
-        check_settings: refuses further options that have no meaning, by an `OptionError`.
+        check_settings: raises an `OptionError` for further options that have no meaning.
     """
 
     name: str
@@ -84,7 +82,7 @@ class Backend:
     check_settings: Callable[[NodeOptions], None] | None = None
 
     def open_node(self, options: NodeOptions) -> Node:
-        """Open a node that has joined the domain and is not started yet.
+        """Open a node that has joined the domain and is not started.
 
         Raises:
             BackendUnavailableError: the middleware or its licence is not on this machine; the message says how to
@@ -98,10 +96,7 @@ class Backend:
             raise BackendUnavailableError(f"{self.label} cannot be loaded ({err}); {self.install}") from err
 
     def open_pair(self, options: NodeOptions) -> tuple[Node, Node]:
-        """Open a node that subscribes and one that publishes to it: the same node, where nodes hear themselves.
-
-        Errors as for `open_node`.
-        """
+        """Open a node that subscribes and one that publishes to it, which may be the same; errors as for `open_node`."""
         if self.make_pair is None:
             node = self.open_node(options)
             return node, node
@@ -109,10 +104,10 @@ class Backend:
         return self.make_pair(options)
 
     def check(self, options: NodeOptions) -> None:
-        """Refuse options that have no meaning here: an option that is ignored is one that its user believes in.
+        """Refuse options that would have no effect.
 
         Raises:
-            OptionError: naming the option and what this backend knows.
+            OptionError: naming the option and what this backend has.
         """
         check_domain_id(options.domain_id)
         if options.rmw is not None and not self.has_ros:
@@ -128,11 +123,13 @@ class Backend:
                 f"--congestion-control {options.congestion_control}: the backend {self.name} has no TCP of its own; leave it out"
             )
         if options.transport not in self.transports:
-            known = ", ".join(transport.value for transport in self.transports)
-            raise OptionError(f"--transport {options.transport.value}: the backend {self.name} knows {known}")
+            names = ", ".join(transport.value for transport in self.transports)
+            raise OptionError(
+                f"--transport {options.transport.value}: the backend {self.name} only has {names}"
+            )
         if options.peers and self.meeting is Meeting.DISCOVERY:
             raise OptionError(
-                f"--peer {options.peers[0]}: the backend {self.name} finds the others by itself; leave it out"
+                f"--peer {options.peers[0]}: the backend {self.name} discovers its peers; remove --peer"
             )
         if self.check_settings is not None:
             self.check_settings(options)
@@ -143,7 +140,7 @@ class Backend:
         return first_port(domain_id) + self.relay_port
 
     def describe_meeting(self, domain_id: int, dds_backends: str) -> str:
-        """Return `meeting_needs` for a relay in `domain_id`; `dds_backends` lists the backends that speak DDS."""
+        """Return `meeting_needs` for a relay in `domain_id`."""
         port = "" if self.relay_port is None else self.port_of(domain_id)
         return self.meeting_needs.format(port=port, dds_backends=dds_backends)
 
@@ -164,13 +161,18 @@ class Backend:
         return tuple(_parse_address(text, port) for text in options.peers)
 
 
-def _parse_address(text: str, port: int) -> tuple[str, int]:
-    """Return the host and port that `HOST` or `HOST:PORT` names; `port` in the first case."""
+def has_package(name: str) -> bool:
+    """Return whether a Python package is installed, without importing it."""
+    return find_spec(name) is not None
+
+
+def _parse_address(text: str, default_port: int) -> tuple[str, int]:
+    """Parse `HOST` or `HOST:PORT`."""
     host, colon, number = text.rpartition(":")
     if limits.HOST.fault(text) is not None:
         raise OptionError(f"--peer {limits.shown(text)}: write HOST or HOST:PORT")
     if not colon:
-        return text, port
+        return text, default_port
     if limits.ADDRESS.fault(text) is not None or limits.PORT.fault(int(number)) is not None:
         raise OptionError(f"--peer {text}: write HOST or HOST:PORT")
     return host, int(number)

@@ -1,7 +1,6 @@
 """`connext`: RTI Connext through `rti.connext`, with the topics and types of ROS 2.
 
-Written by RTI's documentation; it starts a participant only with a licence, and without one it says so in a line.
-Messages pass as they are serialized, in a DynamicData that holds CDR. The only file that imports rti.connextdds.
+It needs a licence. Messages pass in serialized form, in a DynamicData of CDR. Only this file imports rti.connextdds.
 """
 
 from __future__ import annotations
@@ -17,13 +16,20 @@ from dds_trace.base.errors import BackendUnavailableError, OptionError
 from dds_trace.base.units import SECOND_NS
 from dds_trace.tracefile.format.descriptions import Qos
 
-from ..choices import Discovery
+from ..choices import Discovery, Durability, History, Reliability
 from ..host.environment import ConfigurationVariable, MiddlewareEnvironment
-from .base import DDS_MEETING, Backend, Meeting
-from .dds_types import DDS_TYPES, check_known, dds_name, dds_topic, ros_name, split_type
-from .node import Endpoint, Middleware, TopicView
+from .base import DDS_MEETING, Backend, Meeting, has_package
+from .dds_types import DDS_TYPES, check_type, dds_name, dds_topic, ros_name, split_type
+from .node import (
+    LAST_ACKNOWLEDGEMENT_S,
+    ROUND_S,
+    Endpoint,
+    Middleware,
+    NodeSubscription,
+    ThreadedNode,
+    TopicView,
+)
 from .qos import duration_extra, incompatible_pairs, requested_durations
-from .threaded import LAST_ACKNOWLEDGEMENT_S, ROUND_S, NodeSubscription, ThreadedNode, has_package
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -39,14 +45,17 @@ LOCALHOST_PEERS = ("builtin.udpv4://127.0.0.1", "builtin.shmem://")
 
 
 class ConnextNode(ThreadedNode):
-    """One participant with its readers' thread; see `Node` for the names."""
+    """One participant with its readers' thread."""
 
     def __init__(self, options: NodeOptions) -> None:
         dds = _connext()
         super().__init__(options)
         qos = dds.DomainParticipantQos()
         qos.participant_name.name = options.name
-        properties = _properties(options)
+        properties = {
+            **(LOCALHOST_PROPERTIES if options.discovery is Discovery.LOCALHOST else {}),
+            **(TUNED_PROPERTIES if options.tuned else {}),
+        }
         for name, value in properties.items():
             qos.property[name] = value
         if options.discovery is Discovery.LOCALHOST:
@@ -59,7 +68,7 @@ class ConnextNode(ThreadedNode):
         except dds.Error as err:
             raise BackendUnavailableError(
                 "RTI Connext does not start a participant; it needs a licence: set RTI_LICENSE_FILE to the path of "
-                f"your rti_license.dat (RTI's own reason is the line above; {err})"
+                f"your rti_license.dat (RTI's own reason is in the line above; {err})"
             ) from err
         self._waitset = dds.WaitSet()
         self._readers: tuple[tuple[Any, Receive[RawMessage]], ...] = ()
@@ -83,8 +92,8 @@ class ConnextNode(ThreadedNode):
         """Create a writer of bytes."""
         dds = _connext()
         dds_topic_object, dynamic_type = self._topic(topic, type_name)
-        policies = _fill(dds.DataWriterQos(), qos or self._options.qos)
-        # Reliable messages of more than one datagram must be sent by a thread of Connext's (its chapter on large data).
+        policies = _fill(dds.DataWriterQos(), qos or self.options.qos)
+        # Reliable messages of several datagrams need a thread of Connext's ("large data" in its manual).
         policies.publish_mode = dds.PublishMode.asynchronous()
         writer = dds.DynamicData.DataWriter(dds.Publisher(self._participant), dds_topic_object, policies)
         publisher = _ConnextPublisher(writer, dds.DynamicData(dynamic_type))
@@ -97,7 +106,7 @@ class ConnextNode(ThreadedNode):
         """Create a reader of bytes."""
         dds = _connext()
         dds_topic_object, _ = self._topic(topic, type_name)
-        policies = _fill(dds.DataReaderQos(), qos or self._options.qos)
+        policies = _fill(dds.DataReaderQos(), qos or self.options.qos)
         reader = dds.DynamicData.DataReader(dds.Subscriber(self._participant), dds_topic_object, policies)
         condition = dds.StatusCondition(reader)
         condition.enabled_statuses = dds.StatusMask.DATA_AVAILABLE
@@ -106,19 +115,19 @@ class ConnextNode(ThreadedNode):
         return NodeSubscription(partial(self._withdraw, reader, condition))
 
     def _topic(self, topic: str, type_name: str) -> tuple[Any, Any]:
-        """Return the topic, made once, and its type; samples stay serialized."""
+        """Return the topic and its type; samples stay serialized."""
         dds = _connext()
-        check_known("connext", type_name)
+        check_type("connext", type_name)
         dynamic_type = _dynamic_type(dds, type_name)
         name = "::".join((*dds_name(type_name)[:2], "dds_", dds_name(type_name)[2]))
-        made = dds.DynamicData.Topic.find(self._participant, dds_topic(topic))
-        if made is None:
+        topic_object = dds.DynamicData.Topic.find(self._participant, dds_topic(topic))
+        if topic_object is None:
             if not self._participant.is_type_registered(name):
                 serialized = dds.DynamicDataTypeSerializationProperty()
                 serialized.skip_deserialization = True
                 self._participant.register_type(name, dynamic_type, serialized)
-            made = dds.DynamicData.Topic(self._participant, dds_topic(topic), name, dds.TopicQos())
-        return made, dynamic_type
+            topic_object = dds.DynamicData.Topic(self._participant, dds_topic(topic), name, dds.TopicQos())
+        return topic_object, dynamic_type
 
     def _withdraw(self, reader: Any, condition: Any) -> None:
         if any(other is reader for other, _ in self._readers):
@@ -139,33 +148,29 @@ class ConnextNode(ThreadedNode):
         return receive_round
 
     def look_at(self, topic: str) -> TopicView:
-        """Return the endpoints that Connext has discovered, and this node's own, which it does not list."""
-        names = {str(key): name for key, name in self._participants()}
-        asked = self._options.qos
-        own = Qos(asked.reliability, asked.durability, "", 0, asked.extra)
-        publishers = self._endpoints(self._participant.publication_reader, topic, names)
-        subscriptions = self._endpoints(self._participant.subscription_reader, topic, names)
+        """Return the endpoints that Connext has discovered, and this node's own, which it does not report."""
+        qos = self.options.qos
+        own = Qos(qos.reliability, qos.durability, "", 0, qos.extra)
+        publishers = self._endpoints(self._participant.publication_reader, topic)
+        subscriptions = self._endpoints(self._participant.subscription_reader, topic)
         publishers += [
-            Endpoint(self._options.name, ros_name(writer.writer.type_name), own)
+            Endpoint(self.options.name, ros_name(writer.writer.type_name), own)
             for writer in self._writers
             if not writer.writer.closed and writer.writer.topic_name == dds_topic(topic)
         ]
         subscriptions += [
-            Endpoint(self._options.name, ros_name(reader.type_name), own)
+            Endpoint(self.options.name, ros_name(reader.type_name), own)
             for reader, _ in self._readers
             if reader.topic_name == dds_topic(topic)
         ]
-        named = incompatible_pairs(topic, publishers, subscriptions, self._options.name)
-        return TopicView(topic, tuple(publishers), tuple(subscriptions), tuple(named))
+        pairs = incompatible_pairs(topic, publishers, subscriptions, self.options.name)
+        return TopicView(topic, tuple(publishers), tuple(subscriptions), tuple(pairs))
 
-    def _participants(self) -> list[tuple[Any, str]]:
-        participants = [
-            self._participant.discovered_participant_data(handle)
-            for handle in self._participant.discovered_participants()
-        ]
-        return [(each.key, each.participant_name.name or "") for each in participants]
-
-    def _endpoints(self, reader: Any, topic: str, names: dict[str, str]) -> list[Endpoint]:
+    def _endpoints(self, reader: Any, topic: str) -> list[Endpoint]:
+        participants = map(
+            self._participant.discovered_participant_data, self._participant.discovered_participants()
+        )
+        names = {str(data.key): data.participant_name.name or "" for data in participants}
         return [
             Endpoint(
                 names.get(str(endpoint.participant_key), ""),
@@ -198,8 +203,8 @@ class _ConnextPublisher:
         self.writer.write(self.sample)
 
     def wait_until_acknowledged(self) -> None:
-        """Wait until the last messages have arrived, for `LAST_ACKNOWLEDGEMENT_S` at most."""
-        with suppress(Exception):  # closed before: nothing to wait for
+        """Wait until the last messages have arrived, at most `LAST_ACKNOWLEDGEMENT_S`."""
+        with suppress(Exception):  # it is closed
             self.writer.wait_for_acknowledgments(
                 _connext().Duration.from_milliseconds(round(LAST_ACKNOWLEDGEMENT_S * 1000))
             )
@@ -210,12 +215,11 @@ class _ConnextPublisher:
 
 
 def _connext() -> Any:
-    """Import the package and return it."""
     return import_module("rti.connextdds")
 
 
 def _take_all(reader: Any, receive: Receive[RawMessage]) -> None:
-    """Hand on the messages of a reader, one by one: a time stamp must not wait for the next message's copy."""
+    """Deliver the messages of a reader, one by one: a time stamp must not wait for the copy of the next message."""
     while True:
         with reader.select().max_samples(1).take_loaned() as samples:
             if not len(samples):
@@ -233,21 +237,12 @@ def _nanoseconds(time: Any) -> int:
     return int(time.sec) * SECOND_NS + int(time.nanosec)
 
 
-def _properties(options: NodeOptions) -> dict[str, str]:
-    """Return the properties of the participant, by name."""
-    return {
-        **(LOCALHOST_PROPERTIES if options.discovery is Discovery.LOCALHOST else {}),
-        **(TUNED_PROPERTIES if options.tuned else {}),
-    }
-
-
 def _dynamic_type(dds: Any, type_name: str) -> Any:
-    """Return the message type for Connext."""
     package, kind, name = dds_name(type_name)
-    made = dds.StructType(f"{package}::{kind}::dds_::{name}")
+    struct = dds.StructType(f"{package}::{kind}::dds_::{name}")
     for member, text in DDS_TYPES[type_name].items():
-        made.add_member(dds.Member(member, _member_type(dds, text)))
-    return made
+        struct.add_member(dds.Member(member, _member_type(dds, text)))
+    return struct
 
 
 def _member_type(dds: Any, text: str) -> Any:
@@ -261,23 +256,24 @@ def _member_type(dds: Any, text: str) -> Any:
 def _fill(policies: Any, qos: Qos) -> Any:
     """Set the policies of a writer or reader to `qos` and return them."""
     dds = _connext()
-    reliabilities = {"reliable": dds.Reliability.reliable, "best_effort": dds.Reliability.best_effort}
-    durabilities = {
-        "volatile": lambda: dds.Durability.volatile,
-        "transient_local": lambda: dds.Durability.transient_local,
-    }
-    histories = {
-        "keep_last": lambda: dds.History.keep_last(qos.depth),
-        "keep_all": lambda: dds.History.keep_all,
+    values = {
+        Reliability.RELIABLE: dds.Reliability.reliable,
+        Reliability.BEST_EFFORT: dds.Reliability.best_effort,
+        Durability.VOLATILE: dds.Durability.volatile,
+        Durability.TRANSIENT_LOCAL: dds.Durability.transient_local,
+        History.KEEP_LAST: partial(dds.History.keep_last, qos.depth),
+        History.KEEP_ALL: dds.History.keep_all,
     }
     try:
-        policies.reliability = _made(reliabilities[qos.reliability])
-        policies.durability = _made(durabilities[qos.durability])
-        policies.history = _made(histories[qos.history])
+        for policy in ("reliability", "durability", "history"):
+            value = values[getattr(qos, policy)]
+            # Connext has some values as functions that make one.
+            setattr(policies, policy, value() if callable(value) else value)
     except KeyError as err:
         raise OptionError(f"RTI Connext has no quality of service {err}") from err
     durations = {
-        policy: dds.Duration(*divmod(asked, SECOND_NS)) for policy, asked in requested_durations(qos).items()
+        policy: dds.Duration(*divmod(duration_ns, SECOND_NS))
+        for policy, duration_ns in requested_durations(qos).items()
     }
     if "deadline" in durations:
         policies.deadline.period = durations["deadline"]
@@ -287,9 +283,9 @@ def _fill(policies: Any, qos: Qos) -> Any:
 
 
 def _qos(endpoint: Any) -> Qos:
-    """Return the quality of service of a discovered endpoint; policies that it does not report are empty."""
+    """Return the quality of service of a discovered endpoint, empty in policies that it does not report."""
     durations_ns = {"deadline": _nanoseconds(endpoint.deadline.period)}
-    if hasattr(endpoint, "lifespan"):  # of a writer; of a reader it is nobody else's business
+    if hasattr(endpoint, "lifespan"):  # only a writer reports it
         durations_ns["lifespan"] = _nanoseconds(endpoint.lifespan.duration)
     return Qos(
         _policy(endpoint.reliability.kind),
@@ -300,21 +296,15 @@ def _qos(endpoint: Any) -> Qos:
     )
 
 
-def _made(value: Any) -> Any:
-    """Return a policy; Connext has some as values and some as functions that make one."""
-    while callable(value):
-        value = value()
-    return value
-
-
 def _policy(kind: Any) -> str:
     """Return `best_effort` for a kind that prints as `ReliabilityKind.BEST_EFFORT`."""
     return str(kind).rpartition(".")[2].lower()
 
 
 def _find_installed() -> Sequence[str | None]:
-    # Without a licence its participants cannot be made.
-    return [None] if has_package("rti") and os.environ.get("RTI_LICENSE_FILE") else []
+    return (
+        [None] if has_package("rti") and os.environ.get("RTI_LICENSE_FILE") else []
+    )  # no licence, no participant
 
 
 BACKEND = Backend(

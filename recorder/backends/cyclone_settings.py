@@ -1,4 +1,4 @@
-"""Settings of Cyclone DDS, wherever it runs: in our own `cyclonedds` backend and inside zenoh's bridges."""
+"""Settings of Cyclone DDS, for our own `cyclonedds` backend and for zenoh's bridges, which contain it."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 # ROS 2's LOCALHOST range has no multicast: its nodes look for others at the well-known unicast ports of 127.0.0.1.
-# Cyclone DDS takes such a port only with a participant index, and finds the nodes only as peers.
+# Cyclone DDS uses such a port only with a participant index, and finds the nodes only as peers.
 CYCLONE_LOCALHOST = (
     "<CycloneDDS><Domain><General><AllowMulticast>false</AllowMulticast></General><Discovery>"
     "<ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>31</MaxAutoParticipantIndex>"
     '<Peers><Peer address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>'
 )
 
-# Without this Cyclone DDS binds to an interface of the network, and its data to this very machine goes out there.
+# Without this Cyclone DDS sends data for this machine through an interface of the network.
 CYCLONE_LOOPBACK = '<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="lo"/></Interfaces></General></Domain></CycloneDDS>'
 
 _NAMES_LOOPBACK = re.compile(
     r"<NetworkInterface\b[^>]*\b(?:name=[\"']lo[\"']|address=[\"']127\.)"
-    r"|<NetworkInterfaceAddress>\s*(?:lo|127\.[\d.]+)\s*<"  # as it was spelled before Cyclone DDS 0.10
+    r"|<NetworkInterfaceAddress>\s*(?:lo|127\.[\d.]+)\s*<"  # before Cyclone DDS 0.10
 )
 
-# Cyclone DDS sends fragments of 1344 bytes and receives into the system's default buffer unless it is told otherwise;
-# a large message of another vendor then loses fragments faster than they are sent again.
+# By default Cyclone DDS sends fragments of 1344 bytes into small buffers: a large message of another vendor then loses
+# fragments faster than they are sent again.
 CYCLONE_TUNED = (
     "<CycloneDDS><Domain><General><MaxMessageSize>65500B</MaxMessageSize><FragmentSize>60000B</FragmentSize></General>"
     '<Internal><SocketReceiveBufferSize min="default" max="4MB"/></Internal></Domain></CycloneDDS>'
@@ -37,10 +37,10 @@ CYCLONE_TUNED = (
 
 
 def cyclone_loopback(discovery: Discovery, environment: Mapping[str, str] = os.environ) -> str:
-    """Return the setting that keeps Cyclone DDS on the loopback interface, for a part before `cyclone_settings`.
+    """Return the setting that keeps Cyclone DDS on the loopback interface, to precede `cyclone_settings`.
 
-    It is empty beyond this machine, and where the user's own settings name that interface: named twice, Cyclone DDS does
-    not start.
+    It is empty beyond this machine, and where the user's settings name that interface: named twice, Cyclone DDS does not
+    start.
     """
     texts = configuration_texts(environment.get("CYCLONEDDS_URI", ""))
     if discovery is not Discovery.LOCALHOST or any(_NAMES_LOOPBACK.search(text) for text in texts):
@@ -51,7 +51,7 @@ def cyclone_loopback(discovery: Discovery, environment: Mapping[str, str] = os.e
 def cyclone_settings(
     discovery: Discovery, *, tuned: bool, environment: Mapping[str, str] = os.environ
 ) -> str:
-    """Return a value of CYCLONEDDS_URI: the user's own settings, then ours, which win; empty if there are none."""
+    """Return a value of CYCLONEDDS_URI: the user's settings, then ours, which win; empty if there are none."""
     parts = [
         environment.get("CYCLONEDDS_URI", ""),
         CYCLONE_LOCALHOST if discovery is Discovery.LOCALHOST else "",

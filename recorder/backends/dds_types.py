@@ -1,4 +1,4 @@
-"""The ROS message types and their names in DDS, for backends and bridges that speak DDS without ROS."""
+"""ROS message types and names in DDS, for backends and bridges that speak DDS without ROS."""
 
 from __future__ import annotations
 
@@ -53,25 +53,25 @@ DDS_TYPES: dict[str, dict[str, str]] = {
 }
 """Type -> member -> type, in the order of the .msg files; `[]` is a sequence, `[9]` an array.
 
-A type stands behind those that it is made of, and the types of a package stand together, as an XML file needs them.
+A type follows those that it is made of, and the types of a package are together, as an XML file needs them.
 """
 
 
 def split_type(text: str) -> tuple[str, int | None]:
-    """Return the element type and the length of an array; the length is 0 for a sequence, None for a single value."""
+    """Return element type and length of an array; the length is 0 for a sequence, None for a single value."""
     element, bracket, length = text.removesuffix("]").partition("[")
     return element, int(length or 0) if bracket else None
 
 
-def check_known(backend: str, type_name: str) -> None:
+def check_type(backend: str, type_name: str) -> None:
     """Refuse a type that is not in `DDS_TYPES`.
 
     Raises:
         OptionError: naming those that are.
     """
     if type_name not in DDS_TYPES:
-        known = ", ".join(name for name in DDS_TYPES if name.startswith(("sensor_msgs", "std_msgs")))
-        raise OptionError(f"the backend {backend} does not know the type {type_name}; it knows {known}")
+        names = ", ".join(name for name in DDS_TYPES if name.startswith(("sensor_msgs", "std_msgs")))
+        raise OptionError(f"the backend {backend} does not know the type {type_name}; it knows {names}")
 
 
 def dds_name(type_name: str) -> tuple[str, str, str]:

@@ -1,7 +1,9 @@
-"""A participant as the roles use it: a `Node` with publishers and subscriptions, whatever middleware carries them."""
+"""A participant as the roles use it: `Node`, its publishers and subscriptions, and what all backends share of one."""
 
 from __future__ import annotations
 
+import threading
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, TypeVar, runtime_checkable
 
@@ -11,11 +13,18 @@ from dds_trace.tracefile.format.descriptions import Qos
 from ..choices import Discovery, ExecutorKind, Transport
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
     from types import TracebackType
 
+    from typing_extensions import Self
+
+ROUND_S = 0.1
+"""Longest round of a node's thread, and so the longest time for which `close` waits for it."""
+LAST_ACKNOWLEDGEMENT_S = 0.5
+"""Longest wait of a closing publisher: a participant that leaves at once takes its last messages with it."""
+
 RawMessage: TypeAlias = "bytes | bytearray"
-"""A whole serialized message: 4 bytes of encapsulation, then CDR. A received `bytearray` is the callback's to change."""
+"""A whole serialized message: 4 bytes of encapsulation, then CDR. A callback may change a received `bytearray`."""
 
 RosMessage: TypeAlias = Any
 """An object of a class that ROS 2 generates from a `.msg` file; such classes have no types."""
@@ -25,20 +34,20 @@ MessageT_contra = TypeVar("MessageT_contra", contravariant=True)
 
 @dataclass(frozen=True, slots=True)
 class NodeOptions:
-    """Everything that a backend needs to know to open a node.
+    """Options of a node.
 
     Attributes:
-        domain_id: DDS domain, 0..231; backends without domains keep topics of two domains apart by it.
+        domain_id: DDS domain, 0..231; a backend without domains keeps the topics of two domains apart by it.
         name: name of the node in the graph.
-        discovery: reach of the node's search for others.
-        qos: quality of service of every data topic, unless an endpoint is given its own.
-        executor: executor that calls the subscriptions (`ros2` alone has a choice).
-        rmw: ROS middleware to run on, None for that of the environment (`ros2` alone has a choice).
+        discovery: how far the node looks for others.
+        qos: default quality of service of the data topics.
+        executor: executor that calls the subscriptions (only `ros2`).
+        rmw: ROS middleware to run on, None for that of the environment (only `ros2`).
         transport: transports that the middleware may use.
         tuned: whether the vendor's documented settings for large messages are applied.
-        congestion_control: algorithm of TCP, None for the system's (`socket` alone has a choice).
+        congestion_control: algorithm of TCP, None for the system's (only `socket`).
         listens: whether the node waits for others to connect (a relay), where a backend has such sides.
-        peers: addresses of other nodes, where a backend does not discover them by itself.
+        peers: addresses of other nodes, where a backend does not discover them.
     """
 
     domain_id: int = 10
@@ -56,15 +65,15 @@ class NodeOptions:
 
 @dataclass(frozen=True, slots=True)
 class Middleware:
-    """The software that carries the messages, as the running middleware itself reports it.
+    """The software that carries the messages, as it reports itself.
 
     Attributes:
-        backend: name of the API in use, a key of `BACKEND_MODULES`.
+        backend: key of `BACKEND_MODULES`.
         vendor: `fastdds`, `cyclonedds`, `connext`, `zenoh`, `socket`, or what the backend reports.
         rmw: identifier of the running ROS middleware, None outside ROS.
-        versions: version of each library involved, by name.
-        settings: settings in effect (executor, transport, tuned, environment), by name.
-        vendor_label: name of the vendor for people, empty where the backend's label is it.
+        versions: version of each library, by name.
+        settings: settings in effect, by name.
+        vendor_label: name of the vendor for people, empty where it is the backend's label.
     """
 
     backend: str
@@ -81,7 +90,7 @@ class Endpoint:
 
     Attributes:
         node_name: name of the endpoint's node, empty if unknown.
-        type_name: message type, for example `sensor_msgs/msg/Image`.
+        type_name: message type, such as `sensor_msgs/msg/Image`.
         qos: quality of service offered or requested, None if the middleware does not report it.
     """
 
@@ -95,9 +104,9 @@ class TopicView:
     """The endpoints that a node sees on one topic at one moment.
 
     Attributes:
-        incompatible: one line for each pair that can never match, naming the policy and both sides.
-        unassignable: one line for each side whose message type has this node's name and another definition, where the
-            middleware tells.
+        incompatible: one line for each pair that can never match, with the policy and both sides.
+        unassignable: one line for each endpoint whose message type has this node's name but another definition, where
+            the middleware reports it.
     """
 
     topic: str
@@ -108,9 +117,9 @@ class TopicView:
 
 
 class Receive(Protocol[MessageT_contra]):
-    """A callback of a subscription; it runs on the node's own thread and stamps T2 or T3 in its first instruction.
+    """A callback of a subscription; it runs on the node's thread and stamps T2 or T3 in its first instruction.
 
-    The two middleware time stamps (ns since 1970) are 0 where the middleware does not report them.
+    The two time stamps of the middleware (ns since 1970) are 0 where it does not report them.
     """
 
     def __call__(self, message: MessageT_contra, source_ns: int = 0, received_ns: int = 0, /) -> None:
@@ -121,10 +130,7 @@ class Publisher(Protocol[MessageT_contra]):
     """The sending end of a topic."""
 
     def publish(self, message: MessageT_contra, /) -> None:
-        """Hand `message` to the middleware.
-
-        The buffer may be changed again as soon as this returns. Any thread may call it, one at a time.
-        """
+        """Hand `message` to the middleware; the buffer may change as soon as this returns. One thread at a time."""
 
     def close(self) -> None:
         """Take the publisher off the topic."""
@@ -137,24 +143,28 @@ class Subscription(Protocol):
         """Take the subscription off the topic; its callback is not called after the thread's current round."""
 
 
-class Node(Protocol):
-    """One participant in one domain, with a thread of its own that calls its subscriptions.
+class Node(ABC):
+    """One participant in one domain. Create the endpoints, then `start`, then `close`, or use it as a context manager.
 
-    Nodes of different domains live side by side in one process. Create the endpoints, then `start`.
+    Attributes:
+        options: options that the node was opened with.
+        error: the exception that ended a thread of the node, None while all is well.
     """
 
-    @property
-    def options(self) -> NodeOptions:
-        """Options that the node was opened with."""
+    _middleware: Middleware
+    """Set by each backend as soon as the middleware runs."""
+
+    def __init__(self, options: NodeOptions) -> None:
+        self.options = options
+        self._closing = False
+        self.error: BaseException | None = None
 
     @property
     def middleware(self) -> Middleware:
         """The software that carries the messages."""
+        return self._middleware
 
-    @property
-    def error(self) -> BaseException | None:
-        """The exception that ended the thread, None while it runs."""
-
+    @abstractmethod
     def create_publisher(
         self, topic: str, type_name: str, *, qos: Qos | None = None
     ) -> Publisher[RawMessage]:
@@ -169,33 +179,91 @@ class Node(Protocol):
             OptionError: the backend has no such quality of service or does not know the type.
         """
 
+    @abstractmethod
     def create_subscription(
         self, topic: str, type_name: str, receive: Receive[RawMessage], *, qos: Qos | None = None
     ) -> Subscription:
-        """Create a subscription that calls `receive` for each message once the node is started.
+        """Create a subscription that calls `receive` for each message; see `create_publisher`."""
 
-        Arguments and errors as for `create_publisher`.
-        """
-
+    @abstractmethod
     def start(self) -> None:
-        """Start the thread that calls the subscriptions. An exception of theirs is kept as `error`."""
+        """Start to call the subscriptions; an exception that one raises becomes `error`."""
 
+    @abstractmethod
     def look_at(self, topic: str) -> TopicView:
         """Return the endpoints on `topic` that the node sees now, its own included."""
 
+    @abstractmethod
     def count_participants(self) -> int | None:
         """Count the participants (ROS: nodes) of the domain, this one included; None if the backend cannot."""
 
     def close(self) -> None:
-        """Stop the thread, send what is still held, leave the domain. Closing twice is allowed."""
+        """Stop receiving, send what is queued, leave the domain; a second call does nothing."""
+        if not self._closing:
+            self._closing = True
+            self._stop_receiving()
+            self._leave()
 
-    def __enter__(self) -> Node:  # noqa: PYI034 - `Self` is Python 3.11's; a Node is all that callers need
-        """Return the node itself."""
+    @abstractmethod
+    def _stop_receiving(self) -> None:
+        """End the threads that call the subscriptions."""
+
+    @abstractmethod
+    def _leave(self) -> None:
+        """Send what is queued and leave the domain; no subscription is called any more."""
+
+    def __enter__(self) -> Self:
+        return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close the node."""
+        self.close()
+
+
+class ThreadedNode(Node):
+    """A node with one thread of ours that waits for messages and calls the subscriptions."""
+
+    def __init__(self, options: NodeOptions) -> None:
+        super().__init__(options)
+        self._thread: threading.Thread | None = None
+
+    def start(self) -> None:
+        """Start the thread that calls the subscriptions."""
+        name = f"{self.middleware.backend}-domain-{self.options.domain_id}"
+        self._thread = threading.Thread(target=self._receive_until_closed, name=name, daemon=True)
+        self._thread.start()
+
+    def _receive_until_closed(self) -> None:
+        try:
+            receive_round = self._make_round()
+            while not self._closing:
+                receive_round()
+        except BaseException as error:  # noqa: BLE001 - a thread has no caller
+            self.error = error
+
+    @abstractmethod
+    def _make_round(self) -> Callable[[], None]:
+        """Return the body of the thread's loop, which waits for at most `ROUND_S` and delivers what has arrived."""
+
+    def _wake(self) -> None:
+        """Cut the thread's current wait short, where the middleware can."""
+
+    def _stop_receiving(self) -> None:
+        self._wake()
+        if self._thread is not None:
+            self._thread.join()
+
+
+@dataclass(frozen=True, slots=True)
+class NodeSubscription:
+    """A subscription that its node closes.
+
+    Attributes:
+        close: takes it off the topic; a second call does nothing.
+    """
+
+    close: Callable[[], None]
 
 
 @runtime_checkable
@@ -205,15 +273,15 @@ class ObjectNode(Protocol):
     def create_object_publisher(
         self, topic: str, type_name: str, *, qos: Qos | None = None
     ) -> Publisher[RosMessage]:
-        """Create a publisher of message objects; arguments as for `Node.create_publisher`."""
+        """Create a publisher of message objects; see `Node.create_publisher`."""
 
     def create_object_subscription(
         self, topic: str, type_name: str, receive: Receive[RosMessage], *, qos: Qos | None = None
     ) -> Subscription:
-        """Create a subscription of message objects; arguments as for `Node.create_subscription`."""
+        """Create a subscription of message objects; see `Node.create_subscription`."""
 
     def message_from_cdr(self, type_name: str, data: RawMessage) -> RosMessage:
-        """Make a message object from a serialized message."""
+        """Deserialize a message."""
 
     def message_to_cdr(self, message: RosMessage) -> bytes:
         """Serialize a message object."""
@@ -223,10 +291,10 @@ def message_objects_of(node: Node) -> ObjectNode:
     """Return `node` as one that has message objects.
 
     Raises:
-        OptionError: its backend carries serialized messages alone.
+        OptionError: its backend only carries serialized messages.
     """
     if not isinstance(node, ObjectNode):
         raise OptionError(
-            f"--serialization typed: the backend {node.middleware.backend} carries serialized messages alone"
+            f"--serialization typed: the backend {node.middleware.backend} only carries serialized messages"
         )
     return node

@@ -1,4 +1,4 @@
-"""Quality of service: the durations it asks for, and the pairs of a publisher and a subscription that can never match."""
+"""Quality of service: durations, pairs of a publisher and a subscription that can never match, and a depth that is too small."""
 
 from __future__ import annotations
 
@@ -8,53 +8,47 @@ from typing import TYPE_CHECKING
 from dds_trace.base.errors import OptionError
 from dds_trace.base.units import INFINITE_NS, spell_duration
 
+from ..choices import Durability, History, Reliability
+
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from dds_trace.tracefile.format.descriptions import Qos
 
     from .node import Endpoint
 
-# A publisher must offer at least what a subscription requests (DDS 1.4, section 2.2.3). From weak to strong.
-RANKS = {
-    "reliability": ("best_effort", "reliable"),
-    "durability": ("volatile", "transient_local", "transient", "persistent"),
+RANKS: Mapping[str, Sequence[str]] = {
+    "reliability": (Reliability.BEST_EFFORT, Reliability.RELIABLE),
+    "durability": (Durability.VOLATILE, Durability.TRANSIENT_LOCAL, "transient", "persistent"),
 }
+"""Policy -> its values from weak to strong: a publisher offers at least what a subscription requests (DDS 1.4, 2.2.3)."""
 
 DURATION_POLICIES = ("deadline", "lifespan")
 """Policies that are durations; `Qos.extra` has them as `deadline_ns` and `lifespan_ns`."""
 
 STALL_S = 0.1
-"""Time for which a side of a busy machine takes no message now and then, in seconds: what a reliable writer may block by default
-(`max_blocking_time`, DDS 1.4, section 2.2.3.14). Two relays that were stopped for 50 ms four times in 3000 messages at 1 kHz lost
-74 (Fast DDS) and 120 (Cyclone DDS) with a depth of 10, and none with 1000."""
+"""How long a side of a busy machine may stall: the default `max_blocking_time` of a reliable writer (DDS 1.4, 2.2.3.14)."""
 
 
 def warn_of_depth(history: str, depth: int, rate_hz: float) -> str | None:
-    """Return a warning about a history that holds less than `STALL_S` of messages, None if it holds that long.
-
-    Args:
-        history: `keep_last` or `keep_all`.
-        depth: messages that `keep_last` keeps.
-        rate_hz: messages a second.
-    """
+    """Return a warning about a history that keeps less than `STALL_S` of messages, None if it is long enough."""
     needed = math.ceil(rate_hz * STALL_S)
-    if history != "keep_last" or depth >= needed:
+    if history != History.KEEP_LAST or depth >= needed:
         return None
     return (
-        f"--depth {depth} keeps {depth / rate_hz * 1000:.3g} ms of messages at {rate_hz:g} Hz: where a side is held up for "
-        f"longer some are lost, reliable or not; --depth {needed} on both sides keeps {STALL_S * 1000:g} ms"
+        f"--depth {depth} keeps {depth / rate_hz * 1000:.3g} ms of messages at {rate_hz:g} Hz: a side that stalls longer "
+        f"loses some, reliable or not; --depth {needed} on both sides keeps {STALL_S * 1000:g} ms"
     )
 
 
 def requested_durations(qos: Qos) -> dict[str, int]:
-    """Return policy -> ns for those of `DURATION_POLICIES` that `qos` asks for; one that is left out is infinite."""
-    given = {policy: qos.extra.get(f"{policy}_ns") for policy in DURATION_POLICIES}
-    return {policy: duration_ns for policy, duration_ns in given.items() if isinstance(duration_ns, int)}
+    """Return the finite durations of `qos`: policy of `DURATION_POLICIES` -> ns."""
+    durations_ns = {policy: qos.extra.get(f"{policy}_ns") for policy in DURATION_POLICIES}
+    return {policy: duration for policy, duration in durations_ns.items() if isinstance(duration, int)}
 
 
 def duration_extra(durations_ns: Mapping[str, int]) -> dict[str, int]:
-    """Return `Qos.extra` from reported durations in ns; infinite ones, and 0 (ROS 2's infinite), are left out."""
+    """Return `Qos.extra` from reported durations in ns, without infinite ones, which ROS 2 reports as 0."""
     return {
         f"{policy}_ns": duration_ns
         for policy, duration_ns in durations_ns.items()
@@ -63,20 +57,17 @@ def duration_extra(durations_ns: Mapping[str, int]) -> dict[str, int]:
 
 
 def refuse_durations(backend: str, qos: Qos) -> None:
-    """Refuse a deadline and a lifespan, which DDS alone has.
+    """Refuse a deadline and a lifespan, which only DDS has.
 
     Raises:
-        OptionError: `qos` asks for one.
+        OptionError: `qos` has one.
     """
     for policy in requested_durations(qos):
         raise OptionError(f"--{policy}: the backend {backend} has no such quality of service; leave it out")
 
 
 def mismatches(offered: Qos, requested: Qos) -> list[str]:
-    """Return a text for each policy in which `offered` falls short of `requested`; an unknown value never does.
-
-    A deadline (`Qos.extra`, `deadline_ns`) falls short if it is longer than the requested one or there is none.
-    """
+    """Return a text for each policy in which `offered` falls short of `requested`; an unknown value never does."""
     shortfalls = []
     for policy, ranks in RANKS.items():
         offers, requests = getattr(offered, policy), getattr(requested, policy)
@@ -90,10 +81,9 @@ def mismatches(offered: Qos, requested: Qos) -> list[str]:
 
 
 def incompatible_pairs(
-    topic: str, publishers: Iterable[Endpoint], subscriptions: Iterable[Endpoint], own_name: str
+    topic: str, publishers: Iterable[Endpoint], subscriptions: Sequence[Endpoint], own_name: str
 ) -> Iterator[str]:
     """Yield a line for each pair on `topic` that can never match and of which one side is the node `own_name`."""
-    subscriptions = list(subscriptions)
     for publisher in publishers:
         for subscription in subscriptions:
             names = publisher.node_name, subscription.node_name

@@ -1,10 +1,10 @@
-"""`zenoh`: eclipse-zenoh, peer to peer, with the same serialized messages as DDS carries.
+"""`zenoh`: eclipse-zenoh, peer to peer, with the same serialized messages as DDS.
 
-The relay listens at a TCP port that follows from the domain, the ping connects. Nothing is multicast unless the ping
-says `--peer multicast`. The only file that imports zenoh.
+The relay listens at a TCP port that follows from the domain, the ping connects, or both use `--peer multicast`.
+Only this file imports zenoh.
 """
 
-# ruff: noqa: PLC0415 - zenoh is loaded when a node is opened, so that other backends run without it
+# ruff: noqa: PLC0415 - loaded when a node is opened, so that other backends run without it
 
 from __future__ import annotations
 
@@ -16,12 +16,11 @@ from typing import TYPE_CHECKING, Any
 
 from dds_trace.base.errors import OptionError
 
-from ..choices import Discovery, Transport
+from ..choices import Discovery, Durability, Reliability, Transport
 from ..host.environment import ConfigurationVariable, MiddlewareEnvironment
-from .base import Backend, Meeting
-from .node import Endpoint, Middleware, TopicView
+from .base import Backend, Meeting, has_package
+from .node import Endpoint, Middleware, Node, TopicView
 from .qos import refuse_durations
-from .threaded import OpenNode, has_package
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -31,26 +30,26 @@ if TYPE_CHECKING:
     from .node import NodeOptions, Publisher, RawMessage, Receive, Subscription
 
 MULTICAST = "multicast"
-"""Address of a peer that stands for: look for others by multicast."""
+"""Value of `--peer` that means: look for others by multicast."""
 KEY_PREFIX = "dds_trace"
-"""First part of every key: topic `NAME` of domain 10 is `dds_trace/10/data/NAME`, so domains stay apart at one address."""
+"""First part of every key: topic `NAME` of domain 10 is `dds_trace/10/data/NAME`."""
 LOOK_S = 2.0
-"""Longest wait for what others report of their endpoints."""
+"""Longest wait for the endpoints of others."""
 PUBLISHER, SUBSCRIPTION = "publisher", "subscription"
 _SHARED_MEMORY: dict[Transport, dict[str, Any]] = {
     Transport.DEFAULT: {},
-    # Without the threshold what is smaller than 3 KB stays on the link.
+    # By default messages below 3 KB stay on the link.
     Transport.SHM: {
         "enabled": True,
         "transport_optimization": {"enabled": True, "message_size_threshold": 1},
     },
     Transport.TCP: {"enabled": False},
 }
-"""Transport -> `transport/shared_memory` of zenoh's configuration; empty for its default, which is on."""
+"""Transport -> `transport/shared_memory` of zenoh's configuration; it is on by default."""
 
 
-class ZenohNode(OpenNode):
-    """One zenoh session, which has a thread for each subscription; see `Node` for the names."""
+class ZenohNode(Node):
+    """One zenoh session, which has a thread for each subscription."""
 
     def __init__(self, options: NodeOptions) -> None:
         import zenoh
@@ -91,16 +90,16 @@ class ZenohNode(OpenNode):
         """Create a publisher of bytes."""
         import zenoh
 
-        qos = qos or self._options.qos
+        qos = qos or self.options.qos
         _check_qos(qos)
-        is_reliable = qos.reliability == "reliable"
+        is_reliable = qos.reliability == Reliability.RELIABLE
         congestion, reliability = zenoh.CongestionControl, zenoh.Reliability
         publisher = self._session.declare_publisher(
             self._key("data", topic),
-            # A full queue waits as a reliable DDS writer does, or drops as a best-effort one does.
+            # A full queue blocks as a reliable DDS writer does, or drops as a best-effort one does.
             congestion_control=congestion.BLOCK if is_reliable else congestion.DROP,
             reliability=reliability.RELIABLE if is_reliable else reliability.BEST_EFFORT,
-            express=True,  # at once, not in a batch with the next message
+            express=True,  # not batched with the next message
         )
         return _ZenohPublisher(publisher, publisher.put, self._announce(PUBLISHER, topic, type_name))
 
@@ -108,7 +107,7 @@ class ZenohNode(OpenNode):
         self, topic: str, type_name: str, receive: Receive[RawMessage], *, qos: Qos | None = None
     ) -> Subscription:
         """Create a subscription of bytes."""
-        _check_qos(qos or self._options.qos)
+        _check_qos(qos or self.options.qos)
         declare = partial(self._session.declare_subscriber, self._key("data", topic), self._guarded(receive))
         subscription = _ZenohSubscription(declare, self._announce(SUBSCRIPTION, topic, type_name))
         self._subscriptions.append(subscription)
@@ -117,23 +116,23 @@ class ZenohNode(OpenNode):
         return subscription
 
     def _guarded(self, receive: Receive[RawMessage]) -> Callable[[Any], None]:
-        # zenoh puts each sample into a queue, from which a thread of Python's calls this. Called by zenoh's own
-        # thread (`indirect=False`), a round trip of 1 MB took 4.2 ms instead of 1.7.
+        # zenoh queues each sample for a thread of Python's that calls this. With zenoh's own thread (`indirect=False`) a
+        # round trip of 1 MB takes 4.2 ms instead of 1.7.
         def on_sample(sample: Any) -> None:
             if self.error is None:
                 try:
                     receive(sample.payload.to_bytes())
-                except BaseException as error:  # noqa: BLE001 - kept for whoever looks at the node
+                except BaseException as error:  # noqa: BLE001 - a thread has no caller
                     self.error = error
 
         return on_sample
 
     def _key(self, *parts: str) -> str:
-        return "/".join((KEY_PREFIX, str(self._options.domain_id), *parts))
+        return "/".join((KEY_PREFIX, str(self.options.domain_id), *parts))
 
     def _announce(self, kind: str, topic: str, type_name: str) -> Any:
-        """Return the token of an endpoint, which others can ask for and which goes with the session."""
-        key = self._key("endpoint", kind, topic, self._options.name, type_name.replace("/", "."))
+        """Return the token by which others see an endpoint."""
+        key = self._key("endpoint", kind, topic, self.options.name, type_name.replace("/", "."))
         return self._session.liveliness().declare_token(key)
 
     def start(self) -> None:
@@ -143,7 +142,7 @@ class ZenohNode(OpenNode):
             subscription.open()
 
     def look_at(self, topic: str) -> TopicView:
-        """Return the endpoints that announce themselves; zenoh matches any pair."""
+        """Return the announced endpoints; zenoh matches any pair."""
         return TopicView(
             topic,
             tuple(self._endpoints(PUBLISHER, topic)),
@@ -164,7 +163,7 @@ class ZenohNode(OpenNode):
         """Do nothing: zenoh's threads end with the session."""
 
     def _leave(self) -> None:
-        """Close the session, which sends what it still holds."""
+        """Close the session, which sends what is queued."""
         self._session.close()
 
 
@@ -204,7 +203,7 @@ class _ZenohSubscription:
 
 
 def zenoh_configuration(options: NodeOptions) -> dict[str, Any]:
-    """Return `mode`, `listen`, `connect`, `scouting` and, if asked for, `transport` of zenoh's configuration for one role.
+    """Return zenoh's configuration for one role.
 
     Raises:
         OptionError: the ping does not know where the relay is.
@@ -213,7 +212,7 @@ def zenoh_configuration(options: NodeOptions) -> dict[str, Any]:
     shared_memory = _SHARED_MEMORY[options.transport]
     listen, connect = [], []
     if options.listens:
-        host = "127.0.0.1" if options.discovery is Discovery.LOCALHOST else "0.0.0.0"  # noqa: S104 - the subnet was asked for
+        host = "127.0.0.1" if options.discovery is Discovery.LOCALHOST else "0.0.0.0"  # noqa: S104 - the range is the subnet
         listen = [f"tcp/{host}:{BACKEND.port_of(options.domain_id)}"]
     elif not multicast:
         connect = [f"tcp/{host}:{number}" for host, number in BACKEND.peer_addresses(options)]
@@ -224,7 +223,7 @@ def zenoh_configuration(options: NodeOptions) -> dict[str, Any]:
         "listen": {"endpoints": listen},
         "connect": {
             "endpoints": connect,
-            "timeout_ms": -1,  # goes on trying behind the scenes: the relay may be started later
+            "timeout_ms": -1,  # tries for ever: the relay may start later
             "exit_on_failure": False,
             "retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2},
         },
@@ -235,9 +234,9 @@ def zenoh_configuration(options: NodeOptions) -> dict[str, Any]:
 
 def _check_qos(qos: Qos) -> None:
     refuse_durations("zenoh", qos)
-    if qos.durability != "volatile":
+    if qos.durability != Durability.VOLATILE:
         raise OptionError(
-            f"--durability {qos.durability}: zenoh keeps no message for those who come later without a storage"
+            f"--durability {qos.durability}: zenoh keeps no messages for late subscriptions without a storage"
         )
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from ..backends.qos import requested_durations
+from ..backends.ros2.installation import find_program, package_version
 from .base import Bridge
-from .process.programs import discovery_environment, ros_package_program, ros_package_version
+from .process.programs import discovery_environment
 from .texts import yaml_text
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ BRIDGE = Bridge(
     install="apt install ros-$ROS_DISTRO-domain-bridge, then source /opt/ros/$ROS_DISTRO/setup.bash",
     suffix=".yaml",
     configuration=configuration,
-    find=lambda: ros_package_program(PACKAGE, PACKAGE),
-    version=lambda program: ros_package_version(program, PACKAGE),
+    find=lambda: find_program(PACKAGE, PACKAGE),
+    version=lambda _: package_version(PACKAGE) or "",
     environment=discovery_environment,
 )

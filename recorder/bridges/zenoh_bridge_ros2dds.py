@@ -9,9 +9,10 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING
 
+from ..backends.ros2.installation import find_program
 from ..choices import Discovery
 from .base import Bridge, Halves
-from .process.programs import program_on_path, reported_version, ros_package_program
+from .process.programs import program_on_path, reported_version
 from .zenoh_link import plugin_arguments, plugin_configuration, router_with, zenoh_environment
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ BRIDGE = Bridge(
     install="build it with `just install-zenoh-bridge` (needs cargo), or get it from https://download.eclipse.org/zenoh/zenoh-plugin-ros2dds/latest/ and put it on the PATH",
     suffix=".json5",
     configuration=configuration,
-    find=lambda: program_on_path(PROGRAM) or ros_package_program(PACKAGE, PACKAGE) or router_with(PLUGIN),
+    find=lambda: program_on_path(PROGRAM) or find_program(PACKAGE, PACKAGE) or router_with(PLUGIN),
     version=lambda program: reported_version(program, "--version"),
     arguments=lambda program: plugin_arguments(program, PLUGIN),
     environment=lambda options: zenoh_environment(options, names_loopback=is_before_iron()),

@@ -67,7 +67,7 @@ class ObjectLane:
     """The lane of message objects.
 
     Raises:
-        OptionError: the node's backend carries serialized messages alone.
+        OptionError: the node's backend only carries serialized messages.
     """
 
     def __init__(self, node: Node) -> None:

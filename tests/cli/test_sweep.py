@@ -189,7 +189,7 @@ def test_dry_run_names_what_is_left_out_and_what_cannot_be_carried(call, plan):
 def test_dry_run_warns_of_a_history_that_holds_too_few_messages(call, plan):
     _, out, _ = call(plan, "--dry-run")
     assert (
-        "warning: --depth 10 keeps 10 ms of messages at 1000 Hz: where a side is held up for longer some are lost, reliable or "
+        "warning: --depth 10 keeps 10 ms of messages at 1000 Hz: a side that stalls longer loses some, reliable or "
         "not; --depth 100 on both sides keeps 100 ms (a cell: ros2_same_binary-4MB_1000Hz)" in out
     )
     assert out.count("warning: ") == 1  # 10 Hz are fine

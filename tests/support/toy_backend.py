@@ -5,48 +5,76 @@ from __future__ import annotations
 import queue
 from collections import defaultdict
 from functools import partial
+from typing import TYPE_CHECKING
 
 from dds_trace.recorder.backends.base import Backend, Meeting
-from dds_trace.recorder.backends.node import Endpoint, Middleware, TopicView
-from dds_trace.recorder.backends.threaded import ROUND_S, NodeSubscription, ThreadedNode
+from dds_trace.recorder.backends.node import (
+    ROUND_S,
+    Endpoint,
+    Middleware,
+    NodeOptions,
+    NodeSubscription,
+    ThreadedNode,
+    TopicView,
+)
 from dds_trace.recorder.host.environment import MiddlewareEnvironment
 
-DOMAINS = defaultdict(list)
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from dds_trace.recorder.backends.node import RawMessage, Receive
+    from dds_trace.tracefile.format.descriptions import Qos
+
+DOMAINS: defaultdict[int, list[ToyNode]] = defaultdict(list)
 """The open nodes of each domain."""
 
 
 class ToyPublisher:
-    def __init__(self, node, topic):
+    """A publisher of every node of the domain's queue."""
+
+    def __init__(self, node: ToyNode, topic: str) -> None:
         self.node, self.topic = node, topic
 
-    def publish(self, message, /):
+    def publish(self, message: RawMessage, /) -> None:
+        """Put a copy of `message` into the queue of each node."""
         for node in list(DOMAINS[self.node.options.domain_id]):
             node.arrived.put((self.topic, bytes(message)))
 
-    def close(self):
+    def close(self) -> None:
+        """Take the publisher off the topic."""
         self.node.publishers.pop(self.topic, None)
 
 
 class ToyNode(ThreadedNode):
-    def __init__(self, options):
+    """A queue of messages and the thread that delivers them."""
+
+    def __init__(self, options: NodeOptions) -> None:
         super().__init__(options)
         self._middleware = Middleware("toy", "toy", None, {"toy": "1.0"})
-        self.arrived = queue.SimpleQueue()
-        self.publishers, self.subscriptions = {}, {}
+        self.arrived: queue.SimpleQueue[tuple[str, bytes]] = queue.SimpleQueue()
+        self.publishers: dict[str, str] = {}
+        self.subscriptions: dict[str, tuple[str, Receive[RawMessage]]] = {}
         DOMAINS[options.domain_id].append(self)
 
-    def create_publisher(self, topic, type_name, *, qos=None):
+    def create_publisher(self, topic: str, type_name: str, *, qos: Qos | None = None) -> ToyPublisher:
+        """Create a publisher."""
         del qos  # every message arrives
         self.publishers[topic] = type_name
         return ToyPublisher(self, topic)
 
-    def create_subscription(self, topic, type_name, receive, *, qos=None):
+    def create_subscription(
+        self, topic: str, type_name: str, receive: Receive[RawMessage], *, qos: Qos | None = None
+    ) -> NodeSubscription:
+        """Create a subscription."""
         del qos
         self.subscriptions[topic] = type_name, receive
-        return NodeSubscription(partial(self.subscriptions.pop, topic, None))
+        return NodeSubscription(partial(self._withdraw, topic))
 
-    def _make_round(self):
-        def receive_round():
+    def _withdraw(self, topic: str) -> None:
+        self.subscriptions.pop(topic, None)
+
+    def _make_round(self) -> Callable[[], None]:
+        def receive_round() -> None:
             try:
                 topic, message = self.arrived.get(timeout=ROUND_S)
             except queue.Empty:
@@ -56,7 +84,8 @@ class ToyNode(ThreadedNode):
 
         return receive_round
 
-    def look_at(self, topic):
+    def look_at(self, topic: str) -> TopicView:
+        """Return the endpoints of the domain."""
         nodes = DOMAINS[self.options.domain_id]
         return TopicView(
             topic,
@@ -66,10 +95,11 @@ class ToyNode(ThreadedNode):
             ),
         )
 
-    def count_participants(self):
+    def count_participants(self) -> int:
+        """Count the nodes of the domain."""
         return len(DOMAINS[self.options.domain_id])
 
-    def _leave(self):
+    def _leave(self) -> None:
         DOMAINS[self.options.domain_id].remove(self)
 
 

@@ -41,7 +41,7 @@ MODULES = {
 KINDS = {name: "recording" if name == "dds-record" else "reading" for name in MODULES}
 """Command -> kind of the process that it is forked from."""
 RECORDING = (
-    *("dds_trace.cli.record.run", "dds_trace.cli.record.command", "dds_trace.recorder.backends.threaded"),
+    *("dds_trace.cli.record.run", "dds_trace.cli.record.command", "dds_trace.recorder.backends.node"),
     *("dds_trace.recorder.backends.ros2.node", "sensor_msgs.msg", "std_msgs.msg", "rosidl_generator_py"),
     *(
         "dds_trace.recorder.backends.socket.node",
@@ -49,7 +49,7 @@ RECORDING = (
         "dds_trace.cli.record.tools",
     ),
     *(
-        "dds_trace.recorder.bridges.options",
+        "dds_trace.recorder.bridges.base",
         "dds_trace.tracefile.recovery",
         "dds_trace.tracefile.mcapfile.scan",
     ),

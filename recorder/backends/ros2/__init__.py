@@ -1,7 +1,6 @@
-"""`ros2`: nodes of the ROS 2 that is on this machine, with whatever middleware it runs on (apt or wheels).
+"""`ros2`: nodes of the ROS 2 on this machine (Humble to Kilted, apt or wheels), with any middleware.
 
-`node.py` is the only file that imports rclpy. Written for rclpy of Humble to Kilted; what older ones lack is asked
-for where it is used.
+Only `node.py` imports rclpy.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ _ROS_VARIABLES = ("RMW_IMPLEMENTATION", "ROS_DISTRO", "ROS_AUTOMATIC_DISCOVERY_R
 
 
 def _make_node(options: NodeOptions) -> Node:
-    """Open a node in a context of its own, so that several domains fit in one process."""
+    """Open a node with a context of its own, so that several domains fit in one process."""
     if options.rmw is not None:
         os.environ["RMW_IMPLEMENTATION"] = options.rmw
     check_installed()

@@ -1,24 +1,19 @@
 """A Fast DDS profile of our own for ROS 2's LOCALHOST range, where FASTDDS_BUILTIN_TRANSPORTS changes nothing.
 
-For ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST rmw_fastrtps sets `use_builtin_transports` to false and appends a shared-memory
-and a UDP transport of its own to those of the default profile (rmw_fastrtps_shared_cpp/src/participant.cpp), so neither the
-variable nor a profile takes shared memory away. Our way: the range SYSTEM_DEFAULT, which leaves the profile as it is, and a
-profile that is the LOCALHOST range itself: sockets on 127.0.0.1 alone, no multicast beyond it, the same unicast search for
-participants. Read back with Fast DDS 2.14.5: no shared memory, every socket on 127.0.0.1, buffers as asked; nodes of the
-LOCALHOST range and our own still find each other.
+In that range rmw_fastrtps adds a shared-memory and a UDP transport of its own to those of the default profile
+(rmw_fastrtps_shared_cpp/src/participant.cpp), so neither the variable nor a profile removes shared memory. Instead we set the
+range SYSTEM_DEFAULT, which leaves the profile as it is, and load a profile that does what the LOCALHOST range does: sockets
+on 127.0.0.1 only, no multicast beyond it, unicast search for participants.
 
-Fast DDS loads one profile file, once for each process, when its first participant is made. So all nodes of a process have
-the same transports, and a profile of the user's own excludes ours: the options are refused beside it.
-
-Beyond this machine FASTDDS_BUILTIN_TRANSPORTS does what it says (`installation.set_transport`).
+Fast DDS loads one profile file, once in each process, with its first participant. So all nodes of a process have the same
+transports, and the options are refused if the user has a profile.
 """
 
 from __future__ import annotations
 
 import os
 import tempfile
-from contextlib import contextmanager
-from dataclasses import dataclass
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -35,10 +30,10 @@ if TYPE_CHECKING:
     from ..node import NodeOptions
 
 RANGE = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT"}
-"""Leaves discovery to the profile; also ROS_STATIC_PEERS is ignored then."""
+"""Leaves discovery to the profile; ROS_STATIC_PEERS is ignored, too."""
 
 MAX_PEERS = 32
-"""Participants of one domain on this machine that are searched for: as many as rmw_fastrtps's LOCALHOST range has."""
+"""Participants of one domain on this machine that are looked for, as in rmw_fastrtps's LOCALHOST range."""
 
 _UDP, _SHM, _TCP = "dds_trace_udp", "dds_trace_shm", "dds_trace_tcp"
 
@@ -46,7 +41,7 @@ _WHITELIST = "        <interfaceWhiteList><address>127.0.0.1</address></interfac
 
 _DESCRIPTORS = {
     _SHM: "        <type>SHM</type>\n",
-    # As Fast DDS sets TCP up for LARGE_DATA: a port that the kernel chooses, no checksum of its own, no delay.
+    # As Fast DDS sets up TCP for LARGE_DATA: a free port, no checksum of its own, no delay.
     _TCP: (
         "        <type>TCPv4</type>\n"
         + _WHITELIST
@@ -66,7 +61,7 @@ _BUFFERS = """\
         <receiveBufferSize>{bytes}</receiveBufferSize>
 """
 
-# An empty locator stands for the well-known unicast port, and keeps Fast DDS from opening its multicast one.
+# An empty locator is the well-known unicast port, and keeps Fast DDS from opening its multicast one.
 _UNICAST_DISCOVERY = """\
         <builtin>
           <metatrafficUnicastLocatorList><locator/></metatrafficUnicastLocatorList>
@@ -76,7 +71,7 @@ _UNICAST_DISCOVERY = """\
         </builtin>
 """
 
-# LARGE_DATA finds participants by multicast and tells them of endpoints over TCP; the whitelist keeps both on loopback.
+# LARGE_DATA looks for participants by multicast and for endpoints over TCP; the whitelist keeps both on loopback.
 _LARGE_DATA_DISCOVERY = """\
         <builtin>
           <metatrafficUnicastLocatorList>
@@ -110,42 +105,35 @@ _PROFILE = """\
 """
 
 
-@dataclass(frozen=True, slots=True)
-class _Layout:
-    """Transports of a profile, and how its participants find each other (by shared memory alone where that is empty)."""
-
-    transports: tuple[str, ...]
-    discovery: str = ""
-
-
 _LAYOUTS = {
-    Transport.UDP: _Layout((_UDP,), _UNICAST_DISCOVERY),
-    Transport.SHM: _Layout((_SHM,)),
-    Transport.LARGE_DATA: _Layout((_SHM, _TCP, _UDP), _LARGE_DATA_DISCOVERY),
+    Transport.UDP: ((_UDP,), _UNICAST_DISCOVERY),
+    Transport.SHM: ((_SHM,), ""),
+    Transport.LARGE_DATA: ((_SHM, _TCP, _UDP), _LARGE_DATA_DISCOVERY),
 }
+"""Transport -> transports of the profile, and how its participants find each other (empty: through shared memory)."""
 
 
 def localhost_profile(transport: Transport, buffer_bytes: int | None = None) -> str:
-    """Return the text of a profile that keeps a transport on this machine.
+    """Return the text of a profile that keeps UDP, SHM or LARGE_DATA on this machine.
 
     Args:
-        transport: UDP, SHM or LARGE_DATA.
+        transport: the transport.
         buffer_bytes: send and receive buffer of the UDP sockets, None for the system's default.
 
     Raises:
         OptionError: the transport needs no profile, or has no buffers to set.
     """
-    layout = _LAYOUTS.get(transport)
-    if layout is None:
-        raise OptionError(f"--transport {transport.value}: ROS 2's own LOCALHOST range is that already")
+    if transport not in _LAYOUTS:
+        raise OptionError(f"--transport {transport.value}: ROS 2's own LOCALHOST range does that")
     if buffer_bytes is not None and transport is not Transport.UDP:
         raise OptionError(NO_TUNING.format(transport.value))
+    transports, discovery = _LAYOUTS[transport]
     buffers = "" if buffer_bytes is None else _BUFFERS.format(bytes=buffer_bytes)
     return _PROFILE.format(
         transport=transport.value,
-        descriptors="".join(_descriptor(name, buffers) for name in layout.transports),
-        transports="".join(f"          <transport_id>{name}</transport_id>\n" for name in layout.transports),
-        discovery=layout.discovery,
+        descriptors="".join(_descriptor(name, buffers) for name in transports),
+        transports="".join(f"          <transport_id>{name}</transport_id>\n" for name in transports),
+        discovery=discovery,
     )
 
 
@@ -159,15 +147,15 @@ def _descriptor(name: str, buffers: str) -> str:
     )
 
 
-def asked_profile(transport: Transport, *, tuned: bool) -> str | None:
-    """Return the profile for `--transport` and `--tuned` under localhost discovery, None if they ask for nothing.
+def requested_profile(transport: Transport, *, tuned: bool) -> str | None:
+    """Return the profile for `--transport` and `--tuned` under localhost discovery, None if there is nothing to set.
 
     Raises:
-        OptionError: the two do not go together.
+        OptionError: the transport cannot be tuned.
     """
     if transport is Transport.DEFAULT and not tuned:
         return None
-    # A tuned default is UDP: what tuning enlarges are the buffers of sockets.
+    # The tuned default is UDP: tuning enlarges the buffers of sockets.
     chosen = Transport.UDP if transport is Transport.DEFAULT else transport
     # As `sockets_size=4MB` of FASTDDS_BUILTIN_TRANSPORTS, whose MB is 1,000,000 bytes.
     return localhost_profile(chosen, BUFFER_BYTES if tuned else None)
@@ -176,56 +164,46 @@ def asked_profile(transport: Transport, *, tuned: bool) -> str | None:
 def profile_environment(path: Path, environment: Mapping[str, str] = os.environ) -> dict[str, str]:
     """Return the variables that make Fast DDS load the profile at `path` and nothing else.
 
-    A value of FASTDDS_BUILTIN_TRANSPORTS beside them changes nothing. Humble knows no range: ROS_LOCALHOST_ONLY is 0 there.
-
     Raises:
         OptionError: the user has a profile file already.
     """
     for name in PROFILE_VARIABLES:
         if environment.get(name):
             raise OptionError(
-                f"{name} names a profile already, and Fast DDS loads one: set the transports there, or unset it and "
-                "leave them to --transport and --tuned"
+                f"{name} already names a profile, and Fast DDS only loads one: set the transports there, or unset it to use "
+                "--transport and --tuned"
             )
-    return {**RANGE, **dict.fromkeys(_read_variables(), str(path))}
-
-
-def _read_variables() -> tuple[str, ...]:
-    """Return the variables of the installed Fast DDS: 3 warns of the older one, and loads the same profile twice."""
-    return PROFILE_VARIABLES if package_version("fastdds") is None else PROFILE_VARIABLES[1:]
+    # Fast DDS 3 warns of the older variable, and loads the same profile twice.
+    variables = PROFILE_VARIABLES if package_version("fastdds") is None else PROFILE_VARIABLES[1:]
+    return {**RANGE, **dict.fromkeys(variables, str(path))}
 
 
 @contextmanager
 def written_profile(text: str) -> Iterator[Path]:
-    """Give the path of a file with the profile, which is removed behind the block."""
-    descriptor, name = tempfile.mkstemp(prefix="dds-trace-fastdds-", suffix=".xml")
-    path = Path(name)
-    try:
-        with os.fdopen(descriptor, "w") as file:
-            file.write(text)
-        yield path
-    finally:
-        path.unlink(missing_ok=True)
+    """Write the profile to a temporary file."""
+    with tempfile.NamedTemporaryFile("w", prefix="dds-trace-fastdds-", suffix=".xml") as file:
+        file.write(text)
+        file.flush()
+        yield Path(file.name)
 
 
 @contextmanager
 def loaded_profile(text: str) -> Iterator[Path]:
-    """Have the first participant that this process makes within the block load the profile.
+    """Make the first participant of this process, opened within the block, load the profile, and so all later ones.
 
-    The environment is as before behind the block, so that no child process inherits the profile; Fast DDS keeps it for
-    every later participant of this process.
+    The environment is restored, so that no child process inherits the profile.
 
     Raises:
         OptionError: the user has a profile file already.
     """
     with written_profile(text) as path:
-        ours = profile_environment(path)
-        before = {name: os.environ.get(name) for name in ours}
-        os.environ.update(ours)
+        variables = profile_environment(path)
+        previous = {name: os.environ.get(name) for name in variables}
+        os.environ.update(variables)
         try:
             yield path
         finally:
-            for name, value in before.items():
+            for name, value in previous.items():
                 if value is None:
                     del os.environ[name]
                 else:
@@ -233,39 +211,30 @@ def loaded_profile(text: str) -> Iterator[Path]:
 
 
 _loaded: list[str | None] = []
-"""Profile of the first node on Fast DDS that this process made for this machine alone, None for ROS 2's own; empty before."""
+"""Profile of this process's first Fast DDS node under localhost discovery, None for ROS 2's own; empty before that node."""
 
 
 @contextmanager
 def applied_transport(options: NodeOptions, rmw: str) -> Iterator[dict[str, str]]:
-    """Have the node that is made within the block use the transport and the tuning of its options.
-
-    Args:
-        options: options of the node.
-        rmw: identifier of the running ROS middleware.
+    """Make the node that is opened within the block use the transport and the tuning of its options.
 
     Yields:
-        Settings of the session that tell how.
+        Settings for the session.
 
     Raises:
-        OptionError: the middleware is not Fast DDS, no settings for large messages are known for the transport, the user
-            has a profile file, or an earlier node of this process has other transports.
+        OptionError: the middleware is not Fast DDS, the transport cannot be tuned, the user has a profile file, or an
+            earlier node of this process has other transports.
     """
-    is_fastdds = ros_middleware(rmw).vendor == "fastdds"
-    if not is_fastdds or options.discovery is not Discovery.LOCALHOST:
+    if ros_middleware(rmw).vendor != "fastdds" or options.discovery is not Discovery.LOCALHOST:
         set_transport(options, rmw)
         yield {}
         return
-    text = asked_profile(options.transport, tuned=options.tuned)
+    text = requested_profile(options.transport, tuned=options.tuned)
     if _loaded and _loaded[0] != text:
         raise OptionError(
-            "Fast DDS takes its transports once for each process, and an earlier node of this one has others: give both "
+            "Fast DDS sets its transports once in each process, and an earlier node of this one has others: give both "
             "nodes the same transport and tuning, or each a process of its own"
         )
-    if text is None:
+    with nullcontext() if text is None else loaded_profile(text):
         _loaded[:] = [text]
-        yield {}
-        return
-    with loaded_profile(text):
-        _loaded[:] = [text]
-        yield {"profile": "written by dds-trace for this machine alone"}
+        yield {} if text is None else {"profile": "written by dds-trace for this machine alone"}

@@ -1,4 +1,4 @@
-"""The ROS 2 of this machine, looked at and set up without importing it: what is installed, vendors, environment."""
+"""The ROS 2 of this machine, without importing it: what is installed, what its vendor supports, its environment."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from dds_trace.base.errors import BackendUnavailableError, OptionError
 
 from ...applied.vendors import VENDORS, ros_middleware
 from ...choices import Discovery, Transport
-from ..qos import DURATION_POLICIES, requested_durations
-from ..threaded import has_package
+from ..base import has_package
+from ..qos import requested_durations
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,59 +26,61 @@ if TYPE_CHECKING:
 
 WRONG_RMW_TIMEOUT_S = 30.0
 RMW_INDEX = Path("share/ament_index/resource_index/rmw_typesupport")
-"""Folder in which every RMW package of a ROS 2 installation leaves a file with its name."""
+"""Folder in which every RMW package of a ROS 2 installation has a file with its name."""
 
 INSTALL = (
     "pip install 'dds-trace[ros2]' (wheels, x86_64), or install ROS 2 from apt and run "
     "`source /opt/ros/$ROS_DISTRO/setup.bash` in this terminal (the Python of that ROS 2 must run dds-trace)"
 )
 
-
 NO_TUNING = (
-    "no settings for large messages are known for the transport {}: --tuned enlarges the buffers of UDP sockets, which do "
-    "not carry them there; leave one of the two options out"
+    "--tuned has no effect with --transport {}: it enlarges the buffers of UDP sockets, which do not carry the messages "
+    "there; leave one of the two options out"
 )
 
 
 def find_rmws() -> Sequence[str | None]:
-    """Return the ROS middlewares of this machine, `[None]` for wheels with their only one, nothing without rclpy."""
+    """Return the ROS middlewares of this machine: `[None]` for wheels, which have one, and nothing without rclpy."""
     if not has_package("rclpy"):
         return []
     names = {file.name for prefix in _prefixes() for file in Path(prefix, RMW_INDEX).glob("rmw_*")}
-    return sorted(names) or [None]  # the wheels have no index, and one RMW built in
+    return sorted(names) or [None]  # wheels have no index
 
 
 def check_installed() -> None:
-    """Refuse to go on without rclpy, or with a ROS middleware that it does not run on.
+    """Refuse to continue without rclpy, or with a ROS middleware that it does not run on.
 
     Raises:
         BackendUnavailableError: naming what is missing.
     """
     if not has_package("rclpy"):
         raise BackendUnavailableError(f"ROS 2's Python client rclpy is not installed; {INSTALL}")
-    wanted = os.environ.get("RMW_IMPLEMENTATION")
-    if not wanted or "rclpy" in sys.modules:
+    rmw = os.environ.get("RMW_IMPLEMENTATION")
+    if not rmw or "rclpy" in sys.modules:
         return
-    # With a middleware that it was not built for, rclpy ends the whole process (status 102) as soon as it is
-    # imported; so another process tries it first.
-    ask = "from rclpy.utilities import get_rmw_implementation_identifier as name; print(name())"
-    tried = subprocess.run(
-        [sys.executable, "-c", ask], capture_output=True, text=True, timeout=WRONG_RMW_TIMEOUT_S, check=False
+    # Imported with a middleware that it was not built for, rclpy ends the process; so another process tries first.
+    script = "from rclpy.utilities import get_rmw_implementation_identifier as name; print(name())"
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        capture_output=True,
+        text=True,
+        timeout=WRONG_RMW_TIMEOUT_S,
+        check=False,
     )
-    running = tried.stdout.strip()
-    if running != wanted:
-        reason = (tried.stderr.strip().splitlines() or [f"{running} is what runs here"])[-1]
+    running = done.stdout.strip()
+    if running != rmw:
+        reason = (done.stderr.strip().splitlines() or [f"{running} runs here"])[-1]
         raise BackendUnavailableError(
-            f"RMW_IMPLEMENTATION={wanted} does not work here: {reason}; unset it, or install that middleware "
-            f"(apt install ros-$ROS_DISTRO-{wanted.replace('_', '-')}; the wheels have Fast DDS alone)"
+            f"RMW_IMPLEMENTATION={rmw} does not work here: {reason}; unset it, or install that middleware "
+            f"(apt install ros-$ROS_DISTRO-{rmw.replace('_', '-')}; the wheels only have Fast DDS)"
         )
 
 
 def set_discovery_range(discovery: Discovery) -> None:
-    """Set the environment variable from which a context reads how far its nodes look for others."""
+    """Set the environment variables of how far nodes look for others."""
     is_local = discovery is Discovery.LOCALHOST
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST" if is_local else "SUBNET"
-    # Iron and later know the range, and warn when they meet the older variable; Humble knows that one alone.
+    # Iron and later warn of the older variable; Humble only knows that one.
     if find_spec("rclpy.event_handler") is None:
         os.environ["ROS_LOCALHOST_ONLY"] = "1" if is_local else "0"
     else:
@@ -86,30 +88,22 @@ def set_discovery_range(discovery: Discovery) -> None:
 
 
 def set_transport(options: NodeOptions, rmw: str) -> None:
-    """Set the environment variable from which Fast DDS reads its transports when a node is made, beyond this machine.
-
-    Args:
-        options: options of the node.
-        rmw: identifier of the running ROS middleware.
+    """Set the environment variable of Fast DDS's transports beyond this machine.
 
     Raises:
-        OptionError: the middleware is not Fast DDS, or no settings for large messages are known for the transport.
+        OptionError: the middleware is not Fast DDS, or the transport cannot be tuned.
     """
-    asked = (options.transport.value, options.tuned)
+    requested = (options.transport.value, options.tuned)
     builtin = VENDORS["fastdds"].builtin_transports
-    if asked not in builtin:
+    if requested not in builtin:
         raise OptionError(NO_TUNING.format(options.transport.value))
     check_vendor(options, rmw)
-    if (value := builtin[asked]) is not None:
+    if (value := builtin[requested]) is not None:
         os.environ["FASTDDS_BUILTIN_TRANSPORTS"] = value
 
 
 def check_settings(options: NodeOptions) -> None:
-    """Refuse settings of one vendor on the ROS middleware that is asked for by name, before anything is opened.
-
-    Raises:
-        OptionError: naming the setting and the middleware.
-    """
+    """Refuse settings that the vendor of the requested ROS middleware does not have; errors as for `check_vendor`."""
     if options.rmw is not None:
         check_vendor(options, options.rmw)
 
@@ -120,33 +114,30 @@ def check_vendor(options: NodeOptions, rmw: str) -> None:
     Raises:
         OptionError: naming the setting and the middleware.
     """
-    known = ros_middleware(rmw)
-    if known.vendor != "fastdds":
+    middleware = ros_middleware(rmw)
+    if middleware.vendor != "fastdds":
         if options.transport is not Transport.DEFAULT:
             raise OptionError(
                 f"--transport {options.transport.value} is Fast DDS's, and the middleware here is {rmw}; leave it out"
             )
         if options.tuned:
             raise OptionError(
-                f"--tuned: no settings for large messages of {rmw} are known here; leave it out, or give them by its own files"
+                f"--tuned: no settings for large messages of {rmw} are known here; leave it out, or set them in its own files"
             )
-    durations = [policy for policy in DURATION_POLICIES if policy in requested_durations(options.qos)]
-    if durations and not known.has_durations:
-        raise OptionError(f"--{durations[0]}: {rmw} does not implement it; leave it out")
+    if not middleware.has_durations:
+        for policy in requested_durations(options.qos):
+            raise OptionError(f"--{policy}: {rmw} does not implement it; leave it out")
 
 
 def package_version(package: str) -> str | None:
-    """Return the version of a ROS package, wherever this installation tells it; None if nowhere.
-
-    From its wheel, its `package.xml`, the version file that CMake reads (minimal images leave `package.xml` out), or dpkg.
-    """
+    """Return the version of a ROS package from its wheel, `package.xml`, CMake file (in minimal images) or dpkg, else None."""
     with suppress(metadata.PackageNotFoundError):
         return metadata.version(f"ros-{package.replace('_', '-')}")
     for prefix in _prefixes():
         for file, version in _VERSION_FILES:
             with suppress(OSError):
-                if found := version.search(Path(prefix, file.format(package=package)).read_text()):
-                    return found[1]
+                if match := version.search(Path(prefix, file.format(package=package)).read_text()):
+                    return match[1]
     return _debian_version(package)
 
 
@@ -168,9 +159,15 @@ def _debian_version(package: str) -> str | None:
     name = f"ros-{distro}-{package.replace('_', '-')}"
     with suppress(OSError):
         pattern = rf"^Package: {re.escape(name)}\n(?:[^\n]+\n)*?Version: (?:\d+:)?([^\n-]+)"
-        if distro and (found := re.search(pattern, DPKG_STATUS.read_text(errors="replace"), re.MULTILINE)):
-            return found[1]
+        if distro and (match := re.search(pattern, DPKG_STATUS.read_text(errors="replace"), re.MULTILINE)):
+            return match[1]
     return None
+
+
+def find_program(package: str, program: str) -> Path | None:
+    """Return `lib/PACKAGE/PROGRAM` of the sourced ROS 2 installations, None if no installation has it."""
+    paths = (Path(prefix, "lib", package, program) for prefix in _prefixes())
+    return next((path for path in paths if path.is_file() and os.access(path, os.X_OK)), None)
 
 
 def _prefixes() -> list[str]:

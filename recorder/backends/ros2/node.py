@@ -1,6 +1,6 @@
-"""A node of rclpy: the only file that imports it."""
+"""A node of rclpy; only this file imports it."""
 
-# ruff: noqa: PLC0415 - rclpy's import may end the process, so it waits until that was tried elsewhere
+# ruff: noqa: PLC0415 - rclpy's import may end the process; `check_installed` tries it in another one first
 
 from __future__ import annotations
 
@@ -20,9 +20,8 @@ from dds_trace.tracefile.format.descriptions import Qos
 
 from ...applied.vendors import ros_middleware
 from ...choices import ExecutorKind
-from ..node import Endpoint, Middleware, TopicView
+from ..node import LAST_ACKNOWLEDGEMENT_S, ROUND_S, Endpoint, Middleware, ThreadedNode, TopicView
 from ..qos import DURATION_POLICIES, duration_extra, incompatible_pairs, requested_durations
-from ..threaded import LAST_ACKNOWLEDGEMENT_S, ROUND_S, ThreadedNode
 from .installation import INSTALL, package_version
 
 if TYPE_CHECKING:
@@ -32,12 +31,12 @@ if TYPE_CHECKING:
 
 
 class Ros2Node(ThreadedNode):
-    """One rclpy node with its context, executor and thread; see `Node` and `ObjectNode` for the names.
+    """One rclpy node with its context, executor and thread, also an `ObjectNode`.
 
     Args:
         options: options of the node.
         settings: further settings in effect, for `Middleware.settings`.
-        on_closed: callback behind its end.
+        on_closed: called after the node has left.
     """
 
     def __init__(
@@ -57,10 +56,9 @@ class Ros2Node(ThreadedNode):
         self._executor, executor_name = _make_executor(options.executor, self._context)
         self._executor.add_node(self._node)
         self._middleware = _describe_middleware(options, executor_name, settings or {})
-        self._publishers: list[_ObjectPublisher | _RawPublisher] = []
-        # The EventsExecutor takes one message for each notification, and Fast DDS notifies once when several
-        # messages become readable together (a lost fragment came at last): the others would wait in the reader
-        # until as many later ones arrive, for ever that far behind.
+        self._publishers: list[_ObjectPublisher] = []
+        # The EventsExecutor takes one message for each notification, but Fast DDS notifies once when several messages
+        # become readable together (a late fragment): the others would wait for later messages, for ever.
         self._takes_left = executor_name == "events"
         self._subscriptions: tuple[_Ros2Subscription, ...] = ()
         self._incompatible: dict[str, set[str]] = {}
@@ -69,25 +67,26 @@ class Ros2Node(ThreadedNode):
         self, topic: str, type_name: str, *, qos: Qos | None = None
     ) -> Publisher[RawMessage]:
         """Create a publisher of bytes."""
-        publisher = _RawPublisher(self._node, self._open_publisher(topic, type_name, qos))
-        self._publishers.append(publisher)
-        return publisher
+        return self._open_publisher(_RawPublisher, topic, type_name, qos)
 
     def create_object_publisher(
         self, topic: str, type_name: str, *, qos: Qos | None = None
     ) -> Publisher[RosMessage]:
         """Create a publisher of message objects."""
-        publisher = _ObjectPublisher(self._node, self._open_publisher(topic, type_name, qos))
-        self._publishers.append(publisher)
-        return publisher
+        return self._open_publisher(_ObjectPublisher, topic, type_name, qos)
 
-    def _open_publisher(self, topic: str, type_name: str, qos: Qos | None) -> Any:
-        return self._node.create_publisher(
+    def _open_publisher(
+        self, kind: type[_ObjectPublisher], topic: str, type_name: str, qos: Qos | None
+    ) -> _ObjectPublisher:
+        publisher = self._node.create_publisher(
             _message_class(type_name),
             topic,
-            _qos_profile(qos or self._options.qos),
+            _qos_profile(qos or self.options.qos),
             event_callbacks=_events("PublisherEventCallbacks", self._on_incompatible(topic, "subscription")),
         )
+        opened = kind(self._node, publisher)
+        self._publishers.append(opened)
+        return opened
 
     def create_subscription(
         self, topic: str, type_name: str, receive: Receive[RawMessage], *, qos: Qos | None = None
@@ -109,7 +108,7 @@ class Ros2Node(ThreadedNode):
             _message_class(type_name),
             topic,
             on_message,
-            _qos_profile(qos or self._options.qos),
+            _qos_profile(qos or self.options.qos),
             raw=raw,
             event_callbacks=_events("SubscriptionEventCallbacks", self._on_incompatible(topic, "publisher")),
         )
@@ -118,12 +117,12 @@ class Ros2Node(ThreadedNode):
         return opened
 
     def destroy_subscription(self, subscription: _Ros2Subscription) -> None:
-        """Take a subscription off its topic; nothing is taken from it any more."""
+        """Take a subscription off its topic."""
         self._subscriptions = tuple(other for other in self._subscriptions if other is not subscription)
         self._node.destroy_subscription(subscription.subscription)
 
     def message_from_cdr(self, type_name: str, data: RawMessage) -> RosMessage:
-        """Make a message object from a serialized message."""
+        """Deserialize a message."""
         return _rclpy().serialization.deserialize_message(bytes(data), _message_class(type_name))
 
     def message_to_cdr(self, message: RosMessage) -> bytes:
@@ -131,7 +130,7 @@ class Ros2Node(ThreadedNode):
         return bytes(_rclpy().serialization.serialize_message(message))
 
     def _make_round(self) -> Callable[[], None]:
-        # EventsExecutor.spin() delivered nothing in a thread; one call makes one callback, or none in that time.
+        # EventsExecutor.spin() delivers nothing in a thread. One call makes at most one callback.
         spin_once = partial(self._executor.spin_once, timeout_sec=ROUND_S)
         if not self._takes_left:
             return spin_once
@@ -151,19 +150,19 @@ class Ros2Node(ThreadedNode):
         return note
 
     def look_at(self, topic: str) -> TopicView:
-        """Return the endpoints in the ROS graph; mismatches are from there and from the middleware's events."""
+        """Return the endpoints in the ROS graph, and the mismatches in it or else in the middleware's events."""
         publishing = self._node.get_publishers_info_by_topic(topic)
         subscribed = self._node.get_subscriptions_info_by_topic(topic)
         publishers, subscriptions = tuple(map(_endpoint, publishing)), tuple(map(_endpoint, subscribed))
-        named = tuple(incompatible_pairs(topic, publishers, subscriptions, self._options.name))
-        if named:  # the same that the events reported, in better words
+        pairs = tuple(incompatible_pairs(topic, publishers, subscriptions, self.options.name))
+        if pairs:  # they say more about the mismatches of the events
             self._incompatible[topic] = set()
         return TopicView(
             topic,
             publishers,
             subscriptions,
-            named or tuple(sorted(self._incompatible.get(topic, ()))),
-            tuple(_other_definitions(topic, [*publishing, *subscribed], self._options.name)),
+            pairs or tuple(sorted(self._incompatible.get(topic, ()))),
+            tuple(_other_definitions(topic, [*publishing, *subscribed], self.options.name)),
         )
 
     def count_participants(self) -> int | None:
@@ -197,9 +196,9 @@ class _ObjectPublisher:
         self._publisher.publish(message)
 
     def wait_until_acknowledged(self) -> None:
-        """Wait until the last messages have arrived, for `LAST_ACKNOWLEDGEMENT_S` at most."""
+        """Wait until the last messages have arrived, at most `LAST_ACKNOWLEDGEMENT_S`."""
         duration = _rclpy().duration.Duration(seconds=LAST_ACKNOWLEDGEMENT_S)
-        with suppress(Exception):  # closed before, or an older rclpy: nothing to wait for
+        with suppress(Exception):  # it is closed, or an older rclpy cannot wait
             self._publisher.wait_for_all_acked(duration)
 
     def close(self) -> None:
@@ -214,8 +213,8 @@ class _RawPublisher(_ObjectPublisher):
         self._handle = publisher.handle
 
     def publish(self, message: RawMessage, /) -> None:
-        # Publisher.publish takes `bytes` alone, which would cost a copy between T1 and the middleware; the
-        # binding below it takes a bytearray as well since pybind11 2.10.
+        # Publisher.publish only takes `bytes`, a copy between T1 and the middleware; the binding below it also takes a
+        # bytearray, since pybind11 2.10.
         try:
             with self._handle:
                 self._handle.publish_raw(message)
@@ -229,17 +228,16 @@ class _Ros2Subscription:
     subscription: Any
     on_message: Callable[..., None]
     last_left: Any = None
-    """Time stamps of the message that `take_left` handed on last."""
+    """Time stamps of the last message of `take_left`."""
 
     def take_left(self) -> None:
-        """Hand on what is readable and was not notified.
+        """Deliver messages that are readable without a notification.
 
-        Fast DDS may give one message without end: of a reader that waits for the rest of a large message whose writer
-        is gone, the first one stays where it is. It is handed on once.
+        Fast DDS may return one message again and again, if the rest of a large message never arrives; it counts once.
         """
         subscription = self.subscription
         handle = subscription.handle
-        with suppress(_rclpy().exceptions.InvalidHandle), handle:  # closed meanwhile
+        with suppress(_rclpy().exceptions.InvalidHandle), handle:  # the subscription was closed
             while (taken := handle.take_message(subscription.msg_type, subscription.raw)) is not None:
                 if taken[1] == self.last_left:
                     return
@@ -251,7 +249,7 @@ class _Ros2Subscription:
 
 
 def _rclpy() -> Any:
-    """Import the client library and return it; only behind `check_installed`."""
+    """Import the client library and return it; only after `check_installed`."""
     import rclpy
     import rclpy.duration
     import rclpy.exceptions
@@ -265,12 +263,12 @@ def _rclpy() -> Any:
 
 
 def running_rmw() -> str:
-    """Return the identifier of the ROS middleware that the client library runs on."""
+    """Return the identifier of the running ROS middleware."""
     return str(_rclpy().utilities.get_rmw_implementation_identifier())
 
 
 class _python_signal_handlers:  # noqa: N801 - used as a function
-    """A block after which Python's handlers of SIGINT and SIGTERM are back: the EventsExecutor takes them."""
+    """Context manager that restores Python's handlers of SIGINT and SIGTERM, which the EventsExecutor replaces."""
 
     _signals = (signal.SIGINT, signal.SIGTERM)
 
@@ -298,11 +296,9 @@ def _make_executor(kind: ExecutorKind, context: Any) -> tuple[Any, str]:
 
 
 def _with_info(receive: Receive[Any], *, stamps_reception: bool) -> Callable[..., None]:
-    """Return `receive` as rclpy calls it, with the middleware's two time stamps where this rclpy reports them.
+    """Return `receive` as rclpy calls it, with the middleware's two time stamps where rclpy reports them.
 
-    Args:
-        receive: callback of a subscription.
-        stamps_reception: whether the second time stamp is that of the reception; otherwise `receive` gets 0 for it.
+    Without `stamps_reception` the second one is not the time of the reception, and `receive` gets 0 for it.
     """
     if not hasattr(_rclpy().subscription.Subscription, "CallbackType"):
         return receive  # Humble
@@ -312,7 +308,7 @@ def _with_info(receive: Receive[Any], *, stamps_reception: bool) -> Callable[...
             message, info = message
         receive(message, info["source_timestamp"], info["received_timestamp"] if stamps_reception else 0)
 
-    # rclpy looks at the signature to learn whether the callback wants `info`: show it two needed parameters.
+    # rclpy looks for two required parameters in the signature before it passes `info`.
     parameter = inspect.Parameter
     on_message.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
         [parameter(name, parameter.POSITIONAL_ONLY) for name in ("message", "info")]
@@ -371,24 +367,22 @@ def _endpoint(info: Any) -> Endpoint:
 
 
 def _other_definitions(topic: str, infos: Sequence[Any], own_name: str) -> Iterator[str]:
-    """Yield a line for each endpoint whose type has the name of our own and another definition, by the hashes of ROS 2 Iron.
+    """Yield a line for each endpoint whose type has the name of ours but another definition, by the hashes of ROS 2 Iron.
 
-    Fast DDS carries such messages all the same, and they are read wrongly.
+    Fast DDS carries such messages, and they are misread.
     """
     hashes = [(info, str(getattr(info, "topic_type_hash", ""))) for info in infos]
-    known = [
-        (info, text) for info, text in hashes if text.startswith("RIHS")
-    ]  # other vendors' endpoints have none
-    own = {info.topic_type: text for info, text in known if info.node_name == own_name}
-    for info, text in known:
+    hashes = [(info, text) for info, text in hashes if text.startswith("RIHS")]  # other vendors have none
+    own = {info.topic_type: text for info, text in hashes if info.node_name == own_name}
+    for info, text in hashes:
         if text != own.get(info.topic_type, text):
             yield f"{topic}: {info.node_name}'s {info.topic_type} has the same name and another definition"
 
 
 def _describe_middleware(options: NodeOptions, executor: str, further: Mapping[str, str]) -> Middleware:
     rmw = running_rmw()
-    known = ros_middleware(rmw)
-    versions = {name: package_version(name) for name in ("rclpy", *known.packages)}
+    facts = ros_middleware(rmw)
+    versions = {name: package_version(name) for name in ("rclpy", *facts.packages)}
     settings = {
         "executor": executor,
         "discovery": options.discovery.value,
@@ -399,9 +393,9 @@ def _describe_middleware(options: NodeOptions, executor: str, further: Mapping[s
     }
     return Middleware(
         "ros2",
-        known.vendor,
+        facts.vendor,
         rmw,
         {name: version for name, version in versions.items() if version},
         {name: value for name, value in settings.items() if value},
-        known.label,
+        facts.label,
     )

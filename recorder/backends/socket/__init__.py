@@ -1,8 +1,7 @@
-"""`socket`: plain TCP or UDP, without a middleware between.
+"""`socket`: plain TCP or UDP without a middleware (docs/reference/middlewares.md).
 
-Over UDP it is what any middleware over UDP comes on top of. Over TCP it is what TCP makes of the link, congestion control included,
-and a middleware over UDP can be faster (docs/reference/middlewares.md). The relay listens at a port that follows from the domain, the ping connects. `--transport default` is TCP without
-Nagle's delay, `udp` is UDP with fragments of 60 KB and nothing sent again. See `docs/reference/middlewares.md`.
+The relay listens at a port that follows from the domain, the ping connects. `--transport default` is TCP without Nagle's
+delay, `udp` is UDP with fragments of 60 KB and no retransmission.
 """
 
 from __future__ import annotations
@@ -10,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from ...choices import Discovery, Transport
+from ...choices import Discovery, Reliability, Transport
 from ..base import Backend, Meeting
 from .node import PROTOCOLS, SocketNode
 
@@ -25,10 +24,10 @@ def _make_node(options: NodeOptions) -> Node:
 
 
 def _make_pair(options: NodeOptions) -> tuple[Node, Node]:
-    """Open a node that listens at a port that is free, and one that connects to it, on this device."""
+    """Open a node that listens at a free port, and one that connects to it, on this device."""
     local = replace(options, discovery=Discovery.LOCALHOST, peers=())
     if options.transport is Transport.UDP:
-        local = replace(local, qos=replace(options.qos, reliability="best_effort"))
+        local = replace(local, qos=replace(options.qos, reliability=Reliability.BEST_EFFORT))
     subscribes = SocketNode(replace(local, listens=True), 0, ())
     try:
         return subscribes, SocketNode(replace(local, listens=False), 0, [("127.0.0.1", subscribes.port)])

@@ -1,7 +1,7 @@
-"""The connections of a node on sockets, whatever protocol carries them: `Links`, and the greeting that opens each one.
+"""The connections of a node on sockets (`Links`), and the greeting that opens each one.
 
-A frame is a topic's name and a serialized message. The empty name is a greeting: JSON that names the node, its
-subscriptions and its publishers; nothing is sent to a peer that does not subscribe.
+A frame is a topic's name and a serialized message. The empty name is a greeting, JSON with the node's name, subscriptions
+and publishers; a peer only gets the topics that it subscribes to.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ RETRY_S = 0.2
 Address: TypeAlias = tuple[str, int]
 """Host and port."""
 Receivers: TypeAlias = "Mapping[str, tuple[Receive[RawMessage], ...]]"
-"""Topic -> callbacks that take the message of each of its frames; looked up for each frame."""
+"""Topic -> callbacks; looked up for each frame."""
 
 
 @dataclass
@@ -41,7 +41,7 @@ class Greeting:
 
     @classmethod
     def from_bytes(cls, data: RawMessage) -> Greeting | None:
-        """Return the greeting in `data`, None if it holds something else."""
+        """Return the greeting in `data`, None if it is something else."""
         try:
             fields = json.loads(data)
             return cls(str(fields["name"]), dict(fields["subscriptions"]), dict(fields["publishers"]))
@@ -57,13 +57,13 @@ class Links(Protocol):
         """Port at which peers reach the node; 0 if they do not."""
 
     def greetings(self) -> list[Greeting]:
-        """Return the greetings of the peers that are connected now."""
+        """Return the greetings of the connected peers."""
 
     def announce(self) -> None:
-        """Send the node's own greeting, as it is now, to all peers."""
+        """Send the node's own greeting to all peers."""
 
     def sender(self, topic: str) -> Callable[[RawMessage], None]:
-        """Return a function that sends a message to all peers that subscribe to `topic`; it is copied when that returns."""
+        """Return a function that sends a copy of a message to all peers that subscribe to `topic`."""
 
     def poll(self) -> None:
         """Keep the connections up for one round of at most `ROUND_S`; raise the error of a callback."""
@@ -81,15 +81,15 @@ def bound_socket(kind: socket.SocketKind, address: Address) -> socket.socket:
     Raises:
         OptionError: the port is taken.
     """
-    made = socket.socket(socket.AF_INET, kind)
+    bound = socket.socket(socket.AF_INET, kind)
     try:
-        if kind is socket.SOCK_STREAM:  # connections that ended a moment ago do not hold the port
-            made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        made.bind(address)
+        if kind is socket.SOCK_STREAM:  # connections that have just ended do not block the port
+            bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        bound.bind(address)
     except OSError as err:
-        made.close()
+        bound.close()
         raise OptionError(
             f"port {address[1]} cannot be opened ({err.strerror}); the backend socket has one relay for each domain "
             "of a device: end the other one, or choose another --domain"
         ) from err
-    return made
+    return bound

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
 
-from ...choices import Discovery, Transport
-from ..node import Endpoint, Middleware, TopicView
+from ...applied.vendors import BUFFER_BYTES
+from ...choices import Discovery, Durability, Reliability, Transport
+from ..node import Endpoint, Middleware, NodeSubscription, ThreadedNode, TopicView
 from ..qos import refuse_durations
-from ..threaded import NodeSubscription, ThreadedNode
 from .links import Greeting
 from .tcp import TcpLinks, set_congestion_control
-from .udp import TUNED_BUFFER_BYTES, UdpLinks
+from .udp import UdpLinks
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -30,12 +30,12 @@ PROTOCOLS = {Transport.DEFAULT: "tcp", Transport.UDP: "udp"}
 
 
 class SocketNode(ThreadedNode):
-    """The connections of one role with their thread; see `Node` for the names.
+    """The connections of one role with their thread.
 
     Args:
         options: options of the node.
-        port: port of the relay in this domain; 0 for a node that listens at any that is free.
-        peers: host and port of each relay that a ping connects to; empty for a node that listens.
+        port: port of the relay in this domain; 0 for any free port.
+        peers: host and port of each relay that a ping connects to.
 
     Raises:
         OptionError: the quality of service, the port or an address cannot be used.
@@ -61,7 +61,7 @@ class SocketNode(ThreadedNode):
                 raise OptionError(
                     f"--congestion-control {options.congestion_control}: UDP has none; leave it out"
                 )
-            buffer_bytes = TUNED_BUFFER_BYTES if options.tuned else None
+            buffer_bytes = BUFFER_BYTES if options.tuned else None
             links = UdpLinks(self._own, listen, resolved, self._receivers, buffer_bytes)
             settings["receive_buffer_bytes"] = str(links.receive_buffer_bytes)
             self._links = links
@@ -83,7 +83,7 @@ class SocketNode(ThreadedNode):
         self, topic: str, type_name: str, *, qos: Qos | None = None
     ) -> Publisher[RawMessage]:
         """Create a publisher of bytes."""
-        _check_qos(qos or self._options.qos, PROTOCOLS[self._options.transport])
+        _check_qos(qos or self.options.qos, PROTOCOLS[self.options.transport])
         self._own.publishers = {**self._own.publishers, topic: type_name}
         self._links.announce()
         return _SocketPublisher(self._links.sender(topic), partial(self._withdraw_publisher, topic))
@@ -92,7 +92,7 @@ class SocketNode(ThreadedNode):
         self, topic: str, type_name: str, receive: Receive[RawMessage], *, qos: Qos | None = None
     ) -> Subscription:
         """Create a subscription of bytes."""
-        _check_qos(qos or self._options.qos, PROTOCOLS[self._options.transport])
+        _check_qos(qos or self.options.qos, PROTOCOLS[self.options.transport])
         self._receivers[topic] = (*self._receivers.get(topic, ()), receive)
         self._own.subscriptions = {**self._own.subscriptions, topic: type_name}
         self._links.announce()
@@ -103,7 +103,7 @@ class SocketNode(ThreadedNode):
         self._links.announce()
 
     def _withdraw_subscription(self, topic: str, receive: Receive[RawMessage]) -> None:
-        self._receivers[topic] = tuple(each for each in self._receivers[topic] if each is not receive)
+        self._receivers[topic] = tuple(other for other in self._receivers[topic] if other is not receive)
         if not self._receivers[topic]:
             self._own.subscriptions = _without(self._own.subscriptions, topic)
             self._links.announce()
@@ -117,12 +117,12 @@ class SocketNode(ThreadedNode):
         return TopicView(
             topic,
             tuple(
-                Endpoint(each.name, each.publishers[topic]) for each in greetings if topic in each.publishers
+                Endpoint(node.name, node.publishers[topic]) for node in greetings if topic in node.publishers
             ),
             tuple(
-                Endpoint(each.name, each.subscriptions[topic])
-                for each in greetings
-                if topic in each.subscriptions
+                Endpoint(node.name, node.subscriptions[topic])
+                for node in greetings
+                if topic in node.subscriptions
             ),
         )
 
@@ -134,7 +134,7 @@ class SocketNode(ThreadedNode):
         self._links.interrupt()
 
     def _leave(self) -> None:
-        """Close the sockets; the kernel still sends what it holds."""
+        """Close the sockets; the kernel still sends what is queued."""
         self._links.close()
 
 
@@ -152,11 +152,11 @@ def _without(mapping: dict[str, str], key: str) -> dict[str, str]:
 
 def _check_qos(qos: Qos, protocol: str) -> None:
     refuse_durations("socket", qos)
-    if qos.durability != "volatile":
-        raise OptionError(f"--durability {qos.durability}: sockets keep no message for those who come later")
-    if protocol == "udp" and qos.reliability != "best_effort":
+    if qos.durability != Durability.VOLATILE:
+        raise OptionError(f"--durability {qos.durability}: sockets keep no messages for late subscriptions")
+    if protocol == "udp" and qos.reliability != Reliability.BEST_EFFORT:
         raise OptionError(
-            "--transport udp: plain UDP sends nothing again; give --reliability best_effort on both sides"
+            "--transport udp: plain UDP does not retransmit; give --reliability best_effort on both sides"
         )
 
 

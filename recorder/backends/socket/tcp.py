@@ -1,7 +1,7 @@
 """Frames over TCP connections, without Nagle's delay.
 
-A thread for each connection waits in a blocking read, so that nothing lies between the kernel and the callback: a selector and
-reads that do not block cost 80 to 120 us a message (`benchmarks/bench_node.py`). The callbacks run one at a time all the same.
+A thread for each connection waits in a blocking read: a selector and non-blocking reads cost 80 to 120 us a message
+(`benchmarks/bench_node.py`). The callbacks run one at a time.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 from dds_trace.base.errors import OptionError
 from dds_trace.base.threads import FastLock
 
-from ..threaded import ROUND_S
+from ..node import ROUND_S
 from .links import RETRY_S, Greeting, bound_socket
 
 if TYPE_CHECKING:
@@ -29,22 +29,22 @@ if TYPE_CHECKING:
     from .links import Address, Receivers
 
 MAX_MESSAGE_BYTES = 1 << 30
-"""Largest message; a header with a greater length is no frame of ours."""
+"""Largest message; a header with a greater length is not a frame."""
 
 ALLOWED_CONGESTION_CONTROL = Path("/proc/sys/net/ipv4/tcp_allowed_congestion_control")
-"""Algorithms that a process without CAP_NET_ADMIN may choose; one with it may choose every one that is available."""
+"""Algorithms that a process without CAP_NET_ADMIN may choose."""
 
 _CONGESTION_NAME_BYTES = 16  # TCP_CA_NAME_MAX of linux/tcp.h
 _HEADER = struct.Struct("<IH")  # bytes of the message, bytes of the topic's name; then name and message
 
 
 class TcpLinks:
-    """Connections to peers, kept up, and from peers, on one listening socket.
+    """Connections to peers, and from peers on one listening socket.
 
     Args:
         own: the node's own greeting, sent to each new peer.
         listen: address at which connections are accepted, None for none.
-        peers: addresses to connect to, again and again until it works.
+        peers: addresses to connect to, until it works.
         receivers: the callbacks of each topic.
         prepare: sets the options of each connection's socket.
     """
@@ -66,7 +66,7 @@ class TcpLinks:
         self._changing = threading.Lock()
         self._connected: tuple[_TcpPeer, ...] = ()
         self._closing = False
-        self._wanted: dict[Address, float] = dict.fromkeys(peers, 0.0)  # -> when to try again
+        self._retry_s: dict[Address, float] = dict.fromkeys(peers, 0.0)  # time of the next attempt
         self._listener = None
         if listen is not None:
             self._listener = bound_socket(socket.SOCK_STREAM, listen)
@@ -88,10 +88,10 @@ class TcpLinks:
             peer.greet(self._own)
 
     def sender(self, topic: str) -> Callable[[RawMessage], None]:
-        """Return a function that sends a frame; it waits while a peer does not read."""
+        """Return a function that sends a frame; it blocks while a peer does not read."""
         name, length, head = topic.encode(), -1, b""
 
-        # Between the stamp and the kernel: as few calls and as little memory touched as possible.
+        # Between the stamp and the kernel: as few calls and as little memory as possible.
         def send(message: RawMessage) -> None:
             nonlocal length, head
             if len(message) != length:
@@ -108,7 +108,7 @@ class TcpLinks:
         if self._error is not None:
             raise self._error
         now_s = time.monotonic()
-        for address, next_s in list(self._wanted.items()):
+        for address, next_s in list(self._retry_s.items()):
             if now_s >= next_s:
                 self._connect(address)
         for key, _ in self._selector.select(ROUND_S):
@@ -120,24 +120,24 @@ class TcpLinks:
         self._add(connection, None)
 
     def _connect(self, address: Address) -> None:
-        self._wanted[address] = float("inf")  # while it is under way, and while it holds
+        self._retry_s[address] = float("inf")  # while it connects and is connected
         connection = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         connection.setblocking(False)
         status = connection.connect_ex(address)
         if status not in (0, errno.EINPROGRESS):
             connection.close()
-            self._wanted[address] = time.monotonic() + RETRY_S
+            self._retry_s[address] = time.monotonic() + RETRY_S
             return
 
         def connected() -> None:
             self._selector.unregister(connection)
-            # A connection to the own port can meet itself while nobody listens (simultaneous open).
+            # While nobody listens, a connection to a local port can connect to itself (simultaneous open).
             if (
                 connection.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
                 or connection.getsockname() == address
             ):
                 connection.close()
-                self._wanted[address] = time.monotonic() + RETRY_S
+                self._retry_s[address] = time.monotonic() + RETRY_S
             else:
                 self._add(connection, address)
 
@@ -159,19 +159,19 @@ class TcpLinks:
         peer.thread.start()
 
     def _serve(self, peer: _TcpPeer, address: Address | None) -> None:
-        """Read from one connection until it ends; its thread runs this."""
+        """Read from one connection until it ends, on its thread."""
         try:
             peer.read(self._receivers, self._delivering)
-        except BaseException as error:  # noqa: BLE001 - a callback's, for the node's thread; this one has no caller
+        except BaseException as error:  # noqa: BLE001 - a callback's; `poll` raises it
             self._error = self._error or error
         with self._changing:
             self._connected = tuple(other for other in self._connected if other is not peer)
         peer.close()
         if address is not None:
-            self._wanted[address] = time.monotonic() + RETRY_S
+            self._retry_s[address] = time.monotonic() + RETRY_S
 
     def interrupt(self) -> None:
-        """End the connections, so that a thread that waits in `send` goes on, and no callback runs any more."""
+        """End the connections, so that a blocked `send` returns, and no callback runs any more."""
         with self._changing:
             self._closing = True
             peers = self._connected
@@ -189,10 +189,10 @@ class TcpLinks:
 
 
 def set_congestion_control(connection: socket.socket, name: str | None) -> str:
-    """Choose the congestion control of a TCP socket, the system's if `name` is None; return what the kernel reports then.
+    """Choose the congestion control of a TCP socket, the system's if `name` is None; return what the kernel reports.
 
     Raises:
-        OptionError: the kernel does not have it, or does not let this process use it.
+        OptionError: the kernel does not have it or does not allow it.
     """
     if name is not None:
         try:
@@ -207,14 +207,14 @@ def set_congestion_control(connection: socket.socket, name: str | None) -> str:
 
 
 def _head(topic: bytes, message_bytes: int) -> bytes:
-    """Return the beginning of a frame, before the message itself."""
+    """Return the part of a frame that precedes the message."""
     return _HEADER.pack(message_bytes, len(topic)) + topic
 
 
-def _hand_on(
+def _deliver(
     frames: list[tuple[bytes, str, bytearray]], receivers: Receivers, delivering: FastLock
 ) -> tuple[bytes, str, int]:
-    """Call the callbacks for each frame; return head, topic and length of the last, of which there may be none."""
+    """Call the callbacks for each frame; return head, topic and length of the last one."""
     head, topic, frame_bytes = b"", "", 0
     for head, topic, message in frames:
         frame_bytes = len(head) + len(message)
@@ -225,11 +225,11 @@ def _hand_on(
 
 
 class _TcpPeer:
-    """One connection: writing whole frames from any thread, reading them on a thread of its own."""
+    """One connection: any thread writes whole frames, a thread of its own reads them."""
 
     def __init__(self, connection: socket.socket) -> None:
         self.greeting = Greeting()
-        self.topics: Container[str] = ()  # that it subscribes to
+        self.topics: Container[str] = ()  # its subscriptions
         self.thread: threading.Thread | None = None
         self._connection = connection
         self._send, self._receive = connection.sendmsg, connection.recv_into
@@ -242,14 +242,14 @@ class _TcpPeer:
         self.send(_head(b"", len(text)), text)
 
     def send(self, head: bytes, message: RawMessage) -> None:
-        """Send a whole frame; on a connection that broke it is lost, and the reader notices."""
+        """Send a whole frame; on a broken connection it is lost, and the reader sees the end."""
         try:
             self._take()
         except IndexError:
             self._writing.wait()
         try:
             sent = self._send((head, message))
-            if sent < len(head) + len(message):  # a signal came in between
+            if sent < len(head) + len(message):  # a signal interrupted it
                 self._connection.sendall((head + message)[sent:])
         except OSError:
             self.shut_down()
@@ -259,17 +259,17 @@ class _TcpPeer:
                 self._writing.wake()
 
     def read(self, receivers: Receivers, delivering: FastLock) -> None:
-        """Hand on each frame until the connection ends, or brings something that is no frame of ours.
+        """Deliver each frame until the connection ends, or something arrives that is not a frame.
 
-        The messages of a run are alike, so each read expects a frame like the last one, in memory made beforehand: such a
-        frame is one call of the kernel, nothing is copied, and next to nothing lies between the kernel and the callback.
+        Each read expects a frame like the last one, in memory allocated beforehand: such a frame costs one call of the
+        kernel and no copy.
 
         Args:
             receivers: the callbacks of each topic.
-            delivering: held while callbacks run, which other connections have as well.
+            delivering: lock of the callbacks of all connections.
         """
         receive_into, take, give = self._receive, delivering.take, delivering.give
-        head, topic, head_bytes, expected_bytes = b"", "", 0, 0  # 0: like no other
+        head, topic, head_bytes, expected_bytes = b"", "", 0, 0  # 0: nothing is expected
         while True:
             message = bytearray(expected_bytes or _HEADER.size)
             try:
@@ -279,7 +279,7 @@ class _TcpPeer:
             if head_bytes and count >= head_bytes and message.startswith(head):
                 if count < expected_bytes and not self._fill(memoryview(message)[count:]):
                     return
-                del message[:head_bytes]  # moves the buffer's begin and copies nothing
+                del message[:head_bytes]  # moves the buffer's start and copies nothing
                 try:
                     take()
                 except IndexError:
@@ -295,46 +295,39 @@ class _TcpPeer:
             frames = self._read_frames(memoryview(message)[:count])
             if frames is None:
                 return
-            head, topic, expected_bytes = _hand_on(frames, receivers, delivering)
+            head, topic, expected_bytes = _deliver(frames, receivers, delivering)
             head_bytes = len(head)
 
-    def _read_frames(self, begun: memoryview) -> list[tuple[bytes, str, bytearray]] | None:
-        """Read on until no frame is begun; return head, topic and message of each, greetings left out and kept.
-
-        Args:
-            begun: what has arrived.
+    def _read_frames(self, data: memoryview) -> list[tuple[bytes, str, bytearray]] | None:
+        """Complete the frames that start in `data`; return head, topic and message of each that is not a greeting.
 
         Returns:
-            None when the connection has ended, or brought no frame of ours.
+            None when the connection has ended, or something arrived that is not a frame.
         """
         frames = []
-        if not begun:
+        if not data:
             return None
-        while begun:
-            frame = self._read_frame(begun)
+        while data:
+            frame = self._read_frame(data)
             if frame is None:
                 return None
-            head, topic, message, begun = frame
+            head, topic, message, data = frame
             if topic:
                 frames.append((head, topic, message))
             elif not self._greeted(message):
                 return None
         return frames
 
-    def _read_frame(self, begun: memoryview) -> tuple[bytes, str, bytearray, memoryview] | None:
-        """Read a frame of which `begun` has arrived; return its head, topic, message, and what is left of `begun`.
-
-        Returns:
-            None when the connection has ended, or brought no frame of ours.
-        """
+    def _read_frame(self, data: memoryview) -> tuple[bytes, str, bytearray, memoryview] | None:
+        """Complete the frame that starts in `data`; return head, topic, message and the rest of `data`, or None as above."""
         parts: list[bytearray] = []
         sizes = [_HEADER.size]
         while sizes:
             part = bytearray(sizes.pop())
-            there = begun[: len(part)]
-            part[: len(there)] = there
-            begun = begun[len(there) :]
-            if not self._fill(memoryview(part)[len(there) :]):
+            start = data[: len(part)]
+            part[: len(start)] = start
+            data = data[len(start) :]
+            if not self._fill(memoryview(part)[len(start) :]):
                 return None
             if not parts:
                 body_bytes, name_bytes = _HEADER.unpack(part)
@@ -343,22 +336,22 @@ class _TcpPeer:
                 sizes = [body_bytes, name_bytes]
             parts.append(part)
         header, name, body = parts
-        return bytes(header + name), name.decode(errors="replace"), body, begun
+        return bytes(header + name), name.decode(errors="replace"), body, data
 
-    def _fill(self, left: memoryview) -> bool:
-        """Read until `left` is full; return False when the connection has ended."""
+    def _fill(self, rest: memoryview) -> bool:
+        """Read until `rest` is full; return False when the connection has ended."""
         try:
-            while left:
-                count = self._connection.recv_into(left)
+            while rest:
+                count = self._connection.recv_into(rest)
                 if not count:
                     return False
-                left = left[count:]
+                rest = rest[count:]
         except OSError:
             return False
         return True
 
     def _greeted(self, body: bytearray) -> bool:
-        """Keep a greeting; return False if `body` is none."""
+        """Store a greeting; return False if `body` is not one."""
         greeting = Greeting.from_bytes(body)
         if greeting is not None:
             self.greeting, self.topics = greeting, frozenset(greeting.subscriptions)
@@ -372,5 +365,5 @@ class _TcpPeer:
     def close(self) -> None:
         """Close the socket, which nobody reads any more."""
         self.shut_down()
-        with self._writing:  # no send may meet another file under the same number
+        with self._writing:  # no send may use the number of another file
             self._connection.close()

@@ -1,4 +1,4 @@
-"""Frames in UDP datagrams, cut into fragments; nothing is sent again."""
+"""Frames in UDP datagrams, cut into fragments, without retransmission."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING
 
-from ..threaded import ROUND_S
+from ..node import ROUND_S
 from .links import RETRY_S, Greeting, bound_socket
 
 if TYPE_CHECKING:
@@ -20,16 +20,14 @@ if TYPE_CHECKING:
     from ..node import RawMessage
     from .links import Address, Receivers
 
-TUNED_BUFFER_BYTES = 4_000_000
-"""Size of the kernel's buffers that `--tuned` asks for, in each direction."""
 FRAGMENT_BYTES = 60_000
 """Bytes of a message in one UDP datagram (65,507 bytes with its header); Fast DDS cuts at about the same size."""
 MAX_UNFINISHED = 8
-"""Messages of one sender that wait for fragments; an older one is lost."""
+"""Most messages of one sender that wait for fragments; then the oldest is lost."""
 DATAGRAMS_A_ROUND = 256
-"""Datagrams taken before the thread looks at its other duties."""
+"""Most datagrams in one round of the thread."""
 GREETING_S = 1.0
-"""Time between two greetings to peers that are known."""
+"""Time between two greetings to peers that have greeted."""
 FORGET_S = 10.0
 """Silence after which a peer is forgotten."""
 
@@ -39,7 +37,7 @@ _HEADER = struct.Struct("<IHHH")  # message, fragment, fragments, bytes of the n
 
 @dataclass
 class _UdpPeer:
-    """A peer that greeted: the time of its last greeting, and its messages of which fragments are missing."""
+    """A peer that has greeted: the time of its last greeting, and its messages that lack fragments."""
 
     greeting: Greeting = field(default_factory=Greeting)
     heard_s: float = 0.0
@@ -47,7 +45,7 @@ class _UdpPeer:
 
 
 class UdpLinks:
-    """Datagrams to everybody who greets; a message with a lost fragment is lost. Arguments as for `TcpLinks`.
+    """Datagrams to all peers that greet; a message with a lost fragment is lost. Arguments as for `TcpLinks`.
 
     Args:
         buffer_bytes: size of the kernel's buffers in each direction, None for its default.
@@ -67,18 +65,18 @@ class UdpLinks:
         if buffer_bytes is not None:
             for option in (socket.SO_SNDBUF, socket.SO_RCVBUF):
                 self._socket.setsockopt(socket.SOL_SOCKET, option, buffer_bytes)
-        # Not `settimeout`, with which Python asks the kernel twice for each datagram.
+        # Not `settimeout`, with which Python calls the kernel twice for each datagram.
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _TIME.pack(0, round(ROUND_S * 1e6)))
         self._buffer = memoryview(bytearray(1 << 16))
         self._number = 0
         self._numbering = threading.Lock()
-        self._wanted = tuple(peers)
+        self._relays = tuple(peers)
         self._peers: dict[Address, _UdpPeer] = {}
         self._next_greeting_s = 0.0
 
     @property
     def receive_buffer_bytes(self) -> int:
-        """Size of the receive buffer as the kernel reports it: twice that asked for, its bookkeeping included (socket(7))."""
+        """Size of the receive buffer as the kernel reports it, twice the requested one (socket(7))."""
         return self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
 
     @property
@@ -87,12 +85,12 @@ class UdpLinks:
         return int(self._socket.getsockname()[1])
 
     def greetings(self) -> list[Greeting]:
-        """Return the greetings of those who greeted not long ago."""
+        """Return the greetings of the peers that greeted recently."""
         return [peer.greeting for peer in list(self._peers.values())]
 
     def announce(self) -> None:
-        """Greet all peers, known and wanted."""
-        for address in {*self._wanted, *self._peers}:
+        """Greet all peers and relays."""
+        for address in {*self._relays, *self._peers}:
             self._send_to([address], b"", self._own.to_bytes())
 
     def sender(self, topic: str) -> Callable[[RawMessage], None]:
@@ -100,10 +98,10 @@ class UdpLinks:
         return partial(self._send, topic)
 
     def _send(self, topic: str, message: RawMessage) -> None:
-        takers = [
+        subscribers = [
             address for address, peer in list(self._peers.items()) if topic in peer.greeting.subscriptions
         ]
-        self._send_to(takers, topic.encode(), message)
+        self._send_to(subscribers, topic.encode(), message)
 
     def _send_to(self, addresses: Sequence[Address], name: bytes, message: RawMessage) -> None:
         with self._numbering:
@@ -114,15 +112,15 @@ class UdpLinks:
                 header = _HEADER.pack(number, index, count, len(name)) + name
                 part = view[index * FRAGMENT_BYTES : (index + 1) * FRAGMENT_BYTES]
                 for address in addresses:
-                    with suppress(OSError):  # no way there at the moment: lost, as on the way
+                    with suppress(OSError):  # unreachable now: lost
                         self._socket.sendmsg([header, part], (), 0, address)
 
     def poll(self) -> None:
-        """Greet now and then, and take what has arrived."""
+        """Greet from time to time, and take what has arrived."""
         now_s = time.monotonic()
         if now_s >= self._next_greeting_s:
-            met = set(self._wanted) <= set(self._peers)
-            self._next_greeting_s = now_s + (GREETING_S if met else RETRY_S)
+            have_met = set(self._relays) <= set(self._peers)
+            self._next_greeting_s = now_s + (GREETING_S if have_met else RETRY_S)
             for address, peer in list(self._peers.items()):
                 if now_s - peer.heard_s > FORGET_S:
                     del self._peers[address]
@@ -138,10 +136,10 @@ class UdpLinks:
         if len(datagram) < _HEADER.size:
             return
         number, index, count, name_bytes = _HEADER.unpack_from(datagram)
-        begin = _HEADER.size + name_bytes
-        if len(datagram) < begin or index >= count:
+        start = _HEADER.size + name_bytes
+        if len(datagram) < start or index >= count:
             return
-        name, part = bytes(datagram[_HEADER.size : begin]).decode(errors="replace"), datagram[begin:]
+        name, part = bytes(datagram[_HEADER.size : start]).decode(errors="replace"), datagram[start:]
         peer = self._peers.get(address)
         if not name:
             self._greeted(Greeting.from_bytes(bytes(part)), address)
@@ -174,8 +172,8 @@ class UdpLinks:
         peer.greeting, peer.heard_s = greeting, time.monotonic()
 
     def interrupt(self) -> None:
-        """Do nothing: a datagram socket waits for nobody."""
+        """Do nothing: sending a datagram never blocks."""
 
     def close(self) -> None:
-        """Close the socket; the thread that polls has ended."""
+        """Close the socket."""
         self._socket.close()

@@ -47,25 +47,6 @@ def reported_version(program: Path, *arguments: str) -> str:
     return next((line.strip() for line in done.stdout.splitlines() if re.search(r"\d+\.\d+", line)), "")
 
 
-def ros_package_program(package: str, program: str) -> Path | None:
-    """Return `lib/PACKAGE/PROGRAM` of the sourced ROS 2 installations, None if no installation has it."""
-    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
-        path = Path(prefix) / "lib" / package / program
-        if prefix and os.access(path, os.X_OK) and path.is_file():
-            return path
-    return None
-
-
-def ros_package_version(program: Path, package: str) -> str:
-    """Return the version of the package of `PREFIX/lib/PACKAGE/PROGRAM`, empty if its manifest has none."""
-    manifest = program.parents[2] / "share" / package / "package.xml"
-    try:
-        match = re.search(r"<version>\s*([^<\s]+)", manifest.read_text())
-    except OSError:
-        return ""
-    return match[1] if match else ""
-
-
 def discovery_environment(options: BridgeOptions) -> Mapping[str, str]:
     """Return the discovery range for a program that contains ROS 2: the variables of Jazzy and of Humble."""
     localhost = options.discovery is Discovery.LOCALHOST

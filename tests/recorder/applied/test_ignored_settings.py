@@ -13,9 +13,9 @@ from namespaces import needs_namespaces
 from shared_memory import OWN_SHM, needs_root
 
 from dds_trace.recorder.backends.ros2.fastdds_profile import (
-    asked_profile,
     localhost_profile,
     profile_environment,
+    requested_profile,
     written_profile,
 )
 from dds_trace.recorder.choices import Transport
@@ -202,7 +202,7 @@ def test_8_fast_dds_with_a_dev_shm_of_another_namespace_sends_in_vain(domain_id)
 @needs_ros2
 @needs_large_buffers
 def test_udp_reaches_a_side_whose_dev_shm_is_another(domain_id):
-    with written_profile(asked_profile(Transport.UDP, tuned=True)) as path:
+    with written_profile(requested_profile(Transport.UDP, tuned=True)) as path:
         sides = run_pair(
             "ros2",
             domain_id,

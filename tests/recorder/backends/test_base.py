@@ -52,12 +52,12 @@ def test_relays_of_two_backends_share_no_port():
         (
             {"transport": Transport.SHM},
             lambda backend: Transport.SHM in backend.transports,
-            "--transport shm: the backend {} knows default",
+            "--transport shm: the backend {} only has default",
         ),
         (
             {"peers": ("pi4",)},
             lambda backend: backend.meeting is not Meeting.DISCOVERY,
-            "--peer pi4: the backend {} finds the others by itself",
+            "--peer pi4: the backend {} discovers",
         ),
     ],
 )

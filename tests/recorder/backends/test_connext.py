@@ -91,7 +91,7 @@ def test_deadline_and_lifespan_are_ours_and_are_read_back():
 
 
 def test_options_without_a_meaning_are_refused():
-    with pytest.raises(OptionError, match="knows default"):
+    with pytest.raises(OptionError, match="only has default"):
         open_node("connext", NodeOptions(transport=Transport.SHM))
     with pytest.raises(OptionError, match="rather"):
         connext._fill(dds.DataWriterQos(), Qos("rather"))

@@ -189,8 +189,8 @@ def test_an_error_in_a_callback_is_kept(domain_id):
 @pytest.mark.parametrize(
     ("more", "line"),
     [
-        ({"peers": ("pi4",)}, "finds the others by itself"),
-        ({"transport": Transport.SHM}, "knows default"),
+        ({"peers": ("pi4",)}, "discovers its peers"),
+        ({"transport": Transport.SHM}, "only has default"),
         ({"rmw": "rmw_fastrtps_cpp"}, "--rmw"),
         ({"executor": ExecutorKind.SINGLE}, "--executor"),
     ],
@@ -206,7 +206,7 @@ def test_types_and_qualities_that_it_does_not_know_are_refused(domain_id):
             node.create_publisher("x", "nowhere_msgs/msg/None")
         with pytest.raises(OptionError, match="rather"):
             node.create_publisher("x", IMU.type_name, qos=Qos(reliability="rather"))
-        with pytest.raises(OptionError, match="serialized messages alone"):
+        with pytest.raises(OptionError, match="only carries serialized messages"):
             message_objects_of(node)
 
 
@@ -238,7 +238,7 @@ def test_a_peer_of_an_unassignable_type_is_seen(domain_id, monkeypatch):
     with open_node("cyclonedds", options(domain_id)) as one:
         one.create_publisher("imu_data", IMU.type_name)
         one.create_subscription("imu_data_relay", IMU.type_name, lambda *_: None)
-        cyclonedds._type_called.cache_clear()
+        cyclonedds._message_type.cache_clear()
         monkeypatch.setitem(cyclonedds.DDS_TYPES, IMU.type_name, {"data": "string"})
         try:
             with open_node("cyclonedds", options(domain_id, name="two")) as two:
@@ -251,7 +251,7 @@ def test_a_peer_of_an_unassignable_type_is_seen(domain_id, monkeypatch):
                     time.sleep(0.05)
                     there, back = one.look_at("imu_data"), one.look_at("imu_data_relay")
         finally:
-            cyclonedds._type_called.cache_clear()
+            cyclonedds._message_type.cache_clear()
     assert there.unassignable == ("imu_data: a subscription's type has the same name and another definition",)
     assert back.unassignable == (
         "imu_data_relay: a publisher's type has the same name and another definition",

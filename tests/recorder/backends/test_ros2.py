@@ -225,7 +225,7 @@ def test_options_that_ros_cannot_meet_are_refused(domain_id):
             node.create_publisher("x", "nowhere_msgs/msg/None")
     with pytest.raises(OptionError, match="large-data"):
         open_node("ros2", options(domain_id, transport=Transport.LARGE_DATA, tuned=True))
-    with pytest.raises(OptionError, match="--peer pi4: the backend ros2 finds the others by itself"):
+    with pytest.raises(OptionError, match="--peer pi4: the backend ros2 discovers"):
         open_node("ros2", options(domain_id, peers=("pi4",)))
 
 

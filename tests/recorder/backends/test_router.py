@@ -95,6 +95,6 @@ def test_on_this_machine_it_is_started_and_ended_with_the_node(port, installed):
 def test_without_one_a_line_says_what_to_start(port, installed, discovery, text, said):
     if text is not None:
         installed(text)
-    where = re.escape(f"rmw_zenoh_cpp needs its router, and nobody listens at localhost:{port}; ")
+    where = re.escape(f"rmw_zenoh_cpp needs its router, and none listens at localhost:{port}; ")
     with pytest.raises(BackendUnavailableError, match=f"^{where}.*{re.escape(said)}"):
         open_router(RMW, discovery, patience_s=0.3)

@@ -227,11 +227,11 @@ def test_strangers_on_udp_do_no_harm(domain_id):
     [
         ({"discovery": Discovery.SUBNET}, "--peer HOST"),
         ({"peers": ("pi4:x",)}, "write HOST or HOST:PORT"),
-        ({"transport": Transport.SHM}, "knows default, udp"),
+        ({"transport": Transport.SHM}, "only has default, udp"),
         ({"transport": Transport.UDP}, "--reliability best_effort"),
         ({"congestion_control": "none_such"}, "--congestion-control none_such: the kernel refuses it"),
         ({"transport": Transport.UDP, "qos": BEST_EFFORT, "congestion_control": "reno"}, "UDP has none"),
-        ({"qos": Qos(durability="transient_local")}, "keep no message"),
+        ({"qos": Qos(durability="transient_local")}, "keep no messages"),
         ({"qos": Qos(extra={"deadline_ns": 5})}, "--deadline: the backend socket has no such"),
         ({"qos": Qos(extra={"lifespan_ns": 5})}, "--lifespan: the backend socket has no such"),
         ({"rmw": "rmw_fastrtps_cpp"}, "--rmw"),
@@ -331,7 +331,7 @@ def test_several_connections_call_back_one_at_a_time(domain_id):
 def test_message_objects_are_refused(domain_id):
     with (
         open_node("socket", options(domain_id)) as node,
-        pytest.raises(OptionError, match="serialized messages alone"),
+        pytest.raises(OptionError, match="only carries serialized messages"),
     ):
         message_objects_of(node)
 

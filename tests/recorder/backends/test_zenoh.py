@@ -118,7 +118,7 @@ def test_an_error_in_a_callback_is_kept(domain_id):
     [
         ({"discovery": Discovery.SUBNET}, "--peer HOST"),
         ({"peers": ("multicast",)}, "--discovery subnet"),
-        ({"transport": Transport.UDP}, "knows default"),
+        ({"transport": Transport.UDP}, "only has default"),
         ({"qos": Qos(durability="transient_local")}, "keeps no message"),
         ({"qos": Qos(extra={"deadline_ns": 5})}, "--deadline: the backend zenoh has no such"),
         ({"qos": Qos(extra={"lifespan_ns": 5})}, "--lifespan: the backend zenoh has no such"),

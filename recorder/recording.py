@@ -167,7 +167,7 @@ class _Recording:
                 read_back.read_end(relay.traffic)
                 relay.close()
                 trace = upkeep.close_trace(**read_back.fields(), **self._clock_at_end())
-                read_back.tell(trace.path)
+                read_back.report(trace.path)
                 return Recorded(trace, session, relay.progress(), error=upkeep.shortage)
 
     def ping(self, asked: PingOptions) -> Recorded:
@@ -189,7 +189,7 @@ class _Recording:
             read_back.read_begin()
             if bridge is not None:
                 read_back.note_bridge(bridge.read_applied())
-            read_back.tell()
+            read_back.report()
             session = self._describe("ping", node, read_back)
             if (
                 self.stop.is_set()
@@ -209,7 +209,7 @@ class _Recording:
             if bridge is not None:
                 described = {**described, "bridge": bridge.describe()}
             trace = sink.close(**described, **read_back.fields(), **self._clock_at_end())
-            read_back.tell(trace.path)
+            read_back.report(trace.path)
             return Recorded(trace, session, ping.progress(), run, error)
 
     def _warn_of_depth(self, plan: RunPlan) -> None:
@@ -230,7 +230,7 @@ class _Recording:
         node = self.options.node
         other = None if asked is None else asked.relay_domain_id
         return open_wire(
-            asked=self.options.wire,
+            enabled=self.options.wire,
             discovery=node.discovery,
             domain_ids=[node.domain_id, *([] if other is None else [other])],
             note=self.watch.note,
@@ -363,7 +363,7 @@ class _Recording:
             _raise_error_of(node)
             self._note_disk(upkeep.sink)
             try:
-                read_back.tell()
+                read_back.report()
             except NotAppliedError:  # it shows before the first message, so the trace would hold next to none
                 upkeep.sink.close()
                 discard(upkeep.destination)

@@ -64,5 +64,5 @@ def _lines(listed: Listed) -> list[str]:
     elif listed.state is State.UNSEEN:
         lines.append(f"    process {entry.pid} is not seen from here: it may run in a container")
     if entry.stopped is not None and listed.state is not State.KILLED:
-        lines.append(f"    waiting for room: {entry.stopped}")
+        lines.append(f"    waiting for disk space: {entry.stopped}")
     return lines

@@ -1,4 +1,4 @@
-"""The cost of recording on this machine, and the floor of the client library below every result."""
+"""The cost of recording on this machine, and the floor of the client library: the least latency of one process."""
 
 from __future__ import annotations
 
@@ -24,26 +24,24 @@ if TYPE_CHECKING:
     from ..host.recorder_cost import RecorderCost
 
 BRIEF_S = 0.15
-"""Length of the measurement beside each session, enough for a median; `dds-record --self-test` takes its time."""
+"""Length of the measurement before each session, enough for a median; `dds-record --self-test` takes longer."""
 FLOOR_TOPIC = "dds_trace_floor"
 FLOOR_MESSAGES = 200
 BRIEF_FLOOR_MESSAGES = 50
-"""Beside each session."""
 FLOOR_PATIENCE_S = 10.0
 BRIEF_FLOOR_PATIENCE_S = 2.0
 COLDEST_GAP_S = 0.01
-"""Longest time between two messages of the measurement: caches that rested for 10 ms are as cold as after 100 ms (a relay's
-time from T3 to T4 was 51 us at 100 Hz, 52 us at 10 Hz, 14 us at 1 kHz)."""
+"""Longest time between two messages: after 10 ms caches are as cold as after 100 ms (a relay took 51 and 52 us)."""
 
 
 @dataclass(frozen=True, slots=True)
 class FloorCost:
-    """The time from publish to callback within one process: what client library, middleware and interpreter take of one way.
+    """The time from publish to callback within one process: client library, middleware and interpreter.
 
     Attributes:
         median_ns: median over the messages, in ns; `p99_ns` likewise.
         messages: number of messages.
-        rate_hz: messages a second; between two of them caches grow as cold as they do in a run of that rate.
+        rate_hz: messages a second, on which the temperature of the caches depends.
     """
 
     median_ns: float
@@ -53,28 +51,23 @@ class FloorCost:
 
 
 def measured_cost() -> dict[str, Json]:
-    """Measure the session's `recorder_cost` object, times in ns; empty where nothing can be written."""
+    """Return the session's field `recorder_cost`, times in ns; empty where nothing can be written."""
     try:
         cost = measure_recorder_cost(seconds=BRIEF_S)
     except TraceError:
-        return {}  # a missing temporary folder is no reason not to record
+        return {}  # a missing temporary folder must not prevent a recording
     return {"recorder_cost": _rounded(cost)}
 
 
 def measured_floor(backend: str, options: NodeOptions, rate_hz: float | None = None) -> dict[str, Json]:
-    """Measure the session's `client_library_floor` object, times in ns; empty where it cannot be measured.
+    """Return the session's field `client_library_floor`, times in ns; empty where it cannot be measured.
 
-    The node of the measurement is closed again before the role's node opens.
-
-    Args:
-        backend: name of the backend.
-        options: options of the role's node.
-        rate_hz: messages a second of the run; None for a relay, which does not know it.
+    Call it before the role's node is open. A relay does not know the rate.
     """
     try:
         floor = measure_floor(backend, options, BRIEF_FLOOR_MESSAGES, BRIEF_FLOOR_PATIENCE_S, rate_hz)
     except TraceError:
-        return {}  # the role's own node says what is wrong, with what to do about it
+        return {}  # the role's own node reports what is wrong
     return {"client_library_floor": _rounded(floor)}
 
 
@@ -85,48 +78,48 @@ def measure_floor(
     patience_s: float = FLOOR_PATIENCE_S,
     rate_hz: float | None = None,
 ) -> FloorCost:
-    """Send small messages from a node to itself, at the rate of a run, and time them; none leaves this device.
+    """Send small messages within this process, at the rate of a run, and time them.
 
-    Where nodes do not hear themselves (sockets), from one node of this process to another.
+    A node sends to itself; where nodes do not receive their own messages (sockets), to another node.
 
     Args:
         backend: name of the backend.
-        options: options of the role's node; its peers and its listening are left out.
+        options: options of the role's node; its peers are left out.
         messages: number of messages.
-        patience_s: longest time that the node's two ends may take to find each other.
-        rate_hz: messages a second, at least one each `COLDEST_GAP_S`; that gap by default.
+        patience_s: longest time for publisher and subscription to find each other.
+        rate_hz: messages a second; `COLDEST_GAP_S` is the longest gap and the default.
 
     Raises:
         BackendUnavailableError: the middleware is not on this machine.
         NoEchoError: the messages do not arrive.
     """
-    arrived_ns, arrived = [0], threading.Event()
+    received_at_ns, arrived = [0], threading.Event()
 
     def receive(_message: RawMessage, _source_ns: int = 0, _received_ns: int = 0, /) -> None:
-        arrived_ns[0] = time.monotonic_ns()
+        received_at_ns[0] = time.monotonic_ns()
         arrived.set()
 
     gap_s = COLDEST_GAP_S if rate_hz is None else min(1 / rate_hz, COLDEST_GAP_S)
     times_ns: list[int] = []
-    topic = f"{FLOOR_TOPIC}_{secrets.randbits(64):016x}"  # so that no other device's floor is taken for ours
-    alone = replace(options, name=topic, qos=Qos(), listens=False, peers=())
-    here, there = load_backend(backend).open_pair(alone)
-    with here, there:
-        here.create_subscription(topic, STRING.type_name, receive)
-        publisher = there.create_publisher(topic, STRING.type_name)
-        here.start()
-        if there is not here:
-            there.start()
+    topic = f"{FLOOR_TOPIC}_{secrets.randbits(64):016x}"  # not another device's
+    isolated = replace(options, name=topic, qos=Qos(), listens=False, peers=())
+    receiver, sender = load_backend(backend).open_pair(isolated)
+    with receiver, sender:
+        receiver.create_subscription(topic, STRING.type_name, receive)
+        publisher = sender.create_publisher(topic, STRING.type_name)
+        receiver.start()
+        if sender is not receiver:
+            sender.start()
         message = STRING.make(0, 0).messages[0].data
         end_s = time.monotonic() + patience_s
         while len(times_ns) < messages:
             arrived.clear()
-            time.sleep(gap_s)  # as a role does between two messages: back to back, everything is at hand
+            time.sleep(gap_s)  # cools the caches as in a run
             publish_ns = time.monotonic_ns()
             publisher.publish(message)
             if arrived.wait(0.2):
-                times_ns.append(arrived_ns[0] - publish_ns)
-            elif time.monotonic() > end_s:  # the first ones are lost while the two ends find each other
+                times_ns.append(received_at_ns[0] - publish_ns)
+            elif time.monotonic() > end_s:  # the first ones are lost before the endpoints have matched
                 raise NoEchoError(f"no message of a node on {backend} to itself arrives")
     p99_ns = statistics.quantiles(times_ns, n=100)[98]
     return FloorCost(statistics.median(times_ns), p99_ns, len(times_ns), 1 / gap_s)

@@ -1,13 +1,16 @@
-"""The two lanes on which messages pass a node: `RawLane` as serialized bytes, `ObjectLane` as message objects."""
+"""The two forms in which messages pass a node: serialized bytes, or message objects."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 from ..backends.node import message_objects_of
 from ..payloads.stamp import SentT
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from dds_trace.tracefile.format.descriptions import Qos
 
     from ..backends.node import Node, Publisher, RawMessage, Receive, RosMessage, Subscription
@@ -16,77 +19,43 @@ if TYPE_CHECKING:
 ReceivedT = TypeVar("ReceivedT")
 
 
-class Lane(Protocol[SentT, ReceivedT]):
-    """One way for messages through a node: how they look, and the endpoints that take them."""
+@dataclass(frozen=True, slots=True)
+class Lane(Generic[SentT, ReceivedT]):
+    """One form of messages on a node, and the endpoints that carry it.
 
-    def form_of(self, data_type: DataType) -> Form[SentT, ReceivedT]:
-        """Return the form of a data type's messages on this lane.
-
-        Raises:
-            OptionError: the type does not travel in this form.
-        """
-
-    def message_of(self, data_type: DataType, message: Message) -> SentT:
-        """Return a message of the payload in the form in which it is sent."""
-
-    def create_publisher(self, topic: str, type_name: str, qos: Qos) -> Publisher[SentT]:
-        """Create the sending end; errors as for `Node.create_publisher`."""
-
-    def create_subscription(
-        self, topic: str, type_name: str, receive: Receive[ReceivedT], qos: Qos
-    ) -> Subscription:
-        """Create the receiving end; errors as for `Node.create_subscription`."""
-
-
-class RawLane:
-    """The lane of serialized messages, which every node has."""
-
-    def __init__(self, node: Node) -> None:
-        self._node = node
-
-    def form_of(self, data_type: DataType) -> Form[bytearray, RawMessage]:
-        """Return the form of serialized messages."""
-        return data_type.raw
-
-    def message_of(self, _data_type: DataType, message: Message) -> bytearray:
-        """Return the buffer of `message` itself, in which the stamp is patched."""
-        return message.data
-
-    def create_publisher(self, topic: str, type_name: str, qos: Qos) -> Publisher[bytearray]:
-        """Create a publisher of serialized messages."""
-        return self._node.create_publisher(topic, type_name, qos=qos)
-
-    def create_subscription(
-        self, topic: str, type_name: str, receive: Receive[RawMessage], qos: Qos
-    ) -> Subscription:
-        """Create a subscription of serialized messages."""
-        return self._node.create_subscription(topic, type_name, receive, qos=qos)
-
-
-class ObjectLane:
-    """The lane of message objects.
-
-    Raises:
-        OptionError: the node's backend only carries serialized messages.
+    Attributes:
+        form_of: returns the form of a data type's messages; an OptionError if the type does not have it.
+        message_of: returns a message of the payload as it is sent.
+        create_publisher: as `Node.create_publisher`.
+        create_subscription: as `Node.create_subscription`.
     """
 
-    def __init__(self, node: Node) -> None:
-        self._node = message_objects_of(node)
+    form_of: Callable[[DataType], Form[SentT, ReceivedT]]
+    message_of: Callable[[DataType, Message], SentT]
+    create_publisher: Callable[[str, str, Qos], Publisher[SentT]]
+    create_subscription: Callable[[str, str, Receive[ReceivedT], Qos], Subscription]
 
-    def form_of(self, data_type: DataType) -> Form[RosMessage, RosMessage]:
-        """Return the form of message objects."""
-        return data_type.object_form()
 
-    def message_of(self, data_type: DataType, message: Message) -> RosMessage:
-        """Return `message` as an object."""
-        return self._node.message_from_cdr(data_type.type_name, message.data)
+def raw_lane(node: Node) -> Lane[bytearray, RawMessage]:
+    """Return the lane of serialized messages, which every node has; stamps are patched in the payload's buffers."""
+    return Lane(
+        lambda data_type: data_type.raw,
+        lambda _data_type, message: message.data,
+        lambda topic, name, qos: node.create_publisher(topic, name, qos=qos),
+        lambda topic, name, receive, qos: node.create_subscription(topic, name, receive, qos=qos),
+    )
 
-    def create_publisher(self, topic: str, type_name: str, qos: Qos) -> Publisher[RosMessage]:
-        """Create a publisher of message objects."""
-        return self._node.create_object_publisher(topic, type_name, qos=qos)
 
-    def create_subscription(
-        self, topic: str, type_name: str, receive: Receive[RosMessage], qos: Qos
-    ) -> Subscription:
-        """Create a subscription of message objects."""
-        return self._node.create_object_subscription(topic, type_name, receive, qos=qos)
+def object_lane(node: Node) -> Lane[RosMessage, RosMessage]:
+    """Return the lane of message objects.
+
+    Raises:
+        OptionError: the node's backend carries serialized messages only.
+    """
+    objects = message_objects_of(node)
+    return Lane(
+        lambda data_type: data_type.object_form(),
+        lambda data_type, message: objects.message_from_cdr(data_type.type_name, message.data),
+        lambda topic, name, qos: objects.create_object_publisher(topic, name, qos=qos),
+        lambda topic, name, receive, qos: objects.create_object_subscription(topic, name, receive, qos=qos),
+    )

@@ -13,9 +13,8 @@ from ..choices import Serialization
 from ..host.clock import SystemClock, sharpen_sleep
 from ..host.process import tuned_gc
 from ..payloads.stamp import PROBE_RUN_ID, SentT
-from .lanes import ObjectLane, RawLane
-from .progress import PingProgress
-from .replies import Replies, Silence
+from .lanes import object_lane, raw_lane
+from .progress import PingProgress, Replies, Silence
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -34,18 +33,17 @@ ReceivedT = TypeVar("ReceivedT")
 LEAD_NS = SECOND_NS // 20
 """Time from the end of the preparations to the first planned send."""
 PROBE_PERIODS_NS = tuple(SECOND_NS // part for part in (10, 5, 5, 2, 2, 1))
-"""Times between readiness probes; the last one repeats. Probes are as large as the messages and must not pile up."""
+"""Times between readiness probes; the last one repeats. Probes are as large as the messages and must not queue up."""
 SETTLE_NS = SECOND_NS // 5
-"""Silence after the last echo of a probe before the run may begin."""
+"""Silence after the last echo of a probe before the run may start."""
 DRAIN_NS = 2 * SECOND_NS
-"""Silence, if longer than twice the longest round trip, after which missing replies are given up."""
-LOOK_NS = SECOND_NS // 50
-"""Time between two looks at whether a wait is over."""
+"""Silence after which missing replies count as lost, unless twice the longest round trip is longer."""
+POLL_NS = SECOND_NS // 50
 T1, T2 = 1, 2
 
 
 class Record(Protocol):
-    """A function that keeps an event: `TraceSink.record`."""
+    """`TraceSink.record`, which keeps an event."""
 
     def __call__(
         self,
@@ -73,15 +71,15 @@ def open_ping(node: Node, plan: RunPlan, clock: Clock | None = None) -> AnyPing:
         OptionError: the node or the data has no messages of the plan's serialization.
     """
     if plan.serialization is Serialization.TYPED:
-        return Ping(ObjectLane(node), plan, clock)
-    return Ping(RawLane(node), plan, clock)
+        return Ping(object_lane(node), plan, clock)
+    return Ping(raw_lane(node), plan, clock)
 
 
 class Ping(Generic[SentT, ReceivedT]):
     """One run on one node: `wait_for_echo`, then `run`, then `close`.
 
     Args:
-        lane: lane of the node on which the messages go; its thread calls `_receive`.
+        lane: lane of the node for the messages; the node's thread calls `_receive`.
         plan: the messages and their schedule.
         clock: time of this device.
     """
@@ -96,14 +94,14 @@ class Ping(Generic[SentT, ReceivedT]):
         self._stamps = lane.form_of(data_type).stamp
         self._messages = [lane.message_of(data_type, message) for message in plan.payload.messages]
 
-        self._nonces: dict[int, int] = {}  # of a probe -> when it was sent
+        self._nonces: dict[int, int] = {}  # of a probe -> time of sending
         self._echoes: set[int] = set()  # relays that sent a probe back
         self._echoed_ns = 0
         self._longest_echo_ns = 0
         self._record: Record = _discard
         self._replies = Replies(plan.total)
         self._published = 0
-        self._ended = False  # nothing that is missing will come any more
+        self._ended = False  # missing replies count as lost
 
         self._subscription = lane.create_subscription(
             data_type.relay_topic, data_type.type_name, self._receive, plan.qos
@@ -133,7 +131,7 @@ class Ping(Generic[SentT, ReceivedT]):
         replies.note(sequence, relay_id, receive_ns)
 
     def wait_for_echo(self, timeout_s: float, stop: threading.Event, relays: int = 1) -> bool:
-        """Send probes until `relays` relays have sent one back and all is quiet again.
+        """Send probes until `relays` relays have sent one back and echoes have ceased.
 
         Returns:
             Whether that happened within `timeout_s` and before `stop` was set.
@@ -153,23 +151,23 @@ class Ping(Generic[SentT, ReceivedT]):
                 self._publisher.publish(message)
                 next_ns = now_ns + PROBE_PERIODS_NS[min(sent, len(PROBE_PERIODS_NS) - 1)]
                 sent += 1
-            self._clock.wait_until(now_ns + LOOK_NS, stop)
+            self._clock.wait_until(now_ns + POLL_NS, stop)
         return False
 
     @property
     def probes(self) -> Traffic:
-        """The probes that `wait_for_echo` has sent, none of which counts as received."""
+        """The probes that `wait_for_echo` has sent; none counts as received."""
         return Traffic(len(self._nonces), 0, self.plan.payload.messages[0].payload_bytes)
 
     @property
     def traffic(self) -> Traffic:
-        """The messages of the run so far, of their mean size."""
+        """The messages of the run so far, at their mean size."""
         sizes = self._replies.payload_bytes[: self._published]
         return Traffic(self._published, self._replies.received, sum(sizes) // max(len(sizes), 1))
 
     @property
     def silence(self) -> Silence:
-        """The messages behind the last answered one, so far."""
+        """The messages after the last answered one, so far."""
         replies, published = self._replies, self._published
         first = replies.highest + 1
         since_ns = replies.publish_ns[first] if first < published else self._now()
@@ -182,11 +180,11 @@ class Ping(Generic[SentT, ReceivedT]):
         return len(self._echoes)
 
     def run(self, sink: TraceSink, stop: threading.Event, hopeless: threading.Event | None = None) -> Run:
-        """Send the plan on this thread, collect the replies, and return the run as it was finished.
+        """Send the plan on this thread, collect the replies, and return the finished run.
 
         Args:
-            sink: trace that keeps the events and the run's description.
-            stop: ends the sending early; replies are waited for all the same.
+            sink: trace for the events and the run's description.
+            stop: ends the sending early, but not the wait for replies.
             hopeless: ends the wait for replies too.
         """
         description = self.plan.describe(self.run_id)
@@ -214,9 +212,11 @@ class Ping(Generic[SentT, ReceivedT]):
         due = self._planned(stop) if feed is None else self._arriving(feed, stop)
         for sequence, (message, payload_bytes, scheduled_ns) in enumerate(due):
             sizes[sequence] = payload_bytes
-            publish_times_ns[sequence] = before_ns = now()  # for a reply that overtakes the exact one below
+            publish_times_ns[sequence] = before_ns = (
+                now()
+            )  # for a reply that arrives before the exact time is stored below
             second_ns = write_second(message, before_ns + wall_offset_ns) - wall_offset_ns
-            # Kept before the message leaves: a relay that answers one of a killed ping finds its T1.
+            # Recorded before the message leaves: a killed ping has the T1 of every message that a relay answered.
             publish_ns = stamp(T1, run_id, sequence, scheduled_ns, 0, 0, payload_bytes)
             write_nanoseconds(message, publish_ns - second_ns)
             publish(message)
@@ -224,7 +224,7 @@ class Ping(Generic[SentT, ReceivedT]):
             self._published = sequence + 1
 
     def _planned(self, stop: threading.Event) -> Iterator[tuple[SentT, int, int]]:
-        """Yield each message with its bytes and T0, stamped, at the instant that the schedule planned for it."""
+        """Yield each message, stamped, with its bytes and T0, at its planned instant."""
         plan, wait_until = self.plan, self._clock.wait_until
         sizes = [message.payload_bytes for message in plan.payload.messages]
         start_ns = self._now() + LEAD_NS
@@ -238,7 +238,7 @@ class Ping(Generic[SentT, ReceivedT]):
             yield message, sizes[position], scheduled_ns
 
     def _arriving(self, feed: Feed, stop: threading.Event) -> Iterator[tuple[SentT, int, int]]:
-        """Yield each message of a live source with its bytes and T0, the time of its arrival here, stamped."""
+        """Yield each message of a live source, stamped, with its bytes and T0, the time of its arrival here."""
         feed.begin()
         for sequence in range(self.plan.total):
             arrival = feed.take(stop)
@@ -256,10 +256,10 @@ class Ping(Generic[SentT, ReceivedT]):
             quiet_ns = self._now() - max(began_ns, replies.last_ns)
             if quiet_ns > max(DRAIN_NS, 2 * max(self._longest_echo_ns, replies.longest_rtt_ns)):
                 break
-            self._clock.wait_until(self._now() + LOOK_NS, hopeless)
+            self._clock.wait_until(self._now() + POLL_NS, hopeless)
 
     def progress(self) -> PingProgress:
-        """Return the progress of the run; any thread may ask."""
+        """Return the progress of the run; any thread may call this."""
         replies = self._replies
         p50_ns, p99_ns = replies.percentiles_ns()
         received = replies.received
@@ -281,4 +281,4 @@ class Ping(Generic[SentT, ReceivedT]):
 
 
 def _discard(*_event: int) -> None:
-    """Drop an event: before the run there is no trace, and no message of the run either."""
+    """Drop an event: before the run there is no trace."""

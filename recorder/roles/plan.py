@@ -1,4 +1,4 @@
-"""The plan of a run, from the options and the data at hand: the data decides rate and count where the options do not."""
+"""The plan of a run, from the options and the data, which decides rate and count where the options do not."""
 
 from __future__ import annotations
 
@@ -28,10 +28,8 @@ class RunPlan:
     """The messages of one run of a ping and their schedule.
 
     Attributes:
-        payload: messages that are sent.
-        rate_hz: messages a second.
         messages: messages that count.
-        warmup: messages sent before them on the same schedule, kept out of every statistic.
+        warmup: messages sent before them on the same schedule, which no statistic counts.
         extra: further fields for the trace's description of the run.
     """
 
@@ -52,11 +50,11 @@ class RunPlan:
         return self.warmup + self.messages
 
     def scheduled_ns(self, start_ns: int, sequence: int) -> int:
-        """Return T0 of message `sequence`, known before the run, whatever happens in it."""
+        """Return T0 of message `sequence`, which is fixed before the run."""
         return start_ns + round(sequence * SECOND_NS / self.rate_hz)
 
     def describe(self, run_id: int) -> Run:
-        """Return the trace's description of the run at its start."""
+        """Return the trace's description of the run."""
         return Run(
             run_id=run_id,
             data_type=self.payload.data_type.name,
@@ -74,39 +72,39 @@ class RunPlan:
 
 
 def plan_run(
-    options: RecordOptions, asked: PingOptions, payload: Payload, *, session_id: int, seed: int
+    options: RecordOptions, ping: PingOptions, payload: Payload, *, session_id: int, seed: int
 ) -> RunPlan:
-    """Return the run that `asked` means with this payload.
+    """Return the run of these options with this payload.
 
     Raises:
         OptionError: the payload cannot be sent like this.
     """
     check_serialization([payload.data_type], options.serialization)
-    check_rate(asked, is_live=payload.feed is not None)
-    rate_hz = asked.rate_hz or payload.rate_hz or DEFAULT_RATE_HZ
-    limits.check(limits.RATE_HZ, rate_hz, f"rate of {asked.data}")
+    check_rate(ping, is_live=payload.feed is not None)
+    rate_hz = ping.rate_hz or payload.rate_hz or DEFAULT_RATE_HZ
+    limits.check(limits.RATE_HZ, rate_hz, f"rate of {ping.data}")
     own_domain_id = options.node.domain_id
     source = {"data_source": payload.source} if payload.source else {"seed": seed}
-    running = {"bridge_running": True} if asked.bridge_running else {}
+    running = {"bridge_running": True} if ping.bridge_running else {}
     return RunPlan(
         payload=payload,
         rate_hz=rate_hz,
-        messages=count_messages(asked.messages, options.duration_s, rate_hz, asked.warmup),
-        warmup=asked.warmup,
+        messages=count_messages(ping.messages, options.duration_s, rate_hz, ping.warmup),
+        warmup=ping.warmup,
         qos=options.node.qos,
         serialization=options.serialization,
-        bridge=asked.bridge,
-        relay_domain_id=own_domain_id if asked.relay_domain_id is None else asked.relay_domain_id,
-        labels=asked.labels,
-        extra={"session_id": f"{session_id:016x}", **source, **running, "settings": run_settings(asked)},
+        bridge=ping.bridge,
+        relay_domain_id=own_domain_id if ping.relay_domain_id is None else ping.relay_domain_id,
+        labels=ping.labels,
+        extra={"session_id": f"{session_id:016x}", **source, **running, "settings": run_settings(ping)},
     )
 
 
 def count_messages(messages: int | None, duration_s: float | None, rate_hz: float, warmup: int) -> int:
-    """Return the number of messages asked for, or of those that fit the duration behind the warm-up.
+    """Return the requested number of messages, or the number that fits the duration after the warm-up.
 
     Raises:
-        OptionError: it is more than memory can keep account of.
+        OptionError: it is more than memory has room for.
     """
     if messages is not None:
         return messages
@@ -117,22 +115,14 @@ def count_messages(messages: int | None, duration_s: float | None, rate_hz: floa
     return fitting
 
 
-def check_rate(asked: PingOptions, *, is_live: bool) -> None:
-    """Refuse a rate for data that arrives on a live topic.
-
-    Raises:
-        OptionError: there are both.
-    """
-    if is_live and asked.rate_hz is not None:
+def check_rate(ping: PingOptions, *, is_live: bool) -> None:
+    """Raise an OptionError if there is a rate for data that arrives on a live topic."""
+    if is_live and ping.rate_hz is not None:
         raise OptionError("--rate cannot be given with topic:/NAME, whose messages are the schedule")
 
 
 def check_serialization(data_types: Iterable[DataType], serialization: Serialization) -> None:
-    """Refuse message objects of types that travel as bytes alone.
-
-    Raises:
-        OptionError: naming one of `data_types`.
-    """
+    """Raise an OptionError that names a data type without message objects, if they are requested."""
     if serialization is Serialization.TYPED:
         for data_type in data_types:
             data_type.object_form()

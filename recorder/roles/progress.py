@@ -1,17 +1,22 @@
-"""The progress of a role while it runs, computed for whoever asks and never for each message."""
+"""The progress of a role while it runs: the replies of a ping's run, and the figures shown of both roles."""
 
 from __future__ import annotations
 
+import math
+from array import array
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from array import array
+from dds_trace.base.units import SECOND_NS
 
 PERCENTILE_SAMPLES = 10_000
-"""Most messages, evenly picked, from which a percentile for the eye is taken: 0.1 ms of computing."""
+"""Most messages, evenly picked, for a percentile on the screen: 0.1 ms of computing."""
+SILENCE_NS = 3 * SECOND_NS
+"""Shortest silence that can mean a lost relay."""
+CHANCE = 1e-6
+"""Probability of a silence, by the losses before it, below which the relay is lost."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,9 +27,9 @@ class PingProgress:
         planned: messages of the schedule, warm-up included.
         sent: messages handed to the middleware.
         received: messages with at least one reply.
-        lost: messages without one although a later message has one; at the end, all without one.
+        lost: messages without a reply although a later one has one; at the end, all without one.
         rtt_p50_ns: median round trip so far, None before the first reply; likewise `rtt_p99_ns`.
-        warmup: messages of the warm-up among those planned; of them `warmup_received` and `warmup_lost` so far.
+        warmup: planned messages of the warm-up; likewise `warmup_received` and `warmup_lost` so far.
     """
 
     planned: int
@@ -43,9 +48,9 @@ class RelayProgress:
     """The progress of a relay.
 
     Attributes:
-        relayed: messages sent back, readiness probes not counted.
+        relayed: messages sent back, without readiness probes.
         runs: different runs among them.
-        foreign: messages on our topics without our stamp, which were left alone.
+        foreign: ignored messages on our topics, without our stamp.
     """
 
     relayed: int
@@ -63,13 +68,103 @@ class Watch(Protocol):
         """Take the role's progress."""
 
 
-def rtt_percentiles_ns(rtt_ns: array[int]) -> tuple[int | None, int | None]:
-    """Return p50 and p99 of the round trips in `rtt_ns`, in ns; a 0 in it means no reply yet."""
-    values = np.frombuffer(rtt_ns, np.int64)
-    values = values[:: len(values) // PERCENTILE_SAMPLES + 1]
-    values = np.sort(values[values > 0])
-    if not len(values):
-        return None, None
-    # The nearest order statistics. np.percentile's first call imports for 0.1 s, in the middle of a run.
-    p50, p99 = values[round(0.50 * (len(values) - 1))], values[round(0.99 * (len(values) - 1))]
-    return int(p50), int(p99)
+@dataclass(frozen=True, slots=True)
+class Silence:
+    """The unanswered end of a run so far.
+
+    Attributes:
+        messages: messages sent after the last answered one.
+        duration_ns: time since the first of them was sent; after the run, until the last one was.
+        before: messages sent before them.
+        answered: messages with a reply among those.
+    """
+
+    messages: int
+    duration_ns: int
+    before: int
+    answered: int
+
+    @property
+    def is_lasting(self) -> bool:
+        """Whether it is longer, in time and messages, than losses at the rate before it explain."""
+        if self.duration_ns < SILENCE_NS or self.messages <= 0:
+            return False
+        loss = (self.before - self.answered + 1) / (self.before + 2)  # Laplace's rule of succession
+        return self.messages * math.log(loss) < math.log(CHANCE)
+
+
+class Replies:
+    """The messages of one run and their replies.
+
+    The sending thread writes `publish_ns` and `payload_bytes`, the node's thread calls `note`; any thread may read.
+
+    Args:
+        messages: messages of the schedule.
+
+    Attributes:
+        publish_ns: T1 of each message by its sequence number; 0 before it is sent.
+        payload_bytes: application bytes of each message, likewise.
+        received: messages with at least one reply.
+        highest: highest sequence number with a reply, -1 before the first.
+        last_ns: monotonic time of the last reply, 0 before the first.
+        longest_rtt_ns: longest round trip.
+    """
+
+    __slots__ = (
+        "_answered",
+        "_counts",
+        "_rtt_ns",
+        "highest",
+        "last_ns",
+        "longest_rtt_ns",
+        "payload_bytes",
+        "publish_ns",
+        "received",
+    )
+
+    def __init__(self, messages: int) -> None:
+        self.publish_ns = array("q", bytes(8 * messages))
+        self.payload_bytes = array("I", bytes(4 * messages))
+        self.received = 0
+        self.highest = -1
+        self.last_ns = 0
+        self.longest_rtt_ns = 0
+        self._rtt_ns = array("q", bytes(8 * messages))  # of the first reply, else 0
+        self._answered: dict[int, bytearray] = {}  # relay -> a byte for each message, 1 if answered
+        self._counts: dict[int, int] = {}  # relay -> messages that it has answered
+
+    def note(self, sequence: int, relay_id: int, receive_ns: int) -> None:
+        """Count the reply of `relay_id` to message `sequence`, once for each relay and message."""
+        answered = self._answered.get(relay_id)
+        if answered is None:
+            answered = self._answered[relay_id] = bytearray(len(self.publish_ns))
+            self._counts[relay_id] = 0
+        if not answered[sequence]:
+            answered[sequence] = 1
+            self._counts[relay_id] += 1
+        if not self._rtt_ns[sequence]:
+            self._rtt_ns[sequence] = rtt_ns = receive_ns - self.publish_ns[sequence]
+            self.longest_rtt_ns = max(self.longest_rtt_ns, rtt_ns)
+            self.received += 1
+            self.highest = max(self.highest, sequence)
+        self.last_ns = receive_ns
+
+    def are_complete(self, published: int) -> bool:
+        """Return whether every relay that has answered anything has answered all `published` messages."""
+        counts = list(self._counts.values())
+        return published == 0 or (bool(counts) and min(counts) >= published)
+
+    def received_before(self, sequence: int) -> int:
+        """Return the number of messages before `sequence` with at least one reply."""
+        return sum(map(bool, self._rtt_ns[:sequence]))
+
+    def percentiles_ns(self) -> tuple[int | None, int | None]:
+        """Return p50 and p99 of the round trips so far, in ns; None before the first reply."""
+        values = np.frombuffer(self._rtt_ns, np.int64)
+        values = values[:: len(values) // PERCENTILE_SAMPLES + 1]
+        values = np.sort(values[values > 0])
+        if not len(values):
+            return None, None
+        # The nearest order statistics: np.percentile's first call imports for 0.1 s, in the middle of a run.
+        p50, p99 = values[round(0.50 * (len(values) - 1))], values[round(0.99 * (len(values) - 1))]
+        return int(p50), int(p99)

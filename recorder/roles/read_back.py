@@ -1,4 +1,4 @@
-"""The settings that a role asked its middleware for, beside those that its process is seen to use."""
+"""The settings that a role requested of its middleware, and the ones that its process uses."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ if TYPE_CHECKING:
     from ..backends.node import Node
 
 NEWS_S = 0.02
-"""Time between two looks at whether there is something to tell, before a relay's first probe."""
+"""Time between two looks for something to report, before a relay's first probe."""
 
 
 class ReadBack:
-    """The settings of one role, read back before the first message and at the end, and never between messages.
+    """The settings of one role, read back before the first message and at the end, never between messages.
 
     Args:
         node: the open node of the role.
-        environment: variables as the user set them, without those that the recorder adds.
+        environment: variables as the user set them, without the recorder's own.
         strict: whether a setting that was not applied ends the recording.
-        note: callback that takes a line for the user.
+        note: takes a line for the user.
     """
 
     def __init__(
         self, node: Node, environment: Mapping[str, str], *, strict: bool, note: Callable[[str], None]
     ) -> None:
         options, middleware = node.options, node.middleware
-        self.asked: Asked = asked_settings(
+        self.requested: Asked = asked_settings(
             middleware.vendor,
             domain_id=options.domain_id,
             transport=options.transport.value,
@@ -54,42 +54,38 @@ class ReadBack:
         self._note = note
         self._applied: Applied | None = None
         self._own: tuple[Difference, ...] = ()
-        self._of_bridge: tuple[Difference, ...] = ()
-        self._told: set[tuple[Setting, str]] = set()
+        self._bridge: tuple[Difference, ...] = ()
+        self._reported: set[tuple[Setting, str]] = set()
 
     def read_begin(self) -> None:
         """Read what the process uses before the first message; a second call changes nothing.
 
-        It takes some milliseconds, and any thread may call it: nothing is said before `tell`.
+        It takes some milliseconds, and any thread may call it: only `report` notes the differences.
         """
         if self._applied is None:
             applied = read_applied()
-            self._own = differences(self.asked, applied)
+            self._own = differences(self.requested, applied)
             self._applied = applied
 
     def read_end(self, traffic: Traffic) -> None:
-        """Read what the process uses behind the last message.
-
-        Args:
-            traffic: messages since `read_begin`.
-        """
+        """Read what the process uses after the last message; `traffic` counts from `read_begin`."""
         if self._applied is not None:
             self._applied = with_path(read_applied(self._applied), traffic)
-            self._own = differences(self.asked, self._applied, traffic)
+            self._own = differences(self.requested, self._applied, traffic)
 
     def note_bridge(self, not_applied: tuple[Difference, ...]) -> None:
-        """Take what the programs of the bridge do not use into `tell` and `fields`, in place of what was noted before."""
-        self._of_bridge = not_applied
+        """Replace the differences of the bridge's programs, for `report` and `fields`."""
+        self._bridge = not_applied
 
     @property
     def _differences(self) -> tuple[Difference, ...]:
-        return self._own + self._of_bridge
+        return self._own + self._bridge
 
     def wait(self, stop: threading.Event, seconds: float) -> bool:
-        """Wait for `stop`, but no longer than until there is something to `tell`; return whether `stop` is set.
+        """Wait for `stop`, but only until there is something to `report`; return whether `stop` is set.
 
-        A relay reads its beginning on the thread that answers the first probe, and a ping's first message comes a fifth of a
-        second behind the last echo: until then looks are frequent.
+        The thread that answers a relay's first probe reads, and the ping's first message comes 0.2 s after its last echo:
+        until then this looks often.
         """
         left_s = seconds
         while self._applied is None and left_s > 0:
@@ -97,48 +93,48 @@ class ReadBack:
             if stop.wait(slice_s):
                 return True
             left_s -= slice_s
-        return stop.wait(0 if self._untold() else max(left_s, 0))
+        return stop.wait(0 if self._unreported() else max(left_s, 0))
 
-    def _untold(self) -> list[Difference]:
-        # At the end a setting that was told at the beginning may have other words, but it is the same news.
-        return [each for each in self._differences if (each.setting, each.asked) not in self._told]
+    def _unreported(self) -> list[Difference]:
+        # A setting may have other words at the end, but is reported once.
+        return [
+            difference
+            for difference in self._differences
+            if (difference.setting, difference.asked) not in self._reported
+        ]
 
-    def tell(self, trace: Path | None = None) -> None:
-        """Say each setting that was not applied and was not told before.
+    def report(self, trace: Path | None = None) -> None:
+        """Note each setting that was not applied, once.
 
         Args:
-            trace: path of the whole trace, at the end of a recording.
+            trace: path of the complete trace, at the end of a recording.
 
         Raises:
             NotAppliedError: there is one, and the recording is strict.
         """
-        untold = self._untold()
-        self._told.update((each.setting, each.asked) for each in untold)
-        if untold and self._strict:
-            kept = (
-                ""
-                if trace is None
-                else f" (seen at the end: {trace} is whole, and no answer will rest on it)"
+        unreported = self._unreported()
+        self._reported.update((difference.setting, difference.asked) for difference in unreported)
+        if unreported and self._strict:
+            at_end = (
+                "" if trace is None else f" (seen at the end: {trace} is complete, but no answer will use it)"
             )
-            raise NotAppliedError(f"--strict: {'; '.join(each.words for each in untold)}{kept}")
-        for each in untold:
-            self._note(f"not applied: {each.words}; no answer will rest on this recording")
+            raise NotAppliedError(
+                f"--strict: {'; '.join(difference.words for difference in unreported)}{at_end}"
+            )
+        for difference in unreported:
+            self._note(f"not applied: {difference.words}; no answer will use this recording")
 
     def explain(self, traffic: Traffic) -> tuple[Difference, ...]:
-        """Return the settings that may keep messages from arriving; empty if nothing is seen.
-
-        Args:
-            traffic: messages that were sent in vain.
-        """
-        return differences(self.asked, read_applied(), traffic)
+        """Return the settings that may keep messages from arriving, after sending `traffic` without a reply."""
+        return differences(self.requested, read_applied(), traffic)
 
     def fields(self) -> JsonObject:
-        """Return the session's fields `asked`, and behind `read_begin` `applied` and `not_applied`."""
-        asked: JsonObject = {"asked": self.asked.to_json()}
+        """Return the session's field `asked` and, after `read_begin`, `applied` and `not_applied`."""
+        requested: JsonObject = {"asked": self.requested.to_json()}
         if self._applied is None:
-            return asked
+            return requested
         return {
-            **asked,
+            **requested,
             "applied": self._applied.to_json(),
-            "not_applied": [each.to_json() for each in self._differences],
+            "not_applied": [difference.to_json() for difference in self._differences],
         }

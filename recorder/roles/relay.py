@@ -1,4 +1,4 @@
-"""The relay role: sends every stamped message back, stamps T3 and T4; serves all runs of all pings."""
+"""The relay role: sends every stamped message of all pings back, and stamps T3 and T4."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from ..applied.carried import Traffic
 from ..choices import Serialization
 from ..host.clock import SystemClock
 from ..payloads.stamp import PROBE_RUN_ID, SentT
-from .lanes import ObjectLane, RawLane
+from .lanes import object_lane, raw_lane
 from .progress import RelayProgress
 
 if TYPE_CHECKING:
@@ -28,9 +28,9 @@ ReceivedT = TypeVar("ReceivedT")
 
 T3, T4 = 3, 4
 _Forecast: TypeAlias = "tuple[bytes, int, ExpectedPair, int, int, int]"
-"""A message that is expected: its bytes from the stamp on, its length, its events, run, sequence and payload bytes."""
+"""An expected message: its bytes from the stamp on, its length, its events, run, sequence and payload bytes."""
 RECENT_RUNS = 1000
-"""Runs that a relay can tell from new ones: it may serve for weeks, and remembers no more."""
+"""Runs that a relay remembers, which may serve for weeks; an older one counts as new."""
 
 
 class Relay:
@@ -38,13 +38,13 @@ class Relay:
 
     Args:
         node: node that subscribes and publishes; its thread does all the work.
-        sink: trace that keeps the events.
+        sink: trace for the events.
         relay_id: number in every reply, not 0.
-        data_types: data types whose topics are served, all at once.
-        qos: quality of service of both ways; must suit the pings (see `dds_trace.recorder.backends.qos`).
+        data_types: data types whose topics are served.
+        qos: quality of service of both ways; must suit the pings (`recorder.backends.qos`).
         serialization: form in which the messages pass the client library.
         clock: time of this device.
-        on_probe: callback behind the reply to each probe that comes before a ping's run.
+        on_probe: called after the reply to each readiness probe.
     """
 
     def __init__(
@@ -66,15 +66,15 @@ class Relay:
         self._relayed = 0
         self._runs = 0
         self._last_run = PROBE_RUN_ID
-        self._recent_runs: dict[int, bool] = {}  # in the order of their last message among others'
+        self._recent_runs: dict[int, bool] = {}  # the one with the latest message last
         self._payload_bytes = 0  # of all messages relayed
         self._foreign = 0
         self._on_probe = on_probe
         self._closers: list[Callable[[], None]] = []
         if serialization is Serialization.TYPED:
-            self._serve(ObjectLane(node), data_types, qos)
+            self._serve(object_lane(node), data_types, qos)
         else:
-            self._serve(RawLane(node), data_types, qos)
+            self._serve(raw_lane(node), data_types, qos)
 
     def _serve(self, lane: Lane[SentT, ReceivedT], data_types: Iterable[DataType], qos: Qos) -> None:
         for data_type in data_types:
@@ -100,9 +100,8 @@ class Relay:
         begin_at = 0 if form.sizing_bytes_of is None else cast("RawStampPlace", form.stamp).begin_at
         forecast: _Forecast | None = None
 
-        # T3 and T4 are kept before the reply leaves: a ping that has one of a killed relay finds both. It costs two
-        # microseconds between them, which are taken off the latency. The next message of the run is foreseen behind the
-        # reply: if it comes, little is left to do for it.
+        # T3 and T4 are recorded before the reply leaves, so a killed relay has both of every reply; the 2 us between them
+        # are subtracted from the latency. After the reply the next message of the run is prepared.
         def receive(message: Any, source_ns: int = 0, received_ns: int = 0, /) -> None:
             nonlocal forecast
             relay_in_ns = now()
@@ -139,7 +138,7 @@ class Relay:
         return receive
 
     def _forecaster(self, form: Form[SentT, ReceivedT]) -> Callable[[Any, int, int, int], _Forecast | None]:
-        """Return a function that foresees the next message of a run: it is as long as this one and sized like it."""
+        """Return a function that prepares the next message of a run, as long as this one and of the same payload."""
         sizing_bytes_of = form.sizing_bytes_of
         if sizing_bytes_of is None:
             return lambda *_: None
@@ -156,7 +155,7 @@ class Relay:
         return forecast_of
 
     def _note_run(self, run_id: int) -> None:
-        """Count a run that is new, and forget the one whose last message is the longest ago."""
+        """Count a run that is new, and forget the one with the oldest last message."""
         self._last_run = run_id
         if not self._recent_runs.pop(run_id, False):
             self._runs += 1
@@ -166,10 +165,10 @@ class Relay:
 
     @property
     def traffic(self) -> Traffic:
-        """The messages relayed so far, of their mean size."""
+        """The messages relayed so far, at their mean size."""
         count = self._relayed
         return Traffic(count, count, self._payload_bytes // max(count, 1))
 
     def progress(self) -> RelayProgress:
-        """Return the work done so far; any thread may ask."""
+        """Return the work done so far; any thread may call this."""
         return RelayProgress(self._relayed, self._runs, self._foreign)

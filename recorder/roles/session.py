@@ -45,7 +45,7 @@ def describe_session(
         extra: further fields.
     """
     middleware = node.middleware
-    # Of all backends: a ROS middleware reads the files of its vendor, and a bridge may run on another one.
+    # Of all backends: ROS middleware reads its vendor's files, and a bridge may run on another vendor.
     environment = join_environments(backend.environment for backend in load_backends())
     host = host_fingerprint(middleware.versions, environment)
     vendor_label = middleware.vendor_label or load_backend(middleware.backend).label
@@ -72,7 +72,7 @@ def describe_session(
 
 
 def default_connectivity(discovery: Discovery, root: Path = Path("/")) -> str:
-    """Return `loopback`, or by the interface of the default route `wireless` or `wired`."""
+    """Return `loopback`, or `wireless` or `wired` by the interface of the default route."""
     if discovery is Discovery.LOCALHOST:
         return "loopback"
     try:

@@ -1,4 +1,4 @@
-"""The capture of one role's interfaces, and how its counts and records come into the trace: after a run, never during it."""
+"""The capture of one role's interfaces; its counts and records are written to the trace after a run, never during it."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ if TYPE_CHECKING:
 
 @contextmanager
 def open_wire(
-    *, asked: bool, discovery: Discovery, domain_ids: Iterable[int], note: Callable[[str], None]
+    *, enabled: bool, discovery: Discovery, domain_ids: Iterable[int], note: Callable[[str], None]
 ) -> Iterator[WireRecord]:
     """Open the capture of a role, before its node: the first announcement of a participant counts.
 
     Args:
-        asked: whether the wire is to be captured; if not, the record does nothing.
-        discovery: range of the node's discovery, which says on what interfaces its messages go.
-        domain_ids: domains of the run; the ports of `socket` and `zenoh` lie in a domain's range too.
-        note: callback that takes a line for the user.
+        enabled: whether the wire is captured; if not, the record does nothing.
+        discovery: range of the node's discovery, which decides on the interfaces.
+        domain_ids: domains of the run; `socket` and `zenoh` use ports of a domain's range too.
+        note: takes a line for the user.
 
     Raises:
         OptionError: no CAP_NET_RAW, or a system without packet sockets.
     """
-    if not asked:
+    if not enabled:
         yield WireRecord(None, note)
         return
     ports = tuple(domain_ports(domain_id) for domain_id in sorted(set(domain_ids)))
@@ -54,30 +54,26 @@ def open_wire(
 
 
 class WireRecord:
-    """What a role's capture has counted, on its way into the trace.
+    """Writes the counts of a role's capture into the trace; without a capture every method does nothing.
 
-    A capture that ends by itself is told once; the recording goes on without it.
-
-    Args:
-        capture: the open capture, None if the wire is not captured.
-        note: callback that takes a line for the user.
+    A capture that ends by itself is reported once; the recording goes on without it.
     """
 
     def __init__(self, capture: WireCapture | None, note: Callable[[str], None]) -> None:
         self._capture = capture
         self._note = note
-        self._relayed = 0  # messages of a relay when its counts were last written
+        self._relayed = 0  # by a relay until its counts were last written
 
     @property
     def processes(self) -> Mapping[str, int]:
-        """Name and id of the capturing process, for the samples of the host's load; empty without a capture."""
+        """Name and id of the capturing process, for the samples of the host's load."""
         return {} if self._capture is None else {"wire": self._capture.pid}
 
     def begin(self, run_id: int | None = None) -> None:
-        """Count anew, which takes a quarter of a second.
+        """Restart counting, which takes a quarter of a second.
 
         Args:
-            run_id: the run whose messages get records; None for all runs, as a relay does not know them beforehand.
+            run_id: the run whose messages get records; None for all runs (a relay).
         """
         if self._capture is None:
             return
@@ -87,7 +83,7 @@ class WireRecord:
             self._give_up(err)
 
     def write_run(self, run: Run, sink: TraceSink) -> Run:
-        """Write the counts of a finished run into its description, and its records behind; return the description."""
+        """Write the counts of a finished run into its description, then its records; return the description."""
         result = self._take()
         if result is None:
             return run
@@ -97,13 +93,13 @@ class WireRecord:
         return described
 
     def write_relay(self, relayed: int, session_id: int, sink: TraceSink, *, go_on: bool = False) -> None:
-        """Write what a relay's capture has counted, if messages were relayed since it was last written.
+        """Write the counts of a relay's capture, if messages were relayed since the preceding call.
 
         Args:
             relayed: messages that the relay has sent back so far.
             session_id: session of the relay.
             sink: its trace.
-            go_on: whether counting begins anew behind it.
+            go_on: whether counting restarts afterwards.
         """
         if relayed == self._relayed:
             return
@@ -134,7 +130,7 @@ class WireRecord:
             return None
 
     def _give_up(self, error: OptionError) -> None:
-        self._note(f"{error}; the recording goes on without counts of the wire")
+        self._note(f"{error}; the recording continues without counts of the wire")
         self._capture = None
 
 

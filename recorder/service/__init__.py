@@ -1,1 +1,1 @@
-"""What a recording that stays for weeks needs: files that are rotated, room on the disk, a word to systemd and to `status`."""
+"""A recording that lasts for weeks: rotated files, free space on the disk, reports to systemd and to `dds-record status`."""

@@ -1,7 +1,7 @@
-"""The recordings that run on this machine: a file for each in a folder of the runtime, locked by its process while it lives.
+"""The recordings that run on this machine: a file for each in a runtime folder, locked by its process while that runs.
 
-An entry is believed only while its lock is held and its process, by id and start time, is there. One without is what a
-killed process left; it tells where its events wait.
+A recording runs only if its entry is locked and its process exists, by id and start time. Another entry was left by
+a killed process, and names the file whose events wait in the ring.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import stat
 import tempfile
 import time
 from contextlib import suppress
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -31,29 +31,26 @@ if TYPE_CHECKING:
 
 SUFFIX = ".recording"
 ENTRY_BYTES = 8192
-"""Length of an entry: it is written over in place, in one step, and never becomes shorter."""
+"""Length of an entry, so that it can be overwritten in one step."""
 _MOST_ENTRY_BYTES = 1 << 16
 _TRIES = 3
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """What a recording tells of itself.
+    """The state of a recording, as `dds-record status --json` prints it.
 
     Attributes:
         role: `ping` or `relay`.
         path: the trace file that is written now, absolute.
-        pid: its process.
-        pid_start: start time of the process in clock ticks since boot, which tells it from a later one of the same id.
+        pid_start: start time of the process in clock ticks since boot: ids of processes are reused.
         session_id: 16 hex digits.
-        domain_id: its DDS domain.
-        backend: its backend.
-        rmw: its ROS middleware, None without.
+        rmw: its ROS middleware, None without one.
         began_ns: its start, ns since 1970.
-        told_ns: the time of this word, ns since 1970.
-        messages: messages that a relay has sent back, or replies that a ping has got.
+        told_ns: time of this state, ns since 1970.
+        messages: messages that a relay has sent back, or replies that a ping has received.
         files: number of files so far, above 1 with `--rotate`.
-        stopped: the reason why nothing is recorded any more while the node goes on; None while all is well.
+        stopped: reason why recording has stopped while the node continues; None while it records.
     """
 
     role: str
@@ -72,12 +69,12 @@ class Entry:
 
 
 class State(Enum):
-    """What is known of the process of an entry."""
+    """State of the process of an entry."""
 
     RUNNING = "running"
     KILLED = "killed"
     UNSEEN = "unseen"
-    """Somebody holds its lock, and its process is not seen from here (another container)."""
+    """Its entry is locked, but its process is in another container."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,9 +82,9 @@ class Listed:
     """One recording as `dds-record status` lists it.
 
     Attributes:
-        entry: what it told last.
-        state: what is known of its process.
-        waiting: the trace of a killed one beside which events wait in the ring; None if nothing of it waits.
+        entry: its latest state.
+        state: state of its process.
+        waiting: the trace of a killed one, if events wait in its ring.
     """
 
     entry: Entry
@@ -96,16 +93,16 @@ class Listed:
 
 
 def runtime_folder(environment: Mapping[str, str] = os.environ) -> Path:
-    """Return the folder of this process's entry: a service's own, else the user's of the runtime, else a temporary one."""
-    given = environment.get("RUNTIME_DIRECTORY", "").split(":")[0]
-    if given:
-        return Path(given)
+    """Return the folder of this process's entry: the service's, else the user's runtime folder, else a temporary one."""
+    service = environment.get("RUNTIME_DIRECTORY", "").split(":")[0]
+    if service:
+        return Path(service)
     user = environment.get("XDG_RUNTIME_DIR", "")
     return Path(user, "dds-trace") if user else Path(tempfile.gettempdir(), f"dds-trace-{os.getuid()}")
 
 
 def runtime_folders(environment: Mapping[str, str] = os.environ) -> list[Path]:
-    """Return the folders with entries of this machine: this user's, those of services and of other users."""
+    """Return the folders with entries of this machine: this user's first, then services' and other users'."""
     others = [
         *Path("/run").glob("dds-trace/*/"),
         *Path("/run/user").glob("*/dds-trace/"),
@@ -115,12 +112,12 @@ def runtime_folders(environment: Mapping[str, str] = os.environ) -> list[Path]:
 
 
 class RunningRecording:
-    """The entry of this process, from its first word until `close`; where none can be made, the recording goes on without.
+    """The entry of this process until `close`; where none can be made, every method does nothing.
 
     Args:
         session: the recording.
         path: its trace file.
-        folder: the folder of the entry.
+        folder: the folder of the entry, by default `runtime_folder()`.
     """
 
     def __init__(self, session: Session, path: Path, folder: Path | None = None) -> None:
@@ -146,7 +143,7 @@ class RunningRecording:
                 self._open()
 
     def _open(self) -> None:
-        # Locked before it has its name, so that nobody meets an entry without a lock.
+        # Locked before it gets its name, so that no reader sees an entry without a lock.
         draft = self._path.with_name(f".{self._path.name}.{secrets.token_hex(4)}")
         descriptor = os.open(draft, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC | os.O_NOFOLLOW, 0o644)
         try:
@@ -159,16 +156,22 @@ class RunningRecording:
             draft.unlink(missing_ok=True)
             os.close(descriptor)
 
-    def tell(self, *, path: Path, messages: int, files: int, stopped: str | None) -> None:
-        """Tell how it is now."""
+    def update(self, *, path: Path, messages: int, files: int, stopped: str | None) -> None:
+        """Write the current state."""
         if self._descriptor is not None:
-            told = {"path": str(path.absolute()), "messages": messages, "files": files, "stopped": stopped}
-            self._entry = Entry(**{**asdict(self._entry), **told, "told_ns": time.time_ns()})
+            self._entry = replace(
+                self._entry,
+                path=str(path.absolute()),
+                messages=messages,
+                files=files,
+                stopped=stopped,
+                told_ns=time.time_ns(),
+            )
             with suppress(OSError):
                 self._write()
 
     def close(self) -> None:
-        """Take the entry away."""
+        """Remove the entry."""
         if self._descriptor is not None:
             with suppress(OSError):
                 self._path.unlink(missing_ok=True)
@@ -183,28 +186,25 @@ class RunningRecording:
 
 def list_recordings(folders: Iterable[Path] | None = None) -> list[Listed]:
     """Return the recordings of this machine, running ones first, then by their start."""
-    found = []
+    recordings: list[Listed] = []
     for folder in runtime_folders() if folders is None else folders:
         with suppress(OSError):
-            found += [listed for path in sorted(folder.glob(f"*{SUFFIX}")) if (listed := _look(path))]
-    return sorted(found, key=lambda each: (each.state is not State.RUNNING, each.entry.began_ns))
+            recordings += filter(None, map(_read_entry, folder.glob(f"*{SUFFIX}")))
+    return sorted(recordings, key=lambda listed: (listed.state is not State.RUNNING, listed.entry.began_ns))
 
 
-def _look(path: Path) -> Listed | None:
-    """Return what an entry tells; None if it cannot be read, or went meanwhile."""
+def _read_entry(path: Path) -> Listed | None:
+    """Return the recording of an entry; None if it cannot be read, or was removed meanwhile."""
     with suppress(OSError), open_regular(path, follow_links=False) as file:
-        for _ in range(_TRIES):  # another look, should one fall into the middle of a word
-            text = os.pread(file.fileno(), _MOST_ENTRY_BYTES, 0)
-            entry = _parse(text)
+        for _ in range(_TRIES):  # a reading may fall into the middle of a writing
+            entry = _parse(os.pread(file.fileno(), _MOST_ENTRY_BYTES, 0))
             if entry is not None:
                 break
         else:
             return None
-        is_held = _is_locked(file.fileno())
-        if is_held and _start_of(entry.pid) == entry.pid_start:
-            return Listed(entry, State.RUNNING)
-        if is_held:
-            return Listed(entry, State.UNSEEN)
+        if _is_locked(file.fileno()):
+            is_seen = _start_of(entry.pid) == entry.pid_start
+            return Listed(entry, State.RUNNING if is_seen else State.UNSEEN)
         if not path.exists():
             return None
         return Listed(entry, State.KILLED, _waiting_trace(Path(entry.path), int(entry.session_id, 16)))
@@ -212,14 +212,14 @@ def _look(path: Path) -> Listed | None:
 
 
 def _waiting_trace(path: Path, session_id: int) -> Path | None:
-    """Return the file beside which a ring was left: the one that was told last, or a later one, begun behind the last word."""
-    return next((each for each in (path, *later_files(path, session_id)) if ring_path(each).exists()), None)
+    """Return the file whose ring was left: that of the entry, or a later one, if the process was killed before an update."""
+    return next((file for file in (path, *later_files(path, session_id)) if ring_path(file).exists()), None)
 
 
 def _parse(text: bytes) -> Entry | None:
     try:
-        told = json.loads(text)
-        return Entry(**{each.name: told[each.name] for each in fields(Entry)})
+        values = json.loads(text)
+        return Entry(**{field.name: values[field.name] for field in fields(Entry)})
     except (ValueError, KeyError, TypeError, RecursionError):
         return None
 
@@ -234,7 +234,7 @@ def _is_locked(descriptor: int) -> bool:
 
 
 def _start_of(pid: int) -> int | None:
-    """Return the start time of a process in clock ticks since boot; None if it is not there."""
+    """Return the start time of a process in clock ticks since boot; None if there is no such process."""
     try:
         return int(Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()[19])
     except (OSError, ValueError, IndexError):
@@ -242,15 +242,15 @@ def _start_of(pid: int) -> int | None:
 
 
 def _is_own(folder: Path) -> bool:
-    """Return whether a folder, which may lie where everybody writes, is this user's and nobody else's to write."""
+    """Return whether only this user may write to a folder, whose parent may be writable by everybody."""
     status = folder.lstat()
     return stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o022
 
 
 def _sweep(folder: Path) -> None:
-    """Remove entries of killed processes of which nothing waits any more."""
+    """Remove entries of killed processes whose events are recovered."""
     for path in folder.glob(f"*{SUFFIX}"):
-        listed = _look(path)
+        listed = _read_entry(path)
         if listed is not None and listed.state is State.KILLED and listed.waiting is None:
             with suppress(OSError):
                 path.unlink()

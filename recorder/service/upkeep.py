@@ -1,4 +1,4 @@
-"""`Upkeep`: the trace of a recording and all that looks after it while its role runs, twice a second."""
+"""`Upkeep`: the trace of a recording, its rotation, its disk, and its reports to the service manager and to `status`."""
 
 from __future__ import annotations
 
@@ -32,14 +32,18 @@ if TYPE_CHECKING:
 STATUS_PERIOD_S = 5.0
 """Time between two statuses: each wakes the manager."""
 
+RETRY_S = 60.0
+"""Time until a new file is tried again after one could not be made."""
+
 
 class ServiceManager:
-    """The manager at NOTIFY_SOCKET; without one, or one that does not listen, every word goes nowhere.
+    """The protocol of sd_notify(3); without a manager at NOTIFY_SOCKET every method does nothing.
 
-    The variables are taken out of the environment, so that no program of ours speaks for us.
+    Not the library sdnotify: it blocks while the manager is stuck, and drops a status that is not Latin-1. The variables
+    are removed from the environment, so that child processes do not notify.
 
     Args:
-        environment: where they stand.
+        environment: environment variables.
         clock_s: a monotonic clock in seconds.
     """
 
@@ -57,57 +61,53 @@ class ServiceManager:
             socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) if address else None
         )
         self._is_ready = False
-        self._told_s = -STATUS_PERIOD_S
+        self._status_s = -STATUS_PERIOD_S
         if self._socket is not None:
-            self._socket.setblocking(False)  # a manager that is stuck holds nobody up
+            self._socket.setblocking(False)  # a stuck manager must not block the recording
 
-    def look(self, status: str) -> None:
-        """Tell that this process lives, at the first call that it is ready, and now and then what it does."""
+    def notify(self, status: str) -> None:
+        """Feed the watchdog; report readiness at the first call, and the status every `STATUS_PERIOD_S`."""
         if self._socket is None:
             return
-        words = ["WATCHDOG=1"] if self._is_watched else []
+        assignments = ["WATCHDOG=1"] if self._is_watched else []
         if not self._is_ready:
             self._is_ready = True
-            words.insert(0, "READY=1")
-        if self._clock_s() - self._told_s >= STATUS_PERIOD_S:
-            self._told_s = self._clock_s()
-            words.append(f"STATUS={status}")
-        self._send(words)
+            assignments.insert(0, "READY=1")
+        if self._clock_s() - self._status_s >= STATUS_PERIOD_S:
+            self._status_s = self._clock_s()
+            assignments.append(f"STATUS={status}")
+        self._send(assignments)
 
     def close(self) -> None:
-        """Tell that this process ends."""
+        """Report that this process ends."""
         if self._socket is not None:
             self._send(["STOPPING=1"])
             self._socket.close()
             self._socket = None
 
-    def _send(self, words: list[str]) -> None:
-        if self._socket is not None and words:
+    def _send(self, assignments: list[str]) -> None:
+        if self._socket is not None and assignments:
             with suppress(OSError):
-                self._socket.sendto("\n".join(words).encode(errors="replace"), self._address)
-
-
-RETRY_S = 60.0
-"""Time until a new file is tried again after one could not be made."""
+                self._socket.sendto("\n".join(assignments).encode(errors="replace"), self._address)
 
 
 class Upkeep:
-    """The sink of a recording, kept from the first look at its role until the recording ends.
+    """A context manager: opens the sink of a recording, looks after it, and closes it on exit.
 
     Args:
         options: options of the recording.
         session: its session; with `--rotate` its field `part` counts the files from 1.
         clock_ns: the monotonic clock of the events.
-        note: callback that takes a line for the user.
+        note: takes a line for the user.
 
     Attributes:
         sink: the sink.
-        destination: the place of the file that is written now.
-        shortage: the first reason why events were dropped, or a ping's run ends: the disk has less space than is to be kept.
+        destination: the file that is written now.
+        shortage: the first lack of disk space that dropped events, or that ends a ping's run.
 
     Raises:
         OutputExistsError: there is a trace already.
-        OutputError: the trace cannot be made, or the disk has less space than is to be kept.
+        OutputError: the trace cannot be made, or the disk has too little free space.
     """
 
     def __init__(
@@ -125,7 +125,7 @@ class Upkeep:
         self._failed_s: float | None = None
         self.shortage: OutputError | None = None
         self._short: OutputError | None = None  # while the disk is short
-        self._dropped = 0  # events that were dropped when the disk became short
+        self._dropped = 0  # events dropped before the disk became short
         shortage = find_shortage(options.destination.trace_path, options.keep_free)
         if shortage is not None:
             raise shortage
@@ -145,17 +145,16 @@ class Upkeep:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close the sink, whatever happened, and take the words back."""
         self._manager.close()
         self.sink.close()
         self._running.close()
 
     def look(self, messages: int, describe: Callable[[], JsonObject]) -> None:
-        """Look after the trace: room on its disk, its size and age, and who wants to know of it.
+        """Check disk space, rotate the file if it is due, and report the state; call it twice a second.
 
         Args:
             messages: messages so far.
-            describe: returns the fields of the session that are known now.
+            describe: returns the present fields of the session.
         """
         was_short = self._short is not None
         shortage = find_shortage(self.destination.trace_path, self._options.keep_free, was_short=was_short)
@@ -167,34 +166,34 @@ class Upkeep:
             self._rotate(self._rotation, describe)
         self._blame_disk()
         stopped = None if shortage is None else str(shortage)
-        self._running.tell(path=self.destination.path, messages=messages, files=self._count, stopped=stopped)
-        so_far = counted(messages, "message")
-        self._manager.look(
-            f"{so_far}, into {self.destination.path}"
-            if stopped is None
-            else f"{so_far}, waiting for room: {stopped}"
+        self._running.update(
+            path=self.destination.path, messages=messages, files=self._count, stopped=stopped
         )
+        activity = (
+            f"into {self.destination.path}" if stopped is None else f"waiting for disk space: {stopped}"
+        )
+        self._manager.notify(f"{counted(messages, 'message')}, {activity}")
 
     def close_trace(self, **described: Json) -> ClosedTrace:
-        """Close the trace of a relay with these fields of its session, and what kept it from recording."""
+        """Close the trace of a relay with these fields of its session, and why it stopped recording."""
         self._blame_disk()
         stopped: JsonObject = {} if self.shortage is None else {"stopped": str(self.shortage)}
         return self.sink.close(**described, **stopped)
 
     def _blame_disk(self) -> None:
-        """Keep the reason why the disk is short, once events were dropped for it or a ping's run ends."""
+        """Set `shortage` once the short disk has dropped events or ends a ping's run."""
         if self._options.ping is not None or self.sink.dropped_events > self._dropped:
             self.shortage = self.shortage or self._short
 
     def _stop_or_go_on(self, shortage: OutputError | None) -> None:
-        """Have a relay write nothing while the disk is short, and go on; a ping has no other purpose, and ends its run."""
+        """Pause or resume a relay's writing; a ping ends its run."""
         if shortage is None:
             self.sink.resume()
-            self._note("there is room on the disk again: writing goes on")
+            self._note("there is disk space again: writing continues")
         elif self._options.ping is None:
             self.sink.pause()
             self._dropped = self.sink.dropped_events
-            self._note(f"{shortage}; until then events wait in the ring, and the relay goes on sending back")
+            self._note(f"{shortage}; until then events wait in the ring, and the relay keeps replying")
         else:
             self._note(f"{shortage}; the run ends here")
 
@@ -210,7 +209,7 @@ class Upkeep:
             destination = self._go_on(describe())
         except OutputError as err:
             if self._failed_s is None:
-                self._note(f"{err}; the recording goes on in {self.destination.path.name}")
+                self._note(f"{err}; the recording continues in {self.destination.path.name}")
             self._failed_s = time.monotonic()
             return
         if destination is None:
@@ -224,10 +223,10 @@ class Upkeep:
             if dropped
             else ""
         )
-        self._note(f"the recording goes on in {self.destination.path.name}{deleted}")
+        self._note(f"the recording continues in {self.destination.path.name}{deleted}")
 
     def _go_on(self, described: JsonObject) -> TraceDestination | None:
-        """Go on in the next file; return its destination, None if events wait for the disk.
+        """Switch to the next file; return its destination, None if events wait for the disk.
 
         Raises:
             OutputError: it cannot be made.
@@ -236,5 +235,5 @@ class Upkeep:
             destination = self._files.next()
             try:
                 return None if self.sink.go_on_in(destination, **described) is None else destination
-            except OutputExistsError:  # another recording of the same name was quicker
+            except OutputExistsError:  # another recording made a file of this name
                 continue

@@ -84,7 +84,7 @@ def test_a_rotated_relay_is_one_recording_to_all_who_ask(domain_id, tmp_path, ma
         manager.settimeout(30)
         stopped = command.stop()
     assert stopped.status == 0, stopped.stderr
-    assert "the recording goes on in relay.00003.mcap" in stopped.stderr
+    assert "the recording continues in relay.00003.mcap" in stopped.stderr
     assert "310 messages sent back in 1 run" in stopped.stdout
     said = b""
     while b"STOPPING=1" not in said:
@@ -184,20 +184,20 @@ def short_of_disk(domain_id, disk):
                 os.posix_fallocate(filler.fileno(), 0, 2 * ROOM)
             ended = long.finish()
         assert (ended.status, "the run ends here" in ended.stderr) == (OutputError.exit_code, True)
-        line = command.wait_for_line("until then events wait in the ring, and the relay goes on sending back")
+        line = command.wait_for_line("until then events wait in the ring, and the relay keeps replying")
         assert f"{disk.inside}/relay.mcap: the disk has " in line
         second = ping(domain_id, traces.parent / "second.mcap", *SOCKET, "--messages", 20, "--rate", 100)
         assert (second.status, "received 20, lost 0" in second.stdout) == (0, True), second.stderr
-        assert "    waiting for room: " in status(command.pid)[1]
+        assert "    waiting for disk space: " in status(command.pid)[1]
         short = of_ping("short.mcap", "--messages", 20)
         assert (short.status, (traces / "short.mcap").exists()) == (OutputError.exit_code, False)
         (traces / "filler").unlink()
-        command.wait_for_line("there is room on the disk again: writing goes on")
+        command.wait_for_line("there is disk space again: writing continues")
         third = of_ping("third.mcap", "--messages", 5, "--warmup", 0, "--rate", 100)
         assert third.status == 0, third.stderr
         stopped = command.stop()
     assert stopped.status == 0, stopped.stderr  # all of it found room
-    assert "are to be kept (--keep-free)" in stopped.stderr
+    assert "must stay free (--keep-free)" in stopped.stderr
     assert " sent back in 4 runs; " in stopped.stdout
     trace, cut = read_trace(traces / "relay.mcap"), read_trace(traces / "long.mcap")
     runs = [
@@ -207,7 +207,7 @@ def short_of_disk(domain_id, disk):
     assert (trace.truncated, trace.sessions[0].state, of_runs) == (None, "closed", [30, 30, 5])
     assert trace.sessions[0].dropped_events == 0
     assert (cut.runs[0].state, cut.sessions[0].state) == ("finished", "closed")
-    assert "are to be kept" in cut.sessions[0].extra["error"]
+    assert "must stay free" in cut.sessions[0].extra["error"]
     assert "recording_stopped" not in {
         finding.code for finding in analyze(traces, out=traces.parent / "analysis").findings
     }

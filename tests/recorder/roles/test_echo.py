@@ -16,7 +16,7 @@ from dds_trace.recorder.payloads import BINARY, header_data_type
 from dds_trace.recorder.payloads.base import Message, Payload
 from dds_trace.recorder.roles.echo import explain_silence, find_loss, look_for_relays
 from dds_trace.recorder.roles.plan import RunPlan
-from dds_trace.recorder.roles.replies import Silence
+from dds_trace.recorder.roles.progress import Silence
 
 IMAGE = "sensor_msgs/msg/Image"
 
@@ -132,7 +132,7 @@ def test_sides_without_a_common_dev_shm_are_told_so_and_no_firewall(node, plan):
     words = "messages for a receiver on this host go to fastdds_port8660, where nobody reads them"
     apart = Difference(Setting.MEMORY_NAMESPACE, "default", "fastdds_port8660", words)
     *_, advice, settings = explain_silence(node, plan, 3, (apart,)).splitlines()
-    assert advice.startswith("  try: let both sides have one /dev/shm (of containers: --ipc=host")
+    assert advice.startswith("  try: let both sides have one /dev/shm (containers: --ipc=host")
     assert "firewall" not in advice
     assert settings == f"  not applied: {words}"
     smaller = Difference(Setting.KERNEL_LIMIT, "4000000", "212992", "net.core.rmem_max is 212,992")
@@ -147,7 +147,7 @@ def test_a_relay_that_is_silent_and_out_of_sight_is_lost(node):
     error = find_loss(node, BINARY, LASTING, ended=False)
     assert isinstance(error, RelayLostError)
     assert str(error).startswith(
-        "the relay of binary_image is lost: no reply to the last 40 messages (4.0 s); look at"
+        "the relay of binary_image is lost: no reply to the last 40 messages (4.0 s); check"
     )
 
 

@@ -14,7 +14,7 @@ from dds_trace.recorder.choices import Serialization
 from dds_trace.recorder.payloads import IMU, header_data_type
 from dds_trace.recorder.payloads.base import Message, Payload
 from dds_trace.recorder.payloads.stamp import HEADER_STAMP
-from dds_trace.recorder.roles.lanes import ObjectLane, RawLane
+from dds_trace.recorder.roles.lanes import object_lane, raw_lane
 from dds_trace.recorder.roles.ping import open_ping
 from dds_trace.recorder.roles.plan import RunPlan
 from dds_trace.recorder.roles.relay import Relay
@@ -100,12 +100,12 @@ def test_messages_of_a_live_source_become_objects_too():
 
 def test_bytes_are_patched_where_they_lie():
     (message,) = IMU.make(None, 1).messages
-    assert RawLane(FakeNode()).message_of(IMU, message) is message.data
+    assert raw_lane(FakeNode()).message_of(IMU, message) is message.data
 
 
 def test_a_node_or_a_type_without_message_objects_is_refused():
     with pytest.raises(OptionError, match="--serialization typed: the backend ros2 only carries serialized"):
-        ObjectLane(FakeNode())
+        object_lane(FakeNode())
     cloud = header_data_type("sensor_msgs/msg/PointCloud2")
     with pytest.raises(OptionError, match="sensor_msgs/msg/PointCloud2 is sent as raw bytes alone"):
-        ObjectLane(ObjectFakeNode()).form_of(cloud)
+        object_lane(ObjectFakeNode()).form_of(cloud)

@@ -14,7 +14,7 @@ from dds_trace.recorder.payloads import BINARY, IMU, STRING
 from dds_trace.recorder.payloads.stamp import RAW_HEADER_STAMP, stamp_text
 from dds_trace.recorder.roles.ping import DRAIN_NS, LEAD_NS, open_ping
 from dds_trace.recorder.roles.plan import RunPlan
-from dds_trace.recorder.roles.replies import Silence
+from dds_trace.recorder.roles.progress import Silence
 
 MS = 1_000_000
 START_NS = 1_000_000_000_000

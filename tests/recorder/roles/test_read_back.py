@@ -60,7 +60,7 @@ def test_a_relay_learns_of_its_first_probe_at_once(monkeypatch):
     probed = Stop(bench.read_back.read_begin)
     assert not bench.read_back.wait(probed, 0.5)
     assert probed.waits == [read_back.NEWS_S] * 3 + [0]
-    bench.read_back.tell()
+    bench.read_back.report()
     told = Stop()
     assert not bench.read_back.wait(told, 0.5)
     assert told.waits == [0.5]
@@ -73,10 +73,10 @@ def test_what_a_bridge_does_not_use_is_told_and_kept_beside_the_own(monkeypatch)
     )
     bench.read_back.read_begin()
     bench.read_back.note_bridge((of_bridge,))
-    bench.read_back.tell()
+    bench.read_back.report()
     bench.read_back.read_end(Traffic(1, 1, 1))
     bench.read_back.note_bridge((of_bridge,))
-    bench.read_back.tell()
+    bench.read_back.report()
     (note,) = bench.notes
     assert note.startswith("not applied: the bridge builtin: asked for buffers")
     assert bench.read_back.fields()["not_applied"] == [of_bridge.to_json()]
@@ -85,7 +85,7 @@ def test_what_a_bridge_does_not_use_is_told_and_kept_beside_the_own(monkeypatch)
 def test_an_honest_run_tells_nothing(monkeypatch):
     bench = Bench(monkeypatch, strict=True)
     bench.read_back.read_begin()
-    bench.read_back.tell()
+    bench.read_back.report()
     fields = bench.read_back.fields()
     assert fields["not_applied"] == bench.notes == []
     assert fields["applied"]["begin"]["sockets"][0]["local_port"] == 8660
@@ -97,7 +97,7 @@ def test_a_difference_is_told_once_and_kept(monkeypatch):
     bench.seen = applied(sockets=(udp(8660),), memory=(segment(),))
     bench.read_back.read_begin()
     for _ in range(2):
-        bench.read_back.tell()
+        bench.read_back.report()
     (note,) = bench.notes
     assert note.startswith("not applied: asked for UDP, shared memory is open (1 files")
     (difference,) = bench.read_back.fields()["not_applied"]
@@ -108,11 +108,11 @@ def test_other_words_for_the_same_setting_at_the_end_are_no_news(monkeypatch):
     bench = Bench(monkeypatch)
     bench.seen = applied(memory=(segment(),), begin=counted(lo=(0, 0)))
     bench.read_back.read_begin()
-    bench.read_back.tell()
+    bench.read_back.report()
     ended = applied(memory=(segment(),), begin=counted(lo=(0, 0)), end=counted(lo=(9, 9)))
     monkeypatch.setattr(read_back, "read_applied", lambda _: ended)
     bench.read_back.read_end(Traffic(100, 100, 100_000))
-    bench.read_back.tell()
+    bench.read_back.report()
     assert len(bench.notes) == 1
     (difference,) = bench.read_back.fields()["not_applied"]
     assert difference["words"] == "asked for UDP, the bytes went through shared memory"
@@ -124,19 +124,19 @@ def test_strict_ends_the_recording(monkeypatch):
     bench.seen = applied(memory=(segment(),))
     bench.read_back.read_begin()
     with pytest.raises(NotAppliedError, match=r"^--strict: asked for UDP, shared memory is open"):
-        bench.read_back.tell()
+        bench.read_back.report()
     assert bench.notes == []
 
 
 def test_strict_names_the_trace_of_a_setting_that_only_the_end_shows(monkeypatch, tmp_path):
     bench = Bench(monkeypatch, strict=True)
     bench.read_back.read_begin()
-    bench.read_back.tell()
+    bench.read_back.report()
     ended = applied(memory=(segment(),), begin=counted(lo=(0, 0)), end=counted(lo=(9, 9)))
     monkeypatch.setattr(read_back, "read_applied", lambda _: ended)
     bench.read_back.read_end(Traffic(100, 100, 100_000))
-    with pytest.raises(NotAppliedError, match=r"shared memory \(seen at the end: .*ping\.mcap is whole"):
-        bench.read_back.tell(tmp_path / "ping.mcap")
+    with pytest.raises(NotAppliedError, match=r"shared memory \(seen at the end: .*ping\.mcap is complete"):
+        bench.read_back.report(tmp_path / "ping.mcap")
 
 
 def test_the_beginning_is_read_once(monkeypatch):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from dds_trace.recorder.roles.replies import Replies, Silence
+from dds_trace.recorder.roles.progress import Replies, Silence
 
 
 def sent(*publish_ns):

@@ -103,12 +103,12 @@ def test_a_recording_outlives_its_capture(sink):
     record.write_relay(3, SESSION_ID, sink)
     assert (sink.runs, sink.texts, record.processes) == ([], [], {})
     assert notes == [
-        "the capturing process ended by itself; the recording goes on without counts of the wire"
+        "the capturing process ended by itself; the recording continues without counts of the wire"
     ]
 
 
 def test_without_the_option_nothing_is_captured(sink):
-    with open_wire(asked=False, discovery=Discovery.LOCALHOST, domain_ids=[1], note=print) as record:
+    with open_wire(enabled=False, discovery=Discovery.LOCALHOST, domain_ids=[1], note=print) as record:
         record.begin(7)
         assert record.write_run(run(), sink) == run()
         assert record.processes == {}
@@ -119,6 +119,6 @@ def test_a_system_without_packet_sockets_is_told_in_one_line(monkeypatch):
     monkeypatch.delattr(socket, "AF_PACKET")
     with (
         pytest.raises(OptionError, match=r"^--wire needs Linux, whose packet sockets"),
-        open_wire(asked=True, discovery=Discovery.LOCALHOST, domain_ids=[1], note=print),
+        open_wire(enabled=True, discovery=Discovery.LOCALHOST, domain_ids=[1], note=print),
     ):
         pass

@@ -31,12 +31,12 @@ def test_ready_once_then_status_now_and_then_and_the_watchdog_at_each_look(liste
     }
     manager = ServiceManager(environment, lambda: now_s)
     assert environment == {"A": "b"}  # nobody speaks for us
-    manager.look("1 message")
-    manager.look("2 messages")
+    manager.notify("1 message")
+    manager.notify("2 messages")
     now_s += STATUS_PERIOD_S
-    manager.look("3 messages")
+    manager.notify("3 messages")
     manager.close()
-    manager.look("closed")
+    manager.notify("closed")
     said = [listener.recv(4096).decode() for _ in range(4)]
     assert said == [
         "READY=1\nWATCHDOG=1\nSTATUS=1 message",
@@ -51,7 +51,7 @@ def test_ready_once_then_status_now_and_then_and_the_watchdog_at_each_look(liste
 def test_a_watchdog_of_another_process_is_none_of_ours(listening):
     listener, address = listening
     manager = ServiceManager({"NOTIFY_SOCKET": address, "WATCHDOG_USEC": "1", "WATCHDOG_PID": "1"})
-    manager.look("x")
+    manager.notify("x")
     manager.close()
     assert listener.recv(4096) == b"READY=1\nSTATUS=x"
 
@@ -59,5 +59,5 @@ def test_a_watchdog_of_another_process_is_none_of_ours(listening):
 def test_nobody_who_listens_holds_nobody_up(tmp_path):
     for environment in ({}, {"NOTIFY_SOCKET": str(tmp_path / "gone")}, {"NOTIFY_SOCKET": "@nobody-here"}):
         manager = ServiceManager(environment)
-        manager.look("x")
+        manager.notify("x")
         manager.close()

@@ -92,4 +92,4 @@ def test_a_shortage_says_what_is_free_and_what_to_do(tmp_path):
     assert find_shortage(trace, KeepFree(1.0, 0)) is None
     said = str(find_shortage(trace, KeepFree(1.0, None)))
     assert said.startswith(f"{trace}: the disk has ")
-    assert said.endswith("are to be kept (--keep-free); free space or record to another disk")
+    assert said.endswith("must stay free (--keep-free); delete files or record to another disk")

@@ -31,7 +31,7 @@ from trace_files import relay_session
 from dds_trace.recorder.service.running import RunningRecording
 folder = Path(sys.argv[1])
 running = RunningRecording(relay_session(session_id=int(sys.argv[2])), folder / "killed.mcap", folder)
-running.tell(path=folder / "killed.00002.mcap", messages=41, files=2, stopped=None)
+running.update(path=folder / "killed.00002.mcap", messages=41, files=2, stopped=None)
 print("told", flush=True)
 time.sleep(60)
 """
@@ -44,7 +44,7 @@ def test_a_living_recording_is_listed_until_it_ends(tmp_path):
     entry = listed.entry
     assert (entry.role, entry.domain_id, entry.pid, entry.messages) == ("relay", 10, os.getpid(), 0)
     assert (entry.rmw, entry.path) == ("rmw_fastrtps_cpp", str(tmp_path / "relay.mcap"))
-    running.tell(path=tmp_path / "other.mcap", messages=7, files=2, stopped="the disk is full")
+    running.update(path=tmp_path / "other.mcap", messages=7, files=2, stopped="the disk is full")
     (listed,) = list_recordings([tmp_path / "run"])
     assert (listed.entry.messages, listed.entry.files, listed.entry.stopped) == (7, 2, "the disk is full")
     assert listed.entry.told_ns > entry.told_ns
@@ -138,7 +138,7 @@ def test_a_folder_that_is_not_ours_alone_gets_no_entry_and_recording_goes_on(tmp
     else:
         folder = tmp_path / "no" / "run"
     running = RunningRecording(relay_session(), tmp_path / "relay.mcap", folder)
-    running.tell(path=tmp_path, messages=1, files=1, stopped=None)
+    running.update(path=tmp_path, messages=1, files=1, stopped=None)
     assert list_recordings([folder, tmp_path / "elsewhere"]) == []
     running.close()
 
@@ -147,7 +147,7 @@ def test_the_time_of_a_word_moves_on(tmp_path):
     running = RunningRecording(relay_session(), tmp_path / "relay.mcap", tmp_path)
     began = list_recordings([tmp_path])[0].entry
     time.sleep(0.001)
-    running.tell(path=tmp_path / "relay.mcap", messages=0, files=1, stopped=None)
+    running.update(path=tmp_path / "relay.mcap", messages=0, files=1, stopped=None)
     later = list_recordings([tmp_path])[0].entry
     assert (later.began_ns, later.told_ns > began.told_ns) == (began.began_ns, True)
     running.close()

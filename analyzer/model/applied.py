@@ -1,6 +1,6 @@
-"""The settings that a recording process really used, as its session tells (`applied` and `not_applied`, docs/trace-format.md).
+"""The settings that a recording process used: `applied` and `not_applied` of its session (docs/trace-format.md).
 
-A trace may hold any JSON there, and older ones hold none: each function then says that nothing is known.
+A trace may have any JSON there, and older ones have none: each function then returns that nothing is known.
 """
 
 from __future__ import annotations
@@ -13,70 +13,65 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.format.descriptions import Session
 
 SHARED_MEMORY, UNKNOWN = "shm", "unknown"
-"""Values of `payload_path` beside the names of interfaces."""
-
+"""Values of `payload_path` that are not names of interfaces."""
 
 _HEADERS_BYTES = 512
-"""Octets that surround a payload in its datagrams: IP, UDP, RTPS submessages, the stamped header of ours, generously."""
+"""Bytes around a payload in its datagrams, at most: IP, UDP, RTPS submessages, our stamped header."""
 
 _LARGEST_PACKET_BYTES = 65_535
-"""Octets of an IP packet at most (RFC 791): an interface with that MTU, such as `lo`, cuts none."""
+"""Largest IP packet (RFC 791): an interface with that MTU, such as `lo`, cuts none."""
 
 
 def words_not_applied(session: Session) -> tuple[str, ...]:
-    """Return a sentence, without a full stop, for each setting that was asked for and not applied."""
+    """Return a sentence, without a full stop, for each requested setting that was not applied."""
     listed = session.extra.get("not_applied")
     entries = listed if isinstance(listed, list) else []
     words = [entry.get("words") for entry in entries if isinstance(entry, dict)]
-    return tuple(dict.fromkeys(each for each in words if isinstance(each, str) and each))
+    return tuple(dict.fromkeys(text for text in words if isinstance(text, str) and text))
 
 
 def payload_path(session: Session) -> str | None:
-    """Return what carried the payload: `shm`, an interface or `unknown`; None of a session that does not tell."""
+    """Return what carried the payload: `shm`, an interface or `unknown`; None where the session does not say."""
     path = _object(session.extra.get("applied")).get("path")
     return path if isinstance(path, str) else None
 
 
 def maps_memory(session: Session) -> bool:
-    """Tell whether the process had its vendor's shared memory open."""
+    """Return whether the process had its vendor's shared memory open."""
     return any(
-        each.get("middleware") == session.vendor and each.get("is_deleted") is False
-        for each in _listed(_instant(session, "begin"), "memory")
+        segment.get("middleware") == session.vendor and segment.get("is_deleted") is False
+        for segment in _listed(_instant(session, "begin"), "memory")
     )
 
 
 def udp_receive_buffer_bytes(session: Session) -> int | None:
-    """Return the largest receive buffer of the process's UDP sockets as Linux shows it, None if there is none.
-
-    Sockets that only send keep the system's default, so the largest one is that of the sockets that receive.
-    """
+    """Return the largest receive buffer of the process's UDP sockets: sockets that only send keep the system's default."""
     sockets = _listed(_instant(session, "begin"), "sockets")
-    sizes = [_integer(each, "receive_buffer_bytes") for each in sockets if each.get("protocol") == "udp"]
+    sizes = [
+        _integer(socket, "receive_buffer_bytes") for socket in sockets if socket.get("protocol") == "udp"
+    ]
     return max((size for size in sizes if size is not None), default=None)
 
 
 def congestion_controls(session: Session) -> tuple[str, ...]:
-    """Return the congestion controls of the process's TCP connections, sorted; empty without a connection."""
-    states = [each.get("tcp") for each in _listed(_instant(session, "begin"), "sockets")]
+    """Return the congestion controls of the process's TCP connections, sorted."""
+    states = [socket.get("tcp") for socket in _listed(_instant(session, "begin"), "sockets")]
     names = {state.get("congestion_control") for state in states if isinstance(state, dict)}
     return tuple(sorted(name for name in names if isinstance(name, str) and name))
 
 
 def socket_drops(session: Session) -> int | None:
-    """Return the datagrams that the kernel dropped at the process's own sockets from its first message to its end.
-
-    None where the sockets of one of the two instants are unknown.
-    """
+    """Return the datagrams dropped at the process's own sockets from its first message to its end; None where unknown."""
     begin, end = (_instant(session, name) for name in ("begin", "end"))
     if not isinstance(begin.get("sockets"), list) or not isinstance(end.get("sockets"), list):
         return None
-    before = {each.get("inode"): _integer(each, "dropped") or 0 for each in _listed(begin, "sockets")}
-    drops = [(_integer(each, "dropped") or 0, each.get("inode")) for each in _listed(end, "sockets")]
+    before = {socket.get("inode"): _integer(socket, "dropped") or 0 for socket in _listed(begin, "sockets")}
+    drops = [(_integer(socket, "dropped") or 0, socket.get("inode")) for socket in _listed(end, "sockets")]
     return sum(max(count - before.get(inode, 0), 0) for count, inode in drops)
 
 
 def kernel_counts(session: Session) -> dict[str, int]:
-    """Return by how much each kernel counter of the host (`ReasmFails` and so on) rose from the first message to the end."""
+    """Return the rise of each kernel counter of the host (such as `ReasmFails`) from the first message to the end."""
     begin, end = (_object(_instant(session, name).get("counters")) for name in ("begin", "end"))
     rises = {name: (_integer(begin, name), _integer(end, name)) for name in end}
     return {
@@ -87,7 +82,7 @@ def kernel_counts(session: Session) -> dict[str, int]:
 
 
 def may_be_cut(session: Session, payload_bytes: int) -> bool:
-    """Tell whether the kernel may have cut datagrams of such a message into IP fragments; an unknown path may."""
+    """Return whether the kernel may have cut datagrams of such a message into IP fragments, as it may on an unknown path."""
     path = payload_path(session)
     if path == SHARED_MEMORY:
         return False
@@ -96,7 +91,7 @@ def may_be_cut(session: Session, payload_bytes: int) -> bool:
 
 
 def kernel_limits(session: Session) -> dict[str, int]:
-    """Return the kernel settings that bound buffers and reassembly (`net.ipv4.ipfrag_time` and so on)."""
+    """Return the kernel's limits of buffers and reassembly (such as `net.ipv4.ipfrag_time`)."""
     limits = _object(_instant(session, "begin").get("limits"))
     return {name: value for name in limits if (value := _integer(limits, name)) is not None}
 
@@ -107,13 +102,13 @@ def _instant(session: Session, name: str) -> Mapping[str, object]:
 
 def _listed(instant: Mapping[str, object], name: str) -> list[Mapping[str, object]]:
     listed = instant.get(name)
-    return [_object(each) for each in listed] if isinstance(listed, list) else []
+    return [_object(entry) for entry in listed] if isinstance(listed, list) else []
 
 
 def _object(value: object) -> Mapping[str, object]:
     return value if isinstance(value, dict) else {}
 
 
-def _integer(held: Mapping[str, object], name: str) -> int | None:
-    value = held.get(name)
+def _integer(fields: Mapping[str, object], name: str) -> int | None:
+    value = fields.get(name)
     return value if isinstance(value, int) and not isinstance(value, bool) else None

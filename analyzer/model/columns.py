@@ -1,7 +1,4 @@
-"""The columns of `roundtrips.parquet` and `summary.parquet`: name, type, unit, meaning (`docs/trace-format.md`).
-
-One table for everything that must agree on them: the frames, the Parquet files, the documentation.
-"""
+"""The columns of `roundtrips.parquet` and `summary.parquet`: name, type, unit, meaning; frames, files and docs follow."""
 
 from __future__ import annotations
 
@@ -44,19 +41,19 @@ MEASURED_COLUMNS = (
 )
 
 _UTC = pl.Datetime("ns", "UTC")
-_BY_ANCHOR = "on the wall clock as the session read it at its start; as wrong as that was, null where it cannot be told"
+_BY_ANCHOR = "on the wall clock as the session read it at its start; as wrong as that was, null where unknown"
 
 UTC_COLUMNS = (
     Column("publish_utc", _UTC, "UTC", f"T1 (publish_ns) {_BY_ANCHOR}; the ping's device"),
     Column("relay_in_utc", _UTC, "UTC", f"T3 (relay_in_ns) {_BY_ANCHOR}; the relay's device"),
 )
-"""Columns of `roundtrips` that were appended behind the parameters: one for each clock, to find a message in other logs."""
+"""Columns of `roundtrips` to find a message in other logs, one for each clock; appended after the parameters."""
 
 _FIRST_PARAMETERS = 20
-"""Parameters of the first version of the contract; later ones are appended behind all columns that were there."""
+"""Parameters of the first version of the contract; later ones are appended after all columns of that time."""
 
 _PARAMETERS_BEFORE_RUNS = 21
-"""Parameters of the contract when the summary got `RUN_COLUMNS`, and `OWN_COLUMNS` behind them, and the rows `UTC_COLUMNS`."""
+"""Parameters when the summary got `RUN_COLUMNS` and `OWN_COLUMNS`, and the rows `UTC_COLUMNS`."""
 
 ROUNDTRIP_COLUMNS = (
     KEY_COLUMNS
@@ -105,7 +102,6 @@ RUN_COLUMNS = (
         "digest of what both sides ran in (kernel, governor, versions ...); several joined by +",
     ),
 )
-"""Columns of the summary that were appended with the parameter `setting`."""
 
 OWN_COLUMNS = (
     Column(
@@ -117,14 +113,12 @@ OWN_COLUMNS = (
     ),
     Column("own_share", pl.Float64, "", "own_cost_ns / rtt_p50_ns"),
 )
-"""Columns of the summary that were appended behind `RUN_COLUMNS`."""
 
 STATISTICS = ("mean", "std", "min", *(p.name for p in PERCENTILES), "max")
 """Statistics of a metric in the summary, in column order: `<metric>_<statistic>_ns`."""
 
 
 def _meaning_of(metric: Metric, statistic: str) -> str:
-    """Return what a statistic of a metric is, and of a tail what it is not."""
     is_tail = statistic == "max" or statistic.startswith("p9")
     warning = f"; {metric.tail}" if metric.tail and is_tail else ""
     return f"{statistic} of {metric.name}; null if not supported{warning}"

@@ -1,4 +1,4 @@
-"""The environment of an exchange: what both sides ran in and nobody asked for, by a short digest."""
+"""The environment of an exchange: the lasting properties of both devices that are no setting, as a short digest."""
 
 from __future__ import annotations
 
@@ -8,14 +8,12 @@ from collections import defaultdict
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
 
     from dds_trace.tracefile.format.descriptions import Session
-    from dds_trace.tracefile.format.json_fields import Json
 
     Sides = tuple[Session, Session | None]
     """Sessions of ping and relay, None for a relay without a trace."""
-    from collections.abc import Iterator
 
 
 FLEETING = ("wifi",)
@@ -31,20 +29,20 @@ def flat_fields(host: Mapping[str, object], prefix: str = "") -> Iterator[tuple[
             yield f"{prefix}{key}", value
 
 
-_NOT_LASTING = ("wifi", "middleware", "configuration")
-"""Parts of the fingerprint that change from minute to minute, or follow from what was asked for (`setting`)."""
+_NOT_LASTING = (*FLEETING, "middleware", "configuration")
+"""Parts of the fingerprint that change from minute to minute, or follow from the settings."""
 
 _BY_BOOT = "udp_mem"
 """Part of the names of limits that the kernel computes from the memory that is free while it boots."""
 
 
-def lasting_parts(session: Session) -> dict[str, Json]:
-    """Return the lasting parts of a session's fingerprint: dotted name -> value, empty without a fingerprint."""
+def lasting_parts(session: Session) -> dict[str, object]:
+    """Return the lasting parts of a session's fingerprint: dotted name -> value."""
     host = {name: value for name, value in session.host.items() if name not in _NOT_LASTING}
     if isinstance(mtus := host.pop("mtu", None), dict):
-        # Interfaces come and go with containers; that some other size of packets is possible lasts.
+        # Interfaces come and go with containers; the sizes of packets that are possible last.
         host["mtu"] = sorted({mtu for mtu in mtus.values() if isinstance(mtu, int)})
-    return {name: value for name, value in _leaves(host, "") if _BY_BOOT not in name}
+    return {name: value for name, value in flat_fields(host) if _BY_BOOT not in name}
 
 
 def environment_of(ping: Session, relay: Session | None) -> str:
@@ -57,19 +55,11 @@ def environment_of(ping: Session, relay: Session | None) -> str:
 def environment_differences(sides: Iterable[Sides]) -> dict[str, list[str]]:
     """Return the fields in which environments differ: `ping kernel` -> its values as JSON, sorted.
 
-    A side without a trace or a fingerprint says nothing, so it differs from nothing.
+    A side without a trace or a fingerprint differs from nothing.
     """
     values: dict[str, set[str]] = defaultdict(set)
     for pair in sides:
         for role, session in zip(("ping", "relay"), pair, strict=True):
             for name, value in lasting_parts(session).items() if session is not None else ():
                 values[f"{role} {name}"].add(json.dumps(value, sort_keys=True))
-    return {name: sorted(of) for name, of in sorted(values.items()) if len(of) > 1}
-
-
-def _leaves(host: Mapping[str, Json], prefix: str) -> Iterable[tuple[str, Json]]:
-    for name, value in host.items():
-        if isinstance(value, dict):
-            yield from _leaves(value, f"{prefix}{name}.")
-        else:
-            yield f"{prefix}{name}", value
+    return {name: sorted(texts) for name, texts in sorted(values.items()) if len(texts) > 1}

@@ -1,4 +1,4 @@
-"""A finding: one doubtful measurement, as every check words it and every report shows it."""
+"""Findings, and the files that an analysis looked at."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ class Source:
 
     Attributes:
         status: `read`, `truncated` (used up to where it ends), `duplicate` (same content as another, not
-            counted again) or `skipped` (no trace).
-        detail: why it was skipped or cut; empty when read whole.
+            counted again) or `skipped` (not a trace).
+        detail: why it was skipped or cut.
         events: events used from it.
     """
 
@@ -36,15 +36,13 @@ class Finding:
     """A doubtful measurement: what is doubtful, where, and what to do about it.
 
     Attributes:
-        code: a short stable name such as `loss` or `few_samples`, for scripts.
-        where: the file, run, group or device it is about, in words.
+        code: a short stable name such as `loss`, for scripts.
+        where: name of the file, run, result or device.
         what: one sentence with the figures.
-        action: one sentence: what to do next.
-        groups: row numbers in `summary` of the groups it is about, or that a recording it is about took part in; empty where it is
-            about a file or device.
-        count: how many findings of its kind it stands for; more than one only for the last of very many.
-        effect: size of what it says, 0 to 1: the share of messages, or of the value, that it touches; 1 where it
-            touches all. Of equal severity the largest come first.
+        action: what to do next.
+        groups: rows of `summary` that it is about, or that its recording took part in; empty for a file or device.
+        count: number of findings that it stands for; more than one only for the last of very many.
+        effect: share of the messages or of the value that it affects, 0 to 1.
     """
 
     severity: Severity

@@ -1,7 +1,6 @@
-"""The metrics of a round trip, as the paper has them, from the five time stamps of `docs/trace-format.md`.
+"""The metrics of a round trip, from the five time stamps of `docs/trace-format.md`.
 
-A new metric is a row of `METRICS`: its column in `roundtrips`, its statistics in `summary`, its intervals, gates, histograms
-and places in every report follow from it.
+A new metric is a row of `METRICS`: column, statistics, intervals, gates, histograms and reports follow.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column of a frame; `unit` is empty where a value has none."""
+    """One column of a frame."""
 
     name: str
     dtype: type[pl.DataType] | pl.DataType
@@ -37,10 +36,9 @@ class Metric:
     Attributes:
         name: as in columns (`<name>_ns` of each message, `<name>_<statistic>_ns` of each group) and gates.
         label: as in reports.
-        formula: expression over the stamps, i64, null where a stamp is missing and never 0; a difference is taken on
-            one device's clock only.
+        formula: expression over the stamps, i64, null where a stamp is missing; each difference is on one clock.
         meaning: the formula in words.
-        tail: what its largest values must not be taken for; empty where they are what the name says.
+        tail: what its largest values must not be taken for; may be empty.
     """
 
     name: str
@@ -69,7 +67,7 @@ METRICS: Mapping[str, Metric] = {
             "Latency",
             _latency,
             "(rtt - intermediate) // 2, the mean of both ways: its tail is no one-way tail",
-            tail="the mean of both ways of a message, so this tail lies below that of one way (outbound_ns, return_ns)",
+            tail="the mean of both ways of a message, so this tail is below the tail of one way (outbound_ns, return_ns)",
         ),
         Metric("response", "Response", _t2 - _t0, "T2 - T0"),
     )
@@ -78,9 +76,5 @@ METRICS: Mapping[str, Metric] = {
 
 
 def with_metrics(stamps: pl.DataFrame) -> pl.DataFrame:
-    """Append the column of every metric.
-
-    Args:
-        stamps: `scheduled_ns`, `publish_ns`, `receive_ns`, `relay_in_ns`, `relay_out_ns` (i64, null if missing).
-    """
+    """Append the column of every metric to stamps (i64 ns, null if missing)."""
     return stamps.with_columns(metric.formula.alias(metric.column.name) for metric in METRICS.values())

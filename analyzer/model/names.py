@@ -1,6 +1,6 @@
-"""Names that tell things apart: of groups, contenders and series, each with no more words than it takes.
+"""Distinct names of groups, setups and lines, each with as few words as possible.
 
-A name is a base and, behind it, the words of some parts. The rule of a part says which names get its word.
+A name is a base, followed by the words of some parts. The rule of a part says which names get its word.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ if TYPE_CHECKING:
 Item = TypeVar("Item")
 
 Rule = Callable[[Sequence[str], Sequence[str]], "Iterable[int]"]
-"""Positions of the names that get a word, from the names so far and the words of a part."""
+"""Indices of the names that get a word, from the names so far and the words of a part."""
 
 
 def where_it_varies(names: Sequence[str], words: Sequence[str]) -> Iterable[int]:
-    """Choose all names if the words differ anywhere: what readers look for first."""
+    """Choose all names if any two words differ."""
     return range(len(names)) if len(set(words)) > 1 else ()
 
 
 def where_it_helps(names: Sequence[str], words: Sequence[str]) -> Iterable[int]:
-    """Choose all names if the words make more of them different; a part that only follows others is left out."""
+    """Choose all names if the words make more of them distinct."""
     return range(len(names)) if len(set(zip(names, words, strict=True))) > len(set(names)) else ()
 
 
 def where_alike(names: Sequence[str], words: Sequence[str]) -> Iterable[int]:
     """Choose the names that are equal so far and whose words differ."""
-    of_name: dict[str, set[str]] = defaultdict(set)
+    words_by_name: dict[str, set[str]] = defaultdict(set)
     for name, word in zip(names, words, strict=True):
-        of_name[name].add(word)
-    return [position for position, name in enumerate(names) if len(of_name[name]) > 1]
+        words_by_name[name].add(word)
+    return [index for index, name in enumerate(names) if len(words_by_name[name]) > 1]
 
 
 def tell_apart(
@@ -51,20 +51,20 @@ def tell_apart(
     """Name items.
 
     Args:
-        items: what is named.
-        base: the beginning of an item's name.
+        items: what to name.
+        base: gives the start of an item's name.
         parts: rule and word of each further part, in the order of the name.
     """
     names = [base(item) for item in items]
     for rule, word in parts:
         words = [word(item) for item in items]
-        for position in rule(tuple(names), words):
-            names[position] += f", {words[position]}"
+        for index in rule(tuple(names), words):
+            names[index] += f", {words[index]}"
     return names
 
 
 _FIRST = ("vendor", "bridge")
-"""Parameters that readers look for first in the name of a group."""
+"""Parameters that readers look for first in a name."""
 
 _PLAIN = frozenset({"vendor", "backend", "reliability", "durability", "connectivity"})
 """Parameters whose values are named without the parameter."""
@@ -73,8 +73,8 @@ _PLAIN = frozenset({"vendor", "backend", "reliability", "durability", "connectiv
 def name_groups(parameters: pl.DataFrame) -> list[str]:
     """Name each group, as in `binary 33000 B at 10 Hz, fastdds, bridge builtin`.
 
-    Settings that are the same everywhere are left out, and so are those that only follow others: the domains' numbers
-    follow the bridge, the RMW its vendor.
+    Settings that are the same everywhere are left out, and so are those that follow from others: the domains' numbers
+    from the bridge, the RMW from its vendor.
 
     Args:
         parameters: a row per group, the columns of `PARAMETER_COLUMNS`.
@@ -85,7 +85,7 @@ def name_groups(parameters: pl.DataFrame) -> list[str]:
         *((where_it_varies, partial(_word, name)) for name in _FIRST),
         *((where_it_helps, partial(_word, name)) for name in others if name not in _FIRST),
     ]
-    # Sizes and rates are no help: of two groups that differ in these the settings are told all the same.
+    # Groups that differ in size or rate get the settings in which they differ, too.
     settings = tell_apart(groups, lambda _: "", parts)
     return [f"{_sent(group)}{setting}" for group, setting in zip(groups, settings, strict=True)]
 
@@ -107,7 +107,7 @@ def _word(name: str, group: Mapping[str, ParameterValue]) -> str:
 
 
 def varying_parameters(groups: pl.DataFrame, columns: Iterable[str]) -> list[str]:
-    """Return the columns in which groups differ, and always those of vendor, bridge and message."""
+    """Return the columns in which groups differ, and always vendor, bridge and message."""
     always = {*_FIRST, *CELL_COLUMNS}
     return [name for name in columns if name in always or groups[name].n_unique() > 1]
 
@@ -119,7 +119,7 @@ def group_words(group: Mapping[str, ParameterValue], columns: Iterable[str]) -> 
 
 
 def value_word(value: object) -> str:
-    """Write the value of a parameter: `unknown` where nobody said it, `nothing` for an empty text."""
+    """Write the value of a parameter: `unknown` for None, `nothing` for an empty text."""
     if value is None:
         return "unknown"
     return f"{value:g}" if isinstance(value, float) else str(value) or "nothing"

@@ -1,7 +1,6 @@
-"""The key of a group: all parameters of an exchange, and the slices of them by which groups are matched.
+"""The key of a group: all parameters of an exchange, and the subsets of them by which groups are matched.
 
-A new parameter is a field of `Parameters` and its value in `parameters_of`; grouping, frames, Parquet files, matching and
-names follow from the field's row.
+A new parameter is a field of `Parameters` and its value in `parameters_of`; grouping, files, matching and names follow.
 """
 
 from __future__ import annotations
@@ -22,21 +21,21 @@ if TYPE_CHECKING:
 
 
 class KeyPart(Enum):
-    """The part of the key that a parameter belongs to; slices are made of parts."""
+    """The part of the key that a parameter belongs to."""
 
     MIDDLEWARE = auto()  # the software of both sides
-    DOMAIN_IDS = auto()  # numbers of the domains: only same or different matters to a measurement
+    DOMAIN_IDS = auto()  # only same or different matters to a measurement
     DOMAIN_MODE = auto()
     BRIDGE = auto()
-    MESSAGE = auto()  # what was sent
-    SETTINGS = auto()  # how it was to be sent: QoS, and what else was asked for
+    MESSAGE = auto()
+    SETTINGS = auto()  # QoS, and whatever else was requested
     DEVICES = auto()
     LINK = auto()
 
 
 @dataclass(frozen=True, slots=True)
-class Described:
-    """The row of a parameter: its part, and the dtype, meaning and unit of its column."""
+class ParameterSpec:
+    """Part of the key, and dtype, meaning and unit of the column of a parameter."""
 
     part: KeyPart
     dtype: type[pl.DataType]
@@ -44,68 +43,63 @@ class Described:
     unit: str = ""
 
 
+_SETTING_MEANING = (
+    "all other settings: key=value,... sorted, defaults left out; relay.key where the relay's differs"
+)
+
+
 @dataclass(frozen=True, slots=True)
 class Parameters:
     """The parameters of one run and relay; those that agree in all parameters are one group."""
 
-    vendor: Annotated[str, Described(KeyPart.MIDDLEWARE, pl.String, "middleware of the ping")]
+    vendor: Annotated[str, ParameterSpec(KeyPart.MIDDLEWARE, pl.String, "middleware of the ping")]
     backend: Annotated[
-        str, Described(KeyPart.MIDDLEWARE, pl.String, "API that carried the messages of the ping")
+        str, ParameterSpec(KeyPart.MIDDLEWARE, pl.String, "API that carried the messages of the ping")
     ]
     rmw: Annotated[
         str | None,
-        Described(
+        ParameterSpec(
             KeyPart.MIDDLEWARE, pl.String, "ROS 2 middleware interface of the ping; null outside ROS 2"
         ),
     ]
     bridge: Annotated[
-        str, Described(KeyPart.BRIDGE, pl.String, "none, or the bridge between the two domains")
+        str, ParameterSpec(KeyPart.BRIDGE, pl.String, "none, or the bridge between the two domains")
     ]
     relay_vendor: Annotated[
         str | None,
-        Described(KeyPart.MIDDLEWARE, pl.String, "middleware of the relay; null without its trace"),
+        ParameterSpec(KeyPart.MIDDLEWARE, pl.String, "middleware of the relay; null without its trace"),
     ]
     relay_backend: Annotated[
-        str | None, Described(KeyPart.MIDDLEWARE, pl.String, "API of the relay; null without its trace")
+        str | None, ParameterSpec(KeyPart.MIDDLEWARE, pl.String, "API of the relay; null without its trace")
     ]
-    ping_domain_id: Annotated[int, Described(KeyPart.DOMAIN_IDS, pl.Int32, "DDS domain of the ping")]
+    ping_domain_id: Annotated[int, ParameterSpec(KeyPart.DOMAIN_IDS, pl.Int32, "DDS domain of the ping")]
     relay_domain_id: Annotated[
-        int | None, Described(KeyPart.DOMAIN_IDS, pl.Int32, "DDS domain of the relay; null if nobody said")
+        int | None, ParameterSpec(KeyPart.DOMAIN_IDS, pl.Int32, "DDS domain of the relay; null if unknown")
     ]
-    domain_mode: Annotated[str, Described(KeyPart.DOMAIN_MODE, pl.String, "same or different")]
+    domain_mode: Annotated[str, ParameterSpec(KeyPart.DOMAIN_MODE, pl.String, "same or different")]
     data_type: Annotated[
-        str, Described(KeyPart.MESSAGE, pl.String, "binary, string, imu or another payload's name")
+        str, ParameterSpec(KeyPart.MESSAGE, pl.String, "binary, string, imu or another payload's name")
     ]
     payload_bytes: Annotated[
         int,
-        Described(
-            KeyPart.MESSAGE, pl.UInt32, "application bytes of a message, the stamp not counted", unit="B"
+        ParameterSpec(
+            KeyPart.MESSAGE, pl.UInt32, "application bytes of a message, the stamp not counted", "B"
         ),
     ]
-    rate_hz: Annotated[
-        float, Described(KeyPart.MESSAGE, pl.Float64, "rate that the schedule asked for", unit="Hz")
-    ]
-    reliability: Annotated[str, Described(KeyPart.SETTINGS, pl.String, "reliable or best_effort")]
-    durability: Annotated[str, Described(KeyPart.SETTINGS, pl.String, "volatile or transient_local")]
-    history: Annotated[str, Described(KeyPart.SETTINGS, pl.String, "keep_last or keep_all")]
-    depth: Annotated[int, Described(KeyPart.SETTINGS, pl.Int32, "messages kept, for keep_last")]
-    serialization: Annotated[str, Described(KeyPart.SETTINGS, pl.String, "typed or raw")]
-    ping_device: Annotated[str, Described(KeyPart.DEVICES, pl.String, "device of the ping")]
+    rate_hz: Annotated[float, ParameterSpec(KeyPart.MESSAGE, pl.Float64, "rate of the schedule", "Hz")]
+    reliability: Annotated[str, ParameterSpec(KeyPart.SETTINGS, pl.String, "reliable or best_effort")]
+    durability: Annotated[str, ParameterSpec(KeyPart.SETTINGS, pl.String, "volatile or transient_local")]
+    history: Annotated[str, ParameterSpec(KeyPart.SETTINGS, pl.String, "keep_last or keep_all")]
+    depth: Annotated[int, ParameterSpec(KeyPart.SETTINGS, pl.Int32, "messages kept, for keep_last")]
+    serialization: Annotated[str, ParameterSpec(KeyPart.SETTINGS, pl.String, "typed or raw")]
+    ping_device: Annotated[str, ParameterSpec(KeyPart.DEVICES, pl.String, "device of the ping")]
     relay_device: Annotated[
-        str | None, Described(KeyPart.DEVICES, pl.String, "device of the relay; null without its trace")
+        str | None, ParameterSpec(KeyPart.DEVICES, pl.String, "device of the relay; null without its trace")
     ]
     connectivity: Annotated[
-        str, Described(KeyPart.LINK, pl.String, "loopback, wired, wireless ... as the ping was told")
+        str, ParameterSpec(KeyPart.LINK, pl.String, "loopback, wired, wireless ... as given to the ping")
     ]
-    setting: Annotated[
-        str,
-        Described(
-            KeyPart.SETTINGS,
-            pl.String,
-            "all else that was asked for: key=value,... sorted, defaults left out; relay.key where the relay was asked "
-            "otherwise",
-        ),
-    ]
+    setting: Annotated[str, ParameterSpec(KeyPart.SETTINGS, pl.String, _SETTING_MEANING)]
 
     def values(self) -> tuple[ParameterValue, ...]:
         """Return the values in the order of `PARAMETER_COLUMNS`."""
@@ -119,14 +113,14 @@ class Parameters:
 def parameters_of(
     run: Run, ping: Session, relay: Session | None, *, relays: int = 1, flows: int = 1
 ) -> Parameters:
-    """Return the key of the group to which a run and one of its relays belong.
+    """Return the key of the group of a run and one of its relays.
 
     Args:
-        run: the ping's description of the run.
+        run: its description by the ping.
         ping: session of the ping.
         relay: session of the relay, None without its trace.
         relays: number of relays that took part in the run.
-        flows: number of runs that went on at the same time, this one included.
+        flows: number of runs at the same time, this one included.
     """
     relay_domain_id = relay_domain_of(run, ping, relay)
     return Parameters(
@@ -138,7 +132,7 @@ def parameters_of(
         relay_backend=relay.backend if relay else None,
         ping_domain_id=ping.domain_id,
         relay_domain_id=relay_domain_id,
-        # A bridge whose far side nobody names still stands between two domains.
+        # Of a bridge whose far side is unknown, too, the domains differ.
         domain_mode="same" if relay_domain_id == ping.domain_id else "different",
         data_type=run.data_type,
         payload_bytes=run.payload_bytes,
@@ -156,7 +150,7 @@ def parameters_of(
 
 
 def relay_domain_of(run: Run, ping: Session, relay: Session | None) -> int | None:
-    """Return the relay's domain: as it says itself, else as the ping was told, else the ping's without a bridge."""
+    """Return the relay's domain: by its own trace, else by the ping's, else the ping's own without a bridge."""
     if relay is not None:
         return relay.domain_id
     if run.relay_domain_id is not None:
@@ -164,38 +158,38 @@ def relay_domain_of(run: Run, ping: Session, relay: Session | None) -> int | Non
     return ping.domain_id if run.bridge == "none" else None
 
 
-_DESCRIBED: dict[str, Described] = {
+_SPECS: dict[str, ParameterSpec] = {
     name: get_args(hint)[1] for name, hint in get_type_hints(Parameters, include_extras=True).items()
 }
 
-PARAMETER_COLUMNS = tuple(Column(name, row.dtype, row.unit, row.meaning) for name, row in _DESCRIBED.items())
+PARAMETER_COLUMNS = tuple(Column(name, row.dtype, row.unit, row.meaning) for name, row in _SPECS.items())
 PARAMETER_NAMES = tuple(field.name for field in fields(Parameters))
 
 
 def names_of(*parts: KeyPart) -> tuple[str, ...]:
     """Return the names of the parameters of some parts, in the order of their columns."""
-    return tuple(name for name, row in _DESCRIBED.items() if row.part in parts)
+    return tuple(name for name, row in _SPECS.items() if row.part in parts)
 
 
 CELL_COLUMNS = names_of(KeyPart.MESSAGE)
-"""Parameters of the message: a cell of a report."""
+"""Parameters of the message."""
 
 SERIES_COLUMNS = tuple(name for name in PARAMETER_NAMES if name not in CELL_COLUMNS)
-"""All other parameters: a series of a report."""
+"""All other parameters."""
 
 CONTENDER_COLUMNS = names_of(KeyPart.MIDDLEWARE, KeyPart.BRIDGE, KeyPart.SETTINGS)
-"""Parameters that a user can choose for a given kind of message."""
+"""Parameters of a setup, which a user can choose for a message."""
 
-# Devices and links are strata: times of unlike devices are never pooled, and each verdict is within one pair of devices
-# and one link (E. H. Simpson, 1951, for what pooling does).
+# Times of different devices or links are never pooled: each verdict is within one pair of devices and one link (E. H. Simpson,
+# 1951, for what pooling does).
 
 SETTING_COLUMNS = names_of(
     KeyPart.MIDDLEWARE, KeyPart.BRIDGE, KeyPart.SETTINGS, KeyPart.DOMAIN_MODE, KeyPart.LINK, KeyPart.DEVICES
 )
-"""Parameters of a recommendation: the choice, and the domains, link and devices for which it holds."""
+"""Parameters of a recommendation: the setup, and the domains, link and devices for which it holds."""
 
 PLACE_COLUMNS = names_of(KeyPart.DEVICES, KeyPart.LINK)
-"""Parameters that say where something was measured; settings of unlike places are no alternatives."""
+"""Parameters of where something was measured; setups measured elsewhere are no alternatives."""
 
 CASE_COLUMNS = (
     *names_of(KeyPart.LINK),
@@ -203,23 +197,23 @@ CASE_COLUMNS = (
     *CELL_COLUMNS,
     *names_of(KeyPart.DEVICES),
 )
-"""Parameters of a kind of message, for which contenders are compared, in the order by which answers are sorted."""
+"""Parameters that setups have in common when they are compared, in the order by which answers are sorted."""
 
 MATCH_COLUMNS = tuple(name for name in PARAMETER_NAMES if name not in names_of(KeyPart.DOMAIN_IDS))
-"""Parameters in which two groups agree that are compared: all but the domains' numbers."""
+"""Parameters that compared groups have in common: all but the domains' numbers."""
 
 BRIDGE_MATCH_COLUMNS = names_of(
     KeyPart.MIDDLEWARE, KeyPart.MESSAGE, KeyPart.SETTINGS, KeyPart.LINK, KeyPart.DEVICES
 )
-"""Parameters in which a group in one domain and a group through a bridge agree that are compared."""
+"""Parameters that a group in one domain and a group through a bridge have in common."""
 
 BRIDGED_COLUMNS = names_of(
     KeyPart.MIDDLEWARE, KeyPart.BRIDGE, KeyPart.MESSAGE, KeyPart.SETTINGS, KeyPart.LINK, KeyPart.DEVICES
 )
-"""Parameters of a row of `Details.bridge_costs`: those that were matched, and the bridge."""
+"""Parameters of a row of `Details.bridge_costs`: the matched ones and the bridge."""
 
 SAME_SIDES_COLUMNS = names_of(KeyPart.MIDDLEWARE, KeyPart.SETTINGS, KeyPart.DEVICES, KeyPart.LINK)
-"""Parameters in which groups agree that differ in the domains and the bridge only, cell by cell."""
+"""Parameters that groups with different domains and bridges have in common, message by message."""
 
 SIZE_LINE_COLUMNS = tuple(name for name in PARAMETER_NAMES if name != "payload_bytes")
-"""Parameters in which groups agree that differ in the size of their messages only."""
+"""All parameters but the size of the message."""

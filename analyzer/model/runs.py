@@ -1,4 +1,4 @@
-"""The runs of a frame of round trips as the series that verdicts rest on, losses included."""
+"""The runs of a frame of round trips, losses included: what verdicts rest on."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from ..run_statistics.change import Passes
 
 PASS_LABEL = "pass"  # noqa: S105 - no password: the pass of a sweep
-"""Label of a run that says in which pass of its sweep it was measured: a whole number."""
+"""Label of a run with the number of its pass of the sweep."""
 
 _TWICE_AT_MOST = {"latency": "rtt_ns"}
-"""Metric -> column of twice the time that a message took at most whose stamps do not give the metric itself."""
+"""Metric -> column whose half is an upper bound of it, for messages without the stamps of the metric."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class RunRows:
 
     Attributes:
         run_id: its number.
-        rows: in the order of T1; those of several relays side by side.
+        rows: in the order of T1; rows of several relays are mixed.
     """
 
     run_id: int
@@ -44,8 +44,8 @@ class RunRows:
     def delivered(self, metric: str) -> Run:
         """Return a metric of every message in ns, infinite for a lost one.
 
-        A reply that came back without the relay's stamps took at most half of its round trip one way. It counts with
-        that: left out, it would give the lost ones more weight than they have.
+        A reply without the relay's stamps counts with half of its round trip: left out, it would give the lost messages
+        more weight than they have.
         """
         at_most = self._floats(f"{metric}_ns")
         if self.received.all() and not self.rows[f"{metric}_ns"].null_count():
@@ -53,15 +53,15 @@ class RunRows:
         if metric in _TWICE_AT_MOST:
             at_most = np.where(np.isnan(at_most), self._floats(_TWICE_AT_MOST[metric]) / 2, at_most)
         value = np.where(self.received, at_most, math.inf)
-        is_known = ~np.isnan(value)
-        return Run(value[is_known], self.rows["publish_ns"].to_numpy()[is_known])
+        has_value = ~np.isnan(value)
+        return Run(value[has_value], self.rows["publish_ns"].to_numpy()[has_value])
 
     def survivors(self, metric: str) -> Run:
         """Return a metric of the messages that have it, ns."""
         value, sent_ns = self.rows[f"{metric}_ns"], self.rows["publish_ns"]
         if value.null_count():
-            is_known = value.is_not_null()
-            value, sent_ns = value.filter(is_known), sent_ns.filter(is_known)
+            has_value = value.is_not_null()
+            value, sent_ns = value.filter(has_value), sent_ns.filter(has_value)
         return Run(value.to_numpy(), sent_ns.to_numpy())
 
     def _floats(self, name: str) -> NDArray[np.float64]:
@@ -86,37 +86,35 @@ class RunRows:
 
 
 def split_runs(rows: pl.DataFrame) -> tuple[RunRows, ...]:
-    """Cut round trips into runs.
+    """Cut round trips into runs, in their order.
 
     Args:
-        rows: `run_id`, `publish_ns`, `outcome` and the metrics that are asked for.
-
-    Returns:
-        In the order in which the runs come in `rows`.
+        rows: `run_id`, `publish_ns`, `outcome` and the requested metrics.
     """
     parts = rows.partition_by("run_id", maintain_order=True)
-    return tuple(RunRows(int(part["run_id"][0]), _in_order(part)) for part in parts)
-
-
-def _in_order(rows: pl.DataFrame) -> pl.DataFrame:
-    """Return the rows of a run in the order of T1, as those of all but several relays stand already."""
-    return rows if rows["publish_ns"].is_sorted() else rows.sort("publish_ns", maintain_order=True)
+    # Only the rows of several relays are not in the order of T1.
+    return tuple(
+        RunRows(
+            int(part["run_id"][0]),
+            part if part["publish_ns"].is_sorted() else part.sort("publish_ns", maintain_order=True),
+        )
+        for part in parts
+    )
 
 
 def delivered_runs(runs: Sequence[RunRows], metric: str) -> list[Run]:
     """Return a metric of each run with losses infinitely late (`RunRows.delivered`).
 
-    Where replies came back and none has the metric (a latency without the relay's trace) there is nothing to tell: no
-    run has a value then.
+    Where replies came back and none has the metric (a latency without the relay's trace), no run has a value.
     """
-    is_known = any(run.rows[f"{metric}_ns"].null_count() < len(run.rows) for run in runs)
-    if is_known or all(run.is_lost for run in runs):
+    has_metric = any(run.rows[f"{metric}_ns"].null_count() < len(run.rows) for run in runs)
+    if has_metric or all(run.is_lost for run in runs):
         return [run.delivered(metric) for run in runs]
     return [Run(np.empty(0)) for _ in runs]
 
 
 def pass_numbers(runs: Iterable[RunDescription]) -> dict[int, int]:
-    """Return run_id -> pass of the sweep, of the runs that say it."""
+    """Return run_id -> pass of the sweep, for the runs with that label."""
     return {
         run.run_id: int(text)
         for run in runs
@@ -125,7 +123,7 @@ def pass_numbers(runs: Iterable[RunDescription]) -> dict[int, int]:
 
 
 def passes_of(base: Sequence[RunRows], new: Sequence[RunRows], passes: Mapping[int, int]) -> Passes | None:
-    """Return the pass of each run of both sides; None unless every run has one, and each pass one run a side."""
+    """Return the pass of each run of both sides; None unless every run has one and each pass has one run a side."""
     sides = tuple([passes.get(run.run_id) for run in side] for side in (base, new))
     if any(number is None for side in sides for number in side) or any(len(set(s)) < len(s) for s in sides):
         return None

@@ -1,8 +1,7 @@
-"""The parameter `setting`: everything that was asked for and has no column of its own, as one canonical text.
+"""The parameter `setting`: all requested options without a column of their own, as one canonical text.
 
-The recorder writes what was asked for: `settings` of a session for its side, `settings` of a run for the ping's run
-(`docs/trace-format.md`). A new option is there by itself. Traces of older recorders have no such fields; what can be told
-of them comes from `host.middleware` and the run's own fields.
+The recorder writes them: `settings` of a session for its side, `settings` of a run for the ping's run
+(`docs/trace-format.md`). Traces of older recorders have no such fields; theirs come from `host.middleware` and the run.
 """
 
 from __future__ import annotations
@@ -18,39 +17,39 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.format.json_fields import Json, JsonObject
 
 CONDITIONS = frozenset({"link", "flows", "relays", "data"})
-"""Keys of what surrounds a run and is no choice: groups that differ in these are no contenders of each other."""
+"""Keys of conditions that nobody chooses: groups that differ in these are no alternatives."""
 
 _OLD: Mapping[str, Callable[[str], str | None]] = {
     "transport": lambda text: None if text == "default" else text,
     "tuned": lambda text: None if text == "false" else "true",  # or a sentence: there was nothing to tune
     "executor": lambda text: "single" if text == "single" else None,
 }
-"""Settings that `host.middleware` of older recorders tells -> what was asked for by that text, None for the default."""
+"""Settings in `host.middleware` of older recorders -> what that text requested, None for the default."""
 
 _BOTH_SIDES = ("reliability", "durability", "history", "depth", "serialization")
-"""Settings of a side that the run tells of the ping, and nothing but the session of the relay."""
+"""Settings that the run has for the ping, and only the session for the relay."""
 
 
 def setting_of(run: Run, ping: Session, relay: Session | None, *, relays: int = 1, flows: int = 1) -> str:
     """Return the setting of an exchange: `key=value,...`, sorted by key, defaults left out.
 
     Args:
-        run: the ping's description of the run.
+        run: its description by the ping.
         ping: session of the ping.
-        relay: session of the relay, None without its trace. What it was asked for unlike the ping is `relay.key=value`;
-            `default` stands for what it was not asked for.
+        relay: session of the relay, None without its trace. Settings that differ from the ping's are `relay.key=value`,
+            with `default` for a setting that only the ping has.
         relays: number of relays that took part in the run.
-        flows: number of runs that went on at the same time, this one included.
+        flows: number of runs at the same time, this one included.
     """
-    of_ping = _side(ping)
-    values = {key: value for key, value in of_ping.items() if key not in _BOTH_SIDES}
-    values |= _of_run(run)
+    ping_settings = _side(ping)
+    values = {key: value for key, value in ping_settings.items() if key not in _BOTH_SIDES}
+    values |= _run_settings(run)
     if relays > 1:
         values["relays"] = str(relays)
     if flows > 1:
         values["flows"] = str(flows)
     if relay is not None:
-        values |= _of_relay(ping, of_ping, relay)
+        values |= _relay_differences(ping, ping_settings, relay)
     return write_setting(values)
 
 
@@ -66,31 +65,31 @@ def parse_setting(text: str) -> dict[str, str]:
 
 
 def condition_of(setting: str) -> str:
-    """Return the part of a setting that surrounds a run and that nobody chooses: see `CONDITIONS`."""
+    """Return the part of a setting that nobody chooses (`CONDITIONS`)."""
     return write_setting({k: v for k, v in parse_setting(setting).items() if k in CONDITIONS})
 
 
 def choice_of(setting: str) -> str:
-    """Return the part of a setting that a user can choose: all but its `condition_of`."""
+    """Return the part of a setting that a user can choose."""
     return write_setting({k: v for k, v in parse_setting(setting).items() if k not in CONDITIONS})
 
 
 def without_relay(setting: str) -> str:
     """Return the part of a setting that is known without the relay's trace."""
-    known = {k: v for k, v in parse_setting(setting).items() if k != "relays" and not k.startswith("relay.")}
-    return write_setting(known)
+    values = {k: v for k, v in parse_setting(setting).items() if k != "relays" and not k.startswith("relay.")}
+    return write_setting(values)
 
 
 def _side(session: Session) -> dict[str, str]:
-    """Return what a side was asked for, defaults left out."""
-    told = session.extra.get("settings")
-    if isinstance(told, dict):
-        settings = _texts(told)
+    """Return the requested settings of a side, defaults left out."""
+    recorded = session.extra.get("settings")
+    if isinstance(recorded, dict):
+        settings = _texts(recorded)
     else:
         middleware = session.host.get("middleware")
         in_effect = _texts(middleware) if isinstance(middleware, dict) else {}
-        asked = {key: ask(in_effect[key]) for key, ask in _OLD.items() if key in in_effect}
-        settings = {key: value for key, value in asked.items() if value is not None}
+        requested = {key: read(in_effect[key]) for key, read in _OLD.items() if key in in_effect}
+        settings = {key: value for key, value in requested.items() if value is not None}
     return settings | _configuration(session.host)
 
 
@@ -107,8 +106,8 @@ def _configuration(host: JsonObject) -> dict[str, str]:
     return named
 
 
-def _of_run(run: Run) -> dict[str, str]:
-    told = run.extra.get("settings")
+def _run_settings(run: Run) -> dict[str, str]:
+    recorded = run.extra.get("settings")
     values = _texts(run.qos.extra)
     if isinstance(run.extra.get("data_source"), str):
         values["data"] = str(run.extra["data_source"])
@@ -116,19 +115,21 @@ def _of_run(run: Run) -> dict[str, str]:
         values["bridge_running"] = "true"
     if "link" in run.labels:  # of a sweep by an older recorder
         values["link"] = run.labels["link"]
-    return values | (_texts(told) if isinstance(told, dict) else {})
+    return values | (_texts(recorded) if isinstance(recorded, dict) else {})
 
 
-def _of_relay(ping: Session, of_ping: Mapping[str, str], relay: Session) -> Iterator[tuple[str, str]]:
-    """Yield what the relay was asked for unlike the ping."""
-    of_relay = _side(relay)
-    compared: Collection[str] = {*of_relay, *of_ping}
+def _relay_differences(
+    ping: Session, ping_settings: Mapping[str, str], relay: Session
+) -> Iterator[tuple[str, str]]:
+    """Yield the relay's settings that differ from the ping's."""
+    relay_settings = _side(relay)
+    compared: Collection[str] = {*relay_settings, *ping_settings}
     if not ("settings" in ping.extra and "settings" in relay.extra):
-        # An older recorder's session is silent about the rest, which is no difference.
+        # An older recorder's session says nothing of the other settings, which is no difference.
         compared = {key for key in compared if key in _OLD}
     for key in compared:
-        if of_relay.get(key) != of_ping.get(key):
-            yield f"relay.{key}", of_relay.get(key, "default")
+        if relay_settings.get(key) != ping_settings.get(key):
+            yield f"relay.{key}", relay_settings.get(key, "default")
     if relay.rmw is not None and relay.rmw != ping.rmw:
         yield "relay.rmw", relay.rmw
 
@@ -146,11 +147,11 @@ def _text(value: Json) -> str:
 
 
 _PART = re.compile(r"[^,()]*(?:\([^()]*\)[^,()]*)*")
-"""A value that holds commas within parentheses only, and these in pairs and not within each other."""
+"""A value with commas within parentheses only, these in pairs and not nested."""
 
 
 def _quoted(text: str, further: str = "") -> str:
-    """Write `%`, and what would end a key or value, as URLs do."""
+    """Escape `%`, and what would end a key or value, as URLs do."""
     special = "%" + further + ("" if _PART.fullmatch(text) else ",()")
     return "".join(f"%{ord(c):02X}" if c in special else c for c in text)
 

@@ -1,4 +1,4 @@
-"""Messages that were due and never left, as rows, so that whoever judges counts them as lost."""
+"""Messages that were due and never left, as rows, so that verdicts count them as lost."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ if TYPE_CHECKING:
 
 
 MOST_MESSAGES = 1 << 53
-"""Largest number that a description's count of messages can mean: sums of many stay within an int64."""
+"""Largest count of messages taken from a description: sums of many stay within an int64."""
 
 UNSENT = "unsent"
-"""Outcome of a row that stands for a message that never left; no row of `roundtrips.parquet` has it."""
+"""Outcome of the row of a message that never left; no row of `roundtrips.parquet` has it."""
 
 MOST_ROWS = 1_000_000
-"""Rows that stand for the unsent messages of one run at the most: a run of so many is lost either way."""
+"""Most rows for the unsent messages of one run: a run with so many is lost either way."""
 
 
 def with_unsent(roundtrips: pl.DataFrame, unsent: Mapping[int, int]) -> pl.DataFrame:
-    """Append a row for each message that never left, behind the last row of its run and relay.
+    """Append a row of outcome `UNSENT` for each message that never left.
 
     Args:
         roundtrips: `run_id`, `relay_id`, `publish_ns`, `outcome`, and any metrics and parameters.
         unsent: run_id -> how many.
 
     Returns:
-        The rows, and those of outcome `UNSENT`, whose metrics and stamps are null but for `publish_ns`, that of the last.
+        The rows, then the new ones: `publish_ns` of the last row of the run and relay, other times null.
     """
     last = roundtrips.filter(pl.col("run_id").is_in(list(unsent))) if unsent else roundtrips.head(0)
     if last.is_empty():

@@ -1,4 +1,4 @@
-"""Columns of the frames of `Details` about the wire; none has a row without recordings of `--wire`."""
+"""Columns of the frames of `Details` about the wire, which are empty without recordings of `--wire`."""
 
 from __future__ import annotations
 
@@ -29,16 +29,15 @@ WIRE_SCHEMA: dict[str, type[pl.DataType]] = {
     "tcp_rtt_p50_ns": pl.Float64,
     "tcp_congestion_window_p50": pl.Float64,
 }
-"""A row per group with counts. `runs` with counts; `complete` whether the kernel dropped no packet of any capture
-(`kernel_drops`); `total_bytes` on the ping's interfaces, both ways, headers from Ethernet's on; `payload_bytes` of all
-messages and replies of the runs, the warm-up included; `again_bytes_share` of the bytes that were sent before; `messages`
-with a record, of which `again_messages` were sent again, on either way, half of them after `resent_after_p50_ns` and
-`waited_heartbeats_p50` heartbeats of their writer; `requests` for something again; `match_p50_ns` from a participant's first
-announcement to the first echo, median of the runs; `discovery_*` SPDP, SEDP and liveliness; `reassembly_failed` and
-`udp_receive_buffer_full` datagrams of both devices; `tcp_again_bytes` TCP payload sent again, in
-`tcp_retransmitted_segments` by the kernel's `TCP_INFO`, with medians of the smoothed round-trip times and of the congestion windows
-(segments) of the ping's connections at the end of its runs, null without TCP; `shared_counts` of a relay's
-capture that are of other groups' runs as well, and of which nothing but `kernel_drops` counts here."""
+"""A row per group with counts. `runs` with counts; `complete`: no capture dropped a packet (`kernel_drops`); `total_bytes` on
+the ping's interfaces, both ways, Ethernet headers included; `payload_bytes` of all messages and replies, warm-up included;
+`again_bytes_share` of bytes that were sent again; `messages` with a record, `again_messages` of them sent again on either
+way, half of these after `resent_after_p50_ns` and `waited_heartbeats_p50` heartbeats of their writer; `requests` to send
+again; `match_p50_ns` from a participant's first announcement to the first echo, median of the runs; `discovery_*` SPDP, SEDP
+and liveliness; `reassembly_failed` and `udp_receive_buffer_full` datagrams of both devices; `tcp_again_bytes` TCP payload
+sent again in `tcp_retransmitted_segments` (`TCP_INFO`), medians of smoothed round-trip times and congestion windows
+(segments) of the ping's connections at the end of its runs, null without TCP; `shared_counts` of a relay's capture that belong
+to other groups' runs as well: only their `kernel_drops` count here."""
 
 WIRE_CLASS_SCHEMA: dict[str, type[pl.DataType]] = {
     "group": pl.UInt32,
@@ -59,8 +58,8 @@ WIRE_REPEAT_SCHEMA: dict[str, type[pl.DataType]] = {
     "latency_p50_ns": pl.Float64,
     "latency_max_ns": pl.Float64,
 }
-"""A row per group and number of repeats, of the way out and back together: `messages` that were sent again so often, warm-up
-left out, of which `returned` came back, and their times; null where none has such a time."""
+"""A row per group and number of repeats of both ways together: `messages` that were sent again so often, without warm-up,
+`returned` of them came back, and their times; null where none has such a time."""
 
 WIRE_FRAMES = {
     "wire": WIRE_SCHEMA,

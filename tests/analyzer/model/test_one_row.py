@@ -76,7 +76,7 @@ def test_a_metric_is_one_row_of_the_table_of_metrics(tmp_path):
 
 def test_a_parameter_is_one_row_of_the_key_and_its_value(tmp_path):
     rows = {
-        "\n    def values(self)": '    tuning: Annotated[str, Described(KeyPart.SETTINGS, pl.String, "label tuning")]\n',
+        "\n    def values(self)": '    tuning: Annotated[str, ParameterSpec(KeyPart.SETTINGS, pl.String, "label tuning")]\n',
         "        connectivity=ping.connectivity,\n": '        tuning=run.labels.get("tuning", "none"),\n',
     }
     runs = [run(run_id=1, labels={"tuning": "none"}), run(run_id=2, labels={"tuning": "rmem"})]

@@ -70,7 +70,7 @@ def test_files_tell_types_units_and_meanings(tmp_path):
     assert b"its tail is no one-way tail" in schema.field("latency_ns").metadata[b"meaning"]
     for statistic in ("p90", "p99", "p99_9", "max"):
         meaning = summary.field(f"latency_{statistic}_ns").metadata[b"meaning"]
-        assert b"this tail lies below that of one way" in meaning
+        assert b"this tail is below the tail of one way" in meaning
     assert b"tail" not in summary.field("latency_p50_ns").metadata[b"meaning"]
     assert b"tail" not in summary.field("response_p99_ns").metadata[b"meaning"]
     assert summary.field("transfer_rate_bytes_per_s").metadata[b"unit"] == b"B/s"

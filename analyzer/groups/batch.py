@@ -1,4 +1,4 @@
-"""Groups of exchanges that agree in every parameter, and batches of groups that are worked at together."""
+"""Groups of exchanges with equal parameters, and batches of groups that are processed together."""
 
 from __future__ import annotations
 
@@ -26,10 +26,9 @@ if TYPE_CHECKING:
 
 
 DEADLINE_METRIC = "response"
-"""Metric of a deadline unless another one is named: what a user with a schedule waits for."""
+"""Default metric of a deadline: what a user with a schedule waits for."""
 
 DEADLINE_METRICS = (*METRICS, "outbound", "return")
-"""Metrics that a deadline can be for."""
 
 
 WHOLE_GROUP_EVENTS = 24_000_000
@@ -42,8 +41,8 @@ class Grouping:
 
     Attributes:
         parameters: the parameter columns of each group.
-        exchanges: by group, then as they came (by start of the run, then by relay).
-        group_of_exchange: uint32, rising: for each exchange the position of its group.
+        exchanges: by group, then by start of the run, then by relay.
+        group_of_exchange: uint32, ascending: the group of each exchange.
     """
 
     parameters: pl.DataFrame
@@ -51,7 +50,7 @@ class Grouping:
     group_of_exchange: NDArray[np.uint32]
 
     def not_applied(self) -> tuple[int, ...]:
-        """Return the groups in which a middleware did not use what it was asked for."""
+        """Return the groups in which a middleware did not apply a requested setting."""
         barred = {
             int(group)
             for exchange, group in zip(self.exchanges, self.group_of_exchange, strict=True)
@@ -61,7 +60,7 @@ class Grouping:
         return tuple(sorted(barred))
 
     def members(self) -> list[list[int]]:
-        """Return for each group the positions of its exchanges."""
+        """Return for each group the indices of its exchanges."""
         members: list[list[int]] = [[] for _ in range(self.parameters.height)]
         for exchange, group in enumerate(self.group_of_exchange.tolist()):
             members[group].append(exchange)
@@ -69,7 +68,7 @@ class Grouping:
 
 
 def group_exchanges(exchanges: Sequence[Exchange]) -> Grouping:
-    """Put exchanges that agree in every parameter into one group."""
+    """Group exchanges with equal parameters."""
     keys = [exchange.parameters() for exchange in exchanges]
     groups = sorted(set(keys), key=Parameters.order)
     number = {key: group for group, key in enumerate(groups)}
@@ -77,20 +76,20 @@ def group_exchanges(exchanges: Sequence[Exchange]) -> Grouping:
     order = np.argsort(group_of_exchange, kind="stable")
     return Grouping(
         pl.DataFrame([key.values() for key in groups], schema=schema_of(PARAMETER_COLUMNS), orient="row"),
-        tuple(exchanges[position] for position in order.tolist()),
+        tuple(exchanges[index] for index in order.tolist()),
         group_of_exchange[order],
     )
 
 
 @dataclass(frozen=True, slots=True)
 class AnalysisOptions:
-    """The outputs asked for beside the summary.
+    """The outputs of an analysis in addition to the summary.
 
     Attributes:
         rows: the rows of `roundtrips`; without, groups have histograms only.
-        details: one-way times and the frames of `frames.DETAIL_MAKERS`; without, they take no time and have no rows.
-        deadline_ns: a message later than this, or lost, misses its deadline; None judges none.
-        deadline_metric: metric that the deadline is for, one of `DEADLINE_METRICS`.
+        details: one-way times and the frames of `frames.DETAIL_MAKERS`; without, these are empty.
+        deadline_ns: a message later than this, or lost, misses its deadline; None for no deadline.
+        deadline_metric: one of `DEADLINE_METRICS`.
         job: what to recommend settings for.
     """
 
@@ -103,15 +102,14 @@ class AnalysisOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Batch:
-    """Some groups, to be worked at on any machine; their events are fetched by `event_keys`.
+    """Some groups, to be processed on any machine; their events are fetched by `event_keys`.
 
     Attributes:
         exchanges: by group, then by start of the run, then by relay.
-        group_of_exchange: uint32, rising: the group of each exchange, numbered throughout the campaign as the
-            rows of `summary` are.
-        all_exchanges: number of exchanges of the whole campaign, which share the points of a drawing.
-        whole: False for a part of the one group that is larger than memory: it comes in several batches, each
-            with whole runs. Frames that need a whole group have no rows then.
+        group_of_exchange: uint32, ascending: the group of each exchange, a row of `summary`.
+        all_exchanges: number of exchanges of the campaign, which share the points of a drawing.
+        whole: False for a part, with whole runs, of a group larger than memory. Frames that need a whole group have no
+            rows then.
         options: the options of the analysis.
     """
 
@@ -137,17 +135,17 @@ class Batch:
 
 
 def exchanges_by_group(batch: Batch) -> Iterator[tuple[int, range]]:
-    """Yield each group and the positions of its exchanges; nothing of a group that is here in part."""
+    """Yield each group and the indices of its exchanges; nothing for a part of a group."""
     if not batch.whole:
         return
     groups = batch.group_of_exchange
-    edges = [*np.unique(groups, return_index=True)[1].tolist(), len(groups)]
-    for first, after in pairwise(edges):
+    offsets = [*np.unique(groups, return_index=True)[1].tolist(), len(groups)]
+    for first, after in pairwise(offsets):
         yield int(groups[first]), range(first, after)
 
 
 def columns_by_group(batch: Batch, rows: PairedRows) -> Iterator[tuple[int, Callable[[str], pl.Series]]]:
-    """Yield each group and what returns a column of its rows; nothing of a group that is here in part."""
+    """Yield each group and a function that fetches a column of its rows; nothing for a part of a group."""
     bounds = rows.bounds.tolist()
     for group, numbers in exchanges_by_group(batch):
         first, after = bounds[numbers.start], bounds[numbers.stop]
@@ -159,26 +157,26 @@ def _part_of_column(rows: PairedRows, first: int, after: int, name: str) -> pl.S
 
 
 def runs_by_group(batch: Batch, roundtrips: PairedRows) -> Iterator[NDArray[np.int64]]:
-    """Yield for each group of `columns_by_group` a number for each row that the rows of one run share, run after run."""
+    """Yield for each group of `columns_by_group` the number of each row's run."""
     run_ids = [exchange.run.run_id for exchange in batch.exchanges]
-    number = {run_id: place for place, run_id in enumerate(dict.fromkeys(run_ids))}
+    number = {run_id: index for index, run_id in enumerate(dict.fromkeys(run_ids))}
     run_of_row = roundtrips.per_row(np.array([number[run_id] for run_id in run_ids], np.int64))
     for _, numbers in exchanges_by_group(batch):
         yield run_of_row[slice(*roundtrips.bounds[[numbers.start, numbers.stop]].tolist())]
 
 
 def filled(values: pl.Series, missing: int = 0) -> NDArray[np.int64]:
-    """Return a column of int64 as an array, with a number in place of null; a view where none is."""
+    """Return a column of int64 as an array with null filled; a view where none is null."""
     return (values.fill_null(missing) if values.null_count() else values).to_numpy()
 
 
 def present(values: pl.Series) -> NDArray[Any]:
-    """Return the values of a column that are not null as an array; a view where none is."""
+    """Return the values of a column that are not null as an array; a view where none is null."""
     return (values.drop_nulls() if values.null_count() else values).to_numpy()
 
 
 def first_known(rows: pl.DataFrame, name: str, other: str) -> pl.Series:
-    """Return a column, with the value of another one where it is null; itself where none is."""
+    """Return a column, with the value of another one where it is null."""
     column = rows[name]
     return rows.select(pl.coalesce(name, other)).to_series() if column.null_count() else column
 

@@ -1,9 +1,7 @@
 """The table of frames that are computed group by group.
 
-The engine cuts a campaign into batches of whole groups that fit into memory, on one machine or on many. So every
-frame here must be the same whatever other groups share its batch: a row may depend on its own group alone, those of
-`CAMPAIGN_MAKERS` also on how many exchanges the campaign has.
-The frames of all batches, put one behind the other in the order of groups, are the frames of the campaign.
+The engine cuts a campaign into batches, on one machine or on many, and concatenates their frames. So a row may depend on its
+own group only; rows of `CAMPAIGN_MAKERS` also on the number of exchanges of the campaign.
 
 A new frame is a function of a batch and its round trips, and a line in one of the tables.
 """
@@ -29,20 +27,19 @@ if TYPE_CHECKING:
     from .batch import Batch
 
     Frames = dict[str, pl.DataFrame]
-    """Name -> frame; the names are those of `CAMPAIGN_MAKERS`, `MAKERS` and, where asked for, `DETAIL_MAKERS`."""
+    """Name in `CAMPAIGN_MAKERS`, `MAKERS` or, where requested, `DETAIL_MAKERS` -> frame."""
 
     RunMaker = Callable[[Batch, RoundTrips], pl.DataFrame]
-    """Rows of a run follow from this run, whose columns are all looked at."""
+    """Makes rows of a run from all columns of this run."""
     GroupMaker = Callable[[Batch, PairedRows], pl.DataFrame]
-    """A row follows from all runs of its group, of which a column at a time is looked at."""
+    """Makes rows from all runs of a group, one column at a time."""
 
 Rows = TypeVar("Rows")
 
 CAMPAIGN_MAKERS: Mapping[str, RunMaker] = {"timeline": timeline_frame}
-"""Name -> how it is made from a batch, one of a campaign of so many exchanges (`Batch.all_exchanges`)."""
 
 MAKERS: Mapping[str, RunMaker] = {"run_times": run_frame, "sending": sending_frame}
-"""Name -> how it is made from a batch. A frame of no rows has its columns all the same."""
+"""Name -> function that makes the frame of a batch; an empty frame has its columns."""
 
 RUN_DETAIL_MAKERS: Mapping[str, RunMaker] = {
     "freshness": freshness_frame,
@@ -57,10 +54,10 @@ GROUP_DETAIL_MAKERS: Mapping[str, GroupMaker] = {
     "clock_knots": knot_frame,
 }
 DETAIL_MAKERS: Mapping[str, RunMaker] = {**RUN_DETAIL_MAKERS, **GROUP_DETAIL_MAKERS}
-"""The same for frames that take more time than rows and summary together: made only where they are asked for."""
+"""Frames that take more time than rows and summary together: made only on request."""
 
 _BY_RUN_ID = ("freshness", "outages")
-"""Frames whose runs stand by `run_id` in a group, not by their start."""
+"""Frames whose runs are ordered by `run_id` in a group, not by their start."""
 
 
 def begin_frames(
@@ -69,20 +66,13 @@ def begin_frames(
     roundtrips: Rows,
     pool: Executor,
 ) -> dict[str, Callable[[], pl.DataFrame]]:
-    """Begin the frames of one batch that one of the tables names; each waits for its own when it is called.
-
-    Args:
-        makers: how they are made.
-        batch: the batch.
-        roundtrips: its rows.
-        pool: makes each of them.
-    """
+    """Start making the frames of a batch in a pool; return name -> function that waits for the frame."""
     return {name: pool.submit(make, batch, roundtrips).result for name, make in makers.items()}
 
 
 def concatenate_frames(parts: Sequence[Frames]) -> Frames:
-    """Return the frames of the campaign from those of its batches (at least one), in their order."""
+    """Concatenate the frames of at least one batch, in their order."""
     frames = {name: pl.concat([part[name] for part in parts]) for name in parts[0]}
-    for name in frames.keys() & _BY_RUN_ID:  # of a group that came in parts
+    for name in frames.keys() & _BY_RUN_ID:  # a group may come in parts
         frames[name] = frames[name].sort("group", "run_id", "relay_id", maintain_order=True)
     return frames

@@ -1,4 +1,4 @@
-"""The frames `freshness` and `outages`: deadlines, age of information and outages as a receiver sees them in time."""
+"""The frames `freshness` and `outages`: deadlines, age of information and outages over the time of a run."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ ONE_WAY = ("outbound_ns", "return_ns")
 """Metrics that are wrong by at most `clock_bound_ns`."""
 
 _NEVER = {"outbound_ns": (Outcome.LOST_OUTBOUND,)}
-"""Metric -> outcomes of messages that surely never made this way; any loss for a metric that is not here."""
+"""Metric -> outcomes of messages that surely never arrived; any loss for a metric that is not here."""
 
 FRESHNESS_SCHEMA = {
     "group": pl.UInt32,
@@ -70,18 +70,16 @@ OUTAGE_SCHEMA = {
 def freshness_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     """Summarize deadline misses, age of information and outages of each run and relay with messages.
 
-    A message misses the deadline of `batch.options` if it is lost or its metric is larger; without one nothing is judged. Of
-    a response a message without a schedule has its round trip. A one-way time meets or misses the deadline surely, by its
-    `clock_bound_ns`, or is not judged. Messages that were due and never left miss it.
+    A message misses the deadline if it is lost, never left, or its metric is larger. Without a schedule the response is the
+    round trip. A one-way time is judged only if it surely meets or misses the deadline, given its `clock_bound_ns`.
 
     Returns:
-        Columns of `FRESHNESS_SCHEMA`, by group, run and relay. `messages` published; `judged` those whose fate against the
-        deadline is known, and the unsent ones; `unsure` the others, of which it cannot be told (a one-way time whose clock
-        bound holds the deadline, a reply without the relay's trace, which has no latency); `missed`, `missed_ratio` of the
-        judged, `longest_missed` in a row and `longest_missed_ns` from the first one's planned time to the next in
-        time; `age_*`: information that went to the relay and back, at the ping, exact on one clock; `relay_age_*`:
-        at the relay, on the ping's clock, wrong by at most `clock_bound_ns`; `outages` of at least
-        `OUTAGE_MESSAGES` losses, the longest one and the longest recovery. Null where there is no value.
+        Columns of `FRESHNESS_SCHEMA`, by group, run and relay. `messages` published; `judged` messages, unsent ones
+        included; `unsure` the others (a deadline within the clock bound, a latency without the relay's trace); `missed`,
+        `missed_ratio` of the judged, `longest_missed` in a row and `longest_missed_ns` from the first one's planned time to
+        the next message in time; `age_*`: information that went to the relay and back, at the ping, exact on one clock;
+        `relay_age_*`: at the relay, on the ping's clock, wrong by at most `clock_bound_ns`; `outages` of at least
+        `OUTAGE_MESSAGES` losses, the longest one and the longest recovery.
     """
     unsent = roundtrips.counts["unsent"].to_list()
     rows: list[dict[str, object]] = []
@@ -106,7 +104,7 @@ def freshness_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
 
 
 def outage_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
-    """List the outages for drawing: columns of `OUTAGE_SCHEMA`, the fields of `Outage`, times in ns; by group, run and relay."""
+    """List the outages: columns of `OUTAGE_SCHEMA`, the fields of `Outage`, by group, run and relay."""
     lost = roundtrips.counts.select(pl.sum_horizontal(LOSSES)).to_series()
     if not (lost >= OUTAGE_MESSAGES).any():
         return pl.DataFrame(schema=OUTAGE_SCHEMA)
@@ -127,7 +125,6 @@ def outage_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
 
 
 def _names(batch: Batch, number: int) -> dict[str, object]:
-    """Return the columns that say which exchange a row is of."""
     exchange = batch.exchanges[number]
     return {
         "group": int(batch.group_of_exchange[number]),
@@ -138,31 +135,31 @@ def _names(batch: Batch, number: int) -> dict[str, object]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Judged:
-    """The times of messages that a deadline is for, and by how much they may be wrong; 0 where a time is not `known`.
+    """The metric of a deadline for each message, and its error bound.
 
-    `never`: whether a message surely never made this way.
+    `never`: whether a message surely never arrived.
     """
 
     deadline_ns: int
     value_ns: Int64
-    either_way_ns: Int64
-    known: Bools
+    bound_ns: Int64
+    has_value: Bools
     never: Bools
 
     def late(self) -> Bools:
-        """Tell which messages came, and surely too late."""
-        return self.known & (self.value_ns - self.either_way_ns > self.deadline_ns)
+        """Return which messages surely came too late."""
+        return self.has_value & (self.value_ns - self.bound_ns > self.deadline_ns)
 
     def in_time(self) -> Bools:
-        """Tell which messages surely came within the deadline."""
-        return self.known & (self.value_ns + self.either_way_ns <= self.deadline_ns)
+        """Return which messages surely came within the deadline."""
+        return self.has_value & (self.value_ns + self.bound_ns <= self.deadline_ns)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Run:
-    """One run and relay as arrays, by rising sequence number; missing times are 0 and masked.
+    """One run and relay as arrays, by sequence number; missing times are 0 and masked.
 
-    `seen`: whether the message's way to the relay is known, in `outbound_ns` and `bound_ns`. `judged`: None without a deadline.
+    `seen`: whether `outbound_ns` and `bound_ns` have a value. `judged`: None without a deadline.
     """
 
     sequence: NDArray[np.uint64]
@@ -177,7 +174,7 @@ class _Run:
 
 
 def _runs(batch: Batch, roundtrips: RoundTrips) -> Iterator[tuple[int, _Run]]:
-    """Yield the number of each exchange that has messages, and these; by group, then by run and relay."""
+    """Yield the number and the messages of each exchange that has any; by group, run and relay."""
     measured = roundtrips.measured
     columns = {
         **{name: measured[name].to_numpy() for name in ("sequence", "publish_ns")},
@@ -199,37 +196,36 @@ def _runs(batch: Batch, roundtrips: RoundTrips) -> Iterator[tuple[int, _Run]]:
     for number in sorted(range(len(batch.exchanges)), key=order):
         here = slice(bounds[number], bounds[number + 1])
         if here.start < here.stop:
-            of_deadline = None
+            judged_run = None
             if deadline_ns is not None:
-                of_deadline = _Judged(deadline_ns, **{name: values[here] for name, values in judged.items()})
-            of_run = {name: values[here] for name, values in columns.items()}
-            yield number, _Run(judged=of_deadline, **of_run)
+                judged_run = _Judged(deadline_ns, **{name: values[here] for name, values in judged.items()})
+            yield number, _Run(judged=judged_run, **{name: values[here] for name, values in columns.items()})
 
 
 def _judged_columns(roundtrips: RoundTrips, metric: str) -> dict[str, NDArray[Any]]:
-    """Return the arrays of `_Judged`, of all rows."""
+    """Return the arrays of `_Judged` for all rows."""
     measured = roundtrips.measured
     # A message without a schedule responds from T1 on.
     values = first_known(measured, metric, "rtt_ns") if metric == "response_ns" else measured[metric]
     never = [OUTCOMES.index(outcome) for outcome in _NEVER.get(metric, map(Outcome, LOSSES))]
     return {
         "value_ns": filled(values),
-        "either_way_ns": filled(measured["clock_bound_ns"])
+        "bound_ns": filled(measured["clock_bound_ns"])
         if metric in ONE_WAY
         else np.zeros(measured.height, np.int64),
-        "known": is_present(values),
+        "has_value": is_present(values),
         "never": np.isin(roundtrips.outcome, never),
     }
 
 
 def _outages(run: _Run) -> list[Outage]:
-    if not run.lost.any():  # what was in time takes longer to tell
+    if not run.lost.any():
         return []
     return find_outages(run.sequence, run.planned_ns, run.receive_ns, run.lost, _in_time(run))
 
 
 def _in_time(run: _Run) -> Bools:
-    """Tell which messages came within the deadline; without one, within the time that 90 % of the run's messages took."""
+    """Return which messages came within the deadline; without one, within the time of 90 % of the run's messages."""
     if run.judged is not None:
         return run.judged.in_time()
     usual = run.receive_ns - run.planned_ns
@@ -246,7 +242,7 @@ def _deadline(run: _Run, unsent: int) -> dict[str, object]:
     for start, stop in runs_of(missed):
         end_ns = run.planned_ns[stop] if stop < len(missed) else run.planned_ns[stop - 1]
         lengths_ns.append(int(end_ns - run.planned_ns[start]))
-    # Those that never left were due after the last one that did.
+    # Messages that never left were due after the last one that did.
     ending = len(missed) - int(np.flatnonzero(~missed)[-1]) - 1 if not missed.all() else len(missed)
     all_judged, all_missed = int(judged.sum()) + unsent, int(missed.sum()) + unsent
     return {

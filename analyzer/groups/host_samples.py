@@ -1,4 +1,4 @@
-"""The frame `host_samples`: load of every recording device over time, few enough rows to draw."""
+"""The frame `host_samples`: load of every recording device over time."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.reading.trace import Trace
 
 MOST_OF_SESSION = 2000
-"""Samples of a session that are kept; of more, the one with the busiest processor of each stretch."""
+"""Most samples of a session; of more, the one with the busiest processor of each stretch is taken, for drawing."""
 
 _OURS = ("self", "wire")
-"""Sampled processes that are the recorder's own: all others are a bridge's."""
+"""Sampled processes of the recorder; all others are a bridge's."""
 
 HOST_SAMPLE_SCHEMA: dict[str, type[pl.DataType]] = {
     "session_id": pl.UInt64,
@@ -48,14 +48,13 @@ def host_sample_frame(traces: Sequence[Trace]) -> pl.DataFrame:
     """Return one row per sample, by session, then by time.
 
     Returns:
-        Columns of `HOST_SAMPLE_SCHEMA`, null where a device does not say. `wall_ns` ns since 1970; `monotonic_ns` of
-        the session's device; `cpu_percent` mean of all processors, `cpu_busiest_percent` the busiest one;
-        `node_*` the recording process and `bridge_cpu_percent` the bridge's, of one processor each;
-        `wifi_signal_dbm` the weakest interface; `udp_receive_errors` datagrams that the kernel threw away for want
-        of buffer since the session's first sample; `sampling_cpu_ns` what taking the sample before this one cost;
-        `monotonic_raw_ns` CLOCK_MONOTONIC_RAW at `monotonic_ns`; `cpu_free_processors` how many processors' time
-        nobody used; `cpu_steal_ns` time since boot that a hypervisor gave to others; `cpu_pressure_us` time since boot
-        in which some task waited for a processor.
+        Columns of `HOST_SAMPLE_SCHEMA`, null where unknown. `wall_ns` since 1970; `monotonic_ns` of the session's device;
+        `cpu_percent` mean of all processors, `cpu_busiest_percent` the busiest one; `node_*` the recording process and
+        `bridge_cpu_percent` the bridge's, of one processor each; `wifi_signal_dbm` the weakest interface;
+        `udp_receive_errors` datagrams dropped for lack of buffer since the session's first sample; `sampling_cpu_ns` cost
+        of the previous sample; `monotonic_raw_ns` CLOCK_MONOTONIC_RAW at `monotonic_ns`; `cpu_free_processors` unused
+        processors; `cpu_steal_ns` time since boot that a hypervisor gave to others; `cpu_pressure_us` time since boot in
+        which some task waited for a processor.
     """
     rows: dict[tuple[int, float], dict[str, object]] = {}
     for trace in traces:
@@ -75,14 +74,14 @@ def host_sample_frame(traces: Sequence[Trace]) -> pl.DataFrame:
                 rows.setdefault((session.session_id, row["wall_ns"]), described | row)  # files may be copies
     frame = pl.DataFrame(list(rows.values()), schema=HOST_SAMPLE_SCHEMA).sort("session_id", "wall_ns")
     errors = pl.col("udp_receive_errors")
-    position, count = pl.int_range(pl.len()), pl.len()
-    stretch = (position * (MOST_OF_SESSION // 2) // count).over("session_id")
+    index, count = pl.int_range(pl.len()), pl.len()
+    stretch = (index * (MOST_OF_SESSION // 2) // count).over("session_id")
     return (
         frame.with_columns(
             (errors - errors.drop_nulls().first()).over("session_id").alias("udp_receive_errors"),
             stretch=pl.when(count.over("session_id") > MOST_OF_SESSION)
             .then(stretch)
-            .otherwise(position.over("session_id")),
+            .otherwise(index.over("session_id")),
         )
         .filter(
             pl.col("cpu_busiest_percent")
@@ -96,21 +95,21 @@ def host_sample_frame(traces: Sequence[Trace]) -> pl.DataFrame:
 
 
 def _session_at(sessions: Sequence[Session], wall_ns: float | None) -> Session | None:
-    """Return the last session of a trace that had begun."""
+    """Return the last session of a trace that had started."""
     if wall_ns is None:
         return None
-    begun = [session for session in sessions if session.wall_anchor_ns <= wall_ns] or list(sessions)[:1]
-    return max(begun, key=lambda session: session.wall_anchor_ns, default=None)
+    started = [session for session in sessions if session.wall_anchor_ns <= wall_ns] or list(sessions)[:1]
+    return max(started, key=lambda session: session.wall_anchor_ns, default=None)
 
 
 def _row(sample: Mapping[str, object]) -> dict[str, float | None]:
     host, processes = _object(sample.get("host")), _object(sample.get("processes"))
     node = _object(processes.get("self"))
-    each = host.get("cpu_percent_each")
-    busy = _numbers(each if isinstance(each, list) else [])
+    processors = host.get("cpu_percent_each")
+    busy = _numbers(processors if isinstance(processors, list) else [])
     wall_ns, monotonic_ns = _number(sample.get("log_time_ns")), _number(sample.get("monotonic_ns"))
     raw_ns = _number(sample.get("monotonic_raw_ns"))
-    bridges = [_object(held).get("cpu_percent") for name, held in processes.items() if name not in _OURS]
+    bridges = [_object(usage).get("cpu_percent") for name, usage in processes.items() if name not in _OURS]
     return {
         "wall_ns": None if wall_ns is None else int(wall_ns),
         "monotonic_ns": None if monotonic_ns is None else int(monotonic_ns),
@@ -142,7 +141,7 @@ def _row(sample: Mapping[str, object]) -> dict[str, float | None]:
 
 
 def _object(value: object) -> Mapping[str, object]:
-    """Return a JSON object, empty for anything else: a trace may hold any JSON on this topic."""
+    """Return a JSON object, empty for anything else: a trace may have any JSON on this topic."""
     return value if isinstance(value, dict) else {}
 
 

@@ -1,4 +1,4 @@
-"""The frames `intervals`, `one_way` and `clock_knots`: percentiles with their confidence, and with what clocks allow."""
+"""The frames `intervals`, `one_way` and `clock_knots`: percentiles with their confidence and the bounds of the clocks."""
 
 from __future__ import annotations
 
@@ -67,16 +67,15 @@ _METHODS = {Basis.BETWEEN_RUNS: "student_t_of_runs", Basis.WITHIN_RUN: "order_st
 
 
 def interval_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:
-    """Compute every percentile of every metric with its 95 % interval: from three runs on from the runs, else within one.
+    """Compute every percentile of every metric with its 95 % interval: between runs from three runs on, else within one.
 
     Returns:
-        Columns of `INTERVAL_SCHEMA`, five rows per group and metric that has a value (`METRICS`, `outbound`,
-        `return`), of the messages that have the metric. `estimate_ns` is the summary's percentile; `low_ns`, `high_ns`
-        are null where the sample does not support that end, all three where it does not support the percentile.
-        `method` is `student_t_of_runs` or `order_statistics`, null without both ends. `independent`: number of
-        independent messages that the sample is worth. `typical_ns`: what the interval is of: the percentile of a
-        typical run (`between_runs.interval_of_runs`), within one run `estimate_ns`. `basis`, `runs`, `units`, `episodes`
-        as in `statistics.intervals.Interval`; `between`, `within` as in `run_statistics.spread.Spread`.
+        Columns of `INTERVAL_SCHEMA`, five rows per group and metric with a value (`METRICS`, `outbound`, `return`).
+        `estimate_ns` is the summary's percentile; `low_ns`, `high_ns` are null where the sample does not support that end,
+        all three where it does not support the percentile. `method` is `student_t_of_runs` or `order_statistics`, null
+        without both ends. `independent`: number of independent messages that the sample is worth. `typical_ns`: the
+        percentile of a typical run, whose interval this is; within one run `estimate_ns`. `basis`, `runs`, `units`,
+        `episodes` as in `statistics.intervals.Interval`; `between`, `within` as in `run_statistics.spread.Spread`.
     """
     rows = [
         row
@@ -96,15 +95,15 @@ def interval_rows(
     Args:
         group: its number.
         column: fetches a column of the group's rows.
-        run_of_row: a number for each row that the rows of one run share, run after run.
+        run_of_row: number of the run of each row, ascending.
     """
     sent_ns = column("publish_ns").to_numpy()
-    everything = _Sending.of(sent_ns, run_of_row)
+    all_messages = _Sending.of(sent_ns, run_of_row)
     bounds_ns = present(column("clock_bound_ns"))
     bound_ns = float(bounds_ns.max()) if len(bounds_ns) else 0.0
 
     def runs_of(metric: str) -> Runs | None:
-        values, sending = column(f"{metric}_ns"), everything
+        values, sending = column(f"{metric}_ns"), all_messages
         if values.null_count() == len(values):
             return None
         if values.null_count():
@@ -117,7 +116,7 @@ def interval_rows(
         runs = {metric: runs for metric in metrics if (runs := runs_of(metric))}
         spreads = spreads_of_groups(list(runs.values()), _STATISTICS)
         for metric, spreads_of_metric in zip(runs, spreads, strict=True):
-            # No quantile of one-way times is further off than its worst message.
+            # No quantile of one-way times has a larger error than its worst message.
             off_ns = bound_ns if metric in ONE_WAY_METRICS else 0.0
             for row in _rows_of_runs(runs[metric], spreads_of_metric, off_ns):
                 yield {"group": group, "metric": metric, **row}
@@ -144,7 +143,7 @@ def _rows_of_runs(runs: Runs, spreads: Sequence[Spread], off_ns: float) -> Itera
 
 
 def sample_columns(interval: Interval) -> dict[str, object]:
-    """Return the columns of `INTERVAL_SCHEMA` that say what an interval is of and what it rests on."""
+    """Return the columns of `INTERVAL_SCHEMA` that describe the sample of an interval."""
     return {
         "confidence": interval.confidence,
         "messages": interval.samples,
@@ -162,8 +161,8 @@ class _Sending:
     """When messages of a group were sent, run after run.
 
     Attributes:
-        times: T1 of each message, in the order of time in each run.
-        order: where the messages stand that are so ordered; None if they stand so, as all but those of several relays do.
+        times: T1 of each message, ascending in each run.
+        order: indices of the messages in that order; None if they have it, as all but messages of several relays do.
     """
 
     times: SendTimes
@@ -171,17 +170,19 @@ class _Sending:
 
     @classmethod
     def of(cls, sent_ns: NDArray[np.int64], run_of_row: NDArray[np.int64]) -> _Sending:
-        """Look at messages, `run_of_row` a number that those of one run share."""
-        edges = np.concatenate([[0], np.flatnonzero(np.diff(run_of_row)) + 1, [len(run_of_row)]])
-        times = SendTimes(sent_ns, edges)
-        if all(bool((of_run[1:] >= of_run[:-1]).all()) for of_run in times.by_run):
+        """Order messages in each run."""
+        offsets = np.concatenate([[0], np.flatnonzero(np.diff(run_of_row)) + 1, [len(run_of_row)]])
+        times = SendTimes(sent_ns, offsets)
+        if all(bool((run[1:] >= run[:-1]).all()) for run in times.by_run):
             return cls(times, None)
-        orders = [np.argsort(of_run, kind="stable") for of_run in times.by_run]
-        order = np.concatenate([first + of for first, of in zip(edges.tolist(), orders, strict=False)])
-        return cls(SendTimes(sent_ns[order], edges), order)
+        orders = [np.argsort(run, kind="stable") for run in times.by_run]
+        order = np.concatenate(
+            [first + indices for first, indices in zip(offsets.tolist(), orders, strict=False)]
+        )
+        return cls(SendTimes(sent_ns[order], offsets), order)
 
     def runs(self, values: NDArray[np.int64]) -> Runs:
-        """Return a value of each message as runs, each in the order of T1: several relays of a run side by side."""
+        """Return a value of each message as runs, each in the order of T1."""
         return Runs.split(values if self.order is None else values[self.order], self.times)
 
 
@@ -189,8 +190,8 @@ def one_way_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:
     """Summarize the way out and the way back of each group whose messages have all four stamps.
 
     Returns:
-        Columns of `ONE_WAY_SCHEMA`, rows `outbound` and `return`: percentiles as in the summary, and how far a
-        message's one-way time may be off (`bound_p50_ns`, `bound_max_ns`; 0 on one clock).
+        Columns of `ONE_WAY_SCHEMA`, rows `outbound` and `return`: percentiles as in the summary, and the error bound of a
+        message's one-way time (`bound_p50_ns`, `bound_max_ns`; 0 on one clock).
     """
     rows = [
         row for group, column in columns_by_group(batch, roundtrips) for row in one_way_rows(group, column)

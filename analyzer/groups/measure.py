@@ -1,4 +1,4 @@
-"""The metrics of some groups: statistics and histograms, exact where the values are at hand."""
+"""Statistics and histograms of the metrics of some groups."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ _STATISTICS_SCHEMA: dict[str, type[pl.DataType]] = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Statistics:
-    """The metrics of some groups.
+    """Statistics and histograms of some groups.
 
     Attributes:
-        frame: one row per group and metric: `group` u32, `metric` str, `samples` i64, and a column for each of
-            `columns.STATISTICS`, f64 ns, null where the sample does not support it.
+        frame: one row per group and metric: `group` u32, `metric` str, `samples` i64, and `columns.STATISTICS`, f64 ns, null
+            where the sample does not support it.
         distributions: `group` u32, `metric` str, `value_ns` f64, `count` u64: histograms.
     """
 
@@ -44,18 +44,18 @@ class Statistics:
 
     @classmethod
     def concatenate(cls, parts: Sequence[Statistics]) -> Statistics:
-        """Put the frames of all parts one behind the other."""
+        """Concatenate the frames of all parts."""
         return cls(pl.concat([p.frame for p in parts]), pl.concat([p.distributions for p in parts]))
 
 
 def metric_values(roundtrips: PairedRows, metric: str, first: int, after: int) -> NDArray[np.int64]:
-    """Return the values of a metric in the rows of exchanges `first` to `after` (not included), without nulls."""
+    """Return the values of a metric of exchanges `first` to `after` (not included), without nulls."""
     rows = roundtrips.bounds[[first, after]].tolist()
     return present(roundtrips.column(f"{metric}_ns").slice(rows[0], rows[1] - rows[0]))
 
 
 def measure_batch(roundtrips: PairedRows, group_of_exchange: NDArray[np.uint32]) -> Statistics:
-    """Measure every group of a batch, in rising order of `group_of_exchange`."""
+    """Measure every group of a batch, in ascending order."""
     groups, first = np.unique(group_of_exchange, return_index=True)
     after = np.append(first[1:], len(group_of_exchange))
     return measure_groups(
@@ -66,7 +66,7 @@ def measure_batch(roundtrips: PairedRows, group_of_exchange: NDArray[np.uint32])
 
 
 def measure_groups(values: Iterable[tuple[int, str, NDArray[np.int64]]]) -> Statistics:
-    """Compute statistics and histograms from (group, metric, values rising)."""
+    """Compute statistics and histograms from (group, metric, values ascending)."""
     rows, histograms = [], []
     for group, metric, ordered_ns in values:
         rows.append(
@@ -78,11 +78,11 @@ def measure_groups(values: Iterable[tuple[int, str, NDArray[np.int64]]]) -> Stat
 
 def _distributions(histograms: list[tuple[int, str, Histogram]]) -> pl.DataFrame:
     lengths = [len(histogram.value_ns) for _, _, histogram in histograms]
-    position = np.repeat(np.arange(len(histograms), dtype=np.uint32), lengths)
+    index = np.repeat(np.arange(len(histograms), dtype=np.uint32), lengths)
     return pl.DataFrame(
         {
-            "group": pl.Series([group for group, _, _ in histograms], dtype=pl.UInt32).gather(position),
-            "metric": pl.Series([metric for _, metric, _ in histograms], dtype=pl.String).gather(position),
+            "group": pl.Series([group for group, _, _ in histograms], dtype=pl.UInt32).gather(index),
+            "metric": pl.Series([metric for _, metric, _ in histograms], dtype=pl.String).gather(index),
             "value_ns": np.concatenate([np.empty(0), *(h.value_ns for _, _, h in histograms)]),
             "count": np.concatenate([np.empty(0, np.uint64), *(h.count for _, _, h in histograms)]),
         }

@@ -1,4 +1,4 @@
-"""Outages: runs of lost messages, how long they lasted, and how long recovery took."""
+"""Age of information at a receiver, and outages: runs of lost messages and the recovery from them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
     Int64 = NDArray[np.int64]
     Bools = NDArray[np.bool_]
-    from numpy.typing import NDArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,9 +22,9 @@ class AgeOfInformation:
 
     Attributes:
         mean_ns: average over time.
-        peak_mean_ns: average over the peaks, each just before newer information arrived.
-        peak_max_ns: the highest peak.
-        updates: receptions that brought newer information than any before.
+        peak_mean_ns: average of the peaks, each just before newer information arrived.
+        peak_max_ns: highest peak.
+        updates: receptions of newer information than any before.
     """
 
     mean_ns: float
@@ -34,29 +33,18 @@ class AgeOfInformation:
     updates: int
 
 
-def age_of_information(
-    generated_ns: NDArray[np.int64], received_ns: NDArray[np.int64]
-) -> AgeOfInformation | None:
-    """Compute the age of information from the times at which messages were made and received, on one clock.
+def age_of_information(generated: Int64, received: Int64) -> AgeOfInformation | None:
+    """Compute the age of information from the times (ns) at which received messages were made and received, on one clock.
 
-    The age rises by a second each second and falls to `received - generated` when a newer message arrives, a
-    saw-tooth: between updates k and k + 1 it goes from `r[k] - g[k]` to the peak `r[k+1] - g[k]`. An older
-    message that comes late changes nothing.
-
-    Args:
-        generated_ns: int64, of the messages that were received.
-        received_ns: int64, likewise.
-
-    Returns:
-        None with fewer than two updates: there is no time to average over.
+    The age is a saw-tooth: between updates k and k + 1 it rises from `r[k] - g[k]` to the peak `r[k+1] - g[k]`. An older
+    message that comes late changes nothing. None with fewer than two updates: there is no time to average over.
     """
-    generated, received = generated_ns, received_ns
-    if not (_rises(received) and _rises(generated)):
+    if not (_is_ascending(received) and _is_ascending(generated)):
         generated, received = _updates(generated, received)
     if len(received) < 2:
         return None
     peaks = received[1:] - generated[:-1]
-    # In place: of a long run each of these arrays has forty megabytes.
+    # In place: each of these arrays of a long run takes 40 MB.
     area, fallen = peaks.astype(np.float64), (received - generated)[:-1].astype(np.float64)
     peak_mean_ns = float(area.mean())
     area *= area
@@ -71,20 +59,18 @@ def age_of_information(
     )
 
 
-def _rises(times: NDArray[np.int64]) -> bool:
+def _is_ascending(times: Int64) -> bool:
     return bool((times[1:] > times[:-1]).all())
 
 
-def _updates(
-    generated: NDArray[np.int64], received: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the times of the receptions that brought newer information than any before, in their order."""
+def _updates(generated: Int64, received: Int64) -> tuple[Int64, Int64]:
+    """Return the times of the receptions of newer information than any before, in order."""
     order = np.lexsort((generated, received))
     generated, received = generated[order], received[order]
     newer = np.ones(len(generated), np.bool_)
     newer[1:] = generated[1:] > np.maximum.accumulate(generated)[:-1]
     generated, received = chosen_of(newer, generated), chosen_of(newer, received)
-    # Of several updates at one instant the last counts: the others never were the newest for any time.
+    # Of several updates at one instant the last one counts: the others were never the newest.
     last = np.ones(len(received), np.bool_)
     last[:-1] = received[1:] != received[:-1]
     return chosen_of(last, generated), chosen_of(last, received)
@@ -94,7 +80,7 @@ OUTAGE_MESSAGES = 3
 """Lost messages in a row that make an outage: single losses are loss, not an outage."""
 
 RECOVERED_MESSAGES = 5
-"""Messages in a row that must be in time before an outage counts as overcome."""
+"""Messages in a row in time that end the recovery from an outage."""
 
 
 def longest_run(happened: Bools) -> int:
@@ -104,8 +90,8 @@ def longest_run(happened: Bools) -> int:
 
 def runs_of(happened: Bools) -> list[tuple[int, int]]:
     """Return start and stop (one past the end) of each run of True, in order."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], happened, [False]]).astype(np.int8)))
-    return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
+    changes = np.flatnonzero(np.diff(np.concatenate([[False], happened, [False]]).astype(np.int8)))
+    return [(int(start), int(stop)) for start, stop in changes.reshape(-1, 2)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,12 +99,11 @@ class Outage:
     """A run of lost messages.
 
     Attributes:
-        first_sequence: first message lost.
+        first_sequence: first lost message.
         messages: number of messages lost in a row.
-        start_ns: planned time of the first of them (T0, else T1), ping's monotonic clock.
+        start_ns: planned time of the first one (T0, else T1), ping's monotonic clock.
         end_ns: reception of the next message that got through; None if the run ended first.
-        recovery_ns: from `end_ns` until the first of `RECOVERED_MESSAGES` messages in a row that were in time was
-            received; 0 if the first messages were, None if no messages were.
+        recovery_ns: from `end_ns` to the first of `RECOVERED_MESSAGES` messages in a row in time; None if there are none.
     """
 
     first_sequence: int
@@ -134,16 +119,12 @@ class Outage:
 
 
 def find_outages(
-    sequence: NDArray[np.uint64],
-    planned_ns: Int64,
-    receive_ns: Int64,
-    lost: Bools,
-    in_time: Bools,
+    sequence: NDArray[np.uint64], planned_ns: Int64, receive_ns: Int64, lost: Bools, in_time: Bools
 ) -> list[Outage]:
     """Find the outages of one run, in order.
 
     Args:
-        sequence: of every published message, rising.
+        sequence: of every published message, ascending.
         planned_ns: planned time of each.
         receive_ns: reception of its reply; any value where `lost`.
         lost: whether no reply was received.

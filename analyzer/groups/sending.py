@@ -1,4 +1,4 @@
-"""The frame `sending`: whether each run's ping kept to its schedule, as one late message must not decide."""
+"""The frame `sending`: whether the ping of each run kept its schedule."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ if TYPE_CHECKING:
     Int64 = NDArray[np.int64]
 
 LATE_NS = 5_000_000
-"""T1 - T0 from which on a send is late. A wake-up takes well under 1 ms, and one that misses its timer tick 4 ms at 250 Hz:
-what is later waited for a blocked publish, or for a processor."""
+"""T1 - T0 above which a send is late. A wake-up takes well under 1 ms, and one that misses its timer tick 4 ms at 250 Hz: a
+later send waited for a blocked publish, or for a processor."""
 
 STILL_NS = 1_000_000_000
-"""Time without a message, though one was due, from which on a ping stood still: ten times what a reliable writer blocks by
-default (`max_blocking_time`, 100 ms in the DDS specification), and no scheduler keeps a ready thread waiting so long."""
+"""Time without a message, though one was due, after which a ping stood still: ten times the default `max_blocking_time` of DDS,
+and no scheduler keeps a ready thread waiting so long."""
 
 _LAST_SHARE = 10
-"""The last tenth of a run tells how far it fell behind: its median, so that one late message says nothing."""
+"""The median lag of the last tenth of a run is its lag, so that one late message does not count."""
 
 _LEAST_MESSAGES = 3
-"""Messages of that tenth at least, so that their median leaves one late message out."""
+"""Fewest messages of that tenth, so that their median is not one late message's."""
 
 SENDING_SCHEMA: dict[str, type[pl.DataType]] = {
     "group": pl.UInt32,
@@ -50,16 +50,13 @@ SENDING_SCHEMA: dict[str, type[pl.DataType]] = {
 
 
 def sending_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
-    """Tell for each run and relay how its messages were sent.
+    """Describe for each run and relay how its messages were sent.
 
     Returns:
-        Columns of `SENDING_SCHEMA`. `messages` published; `elapsed_ns`: time from the first to the
-        last ones at the asked rate, and `behind_ns` by how much later they were sent; null below three messages or
-        without a rate;
-        `late`: messages with T1 - T0 above `LATE_NS`, but for those that a stand-still held up; `late_max_ns`: the largest
-        T1 - T0 of all that none held up, and `late_p99_ns` the 99th percentile of all, null without T0; `still`: times that the ping stood
-        still for `STILL_NS` or longer, the longest of which took `still_ns` and ended at `still_end_ns`, ping's
-        monotonic clock; null without one.
+        Columns of `SENDING_SCHEMA`. `messages` published; `elapsed_ns`, `behind_ns`: see `schedule_lag`; `late`: messages
+        with T1 - T0 above `LATE_NS`, and `late_max_ns` the largest T1 - T0, without messages delayed by a stand-still;
+        `late_p99_ns`: 99th percentile of T1 - T0 of all messages; `still`: number of stand-stills, of which the longest took
+        `still_ns` and ended at `still_end_ns`, ping's monotonic clock.
     """
     rows: list[dict[str, object]] = []
     scheduled = roundtrips.measured["scheduled_ns"]
@@ -71,8 +68,8 @@ def sending_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
         due_ns, left_ns = scheduled_ns[here][planned], sent_ns[planned]
         stood = find_stand_stills(due_ns, left_ns)
         waited_ns = left_ns - due_ns
-        free_ns = waited_ns[~stood.held_up]
-        elapsed_ns, late_ns = held_schedule(sent_ns, exchange.run.rate_hz)
+        free_ns = waited_ns[~stood.delayed]
+        elapsed_ns, lag_ns = schedule_lag(sent_ns, exchange.run.rate_hz)
         rows.append(
             {
                 "group": int(batch.group_of_exchange[number]),
@@ -80,7 +77,7 @@ def sending_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
                 "relay_id": exchange.relay_id,
                 "messages": len(sent_ns),
                 "elapsed_ns": elapsed_ns,
-                "behind_ns": late_ns,
+                "behind_ns": lag_ns,
                 "late": int(np.count_nonzero(free_ns > LATE_NS)),
                 "late_max_ns": int(free_ns.max()) if len(free_ns) else None,
                 "late_p99_ns": quantile_of(np.sort(waited_ns), 0.99) if len(waited_ns) else None,
@@ -94,48 +91,43 @@ def sending_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StandStills:
-    """The times in which a ping sent nothing though a message was due.
+    """The times of `STILL_NS` or longer in which a ping sent nothing though a message was due.
 
     Attributes:
-        lasted_ns: how long each took.
-        longest_end_ns: when the longest one ended, ping's monotonic clock; None without one.
-        held_up: whether each message left late for one of them, until the ping had caught up, bool.
+        lasted_ns: duration of each.
+        longest_end_ns: end of the longest one, ping's monotonic clock.
+        delayed: for each message, whether it left late because of one, until the ping had caught up.
     """
 
     lasted_ns: tuple[int, ...]
     longest_end_ns: int | None
-    held_up: NDArray[np.bool_]
+    delayed: NDArray[np.bool_]
 
 
 def find_stand_stills(scheduled_ns: Int64, sent_ns: Int64) -> StandStills:
-    """Return the times of `STILL_NS` or longer in which nothing was sent though a message was due.
-
-    Args:
-        scheduled_ns: T0 of each message.
-        sent_ns: T1 of each message, in order.
-    """
-    held_up = np.zeros(len(sent_ns), np.bool_)
+    """Find the stand-stills of a run from T0 and T1 of its messages, in order."""
+    delayed = np.zeros(len(sent_ns), np.bool_)
     due_ns = scheduled_ns.copy()
     due_ns[1:] = np.maximum(due_ns[1:], sent_ns[:-1])
     stood = np.flatnonzero(sent_ns - due_ns >= STILL_NS)
-    for position in stood.tolist():
-        on_time = np.flatnonzero(sent_ns[position:] - scheduled_ns[position:] <= LATE_NS)
-        held_up[position : position + int(on_time[0]) if len(on_time) else None] = True
+    for start in stood.tolist():
+        on_time = np.flatnonzero(sent_ns[start:] - scheduled_ns[start:] <= LATE_NS)
+        delayed[start : start + int(on_time[0]) if len(on_time) else None] = True
     lasted_ns = (sent_ns - due_ns)[stood]
     longest_end_ns = int(sent_ns[stood[lasted_ns.argmax()]]) if len(stood) else None
-    return StandStills(tuple(lasted_ns.tolist()), longest_end_ns, held_up)
+    return StandStills(tuple(lasted_ns.tolist()), longest_end_ns, delayed)
 
 
-def held_schedule(sent_ns: Int64, rate_hz: float) -> tuple[int | None, int | None]:
-    """Return the time from the first to the last messages of a run at the asked rate, and by how much later they were sent.
+def schedule_lag(sent_ns: Int64, rate_hz: float) -> tuple[int | None, int | None]:
+    """Return the planned time from the first message to the last tenth, and how much later than that it was sent.
 
     Args:
-        sent_ns: T1 of each message, in order.
-        rate_hz: messages a second that were asked for.
+        sent_ns: T1 of each message, in order; fewer than three have no lag.
+        rate_hz: requested rate; none without.
     """
     if len(sent_ns) < _LEAST_MESSAGES or rate_hz <= 0:
         return None, None
     last = max(_LEAST_MESSAGES, len(sent_ns) // _LAST_SHARE)
     planned_ns = np.arange(len(sent_ns) - last, len(sent_ns)).astype(np.float64) * (1e9 / rate_hz)
-    behind_ns = np.sort((sent_ns[-last:] - sent_ns[0]) - planned_ns)
-    return round(quantile_of(planned_ns, 0.5)), round(quantile_of(behind_ns, 0.5))
+    lag_ns = np.sort((sent_ns[-last:] - sent_ns[0]) - planned_ns)
+    return round(quantile_of(planned_ns, 0.5)), round(quantile_of(lag_ns, 0.5))

@@ -1,4 +1,4 @@
-"""The frame `shapes`: what the latency of each run does over its time: a warm-up, a rise, two modes."""
+"""The frame `shapes`: the latency over the time of each run: a warm-up, a trend, two modes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     Int64 = NDArray[np.int64]
 
 OWN_NS = 28_000
-"""Difference of latency that may be the recorder's own: four events of a message, each of up to 7 us when it is cold."""
+"""Difference of latency that may be the recorder's own: four events of a message, each up to 7 us with cold caches."""
 
 SHAPE_SCHEMA: dict[str, type[pl.DataType]] = {
     "group": pl.UInt32,
@@ -41,16 +41,15 @@ SHAPE_SCHEMA: dict[str, type[pl.DataType]] = {
 
 
 def shape_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
-    """Look at the latency of each run and relay in the order of time; at its round trips without the relay's trace.
+    """Describe the latency of each run and relay in the order of time; the round trips without the relay's trace.
 
     Returns:
-        Columns of `SHAPE_SCHEMA`, null where nothing was found: `warm_up_messages` at the begin that are not like the
-        others and how long they took (`warm_up_s`), their level over that of the others; `trend_ratio`: level at the end
-        over that at the begin; the two modes and the share of the smaller one. Only what is no chance and larger than
-        `OWN_NS`.
+        Columns of `SHAPE_SCHEMA`, null unless significant and larger than `OWN_NS`: `warm_up_messages` at the start and
+        their time `warm_up_s`, `warm_up_ratio` their level over the others' level; `trend_ratio` level at the end over the
+        level at the start; the two modes and the share of the smaller one.
     """
     rows: list[dict[str, object]] = []
-    # Filled for all runs at once: for one, the way into polars and back takes longer than its median.
+    # Filled for all runs at once: per run, the conversion takes longer than the median.
     columns = {
         name: filled(roundtrips.measured[name])
         for name in {_metric_of(exchange) for exchange in batch.exchanges}
@@ -76,10 +75,10 @@ def _metric_of(exchange: Exchange) -> str:
 
 
 def shape_of(latency_ns: Int64, sent_ns: Int64) -> dict[str, float]:
-    """Return the columns of `SHAPE_SCHEMA` that hold for a run.
+    """Return the columns of `SHAPE_SCHEMA` that a run has.
 
     Args:
-        latency_ns: of each message that came back, above zero, in the order of time.
+        latency_ns: of each received message, above zero, in the order of time.
         sent_ns: T1 of each.
     """
     shape: dict[str, float] = {}

@@ -1,4 +1,4 @@
-"""The frame `summary`: one row per group, from what was counted and measured batch by batch."""
+"""The frame `summary`: one row per group, from counts and statistics of the batches; and the recorder's own cost."""
 
 from __future__ import annotations
 
@@ -26,33 +26,23 @@ if TYPE_CHECKING:
 
 
 EVENTS_IN_RELAY = 2
-"""Events that are kept while a message is in the relay, T3 and T4; T1 and T2 lie at the ends of the round trip."""
+"""Events recorded while a message is in the relay, T3 and T4; T1 and T2 are at the ends of the round trip."""
 
 
 def own_cost_ns(ping: Session, relay: Session | None) -> float | None:
-    """Return the time of a round trip that both nodes take themselves, in ns; None where a side did not measure it."""
+    """Return the part of a round trip that both nodes take themselves, ns; None where a side did not measure it."""
     if relay is None:
         return None
-    parts = [
-        _median_ns(ping, "client_library_floor", "median_ns"),
-        _median_ns(relay, "client_library_floor", "median_ns"),
-        _median_ns(relay, "recorder_cost", "record_median_ns"),
-    ]
-    there, back, record = parts
+    there, back = (_median_ns(side, "client_library_floor", "median_ns") for side in (ping, relay))
     if there is None or back is None:
         return None
-    return there + back + EVENTS_IN_RELAY * (record or 0.0)
-
-
-def own_share() -> pl.Expr:
-    """Return the expression of the column `own_share` from `own_cost_ns` and `rtt_p50_ns`."""
-    return pl.when(pl.col("rtt_p50_ns") > 0).then(pl.col("own_cost_ns") / pl.col("rtt_p50_ns"))
+    return there + back + EVENTS_IN_RELAY * (_median_ns(relay, "recorder_cost", "record_median_ns") or 0.0)
 
 
 def _median_ns(session: Session, part: str, name: str) -> float | None:
-    """Return a number of a session's field; None for what a foreign trace may hold there instead."""
-    held = session.extra.get(part)
-    value = held.get(name) if isinstance(held, dict) else None
+    """Return a number of a session's field; None for anything else that a foreign trace may have there."""
+    fields = session.extra.get(part)
+    value = fields.get(name) if isinstance(fields, dict) else None
     if not isinstance(value, (int, float)) or isinstance(value, bool) or not math.isfinite(value):
         return None
     return float(value) if value >= 0 else None
@@ -60,13 +50,13 @@ def _median_ns(session: Session, part: str, name: str) -> float | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Summary:
-    """The rows of `roundtrips` summarized group by group.
+    """The round trips summarized group by group.
 
     Attributes:
-        frame: the columns of `columns.SUMMARY_COLUMNS`; row i is group i.
+        frame: columns of `columns.SUMMARY_COLUMNS`; row i is group i.
         distributions: `group` u32, `metric` str, `value_ns` f64, `count` u64.
-        samples: metric -> int64, number of values of each group that are not null.
-        exchange_counts: counts and spans of every exchange of the grouping, columns of `counts.COUNT_SCHEMA`.
+        samples: metric -> int64, number of values of each group.
+        exchange_counts: counts and spans of every exchange, columns of `counts.COUNT_SCHEMA`.
     """
 
     frame: pl.DataFrame
@@ -75,28 +65,17 @@ class Summary:
     exchange_counts: pl.DataFrame
 
     def unsent_by_run(self, grouping: Grouping) -> dict[int, int]:
-        """Return run_id -> messages that were due and never left, of the runs that have any.
-
-        Args:
-            grouping: the groups that are summarized.
-        """
+        """Return run_id -> messages that were due and never left, of the runs that have any."""
         unsent: dict[int, int] = {}
-        for exchange, count in zip(
-            grouping.exchanges, self.exchange_counts["unsent"].fill_null(0).to_list(), strict=True
-        ):
+        counts = self.exchange_counts["unsent"].fill_null(0).to_list()
+        for exchange, count in zip(grouping.exchanges, counts, strict=True):
             if count:
                 unsent[exchange.run.run_id] = max(count, unsent.get(exchange.run.run_id, 0))
         return unsent
 
 
 def summarize_groups(grouping: Grouping, exchange_counts: pl.DataFrame, statistics: Statistics) -> Summary:
-    """Make one row per group.
-
-    Args:
-        grouping: the groups.
-        exchange_counts: counts of every exchange of the grouping, in its order.
-        statistics: of every group.
-    """
+    """Make one row per group from the counts of its exchanges and its statistics."""
     measured = statistics.frame.sort("group", maintain_order=True)
     wide = [
         measured.filter(metric=metric).select(
@@ -106,7 +85,7 @@ def summarize_groups(grouping: Grouping, exchange_counts: pl.DataFrame, statisti
     ]
     counts = _counts_and_rates(exchange_counts, grouping)
     frame = pl.concat([grouping.parameters, counts, *wide], how="horizontal").with_columns(
-        own_share().alias("own_share")
+        ratio(pl.col("own_cost_ns"), pl.col("rtt_p50_ns")).alias("own_share")
     )
     return Summary(
         frame=frame.select(pl.col(column.name).cast(column.dtype) for column in SUMMARY_COLUMNS),
@@ -117,7 +96,7 @@ def summarize_groups(grouping: Grouping, exchange_counts: pl.DataFrame, statisti
 
 
 def _counts_and_rates(exchange_counts: pl.DataFrame, grouping: Grouping) -> pl.DataFrame:
-    """Compute the columns of `columns.COUNT_COLUMNS` and `columns.RUN_COLUMNS`, one row per group."""
+    """Compute `columns.COUNT_COLUMNS` and `columns.RUN_COLUMNS`, one row per group."""
     exchanges = grouping.exchanges
     recorded = pl.Series([exchange.relay_recorded for exchange in exchanges], dtype=pl.Boolean)
     payload_bytes = pl.Series([exchange.run.payload_bytes for exchange in exchanges], dtype=pl.Int64)
@@ -145,7 +124,7 @@ def _counts_and_rates(exchange_counts: pl.DataFrame, grouping: Grouping) -> pl.D
             _per_second("intervals", "publish_span_ns").alias("achieved_rate_hz"),
             _per_second("moved_bytes", "moved_span_ns").alias("transfer_rate_bytes_per_s"),
         )
-        .with_columns(_ratio(pl.col("received"), pl.col("published")).alias("received_ratio"))
+        .with_columns(ratio(pl.col("received"), pl.col("published")).alias("received_ratio"))
         .sort("group")
         .drop("group")
         .collect()
@@ -153,12 +132,11 @@ def _counts_and_rates(exchange_counts: pl.DataFrame, grouping: Grouping) -> pl.D
 
 
 def _per_second(amount: str, span_ns: str) -> pl.Expr:
-    """Divide sum by sum: the runs of a group weigh as long as they took; a run without a duration says nothing."""
+    """Divide sum by sum, so that runs weigh by their duration; a run without a duration does not count."""
     lasted = pl.col(span_ns) > 0
-    return _ratio(
-        pl.col(amount).filter(lasted).sum() * float(SECOND_NS), pl.col(span_ns).filter(lasted).sum()
-    )
+    return ratio(pl.col(amount).filter(lasted).sum() * float(SECOND_NS), pl.col(span_ns).filter(lasted).sum())
 
 
-def _ratio(numerator: pl.Expr, denominator: pl.Expr) -> pl.Expr:
+def ratio(numerator: pl.Expr, denominator: pl.Expr) -> pl.Expr:
+    """Divide; null where the denominator is not above zero."""
     return pl.when(denominator > 0).then(numerator / denominator)

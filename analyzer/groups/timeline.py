@@ -1,4 +1,4 @@
-"""The frame `timeline`: round trips over the run's time, few enough to draw, with extremes and losses kept."""
+"""The frames `run_times` (a row per run) and `timeline` (round trips over the run's time, few enough to draw)."""
 
 from __future__ import annotations
 
@@ -40,8 +40,7 @@ def run_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     Returns:
         Columns of `RUN_SCHEMA`, a row for each run of each group: `origin_ns` (planned send time of its first message on the
         ping's clock, else T1), `last_ns` (T1 of its last message), `published` and `received` messages, times the relays of
-        the group, `p50_ns` and `max_ns` of the latency of what came back, of the round trip where no relay stamped; null where
-        nothing did.
+        the group, `p50_ns` and `max_ns` of the latency, of the round trip without the relay's stamps.
     """
     run_ids = [exchange.run.run_id for exchange in batch.exchanges]
     keys = list(zip(batch.group_of_exchange.tolist(), run_ids, strict=True))
@@ -50,20 +49,19 @@ def run_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     return _summarize(roundtrips.measured, [keys[number] for number in first], bounds)
 
 
-def run_rows(of_groups: pl.DataFrame, roundtrips: pl.LazyFrame) -> pl.DataFrame:
-    """Put the rows of each run together.
+def run_rows(run_times: pl.DataFrame, roundtrips: pl.LazyFrame) -> pl.DataFrame:
+    """Merge the rows of runs whose relays are in several groups.
 
     Args:
-        of_groups: columns of `RUN_SCHEMA`, of all groups.
-        roundtrips: read for the runs whose relays are of several groups, which share a median; not more than `ROWS_AT_ONCE` at
-            a time, unless one run has more.
+        run_times: the frame of all groups.
+        roundtrips: read for those runs, which need a common median; about `ROWS_AT_ONCE` at a time.
 
     Returns:
         Columns of `RUN_SCHEMA` but `group`, one row a run, by `run_id`.
     """
     is_whole = pl.col("run_id").is_unique()
-    parts = [of_groups.filter(is_whole)]
-    for runs in _runs_at_once(of_groups.filter(~is_whole)):
+    parts = [run_times.filter(is_whole)]
+    for runs in _runs_at_once(run_times.filter(~is_whole)):
         is_read = pl.col("run_id").is_in(runs["run_id"].implode())
         rows = roundtrips.filter(is_read).select("run_id", *_READ).collect().sort("run_id")
         bounds = [0, *rows.group_by("run_id", maintain_order=True).len()["len"].cum_sum()]
@@ -71,9 +69,9 @@ def run_rows(of_groups: pl.DataFrame, roundtrips: pl.LazyFrame) -> pl.DataFrame:
     return pl.concat(parts).drop("group").sort("run_id")
 
 
-def _runs_at_once(of_groups: pl.DataFrame) -> Iterator[pl.DataFrame]:
-    """Yield the runs whose round trips are read together, by `run_id`."""
-    runs = of_groups.group_by("run_id").agg(pl.col("published").cast(pl.Int64).sum()).sort("run_id")
+def _runs_at_once(run_times: pl.DataFrame) -> Iterator[pl.DataFrame]:
+    """Yield the runs whose round trips are read at once, by `run_id`."""
+    runs = run_times.group_by("run_id").agg(pl.col("published").cast(pl.Int64).sum()).sort("run_id")
     rows_before = runs["published"].cum_sum() - runs["published"]
     yield from (part for _, part in runs.group_by(rows_before // ROWS_AT_ONCE, maintain_order=True))
 
@@ -81,12 +79,12 @@ def _runs_at_once(of_groups: pl.DataFrame) -> Iterator[pl.DataFrame]:
 def _summarize(
     roundtrips: pl.DataFrame, keys: Sequence[tuple[int, int]], bounds: Sequence[int]
 ) -> pl.DataFrame:
-    """Return columns of `RUN_SCHEMA` from the rows of runs that stand together.
+    """Return columns of `RUN_SCHEMA` from rows that are ordered by run.
 
     Args:
         roundtrips: columns of `_READ`.
-        keys: group and run_id of each.
-        bounds: rows `bounds[i]` to `bounds[i + 1]` (not included) are those of run i.
+        keys: group and run_id of each run.
+        bounds: run i has the rows `bounds[i]` to `bounds[i + 1]` (not included).
     """
     sent_ns, is_back = roundtrips["publish_ns"].to_numpy(), (roundtrips["outcome"] == "completed").to_numpy()
     planned_ns = first_known(roundtrips, "scheduled_ns", "publish_ns").to_numpy()
@@ -119,10 +117,10 @@ def _summarize(
 
 _ALL_POINTS = 100_000
 _POINTS_OF_EXCHANGE = (200, 4_000)
-"""Fewest and most points of an exchange, whatever its share of all points."""
+"""Fewest and most points of an exchange."""
 
-_KEPT_PER_STRETCH = 4
-"""Rows of a stretch at most, as a rule: lowest, highest, the first loss, and one of another kind of loss."""
+_POINTS_PER_STRETCH = 4
+"""Usual points of a stretch: lowest, highest, the first loss, and one of another kind of loss."""
 
 _MOST_NS = np.iinfo(np.int64).max
 
@@ -130,21 +128,20 @@ _DRAWN = ("sequence", "scheduled_ns", "publish_ns", "latency_ns", "rtt_ns", "out
 
 
 def timeline_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
-    """Choose rows worth drawing; all exchanges of the campaign share the points there are.
+    """Choose rows to draw; all exchanges of the campaign share the points.
 
-    An exchange with more rows than its share of points is cut into stretches of equal length. Each keeps
-    its lowest and its highest latency (round trip time, where the relay's trace is missing) and the first
-    message of every kind of loss in it: a curve through these covers what a curve through all rows would.
+    An exchange with more rows than points is cut into stretches of equal length. Each keeps its lowest and its highest
+    latency (round trip without the relay's trace) and the first message of every kind of loss: a curve through these covers
+    what a curve through all rows covers.
 
     Returns:
-        Columns `group` u32, `run_id` u64, `relay_id` u32, `sequence` u64, `elapsed_s` f64 (T0, or T1 where
-        there was no schedule, since that of the run's first counted message), `latency_ns` i64 null,
-        `rtt_ns` i64 null, `outcome` str.
+        Columns `group` u32, `run_id` u64, `relay_id` u32, `sequence` u64, `elapsed_s` f64 (T0, else T1, since the run's first
+        counted message), `latency_ns` i64 null, `rtt_ns` i64 null, `outcome` str.
     """
     recorded = np.array([exchange.relay_recorded for exchange in batch.exchanges])
-    kept = _worth_drawing(roundtrips, recorded, points_of_exchange(batch.all_exchanges))
-    exchange = roundtrips.exchange_of_row()[kept]
-    drawn = roundtrips.measured.select(_DRAWN)[kept].with_columns(
+    rows = _rows_to_draw(roundtrips, recorded, points_of_exchange(batch.all_exchanges))
+    exchange = roundtrips.exchange_of_row()[rows]
+    drawn = roundtrips.measured.select(_DRAWN)[rows].with_columns(
         pl.Series("group", batch.group_of_exchange[exchange]),
         *(roundtrips.described[name].gather(exchange) for name in ("run_id", "relay_id")),
         pl.Series("exchange", exchange),
@@ -165,30 +162,30 @@ def timeline_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
 
 
 def points_of_exchange(all_exchanges: int) -> int:
-    """Return how many points each exchange of a campaign may have: its share, which changes at powers of two of their number.
+    """Return the points of each exchange of a campaign.
 
-    So one more run draws few of the others anew (`engines/cached_batches.py`).
+    Their number changes at powers of two of the exchanges, so that cached timelines stay valid when a run is added.
     """
     low, high = _POINTS_OF_EXCHANGE
-    counted = 1 << max(all_exchanges - 1, 0).bit_length()
-    return min(max(_ALL_POINTS // counted, low), high)
+    rounded = 1 << max(all_exchanges - 1, 0).bit_length()
+    return min(max(_ALL_POINTS // rounded, low), high)
 
 
-def _worth_drawing(roundtrips: RoundTrips, recorded: NDArray[np.bool_], share: int) -> NDArray[np.int64]:
-    """Return the rows to keep, rising, some `share` of each exchange; where its relay is not `recorded`, by round trip times."""
+def _rows_to_draw(roundtrips: RoundTrips, recorded: NDArray[np.bool_], share: int) -> NDArray[np.int64]:
+    """Return the indices of about `share` rows of each exchange, by round trips where its relay is not `recorded`."""
     rows, first = np.diff(roundtrips.bounds), roundtrips.bounds[:-1]
     if (rows <= share).all():
         return np.arange(roundtrips.measured.height)
 
-    # Stretches are numbered throughout; in an exchange with few rows every row is one.
-    stretches = np.where(rows <= share, rows, share // _KEPT_PER_STRETCH)
+    # Stretches are numbered over all exchanges; in an exchange with few rows every row is one.
+    stretches = np.where(rows <= share, rows, share // _POINTS_PER_STRETCH)
     offset = np.cumsum(stretches) - stretches
     exchange = np.repeat(np.arange(len(rows)), stretches)
     number = np.arange(len(exchange)) - offset[exchange]
-    # A row is in the stretch `position * stretches // rows`: one begins at the first position that gives its number.
-    begins = first[exchange] - -number * rows[exchange] // stretches[exchange]
+    # Row i of an exchange is in stretch `i * stretches // rows`.
+    starts = first[exchange] - -number * rows[exchange] // stretches[exchange]
     lost = np.flatnonzero(roundtrips.outcome != OUTCOMES.index(Outcome.COMPLETED))
-    kind = np.searchsorted(begins, lost, side="right") * len(OUTCOMES) + roundtrips.outcome[lost]
+    kind = np.searchsorted(starts, lost, side="right") * len(OUTCOMES) + roundtrips.outcome[lost]
     first_lost = np.unique(kind, return_index=True)[1]
     times = roundtrips.measured["latency_ns"]
     if not recorded.all():
@@ -196,8 +193,8 @@ def _worth_drawing(roundtrips: RoundTrips, recorded: NDArray[np.bool_], share: i
     drawn = [first[rows > 0], lost[first_lost]]
     for extreme, none_ns in ((np.minimum, _MOST_NS), (np.maximum, -_MOST_NS)):
         times_ns = filled(times, none_ns)
-        found_ns = np.repeat(extreme.reduceat(times_ns, begins), np.diff(begins, append=len(times_ns)))
-        places = np.flatnonzero((times_ns == found_ns) & (found_ns != none_ns))
-        of_stretch = np.searchsorted(begins, places, side="right")
-        drawn.append(places[np.diff(of_stretch, prepend=0) > 0])  # of equal ones the first
+        extremes_ns = np.repeat(extreme.reduceat(times_ns, starts), np.diff(starts, append=len(times_ns)))
+        indices = np.flatnonzero((times_ns == extremes_ns) & (extremes_ns != none_ns))
+        stretch = np.searchsorted(starts, indices, side="right")
+        drawn.append(indices[np.diff(stretch, prepend=0) > 0])  # the first of equal ones
     return np.unique(np.concatenate(drawn))

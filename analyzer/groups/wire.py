@@ -1,7 +1,7 @@
-"""The frames about the wire: what a group's messages cost, by class of traffic and by how often they were sent again.
+"""The frames about the wire: what a group's messages cost, by class of traffic and by number of repeats.
 
-Counts come from the ping's runs, and those of a relay's capture from its trace; records of messages, of both, are joined to
-the rows by run, sequence and relay. A message's repeats are those of its way out and of its way back together.
+Counts of the ping's capture are in its runs, counts of a relay's capture in its trace; records of messages, of both, are
+joined to the rows by run, sequence and relay. A message's repeats are the sum of both ways.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class WireFrames(NamedTuple):
 
 
 def no_wire_frames() -> WireFrames:
-    """Make the frames of a campaign without `--wire`: columns and no row."""
+    """Make empty frames."""
     return WireFrames(**{name: pl.DataFrame(schema=schema) for name, schema in WIRE_FRAMES.items()})
 
 
@@ -71,35 +71,35 @@ def wire_frames(
     """Make the frames of `model.wire`.
 
     Args:
-        traces: the traces of a campaign, for records of messages and counts of relays.
+        traces: have records of messages and counts of relays.
         runs: the latest description of each run.
         grouping: the exchanges of each group.
-        rows: the round trips; a sketch has none, and then records are in no frame.
+        rows: the round trips; without them (a sketch) records are in no frame.
     """
     counts = {run_id: value for run_id, run in runs.items() if (value := _object(run.extra.get("wire")))}
     if not counts:
         return no_wire_frames()
-    of_relays = _counts_of_relays(traces)
+    relay_counts = _relay_counts(traces)
     records = _records(traces)
     has_rows = rows.has_rows
     frame, classes, repeats = [], [], []
     for group, members in enumerate(grouping.members()):
-        exchanges = [grouping.exchanges[position] for position in members]
+        exchanges = [grouping.exchanges[member] for member in members]
         group_runs = dict.fromkeys(e.run.run_id for e in exchanges if e.run.run_id in counts)
         if not group_runs:
             continue
-        of_rows = rows.frame(rows.groups[group], _ROW_COLUMNS) if has_rows else _no_rows()
-        returned = 1.0 if of_rows.is_empty() else of_rows["rtt_ns"].count() / of_rows.height
+        group_rows = rows.frame(rows.groups[group], _ROW_COLUMNS) if has_rows else _no_rows()
+        returned = 1.0 if group_rows.is_empty() else group_rows["rtt_ns"].count() / group_rows.height
         relays = Counter(e.run.run_id for e in exchanges)
         sums = _Sums()
         for run_id in group_runs:
             run = runs[run_id]
             _add_ping(sums, counts[run_id])
             sums.payload_bytes += run.published * run.payload_bytes * (1 + returned * relays[run_id])
-        for of_relay, run_ids in of_relays:
+        for capture, run_ids in relay_counts:
             if run_ids & group_runs.keys():
-                _add_relay(sums, of_relay, is_shared=not run_ids <= group_runs.keys())
-        joined = _joined(of_rows, records)
+                _add_relay(sums, capture, is_shared=not run_ids <= group_runs.keys())
+        joined = _joined(group_rows, records)
         frame.append(_row(group, sums, joined))
         total = sum(sums.bytes.values())
         classes += [
@@ -115,25 +115,24 @@ def wire_frames(
     )
 
 
-def _counts_of_relays(traces: Iterable[Trace]) -> list[tuple[JsonObject, frozenset[int]]]:
-    """Return the counts of relays' captures, each once, with the runs whose messages were seen meanwhile."""
+def _relay_counts(traces: Iterable[Trace]) -> list[tuple[JsonObject, frozenset[int]]]:
+    """Return the counts of relays' captures, each once though traces may be copies, with the runs during them."""
     counts: dict[tuple[Json, Json], tuple[JsonObject, frozenset[int]]] = {}
     for trace in traces:
         for text in trace.wire:
-            of_relay, run_ids = _object(text.get("counts")), text.get("run_ids")
-            if of_relay and isinstance(run_ids, list):
-                # Traces may be copies of each other.
+            capture, run_ids = _object(text.get("counts")), text.get("run_ids")
+            if capture and isinstance(run_ids, list):
                 served = frozenset(int(str(run_id), 16) for run_id in run_ids)
-                counts[text.get("session_id"), of_relay.get("begin_ns")] = of_relay, served
+                counts[text.get("session_id"), capture.get("begin_ns")] = capture, served
     return list(counts.values())
 
 
 def _records(traces: Iterable[Trace]) -> pl.DataFrame:
-    """Return the records of messages that a side sent, one per run, sequence and relay (0 on the way out)."""
+    """Return the records of sent messages, one per run, sequence and relay (0 on the way out)."""
     parts = [rows_of_text(text) for trace in traces for text in trace.wire]
     packed = np.concatenate([np.empty(0, MESSAGE_ROW), *parts])
     sent = packed[packed["direction"] != Direction.RECEIVED]
-    # On the loopback interface both captures have the message.
+    # On the loopback interface both captures have the message: one record is enough.
     return (
         pl.DataFrame({name: np.ascontiguousarray(sent[name]) for name in _RECORD_COLUMNS})
         .group_by(*_KEY, "relay_id")
@@ -141,13 +140,13 @@ def _records(traces: Iterable[Trace]) -> pl.DataFrame:
     )
 
 
-def _joined(of_rows: pl.DataFrame, records: pl.DataFrame) -> pl.DataFrame:
+def _joined(rows: pl.DataFrame, records: pl.DataFrame) -> pl.DataFrame:
     """Return the rows of a group whose way out has a record, with `repeats`, `resent_after_ns`, `waited_heartbeats`.
 
-    The wait is that of the way that was repeated later; a way back without a record counts as sent once.
+    The wait is the longer one of both ways; a way back without a record counts as sent once.
     """
     out = records.filter(relay_id=0).drop("relay_id")
-    both = of_rows.join(out, on=_KEY).join(records, on=[*_KEY, "relay_id"], how="left", suffix="_back")
+    both = rows.join(out, on=_KEY).join(records, on=[*_KEY, "relay_id"], how="left", suffix="_back")
     return both.select(
         "rtt_ns",
         "latency_ns",
@@ -165,15 +164,15 @@ def _add_ping(sums: _Sums, counts: JsonObject) -> None:
     for connection in _connections(counts):
         sums.tcp_rtts_ns.append(_number(connection.get("rtt_us")) * 1000)
         sums.tcp_windows.append(_number(connection.get("congestion_window")))
-    for of_class in _classes(counts):
-        name = str(of_class.get("name"))
-        sums.bytes[name] += int(_number(of_class.get("bytes")))
-        sums.packets[name] += int(_number(of_class.get("packets")))
+    for traffic in _objects(counts.get("classes")):
+        name = str(traffic.get("name"))
+        sums.bytes[name] += int(_number(traffic.get("bytes")))
+        sums.packets[name] += int(_number(traffic.get("packets")))
     _add_counters(sums, counts)
 
 
 def _add_relay(sums: _Sums, counts: JsonObject, *, is_shared: bool) -> None:
-    """Add what a relay's capture counted, as far as it is of this group alone and the ping's capture has not counted it."""
+    """Add the counts of a relay's capture, unless other groups share them or the ping's capture has them."""
     if is_shared:
         sums.shared_counts += 1
     if is_shared or _is_local(counts):
@@ -183,35 +182,28 @@ def _add_relay(sums: _Sums, counts: JsonObject, *, is_shared: bool) -> None:
 
 
 def _is_local(counts: JsonObject) -> bool:
-    """Return whether most bytes went over the loopback interface: ping and relay then have the same packets and kernel."""
+    """Return whether most bytes went over the loopback interface: both captures then have the same packets."""
     bytes_by_direction: Counter[str] = Counter()
-    for of_class in _classes(counts):
-        bytes_by_direction[str(of_class.get("direction"))] += int(_number(of_class.get("bytes")))
+    for traffic in _objects(counts.get("classes")):
+        bytes_by_direction[str(traffic.get("direction"))] += int(_number(traffic.get("bytes")))
     return 2 * bytes_by_direction[Direction.LOCAL.name.lower()] > bytes_by_direction.total()
 
 
-def _classes(counts: JsonObject) -> list[JsonObject]:
-    classes = counts.get("classes")
-    return [_object(each) for each in classes] if isinstance(classes, list) else []
-
-
 def _add_counters(sums: _Sums, counts: JsonObject) -> None:
-    """Add what is counted on each device by itself."""
-    of_kernel = _object(counts.get("ip"))
+    """Add the counts that each device has of its own."""
+    kernel = _object(counts.get("ip"))
     for name in ("kernel_drops", "requests", "tcp_again_bytes"):
         sums.counters[name] += int(_number(counts.get(name)))
     for name in ("reassembly_failed", "udp_receive_buffer_full"):
-        sums.counters[name] += int(_number(of_kernel.get(name)))
+        sums.counters[name] += int(_number(kernel.get(name)))
     sums.counters["tcp_retransmitted_segments"] += sum(
-        int(_number(each.get("retransmitted_segments"))) for each in _connections(counts)
+        int(_number(connection.get("retransmitted_segments"))) for connection in _connections(counts)
     )
 
 
 def _connections(counts: JsonObject) -> list[JsonObject]:
     """Return the TCP connections that sent payload during a run."""
-    listed = counts.get("tcp")
-    connections = [_object(each) for each in listed] if isinstance(listed, list) else []
-    return [each for each in connections if _number(each.get("bytes_sent")) > 0]
+    return [tcp for tcp in _objects(counts.get("tcp")) if _number(tcp.get("bytes_sent")) > 0]
 
 
 def _row(group: int, sums: _Sums, joined: pl.DataFrame) -> tuple[object, ...]:
@@ -282,8 +274,12 @@ def _no_rows() -> pl.DataFrame:
 
 
 def _object(value: Json) -> JsonObject:
-    """Return a JSON object, empty for anything else: a trace may hold any JSON here."""
+    """Return a JSON object, empty for anything else: a trace may have any JSON here."""
     return value if isinstance(value, dict) else {}
+
+
+def _objects(values: Json) -> list[JsonObject]:
+    return [_object(value) for value in values] if isinstance(values, list) else []
 
 
 def _number(value: Json) -> float:

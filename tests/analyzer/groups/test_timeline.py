@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from trace_files import RELAY_ID, Message, event, ping_events, ping_session, run, write_trace
 
-from dds_trace.analyzer.groups.timeline import _worth_drawing
+from dds_trace.analyzer.groups.timeline import _rows_to_draw
 from dds_trace.analyzer.pairing.pair import LOSSES, OUTCOMES
 from dds_trace.analyzer.pairing.roundtrips import RoundTrips
 from dds_trace.analyzer.pipeline import analyze
@@ -54,7 +54,7 @@ RUN = st.tuples(st.booleans(), st.lists(st.sampled_from([5, 6, 7, *LOSSES[:2]]),
 
 
 @given(runs=st.lists(RUN, min_size=1, max_size=4), share=st.integers(8, 40))
-def test_rows_worth_drawing_are_those_of_the_rule(runs, share):
+def test_rows_rows_to_draw_are_those_of_the_rule(runs, share):
     """Runs whose relay is recorded are drawn by latency, and their round trips would choose others."""
     rows = [(recorded, one) for recorded, of_run in runs for one in of_run]
     lost = [one if isinstance(one, str) else "completed" for _, one in rows]
@@ -76,7 +76,7 @@ def test_rows_worth_drawing_are_those_of_the_rule(runs, share):
         stamps=(),
         clock_knots=pl.DataFrame(),
     )
-    kept = _worth_drawing(held, np.array([recorded for recorded, _ in runs]), share)
+    kept = _rows_to_draw(held, np.array([recorded for recorded, _ in runs]), share)
     assert kept.tolist() == worth_drawing([of_run for _, of_run in runs], share)
 
 

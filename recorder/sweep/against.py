@@ -16,6 +16,7 @@ from dds_trace.base.units import counted
 from .folder import locked_folder
 from .plan.plan import depth_warnings
 from .plan.schedule import CellGroup, Remaining, group_by_relay, plan_seconds, schedule_pass
+from .run.progress import SweepProgress
 from .run.runner import Runner
 from .station.station import open_station
 from .sweep import SweepOutcome
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from .plan.plan import Plan
-    from .run.progress import SweepProgress
 
 BASE, NEW = "base", "new"
 """Names of the two sides and of their folders."""
@@ -33,12 +33,7 @@ BASE, NEW = "base", "new"
 
 @dataclass(frozen=True, slots=True)
 class InterleavedRun:
-    """One cell of one side.
-
-    Attributes:
-        side: `base` or `new`.
-        group: only this cell, with its relay.
-    """
+    """One cell of one side, `base` or `new`: a group with a relay of its own."""
 
     side: str
     group: CellGroup
@@ -46,13 +41,7 @@ class InterleavedRun:
 
 @dataclass(frozen=True, slots=True)
 class AgainstOutcome:
-    """Result of a sweep of two sides.
-
-    Attributes:
-        folder: folder with the folders of the sides.
-        base: result of the base.
-        new: result of the new side.
-    """
+    """Results of two sides, and the folder with their folders."""
 
     folder: Path
     base: SweepOutcome
@@ -62,8 +51,8 @@ class AgainstOutcome:
 def interleave(base: Plan, new: Plan) -> list[InterleavedRun]:
     """Return every cell of both sides in the order of the base's plan; of each cell base, new, new, base ... by repeat.
 
-    The two runs of a cell are adjacent and the first side alternates: a linear drift cancels over two repeats, and so
-    does what the first run of a pair leaves to the second. Each run has a relay of its own.
+    The runs of a cell are adjacent and the first side alternates: a linear drift, and an effect of the first run on the
+    second, cancel over two repeats.
 
     Raises:
         OptionError: the plans differ in their number of cells.
@@ -104,11 +93,11 @@ def run_against(
     """Record every cell of both sides, interleaved.
 
     Args:
-        base: plan of the base, whose order and number of repeats count for both.
-        new: plan of the new side.
-        folder: folder in which the sides' folders `base` and `new` are made.
+        base: plan whose order and number of repeats count for both.
+        new: plan of the other side.
+        folder: folder for the folders `base` and `new`.
         progress: receiver of every step.
-        commands: `dds-record` of each side; the installed one for None.
+        commands: `dds-record` of each side; None for the installed one.
 
     Raises:
         TraceError: no cell can be recorded at all; failures of single cells are in the outcome.
@@ -145,27 +134,19 @@ def run_against(
     return AgainstOutcome(folder, *outcomes)
 
 
-class _SideProgress:
-    """Progress of one side, handed on with the side's name before the cell's.
-
-    Args:
-        progress: receiver for both sides.
-        side: name of this one.
-    """
+class _SideProgress(SweepProgress):
+    """Hands the steps of one side on, with its name; both sides start and end as one sweep."""
 
     def __init__(self, progress: SweepProgress, side: str) -> None:
         self._progress = progress
         self._side = side
 
-    def begin(self, cells: int, done: int) -> None:
-        """Do nothing: both sides start as one sweep."""
-
     def relay(self, name: str) -> None:
-        """Hand on the name of the relay."""
+        """Hand on the relay."""
         self._progress.relay(f"{self._side} {name}")
 
     def cell(self, name: str, remaining: Remaining) -> None:
-        """Hand on the cell; the other side has about the same time left."""
+        """Hand on the cell; the other side has as much time left."""
         self._progress.cell(f"{self._side} {name}", Remaining(2 * remaining.seconds))
 
     def ended(self, name: str, outcome: str, *, complete: bool) -> None:
@@ -175,6 +156,3 @@ class _SideProgress:
     def note(self, text: str) -> None:
         """Hand on the line."""
         self._progress.note(f"{self._side}: {text}")
-
-    def end(self) -> None:
-        """Do nothing: both sides end as one sweep."""

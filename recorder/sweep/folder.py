@@ -41,16 +41,9 @@ _OWN_NAME = re.compile(
 
 @contextlib.contextmanager
 def locked_folder(folder: Path, note: Callable[[str], None]) -> Iterator[int]:
-    """Keep a second sweep out of the folder while the block runs.
+    """Make the folder, lock it for one sweep within the block, and yield the file descriptor of the lock.
 
     The programs of a sweep inherit the lock, so a killed sweep is resumed only after the last of them has closed its trace.
-
-    Args:
-        folder: folder of the sweep, made if it is missing.
-        note: takes a line of text if the lock is not free at once.
-
-    Yields:
-        File descriptor of the lock, for the programs to inherit.
 
     Raises:
         OutputError: the folder cannot be made.
@@ -83,7 +76,7 @@ def _try_lock(lock: int) -> bool:
 
 
 def make_parts(folder: Path) -> Path:
-    """Make the folder for unfinished traces below the folder of a sweep, and return its path.
+    """Make the folder for unfinished traces below a sweep's folder, and return its path.
 
     Raises:
         OutputError: it cannot be made, or is a link, which would lead writing and deleting elsewhere.
@@ -99,7 +92,7 @@ def make_parts(folder: Path) -> Path:
 
 
 def clear_parts(parts: Path) -> list[str]:
-    """Remove a sweep's files from its folder for unfinished traces, and return the names of all other files."""
+    """Remove a sweep's unfinished traces, and return the names of all other files."""
     foreign = []
     for path in sorted(parts.iterdir()):
         if _OWN_NAME.fullmatch(path.name) and (path.is_symlink() or path.is_file()):
@@ -123,16 +116,12 @@ def is_segment_name(name: str) -> bool:
 
 
 def log_path(folder: Path, segment: str) -> Path:
-    """Return the path of the log of a relay that writes the trace `segment`."""
+    """Return the path of a relay's log."""
     return folder / f"{segment}.log"
 
 
 def replace_text(path: Path, text: str) -> None:
-    """Replace a file so that a reader, or a reboot, sees either the old text or the new one.
-
-    Raises:
-        OutputError: it cannot be written.
-    """
+    """Replace a file so that a reader, or a reboot, sees either the old text or the new one."""
     try:
         with replacing(path, fsync=True) as draft, create_file(draft) as file:
             file.write(text.encode())

@@ -44,15 +44,15 @@ def rehearse_plan(
     """Return the cells of a plan that cannot be recorded here.
 
     The arguments of every cell are checked. Of cells that differ only in size and rate, one ping starts and ends before
-    its first message, and so does the relay of each group, on its own device: namespaces are made, the other device is
-    asked, programs of bridges start, middleware is loaded. The network between two devices and a full disk stay untested.
+    its first message, and so does each relay on its device, with namespaces, bridges and middleware. The network between
+    two devices and a full disk stay untested.
 
     Args:
         plan: the plan.
         folder: folder of the sweep, which is not made.
-        check_arguments: refuses what `dds-record` would refuse.
+        check_arguments: raises what `dds-record` would.
         note: takes a line about what could not be rehearsed.
-        command: `dds-record` on this machine; the installed one if left out.
+        command: `dds-record` on this machine; the installed one by default.
 
     Returns:
         Name of each cell, of all repeats, that cannot be recorded -> the reason.
@@ -78,12 +78,7 @@ def rehearse_plan(
 
 
 def _check_folder(plan: Plan, folder: Path) -> None:
-    """Check that the sweep's folder can be made, and that it has no other sweep.
-
-    Raises:
-        OutputError: it cannot be made or written.
-        OptionError, TraceFormatError: it has another sweep.
-    """
+    """Raise if the sweep's folder cannot be written, or has another sweep."""
     nearest = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
     if not nearest.is_dir() or not os.access(nearest, os.W_OK | os.X_OK):
         raise OutputError(f"{nearest}: not a folder that can be written; give another --out")
@@ -110,7 +105,7 @@ class _Rehearsal:
         self._too_old: set[str] = set()  # environments
 
     def refused_cells(self, group: CellGroup) -> dict[Cell, str]:
-        """Rehearse the relay of a group and its pings; return each cell that cannot be recorded with the reason."""
+        """Rehearse a relay and its pings; return the cells that cannot be recorded, with the reason."""
         reasons = {cell: self._refusal(self._ping_arguments(cell)) for cell in group.cells}
         accepted = [cell for cell, reason in reasons.items() if reason is None]
         relay_reason = self._rehearse_relay(group) if accepted else None

@@ -50,9 +50,9 @@ class MaxRate:
     Attributes:
         cell: the searched parameters; its `rate` is the answer.
         answer: meaning of the rate.
-        failing_hz: the lowest rate that was not sustained, None if every tried one was.
-        held_repeats: runs at the answer that sustained it, and all runs at the answer.
-        reason: reason why the next rate was not sustained, or why the search failed.
+        failing_hz: the lowest rate that was not sustained, None without one.
+        held_repeats: runs at the answer that sustained it, and all runs at it.
+        reason: why the next rate was not sustained, or why the search failed.
     """
 
     cell: Cell
@@ -67,14 +67,7 @@ class TrialFailedError(Exception):
 
 
 class Knee(NamedTuple):
-    """The end of a bisection.
-
-    Attributes:
-        answer: meaning of `rate_hz`.
-        rate_hz: the highest sustained rate.
-        failing_hz: the lowest rate that is not sustained, None if there is none.
-        reason: reason why `failing_hz` is not sustained.
-    """
+    """The end of a bisection: the highest sustained rate, and why `failing_hz`, the lowest other one, is not."""
 
     answer: RateAnswer
     rate_hz: float
@@ -84,11 +77,11 @@ class Knee(NamedTuple):
 
 @dataclass(slots=True)
 class Bisection:
-    """A search between the two rates of a plan.
+    """A search between two rates.
 
     Attributes:
         search: the rates and the conditions.
-        trial: runs the n-th trial at a rate; returns an empty text if it was sustained, else the reason why not.
+        trial: runs the n-th trial at a rate; returns why it was not sustained, else an empty text.
     """
 
     search: Search
@@ -130,7 +123,7 @@ class Bisection:
         return Knee(RateAnswer.FOUND, low, high, reason)
 
     def _majority(self, rate_hz: float) -> str:
-        """Return the reason why most repeats did not sustain this rate, or an empty text if most did."""
+        """Return why most repeats did not sustain this rate, or an empty text if most did."""
         repeats = self.search.knee_repeats
         reasons = []
         for number in range(1, repeats + 1):
@@ -149,13 +142,7 @@ def round_rate(rate_hz: float) -> float:
 
 
 def why_not_sustained(search: Search, rate_hz: float, result: CellResult) -> str:
-    """Return the reason why a run did not sustain its rate, or an empty text if it did.
-
-    Args:
-        search: the conditions.
-        rate_hz: the requested rate.
-        result: the run's numbers.
-    """
+    """Return the reason why a run did not sustain the requested rate, or an empty text if it did."""
     achieved_hz = result.achieved_rate_hz or 0.0
     percentile = f"p{search.percentile:g}"
     response_ms = result.response_ms[percentile] if result.response_ms else math.inf

@@ -31,13 +31,13 @@ if TYPE_CHECKING:
     """Name of a cell -> ids of its complete runs, in the order of the passes."""
 
     MeasureWidths = Callable[[Path, RunIds], Mapping[str, float]]
-    """Function from the folder of a sweep and the runs of its cells to the half width of each cell's interval."""
+    """Function from the folder of a sweep and its runs to the half width of each cell's interval."""
 
 INCOMPLETE_EXIT_CODE = 10
 """Exit code of `dds-sweep` if some cells have no complete recording; the `TraceError` tree has 1 to 9."""
 
 TOO_WIDE_EXIT_CODE = 11
-"""Exit code of `dds-sweep --until` if everything is recorded and some cells are still too wide after the last pass."""
+"""Exit code of `dds-sweep --until` if everything is recorded but some cells are too wide after the last pass."""
 
 DEFAULT_MAX_PASSES = 20
 """Runs whose statistic spreads by 10 % (standard deviation) need 18 passes for an interval of +-5 %."""
@@ -50,10 +50,10 @@ class Until:
     """The precision at which a sweep ends.
 
     Attributes:
-        statistic: measured statistic, such as `latency_p99`.
+        statistic: such as `latency_p99`.
         percent: widest half width of its interval, in percent of the value.
         max_passes: most passes, including the plan's.
-        measure: returns the half width of each cell's interval in percent; infinite where the interval lacks an end.
+        measure: returns the half width of each cell's interval in percent, infinite for an open interval.
     """
 
     statistic: str
@@ -63,11 +63,7 @@ class Until:
 
 
 def parse_target(text: str) -> tuple[str, float]:
-    """Return statistic and percent of a text such as `latency_p99:5%`.
-
-    Raises:
-        OptionError: another text.
-    """
+    """Return statistic and percent of a text such as `latency_p99:5%`; raise an OptionError for another text."""
     match = _TARGET.fullmatch(text)
     try:
         percent = float(match[2]) if match else 0.0
@@ -87,9 +83,9 @@ class SweepOutcome:
 
     Attributes:
         folder: folder with the traces and `state.json`.
-        cells: number of cells of the plan, repeats included.
+        cells: number of cells, repeats included.
         missing: name of each cell without a complete recording -> the reason.
-        too_wide: name of each cell whose interval is wider than requested -> half width in percent.
+        too_wide: name of each cell with too wide an interval -> half width in percent.
     """
 
     folder: Path
@@ -110,10 +106,10 @@ def run_sweep(
 
     Args:
         plan: the plan to record.
-        out: folder in which the plan's folder is made.
+        out: folder for the plan's folder.
         progress: receiver of every step.
-        command: `dds-record` on this machine; the installed one if left out.
-        until: precision up to which further passes are run; None for the plan's passes only.
+        command: `dds-record` on this machine; the installed one by default.
+        until: precision up to which passes are added to the plan's.
 
     Raises:
         TraceError: no cell can be recorded at all; failures of single cells are in the outcome.
@@ -139,10 +135,7 @@ def run_sweep(
 def _run_further_passes(
     plan: Plan, runner: Runner, until: Until, note: Callable[[str], None]
 ) -> tuple[list[Cell], dict[str, float]]:
-    """Repeat the cells that are too wide until none is or the passes are used up; return the new cells and too wide ones.
-
-    A cell without any complete run is left out: it has failed.
-    """
+    """Repeat the cells that are too wide until none is or the passes are used up; return the new cells and too wide ones."""
     cells: list[Cell] = []
     measured: RunIds = {}
     widths: Mapping[str, float] = {}
@@ -183,11 +176,7 @@ def run_search(
     *,
     command: Sequence[str] | None = None,
 ) -> tuple[Path, list[MaxRate]]:
-    """Search the highest rate of each cell, ignoring the plan's rates; return the folder of the trials and the answers.
-
-    Raises:
-        TraceError: as `run_sweep`.
-    """
+    """Search the highest rate of each cell, ignoring the plan's rates; return the folder of the trials and the answers."""
     plan = search_plan(plan)
     folder = out / plan.name
     with (

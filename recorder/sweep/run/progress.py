@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -14,30 +14,30 @@ if TYPE_CHECKING:
     from ..plan.schedule import Remaining
 
 
-class SweepProgress(Protocol):
-    """Receiver of the steps of a sweep."""
+class SweepProgress:
+    """Receiver of the steps of a sweep; ignores them."""
 
     def begin(self, cells: int, done: int) -> None:
-        """Take the number of cells, 0 if it is open, and how many of them were complete before."""
+        """Start with the number of cells, 0 if it is open, and how many of them are complete."""
 
     def relay(self, name: str) -> None:
-        """Take the name of a relay that starts."""
+        """Show that a relay starts."""
 
     def cell(self, name: str, remaining: Remaining) -> None:
-        """Take the name of a cell that starts, and the time that is left."""
+        """Show that a cell starts, and the time left."""
 
     def ended(self, name: str, outcome: str, *, complete: bool) -> None:
-        """Take the end of a cell: its result in words, or the reason of its failure."""
+        """Show the end of a cell: its result in words, or the reason of its failure."""
 
     def note(self, text: str) -> None:
-        """Take a line for a person to read."""
+        """Show a line."""
 
     def end(self) -> None:
-        """Take the end of the sweep."""
+        """End the sweep."""
 
 
-class PlainProgress:
-    """Progress as a line for each cell."""
+class PlainProgress(SweepProgress):
+    """A line for each cell."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
@@ -53,9 +53,6 @@ class PlainProgress:
         """Print the name of the relay."""
         self.note(f"relay: {name}")
 
-    def cell(self, name: str, remaining: Remaining) -> None:
-        """Print nothing: the line comes with the outcome."""
-
     def ended(self, name: str, outcome: str, *, complete: bool) -> None:
         """Print the outcome with the cell's number."""
         self._done += complete
@@ -63,15 +60,12 @@ class PlainProgress:
         self.note(f"[{self._done}{total}] {name}: {outcome}")
 
     def note(self, text: str) -> None:
-        """Print a line, not as markup, since it may contain output of a program."""
+        """Print a line without markup: it may contain output of a program."""
         self._console.print(text, markup=False, highlight=False, soft_wrap=True)
-
-    def end(self) -> None:
-        """Close nothing."""
 
 
 class RichProgress(PlainProgress):
-    """The same lines above a bar with the running cell, the time left and the latest percentiles."""
+    """The same lines above a bar with the running cell and the time left."""
 
     def __init__(self, console: Console) -> None:
         super().__init__(console)

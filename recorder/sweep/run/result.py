@@ -34,16 +34,13 @@ class CellResult:
 
     Attributes:
         run_id: 16 hex digits.
-        planned: messages of the schedule.
-        published: messages handed to the middleware.
         received: published messages with a reply.
         sent_bytes: application bytes of all published messages, warm-up included.
         achieved_rate_hz: rate of publishing, None with fewer than two messages.
         rtt_ms: percentile (`p50`, `p90`, `p95`, `p99`, `p99.9`) -> T2 - T1, None without replies.
-        response_ms: percentile -> T2 - T0, None without replies.
-        dropped_events: events that the recorder lost.
+        response_ms: percentile -> T2 - T0, likewise.
         cut_off: whether the run ended before its schedule.
-        not_applied: requested settings that the ping's middleware did not use, in words; empty if none.
+        not_applied: requested settings that the ping's middleware did not use, in words.
     """
 
     run_id: str

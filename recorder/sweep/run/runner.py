@@ -52,11 +52,7 @@ HOPELESS_EXIT_CODES = {OptionError.exit_code, BackendUnavailableError.exit_code}
 
 
 class CellFailedError(Exception):
-    """Failure of one attempt at a cell; the text gives the reason.
-
-    Attributes:
-        hopeless: whether another attempt would fail alike.
-    """
+    """Failure of one attempt at a cell; `hopeless` if another one would fail alike."""
 
     def __init__(self, reason: str, *, hopeless: bool = False) -> None:
         super().__init__(reason)
@@ -67,10 +63,10 @@ class GroupRelay:
     """The relay of a group of cells and its half of a bridge, started again in a new segment after it ended by itself.
 
     Args:
-        device: the device that it runs on.
+        device: the relay's device.
         arguments: arguments of `dds-record`, without `--out`.
         half: arguments of `dds-bridge`, None without a half next to the relay.
-        new_segments: names for the traces of one start after the other.
+        new_segments: a name for the trace of each start.
     """
 
     def __init__(
@@ -105,11 +101,7 @@ class GroupRelay:
         return self._segments[-1]
 
     def check(self) -> None:
-        """Raise if the relay or its half of a bridge has ended by itself; `serve` then starts both again.
-
-        Raises:
-            CellFailedError: one of the two has ended.
-        """
+        """Raise a `CellFailedError` if either program has ended by itself; `serve` then starts both again."""
         ended = next((name for name, program in self._running.items() if program.failure is not None), None)
         if ended is None:
             return
@@ -123,7 +115,7 @@ class GroupRelay:
         raise failure
 
     def stop(self) -> list[str]:
-        """Stop the running programs and return the names of all segments written so far."""
+        """Stop the programs and return the names of all segments."""
         for program in reversed(self._running.values()):
             program.stop()
         self._running.clear()
@@ -153,11 +145,7 @@ class Runner:
         self._estimate = Estimate(plan)
 
     def run(self, groups: list[CellGroup]) -> None:
-        """Run every cell that is not complete; `reasons` then names those that still are not.
-
-        Raises:
-            OutputError: the folder can no longer be written.
-        """
+        """Run every cell that is not complete; `reasons` then names those that still are not."""
         cells = [cell for group in groups for cell in group.cells]
         self.resume()
         done = sum(self.state[cell.name].done for cell in cells)
@@ -172,7 +160,7 @@ class Runner:
             self._progress.end()
 
     def prepare(self) -> None:
-        """Clean up after an interrupted sweep, and check that relays can be started."""
+        """Clean up after an interrupted sweep, and check that relays can start."""
         self.resume()
         self._prepare_device()
 
@@ -198,12 +186,7 @@ class Runner:
             )
 
     def run_group(self, group: CellGroup, all_cells: list[Cell]) -> None:
-        """Run the cells of a group that are not complete.
-
-        Args:
-            group: cells of one relay.
-            all_cells: cells of the sweep, for the time that is left.
-        """
+        """Run the cells of a group that are not complete; the time left is that of `all_cells`."""
         waiting = [cell for cell in group.cells if not self.state[cell.name].done]
         if not waiting:
             return
@@ -266,8 +249,8 @@ class Runner:
     def _refresh(self, relay: GroupRelay) -> None:
         """Stop a relay that may have parts of messages, so that the next cell gets a new one.
 
-        A reader of Fast DDS that waits for the rest of a large message from a closed writer delivers messages of other
-        writers late from then on (docs/reference/middlewares.md).
+        A Fast DDS reader with half a message of a closed writer delivers later messages late
+        (docs/reference/middlewares.md).
         """
         if not self.plan.by_hand:
             relay.stop()

@@ -36,13 +36,7 @@ _SAMPLE_MARGIN_NS = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class CellPart:
-    """The part of a relay's trace that belongs to one cell.
-
-    Attributes:
-        run_id: the cell's run.
-        path: the file to write.
-        link: counters of the emulated link during the run, written as a host sample; None without such a link.
-    """
+    """The part of a relay's trace for one cell; `link`, the emulated link's counters, is written as a host sample."""
 
     run_id: int
     path: Path

@@ -37,12 +37,11 @@ class CellState:
     """One cell's entry in the state file.
 
     Attributes:
-        attempts: number of runs that were started.
         reason: reason of the last failure; empty without one.
         run_id: the run that counts, 16 hex digits; empty before there is one.
-        segment: name of the relay's own trace that still contains this cell's part; empty once it is split off.
-        result: numbers of the ping's trace; None (in the file `{}`) before there are any.
-        link: report of the emulated link for the run; None (in the file `{}`) without such a link.
+        segment: name of the relay's own trace that still contains this cell's part, else empty.
+        result: numbers of the ping's trace; `{}` in the file for None.
+        link: report of the emulated link for the run; `{}` in the file for None.
     """
 
     status: Status = Status.PENDING
@@ -63,13 +62,13 @@ class SweepState:
     """The state of one sweep, saved after every change.
 
     Args:
-        path: path of the state file; its folder exists.
-        plan_name: name of the plan, for the file and for errors.
-        digest: digest of the plan's settings; a file of another digest is refused.
+        path: path of the state file.
+        plan_name: name of the plan.
+        digest: digest of the plan's settings.
 
     Attributes:
         planned: number of cells of the sweep, for `dds-analyze watch`; 0 while it is open.
-        left_s: estimate of the time that is left, as of the last change of the file.
+        left_s: estimate of the time left.
 
     Raises:
         TraceFormatError: the file is not a state of this version.
@@ -94,12 +93,12 @@ class SweepState:
         self._save()
 
     def in_segment(self, segment: str) -> dict[str, CellState]:
-        """Return the cells whose relay's part is still in this segment, by name."""
+        """Return the cells whose part is still in this segment, by name."""
         return {name: cell for name, cell in self._cells.items() if cell.segment == segment}
 
     @property
     def segments(self) -> list[str]:
-        """Names of the relay traces that still hold parts of cells, oldest first."""
+        """Names of the relay traces that still contain parts of cells, oldest first."""
         return list(dict.fromkeys(cell.segment for cell in self._cells.values() if cell.segment))
 
     def _load(self) -> None:

@@ -25,7 +25,7 @@ class StartedProgram(Protocol):
         """Exit code, None while it runs."""
 
     def stop(self) -> object:
-        """End the program; its trace is closed when this returns."""
+        """End the program and wait until its trace is closed."""
 
 
 class RelayDevice:
@@ -38,7 +38,7 @@ class RelayDevice:
     keeps_traces = False
 
     def check(self) -> None:
-        """Check that relays can be started on the device, and leave nothing there.
+        """Check that relays can start on the device.
 
         Raises:
             BackendUnavailableError: the device or its `dds-record` cannot be reached.
@@ -54,7 +54,7 @@ class RelayDevice:
         return None
 
     def prepare(self) -> None:
-        """Check that relays can be started on the device, and make room for their traces; errors as for `check`."""
+        """Check the device as `check`, and make a folder for traces there."""
 
     def start(self, arguments: Sequence[str], segment: str) -> StartedProgram:
         """Start a relay that writes the trace `segment`."""
@@ -65,31 +65,23 @@ class RelayDevice:
         raise NotImplementedError
 
     def collect(self, segment: str) -> Path | None:  # noqa: ARG002
-        """Return the path of the trace `segment` on this machine, None if the device has none.
-
-        Raises:
-            BackendUnavailableError: the device cannot be reached.
-        """
+        """Bring the trace `segment` to this machine and return its path, None if the device has none."""
         return None
 
     def discard(self, segment: str) -> None:
-        """Remove the trace `segment`; all of it is in the cells' files."""
+        """Remove the trace `segment` after it is split."""
 
     def clear(self, keep: Collection[str]) -> None:
-        """Remove what an interrupted sweep left on the device, except the segments `keep`.
-
-        Raises:
-            BackendUnavailableError: the device cannot be reached.
-        """
+        """Remove what an interrupted sweep left on the device, except the segments `keep`."""
 
 
 class LocalDevice(RelayDevice):
     """This machine; both halves of a bridge are run by the ping's `dds-record`.
 
     Args:
-        folder: folder of the relays' traces and logs.
+        folder: folder for traces and logs.
         command: `dds-record`, with the words that must precede it.
-        lock: file descriptor of the lock of the sweep's folder.
+        lock: file descriptor of the folder's lock.
     """
 
     def __init__(self, folder: Path, command: Sequence[str], lock: int | None = None) -> None:
@@ -117,11 +109,7 @@ class LocalDevice(RelayDevice):
 
 
 class PrintedDevice(RelayDevice):
-    """A device that a person operates: each relay's command is printed, and the pings wait for its echo.
-
-    Args:
-        show: prints a line.
-    """
+    """A device that a person operates: each relay's command is printed, and the pings wait for its echo."""
 
     keeps_traces = True
 
@@ -145,15 +133,15 @@ class PrintedDevice(RelayDevice):
 
 
 def printed_command(arguments: Sequence[str], number: int | str) -> str:
-    """Return the command line of a group's relay as a person types it: without the defaults of that device."""
+    """Return the command line of a group's relay, without the defaults of that device."""
     return f"DDS_TRACE_CONFIG= dds-record {shlex.join(arguments)} --out relay-{number}.mcap"
 
 
 class _PrintedProgram:
-    """A program that a person runs; whether it runs cannot be seen from here."""
+    """A program that a person runs and ends."""
 
     failure = None
     exit_code = None
 
     def stop(self) -> None:
-        """Leave the program to its person."""
+        """Do nothing."""

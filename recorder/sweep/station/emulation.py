@@ -34,11 +34,7 @@ _TBF_BURST_S = 0.0002
 
 
 def ip(*arguments: str) -> str:
-    """Run the system's `ip` and return its output.
-
-    Raises:
-        BackendUnavailableError: it is not installed, or the kernel refuses.
-    """
+    """Run the system's `ip` and return its output; raise a BackendUnavailableError if that fails."""
     return _system("ip", *arguments)
 
 
@@ -74,9 +70,7 @@ def count_traffic(namespace: str) -> EndCounters:
 def queue_disciplines(link: Link, *, kernel_does_all: bool) -> list[list[str]]:
     """Return the words after `tc qdisc add dev DEVICE` for a link: a token bucket, and netem below it.
 
-    Args:
-        link: the link to emulate.
-        kernel_does_all: whether netem applies everything but the rate; if False, the forwarder does.
+    Netem applies everything but the rate if `kernel_does_all`, else the forwarder does.
     """
     disciplines: list[list[str]] = []
     parent = ["root"]
@@ -97,11 +91,7 @@ def queue_disciplines(link: Link, *, kernel_does_all: bool) -> list[list[str]]:
 
 
 def open_tap(name: str, namespace: str) -> int:
-    """Open a TAP device, move it into a namespace under the link's name, and return its non-blocking descriptor.
-
-    Raises:
-        BackendUnavailableError: this kernel has no TAP devices.
-    """
+    """Open a TAP device, move it into a namespace under the link's name, and return its non-blocking descriptor."""
     try:
         descriptor = os.open("/dev/net/tun", os.O_RDWR | os.O_NONBLOCK)
         fcntl.ioctl(descriptor, _TUNSETIFF, struct.pack("16sH14x", name.encode(), _IFF_TAP | _IFF_NO_PI))

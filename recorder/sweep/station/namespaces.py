@@ -42,12 +42,7 @@ _counter = itertools.count()
 
 @dataclass(frozen=True, slots=True)
 class Side:
-    """One of the two namespaces.
-
-    Attributes:
-        namespace: its name, as `ip netns` lists it.
-        address: its IPv4 address on the link.
-    """
+    """One of the two namespaces, and its IPv4 address on the link."""
 
     namespace: str
     address: str
@@ -211,11 +206,7 @@ def remove_stale() -> list[str]:
 
 
 def require_root() -> None:
-    """Raise unless this user may make network namespaces.
-
-    Raises:
-        OptionError: the user is not root.
-    """
+    """Raise an OptionError unless this user is root."""
     if os.geteuid() != 0:
         raise OptionError(
             "[network] and [link] need root to make network namespaces; run dds-sweep with sudo"

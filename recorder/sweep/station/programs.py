@@ -31,7 +31,7 @@ REHEARSAL_PATIENCE_S = 60.0
 REHEARSAL_STOP_S = 10.0
 LAST_WORDS_BYTES = 4096
 MOST_LOG_BYTES = 64 << 20
-"""Largest log of a program on another device; one that sends more is ended."""
+"""Largest log of a program on another device."""
 
 _REASON = re.compile(r"dds-\w+: ")
 
@@ -45,12 +45,7 @@ def local_program(name: str) -> list[str]:
 def environment_program(folder: Path, name: str) -> tuple[str, ...]:
     """Return the words that run the command `name` of another Python environment.
 
-    ROS 2 from wheels sets a guard variable and a library path in this process, with which the other environment's ROS 2
-    would load ours; the words remove them.
-
-    Args:
-        folder: absolute path of the environment.
-        name: name of a command of dds-trace.
+    They remove the variables that ROS 2 from wheels sets in this process, with which the other ROS 2 would load ours.
 
     Raises:
         OptionError: the environment has no such command.
@@ -70,9 +65,9 @@ class Program:
 
     Args:
         command: program and arguments.
-        log: file for its output; the folder exists.
+        log: file for its output.
         stops_by_input: whether it ends when its standard input closes (a program on another device), not by SIGTERM.
-        lock: file descriptor of a lock that is taken until the program has ended.
+        lock: file descriptor of a lock that the program inherits.
 
     Raises:
         BackendUnavailableError: there is no such program.
@@ -137,10 +132,7 @@ class Program:
         return self._process.wait()
 
     def last_words(self) -> str:
-        """Return the reason of its end: the signal that killed it, or what it printed.
-
-        The last output of our programs is their name, a colon and the reason, over one line or more.
-        """
+        """Return the signal that killed it, or its last output: our programs print their name, a colon and the reason."""
         with self.log.open("rb") as file:
             file.seek(max(0, self.log.stat().st_size - LAST_WORDS_BYTES))
             text = file.read().decode(errors="replace").replace("\r", "\n")
@@ -152,15 +144,7 @@ class Program:
 
 
 def rehearse_program(command: Sequence[str], folder: Path) -> str | None:
-    """Run a `dds-record` with `--check`, which ends before its first message.
-
-    Args:
-        command: the program and its arguments, without `--out`.
-        folder: folder for the log; no trace is written.
-
-    Returns:
-        The reason why it cannot start, None if it can.
-    """
+    """Run a `dds-record` with `--check`, which ends before its first message; return why it cannot start, else None."""
     trace = folder / "rehearsal.mcap"
     try:
         program = Program([*command, "--out", str(trace), "--check"], folder / "rehearsal.log")

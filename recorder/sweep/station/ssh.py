@@ -47,13 +47,12 @@ _WAIT_FOR_END = (
 class SshDevice(RelayDevice):
     """Another machine, through the system's `ssh` and with its keys.
 
-    The shell there ends the relay when its standard input closes, which also happens when the connection or this machine
-    is gone. Traces wait there in `~/.cache/dds-trace/SWEEP/` until they are fetched. The device is not trusted: every
-    name and number of bytes that it sends is checked.
+    The shell there ends the relay when its standard input closes, also because the connection or this machine is gone.
+    Traces wait in `~/.cache/dds-trace/SWEEP/` there. The device is not trusted: its names and numbers of bytes are checked.
 
     Args:
         settings: the device of the plan; its `ssh` is set.
-        folder: folder on this machine for the fetched traces and for logs.
+        folder: folder on this machine for traces and logs.
         sweep: name of the folder there.
     """
 
@@ -151,7 +150,7 @@ class SshDevice(RelayDevice):
         remove_files(self._folder, segment, (*TRACE_ENDINGS, *LOG_ENDINGS))
 
     def clear(self, keep: Collection[str]) -> None:
-        """Remove the traces there that no cell needs, once the relays of a killed sweep have closed them."""
+        """Remove the traces there that no cell needs, after the relays of a killed sweep have ended."""
         names = " ".join(shlex.quote(name) for name in keep) or "''"
         ended = _WAIT_FOR_END.format(pid='"$pid"')
         self._run(
@@ -172,15 +171,10 @@ class SshDevice(RelayDevice):
             return file.read().decode(errors="replace")
 
     def _call(self, script: str, output: BinaryIO, most_bytes: int) -> None:
-        """Run a script there.
-
-        Args:
-            script: commands for the shell.
-            output: file for what they print.
-            most_bytes: largest size of the file.
+        """Run shell commands there and write their output.
 
         Raises:
-            BackendUnavailableError: the device cannot be reached, a command failed, or it printed more.
+            BackendUnavailableError: the device cannot be reached, a command failed, or it printed more than `most_bytes`.
         """
         if shutil.which("ssh") is None:
             raise BackendUnavailableError("ssh is not installed; apt install openssh-client")
@@ -210,7 +204,7 @@ class SshDevice(RelayDevice):
 
 
 def _copy(source: IO[bytes], output: BinaryIO, errors: BinaryIO, most_bytes: int) -> str | None:
-    """Copy what a program prints up to its end; return the reason why copying stopped earlier, or None."""
+    """Copy what a program prints; return why copying stopped before its end, or None."""
     deadline_s, copied = time.monotonic() + SSH_TIMEOUT_S, 0
     os.set_blocking(source.fileno(), False)
     while (left_s := deadline_s - time.monotonic()) > 0:
@@ -227,9 +221,9 @@ def _copy(source: IO[bytes], output: BinaryIO, errors: BinaryIO, most_bytes: int
 
 
 def folder_there(plan: str, folder: Path) -> str:
-    """Return the name of a sweep's folder on the device: the plan's name and a hash of this machine and folder.
+    """Return the name of a sweep's folder on the device.
 
-    With the hash, a sweep does not delete the traces of another machine or folder whose plan has the same name.
+    A hash of this machine and folder keeps sweeps of plans of one name apart.
     """
     id_file = Path("/etc/machine-id")
     machine = id_file.read_text() if id_file.is_file() else platform.node()

@@ -1,4 +1,4 @@
-"""The station of a sweep: where the two roles run: on this machine, in two namespaces, or with the relay on another device."""
+"""The station of a sweep: both roles on this machine, in two namespaces, or the relay on another device."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ class Station:
     Attributes:
         ping_command: `dds-record` on this machine, with the words that must precede it.
         device: device of the relay.
-        lock: file descriptor of the lock of `locked_folder`, for the programs to inherit.
-        wait_s: longest time that a ping waits for the relay's echo.
-        relay_address: address at which the ping reaches the relay's device, None on one machine.
-        report_link: returns the report of the emulated link since the preceding call; None without such a link.
+        lock: file descriptor of the folder's lock, for the programs to inherit.
+        wait_s: longest time that a ping waits for an echo.
+        relay_address: address of the relay's device, None on one machine.
+        report_link: `NamespacePair.report`, None without an emulated link.
         environments: folder of each other Python environment of the plan -> command of the ping and device of the relay.
     """
 
@@ -50,7 +50,7 @@ class Station:
     environments: Mapping[str, tuple[Sequence[str], RelayDevice]] = field(default_factory=dict)
 
     def within(self, environment: str) -> Station:
-        """Return this station with the `dds-record` of a Python environment of the plan; empty means this process's."""
+        """Return this station with the `dds-record` of a Python environment; empty means this process's."""
         if not environment:
             return self
         ping_command, device = self.environments[environment]
@@ -66,17 +66,18 @@ def open_station(
     show: Callable[[str], None],
     command: Sequence[str] | None = None,
 ) -> Iterator[Station]:
-    """Yield the station of a plan; namespaces and link are gone after the block.
+    """Yield the station of a plan; namespaces and link are removed after the block.
 
     Args:
         plan: the plan, which names the devices and the link.
         folder: folder of the sweep.
-        lock: file descriptor of the folder's lock, None for a rehearsal, which has none.
+        lock: file descriptor of the folder's lock, None for a rehearsal.
         show: prints a line, such as a command for a person to start.
-        command: `dds-record` on this machine; the installed one if left out.
+        command: `dds-record` on this machine; the installed one by default.
 
     Raises:
-        OptionError, BackendUnavailableError: as `NamespacePair`; an environment of the plan has no `dds-record`.
+        OptionError: not root, or an environment without `dds-record`.
+        BackendUnavailableError: `ip` and `tc` are not installed, or the kernel refuses.
     """
     own = list(command or local_program("dds-record"))
     parts = make_parts(folder)

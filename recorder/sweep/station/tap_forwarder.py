@@ -36,13 +36,13 @@ WIRE_PRIORITY = 10
 
 
 class Wire:
-    """One direction of the link.
+    """One direction of the link, between two TAP devices.
 
     Args:
-        source: TAP device to read from, non-blocking.
-        sink: TAP device to write to.
+        source: non-blocking descriptor to read from.
+        sink: descriptor to write to.
         link: fields of a `Link`.
-        started_ns: start of the link on the monotonic clock, from which periods of outages count.
+        started_ns: monotonic time from which periods of outages count.
     """
 
     def __init__(self, source: int, sink: int, link: dict[str, float], started_ns: int) -> None:
